@@ -20,8 +20,8 @@ struct Action {
 };
 
 struct ActionSpace {
-  int n = 0;                // Discrete: number of actions; 0 where the space is a Box
-  std::vector<float> low;   // Box: bounds in environment units, both [size()]
+  int n = 0;               // Discrete: number of actions; 0 where the space is a Box
+  std::vector<float> low;  // Box: bounds in environment units, both [size()]
   std::vector<float> high;
 
   static ActionSpace Discrete(int n) { return {.n = n, .low = {}, .high = {}}; }
@@ -33,8 +33,8 @@ struct ActionSpace {
   // Outputs of the action head, and inputs of the action embedding.
   int size() const { return is_discrete() ? n : static_cast<int>(low.size()); }
 
-  // Writes the action token's input into `encoded` [size()]: one-hot for a Discrete space, the affine map of
-  // [low, high] to [-1, 1] for a Box. REQUIRES: Contains(action).
+  // Writes the action token's input into `encoded` [size()]: one-hot for a Discrete space, the
+  // affine map of [low, high] to [-1, 1] for a Box. REQUIRES: Contains(action).
   void Encode(const Action& action, absl::Span<float> encoded) const;
 
   // The affine map of [-1, 1] to [low[i], high[i]] for every element, clamped to the bounds.

@@ -17,8 +17,8 @@ enum class Mode { kBaseline, kPos, kRoute, kFull, kDense };
 // How an analog vector becomes spikes: a constant current into LIF neurons, or Bernoulli draws.
 enum class CoderKind { kLif, kBernoulli };
 
-// The clock of the phase generators (eq. 4.4): kTimestep carries position, kWindow is the literal formula,
-// which gives every token the same code.
+// The clock of the phase generators (eq. 4.4): kTimestep carries position, kWindow is the literal
+// formula, which gives every token the same code.
 enum class PhaseClock { kTimestep, kWindow };
 
 // How the gated heads become one vector: their sum (eq. 4.11), or side by side.

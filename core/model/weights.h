@@ -1,8 +1,8 @@
 // The parameters of one SNN-DT, as plain row-major float32 arrays named as in the policy file.
 //
-// Symbols: d hidden size, H heads, L layers, m routing hidden size, F FFN size, obs observation length,
-// act action head outputs, in = d + H with phase spikes and d without.
-// Immutable once a policy holds them, and then shared by every thread.
+// Symbols: d hidden size, H heads, L layers, m routing hidden size, F FFN size, obs observation
+// length, act action head outputs, in = d + H with phase spikes and d without. Immutable once a
+// policy holds them, and then shared by every thread.
 #ifndef CORE_MODEL_WEIGHTS_H_
 #define CORE_MODEL_WEIGHTS_H_
 
@@ -22,7 +22,9 @@ struct Tensor {
   std::vector<float> values;
 
   static Tensor Zeros(std::vector<int> shape);
-  float at(int row, int column) const { return values[static_cast<size_t>(row) * shape[1] + column]; }
+  float at(int row, int column) const {
+    return values[static_cast<size_t>(row) * shape[1] + column];
+  }
 };
 
 struct Linear {
@@ -66,7 +68,8 @@ struct Weights {
   Embedding embed_return;
   Embedding embed_state;
   Embedding embed_action;
-  Tensor embed_timestep;  // [K, d]; dense mode only. Timestep t uses row min(t, K-1), added before the norm.
+  Tensor embed_timestep;  // [K, d]; dense mode only. Timestep t uses row min(t, K-1), added before
+                          // the norm.
   Tensor phase_omega;     // [H]; modes with phase
   Tensor phase_phi;       // [H]; modes with phase
   std::vector<LayerWeights> layers;
@@ -86,11 +89,11 @@ struct TensorSlot {
   Tensor* tensor;
 };
 
-// Every tensor a policy of this shape has, in a fixed order, each bound to its place in `weights`; resizes
-// `weights->layers`. This list is the one place that knows the names: the reader, the writer, the trainer and
-// random initialisation all walk it.
-std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_size, int action_size,
-                                    Weights* weights);
+// Every tensor a policy of this shape has, in a fixed order, each bound to its place in `weights`;
+// resizes `weights->layers`. This list is the one place that knows the names: the reader, the
+// writer, the trainer and random initialisation all walk it.
+std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_size,
+                                    int action_size, Weights* weights);
 
 }  // namespace spikeserve
 

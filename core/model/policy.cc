@@ -1,0 +1,207 @@
+#include "core/model/policy.h"
+
+#include <cmath>
+#include <numbers>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "core/math/counter_random.h"
+#include "core/model/json.h"
+
+namespace spikeserve {
+namespace {
+
+std::string ShapeText(const std::vector<int>& shape) {
+  const auto append_length = [](std::string* out, int length) {
+    absl::StrAppend(out, length < 0 ? "any" : absl::StrCat(length));
+  };
+  return absl::StrCat("[", absl::StrJoin(shape, ", ", append_length), "]");
+}
+
+bool HasShape(const Tensor& tensor, const std::vector<int>& expected) {
+  if (tensor.shape.size() != expected.size()) return false;
+  size_t size = 1;
+  for (size_t i = 0; i < expected.size(); ++i) {
+    const int length = tensor.shape[i];
+    if (expected[i] < 0 ? length < 1 : length != expected[i]) return false;
+    size *= static_cast<size_t>(length);
+  }
+  return tensor.values.size() == size;
+}
+
+absl::Status CheckTensor(const TensorSlot& slot) {
+  const Tensor& tensor = *slot.tensor;
+  if (!HasShape(tensor, slot.shape)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("tensor ", slot.name, ": expected shape ", ShapeText(slot.shape), ", got ",
+                     ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
+  }
+  for (size_t i = 0; i < tensor.values.size(); ++i) {
+    if (std::isfinite(tensor.values[i])) continue;
+    return absl::InvalidArgumentError(absl::StrCat("tensor ", slot.name,
+                                                   ": expected finite numbers, got ",
+                                                   tensor.values[i], " at index ", i));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckFinite(absl::string_view field, float value) {
+  if (std::isfinite(value)) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(field, ": expected a finite number, got ", value));
+}
+
+absl::Status CheckPositive(absl::string_view field, float value) {
+  if (value > 0.0f && std::isfinite(value)) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(field, ": expected a positive finite number, got ", value));
+}
+
+absl::Status CheckScalars(const Policy& policy) {
+  absl::Status status = CheckFinite("return_offset", policy.return_offset);
+  status.Update(CheckPositive("return_scale", policy.return_scale));
+  status.Update(CheckFinite("target_return", policy.target_return));
+  status.Update(CheckFinite("modulator_mean", policy.modulator_mean));
+  status.Update(CheckPositive("modulator_std", policy.modulator_std));
+  status.Update(ParseJsonObject("training", policy.training).status());
+  return status;
+}
+
+absl::Status CheckWeights(const Policy& policy) {
+  const Weights& weights = policy.weights;
+  if (weights.layers.size() != static_cast<size_t>(policy.config.layers)) {
+    return absl::InvalidArgumentError(absl::StrCat("layers: expected ", policy.config.layers,
+                                                   ", got weights of ", weights.layers.size()));
+  }
+  if (policy.observation_size() < 1) {
+    return absl::InvalidArgumentError(
+        "tensor observation.mean: expected at least one value, got 0");
+  }
+  // The slots are only read here, and the number of layers is right, so nothing is resized.
+  for (const TensorSlot& slot :
+       TensorSlots(policy.config, policy.observation_size(), policy.action_space.size(),
+                   const_cast<Weights*>(&weights))) {
+    if (absl::Status status = CheckTensor(slot); !status.ok()) return status;
+  }
+  for (size_t i = 0; i < weights.observation_std.values.size(); ++i) {
+    absl::Status status = CheckPositive(absl::StrCat("tensor observation.std: index ", i),
+                                        weights.observation_std.values[i]);
+    if (!status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
+// The random numbers of one tensor. Number i is a pure function of the seed, the tensor's name and
+// i, by integer arithmetic alone, so neither the C library nor the order of the tensors has a say
+// in it.
+class TensorRandom {
+ public:
+  TensorRandom(uint64_t seed, absl::string_view name) {
+    stream_ = MixBits(seed);
+    for (const char c : name) stream_ = RandomBits({stream_, static_cast<unsigned char>(c)});
+  }
+
+  // Uniform in [low, high).
+  float Uniform(uint64_t i, double low, double high) const {
+    return static_cast<float>(low + (high - low) * UniformDouble(RandomBits({stream_, i})));
+  }
+
+  // Normal with mean 0, as the sum of twelve 16-bit uniform numbers (variance 1/12 each): no
+  // logarithm, no cosine, and no value beyond six deviations.
+  float Normal(uint64_t i, double deviation) const {
+    uint64_t sum = 0;
+    for (uint64_t word = 0; word < 3; ++word) {
+      const uint64_t bits = RandomBits({stream_, i, word});
+      sum += (bits & 0xffff) + ((bits >> 16) & 0xffff) + ((bits >> 32) & 0xffff) + (bits >> 48);
+    }
+    return static_cast<float>(deviation * ((static_cast<double>(sum) + 6.0) / 65536.0 - 6.0));
+  }
+
+ private:
+  uint64_t stream_;
+};
+
+void Fill(Tensor* tensor, float value) {
+  std::fill(tensor->values.begin(), tensor->values.end(), value);
+}
+
+void FillUniform(const TensorRandom& random, double low, double high, Tensor* tensor) {
+  for (size_t i = 0; i < tensor->values.size(); ++i) {
+    tensor->values[i] = random.Uniform(i, low, high);
+  }
+}
+
+// Projections whose outputs are currents into LIF neurons.
+bool FeedsNeurons(const ModelConfig& config, absl::string_view name) {
+  if (config.is_dense()) return false;
+  return absl::StrContains(name, ".query.") || absl::StrContains(name, ".key.") ||
+         absl::StrContains(name, ".value.") || absl::StrContains(name, ".ffn.hidden.");
+}
+
+// `fan_in` is the number of inputs of the linear map the tensor belongs to.
+void Initialise(const ModelConfig& config, uint64_t seed, int fan_in, const TensorSlot& slot) {
+  const std::string& name = slot.name;
+  Tensor* const tensor = slot.tensor;
+  const TensorRandom random(seed, name);
+  const bool is_bias = absl::EndsWith(name, ".bias");
+  const double bound = 1.0 / std::sqrt(static_cast<double>(fan_in));
+  if (absl::StrContains(name, "norm.")) {
+    Fill(tensor, is_bias ? 0.0f : 1.0f);
+  } else if (absl::StrContains(name, "coder.")) {
+    Fill(tensor, is_bias ? 0.2f : 0.5f);
+  } else if (absl::EndsWith(name, ".scale")) {
+    Fill(tensor, static_cast<float>(1.0 / std::sqrt(static_cast<double>(config.head_size()))));
+  } else if (name == "phase.omega") {
+    FillUniform(random, 0.1, 10.0, tensor);
+  } else if (name == "phase.phi") {
+    FillUniform(random, 0.0, 2.0 * std::numbers::pi, tensor);
+  } else if (name == "observation.mean" || name == "observation.std") {
+    Fill(tensor, name == "observation.mean" ? 0.0f : 1.0f);
+  } else if (FeedsNeurons(config, name) && is_bias) {
+    Fill(tensor, 0.1f);
+  } else if (FeedsNeurons(config, name)) {
+    for (size_t i = 0; i < tensor->values.size(); ++i) {
+      tensor->values[i] = random.Normal(i, 0.3 * bound);
+    }
+  } else {
+    FillUniform(random, -bound, bound, tensor);
+  }
+}
+
+}  // namespace
+
+absl::Status Policy::Validate() const {
+  absl::Status status = config.Validate();
+  status.Update(action_space.Validate());
+  status.Update(CheckScalars(*this));
+  if (!status.ok()) return status;
+  return CheckWeights(*this);
+}
+
+Policy RandomPolicy(const ModelConfig& config, int observation_size,
+                    const ActionSpace& action_space, uint64_t seed) {
+  Policy policy;
+  policy.config = config;
+  policy.action_space = action_space;
+  int fan_in = 1;
+  for (TensorSlot& slot :
+       TensorSlots(config, observation_size, action_space.size(), &policy.weights)) {
+    for (int& length : slot.shape) {
+      if (length < 0) length = kDenseTimesteps;
+    }
+    *slot.tensor = Tensor::Zeros(slot.shape);
+    if (slot.shape.size() == 2) fan_in = slot.shape[1];  // a bias follows its weight
+    Initialise(config, seed, fan_in, slot);
+  }
+  return policy;
+}
+
+std::optional<double> TrainingReturn(const Policy& policy) {
+  const absl::StatusOr<nlohmann::json> training = ParseJsonObject("training", policy.training);
+  if (!training.ok()) return std::nullopt;
+  const nlohmann::json::json_pointer path("/evaluation/mean_return");
+  if (!training->contains(path) || !training->at(path).is_number()) return std::nullopt;
+  return training->at(path).get<double>();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,90 @@
+#include "core/model/weights.h"
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+// Collects the slots of one policy in the order of the policy file's table.
+class SlotList {
+ public:
+  void Add(std::string name, std::vector<int> shape, Tensor* tensor) {
+    slots_.push_back({.name = std::move(name), .shape = std::move(shape), .tensor = tensor});
+  }
+  void Add(const std::string& name, int out, int in, Linear* linear) {
+    Add(name + ".weight", {out, in}, &linear->weight);
+    Add(name + ".bias", {out}, &linear->bias);
+  }
+  void Add(const std::string& name, int size, Norm* norm) {
+    Add(name + ".weight", {size}, &norm->weight);
+    Add(name + ".bias", {size}, &norm->bias);
+  }
+  void Add(const std::string& name, int size, Coder* coder) {
+    Add(name + ".gain", {size}, &coder->gain);
+    Add(name + ".bias", {size}, &coder->bias);
+  }
+  void Add(const std::string& name, int size, int inputs, Embedding* embedding) {
+    Add(name, size, inputs, &embedding->linear);
+    Add(name + ".norm", size, &embedding->norm);
+  }
+
+  std::vector<TensorSlot> Take() { return std::move(slots_); }
+
+ private:
+  std::vector<TensorSlot> slots_;
+};
+
+void AddLayer(const ModelConfig& config, const std::string& name, LayerWeights* layer,
+              SlotList* slots) {
+  const int d = config.hidden_size;
+  const std::string attention = name + ".attention";
+  if (!config.is_dense()) slots->Add(name + ".coder", d, &layer->coder);
+  slots->Add(attention + ".query", d, config.attention_inputs(), &layer->query);
+  slots->Add(attention + ".key", d, config.attention_inputs(), &layer->key);
+  slots->Add(attention + ".value", d, config.attention_inputs(), &layer->value);
+  if (!config.is_dense()) slots->Add(attention + ".scale", {config.heads}, &layer->scale);
+  if (config.has_routing()) {
+    const int m = config.routing_hidden_size;
+    slots->Add(name + ".routing.hidden", m, d, &layer->routing_hidden);
+    slots->Add(name + ".routing.gate", config.heads, m, &layer->routing_gate);
+  }
+  slots->Add(attention + ".output", d, config.merged_size(), &layer->attention_output);
+  slots->Add(attention + ".norm", d, &layer->attention_norm);
+  if (!config.is_dense()) slots->Add(name + ".ffn.coder", d, &layer->ffn_coder);
+  slots->Add(name + ".ffn.hidden", config.ffn_size, d, &layer->ffn_hidden);
+  slots->Add(name + ".ffn.output", d, config.ffn_size, &layer->ffn_output);
+  slots->Add(name + ".ffn.norm", d, &layer->ffn_norm);
+}
+
+}  // namespace
+
+Tensor Tensor::Zeros(std::vector<int> shape) {
+  size_t size = 1;
+  for (const int length : shape) size *= static_cast<size_t>(length);
+  return {.shape = std::move(shape), .values = std::vector<float>(size)};
+}
+
+std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_size,
+                                    int action_size, Weights* weights) {
+  const int d = config.hidden_size;
+  SlotList slots;
+  slots.Add("embed.return", d, 1, &weights->embed_return);
+  slots.Add("embed.state", d, observation_size, &weights->embed_state);
+  slots.Add("embed.action", d, action_size, &weights->embed_action);
+  if (config.is_dense()) slots.Add("embed.timestep.weight", {-1, d}, &weights->embed_timestep);
+  if (config.has_phase()) {
+    slots.Add("phase.omega", {config.heads}, &weights->phase_omega);
+    slots.Add("phase.phi", {config.heads}, &weights->phase_phi);
+  }
+  weights->layers.resize(config.layers);
+  for (int i = 0; i < config.layers; ++i) {
+    AddLayer(config, absl::StrCat("layers.", i), &weights->layers[i], &slots);
+  }
+  if (!config.is_dense()) slots.Add("readout.coder", d, &weights->readout_coder);
+  slots.Add("head", action_size, d, &weights->head);
+  slots.Add("observation.mean", {observation_size}, &weights->observation_mean);
+  slots.Add("observation.std", {observation_size}, &weights->observation_std);
+  return slots.Take();
+}
+
+}  // namespace spikeserve
