@@ -34,22 +34,24 @@ class Environment {
   virtual const ActionSpace& action_space() const = 0;
   virtual int max_episode_steps() const = 0;  // the TimeLimit of Gymnasium's registry
 
-  // Starts an episode from the initial state Gymnasium draws for this seed (NumPy's PCG64, bit for bit), and
-  // returns its first observation.
+  // Starts an episode from the initial state Gymnasium draws for this seed (NumPy's PCG64, bit for
+  // bit), and returns its first observation.
   virtual std::vector<float> Reset(uint64_t seed) = 0;
 
   // Starts an episode from a given internal state (float64, Gymnasium's `unwrapped.state`).
   // REQUIRES: state.size() == this->state().size().
   virtual std::vector<float> ResetTo(absl::Span<const double> state) = 0;
 
-  // One step. REQUIRES: Reset was called and the episode has not ended; the action is of action_space().
+  // One step. REQUIRES: Reset was called and the episode has not ended; the action is of
+  // action_space().
   virtual StepResult Step(const Action& action) = 0;
 
   // The internal state in float64, as Gymnasium's `unwrapped.state`.
   virtual absl::Span<const double> state() const = 0;
 };
 
-// "CartPole-v1", "MountainCar-v0", "Acrobot-v1" or "Pendulum-v1"; NOT_FOUND names the ids there are.
+// "CartPole-v1", "MountainCar-v0", "Acrobot-v1" or "Pendulum-v1"; NOT_FOUND names the ids there
+// are.
 absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironment(std::string_view id);
 
 }  // namespace spikeserve

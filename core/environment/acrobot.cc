@@ -1,0 +1,99 @@
+#include "core/environment/acrobot.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+
+namespace spikeserve {
+namespace {
+
+using std::cos;
+using std::sin;
+using std::numbers::pi;
+
+constexpr double kTimeStep = 0.2;  // s
+constexpr double kMaxVelocity1 = 4 * pi;
+constexpr double kMaxVelocity2 = 9 * pi;
+
+using State = std::array<double, 4>;
+
+// The time derivative of `s` under `torque`.
+State Derivative(const AcrobotParameters& parameters, double torque, const State& s) {
+  const auto& [m1, m2, l1, lc1, lc2, i1, i2, g, full_torque] = parameters;
+  const auto& [theta1, theta2, dtheta1, dtheta2] = s;
+  const double d1 =
+      m1 * (lc1 * lc1) + m2 * (l1 * l1 + lc2 * lc2 + 2 * l1 * lc2 * cos(theta2)) + i1 + i2;
+  const double d2 = m2 * (lc2 * lc2 + l1 * lc2 * cos(theta2)) + i2;
+  const double phi2 = m2 * lc2 * g * cos(theta1 + theta2 - pi / 2);
+  const double phi1 = -m2 * l1 * lc2 * (dtheta2 * dtheta2) * sin(theta2) -
+                      2 * m2 * l1 * lc2 * dtheta2 * dtheta1 * sin(theta2) +
+                      (m1 * lc1 + m2 * l1) * g * cos(theta1 - pi / 2) + phi2;
+  const double ddtheta2 =
+      (torque + d2 / d1 * phi1 - m2 * l1 * lc2 * (dtheta1 * dtheta1) * sin(theta2) - phi2) /
+      (m2 * (lc2 * lc2) + i2 - d2 * d2 / d1);
+  const double ddtheta1 = -(d2 * ddtheta2 + phi1) / d1;
+  return {dtheta1, dtheta2, ddtheta1, ddtheta2};
+}
+
+// y + step * k
+State Along(const State& y, double step, const State& k) {
+  State result;
+  for (int i = 0; i < 4; ++i) result[i] = y[i] + step * k[i];
+  return result;
+}
+
+// One step of the classical fourth-order Runge-Kutta method.
+State RungeKutta4(const AcrobotParameters& parameters, double torque, const State& y) {
+  const State k1 = Derivative(parameters, torque, y);
+  const State k2 = Derivative(parameters, torque, Along(y, kTimeStep / 2, k1));
+  const State k3 = Derivative(parameters, torque, Along(y, kTimeStep / 2, k2));
+  const State k4 = Derivative(parameters, torque, Along(y, kTimeStep, k3));
+  State slope;
+  for (int i = 0; i < 4; ++i) slope[i] = k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i];
+  return Along(y, kTimeStep / 6, slope);
+}
+
+// The same angle in [-pi, pi].
+double Wrap(double angle) {
+  while (angle > pi) angle -= 2 * pi;
+  while (angle < -pi) angle += 2 * pi;
+  return angle;
+}
+
+}  // namespace
+
+Acrobot::Acrobot(const AcrobotParameters& parameters)
+    : ClassicControl({.id = kId,
+                      .state_size = 4,
+                      .observation_size = 6,
+                      .action_space = ActionSpace::Discrete(3),
+                      .max_episode_steps = 500}),
+      parameters_(parameters) {}
+
+std::vector<double> Acrobot::DrawInitialState(NumpyRandom& random) const {
+  std::vector<double> state(4);
+  // Gymnasium rounds this state, and no other, to float32.
+  for (double& value : state) value = static_cast<float>(random.Uniform(-0.1, 0.1));
+  return state;
+}
+
+ClassicControl::Outcome Acrobot::Advance(const Action& action, absl::Span<double> state) const {
+  const double torque = (action.discrete - 1) * parameters_.torque;
+  const State next = RungeKutta4(parameters_, torque, {state[0], state[1], state[2], state[3]});
+  state[0] = Wrap(next[0]);
+  state[1] = Wrap(next[1]);
+  state[2] = std::clamp(next[2], -kMaxVelocity1, kMaxVelocity1);
+  state[3] = std::clamp(next[3], -kMaxVelocity2, kMaxVelocity2);
+
+  const bool terminated = -cos(state[0]) - cos(state[1] + state[0]) > 1.0;
+  return {.reward = terminated ? 0.0 : -1.0, .terminated = terminated};
+}
+
+std::vector<float> Acrobot::Observe(absl::Span<const double> state) const {
+  const std::array<double, 6> observation = {cos(state[0]), sin(state[0]), cos(state[1]),
+                                             sin(state[1]), state[2],      state[3]};
+  return {observation.begin(), observation.end()};
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,49 @@
+// Acrobot-v1: swing the tip of a two-link pendulum above the bar by a torque of -1 (0), 0 (1) or 1
+// N m (2) at the elbow.
+//
+// R. S. Sutton, A. G. Barto, "Reinforcement Learning: An Introduction" (the book's dynamics, not
+// the NIPS paper's), in Gymnasium's form: one classical Runge-Kutta step of 0.2 s. State [4]: angle
+// of the first link from hanging, of the second from the first [rad, wrapped to [-pi, pi]], and
+// their angular velocities [rad/s, bounded by 4 pi and 9 pi]. Observation [6]: cosine and sine of
+// the first angle, of the second, the two velocities. Reward -1 a step, 0 for the last; ends when
+// the tip is one link above the bar; limit 500 steps.
+#ifndef CORE_ENVIRONMENT_ACROBOT_H_
+#define CORE_ENVIRONMENT_ACROBOT_H_
+
+#include <string_view>
+#include <vector>
+
+#include "core/environment/classic_control.h"
+
+namespace spikeserve {
+
+// Gymnasium's physical constants, and its names for them.
+struct AcrobotParameters {
+  double m1 = 1.0;       // kg, mass of the first link
+  double m2 = 1.0;       // kg, of the second
+  double l1 = 1.0;       // m, length of the first link
+  double lc1 = 0.5;      // m, from the bar to the first link's centre of mass
+  double lc2 = 0.5;      // m, from the elbow to the second's
+  double i1 = 1.0;       // kg m^2, moment of inertia of the first link
+  double i2 = 1.0;       // kg m^2, of the second
+  double gravity = 9.8;  // m/s^2
+  double torque = 1.0;   // N m
+};
+
+class Acrobot final : public ClassicControl {
+ public:
+  static constexpr std::string_view kId = "Acrobot-v1";
+
+  explicit Acrobot(const AcrobotParameters& parameters = {});
+
+ private:
+  std::vector<double> DrawInitialState(NumpyRandom& random) const override;
+  Outcome Advance(const Action& action, absl::Span<double> state) const override;
+  std::vector<float> Observe(absl::Span<const double> state) const override;
+
+  AcrobotParameters parameters_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENVIRONMENT_ACROBOT_H_

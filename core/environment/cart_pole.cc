@@ -1,0 +1,57 @@
+#include "core/environment/cart_pole.h"
+
+#include <cmath>
+#include <numbers>
+
+namespace spikeserve {
+namespace {
+
+constexpr double kTimeStep = 0.02;      // s
+constexpr double kPositionLimit = 2.4;  // m
+constexpr double kAngleLimit = 12 * 2 * std::numbers::pi / 360;
+
+}  // namespace
+
+CartPole::CartPole(const CartPoleParameters& parameters)
+    : ClassicControl({.id = kId,
+                      .state_size = 4,
+                      .observation_size = 4,
+                      .action_space = ActionSpace::Discrete(2),
+                      .max_episode_steps = 500}),
+      parameters_(parameters) {}
+
+std::vector<double> CartPole::DrawInitialState(NumpyRandom& random) const {
+  std::vector<double> state(4);
+  for (double& value : state) value = random.Uniform(-0.05, 0.05);
+  return state;
+}
+
+ClassicControl::Outcome CartPole::Advance(const Action& action, absl::Span<double> state) const {
+  const auto& [gravity, cart_mass, pole_mass, half_length, push] = parameters_;
+  const double total_mass = pole_mass + cart_mass;
+  const double pole_mass_length = pole_mass * half_length;
+  const double force = action.discrete == 1 ? push : -push;
+
+  double &x = state[0], &x_dot = state[1], &theta = state[2], &theta_dot = state[3];
+  const double cosine = std::cos(theta);
+  const double sine = std::sin(theta);
+  const double temp = (force + pole_mass_length * (theta_dot * theta_dot) * sine) / total_mass;
+  const double theta_acceleration =
+      (gravity * sine - cosine * temp) /
+      (half_length * (4.0 / 3.0 - pole_mass * (cosine * cosine) / total_mass));
+  const double x_acceleration = temp - pole_mass_length * theta_acceleration * cosine / total_mass;
+
+  x += kTimeStep * x_dot;
+  x_dot += kTimeStep * x_acceleration;
+  theta += kTimeStep * theta_dot;
+  theta_dot += kTimeStep * theta_acceleration;
+
+  return {.reward = 1.0,
+          .terminated = std::abs(x) > kPositionLimit || std::abs(theta) > kAngleLimit};
+}
+
+std::vector<float> CartPole::Observe(absl::Span<const double> state) const {
+  return {state.begin(), state.end()};
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,35 @@
+#include "core/environment/classic_control.h"
+
+#include <cassert>
+#include <utility>
+
+namespace spikeserve {
+
+ClassicControl::ClassicControl(Spec spec) : spec_(std::move(spec)), state_(spec_.state_size) {}
+
+std::vector<float> ClassicControl::Reset(uint64_t seed) {
+  NumpyRandom random(seed);
+  return ResetTo(DrawInitialState(random));
+}
+
+std::vector<float> ClassicControl::ResetTo(absl::Span<const double> state) {
+  assert(state.size() == state_.size());
+  state_.assign(state.begin(), state.end());
+  steps_ = 0;
+  running_ = true;
+  return Observe(state_);
+}
+
+StepResult ClassicControl::Step(const Action& action) {
+  assert(running_ && "Step needs a Reset first, and again after an episode's end");
+  const Outcome outcome = Advance(action, absl::MakeSpan(state_));
+  ++steps_;
+  StepResult result = {.observation = Observe(state_),
+                       .reward = outcome.reward,
+                       .terminated = outcome.terminated,
+                       .truncated = steps_ >= spec_.max_episode_steps};
+  running_ = !result.done();
+  return result;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,40 @@
+// MountainCar-v0: rock an underpowered car out of a valley; push left (0), coast (1) or push right
+// (2).
+//
+// A. W. Moore, "Efficient Memory-based Learning for Robot Control", PhD thesis, Cambridge, 1990, in
+// Gymnasium's form. State and observation [2]: position in [-1.2, 0.6], velocity in [-0.07, 0.07],
+// in the task's own units. Reward -1 a step. Ends at position 0.5 or beyond, moving right or at
+// rest; limit 200 steps.
+#ifndef CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
+#define CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
+
+#include <string_view>
+#include <vector>
+
+#include "core/environment/classic_control.h"
+
+namespace spikeserve {
+
+// Gymnasium's physical constants, as velocity gained a step.
+struct MountainCarParameters {
+  double force = 0.001;
+  double gravity = 0.0025;
+};
+
+class MountainCar final : public ClassicControl {
+ public:
+  static constexpr std::string_view kId = "MountainCar-v0";
+
+  explicit MountainCar(const MountainCarParameters& parameters = {});
+
+ private:
+  std::vector<double> DrawInitialState(NumpyRandom& random) const override;
+  Outcome Advance(const Action& action, absl::Span<double> state) const override;
+  std::vector<float> Observe(absl::Span<const double> state) const override;
+
+  MountainCarParameters parameters_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENVIRONMENT_MOUNTAIN_CAR_H_

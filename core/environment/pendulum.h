@@ -1,0 +1,42 @@
+// Pendulum-v1: swing a pendulum up and hold it there by a torque in [-2, 2] N m, too weak to lift
+// it at once.
+//
+// Gymnasium's form: semi-implicit Euler of 0.05 s. The action is float32, and so are the two
+// products in which NumPy keeps it so: a torque's acceleration and its cost. State [2]: angle from
+// upright [rad, not wrapped], angular velocity [rad/s, in [-8, 8]]. Observation [3]: cosine and
+// sine of the angle, the velocity. Reward -(angle^2 + 0.1 velocity^2 + 0.001 torque^2) of the state
+// before the step; never ends, limit 200 steps.
+#ifndef CORE_ENVIRONMENT_PENDULUM_H_
+#define CORE_ENVIRONMENT_PENDULUM_H_
+
+#include <string_view>
+#include <vector>
+
+#include "core/environment/classic_control.h"
+
+namespace spikeserve {
+
+// Gymnasium's physical constants.
+struct PendulumParameters {
+  double gravity = 10.0;  // m/s^2
+  double mass = 1.0;      // kg
+  double length = 1.0;    // m
+};
+
+class Pendulum final : public ClassicControl {
+ public:
+  static constexpr std::string_view kId = "Pendulum-v1";
+
+  explicit Pendulum(const PendulumParameters& parameters = {});
+
+ private:
+  std::vector<double> DrawInitialState(NumpyRandom& random) const override;
+  Outcome Advance(const Action& action, absl::Span<double> state) const override;
+  std::vector<float> Observe(absl::Span<const double> state) const override;
+
+  PendulumParameters parameters_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENVIRONMENT_PENDULUM_H_

@@ -1,0 +1,139 @@
+"""Holds the C++ environments against Gymnasium's, step by step.
+
+In lock-step the C++ environment starts every step from Gymnasium's own state, for near an unstable
+equilibrium an open-loop replay diverges from rounding alone. The time limit, which a restart would
+set back, is compared in episodes that both play through on their own, from motions that forgive
+rounding.
+"""
+
+import json
+import math
+import os
+import subprocess
+
+import gymnasium
+import numpy as np
+import pytest
+
+IDS = ["CartPole-v1", "MountainCar-v0", "Acrobot-v1", "Pendulum-v1"]
+SEEDS = range(5)
+TOLERANCE = 1e-12
+
+
+class Stepper:
+    """The C++ environment, in a process of its own."""
+
+    def __init__(self, environment_id):
+        self._process = subprocess.Popen(
+            [os.environ["SPIKESERVE_ENVIRONMENT_STEPPER"], environment_id],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._process.stdin.close()
+        self._process.stdout.close()
+        assert self._process.wait(timeout=10) == 0
+
+    def reset(self, seed):
+        return self._ask(seed=seed)
+
+    def reset_to(self, state):
+        return self._ask(state=np.asarray(state, np.float64).tolist())
+
+    def step(self, action):
+        return self._ask(action=np.asarray(action).tolist())
+
+    def _ask(self, **request):
+        print(json.dumps(request), file=self._process.stdin, flush=True)
+        answer = json.loads(self._process.stdout.readline())
+        answer["observation"] = np.array(answer["observation"], np.float32)
+        return answer
+
+
+@pytest.fixture(params=IDS)
+def environment(request):
+    with gymnasium.make(request.param) as made:
+        yield made
+
+
+@pytest.fixture
+def stepper(environment):
+    with Stepper(environment.spec.id) as started:
+        yield started
+
+
+def random_action(environment, observation):
+    return environment.action_space.sample()
+
+
+def scripted_action(environment, observation):
+    """Reaches the states random actions do not: upright for long, over the goal, at full speed."""
+    match environment.spec.id:
+        case "CartPole-v1":
+            return int(np.dot([0.1, 0.3, 3.0, 1.0], observation) > 0)
+        case "MountainCar-v0":
+            return 2 if observation[1] >= 0 else 0
+        case "Acrobot-v1":
+            return 2 if observation[4] <= 0 else 0
+        case "Pendulum-v1":
+            return np.array([math.copysign(2.0, observation[2])], np.float32)
+
+
+def assert_same_state(ours, theirs, tolerance=TOLERANCE):
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("choose_action", [random_action, scripted_action])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_step_of_an_episode_is_the_same(environment, stepper, choose_action, seed):
+    environment.action_space.seed(seed)
+    observation, _ = environment.reset(seed=seed)
+    done = False
+    while not done:
+        action = choose_action(environment, observation)
+        stepper.reset_to(environment.unwrapped.state)
+        observation, reward, terminated, truncated, _ = environment.step(action)
+        ours = stepper.step(action)
+        assert_same_state(ours["state"], environment.unwrapped.state)
+        np.testing.assert_array_equal(ours["observation"], observation)
+        assert ours["reward"] == pytest.approx(reward, rel=0, abs=TOLERANCE)
+        assert ours["terminated"] == terminated
+        done = terminated or truncated
+
+
+def test_a_seed_draws_the_same_initial_state(environment, stepper):
+    # Acrobot's first observation, and no other, is a float32 cosine of a float32 angle.
+    ulp = 1 if environment.spec.id == "Acrobot-v1" else 0
+    for seed in [*range(1000), 2**32 - 1, 2**32, 2**63]:
+        observation, _ = environment.reset(seed=seed)
+        ours = stepper.reset(seed)
+        assert ours["state"] == np.asarray(environment.unwrapped.state, np.float64).tolist()
+        np.testing.assert_array_max_ulp(ours["observation"], observation, maxulp=ulp)
+
+
+# Actions that no episode ends before its limit, and whose motion forgives rounding.
+UNENDING = {
+    "CartPole-v1": scripted_action,
+    "MountainCar-v0": lambda environment, observation: 1,
+    "Acrobot-v1": lambda environment, observation: 1,
+    "Pendulum-v1": lambda environment, observation: np.array([-0.5], np.float32),
+}
+
+
+def test_the_time_limit_truncates_the_same_step(environment, stepper):
+    for seed in SEEDS:
+        observation, _ = environment.reset(seed=seed)
+        stepper.reset(seed)
+        for step in range(1, environment.spec.max_episode_steps + 1):
+            action = UNENDING[environment.spec.id](environment, observation)
+            observation, reward, terminated, truncated, _ = environment.step(action)
+            ours = stepper.step(action)
+            assert (ours["terminated"], ours["truncated"]) == (terminated, truncated)
+            assert ours["reward"] == pytest.approx(reward, rel=0, abs=1e-9)
+            assert_same_state(ours["state"], environment.unwrapped.state, tolerance=1e-9)
+            assert truncated == (step == environment.spec.max_episode_steps)
