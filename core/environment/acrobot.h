@@ -2,11 +2,12 @@
 // N m (2) at the elbow.
 //
 // R. S. Sutton, A. G. Barto, "Reinforcement Learning: An Introduction" (the book's dynamics, not
-// the NIPS paper's), in Gymnasium's form: one classical Runge-Kutta step of 0.2 s. State [4]: angle
-// of the first link from hanging, of the second from the first [rad, wrapped to [-pi, pi]], and
-// their angular velocities [rad/s, bounded by 4 pi and 9 pi]. Observation [6]: cosine and sine of
-// the first angle, of the second, the two velocities. Reward -1 a step, 0 for the last; ends when
-// the tip is one link above the bar; limit 500 steps.
+// the NIPS paper's), in Gymnasium's form: one classical Runge-Kutta step of 0.2 s.
+// - State [4]: angle of the first link from hanging and of the second from the first [rad, in
+//   [-pi, pi]], their angular velocities [rad/s, bounded by 4 pi and 9 pi].
+// - Observation [6]: cosine and sine of the first angle, of the second, the two velocities.
+// - Reward: -1 a step, 0 for the one that reaches the goal.
+// - End: the tip is more than one link above the bar; limit 500 steps.
 #ifndef CORE_ENVIRONMENT_ACROBOT_H_
 #define CORE_ENVIRONMENT_ACROBOT_H_
 

@@ -2,9 +2,11 @@
 //
 // A. G. Barto, R. S. Sutton, C. W. Anderson, "Neuronlike Adaptive Elements That Can Solve Difficult
 // Learning Control Problems", IEEE Trans. SMC 13(5), 1983, in Gymnasium's form (R. V. Florian's
-// equations, explicit Euler). State and observation [4]: position [m], velocity [m/s], pole angle
-// from upright [rad], angular velocity [rad/s]. Reward 1 a step, the last one included. Ends
-// beyond 2.4 m or 12 degrees; limit 500 steps.
+// equations, explicit Euler of 0.02 s).
+// - State and observation [4]: position [m], velocity [m/s], pole angle from upright [rad], angular
+//   velocity [rad/s].
+// - Reward: 1 a step, the last one included.
+// - End: beyond 2.4 m or 12 degrees; limit 500 steps.
 #ifndef CORE_ENVIRONMENT_CART_POLE_H_
 #define CORE_ENVIRONMENT_CART_POLE_H_
 

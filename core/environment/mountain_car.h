@@ -2,9 +2,11 @@
 // (2).
 //
 // A. W. Moore, "Efficient Memory-based Learning for Robot Control", PhD thesis, Cambridge, 1990, in
-// Gymnasium's form. State and observation [2]: position in [-1.2, 0.6], velocity in [-0.07, 0.07],
-// in the task's own units. Reward -1 a step. Ends at position 0.5 or beyond, moving right or at
-// rest; limit 200 steps.
+// Gymnasium's form.
+// - State and observation [2]: position in [-1.2, 0.6], velocity in [-0.07, 0.07], in the task's
+//   own units.
+// - Reward: -1 a step.
+// - End: position 0.5 or beyond, moving right or at rest; limit 200 steps.
 #ifndef CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
 #define CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
 

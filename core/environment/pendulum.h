@@ -2,10 +2,12 @@
 // it at once.
 //
 // Gymnasium's form: semi-implicit Euler of 0.05 s. The action is float32, and so are the two
-// products in which NumPy keeps it so: a torque's acceleration and its cost. State [2]: angle from
-// upright [rad, not wrapped], angular velocity [rad/s, in [-8, 8]]. Observation [3]: cosine and
-// sine of the angle, the velocity. Reward -(angle^2 + 0.1 velocity^2 + 0.001 torque^2) of the state
-// before the step; never ends, limit 200 steps.
+// products in which NumPy keeps it so: a torque's acceleration and its cost.
+// - State [2]: angle from upright [rad, not wrapped], angular velocity [rad/s, in [-8, 8]].
+// - Observation [3]: cosine and sine of the angle, the velocity.
+// - Reward: -(angle^2 + 0.1 velocity^2 + 0.001 torque^2) of the state before the step, the angle
+//   wrapped to [-pi, pi).
+// - End: never; limit 200 steps.
 #ifndef CORE_ENVIRONMENT_PENDULUM_H_
 #define CORE_ENVIRONMENT_PENDULUM_H_
 
