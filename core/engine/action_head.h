@@ -1,5 +1,5 @@
-// The action head: from readout rates to an action. The only part of the model that plasticity may change, which is
-// why it stands outside the engine.
+// The action head: from readout rates to an action. The only part of the model that plasticity may
+// change, which is why it stands outside the engine.
 //
 // Free functions, safe to call from many threads.
 #ifndef CORE_ENGINE_ACTION_HEAD_H_
@@ -15,24 +15,24 @@
 namespace spikeserve {
 
 struct ActionSelection {
-  bool sample = false;        // greedy otherwise
-  float temperature = 1.0f;   // > 0; divides the logits, or is the deviation of the noise before tanh
+  bool sample = false;  // greedy otherwise
+  float temperature =
+      1.0f;  // > 0; divides the logits, or is the deviation of the noise before tanh
 };
 
 struct ActionChoice {
   Action action;
-  std::vector<float> logits;         // [act]: z = W r + b
-  std::vector<float> probabilities;  // [act]: softmax(z), at temperature when sampling; empty for a Box
+  std::vector<float> logits;  // [act]: z = W r + b
+  std::vector<float>
+      probabilities;  // [act]: softmax(z), at temperature when sampling; empty for a Box
 };
 
-// Greedy: the first maximum of z, or tanh(z) mapped to the bounds. Sampled: a draw from softmax(z / temperature), or
-// Gaussian noise on z before tanh; `random` is a stateless draw key (see session.h), so that a decision computed
-// again draws the same action. `readout` is [d].
-ActionChoice ChooseAction(const Linear& head, const ActionSpace& space, absl::Span<const float> readout,
-                          const ActionSelection& selection, uint64_t random);
-
-// Synaptic operations of the head (analog input): nonzero readout entries x nonzero weights.
-uint64_t HeadMultiplyAccumulates(const Linear& head, absl::Span<const float> readout);
+// Greedy: the first maximum of z, or tanh(z) mapped to the bounds. Sampled: a draw from softmax(z /
+// temperature), or Gaussian noise on z before tanh; `random` is a stateless draw key (see
+// session.h), so that a decision computed again draws the same action. `readout` is [d].
+ActionChoice ChooseAction(const Linear& head, const ActionSpace& space,
+                          absl::Span<const float> readout, const ActionSelection& selection,
+                          uint64_t random);
 
 }  // namespace spikeserve
 

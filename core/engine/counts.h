@@ -1,7 +1,8 @@
 // What a decision spends: spikes by stage, synaptic operations by kind, and energy estimates.
 //
-// Plain values. A decision's counts are those of its new tokens a_{t-1}, G_t and s_t (G_0 and s_0 at step 0),
-// whenever they were computed, and of the phase spikes of timestep t. Nothing that is spent is left out.
+// Plain values. A decision's counts are those of its new tokens a_{t-1}, G_t and s_t (G_0 and s_0
+// at step 0), whenever they were computed, and of the phase spikes of timestep t. Nothing that is
+// spent is left out.
 #ifndef CORE_ENGINE_COUNTS_H_
 #define CORE_ENGINE_COUNTS_H_
 
@@ -36,14 +37,16 @@ struct Counts {
   friend bool operator==(const Counts&, const Counts&) = default;
 };
 
-// Estimates in joules. The models answer different questions and are never summed with one another. They leave out
-// memory traffic.
+// Estimates in joules. The models answer different questions and are never summed with one another.
+// They leave out memory traffic.
 struct Energy {
-  double spike_5pj = 0.0;      // the paper's: 5 pJ a spike
-  double horowitz_45nm = 0.0;  // 0.9 pJ an accumulate (attention's too), 4.6 pJ a multiply-accumulate, 45 nm CMOS
+  double spike_5pj = 0.0;  // the paper's: 5 pJ a spike
+  double horowitz_45nm =
+      0.0;  // 0.9 pJ an accumulate (attention's too), 4.6 pJ a multiply-accumulate, 45 nm CMOS
 };
 
-// `dense` counts attention products as multiply-accumulates: both of their factors are analog there.
+// `dense` counts attention products as multiply-accumulates: both of their factors are analog
+// there.
 Energy EstimateEnergy(const Counts& counts, bool dense);
 
 }  // namespace spikeserve

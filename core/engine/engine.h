@@ -1,10 +1,12 @@
 // An engine computes decisions of one policy.
 //
-// Engines are immutable and safe to share between threads; everything that changes lives in a Context, which one
-// caller at a time may use. A context is a cache: it can be rebuilt from the last `history_size` timesteps, bit for
-// bit, because a token's keys and values depend on nothing older.
+// Engines are immutable and safe to share between threads; everything that changes lives in a
+// Context, which one caller at a time may use. A context is a cache: it can be rebuilt from the
+// last `history_size` timesteps, bit for bit, because a token's keys and values depend on nothing
+// older.
 //
-// Symbols: d hidden size, obs observation length, act action head outputs, t timestep within the episode.
+// Symbols: d hidden size, obs observation length, act action head outputs, t timestep within the
+// episode.
 #ifndef CORE_ENGINE_ENGINE_H_
 #define CORE_ENGINE_ENGINE_H_
 
@@ -20,8 +22,8 @@ namespace spikeserve {
 
 class Engine {
  public:
-  // The tokens of one episode seen so far, in whatever form the engine needs them. A context holds no reference to
-  // its engine, but may be passed only to the engine that made it.
+  // The tokens of one episode seen so far, in whatever form the engine needs them. A context holds
+  // no reference to its engine, but may be passed only to the engine that made it.
   class Context {
    public:
     virtual ~Context() = default;
@@ -29,16 +31,17 @@ class Engine {
 
   // What the model says at a state token.
   struct Output {
-    std::vector<float> readout;  // [d]: firing rates in [0, 1] (spike count / T); dense mode: the last layer's output
-    Counts counts;               // of this decision, see counts.h
+    std::vector<float> readout;  // [d]: firing rates in [0, 1] (spike count / T); dense mode: the
+                                 // last layer's output
+    Counts counts;  // of this decision, the policy's own action head included; see counts.h
   };
 
   virtual ~Engine() = default;
 
   virtual const Policy& policy() const = 0;
 
-  // An empty context whose first token will be that of `first_timestep`. `seed` keys the Bernoulli coder and is not
-  // used otherwise.
+  // An empty context whose first token will be that of `first_timestep`. `seed` keys the Bernoulli
+  // coder and is not used otherwise.
   virtual std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep = 0) const = 0;
 
   // Takes in G_t and s_t and writes the decision of timestep t into `output`.
@@ -47,20 +50,22 @@ class Engine {
   virtual void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
                       Output* output) const = 0;
 
-  // Takes in a_t, `encoded_action` [act] as ActionSpace::Encode writes it, and moves on to timestep t + 1. What it
-  // spends is counted in the next decision. Nobody waits for it: it may run after the answer was sent.
-  // REQUIRES: Decide was the last call on `context`.
+  // Takes in a_t, `encoded_action` [act] as ActionSpace::Encode writes it, and moves on to timestep
+  // t + 1. What it spends is counted in the next decision. Nobody waits for it: it may run after
+  // the answer was sent. REQUIRES: Decide was the last call on `context`.
   virtual void AppendAction(Context& context, absl::Span<const float> encoded_action) const = 0;
 };
 
-// Timesteps that the decision at t depends on: L bands of N timesteps, overlapping by one, so L (N - 1) + 1.
+// Timesteps that the decision at t depends on: L bands of N timesteps, overlapping by one, so L (N
+// - 1) + 1.
 int HistorySize(const ModelConfig& config);
 
-// The equations as naive loops that recompute the whole episode at every decision: the definition of what every
-// other engine must equal bit for bit. For tests. `policy` must be valid.
+// The equations as naive loops that recompute the whole episode at every decision: the definition
+// of what every other engine must equal bit for bit. For tests. `policy` must be valid.
 std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy);
 
-// Computes only the new tokens, on bit-packed keys and values: the engine that serves. `policy` must be valid.
+// Computes only the new tokens, on bit-packed keys and values: the engine that serves. `policy`
+// must be valid.
 std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy);
 
 }  // namespace spikeserve

@@ -1,0 +1,194 @@
+#include "core/engine/dense_engine.h"
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <utility>
+
+#include "core/engine/reference_engine.h"
+#include "core/engine/token.h"
+#include "core/math/exp.h"
+#include "core/math/layer_norm.h"
+
+namespace spikeserve {
+namespace {
+
+using Vector = std::vector<float>;
+
+struct KeyValue {
+  int64_t timestep = 0;
+  Vector key;    // [d]
+  Vector value;  // [d]
+};
+
+// Tokens of one layer that a query may attend to, oldest first.
+using KeyValues = std::deque<KeyValue>;
+
+float Gelu(float x) {
+  constexpr float kSqrtTwoOverPi = 0.7978845608028654f;
+  return 0.5f * x * (1.0f + Tanh(kSqrtTwoOverPi * (x + 0.044715f * x * x * x)));
+}
+
+// Computes one token at a time, in order; `layers` [L] holds what earlier tokens left.
+class DensePass {
+ public:
+  DensePass(const Policy& policy, std::vector<KeyValues>& layers)
+      : policy_(policy), layers_(layers) {}
+
+  const Counts& counts() const { return counts_; }
+  void ResetCounts() { counts_ = Counts(); }
+
+  // The token's output of the last layer [d]; empty where nobody reads it.
+  Vector Run(const Token& token) {
+    Vector x = Embed(token);
+    for (int layer = 0; layer < policy_.config.layers; ++layer) {
+      const LayerWeights& weights = policy_.weights.layers[layer];
+      Remember(layers_[layer], token.timestep, Affine(weights.key, x), Affine(weights.value, x));
+      if (layer + 1 == policy_.config.layers && token.kind != TokenKind::kState) return {};
+      const Vector merged = Attend(Affine(weights.query, x), layers_[layer]);
+      AddResidual(weights.attention_norm, Affine(weights.attention_output, merged), x);
+      Vector hidden = Affine(weights.ffn_hidden, x);
+      for (float& h : hidden) h = Gelu(h);
+      AddResidual(weights.ffn_norm, Affine(weights.ffn_output, hidden), x);
+    }
+    return x;
+  }
+
+  // The action head's operations, for the output of the last state token.
+  void CountHead(const Vector& readout) { Affine(policy_.weights.head, readout); }
+
+ private:
+  Vector Affine(const Linear& linear, const Vector& input) {
+    Vector output = linear.bias.values;
+    for (size_t i = 0; i < output.size(); ++i) {
+      const float* row = linear.weight.values.data() + i * input.size();
+      for (size_t j = 0; j < input.size(); ++j) {
+        output[i] += row[j] * input[j];
+        counts_.multiply_accumulates += row[j] != 0.0f && input[j] != 0.0f;
+      }
+    }
+    return output;
+  }
+
+  static void Normalize(const Norm& norm, Vector& x) {
+    LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
+  }
+
+  static void AddResidual(const Norm& norm, const Vector& update, Vector& x) {
+    for (size_t k = 0; k < x.size(); ++k) x[k] += update[k];
+    Normalize(norm, x);
+  }
+
+  Vector Embed(const Token& token) {
+    const Embedding& embedding = EmbeddingOf(policy_.weights, token.kind);
+    Vector x = Affine(embedding.linear, token.input);
+    const Tensor& timesteps = policy_.weights.embed_timestep;
+    const int row = static_cast<int>(std::min<int64_t>(token.timestep, timesteps.shape[0] - 1));
+    for (size_t k = 0; k < x.size(); ++k) x[k] += timesteps.at(row, static_cast<int>(k));
+    Normalize(embedding.norm, x);
+    return x;
+  }
+
+  void Remember(KeyValues& tokens, int64_t timestep, Vector key, Vector value) {
+    while (!tokens.empty() && tokens.front().timestep <= timestep - policy_.config.context)
+      tokens.pop_front();
+    tokens.push_back({timestep, std::move(key), std::move(value)});
+  }
+
+  Vector Attend(const Vector& query, const KeyValues& tokens) {
+    const int size = policy_.config.head_size();
+    const float scale = 1.0f / std::sqrt(static_cast<float>(size));
+    Vector merged(query.size(), 0.0f);
+    Vector weights(tokens.size());
+    for (int first = 0; first < policy_.config.hidden_size; first += size) {
+      for (size_t j = 0; j < tokens.size(); ++j) {
+        float dot = 0.0f;
+        for (int k = first; k < first + size; ++k) dot += query[k] * tokens[j].key[k];
+        weights[j] = dot * scale;
+      }
+      const float best = *std::max_element(weights.begin(), weights.end());
+      float sum = 0.0f;
+      for (float& weight : weights) {
+        weight = Exp(weight - best);
+        sum += weight;
+      }
+      for (size_t j = 0; j < tokens.size(); ++j) {
+        for (int k = first; k < first + size; ++k)
+          merged[k] += weights[j] / sum * tokens[j].value[k];
+      }
+      counts_.attention_products += 2 * tokens.size() * static_cast<uint64_t>(size);
+    }
+    return merged;
+  }
+
+  const Policy& policy_;
+  std::vector<KeyValues>& layers_;
+  Counts counts_;
+};
+
+class DenseContext : public Engine::Context {
+ public:
+  DenseContext(int layer_count, int64_t first_timestep)
+      : layers(layer_count), timestep(first_timestep) {}
+
+  std::vector<KeyValues> layers;  // [L]
+  int64_t timestep;               // of the next token
+  Counts action_counts;           // of the last action token, borne by the next decision
+};
+
+}  // namespace
+
+std::unique_ptr<Engine::Context> DenseReferenceEngine::NewContext(uint64_t seed,
+                                                                  int64_t first_timestep) const {
+  return std::make_unique<PrefixContext>(seed, first_timestep);
+}
+
+void DenseReferenceEngine::Decide(Context& context, float return_to_go,
+                                  absl::Span<const float> observation, Output* output) const {
+  auto& prefix = static_cast<PrefixContext&>(context);
+  prefix.AppendReturnAndState(*policy_, return_to_go, observation);
+  std::vector<KeyValues> layers(policy_->config.layers);
+  DensePass pass(*policy_, layers);
+  for (size_t i = 0; i < prefix.tokens().size(); ++i) {
+    if (i == prefix.first_new_token()) pass.ResetCounts();
+    output->readout = pass.Run(prefix.tokens()[i]);
+  }
+  pass.CountHead(output->readout);
+  output->counts = pass.counts();
+}
+
+void DenseReferenceEngine::AppendAction(Context& context,
+                                        absl::Span<const float> encoded_action) const {
+  static_cast<PrefixContext&>(context).AppendAction(encoded_action);
+}
+
+std::unique_ptr<Engine::Context> DenseStreamingEngine::NewContext(uint64_t,
+                                                                  int64_t first_timestep) const {
+  return std::make_unique<DenseContext>(policy_->config.layers, first_timestep);
+}
+
+void DenseStreamingEngine::Decide(Context& context, float return_to_go,
+                                  absl::Span<const float> observation, Output* output) const {
+  auto& dense = static_cast<DenseContext&>(context);
+  DensePass pass(*policy_, dense.layers);
+  pass.Run({TokenKind::kReturn, dense.timestep, {StandardizeReturn(*policy_, return_to_go)}});
+  Token state = {TokenKind::kState, dense.timestep, {observation.begin(), observation.end()}};
+  for (size_t i = 0; i < state.input.size(); ++i) {
+    state.input[i] = StandardizeObservation(*policy_, state.input[i], static_cast<int>(i));
+  }
+  output->readout = pass.Run(state);
+  pass.CountHead(output->readout);
+  output->counts = std::exchange(dense.action_counts, Counts());
+  output->counts += pass.counts();
+}
+
+void DenseStreamingEngine::AppendAction(Context& context,
+                                        absl::Span<const float> encoded_action) const {
+  auto& dense = static_cast<DenseContext&>(context);
+  DensePass pass(*policy_, dense.layers);
+  pass.Run({TokenKind::kAction, dense.timestep, {encoded_action.begin(), encoded_action.end()}});
+  dense.action_counts = pass.counts();
+  ++dense.timestep;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,60 @@
+// Weights laid out for the streaming engine: one contiguous row per input, lanes are output
+// neurons.
+//
+// Immutable once built; safe to share between threads.
+#ifndef CORE_ENGINE_PACKED_WEIGHTS_H_
+#define CORE_ENGINE_PACKED_WEIGHTS_H_
+
+#include <cstdint>
+#include <initializer_list>
+#include <vector>
+
+#include "core/model/policy.h"
+
+namespace spikeserve {
+
+// Outputs are padded with zero weights to a multiple of this, so that spikes fill whole 32-bit
+// words. A padded neuron never fires: its current is zero and thresholds are positive.
+inline constexpr int kLanes = 32;
+
+constexpr int PadToLanes(int n) { return (n + kLanes - 1) / kLanes * kLanes; }
+
+struct PackedLinear {
+  int inputs = 0;
+  int width = 0;                  // outputs, padded
+  std::vector<float> rows;        // [inputs][width]
+  std::vector<float> bias;        // [width]
+  std::vector<uint32_t> nonzero;  // [inputs]: nonzero weights an input meets
+
+  const float* row(int input) const { return rows.data() + static_cast<size_t>(input) * width; }
+};
+
+// Several linears of equal inputs side by side, each padded on its own.
+PackedLinear Pack(std::initializer_list<const Linear*> linears);
+
+struct PackedLayer {
+  PackedLinear key_value_query;  // [in][3 pad(d)]; a token that leaves only keys and values uses
+                                 // the first two thirds
+  std::vector<uint32_t> nonzero_query;  // [in]: the query's share of key_value_query.nonzero
+  PackedLinear routing_hidden;          // modes with routing
+  PackedLinear routing_gate;
+  PackedLinear attention_output;
+  PackedLinear ffn_hidden;
+  PackedLinear ffn_output;
+  std::vector<float>
+      attention_weight;  // [H][d_h + 1]: exp(-|c_h| distance), distance from the best overlap
+};
+
+struct PackedWeights {
+  explicit PackedWeights(const Policy& policy);
+
+  PackedLinear embed_return;
+  PackedLinear embed_state;
+  PackedLinear embed_action;
+  std::vector<PackedLayer> layers;
+  std::vector<uint32_t> head_nonzero;  // [d]
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_PACKED_WEIGHTS_H_

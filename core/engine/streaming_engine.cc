@@ -1,0 +1,313 @@
+#include "core/engine/streaming_engine.h"
+
+#include <algorithm>
+#include <bit>
+#include <utility>
+
+#include "core/engine/attention_cache.h"
+#include "core/engine/kernels.h"
+#include "core/engine/spike_input.h"
+#include "core/engine/token.h"
+#include "core/math/exp.h"
+
+namespace spikeserve {
+namespace {
+
+class StreamingContext : public Engine::Context {
+ public:
+  StreamingContext(const ModelConfig& config, uint64_t first_seed, int64_t first_timestep)
+      : seed(first_seed), timestep(first_timestep), band(config) {
+    for (int layer = 0; layer < config.layers; ++layer) caches.emplace_back(config, band.slots());
+  }
+
+  const uint64_t seed;
+  int64_t timestep;  // of the next token
+  AttentionBand band;
+  std::vector<AttentionCache> caches;  // [L]
+  Counts action_counts;                // of the last action token, borne by the next decision
+};
+
+// Buffers of a running computation; nothing in them outlives a call.
+struct Scratch {
+  std::vector<float> input;    // a token's embedding input
+  std::vector<float> x;        // [pad(d)] per new token
+  SpikeInput spikes;           // into the population at hand
+  std::vector<uint32_t> bits;  // [T][3 pad(d) / 32]: keys, values, queries
+  std::vector<uint32_t> keys;  // [T][H][W]
+  std::vector<uint32_t> values;
+  std::vector<uint32_t> query;
+  std::vector<float> y;        // [T][H][d_h]
+  std::vector<float> routing;  // [pad(m)]
+  std::vector<float> gates;    // [pad(H)]
+  std::vector<float> merged;   // [d_h] or [d]
+  std::vector<float> update;   // [pad(d)]
+  std::vector<float> hidden;   // [pad(F)]
+};
+
+Scratch& ThreadScratch() {
+  thread_local Scratch scratch;
+  return scratch;
+}
+
+// Computes tokens of one timestep.
+class TokenPass {
+ public:
+  TokenPass(const Policy& policy, const PackedWeights& packed, StreamingContext& context,
+            Counts& counts)
+      : policy_(policy),
+        config_(policy.config),
+        lif_{config_.membrane_decay, config_.threshold},
+        packed_(packed),
+        context_(context),
+        counts_(counts),
+        scratch_(ThreadScratch()) {
+    scratch_.spikes.SetPhase(policy, context.timestep);
+  }
+
+  // Emitted once a timestep, whoever hears them.
+  void CountPhase() { counts_.spikes(Stage::kPhase) += scratch_.spikes.phase_spikes(); }
+
+  // Takes a token through all layers; input is what its embedding takes. The result is in x().
+  void Run(TokenKind kind, absl::Span<const float> input) {
+    kind_ = kind;
+    Embed(input);
+    const int slot = context_.band.Slot(context_.timestep, kind);
+    context_.band.Add(slot);
+    for (int layer = 0; layer < config_.layers; ++layer) {
+      // Nobody reads the other tokens' output of the last layer.
+      const bool needs_output = layer + 1 < config_.layers || kind == TokenKind::kState;
+      Layer(layer, slot, needs_output);
+    }
+  }
+
+  // Firing rates of the last token: the presynaptic activity of the action head.
+  void Readout(std::vector<float>* readout) {
+    Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout);
+    readout->resize(config_.hidden_size);
+    for (int j = 0; j < config_.hidden_size; ++j) {
+      const int spikes = scratch_.spikes.spikes(j);
+      (*readout)[j] = static_cast<float>(spikes) / static_cast<float>(config_.ticks);
+      if (spikes > 0) counts_.multiply_accumulates += packed_.head_nonzero[j];
+    }
+  }
+
+ private:
+  float* x() { return scratch_.x.data(); }
+
+  const PackedLinear& PackedEmbedding() const {
+    return kind_ == TokenKind::kReturn  ? packed_.embed_return
+           : kind_ == TokenKind::kState ? packed_.embed_state
+                                        : packed_.embed_action;
+  }
+
+  void CountMultiplies(const PackedLinear& linear, const float* input) {
+    for (int j = 0; j < linear.inputs; ++j) {
+      if (input[j] != 0.0f) counts_.multiply_accumulates += linear.nonzero[j];
+    }
+  }
+
+  void Affine(const PackedLinear& linear, const float* input, std::vector<float>& output) {
+    output.resize(linear.width);
+    kernels::Affine(linear, input, output.data());
+    CountMultiplies(linear, input);
+  }
+
+  void Embed(absl::Span<const float> input) {
+    Affine(PackedEmbedding(), input.data(), scratch_.x);
+    Normalize(EmbeddingOf(policy_.weights, kind_).norm);
+  }
+
+  void Normalize(const Norm& norm) {
+    kernels::LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x(),
+                       config_.hidden_size);
+  }
+
+  void Code(const Coder& coder, int site, Stage stage) {
+    const BernoulliKey key = {.seed = context_.seed,
+                              .timestep = context_.timestep,
+                              .token = static_cast<int>(kind_),
+                              .site = site};
+    scratch_.spikes.Code(config_, coder, x(), key);
+    counts_.spikes(stage) += scratch_.spikes.total();
+  }
+
+  void Layer(int layer, int slot, bool needs_output) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const PackedLayer& packed = packed_.layers[layer];
+    AttentionCache& cache = context_.caches[layer];
+    Code(weights.coder, 2 * layer, Stage::kCoder);
+    Project(packed, needs_output);
+    cache.Store(scratch_.keys.data(), scratch_.values.data(), slot);
+    if (!needs_output) return;
+    scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
+    counts_.attention_products += cache.ValueSpikes(context_.band);
+    counts_.attention_products += kernels::Attend(
+        cache.Window(context_.band), scratch_.query.data(), packed.attention_weight.data(),
+        weights.scale.values.data(), scratch_.y.data());
+    Merge(packed);
+    Affine(packed.attention_output, scratch_.merged.data(), scratch_.update);
+    AddResidual(weights.attention_norm);
+    FeedForward(weights, packed, 2 * layer + 1);
+  }
+
+  // Keys, values and, where the token's output is read, queries: LIF(W [R || P] + b).
+  void Project(const PackedLayer& packed, bool needs_query) {
+    const PackedLinear& linear = packed.key_value_query;
+    const int section = PadToLanes(config_.hidden_size);
+    const int width = needs_query ? 3 * section : 2 * section;
+    scratch_.bits.resize(static_cast<size_t>(config_.ticks) * width / kLanes);
+    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, width, /*with_phase=*/true);
+    kernels::LifBits(lif_, linear.bias.data(), drive, width, scratch_.bits.data());
+    counts_.spikes(Stage::kKey) += TakeSection(width, 0, scratch_.keys);
+    counts_.spikes(Stage::kValue) += TakeSection(width, section, scratch_.values);
+    if (needs_query)
+      counts_.spikes(Stage::kQuery) += TakeSection(width, 2 * section, scratch_.query);
+    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, /*with_phase=*/true);
+    if (!needs_query)
+      counts_.accumulates -= scratch_.spikes.Products(packed.nonzero_query, /*with_phase=*/true);
+  }
+
+  // Cuts the d bits from `first` on of every tick into heads, [T][H][W]; returns the number of
+  // spikes.
+  uint64_t TakeSection(int width, int first, std::vector<uint32_t>& heads) {
+    const int size = config_.head_size();
+    const int words = (size + 31) / 32;
+    heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
+    uint64_t spikes = 0;
+    uint32_t* out = heads.data();
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * width / kLanes;
+      for (int head = 0; head < config_.heads; ++head) {
+        for (int k = 0; k < size; k += 32) {
+          *out = TakeBits(row, first + head * size + k, std::min(32, size - k));
+          spikes += std::popcount(*out++);
+        }
+      }
+    }
+    return spikes;
+  }
+
+  // `count` (1 to 32) bits of `row` from bit `first` on.
+  static uint32_t TakeBits(const uint32_t* row, int first, int count) {
+    const int shift = first % 32;
+    uint64_t bits = row[first / 32] >> shift;
+    if (shift + count > 32) bits |= static_cast<uint64_t>(row[first / 32 + 1]) << (32 - shift);
+    return static_cast<uint32_t>(bits & ((uint64_t{1} << count) - 1));
+  }
+
+  // mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or side by side.
+  void Merge(const PackedLayer& packed) {
+    const int size = config_.head_size();
+    const bool concat = config_.merge == Merge::kConcat;
+    scratch_.merged.assign(config_.merged_size(), 0.0f);
+    float routed[ModelLimits::kHiddenSize];
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      const float* u = scratch_.y.data() + static_cast<size_t>(tick) * config_.hidden_size;
+      Gates(packed, u);
+      std::fill_n(routed, scratch_.merged.size(), 0.0f);
+      for (int head = 0; head < config_.heads; ++head) {
+        float* out = concat ? routed + head * size : routed;
+        for (int k = 0; k < size; ++k) out[k] += scratch_.gates[head] * u[head * size + k];
+      }
+      for (size_t k = 0; k < scratch_.merged.size(); ++k) scratch_.merged[k] += routed[k];
+    }
+    for (float& value : scratch_.merged) value /= static_cast<float>(config_.ticks);
+  }
+
+  void Gates(const PackedLayer& packed, const float* u) {
+    const auto heads = static_cast<float>(config_.heads);
+    std::vector<float>& gates = scratch_.gates;
+    if (!config_.has_routing()) {
+      gates.assign(config_.heads, config_.merge == Merge::kConcat ? 1.0f : 1.0f / heads);
+      return;
+    }
+    Affine(packed.routing_hidden, u, scratch_.routing);
+    for (float& h : scratch_.routing) h = h > 0.0f ? h : 0.0f;
+    Affine(packed.routing_gate, scratch_.routing.data(), gates);
+    gates.resize(config_.heads);
+    if (config_.gate == Gate::kSigmoid) {
+      for (float& gate : gates) gate = Sigmoid(gate);
+      return;
+    }
+    const float best = *std::max_element(gates.begin(), gates.end());
+    float sum = 0.0f;
+    for (float& gate : gates) {
+      gate = Exp(gate - best);
+      sum += gate;
+    }
+    for (float& gate : gates) {
+      gate /= sum;
+      if (config_.merge == Merge::kConcat) gate *= heads;
+    }
+  }
+
+  // x <- LayerNorm(x + W2 (spike count / T) + b2).
+  void FeedForward(const LayerWeights& weights, const PackedLayer& packed, int site) {
+    Code(weights.ffn_coder, site, Stage::kFfnIn);
+    const PackedLinear& linear = packed.ffn_hidden;
+    scratch_.hidden.resize(linear.width);
+    const kernels::Drive& drive =
+        scratch_.spikes.DriveOf(linear, linear.width, /*with_phase=*/false);
+    kernels::LifCounts(lif_, linear.bias.data(), drive, linear.width, scratch_.hidden.data());
+    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, /*with_phase=*/false);
+    float spikes = 0.0f;
+    for (float& count : scratch_.hidden) {
+      spikes += count;  // integers, exact
+      count /= static_cast<float>(config_.ticks);
+    }
+    counts_.spikes(Stage::kFfnHidden) += static_cast<uint64_t>(spikes);
+    Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
+    AddResidual(weights.ffn_norm);
+  }
+
+  void AddResidual(const Norm& norm) {
+    for (int k = 0; k < config_.hidden_size; ++k) x()[k] += scratch_.update[k];
+    Normalize(norm);
+  }
+
+  const Policy& policy_;
+  const ModelConfig& config_;
+  const Lif lif_;
+  const PackedWeights& packed_;
+  StreamingContext& context_;
+  Counts& counts_;
+  Scratch& scratch_;
+  TokenKind kind_ = TokenKind::kReturn;
+};
+
+}  // namespace
+
+StreamingEngine::StreamingEngine(std::shared_ptr<const Policy> policy)
+    : policy_(std::move(policy)), packed_(*policy_) {}
+
+std::unique_ptr<Engine::Context> StreamingEngine::NewContext(uint64_t seed,
+                                                             int64_t first_timestep) const {
+  return std::make_unique<StreamingContext>(policy_->config, seed, first_timestep);
+}
+
+void StreamingEngine::Decide(Context& context, float return_to_go,
+                             absl::Span<const float> observation, Output* output) const {
+  auto& streaming = static_cast<StreamingContext&>(context);
+  output->counts = std::exchange(streaming.action_counts, Counts());
+  streaming.band.Advance(streaming.timestep);
+  TokenPass pass(*policy_, packed_, streaming, output->counts);
+  pass.CountPhase();
+  const float standard_return = StandardizeReturn(*policy_, return_to_go);
+  pass.Run(TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
+  std::vector<float>& input = ThreadScratch().input;
+  input.assign(observation.begin(), observation.end());
+  for (size_t i = 0; i < input.size(); ++i) {
+    input[i] = StandardizeObservation(*policy_, input[i], static_cast<int>(i));
+  }
+  pass.Run(TokenKind::kState, input);
+  pass.Readout(&output->readout);
+}
+
+void StreamingEngine::AppendAction(Context& context, absl::Span<const float> encoded_action) const {
+  auto& streaming = static_cast<StreamingContext&>(context);
+  TokenPass pass(*policy_, packed_, streaming, streaming.action_counts);
+  pass.Run(TokenKind::kAction, encoded_action);
+  ++streaming.timestep;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,40 @@
+// One exponential for every engine, processor and SIMD width.
+//
+// The C library's expf differs between versions and processors in its last bit, and one bit can
+// become a spike. This one is only float32 additions and multiplications in a fixed order.
+#ifndef CORE_MATH_EXP_H_
+#define CORE_MATH_EXP_H_
+
+#include <bit>
+#include <cstdint>
+
+namespace spikeserve {
+
+// e^x to within 2 units in the last place; inputs are clamped to [-87, 88], so the result is finite
+// and positive. Range reduction by powers of two, then the polynomial of Cephes' expf (S. L.
+// Moshier, Methods and Programs for Mathematical Functions, 1989).
+inline float Exp(float x) {
+  x = x < -87.0f ? -87.0f : x;
+  x = x > 88.0f ? 88.0f : x;
+  constexpr float kRoundToInteger = 12582912.0f;  // 1.5 * 2^23: adding it leaves no fraction bits
+  const float n = (x * 1.44269504088896341f + kRoundToInteger) - kRoundToInteger;
+  x = x - n * 0.693359375f;
+  x = x - n * -2.12194440e-4f;
+  float y = 1.9875691500e-4f;
+  y = y * x + 1.3981999507e-3f;
+  y = y * x + 8.3334519073e-3f;
+  y = y * x + 4.1665795894e-2f;
+  y = y * x + 1.6666665459e-1f;
+  y = y * x + 5.0000001201e-1f;
+  y = y * (x * x) + x + 1.0f;
+  const auto exponent = static_cast<uint32_t>(static_cast<int32_t>(n) + 127) << 23;
+  return y * std::bit_cast<float>(exponent);
+}
+
+inline float Sigmoid(float x) { return 1.0f / (1.0f + Exp(-x)); }
+
+inline float Tanh(float x) { return 1.0f - 2.0f / (Exp(2.0f * x) + 1.0f); }
+
+}  // namespace spikeserve
+
+#endif  // CORE_MATH_EXP_H_
