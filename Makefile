@@ -1,0 +1,40 @@
+# The front door. `make demo` and `make test` need nothing but a bare Debian 12 and root.
+BUILD := build/release
+BIN := $(BUILD)/bin
+SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
+
+.PHONY: demo test build train bench sanitize format clean setup configure
+
+demo: configure
+	cmake --build $(BUILD) --target spikeserve spikectl
+	deploy/demo.sh $(BIN)
+
+test: build
+	ctest --preset release
+
+build: configure
+	cmake --build $(BUILD)
+
+# Trains the shipped policies anew into build/train; resumes where it was interrupted.
+train: build
+	train/recipes/cartpole.sh $(BIN)/spiketrain build/train
+
+bench: build
+	$(BIN)/engine_bench
+
+# Sixty seconds of 1,000 sessions on 8 streams under the address and thread sanitizers.
+sanitize: setup
+	tests/sanitize.sh asan
+	tests/sanitize.sh tsan
+
+format:
+	clang-format -i $(SOURCES)
+
+clean:
+	rm -rf build
+
+setup:
+	deploy/setup.sh build
+
+configure: setup
+	cmake --preset release $(if $(VERBOSE),,--log-level=WARNING)

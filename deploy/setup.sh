@@ -1,0 +1,49 @@
+#!/usr/bin/env bash
+# Installs everything that building, testing and training need on a bare Debian 12, as root, and makes the Python
+# environment of the tests. Does nothing where everything is there already.
+#
+# usage: deploy/setup.sh [BUILD_DIR]
+set -euo pipefail
+cd "$(dirname "$0")/.."
+build_dir=${1:-build}
+
+packages=(
+  # toolchain
+  g++ make cmake ninja-build ccache git clang clang-format pkg-config
+  # server, client, core
+  libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev libeigen3-dev
+  prometheus-cpp-dev libcivetweb-dev libhwy-dev nlohmann-json3-dev zlib1g-dev
+  # training only
+  libtorch-dev libopenblas-dev
+  # tests, benchmarks, demo
+  libgtest-dev libgmock-dev libbenchmark-dev prometheus curl python3 python3-venv
+)
+
+missing=()
+for package in "${packages[@]}"; do
+  dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q '^install ok installed$' || missing+=("$package")
+done
+if ((${#missing[@]})); then
+  echo "setup: installing ${missing[*]}"
+  export DEBIAN_FRONTEND=noninteractive
+  apt-get update -qq
+  # The prometheus package is here for promtool; its service has no business running.
+  printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
+  if [[ ! -e /usr/sbin/policy-rc.d ]]; then
+    install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d
+    trap 'rm -f /usr/sbin/policy-rc.d' EXIT
+  fi
+  rm -f /tmp/policy-rc.d.$$
+  apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+fi
+
+requirements=tests/python/requirements.txt
+venv=$build_dir/venv
+if ! cmp -s "$requirements" "$venv/requirements.txt"; then
+  echo "setup: making the Python environment of the tests in $venv"
+  rm -rf "$venv"
+  mkdir -p "$build_dir"
+  /usr/bin/python3 -m venv "$venv"
+  "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"
+  cp "$requirements" "$venv/requirements.txt"
+fi

@@ -1,0 +1,218 @@
+// The streaming engine equals the reference bit for bit: spikes by stage, operations and readout,
+// on random policies of many shapes, over episodes much longer than the context, on every SIMD
+// target this processor has.
+
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+#include "core/engine/engine.h"
+#include "core/engine/kernels.h"
+#include "core/math/counter_random.h"
+#include "core/model/policy.h"
+
+namespace spikeserve {
+namespace {
+
+struct Shape {
+  std::string name;
+  ModelConfig config;
+  int observation_size = 4;
+  ActionSpace action_space = ActionSpace::Discrete(2);
+  int steps = 40;
+  float spread = 1.0f;  // scales the observations
+};
+
+void PrintTo(const Shape& shape, std::ostream* out) { *out << shape.name; }
+
+// An episode of made-up inputs, the same for every engine.
+class Episode {
+ public:
+  Episode(const Policy& policy, float spread) : policy_(policy), spread_(spread) {}
+
+  std::vector<float> Observation(int step) const {
+    std::vector<float> observation(policy_.observation_size());
+    for (size_t i = 0; i < observation.size(); ++i) observation[i] = Draw(step, i);
+    return observation;
+  }
+  float ReturnToGo(int step) const { return 10.0f * Draw(step, 100); }
+  std::vector<float> EncodedAction(int step) const {
+    std::vector<float> encoded(policy_.action_space.size(), 0.0f);
+    if (policy_.action_space.is_discrete()) {
+      encoded[RandomBits({2, static_cast<uint64_t>(step)}) % encoded.size()] = 1.0f;
+    } else {
+      for (size_t i = 0; i < encoded.size(); ++i)
+        encoded[i] = Draw(step, 200 + i) / (2.0f * spread_);
+    }
+    return encoded;
+  }
+
+ private:
+  float Draw(int step, size_t what) const {
+    return spread_ *
+           (4.0f * UniformFloat(RandomBits({1, static_cast<uint64_t>(step), what})) - 2.0f);
+  }
+
+  const Policy& policy_;
+  float spread_;
+};
+
+std::vector<Engine::Output> Play(const Engine& engine, const Shape& shape, int first_step = 0) {
+  const Episode episode(engine.policy(), shape.spread);
+  const auto context = engine.NewContext(/*seed=*/7, first_step);
+  std::vector<Engine::Output> outputs(shape.steps - first_step);
+  for (int step = first_step; step < shape.steps; ++step) {
+    engine.Decide(*context, episode.ReturnToGo(step), episode.Observation(step),
+                  &outputs[step - first_step]);
+    engine.AppendAction(*context, episode.EncodedAction(step));
+  }
+  return outputs;
+}
+
+void ExpectEqual(const Engine::Output& actual, const Engine::Output& expected, int step) {
+  for (int stage = 0; stage < kStages; ++stage) {
+    EXPECT_EQ(actual.counts.spikes_by_stage[stage], expected.counts.spikes_by_stage[stage])
+        << ToString(static_cast<Stage>(stage)) << " at step " << step;
+  }
+  EXPECT_EQ(actual.counts.accumulates, expected.counts.accumulates) << "step " << step;
+  EXPECT_EQ(actual.counts.multiply_accumulates, expected.counts.multiply_accumulates)
+      << "step " << step;
+  EXPECT_EQ(actual.counts.attention_products, expected.counts.attention_products)
+      << "step " << step;
+  EXPECT_EQ(actual.readout, expected.readout) << "step " << step;
+}
+
+ModelConfig Small(int d, int heads, int layers, int ticks, int context) {
+  ModelConfig config;
+  config.hidden_size = d;
+  config.heads = heads;
+  config.layers = layers;
+  config.ticks = ticks;
+  config.context = context;
+  config.routing_hidden_size = 6;
+  config.ffn_size = 2 * d + 5;
+  return config;
+}
+
+std::vector<Shape> Shapes() {
+  std::vector<Shape> shapes;
+  const auto add = [&shapes](std::string name, ModelConfig config) -> Shape& {
+    shapes.push_back({.name = std::move(name), .config = config});
+    return shapes.back();
+  };
+  for (const Mode mode : {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull, Mode::kDense}) {
+    for (const Merge merge : {Merge::kSum, Merge::kConcat}) {
+      ModelConfig config = Small(32, 4, 2, 6, 5);
+      config.mode = mode;
+      config.merge = merge;
+      add(std::string(ToString(mode)) + "_" + std::string(ToString(merge)), config);
+    }
+  }
+  add("OneLayer", Small(16, 2, 1, 5, 4));
+  add("ThreeLayers", Small(24, 3, 3, 4, 3));
+  add("ContextOne", Small(16, 2, 2, 4, 1));
+  add("ManyTicks", Small(16, 2, 2, 37, 4));
+  add("OneTick", Small(16, 4, 2, 1, 4));
+  add("OneHead", Small(20, 1, 2, 5, 6));
+  add("OddHeads", Small(35, 5, 2, 6, 7));
+  add("WideHeads", Small(80, 2, 2, 4, 4)).steps = 16;
+  add("FullWordHeads", Small(64, 2, 2, 5, 12)).steps = 30;
+  add("LongContext", Small(16, 2, 1, 3, 23)).steps = 60;
+  add("Box", Small(32, 4, 2, 6, 5)).action_space = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
+  add("LoudInputs", Small(32, 4, 2, 6, 5)).spread = 8.0f;
+  ModelConfig config = Small(32, 4, 2, 6, 5);
+  config.gate = Gate::kSigmoid;
+  add("SigmoidGate", config);
+  config.merge = Merge::kConcat;
+  add("SigmoidGateConcat", config);
+  config = Small(32, 4, 2, 6, 5);
+  config.phase_clock = PhaseClock::kWindow;
+  add("WindowClock", config);
+  config = Small(32, 4, 2, 6, 5);
+  config.coder = CoderKind::kBernoulli;
+  add("Bernoulli", config);
+  config = Small(32, 4, 2, 8, 5);
+  config.membrane_decay = 0.5f;
+  config.threshold = 0.3f;
+  add("OtherNeuron", config);
+  return shapes;
+}
+
+// Random policies start with silent queries and keys; louder ones leave no path of attention
+// untried.
+Policy MakePolicy(const Shape& shape, uint64_t seed) {
+  Policy policy = RandomPolicy(shape.config, shape.observation_size, shape.action_space, seed);
+  for (LayerWeights& layer : policy.weights.layers) {
+    for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.ffn_hidden}) {
+      for (float& weight : linear->weight.values) weight *= 3.0f;
+    }
+    for (size_t h = 1; h < layer.scale.values.size(); h += 2) layer.scale.values[h] *= -1.5f;
+    layer.ffn_hidden.weight.values[3] = 0.0f;  // not a synapse
+  }
+  return policy;
+}
+
+class EngineParityTest : public testing::TestWithParam<Shape> {
+ protected:
+  ~EngineParityTest() override { kernels::ForceTargetForTest(""); }
+};
+
+TEST_P(EngineParityTest, StreamingEqualsReferenceOnEveryTarget) {
+  const Shape& shape = GetParam();
+  for (const uint64_t seed : {1, 2}) {
+    const auto policy = std::make_shared<const Policy>(MakePolicy(shape, seed));
+    ASSERT_TRUE(policy->Validate().ok()) << policy->Validate();
+    const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
+    const std::unique_ptr<Engine> streaming = MakeStreamingEngine(policy);
+    for (const std::string& target : kernels::SupportedTargets()) {
+      SCOPED_TRACE("target " + target + ", seed " + std::to_string(seed));
+      kernels::ForceTargetForTest(target);
+      const std::vector<Engine::Output> actual = Play(*streaming, shape);
+      for (int step = 0; step < shape.steps; ++step)
+        ExpectEqual(actual[step], expected[step], step);
+      if (HasFailure()) return;
+    }
+  }
+}
+
+TEST_P(EngineParityTest, ContextRebuiltFromHistoryGoesOnAlike) {
+  const Shape& shape = GetParam();
+  const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 3));
+  const std::unique_ptr<Engine> engine = MakeStreamingEngine(policy);
+  const std::vector<Engine::Output> expected = Play(*engine, shape);
+  const int history = HistorySize(shape.config);
+  for (int resumed = 1; resumed < shape.steps; resumed += 7) {
+    const int first = std::max(0, resumed - history);
+    const std::vector<Engine::Output> actual = Play(*engine, shape, first);
+    for (int step = resumed; step < shape.steps; ++step)
+      ExpectEqual(actual[step - first], expected[step], step);
+  }
+}
+
+TEST_P(EngineParityTest, PopulationsAreAlive) {
+  const Shape& shape = GetParam();
+  if (shape.config.is_dense()) return;
+  Counts total;
+  const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
+  for (const Engine::Output& output : Play(*MakeStreamingEngine(policy), shape))
+    total += output.counts;
+  for (int i = 0; i < kStages; ++i) {
+    if (static_cast<Stage>(i) == Stage::kPhase && !shape.config.has_phase()) continue;
+    EXPECT_GT(total.spikes_by_stage[i], 0u) << ToString(static_cast<Stage>(i));
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, EngineParityTest, testing::ValuesIn(Shapes()),
+                         [](const auto& test) { return test.param.name; });
+
+TEST(EngineParityAtPaperSizeTest, StreamingEqualsReference) {
+  const Shape shape = {.name = "paper", .config = {}, .steps = 26};
+  const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
+  const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
+  const std::vector<Engine::Output> actual = Play(*MakeStreamingEngine(policy), shape);
+  for (int step = 0; step < shape.steps; ++step) ExpectEqual(actual[step], expected[step], step);
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,73 @@
+#include "core/engine/counts.h"
+
+#include <gtest/gtest.h>
+
+#include "core/engine/engine.h"
+
+namespace spikeserve {
+namespace {
+
+TEST(CountsTest, EnergyModelsPriceWhatTheySayTheyDo) {
+  Counts counts;
+  counts.spikes(Stage::kCoder) = 70;
+  counts.spikes(Stage::kReadout) = 30;
+  counts.accumulates = 1000;
+  counts.multiply_accumulates = 10;
+  counts.attention_products = 100;
+  EXPECT_EQ(counts.total_spikes(), 100u);
+  EXPECT_EQ(counts.synaptic_operations(), 1010u) << "attention products stand beside";
+  EXPECT_DOUBLE_EQ(EstimateEnergy(counts, /*dense=*/false).spike_5pj, 500e-12);
+  EXPECT_DOUBLE_EQ(EstimateEnergy(counts, /*dense=*/false).horowitz_45nm,
+                   (0.9 * 1100 + 4.6 * 10) * 1e-12);
+  EXPECT_DOUBLE_EQ(EstimateEnergy(counts, /*dense=*/true).horowitz_45nm,
+                   (0.9 * 1000 + 4.6 * 110) * 1e-12);
+}
+
+// A model small enough to count by hand: every coder neuron fires at every tick, nothing behind the
+// coders ever does.
+TEST(CountsTest, ADecisionBearsItsThreeTokens) {
+  ModelConfig config;
+  config.mode = Mode::kBaseline;
+  config.hidden_size = 4;
+  config.heads = 2;
+  config.layers = 2;
+  config.ticks = 5;
+  config.context = 3;
+  config.ffn_size = 6;
+  Policy policy = RandomPolicy(config, /*observation_size=*/3, ActionSpace::Discrete(2), 1);
+  for (TensorSlot& slot : TensorSlots(config, 3, 2, &policy.weights)) {
+    const bool coder = slot.name.find("coder") != std::string::npos;
+    const bool bias = slot.name.ends_with("bias");
+    const bool weight = slot.name.ends_with("weight") && slot.tensor->shape.size() == 2;
+    if (coder) slot.tensor->values.assign(slot.tensor->values.size(), bias ? 2.0f : 0.0f);
+    if (weight) slot.tensor->values.assign(slot.tensor->values.size(), -0.5f);
+  }
+  const auto shared = std::make_shared<const Policy>(policy);
+  for (const auto& engine : {MakeReferenceEngine(shared), MakeStreamingEngine(shared)}) {
+    const auto context = engine->NewContext(0);
+    Engine::Output output;
+    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f}, &output);
+    // G_0 and s_0, 20 spikes a coder; the last layer codes both, but feeds forward only s_0.
+    EXPECT_EQ(output.counts.spikes(Stage::kCoder), 20u * 4);
+    EXPECT_EQ(output.counts.spikes(Stage::kFfnIn), 20u * 3);
+    EXPECT_EQ(output.counts.spikes(Stage::kReadout), 20u);
+    EXPECT_EQ(output.counts.total_spikes(), 20u * 8);
+    // Layer 0: Q, K, V and FFN for both tokens; layer 1: K and V for both, Q and FFN for the state.
+    EXPECT_EQ(output.counts.accumulates, 20u * (2 * (12 + 6) + 2 * 8 + (4 + 6)));
+    // Embeddings 4 (1 + 3) and the head 4 x 2; silent values leave attention's and the FFN's
+    // outputs at zero.
+    EXPECT_EQ(output.counts.multiply_accumulates, 4u * 4 + 8);
+    EXPECT_EQ(output.counts.attention_products, 0u);
+
+    engine->AppendAction(*context, {0.0f, 1.0f});
+    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f}, &output);
+    // a_0 adds a coder and an FFN coder in layer 0, a coder in layer 1.
+    EXPECT_EQ(output.counts.total_spikes(), 20u * (8 + 3));
+    EXPECT_EQ(output.counts.accumulates, 20u * (3 * (12 + 6) + 3 * 8 + (4 + 6)));
+    EXPECT_EQ(output.counts.multiply_accumulates, 4u * (4 + 1) + 8)
+        << "a one-hot action has one nonzero input";
+  }
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,97 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "core/neuron/coder.h"
+#include "core/neuron/lif.h"
+#include "core/neuron/phase.h"
+
+namespace spikeserve {
+namespace {
+
+TEST(LifTest, LeaksFiresAtThresholdAndResetsHard) {
+  const Lif lif;
+  float membrane = 0.0f;
+  EXPECT_FALSE(lif.Step(0.75f, membrane));
+  EXPECT_EQ(membrane, 0.75f);
+  EXPECT_FALSE(lif.Step(0.0f, membrane));
+  EXPECT_EQ(membrane, 0.95f * 0.75f);
+  EXPECT_TRUE(lif.Step(2.0f, membrane));
+  EXPECT_EQ(membrane, 0.0f);
+  EXPECT_TRUE(lif.Step(1.0f, membrane)) << "exactly at threshold";
+}
+
+TEST(LifTest, ConstantCurrentFiresWithItsPeriod) {
+  const Lif lif;
+  for (float current = -0.5f; current < 1.5f; current += 0.003f) {
+    const int period = lif.Period(current, 10);
+    float membrane = 0.0f;
+    for (int tick = 1; tick <= 30; ++tick) {
+      const bool spike = lif.Step(current, membrane);
+      if (period > 0 || tick <= 10) {
+        EXPECT_EQ(spike, period > 0 && tick % period == 0)
+            << "current " << current << " tick " << tick;
+      }
+    }
+  }
+}
+
+TEST(LifTest, PeriodsOfKnownCurrents) {
+  const Lif lif;
+  EXPECT_EQ(lif.Period(1.0f, 10), 1);
+  EXPECT_EQ(lif.Period(0.52f, 10), 2);  // 0.52 (1 + 0.95) = 1.014
+  EXPECT_EQ(lif.Period(0.51f, 10), 3);  // 0.51 (1 + 0.95) = 0.9945, then 1.4548
+  EXPECT_EQ(lif.Period(0.05f, 1000), 0) << "0.05 / (1 - 0.95) is only ever approached";
+}
+
+TEST(PhaseTest, IsTheSignOfTheSine) {
+  for (float omega = 0.1f; omega < 10.0f; omega += 0.37f) {
+    for (float phi = 0.0f; phi < 6.28f; phi += 0.61f) {
+      for (int timestep = 0; timestep < 500; timestep += 7) {
+        for (int tick = 0; tick < 10; ++tick) {
+          const double tau = TimestepPhaseTime(timestep, tick, 10);
+          const double sine = std::sin(static_cast<double>(omega) * tau + static_cast<double>(phi));
+          if (std::abs(sine) > 1e-9) {
+            ASSERT_EQ(PhaseSpike(omega, phi, tau), sine > 0.0);
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST(PhaseTest, ClocksCountAsThePaperAndThePositionDo) {
+  EXPECT_DOUBLE_EQ(TimestepPhaseTime(3, 5, 10), 3.5);
+  EXPECT_DOUBLE_EQ(WindowPhaseTime(0), 1.0);
+  EXPECT_FALSE(PhaseSpike(1.0f, 0.0f, 0.0)) << "sin 0 is not above zero";
+}
+
+TEST(BernoulliTest, FiresWithTheSigmoidOfItsCurrent) {
+  int spikes = 0;
+  for (int neuron = 0; neuron < 20000; ++neuron) {
+    spikes += BernoulliSpike({.seed = 1, .timestep = 2, .token = 1, .site = 0}, neuron, 3, 2.0f,
+                             0.5f, 0.2f);
+  }
+  EXPECT_NEAR(spikes / 20000.0, Sigmoid(1.2f), 0.01);
+}
+
+TEST(BernoulliTest, EveryPartOfTheKeyMatters) {
+  const auto train = [](const BernoulliKey& key, int tick) {
+    uint64_t bits = 0;
+    for (int neuron = 0; neuron < 64; ++neuron) {
+      bits = bits << 1 | BernoulliSpike(key, neuron, tick, 0.0f, 1.0f, 0.0f);
+    }
+    return bits;
+  };
+  const BernoulliKey key = {.seed = 1, .timestep = 2, .token = 1, .site = 4};
+  const uint64_t base = train(key, 0);
+  EXPECT_EQ(train(key, 0), base);
+  EXPECT_NE(train(key, 1), base);
+  for (const BernoulliKey& other : {BernoulliKey{2, 2, 1, 4}, BernoulliKey{1, 3, 1, 4},
+                                    BernoulliKey{1, 2, 2, 4}, BernoulliKey{1, 2, 1, 5}}) {
+    EXPECT_NE(train(other, 0), base);
+  }
+}
+
+}  // namespace
+}  // namespace spikeserve
