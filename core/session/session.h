@@ -1,7 +1,7 @@
 // A session as a plain value: everything that one remote agent's past means for its future.
 //
-// It can be written out, moved to another process and restored, and goes on bit for bit as it would have. Keys and
-// values are not here: they are a cache (Engine::Context) that the history rebuilds.
+// It can be written out, moved to another process and restored, and goes on bit for bit as it would
+// have. Keys and values are not here: they are a cache (Engine::Context) that the history rebuilds.
 #ifndef CORE_SESSION_SESSION_H_
 #define CORE_SESSION_SESSION_H_
 
@@ -54,23 +54,25 @@ struct Session {
   SessionOptions options;
 
   // The running episode.
-  int64_t episode = 0;              // counts from 0
-  int64_t step = 0;                 // decisions answered in this episode, so also the step expected next
-  double target_return = 0.0;       // G_0 of this episode
-  double return_to_go = 0.0;        // of the last answered decision; target_return before the first
-  double episode_return = 0.0;      // rewards received so far
+  int64_t episode = 0;         // counts from 0
+  int64_t step = 0;            // decisions answered in this episode, so also the step expected next
+  double target_return = 0.0;  // G_0 of this episode
+  double return_to_go = 0.0;   // of the last answered decision; target_return before the first
+  double episode_return = 0.0;  // rewards received so far
   uint64_t episode_spikes = 0;
   double episode_energy_joules = 0.0;
-  std::vector<Timestep> history;    // the last timesteps, oldest first, at most HistorySize() of them
+  std::vector<Timestep> history;  // the last timesteps, oldest first, at most HistorySize() of them
   std::optional<Answer> last_answer;
 
   // Over the session's life.
-  uint64_t decisions = 0;  // also the counter of its random draws
+  uint64_t decisions =
+      0;  // also the counter of its random draws, keyed by (options.seed, decisions)
   uint64_t spikes = 0;
   double energy_joules = 0.0;
 };
 
-// A compact binary form (CBOR) and back, equal bit for bit. INVALID_ARGUMENT if `bytes` is not such a form.
+// A compact binary form (CBOR) and back, equal bit for bit. INVALID_ARGUMENT if `bytes` is not such
+// a form.
 std::string SerializeSession(const Session& session);
 absl::StatusOr<Session> ParseSession(const std::string& bytes);
 

@@ -1,0 +1,210 @@
+#include "core/session/agent_session.h"
+
+#include <cmath>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "core/engine/action_head.h"
+#include "core/math/counter_random.h"
+
+namespace spikeserve {
+namespace {
+
+// Beyond float32's range, which is what the model reads, a number counts as infinite.
+bool IsFiniteFloat(double value) {
+  return std::abs(value) <= static_cast<double>(std::numeric_limits<float>::max());
+}
+
+absl::Status CheckObservation(absl::Span<const float> observation, int expected_size) {
+  if (observation.size() != static_cast<size_t>(expected_size)) {
+    return absl::InvalidArgumentError(absl::StrCat("observation: expected ", expected_size,
+                                                   " numbers, received ", observation.size()));
+  }
+  for (size_t i = 0; i < observation.size(); ++i) {
+    if (!std::isfinite(observation[i])) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "observation[", i, "]: expected a finite number, received ", observation[i]));
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckReward(double reward, double next_return_to_go) {
+  if (!std::isfinite(reward)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("reward: expected a finite number, received ", reward));
+  }
+  if (!IsFiniteFloat(next_return_to_go)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("reward: expected a return-to-go within float32, received ", reward,
+                     ", which makes it ", next_return_to_go));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session session,
+                           const Clock* clock)
+    : served_(std::move(served)), clock_(clock), session_(std::move(session)) {}
+
+absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const float> observation,
+                                                double reward) {
+  if (session_.last_answer.has_value() && step == session_.last_answer->step) {
+    return &*session_.last_answer;
+  }
+  if (auto status = CheckRequest(step, observation, reward); !status.ok()) return status;
+
+  const absl::Duration start = clock_->Now();
+  const double used_reward = step == 0 ? 0.0 : reward;
+  const double return_to_go = NextReturnToGo(used_reward);
+  Answer answer = Decide(return_to_go, observation);
+  answer.compute_seconds = absl::ToDoubleSeconds(clock_->Now() - start);
+  Record(std::move(answer), observation, return_to_go, used_reward);
+  served_->observer->OnDecision(*session_.last_answer);
+  return &*session_.last_answer;
+}
+
+absl::Status AgentSession::CheckRequest(int64_t step, absl::Span<const float> observation,
+                                        double reward) const {
+  if (step != session_.step) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("step: expected ", session_.step, ", received ", step));
+  }
+  if (auto status = CheckObservation(observation, served_->policy().observation_size());
+      !status.ok()) {
+    return status;
+  }
+  return step == 0 ? absl::OkStatus() : CheckReward(reward, NextReturnToGo(reward));
+}
+
+// G_{t+1} = G_t - r_t, kept in double so that rounding does not add up over an episode.
+double AgentSession::NextReturnToGo(double reward) const {
+  return session_.step == 0 ? session_.target_return : session_.return_to_go - reward;
+}
+
+Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observation) {
+  if (context_ == nullptr) RebuildContext();
+  AppendPendingAction();
+
+  Answer answer;
+  answer.step = session_.step;
+  answer.return_to_go = static_cast<float>(return_to_go);
+  Engine::Output output;
+  served_->engine->Decide(*context_, answer.return_to_go, observation, &output);
+  action_pending_ = true;
+  answer.counts = output.counts;
+
+  const Policy& policy = served_->policy();
+  ActionChoice choice = ChooseAction(policy.weights.head, policy.action_space, output.readout,
+                                     session_.options.action_selection,
+                                     RandomBits({session_.options.seed, session_.decisions}));
+  answer.action = std::move(choice.action);
+  answer.probabilities = std::move(choice.probabilities);
+  return answer;
+}
+
+void AgentSession::Record(Answer answer, absl::Span<const float> observation, double return_to_go,
+                          double reward) {
+  session_.history.push_back({.return_to_go = answer.return_to_go,
+                              .observation = {observation.begin(), observation.end()},
+                              .action = answer.action});
+  const auto limit = static_cast<size_t>(HistorySize(served_->policy().config));
+  if (session_.history.size() > limit) session_.history.erase(session_.history.begin());
+
+  const uint64_t spikes = answer.counts.total_spikes();
+  const double energy = PrimaryEnergy(answer.counts, served_->policy().config.is_dense());
+  session_.return_to_go = return_to_go;
+  session_.episode_return += reward;
+  session_.episode_spikes += spikes;
+  session_.episode_energy_joules += energy;
+  session_.spikes += spikes;
+  session_.energy_joules += energy;
+  ++session_.step;
+  ++session_.decisions;
+  session_.last_answer = std::move(answer);
+}
+
+void AgentSession::AppendPendingAction() {
+  if (!action_pending_) return;
+  AppendAction(session_.history.back().action);
+  action_pending_ = false;
+}
+
+void AgentSession::AppendAction(const Action& action) {
+  const ActionSpace& space = served_->policy().action_space;
+  std::vector<float> encoded(static_cast<size_t>(space.size()));
+  space.Encode(action, absl::MakeSpan(encoded));
+  served_->engine->AppendAction(*context_, encoded);
+}
+
+// Replays the history: the same calls with the same numbers leave the same keys and values.
+void AgentSession::RebuildContext() {
+  const Engine& engine = *served_->engine;
+  const auto first_timestep = session_.step - static_cast<int64_t>(session_.history.size());
+  context_ = engine.NewContext(session_.options.seed, first_timestep);
+  action_pending_ = false;
+  Engine::Output ignored;
+  for (const Timestep& timestep : session_.history) {
+    engine.Decide(*context_, timestep.return_to_go, timestep.observation, &ignored);
+    AppendAction(timestep.action);
+  }
+}
+
+absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
+  if (session_.step == 0) {
+    return absl::FailedPreconditionError(
+        "step: expected at least one decision since the last episode ended, received none");
+  }
+  if (auto status = CheckReward(end.reward, NextReturnToGo(end.reward)); !status.ok()) {
+    return status;
+  }
+  const double target_return = end.target_return.value_or(session_.options.target_return);
+  if (auto status = CheckTargetReturn(target_return); !status.ok()) return status;
+
+  const EpisodeSummary summary = {.episode_return = session_.episode_return + end.reward,
+                                  .steps = session_.step,
+                                  .spikes = session_.episode_spikes,
+                                  .energy_joules = session_.episode_energy_joules};
+  ++session_.episode;
+  session_.step = 0;
+  session_.target_return = target_return;
+  session_.return_to_go = target_return;
+  session_.episode_return = 0.0;
+  session_.episode_spikes = 0;
+  session_.episode_energy_joules = 0.0;
+  session_.history.clear();
+  session_.last_answer.reset();
+  DropContext();
+  served_->observer->OnEpisodeEnd(summary.episode_return);
+  return summary;
+}
+
+void AgentSession::DropContext() {
+  context_.reset();
+  action_pending_ = false;
+}
+
+Session NewSession(std::string id, SessionOptions options) {
+  Session session;
+  session.id = std::move(id);
+  session.target_return = options.target_return;
+  session.return_to_go = options.target_return;
+  session.options = std::move(options);
+  return session;
+}
+
+absl::Status CheckTargetReturn(double target_return) {
+  if (IsFiniteFloat(target_return)) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "target_return: expected a finite number within float32, received ", target_return));
+}
+
+double PrimaryEnergy(const Counts& counts, bool dense) {
+  const Energy energy = EstimateEnergy(counts, dense);
+  return dense ? energy.horowitz_45nm : energy.spike_5pj;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,97 @@
+// What an agent's requests do to its session, with no network in sight.
+//
+// Beside the session's value stands the engine's context, a cache: it is rebuilt from the history
+// whenever it is absent, and no answer depends on whether it was.
+//
+// Not thread-safe: one caller at a time.
+#ifndef CORE_SESSION_AGENT_SESSION_H_
+#define CORE_SESSION_AGENT_SESSION_H_
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/types/span.h"
+#include "core/engine/engine.h"
+#include "core/session/clock.h"
+#include "core/session/served_policy.h"
+#include "core/session/session.h"
+
+namespace spikeserve {
+
+// How an episode ends.
+struct EpisodeEnd {
+  double reward = 0.0;                  // for the last action
+  std::optional<double> target_return;  // G_0 of the next episode; absent: the session's own
+};
+
+struct EpisodeSummary {
+  double episode_return = 0.0;
+  int64_t steps = 0;
+  uint64_t spikes = 0;
+  double energy_joules = 0.0;  // estimate, see PrimaryEnergy()
+};
+
+class AgentSession {
+ public:
+  // Goes on from `session`, which may be new or restored. `clock` times decisions and must outlive
+  // this object. REQUIRES: `session` was opened on this policy, or restored from one that was.
+  AgentSession(std::shared_ptr<const ServedPolicy> served, Session session, const Clock* clock);
+
+  // Decides timestep `step` from `observation` [obs], in environment units, and the reward of the
+  // action before it, which is ignored at step 0. The returned answer lives until the next call
+  // that changes the session.
+  //
+  // The last answered step again is a retry: it gets the stored answer, whatever else the request
+  // carries, and nothing is counted twice. Errors leave the session as it was: FAILED_PRECONDITION
+  // for any other step; INVALID_ARGUMENT for an observation of another length or a number that is
+  // not finite.
+  absl::StatusOr<const Answer*> Act(int64_t step, absl::Span<const float> observation,
+                                    double reward);
+
+  // Takes a_t into the context, if that is still to be done. Act does it where nobody has; calling
+  // this once the answer has been sent keeps it out of the next answer's latency.
+  void AppendPendingAction();
+
+  // Ends the running episode and makes the session ready for the next, whose first step is 0.
+  // FAILED_PRECONDITION if no decision was made since the last end (so an end that is repeated
+  // counts once); INVALID_ARGUMENT for a number that is not finite. Errors leave the session as it
+  // was.
+  absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
+
+  // Gives the cache back; the next decision rebuilds it.
+  void DropContext();
+
+  const Session& session() const { return session_; }
+
+ private:
+  absl::Status CheckRequest(int64_t step, absl::Span<const float> observation, double reward) const;
+  double NextReturnToGo(double reward) const;
+  void RebuildContext();
+  void AppendAction(const Action& action);
+  Answer Decide(double return_to_go, absl::Span<const float> observation);
+  void Record(Answer answer, absl::Span<const float> observation, double return_to_go,
+              double reward);
+
+  std::shared_ptr<const ServedPolicy> served_;
+  const Clock* clock_;
+  Session session_;
+  std::unique_ptr<Engine::Context> context_;  // null: to be rebuilt
+  bool action_pending_ = false;               // the context still lacks the last timestep's action
+};
+
+// A new session's value, at step 0 of its first episode.
+Session NewSession(std::string id, SessionOptions options);
+
+// INVALID_ARGUMENT names `field` unless `target_return` is finite as the float the model reads.
+absl::Status CheckTargetReturn(double target_return);
+
+// The figure a decision's `energy_joules` reports: spike_5pj, or horowitz_45nm for a dense policy,
+// which has no spikes. An estimate.
+double PrimaryEnergy(const Counts& counts, bool dense);
+
+}  // namespace spikeserve
+
+#endif  // CORE_SESSION_AGENT_SESSION_H_

@@ -1,0 +1,106 @@
+#include "core/session/session_store.h"
+
+#include <sys/random.h>
+
+#include <cerrno>
+#include <utility>
+#include <vector>
+
+#include "absl/hash/hash.h"
+#include "absl/status/status.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "core/model/json.h"
+
+namespace spikeserve {
+namespace {
+
+// From the kernel, so that nobody can guess another agent's session.
+absl::StatusOr<std::string> NewSessionId() {
+  char bytes[16];
+  if (getentropy(bytes, sizeof(bytes)) != 0) return absl::ErrnoToStatus(errno, "getentropy");
+  return absl::BytesToHexString(absl::string_view(bytes, sizeof(bytes)));
+}
+
+absl::Status NoSuchSession(absl::string_view id) {
+  return absl::NotFoundError(
+      absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
+}
+
+}  // namespace
+
+SessionStore::SessionStore(int64_t max_sessions, const Clock* clock)
+    : max_sessions_(max_sessions), clock_(clock) {}
+
+SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
+  return shards_[absl::HashOf(id) % kShards];
+}
+
+absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolicy> served,
+                                               SessionOptions options) {
+  auto id = NewSessionId();
+  if (!id.ok()) return id;
+  if (size_.fetch_add(1) >= max_sessions_) {
+    size_.fetch_sub(1);
+    return absl::ResourceExhaustedError(
+        absl::StrCat("max_sessions: expected fewer than ", max_sessions_,
+                     " open sessions; close one, or wait until one is idle for its time-to-live"));
+  }
+  const std::shared_ptr<SessionObserver> observer = served->observer;
+  Slot slot = {.entry = std::make_shared<SessionEntry>(std::move(served),
+                                                       NewSession(*id, std::move(options)), clock_),
+               .last_used = clock_->Now()};
+  Shard& shard = ShardOf(*id);
+  {
+    absl::MutexLock lock(&shard.mutex);
+    shard.slots.emplace(*id, std::move(slot));
+  }
+  observer->OnOpen();
+  return id;
+}
+
+absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_view id) {
+  const absl::Duration now = clock_->Now();
+  Shard& shard = ShardOf(id);
+  absl::MutexLock lock(&shard.mutex);
+  const auto it = shard.slots.find(id);
+  if (it == shard.slots.end()) return NoSuchSession(id);
+  it->second.last_used = now;
+  return it->second.entry;
+}
+
+absl::Status SessionStore::Close(absl::string_view id) {
+  std::shared_ptr<SessionEntry> entry;  // released outside the lock
+  Shard& shard = ShardOf(id);
+  {
+    absl::MutexLock lock(&shard.mutex);
+    const auto it = shard.slots.find(id);
+    if (it == shard.slots.end()) return NoSuchSession(id);
+    entry = std::move(it->second.entry);
+    shard.slots.erase(it);
+  }
+  size_.fetch_sub(1);
+  entry->served->observer->OnClose();
+  return absl::OkStatus();
+}
+
+int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
+  const absl::Duration oldest = clock_->Now() - time_to_live;
+  std::vector<std::shared_ptr<SessionEntry>> idle;  // released outside the locks
+  for (Shard& shard : shards_) {
+    absl::MutexLock lock(&shard.mutex);
+    absl::erase_if(shard.slots, [&](auto& item) {
+      Slot& slot = item.second;
+      // New holders come through Find alone, which needs this mutex, so a count of one is the
+      // store's and stays so.
+      if (slot.last_used > oldest || slot.entry.use_count() > 1) return false;
+      idle.push_back(std::move(slot.entry));
+      return true;
+    });
+  }
+  size_.fetch_sub(static_cast<int64_t>(idle.size()));
+  for (const auto& entry : idle) entry->served->observer->OnClose();
+  return static_cast<int64_t>(idle.size());
+}
+
+}  // namespace spikeserve
