@@ -1,0 +1,24 @@
+// The subcommands of spiketrain, each reading its flags; every error names the flag or the file it
+// is about.
+#ifndef TRAIN_COMMANDS_H_
+#define TRAIN_COMMANDS_H_
+
+#include <string>
+
+#include "absl/status/status.h"
+
+namespace spikeserve {
+
+// Records a dataset and writes it to --out.
+absl::Status DatasetCommand();
+
+// Trains a policy, evaluates it, and writes policy.safetensors and checkpoint.pt into --out.
+// `command_line` goes into the policy file.
+absl::Status TrainCommand(const std::string& command_line);
+
+// Plays --policy in closed loop.
+absl::Status EvalCommand();
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_COMMANDS_H_

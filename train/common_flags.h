@@ -1,0 +1,33 @@
+// Flags that several subcommands share.
+#ifndef TRAIN_COMMON_FLAGS_H_
+#define TRAIN_COMMON_FLAGS_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/flags/declare.h"
+#include "absl/status/statusor.h"
+#include "absl/types/optional.h"
+#include "train/evaluation.h"
+#include "train/record.h"
+
+ABSL_DECLARE_FLAG(absl::optional<std::string>, env);
+ABSL_DECLARE_FLAG(absl::optional<uint64_t>, seed);
+ABSL_DECLARE_FLAG(std::string, out);
+ABSL_DECLARE_FLAG(bool, json);
+ABSL_DECLARE_FLAG(int, episodes);
+
+namespace spikeserve {
+
+// The recipe that --env, --seed, --steps and --expert_fraction ask for.
+RecordOptions RecordOptionsFromFlags();
+
+// INVALID_ARGUMENT if --out is missing; `what` says what it should name.
+absl::StatusOr<std::string> RequiredOut(absl::string_view what);
+
+// Writes one evaluation to standard output, as JSON with --json.
+void PrintEvaluation(const Evaluation& evaluation, const ModelConfig& config);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_COMMON_FLAGS_H_

@@ -1,0 +1,166 @@
+#include "train/dataset.h"
+
+#include <cmath>
+#include <fstream>
+#include <iterator>
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr char kFormat[] = "spikeserve.dataset.v1";
+
+Json ActionsToJson(const std::vector<Action>& actions, bool discrete) {
+  Json list = Json::array();
+  for (const Action& action : actions) {
+    list.push_back(discrete ? Json(action.discrete) : Json(action.continuous));
+  }
+  return list;
+}
+
+Json EpisodeToJson(const Episode& episode, bool discrete) {
+  return {{"actor", episode.actor},
+          {"seed", episode.seed},
+          {"observations", episode.observations},
+          {"actions", ActionsToJson(episode.actions, discrete)},
+          {"rewards", episode.rewards},
+          {"terminated", episode.terminated},
+          {"truncated", episode.truncated}};
+}
+
+// May throw Json::exception on a field of the wrong type; ReadDataset catches it.
+Episode EpisodeFromJson(const Json& json, bool discrete) {
+  Episode episode;
+  json.at("actor").get_to(episode.actor);
+  json.at("seed").get_to(episode.seed);
+  json.at("observations").get_to(episode.observations);
+  for (const Json& action : json.at("actions")) {
+    Action& added = episode.actions.emplace_back();
+    if (discrete) {
+      action.get_to(added.discrete);
+    } else {
+      action.get_to(added.continuous);
+    }
+  }
+  json.at("rewards").get_to(episode.rewards);
+  json.at("terminated").get_to(episode.terminated);
+  json.at("truncated").get_to(episode.truncated);
+  return episode;
+}
+
+absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
+  const size_t steps = episode.actions.size();
+  if (steps == 0) return absl::InvalidArgumentError("actions: expected at least one, got none");
+  if (episode.rewards.size() != steps) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("rewards: expected ", steps, ", got ", episode.rewards.size()));
+  }
+  const size_t numbers = (steps + 1) * dataset.observation_size;
+  if (episode.observations.size() != numbers) {
+    return absl::InvalidArgumentError(absl::StrCat("observations: expected ", numbers,
+                                                   " numbers, got ", episode.observations.size()));
+  }
+  for (const Action& action : episode.actions) {
+    if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
+  if (json.value("format", "") != kFormat) {
+    return absl::InvalidArgumentError(absl::StrCat("format: expected ", kFormat));
+  }
+  Dataset dataset;
+  json.at("environment").get_to(dataset.environment);
+  json.at("observation_size").get_to(dataset.observation_size);
+  dataset.recipe = json.at("recipe");
+  const Json& space = json.at("action_space");
+  dataset.action_space = space.contains("n") ? ActionSpace::Discrete(space.at("n"))
+                                             : ActionSpace::Box(space.at("low"), space.at("high"));
+  for (const Json& item : json.at("episodes")) {
+    dataset.episodes.push_back(EpisodeFromJson(item, dataset.action_space.is_discrete()));
+    if (auto status = CheckEpisode(dataset, dataset.episodes.back()); !status.ok()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("episode ", dataset.episodes.size() - 1, ": ", status.message()));
+    }
+  }
+  if (dataset.episodes.empty())
+    return absl::InvalidArgumentError("episodes: expected at least one");
+  return dataset;
+}
+
+}  // namespace
+
+std::vector<float> ReturnsToGo(absl::Span<const double> rewards) {
+  std::vector<float> returns(rewards.size());
+  double sum = 0.0;
+  for (size_t i = rewards.size(); i-- > 0;) {
+    sum += rewards[i];
+    returns[i] = static_cast<float>(sum);
+  }
+  return returns;
+}
+
+Moments ObservationMoments(const Dataset& dataset) {
+  constexpr double kSmallestDeviation = 1e-6;
+  const size_t size = dataset.observation_size;
+  std::vector<double> sum(size), squares(size);
+  double steps = 0.0;
+  for (const Episode& episode : dataset.episodes) {
+    for (size_t i = 0; i < episode.actions.size() * size; ++i) {
+      const double x = episode.observations[i];
+      sum[i % size] += x;
+      squares[i % size] += x * x;
+    }
+    steps += episode.steps();
+  }
+  Moments moments;
+  for (size_t i = 0; i < size; ++i) {
+    const double mean = sum[i] / steps;
+    const double variance = std::max(0.0, squares[i] / steps - mean * mean);
+    moments.mean.push_back(static_cast<float>(mean));
+    moments.std.push_back(static_cast<float>(std::sqrt(variance) + kSmallestDeviation));
+  }
+  return moments;
+}
+
+absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {
+  const bool discrete = dataset.action_space.is_discrete();
+  Json space = discrete
+                   ? Json{{"n", dataset.action_space.n}}
+                   : Json{{"low", dataset.action_space.low}, {"high", dataset.action_space.high}};
+  Json json = {{"format", kFormat},
+               {"environment", dataset.environment},
+               {"observation_size", dataset.observation_size},
+               {"action_space", std::move(space)},
+               {"recipe", dataset.recipe},
+               {"episodes", Json::array()}};
+  for (const Episode& episode : dataset.episodes) {
+    json["episodes"].push_back(EpisodeToJson(episode, discrete));
+  }
+  const std::vector<uint8_t> bytes = Json::to_cbor(json);
+  std::ofstream file(path, std::ios::binary);
+  file.write(reinterpret_cast<const char*>(bytes.data()),
+             static_cast<std::streamsize>(bytes.size()));
+  file.close();
+  if (!file) return absl::InternalError(absl::StrCat(path, ": cannot write"));
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Dataset> ReadDataset(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) return absl::NotFoundError(absl::StrCat(path, ": cannot read"));
+  const std::string bytes(std::istreambuf_iterator<char>(file), {});
+  try {
+    absl::StatusOr<Dataset> dataset = DatasetFromJson(Json::from_cbor(bytes));
+    if (dataset.ok()) return dataset;
+    return absl::InvalidArgumentError(absl::StrCat(path, ": ", dataset.status().message()));
+  } catch (const Json::exception& error) {
+    return absl::InvalidArgumentError(absl::StrCat(path, ": not a dataset: ", error.what()));
+  }
+}
+
+}  // namespace spikeserve

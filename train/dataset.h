@@ -1,0 +1,55 @@
+// Recorded episodes: what offline training learns from.
+//
+// Plain values and free functions; safe to call from many threads on distinct data.
+#ifndef TRAIN_DATASET_H_
+#define TRAIN_DATASET_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/types/span.h"
+#include "core/model/action_space.h"
+#include "nlohmann/json.hpp"
+
+namespace spikeserve {
+
+struct Episode {
+  std::string actor;                // who acted: "expert" or "random"
+  uint64_t seed = 0;                // of Environment::Reset
+  std::vector<float> observations;  // [steps + 1, obs], environment units
+  std::vector<Action> actions;      // [steps]
+  std::vector<double> rewards;      // [steps]
+  bool terminated = false;
+  bool truncated = false;
+
+  int steps() const { return static_cast<int>(actions.size()); }
+};
+
+struct Dataset {
+  std::string environment;  // Gymnasium's id
+  int observation_size = 0;
+  ActionSpace action_space;
+  nlohmann::json recipe = nlohmann::json::object();  // how it was recorded
+  std::vector<Episode> episodes;
+};
+
+// G_t = r_t + r_{t+1} + ... to the end of the episode.
+std::vector<float> ReturnsToGo(absl::Span<const double> rewards);
+
+// Mean and deviation of every observation entry over all steps, both [obs].
+struct Moments {
+  std::vector<float> mean;
+  std::vector<float> std;  // > 0
+};
+Moments ObservationMoments(const Dataset& dataset);
+
+// A dataset file is CBOR, one object with the fields above. Errors start with the path.
+absl::Status WriteDataset(const Dataset& dataset, const std::string& path);
+absl::StatusOr<Dataset> ReadDataset(const std::string& path);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_DATASET_H_

@@ -1,0 +1,22 @@
+#include <cstdio>
+
+#include "absl/flags/flag.h"
+#include "train/commands.h"
+#include "train/common_flags.h"
+#include "train/record.h"
+
+namespace spikeserve {
+
+absl::Status DatasetCommand() {
+  const absl::StatusOr<std::string> out = RequiredOut("the file to write");
+  if (!out.ok()) return out.status();
+  const absl::StatusOr<Dataset> dataset = RecordDataset(RecordOptionsFromFlags());
+  if (!dataset.ok()) return dataset.status();
+  if (auto status = WriteDataset(*dataset, *out); !status.ok()) return status;
+  nlohmann::ordered_json summary = {{"environment", dataset->environment}};
+  summary.update(dataset->recipe);
+  std::printf("%s\n", summary.dump(absl::GetFlag(FLAGS_json) ? 2 : -1).c_str());
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

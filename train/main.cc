@@ -1,0 +1,46 @@
+// spiketrain: records data, trains policies on it, and plays them.
+
+#include <cstdio>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "absl/flags/parse.h"
+#include "absl/flags/usage.h"
+#include "absl/strings/str_cat.h"
+#include "train/commands.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kUsage[] =
+    "trains spiking decision transformers.\n\n"
+    "  spiketrain dataset --out=FILE [--env --seed --steps]      record expert and random "
+    "episodes\n"
+    "  spiketrain train --out=DIR [--data=FILE] [--mode] [...]   train a policy\n"
+    "  spiketrain eval --policy=FILE [--episodes --seed]         play a policy in closed loop\n";
+
+absl::Status Run(const std::vector<char*>& positional, const std::string& command_line) {
+  if (positional.size() != 2) {
+    return absl::InvalidArgumentError("command: expected one of dataset, train, eval");
+  }
+  const std::string command = positional[1];
+  if (command == "dataset") return DatasetCommand();
+  if (command == "train") return TrainCommand(command_line);
+  if (command == "eval") return EvalCommand();
+  return absl::InvalidArgumentError(
+      absl::StrCat("command: expected dataset, train or eval, got '", command, "'"));
+}
+
+}  // namespace
+}  // namespace spikeserve
+
+int main(int argc, char** argv) {
+  absl::SetProgramUsageMessage(spikeserve::kUsage);
+  std::string command_line = std::filesystem::path(argv[0]).filename();
+  for (int i = 1; i < argc; ++i) absl::StrAppend(&command_line, " ", argv[i]);
+  const absl::Status status = spikeserve::Run(absl::ParseCommandLine(argc, argv), command_line);
+  if (status.ok()) return 0;
+  std::fprintf(stderr, "spiketrain: %s\n", std::string(status.message()).c_str());
+  return 1;
+}

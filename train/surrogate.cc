@@ -1,0 +1,15 @@
+#include "train/surrogate.h"
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+
+absl::StatusOr<SurrogateKind> ParseSurrogateKind(absl::string_view name) {
+  if (name == "fast_sigmoid") return SurrogateKind::kFastSigmoid;
+  if (name == "sigmoid") return SurrogateKind::kSigmoid;
+  if (name == "piecewise_linear") return SurrogateKind::kPiecewiseLinear;
+  return absl::InvalidArgumentError(absl::StrCat(
+      "surrogate: expected fast_sigmoid, sigmoid or piecewise_linear, got '", name, "'"));
+}
+
+}  // namespace spikeserve

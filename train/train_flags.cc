@@ -1,0 +1,193 @@
+#include "train/train_flags.h"
+
+#include <cmath>
+#include <string>
+#include <utility>
+
+#include "absl/flags/flag.h"
+#include "absl/strings/str_cat.h"
+#include "absl/types/optional.h"
+#include "core/model/policy_file.h"
+#include "train/common_flags.h"
+#include "train/task.h"
+
+using spikeserve::ModelConfig;
+using spikeserve::TrainOptions;
+
+ABSL_FLAG(std::string, data, "", "train: a dataset file (default: record one as `dataset` would)");
+ABSL_FLAG(std::string, init, "", "train: a policy file to go on from (default: random weights)");
+
+// The shape. Unset: that of --init, or of the paper.
+ABSL_FLAG(absl::optional<std::string>, mode, absl::nullopt,
+          "train: full (default), pos, route, baseline or dense");
+ABSL_FLAG(absl::optional<int>, hidden_size, absl::nullopt, "train: d (default 128)");
+ABSL_FLAG(absl::optional<int>, heads, absl::nullopt, "train: H (default 4)");
+ABSL_FLAG(absl::optional<int>, layers, absl::nullopt, "train: L (default 2)");
+ABSL_FLAG(absl::optional<int>, ticks, absl::nullopt, "train: T (default 10)");
+ABSL_FLAG(absl::optional<int>, context, absl::nullopt, "train: N, in timesteps (default 20)");
+ABSL_FLAG(absl::optional<int>, routing_hidden_size, absl::nullopt, "train: m (default 16)");
+ABSL_FLAG(absl::optional<int>, ffn_size, absl::nullopt, "train: FFN size (default 4 d)");
+ABSL_FLAG(absl::optional<std::string>, coder, absl::nullopt, "train: lif (default) or bernoulli");
+ABSL_FLAG(absl::optional<std::string>, phase_clock, absl::nullopt,
+          "train: timestep (default) or window");
+ABSL_FLAG(absl::optional<std::string>, merge, absl::nullopt, "train: sum (default) or concat");
+ABSL_FLAG(absl::optional<std::string>, gate, absl::nullopt, "train: softmax (default) or sigmoid");
+
+ABSL_FLAG(int, iterations, TrainOptions{}.iterations, "train: iterations");
+ABSL_FLAG(int, batch, TrainOptions{}.batch, "train: clips an iteration");
+ABSL_FLAG(double, learning_rate, TrainOptions{}.learning_rate, "train: AdamW's peak learning rate");
+ABSL_FLAG(double, weight_decay, TrainOptions{}.weight_decay, "train: AdamW's weight decay");
+ABSL_FLAG(int, warmup, TrainOptions{}.warmup, "train: iterations of linear warm-up");
+ABSL_FLAG(double, clip_norm, TrainOptions{}.clip_norm, "train: largest norm of the gradient");
+ABSL_FLAG(double, action_noise, TrainOptions{}.action_noise,
+          "train: probability that an action token is replaced by a random one");
+ABSL_FLAG(double, validation, TrainOptions{}.validation,
+          "train: share of each actor's episodes held out for the validation loss");
+ABSL_FLAG(double, target_rate, 100.0,
+          "train: percent of ticks above which a population's firing is penalised");
+ABSL_FLAG(double, readout_rate, 100.0, "train: the same for the readout coder");
+ABSL_FLAG(double, spike_penalty, TrainOptions{}.spike_penalty,
+          "train: weight of that penalty, ramped in over the first third");
+ABSL_FLAG(std::string, surrogate, "fast_sigmoid",
+          "train: surrogate gradient: fast_sigmoid, sigmoid or piecewise_linear");
+ABSL_FLAG(double, slope, static_cast<double>(TrainOptions{}.surrogate.slope),
+          "train: slope k of the surrogate gradient");
+
+namespace spikeserve {
+namespace {
+
+// Applies the flags of the shape to a config. With `fixed`, a flag may only repeat what is there.
+class ShapeFlags {
+ public:
+  ShapeFlags(ModelConfig* config, bool fixed) : config_(*config), fixed_(fixed) {}
+
+  absl::Status Apply() {
+    Set("mode", absl::GetFlag(FLAGS_mode), ParseMode, &config_.mode);
+    Set("hidden_size", absl::GetFlag(FLAGS_hidden_size), Same, &config_.hidden_size);
+    if (!fixed_) config_.ffn_size = 4 * config_.hidden_size;
+    Set("heads", absl::GetFlag(FLAGS_heads), Same, &config_.heads);
+    Set("layers", absl::GetFlag(FLAGS_layers), Same, &config_.layers);
+    Set("ticks", absl::GetFlag(FLAGS_ticks), Same, &config_.ticks);
+    Set("context", absl::GetFlag(FLAGS_context), Same, &config_.context);
+    Set("routing_hidden_size", absl::GetFlag(FLAGS_routing_hidden_size), Same,
+        &config_.routing_hidden_size);
+    Set("ffn_size", absl::GetFlag(FLAGS_ffn_size), Same, &config_.ffn_size);
+    Set("coder", absl::GetFlag(FLAGS_coder), ParseCoderKind, &config_.coder);
+    Set("phase_clock", absl::GetFlag(FLAGS_phase_clock), ParsePhaseClock, &config_.phase_clock);
+    Set("merge", absl::GetFlag(FLAGS_merge), ParseMerge, &config_.merge);
+    Set("gate", absl::GetFlag(FLAGS_gate), ParseGate, &config_.gate);
+    return status_.ok() ? config_.Validate() : status_;
+  }
+
+ private:
+  static absl::StatusOr<int> Same(int value) { return value; }
+
+  template <typename Given, typename Parse, typename Field>
+  void Set(absl::string_view flag, const absl::optional<Given>& given, Parse parse, Field* field) {
+    if (!given.has_value() || !status_.ok()) return;
+    const absl::StatusOr<Field> value = parse(*given);
+    if (!value.ok()) {
+      status_ = value.status();
+    } else if (fixed_ && *value != *field) {
+      status_ = absl::InvalidArgumentError(
+          absl::StrCat(flag, ": expected what --init has, or no such flag, got ", *given));
+    } else {
+      *field = *value;
+    }
+  }
+
+  ModelConfig& config_;
+  const bool fixed_;
+  absl::Status status_;
+};
+
+// Mean and deviation of the returns-to-go: mu and sigma of eq. 4.2.
+std::pair<float, float> ReturnMoments(const Dataset& dataset) {
+  double sum = 0.0, squares = 0.0, count = 0.0;
+  for (const Episode& episode : dataset.episodes) {
+    for (const float g : ReturnsToGo(episode.rewards)) {
+      sum += static_cast<double>(g);
+      squares += static_cast<double>(g) * static_cast<double>(g);
+      count += 1.0;
+    }
+  }
+  const double mean = sum / count;
+  const double deviation = std::sqrt(std::max(1e-6, squares / count - mean * mean));
+  return {static_cast<float>(mean), static_cast<float>(deviation)};
+}
+
+absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
+  ModelConfig config;
+  if (auto status = ShapeFlags(&config, /*fixed=*/false).Apply(); !status.ok()) return status;
+  const absl::StatusOr<ReturnScaling> returns = ReturnScalingOf(dataset.environment);
+  if (!returns.ok()) return returns.status();
+  Policy policy = RandomPolicy(config, dataset.observation_size, dataset.action_space,
+                               absl::GetFlag(FLAGS_seed).value_or(0));
+  const Moments moments = ObservationMoments(dataset);
+  policy.weights.observation_mean.values = moments.mean;
+  policy.weights.observation_std.values = moments.std;
+  policy.return_offset = returns->offset;
+  policy.return_scale = returns->scale;
+  policy.target_return = returns->target;
+  std::tie(policy.modulator_mean, policy.modulator_std) = ReturnMoments(dataset);
+  policy.environment = dataset.environment;
+  return policy;
+}
+
+absl::StatusOr<Policy> GivenPolicyFromFlags(const std::string& path, const Dataset& dataset) {
+  absl::StatusOr<Policy> policy = ReadPolicyFile(path);
+  if (!policy.ok()) return policy.status();
+  if (auto status = ShapeFlags(&policy->config, /*fixed=*/true).Apply(); !status.ok()) {
+    return status;
+  }
+  if (policy->environment != dataset.environment) {
+    return absl::InvalidArgumentError(absl::StrCat("init: expected a policy for ",
+                                                   dataset.environment, ", got one for '",
+                                                   policy->environment, "'"));
+  }
+  return policy;
+}
+
+}  // namespace
+
+absl::StatusOr<TrainOptions> TrainOptionsFromFlags() {
+  const absl::StatusOr<SurrogateKind> surrogate =
+      ParseSurrogateKind(absl::GetFlag(FLAGS_surrogate));
+  if (!surrogate.ok()) return surrogate.status();
+  const TrainOptions options = {
+      .seed = absl::GetFlag(FLAGS_seed).value_or(0),
+      .iterations = absl::GetFlag(FLAGS_iterations),
+      .batch = absl::GetFlag(FLAGS_batch),
+      .learning_rate = absl::GetFlag(FLAGS_learning_rate),
+      .weight_decay = absl::GetFlag(FLAGS_weight_decay),
+      .warmup = absl::GetFlag(FLAGS_warmup),
+      .clip_norm = absl::GetFlag(FLAGS_clip_norm),
+      .action_noise = absl::GetFlag(FLAGS_action_noise),
+      .validation = absl::GetFlag(FLAGS_validation),
+      .rate_targets = {.hidden = absl::GetFlag(FLAGS_target_rate) / 100.0,
+                       .readout = absl::GetFlag(FLAGS_readout_rate) / 100.0},
+      .spike_penalty = absl::GetFlag(FLAGS_spike_penalty),
+      .surrogate = {.kind = *surrogate, .slope = static_cast<float>(absl::GetFlag(FLAGS_slope))}};
+  if (auto status = options.Validate(); !status.ok()) return status;
+  return options;
+}
+
+absl::StatusOr<Dataset> DatasetFromFlags() {
+  const std::string path = absl::GetFlag(FLAGS_data);
+  if (path.empty()) return RecordDataset(RecordOptionsFromFlags());
+  absl::StatusOr<Dataset> dataset = ReadDataset(path);
+  if (!dataset.ok()) return dataset;
+  const std::string environment = absl::GetFlag(FLAGS_env).value_or(dataset->environment);
+  if (environment != dataset->environment) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("env: expected ", dataset->environment, " as in --data, got ", environment));
+  }
+  return dataset;
+}
+
+absl::StatusOr<Policy> InitialPolicyFromFlags(const Dataset& dataset) {
+  const std::string path = absl::GetFlag(FLAGS_init);
+  return path.empty() ? RandomPolicyFromFlags(dataset) : GivenPolicyFromFlags(path, dataset);
+}
+
+}  // namespace spikeserve
