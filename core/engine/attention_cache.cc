@@ -1,7 +1,5 @@
 #include "core/engine/attention_cache.h"
 
-#include <bit>
-
 namespace spikeserve {
 
 AttentionBand::AttentionBand(const ModelConfig& config)
@@ -26,16 +24,13 @@ AttentionCache::AttentionCache(const ModelConfig& config, int slots)
       slots_(slots),
       keys_(static_cast<size_t>(ticks_) * heads_ * words_ * slots, 0u),
       values_(static_cast<size_t>(ticks_) * heads_ * words_ * slots, 0u),
-      value_spikes_(slots, 0u) {}
+      value_spikes_(slots, 0) {}
 
-void AttentionCache::Store(const uint32_t* keys, const uint32_t* values, int slot) {
+void AttentionCache::Store(const uint32_t* keys, const uint32_t* values, uint64_t value_spikes,
+                           int slot) {
   const int rows = ticks_ * heads_ * words_;
-  uint32_t spikes = 0;
-  for (int i = 0; i < rows; ++i) {
-    keys_[static_cast<size_t>(i) * slots_ + slot] = keys[i];
-    spikes += std::popcount(values[i]);
-  }
-  value_spikes_[slot] = spikes;
+  for (int i = 0; i < rows; ++i) keys_[static_cast<size_t>(i) * slots_ + slot] = keys[i];
+  value_spikes_[slot] = value_spikes;
   kernels::StoreValues(values, slot,
                        {.ticks = ticks_, .heads = heads_, .words = words_, .slots = slots_},
                        values_.data());

@@ -38,7 +38,8 @@ class AttentionCache {
 
   // Stores a token's keys and values, both [T][H][W] (a head's bits of a tick, W = ceil(d_h / 32)
   // words).
-  void Store(const uint32_t* keys, const uint32_t* values, int slot);
+  // `value_spikes` is the number of bits set in `values`.
+  void Store(const uint32_t* keys, const uint32_t* values, uint64_t value_spikes, int slot);
 
   // What a query sees through `band`.
   kernels::AttentionWindow Window(const AttentionBand& band) const;
@@ -54,7 +55,7 @@ class AttentionCache {
   int slots_;
   std::vector<uint32_t> keys_;          // [T][H][W][S]
   std::vector<uint32_t> values_;        // [T][H][S / 32][32 W]
-  std::vector<uint32_t> value_spikes_;  // [S]
+  std::vector<uint64_t> value_spikes_;  // [S]
 };
 
 }  // namespace spikeserve

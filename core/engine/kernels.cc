@@ -1,7 +1,8 @@
 #include "core/engine/kernels.h"
 
 #include <algorithm>
-#include <bit>
+#include <cmath>
+#include <type_traits>
 
 #include "core/math/layer_norm.h"
 
@@ -49,19 +50,29 @@ void CoderPeriodsImpl(const Lif& lif, const float* x, const float* gain, const f
   for (; j < size; ++j) periods[j] = lif.Period(x[j] * gain[j] + bias[j], ticks);
 }
 
+// Calls block(lane, count<V>) over [0, width): blocks of eight vectors, so that additions overlap,
+// then of kLanes.
+template <class Block>
+HWY_INLINE void ForEachBlock(int width, Block block) {
+  int lane = 0;
+  for (; lane + 8 * kVector <= width; lane += 8 * kVector)
+    block(lane, std::integral_constant<int, 8>());
+  for (; lane < width; lane += kLanes) block(lane, std::integral_constant<int, kVectorsPerWord>());
+}
+
 void SumRowsImpl(const PackedLinear& linear, const int32_t* members, int count, int width,
                  float* sum) {
   const F32 d;
-  for (int lane = 0; lane < width; lane += kLanes) {
-    VecF total[kVectorsPerWord];
-    for (int v = 0; v < kVectorsPerWord; ++v) total[v] = hn::Zero(d);
+  ForEachBlock(width, [&](int lane, auto vectors) HWY_ATTR {
+    VecF total[vectors];
+    for (int v = 0; v < vectors; ++v) total[v] = hn::Zero(d);
     for (int m = 0; m < count; ++m) {
       const float* row = linear.row(members[m]) + lane;
-      for (int v = 0; v < kVectorsPerWord; ++v)
+      for (int v = 0; v < vectors; ++v)
         total[v] = hn::Add(total[v], hn::LoadU(d, row + v * kVector));
     }
-    for (int v = 0; v < kVectorsPerWord; ++v) hn::StoreU(total[v], d, sum + lane + v * kVector);
-  }
+    for (int v = 0; v < vectors; ++v) hn::StoreU(total[v], d, sum + lane + v * kVector);
+  });
 }
 
 // Runs the kLanes neurons from `lane` on; calls on_spike(tick, v, mask) for every vector v of them.
@@ -117,22 +128,157 @@ void LifCountsImpl(const Lif& lif, const float* bias, const Drive& drive, int wi
   }
 }
 
-void AffineImpl(const PackedLinear& linear, const float* input, float* output) {
+uint64_t AffineImpl(const PackedLinear& linear, const float* input, float* output) {
+  thread_local std::vector<int32_t> active;  // nonzero inputs, ascending
+  active.clear();
+  uint64_t products = 0;
+  for (int j = 0; j < linear.inputs; ++j) {
+    if (input[j] == 0.0f) continue;
+    active.push_back(j);
+    products += linear.nonzero[j];
+  }
   const F32 d;
-  for (int lane = 0; lane < linear.width; lane += kLanes) {
-    VecF total[kVectorsPerWord];
-    for (int v = 0; v < kVectorsPerWord; ++v)
+  ForEachBlock(linear.width, [&](int lane, auto vectors) HWY_ATTR {
+    VecF total[vectors];
+    for (int v = 0; v < vectors; ++v)
       total[v] = hn::LoadU(d, linear.bias.data() + lane + v * kVector);
-    for (int j = 0; j < linear.inputs; ++j) {
-      if (input[j] == 0.0f) continue;
+    for (const int32_t j : active) {
       const auto x = hn::Set(d, input[j]);
       const float* row = linear.row(j) + lane;
-      for (int v = 0; v < kVectorsPerWord; ++v) {
+      for (int v = 0; v < vectors; ++v)
         total[v] = hn::Add(total[v], hn::Mul(hn::LoadU(d, row + v * kVector), x));
+    }
+    for (int v = 0; v < vectors; ++v) hn::StoreU(total[v], d, output + lane + v * kVector);
+  });
+  return products;
+}
+
+// Nonzero weights that the nonzero inputs meet.
+HWY_INLINE uint64_t CountProducts(const PackedLinear& linear, const float* input) {
+  const F32 d;
+  const U32 du;
+  auto products = hn::Zero(du);
+  int j = 0;
+  for (; j + kVector <= linear.inputs; j += kVector) {
+    const auto active = hn::RebindMask(du, hn::Ne(hn::LoadU(d, input + j), hn::Zero(d)));
+    products =
+        hn::Add(products, hn::IfThenElseZero(active, hn::LoadU(du, linear.nonzero.data() + j)));
+  }
+  uint64_t total = hn::GetLane(hn::SumOfLanes(du, products));
+  for (; j < linear.inputs; ++j) total += input[j] != 0.0f ? linear.nonzero[j] : 0;
+  return total;
+}
+
+// `ticks` (at most kTicks) rows at once, so that a weight is loaded once for all of them.
+template <int kTicks>
+HWY_INLINE void AffineBlock(const PackedLinear& linear, const float* input, int stride,
+                            float* output) {
+  const F32 d;
+  for (int lane = 0; lane < linear.outputs; lane += kVector) {
+    VecF total[kTicks];
+    for (int t = 0; t < kTicks; ++t) total[t] = hn::LoadU(d, linear.bias.data() + lane);
+    for (int j = 0; j < linear.inputs; ++j) {
+      const auto weight = hn::LoadU(d, linear.row(j) + lane);
+      for (int t = 0; t < kTicks; ++t) {
+        total[t] = hn::Add(total[t],
+                           hn::Mul(weight, hn::Set(d, input[static_cast<size_t>(t) * stride + j])));
       }
     }
-    for (int v = 0; v < kVectorsPerWord; ++v) hn::StoreU(total[v], d, output + lane + v * kVector);
+    for (int t = 0; t < kTicks; ++t)
+      hn::StoreU(total[t], d, output + static_cast<size_t>(t) * linear.width + lane);
   }
+}
+
+uint64_t AffineTicksImpl(const PackedLinear& linear, const float* input, int stride, int ticks,
+                         float* output) {
+  uint64_t products = 0;
+  for (int t = 0; t < ticks; ++t)
+    products += CountProducts(linear, input + static_cast<size_t>(t) * stride);
+  int t = 0;
+  const auto in = [&] { return input + static_cast<size_t>(t) * stride; };
+  const auto out = [&] { return output + static_cast<size_t>(t) * linear.width; };
+  for (; t + 8 <= ticks; t += 8) AffineBlock<8>(linear, in(), stride, out());
+  for (; t + 2 <= ticks; t += 2) AffineBlock<2>(linear, in(), stride, out());
+  for (; t < ticks; ++t) AffineBlock<1>(linear, in(), stride, out());
+  return products;
+}
+
+// spikeserve::Exp of every lane, same bits.
+HWY_INLINE VecF Exp(VecF x) {
+  const F32 d;
+  const I32 di;
+  const auto round = hn::Set(d, 12582912.0f);
+  x = hn::Min(hn::Max(x, hn::Set(d, -87.0f)), hn::Set(d, 88.0f));
+  const auto n = hn::Sub(hn::Add(hn::Mul(x, hn::Set(d, 1.44269504088896341f)), round), round);
+  x = hn::Sub(x, hn::Mul(n, hn::Set(d, 0.693359375f)));
+  x = hn::Sub(x, hn::Mul(n, hn::Set(d, -2.12194440e-4f)));
+  auto y = hn::Set(d, 1.9875691500e-4f);
+  for (const float coefficient :
+       {1.3981999507e-3f, 8.3334519073e-3f, 4.1665795894e-2f, 1.6666665459e-1f, 5.0000001201e-1f}) {
+    y = hn::Add(hn::Mul(y, x), hn::Set(d, coefficient));
+  }
+  y = hn::Add(hn::Add(hn::Mul(y, hn::Mul(x, x)), x), hn::Set(d, 1.0f));
+  const auto exponent = hn::ShiftLeft<23>(hn::Add(hn::ConvertTo(di, n), hn::Set(di, 127)));
+  return hn::Mul(y, hn::BitCast(d, exponent));
+}
+
+void SoftmaxImpl(float* rows, int count, int stride, int size) {
+  const F32 d;
+  for (int r = 0; r < count; ++r) {
+    float* row = rows + static_cast<size_t>(r) * stride;
+    const float best = *std::max_element(row, row + size);
+    for (int i = 0; i < size; i += kVector) {
+      hn::StoreU(Exp(hn::Sub(hn::LoadU(d, row + i), hn::Set(d, best))), d, row + i);
+    }
+    float sum = 0.0f;
+    for (int i = 0; i < size; ++i) sum += row[i];
+    for (int i = 0; i < size; ++i) row[i] /= sum;
+  }
+}
+
+void GateHeadsImpl(const HeadOutputs& heads, const float* gates, int stride, bool concat,
+                   float* merged) {
+  const F32 d;
+  const int size = heads.head_size;
+  const auto ticks = static_cast<float>(heads.ticks);
+  const auto gate = [&](int t, int h) { return gates[static_cast<size_t>(t) * stride + h]; };
+  for (int group = 0; group < (concat ? heads.heads : 1); ++group) {
+    const int first = concat ? group : 0;
+    const int last = concat ? group : heads.heads - 1;
+    int k = 0;
+    for (; k + kVector <= size; k += kVector) {
+      auto total = hn::Zero(d);
+      for (int t = 0; t < heads.ticks; ++t) {
+        auto routed = hn::Zero(d);
+        for (int h = first; h <= last; ++h) {
+          routed =
+              hn::Add(routed, hn::Mul(hn::Set(d, gate(t, h)), hn::LoadU(d, heads.at(t, h) + k)));
+        }
+        total = hn::Add(total, routed);
+      }
+      hn::StoreU(hn::Div(total, hn::Set(d, ticks)), d, merged + group * size + k);
+    }
+    for (; k < size; ++k) {
+      float total = 0.0f;
+      for (int t = 0; t < heads.ticks; ++t) {
+        float routed = 0.0f;
+        for (int h = first; h <= last; ++h) routed += gate(t, h) * heads.at(t, h)[k];
+        total += routed;
+      }
+      merged[group * size + k] = total / ticks;
+    }
+  }
+}
+
+uint64_t CountBitsImpl(const uint32_t* words, int count) {
+  const U32 du;
+  auto total = hn::Zero(du);
+  int i = 0;
+  for (; i + kVector <= count; i += kVector)
+    total = hn::Add(total, hn::PopulationCount(hn::LoadU(du, words + i)));
+  uint64_t bits = hn::GetLane(hn::SumOfLanes(du, total));
+  for (; i < count; ++i) bits += __builtin_popcount(words[i]);
+  return bits;
 }
 
 // The sum of kSumLanes interleaved partial sums of term(i), folded as in core/math/layer_norm.h.
@@ -258,7 +404,8 @@ class HeadAttention {
  private:
   int CountMembers(const uint32_t* members) const {
     int count = 0;
-    for (int b = 0; b < blocks_; ++b) count += std::popcount(members[b]);
+    for (int b = 0; b < blocks_; ++b)
+      count += __builtin_popcount(members[b]);  // the target's own instruction
     return count;
   }
 
@@ -346,6 +493,10 @@ HWY_EXPORT(SumRowsImpl);
 HWY_EXPORT(LifBitsImpl);
 HWY_EXPORT(LifCountsImpl);
 HWY_EXPORT(AffineImpl);
+HWY_EXPORT(AffineTicksImpl);
+HWY_EXPORT(SoftmaxImpl);
+HWY_EXPORT(GateHeadsImpl);
+HWY_EXPORT(CountBitsImpl);
 HWY_EXPORT(LayerNormImpl);
 HWY_EXPORT(AttendImpl);
 HWY_EXPORT(StoreValuesImpl);
@@ -367,8 +518,26 @@ void LifCounts(const Lif& lif, const float* bias, const Drive& drive, int width,
   HWY_DYNAMIC_DISPATCH(LifCountsImpl)(lif, bias, drive, width, counts);
 }
 
-void Affine(const PackedLinear& linear, const float* input, float* output) {
-  HWY_DYNAMIC_DISPATCH(AffineImpl)(linear, input, output);
+uint64_t Affine(const PackedLinear& linear, const float* input, float* output) {
+  return HWY_DYNAMIC_DISPATCH(AffineImpl)(linear, input, output);
+}
+
+uint64_t AffineTicks(const PackedLinear& linear, const float* input, int stride, int ticks,
+                     float* output) {
+  return HWY_DYNAMIC_DISPATCH(AffineTicksImpl)(linear, input, stride, ticks, output);
+}
+
+void Softmax(float* rows, int count, int stride, int size) {
+  HWY_DYNAMIC_DISPATCH(SoftmaxImpl)(rows, count, stride, size);
+}
+
+void GateHeads(const HeadOutputs& heads, const float* gates, int stride, bool concat,
+               float* merged) {
+  HWY_DYNAMIC_DISPATCH(GateHeadsImpl)(heads, gates, stride, concat, merged);
+}
+
+uint64_t CountBits(const uint32_t* words, int count) {
+  return HWY_DYNAMIC_DISPATCH(CountBitsImpl)(words, count);
 }
 
 void LayerNorm(const float* weight, const float* bias, float* x, int size) {

@@ -39,7 +39,38 @@ void LifBits(const Lif& lif, const float* bias, const Drive& drive, int width, u
 void LifCounts(const Lif& lif, const float* bias, const Drive& drive, int width, float* counts);
 
 // output[lane] = bias + the products with nonzero inputs, inputs ascending; lane < linear.width.
-void Affine(const PackedLinear& linear, const float* input, float* output);
+// Returns the number of products of a nonzero input and a nonzero weight.
+uint64_t Affine(const PackedLinear& linear, const float* input, float* output);
+
+// Affine for `ticks` inputs at once: input [ticks][stride], output [ticks][linear.width], of which
+// lanes from linear.outputs on may be left as they were. For few outputs and inputs that are seldom
+// zero.
+uint64_t AffineTicks(const PackedLinear& linear, const float* input, int stride, int ticks,
+                     float* output);
+
+// The softmax of the first `size` entries of every row [stride], in place; `stride` is a multiple
+// of kLanes, and the other entries of a row are overwritten.
+void Softmax(float* rows, int count, int stride, int size);
+
+// What the heads say about one token: [ticks][heads][head_size].
+struct HeadOutputs {
+  int ticks = 0;
+  int heads = 0;
+  int head_size = 0;
+  const float* y = nullptr;
+
+  const float* at(int tick, int head) const {
+    return y + (static_cast<size_t>(tick) * heads + head) * head_size;
+  }
+};
+
+// merged = mean over ticks of the heads times their gates [ticks][stride], summed [head_size]
+// (eq. 4.11) or side by side [heads * head_size].
+void GateHeads(const HeadOutputs& heads, const float* gates, int stride, bool concat,
+               float* merged);
+
+// Bits set in words[0, count).
+uint64_t CountBits(const uint32_t* words, int count);
 
 // The LayerNorm of core/math, same bits.
 void LayerNorm(const float* weight, const float* bias, float* x, int size);

@@ -47,6 +47,7 @@ PackedLinear Pack(std::initializer_list<const Linear*> linears) {
     }
     const std::vector<uint32_t> nonzero = NonzeroByInput(*linear);
     for (int j = 0; j < packed.inputs; ++j) packed.nonzero[j] += nonzero[j];
+    packed.outputs = lane + outputs;
     lane += PadToLanes(outputs);
   }
   return packed;

@@ -21,7 +21,8 @@ constexpr int PadToLanes(int n) { return (n + kLanes - 1) / kLanes * kLanes; }
 
 struct PackedLinear {
   int inputs = 0;
-  int width = 0;                  // outputs, padded
+  int outputs = 0;                // lanes up to the last one that is not padding
+  int width = 0;                  // all lanes
   std::vector<float> rows;        // [inputs][width]
   std::vector<float> bias;        // [width]
   std::vector<uint32_t> nonzero;  // [inputs]: nonzero weights an input meets

@@ -1,7 +1,6 @@
 #include "core/engine/streaming_engine.h"
 
 #include <algorithm>
-#include <bit>
 #include <utility>
 
 #include "core/engine/attention_cache.h"
@@ -100,16 +99,9 @@ class TokenPass {
                                         : packed_.embed_action;
   }
 
-  void CountMultiplies(const PackedLinear& linear, const float* input) {
-    for (int j = 0; j < linear.inputs; ++j) {
-      if (input[j] != 0.0f) counts_.multiply_accumulates += linear.nonzero[j];
-    }
-  }
-
   void Affine(const PackedLinear& linear, const float* input, std::vector<float>& output) {
     output.resize(linear.width);
-    kernels::Affine(linear, input, output.data());
-    CountMultiplies(linear, input);
+    counts_.multiply_accumulates += kernels::Affine(linear, input, output.data());
   }
 
   void Embed(absl::Span<const float> input) {
@@ -136,8 +128,8 @@ class TokenPass {
     const PackedLayer& packed = packed_.layers[layer];
     AttentionCache& cache = context_.caches[layer];
     Code(weights.coder, 2 * layer, Stage::kCoder);
-    Project(packed, needs_output);
-    cache.Store(scratch_.keys.data(), scratch_.values.data(), slot);
+    const uint64_t value_spikes = Project(packed, needs_output);
+    cache.Store(scratch_.keys.data(), scratch_.values.data(), value_spikes, slot);
     if (!needs_output) return;
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
     counts_.attention_products += cache.ValueSpikes(context_.band);
@@ -151,7 +143,8 @@ class TokenPass {
   }
 
   // Keys, values and, where the token's output is read, queries: LIF(W [R || P] + b).
-  void Project(const PackedLayer& packed, bool needs_query) {
+  // Returns the number of value spikes.
+  uint64_t Project(const PackedLayer& packed, bool needs_query) {
     const PackedLinear& linear = packed.key_value_query;
     const int section = PadToLanes(config_.hidden_size);
     const int width = needs_query ? 3 * section : 2 * section;
@@ -159,12 +152,14 @@ class TokenPass {
     const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, width, /*with_phase=*/true);
     kernels::LifBits(lif_, linear.bias.data(), drive, width, scratch_.bits.data());
     counts_.spikes(Stage::kKey) += TakeSection(width, 0, scratch_.keys);
-    counts_.spikes(Stage::kValue) += TakeSection(width, section, scratch_.values);
+    const uint64_t value_spikes = TakeSection(width, section, scratch_.values);
+    counts_.spikes(Stage::kValue) += value_spikes;
     if (needs_query)
       counts_.spikes(Stage::kQuery) += TakeSection(width, 2 * section, scratch_.query);
     counts_.accumulates += scratch_.spikes.Products(linear.nonzero, /*with_phase=*/true);
     if (!needs_query)
       counts_.accumulates -= scratch_.spikes.Products(packed.nonzero_query, /*with_phase=*/true);
+    return value_spikes;
   }
 
   // Cuts the d bits from `first` on of every tick into heads, [T][H][W]; returns the number of
@@ -173,18 +168,16 @@ class TokenPass {
     const int size = config_.head_size();
     const int words = (size + 31) / 32;
     heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
-    uint64_t spikes = 0;
     uint32_t* out = heads.data();
     for (int tick = 0; tick < config_.ticks; ++tick) {
       const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * width / kLanes;
       for (int head = 0; head < config_.heads; ++head) {
         for (int k = 0; k < size; k += 32) {
-          *out = TakeBits(row, first + head * size + k, std::min(32, size - k));
-          spikes += std::popcount(*out++);
+          *out++ = TakeBits(row, first + head * size + k, std::min(32, size - k));
         }
       }
     }
-    return spikes;
+    return kernels::CountBits(heads.data(), static_cast<int>(heads.size()));
   }
 
   // `count` (1 to 32) bits of `row` from bit `first` on.
@@ -197,48 +190,39 @@ class TokenPass {
 
   // mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or side by side.
   void Merge(const PackedLayer& packed) {
-    const int size = config_.head_size();
-    const bool concat = config_.merge == Merge::kConcat;
-    scratch_.merged.assign(config_.merged_size(), 0.0f);
-    float routed[ModelLimits::kHiddenSize];
-    for (int tick = 0; tick < config_.ticks; ++tick) {
-      const float* u = scratch_.y.data() + static_cast<size_t>(tick) * config_.hidden_size;
-      Gates(packed, u);
-      std::fill_n(routed, scratch_.merged.size(), 0.0f);
-      for (int head = 0; head < config_.heads; ++head) {
-        float* out = concat ? routed + head * size : routed;
-        for (int k = 0; k < size; ++k) out[k] += scratch_.gates[head] * u[head * size + k];
-      }
-      for (size_t k = 0; k < scratch_.merged.size(); ++k) scratch_.merged[k] += routed[k];
+    const int stride = PadToLanes(config_.heads);
+    scratch_.gates.resize(static_cast<size_t>(config_.ticks) * stride);
+    if (config_.has_routing()) {
+      Route(packed, stride);
+    } else {
+      const bool concat = config_.merge == Merge::kConcat;
+      scratch_.gates.assign(scratch_.gates.size(),
+                            concat ? 1.0f : 1.0f / static_cast<float>(config_.heads));
     }
-    for (float& value : scratch_.merged) value /= static_cast<float>(config_.ticks);
+    scratch_.merged.resize(config_.merged_size());
+    kernels::GateHeads({config_.ticks, config_.heads, config_.head_size(), scratch_.y.data()},
+                       scratch_.gates.data(), stride, config_.merge == Merge::kConcat,
+                       scratch_.merged.data());
   }
 
-  void Gates(const PackedLayer& packed, const float* u) {
-    const auto heads = static_cast<float>(config_.heads);
-    std::vector<float>& gates = scratch_.gates;
-    if (!config_.has_routing()) {
-      gates.assign(config_.heads, config_.merge == Merge::kConcat ? 1.0f : 1.0f / heads);
-      return;
-    }
-    Affine(packed.routing_hidden, u, scratch_.routing);
+  // The gates of all ticks, [T][stride].
+  void Route(const PackedLayer& packed, int stride) {
+    const PackedLinear& hidden = packed.routing_hidden;
+    scratch_.routing.resize(static_cast<size_t>(config_.ticks) * hidden.width);
+    counts_.multiply_accumulates += kernels::AffineTicks(
+        hidden, scratch_.y.data(), config_.hidden_size, config_.ticks, scratch_.routing.data());
     for (float& h : scratch_.routing) h = h > 0.0f ? h : 0.0f;
-    Affine(packed.routing_gate, scratch_.routing.data(), gates);
-    gates.resize(config_.heads);
+    counts_.multiply_accumulates +=
+        kernels::AffineTicks(packed.routing_gate, scratch_.routing.data(), hidden.width,
+                             config_.ticks, scratch_.gates.data());
     if (config_.gate == Gate::kSigmoid) {
-      for (float& gate : gates) gate = Sigmoid(gate);
+      for (float& gate : scratch_.gates) gate = Sigmoid(gate);
       return;
     }
-    const float best = *std::max_element(gates.begin(), gates.end());
-    float sum = 0.0f;
-    for (float& gate : gates) {
-      gate = Exp(gate - best);
-      sum += gate;
-    }
-    for (float& gate : gates) {
-      gate /= sum;
-      if (config_.merge == Merge::kConcat) gate *= heads;
-    }
+    kernels::Softmax(scratch_.gates.data(), config_.ticks, stride, config_.heads);
+    if (config_.merge != Merge::kConcat) return;
+    for (float& gate : scratch_.gates)
+      gate *= static_cast<float>(config_.heads);  // so that uniform gates are 1
   }
 
   // x <- LayerNorm(x + W2 (spike count / T) + b2).

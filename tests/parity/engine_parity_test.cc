@@ -113,7 +113,7 @@ std::vector<Shape> Shapes() {
   add("ThreeLayers", Small(24, 3, 3, 4, 3));
   add("ContextOne", Small(16, 2, 2, 4, 1));
   add("ManyTicks", Small(16, 2, 2, 37, 4));
-  add("OneTick", Small(16, 4, 2, 1, 4));
+  add("OneTick", Small(16, 4, 2, 1, 4)).config.threshold = 0.3f;
   add("OneHead", Small(20, 1, 2, 5, 6));
   add("OddHeads", Small(35, 5, 2, 6, 7));
   add("WideHeads", Small(80, 2, 2, 4, 4)).steps = 16;
