@@ -1,5 +1,6 @@
 #include "core/model/policy.h"
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
@@ -34,12 +35,12 @@ absl::Status CheckTensor(const TensorSlot& slot) {
   const Tensor& tensor = *slot.tensor;
   if (!HasShape(tensor, slot.shape)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("tensor ", slot.name, ": expected shape ", ShapeText(slot.shape), ", got ",
-                     ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
+        absl::StrCat("tensor ", Quoted(slot.name), ": expected shape ", ShapeText(slot.shape),
+                     ", got ", ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
   }
   for (size_t i = 0; i < tensor.values.size(); ++i) {
     if (std::isfinite(tensor.values[i])) continue;
-    return absl::InvalidArgumentError(absl::StrCat("tensor ", slot.name,
+    return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(slot.name),
                                                    ": expected finite numbers, got ",
                                                    tensor.values[i], " at index ", i));
   }
@@ -75,7 +76,7 @@ absl::Status CheckWeights(const Policy& policy) {
   }
   if (policy.observation_size() < 1) {
     return absl::InvalidArgumentError(
-        "tensor observation.mean: expected at least one value, got 0");
+        "tensor \"observation.mean\": expected at least one value, got 0");
   }
   // The slots are only read here, and the number of layers is right, so nothing is resized.
   for (const TensorSlot& slot :
@@ -84,7 +85,7 @@ absl::Status CheckWeights(const Policy& policy) {
     if (absl::Status status = CheckTensor(slot); !status.ok()) return status;
   }
   for (size_t i = 0; i < weights.observation_std.values.size(); ++i) {
-    absl::Status status = CheckPositive(absl::StrCat("tensor observation.std: index ", i),
+    absl::Status status = CheckPositive(absl::StrCat("tensor \"observation.std\" at index ", i),
                                         weights.observation_std.values[i]);
     if (!status.ok()) return status;
   }

@@ -1,0 +1,74 @@
+#include "core/model/policy_file.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/model/json.h"
+#include "core/model/policy_metadata.h"
+#include "core/model/safetensors.h"
+
+namespace spikeserve {
+namespace {
+
+// The observation's length is whatever observation.mean says; 0 if there is no such tensor.
+int ObservationSize(const Safetensors& contents) {
+  const auto found = contents.tensors.find("observation.mean");
+  return found == contents.tensors.end() ? 0 : static_cast<int>(found->second.values.size());
+}
+
+// Moves every tensor to its place. Shapes and numbers are for Policy::Validate.
+absl::Status TakeTensors(Safetensors& contents, Policy* policy) {
+  const int observation_size = ObservationSize(contents);
+  for (const TensorSlot& slot : TensorSlots(policy->config, observation_size,
+                                            policy->action_space.size(), &policy->weights)) {
+    auto node = contents.tensors.extract(slot.name);
+    if (node.empty()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("tensor ", Quoted(slot.name), ": expected, but missing"));
+    }
+    *slot.tensor = std::move(node.mapped());
+  }
+  if (contents.tensors.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(contents.tensors.begin()->first),
+                                                 ": not expected in a policy of mode ",
+                                                 std::string(ToString(policy->config.mode))));
+}
+
+absl::StatusOr<Policy> Read(const std::string& path) {
+  absl::StatusOr<Safetensors> contents = ReadSafetensors(path);
+  if (!contents.ok()) return contents.status();
+  Policy policy;
+  absl::Status status = ParsePolicyMetadata(contents->metadata, &policy);
+  // Before the sizes in the config make anything grow.
+  if (status.ok()) status = policy.config.Validate();
+  if (status.ok()) status = policy.action_space.Validate();
+  if (status.ok()) status = TakeTensors(*contents, &policy);
+  if (status.ok()) status = policy.Validate();
+  if (!status.ok()) return status;
+  return policy;
+}
+
+absl::Status WithPath(const std::string& path, const absl::Status& status) {
+  return absl::Status(status.code(), absl::StrCat(path, ": ", status.message()));
+}
+
+}  // namespace
+
+absl::StatusOr<Policy> ReadPolicyFile(const std::string& path) {
+  absl::StatusOr<Policy> policy = Read(path);
+  if (!policy.ok()) return WithPath(path, policy.status());
+  return policy;
+}
+
+absl::Status WritePolicyFile(const Policy& policy, const std::string& path) {
+  if (absl::Status status = policy.Validate(); !status.ok()) return WithPath(path, status);
+  Safetensors contents{.metadata = FormatPolicyMetadata(policy), .tensors = {}};
+  Weights weights = policy.weights;
+  for (const TensorSlot& slot : TensorSlots(policy.config, policy.observation_size(),
+                                            policy.action_space.size(), &weights)) {
+    contents.tensors[slot.name] = std::move(*slot.tensor);
+  }
+  return WriteSafetensors(contents, path);
+}
+
+}  // namespace spikeserve

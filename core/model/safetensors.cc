@@ -1,0 +1,259 @@
+#include "core/model/safetensors.h"
+
+#include <algorithm>
+#include <bit>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <system_error>
+#include <tuple>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "core/model/atomic_file.h"
+#include "core/model/json.h"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::json;
+
+static_assert(std::endian::native == std::endian::little, "the file's byte order is the machine's");
+
+constexpr char kMetadataKey[] = "__metadata__";
+constexpr uint64_t kPrefixBytes = sizeof(uint64_t);
+
+// Where one tensor lies in the data section.
+struct Entry {
+  std::string name;
+  std::vector<int> shape;
+  uint64_t begin = 0;  // bytes
+  uint64_t end = 0;
+};
+
+absl::Status TensorError(absl::string_view name, absl::string_view expected,
+                         absl::string_view received) {
+  return absl::InvalidArgumentError(
+      absl::StrCat("tensor ", Quoted(name), ": expected ", expected, ", got ", received));
+}
+
+absl::StatusOr<uint64_t> FileSize(const std::string& path) {
+  std::error_code error;
+  const std::filesystem::file_status file = std::filesystem::status(path, error);
+  if (file.type() == std::filesystem::file_type::not_found) {
+    return absl::NotFoundError("no such file");
+  }
+  if (error) return absl::InvalidArgumentError(error.message());
+  if (!std::filesystem::is_regular_file(file)) {
+    return absl::InvalidArgumentError("expected a regular file, got something else");
+  }
+  const uint64_t size = std::filesystem::file_size(path, error);
+  if (error) return absl::InvalidArgumentError(error.message());
+  if (size < kPrefixBytes || size > kMaxSafetensorsFileBytes) {
+    return absl::InvalidArgumentError(absl::StrCat("file size: expected ", kPrefixBytes, " to ",
+                                                   kMaxSafetensorsFileBytes, " bytes, got ", size));
+  }
+  return size;
+}
+
+absl::Status ReadBytes(std::ifstream& file, uint64_t size, void* bytes) {
+  file.read(static_cast<char*>(bytes), static_cast<std::streamsize>(size));
+  if (file) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("cannot read: expected ", size, " bytes more, got ", file.gcount()));
+}
+
+absl::StatusOr<std::string> ReadHeader(std::ifstream& file, uint64_t file_size) {
+  uint64_t size = 0;
+  if (absl::Status status = ReadBytes(file, kPrefixBytes, &size); !status.ok()) return status;
+  const uint64_t limit = std::min(kMaxSafetensorsHeaderBytes, file_size - kPrefixBytes);
+  if (size > limit) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("header length: expected at most ", limit, " bytes, got ", size));
+  }
+  std::string header(size, '\0');
+  if (absl::Status status = ReadBytes(file, size, header.data()); !status.ok()) return status;
+  if (header.empty() || header.front() != '{') {
+    return absl::InvalidArgumentError(absl::StrCat("header: expected it to begin with \"{\", got ",
+                                                   Quoted(absl::string_view(header).substr(0, 1))));
+  }
+  // The JSON parser would let any white space pass here.
+  const size_t last = header.find_last_not_of(' ');
+  if (header[last] != '}') {
+    return absl::InvalidArgumentError(
+        absl::StrCat("header: expected \"}\" and then only spaces at its end, got ",
+                     Quoted(absl::string_view(header).substr(last, 1))));
+  }
+  return header;
+}
+
+absl::StatusOr<std::map<std::string, std::string>> ParseMetadata(const json& header) {
+  std::map<std::string, std::string> metadata;
+  const auto found = header.find(kMetadataKey);
+  if (found == header.end()) return metadata;
+  if (!found->is_object()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(kMetadataKey, ": expected an object, got ", Describe(*found)));
+  }
+  for (const auto& [key, value] : found->items()) {
+    if (!value.is_string()) {
+      return absl::InvalidArgumentError(absl::StrCat(kMetadataKey, ": ", Quoted(key),
+                                                     ": expected a string, got ", Describe(value)));
+    }
+    metadata[key] = value.get<std::string>();
+  }
+  return metadata;
+}
+
+absl::Status ParseShape(const json& shape, Entry* entry) {
+  constexpr int kLongest = std::numeric_limits<int>::max();
+  if (!shape.is_array()) return TensorError(entry->name, "a shape", Describe(shape));
+  for (const json& length : shape) {
+    if (!length.is_number_unsigned() || length.get<uint64_t>() > kLongest) {
+      return TensorError(entry->name, absl::StrCat("lengths from 0 to ", kLongest, " in its shape"),
+                         Describe(length));
+    }
+    entry->shape.push_back(length.get<int>());
+  }
+  return absl::OkStatus();
+}
+
+// The bytes a tensor of this shape takes, or one more than `limit` if they are more.
+uint64_t SizeInBytes(const std::vector<int>& shape, uint64_t limit) {
+  if (std::find(shape.begin(), shape.end(), 0) != shape.end()) return 0;
+  uint64_t size = sizeof(float);
+  for (const int length : shape) {
+    if (size > limit / static_cast<uint64_t>(length)) return limit + 1;
+    size *= static_cast<uint64_t>(length);
+  }
+  return size;
+}
+
+absl::Status ParseOffsets(const json& offsets, uint64_t data_size, Entry* entry) {
+  if (!offsets.is_array() || offsets.size() != 2 || !offsets[0].is_number_unsigned() ||
+      !offsets[1].is_number_unsigned()) {
+    return TensorError(entry->name, "data_offsets [begin, end]", Describe(offsets));
+  }
+  entry->begin = offsets[0].get<uint64_t>();
+  entry->end = offsets[1].get<uint64_t>();
+  if (entry->begin > entry->end || entry->end > data_size) {
+    return TensorError(entry->name, absl::StrCat("data_offsets with begin <= end <= ", data_size),
+                       absl::StrCat("[", entry->begin, ", ", entry->end, "]"));
+  }
+  const uint64_t size = SizeInBytes(entry->shape, data_size);
+  if (size > data_size) {
+    return TensorError(entry->name, absl::StrCat("at most ", data_size, " bytes"),
+                       "a shape that takes more");
+  }
+  if (entry->end - entry->begin == size) return absl::OkStatus();
+  return TensorError(entry->name, absl::StrCat(size, " bytes as its shape says"),
+                     absl::StrCat("data_offsets of ", entry->end - entry->begin));
+}
+
+absl::StatusOr<Entry> ParseEntry(const std::string& name, const json& value, uint64_t data_size) {
+  if (!value.is_object()) return TensorError(name, "an object", Describe(value));
+  for (const char* key : {"dtype", "shape", "data_offsets"}) {
+    if (!value.contains(key)) return TensorError(name, absl::StrCat("a ", key), "none");
+  }
+  for (const auto& item : value.items()) {
+    if (item.key() == "dtype" || item.key() == "shape" || item.key() == "data_offsets") continue;
+    return TensorError(name, "dtype, shape and data_offsets", Quoted(item.key()));
+  }
+  if (value["dtype"] != "F32") {
+    return TensorError(name, "dtype \"F32\"", Describe(value["dtype"]));
+  }
+  Entry entry;
+  entry.name = name;
+  absl::Status status = ParseShape(value["shape"], &entry);
+  if (status.ok()) status = ParseOffsets(value["data_offsets"], data_size, &entry);
+  if (!status.ok()) return status;
+  return entry;
+}
+
+// The tensors in the order of their data, which they cover without overlap, hole or rest.
+absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t data_size) {
+  std::vector<Entry> entries;
+  for (const auto& [name, value] : header.items()) {
+    if (name == kMetadataKey) continue;
+    absl::StatusOr<Entry> entry = ParseEntry(name, value, data_size);
+    if (!entry.ok()) return entry.status();
+    entries.push_back(*std::move(entry));
+  }
+  std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
+    return std::tie(a.begin, a.end) < std::tie(b.begin, b.end);
+  });
+  uint64_t covered = 0;
+  for (const Entry& entry : entries) {
+    if (entry.begin != covered) {
+      return TensorError(
+          entry.name, absl::StrCat("its data to begin where the one before ends, at ", covered),
+          absl::StrCat(entry.begin, entry.begin < covered ? " (an overlap)" : " (a hole)"));
+    }
+    covered = entry.end;
+  }
+  if (covered != data_size) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("data: expected the ", covered, " bytes of its tensors, got ", data_size));
+  }
+  return entries;
+}
+
+}  // namespace
+
+absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path) {
+  const absl::StatusOr<uint64_t> file_size = FileSize(path);
+  if (!file_size.ok()) return file_size.status();
+  std::ifstream file(path, std::ios::binary);
+  if (!file)
+    return absl::InvalidArgumentError(
+        absl::StrCat("cannot open: ", std::generic_category().message(errno)));
+  const absl::StatusOr<std::string> text = ReadHeader(file, *file_size);
+  if (!text.ok()) return text.status();
+  const absl::StatusOr<json> header = ParseJsonObject("header", *text);
+  if (!header.ok()) return header.status();
+  auto metadata = ParseMetadata(*header);
+  if (!metadata.ok()) return metadata.status();
+  const auto entries = ParseEntries(*header, *file_size - kPrefixBytes - text->size());
+  if (!entries.ok()) return entries.status();
+
+  Safetensors contents{.metadata = *std::move(metadata), .tensors = {}};
+  for (const Entry& entry : *entries) {
+    Tensor& tensor = contents.tensors[entry.name];
+    tensor = Tensor::Zeros(entry.shape);
+    absl::Status status = ReadBytes(file, entry.end - entry.begin, tensor.values.data());
+    if (!status.ok()) return status;
+  }
+  return contents;
+}
+
+absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path) {
+  nlohmann::ordered_json header = nlohmann::ordered_json::object();
+  if (!contents.metadata.empty()) header[kMetadataKey] = contents.metadata;
+  std::vector<absl::string_view> pieces(2);  // the prefix and the header, known only at the end
+  uint64_t offset = 0;
+  for (const auto& [name, tensor] : contents.tensors) {
+    const uint64_t size = tensor.values.size() * sizeof(float);
+    header[name] = {
+        {"dtype", "F32"}, {"shape", tensor.shape}, {"data_offsets", {offset, offset + size}}};
+    pieces.emplace_back(reinterpret_cast<const char*>(tensor.values.data()), size);
+    offset += size;
+  }
+  std::string text;
+  try {
+    text = header.dump();
+  } catch (const json::exception&) {  // the one thing dump() throws for
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": expected names and metadata in UTF-8, got other bytes"));
+  }
+  text.resize((text.size() + kPrefixBytes - 1) / kPrefixBytes * kPrefixBytes, ' ');
+  const uint64_t text_size = text.size();
+  char prefix[kPrefixBytes];
+  std::memcpy(prefix, &text_size, kPrefixBytes);
+  pieces[0] = absl::string_view(prefix, kPrefixBytes);
+  pieces[1] = text;
+  return WriteFileAtomically(path, pieces);
+}
+
+}  // namespace spikeserve
