@@ -18,6 +18,7 @@ namespace spikeserve {
 // Which slots of the ring hold a token inside the band; the same for every layer.
 class AttentionBand {
  public:
+  AttentionBand() = default;
   explicit AttentionBand(const ModelConfig& config);
 
   // Moves the band on to `timestep`: the tokens of timestep - N leave it.
@@ -28,7 +29,7 @@ class AttentionBand {
   const std::vector<uint32_t>& valid() const { return valid_; }  // [slots / 32], bits
 
  private:
-  int context_;
+  int context_ = 0;
   std::vector<uint32_t> valid_;
 };
 

@@ -26,10 +26,17 @@ class StreamingContext : public Engine::Context {
   Counts action_counts;                // of the last action token, borne by the next decision
 };
 
+// A token on its way through the layers.
+struct NewToken {
+  TokenKind kind = TokenKind::kReturn;
+  std::vector<float> x;  // [pad(d)]
+  AttentionBand band;    // what it may attend to: the band up to and with itself
+};
+
 // Buffers of a running computation; nothing in them outlives a call.
 struct Scratch {
+  std::vector<NewToken> tokens;
   std::vector<float> input;    // a token's embedding input
-  std::vector<float> x;        // [pad(d)] per new token
   SpikeInput spikes;           // into the population at hand
   std::vector<uint32_t> bits;  // [T][3 pad(d) / 32]: keys, values, queries
   std::vector<uint32_t> keys;  // [T][H][W]
@@ -66,16 +73,27 @@ class TokenPass {
   // Emitted once a timestep, whoever hears them.
   void CountPhase() { counts_.spikes(Stage::kPhase) += scratch_.spikes.phase_spikes(); }
 
-  // Takes a token through all layers; input is what its embedding takes. The result is in x().
-  void Run(TokenKind kind, absl::Span<const float> input) {
-    kind_ = kind;
-    Embed(input);
-    const int slot = context_.band.Slot(context_.timestep, kind);
-    context_.band.Add(slot);
+  // Takes in the next token of the timestep; `input` is what its embedding takes.
+  void Add(TokenKind kind, absl::Span<const float> input) {
+    context_.band.Add(context_.band.Slot(context_.timestep, kind));
+    if (scratch_.tokens.size() <= token_count_) scratch_.tokens.resize(token_count_ + 1);
+    token_ = &scratch_.tokens[token_count_++];
+    token_->kind = kind;
+    token_->band = context_.band;
+    Affine(PackedEmbedding(), input.data(), token_->x);
+    Normalize(EmbeddingOf(policy_.weights, kind).norm);
+  }
+
+  // Takes the tokens through all layers, layer by layer, so that a layer's weights are fetched once
+  // for all of them.
+  void Run() {
     for (int layer = 0; layer < config_.layers; ++layer) {
-      // Nobody reads the other tokens' output of the last layer.
-      const bool needs_output = layer + 1 < config_.layers || kind == TokenKind::kState;
-      Layer(layer, slot, needs_output);
+      for (size_t i = 0; i < token_count_; ++i) {
+        token_ = &scratch_.tokens[i];
+        // Nobody reads the other tokens' output of the last layer.
+        Layer(layer,
+              /*needs_output=*/layer + 1 < config_.layers || token_->kind == TokenKind::kState);
+      }
     }
   }
 
@@ -91,22 +109,17 @@ class TokenPass {
   }
 
  private:
-  float* x() { return scratch_.x.data(); }
+  float* x() { return token_->x.data(); }
 
   const PackedLinear& PackedEmbedding() const {
-    return kind_ == TokenKind::kReturn  ? packed_.embed_return
-           : kind_ == TokenKind::kState ? packed_.embed_state
-                                        : packed_.embed_action;
+    return token_->kind == TokenKind::kReturn  ? packed_.embed_return
+           : token_->kind == TokenKind::kState ? packed_.embed_state
+                                               : packed_.embed_action;
   }
 
   void Affine(const PackedLinear& linear, const float* input, std::vector<float>& output) {
     output.resize(linear.width);
     counts_.multiply_accumulates += kernels::Affine(linear, input, output.data());
-  }
-
-  void Embed(absl::Span<const float> input) {
-    Affine(PackedEmbedding(), input.data(), scratch_.x);
-    Normalize(EmbeddingOf(policy_.weights, kind_).norm);
   }
 
   void Normalize(const Norm& norm) {
@@ -117,25 +130,26 @@ class TokenPass {
   void Code(const Coder& coder, int site, Stage stage) {
     const BernoulliKey key = {.seed = context_.seed,
                               .timestep = context_.timestep,
-                              .token = static_cast<int>(kind_),
+                              .token = static_cast<int>(token_->kind),
                               .site = site};
     scratch_.spikes.Code(config_, coder, x(), key);
     counts_.spikes(stage) += scratch_.spikes.total();
   }
 
-  void Layer(int layer, int slot, bool needs_output) {
+  void Layer(int layer, bool needs_output) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const PackedLayer& packed = packed_.layers[layer];
     AttentionCache& cache = context_.caches[layer];
     Code(weights.coder, 2 * layer, Stage::kCoder);
     const uint64_t value_spikes = Project(packed, needs_output);
-    cache.Store(scratch_.keys.data(), scratch_.values.data(), value_spikes, slot);
+    cache.Store(scratch_.keys.data(), scratch_.values.data(), value_spikes,
+                token_->band.Slot(context_.timestep, token_->kind));
     if (!needs_output) return;
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
-    counts_.attention_products += cache.ValueSpikes(context_.band);
-    counts_.attention_products += kernels::Attend(
-        cache.Window(context_.band), scratch_.query.data(), packed.attention_weight.data(),
-        weights.scale.values.data(), scratch_.y.data());
+    counts_.attention_products += cache.ValueSpikes(token_->band);
+    counts_.attention_products += kernels::Attend(cache.Window(token_->band), scratch_.query.data(),
+                                                  packed.attention_weight.data(),
+                                                  weights.scale.values.data(), scratch_.y.data());
     Merge(packed);
     Affine(packed.attention_output, scratch_.merged.data(), scratch_.update);
     AddResidual(weights.attention_norm);
@@ -256,7 +270,8 @@ class TokenPass {
   StreamingContext& context_;
   Counts& counts_;
   Scratch& scratch_;
-  TokenKind kind_ = TokenKind::kReturn;
+  size_t token_count_ = 0;
+  NewToken* token_ = nullptr;  // the one at hand
 };
 
 }  // namespace
@@ -277,20 +292,22 @@ void StreamingEngine::Decide(Context& context, float return_to_go,
   TokenPass pass(*policy_, packed_, streaming, output->counts);
   pass.CountPhase();
   const float standard_return = StandardizeReturn(*policy_, return_to_go);
-  pass.Run(TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
+  pass.Add(TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
   std::vector<float>& input = ThreadScratch().input;
   input.assign(observation.begin(), observation.end());
   for (size_t i = 0; i < input.size(); ++i) {
     input[i] = StandardizeObservation(*policy_, input[i], static_cast<int>(i));
   }
-  pass.Run(TokenKind::kState, input);
+  pass.Add(TokenKind::kState, input);
+  pass.Run();
   pass.Readout(&output->readout);
 }
 
 void StreamingEngine::AppendAction(Context& context, absl::Span<const float> encoded_action) const {
   auto& streaming = static_cast<StreamingContext&>(context);
   TokenPass pass(*policy_, packed_, streaming, streaming.action_counts);
-  pass.Run(TokenKind::kAction, encoded_action);
+  pass.Add(TokenKind::kAction, encoded_action);
+  pass.Run();
   ++streaming.timestep;
 }
 
