@@ -1,0 +1,160 @@
+#include "client/client.h"
+
+#include <grpcpp/client_context.h>
+#include <grpcpp/create_channel.h>
+#include <grpcpp/security/credentials.h>
+#include <grpcpp/support/channel_arguments.h>
+
+#include <utility>
+
+#include "absl/memory/memory.h"
+#include "absl/strings/str_cat.h"
+#include "client/status.h"
+
+namespace spikeserve {
+
+absl::Status ClientOptions::Validate() const {
+  if (call_timeout <= absl::ZeroDuration()) {
+    return absl::InvalidArgumentError(absl::StrCat("call_timeout: expected more than 0, got ",
+                                                   absl::FormatDuration(call_timeout)));
+  }
+  return retry.Validate();
+}
+
+absl::StatusOr<std::unique_ptr<Client>> Client::Create(const std::string& server,
+                                                       ClientOptions options) {
+  grpc::ChannelArguments arguments;
+  // Otherwise all channels to one server share a connection.
+  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  // A server that was restarted is found again within a second, not gRPC's two minutes.
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);
+  return Create(grpc::CreateCustomChannel(server, grpc::InsecureChannelCredentials(), arguments),
+                std::move(options));
+}
+
+absl::StatusOr<std::unique_ptr<Client>> Client::Create(std::shared_ptr<grpc::Channel> channel,
+                                                       ClientOptions options) {
+  if (absl::Status status = options.Validate(); !status.ok()) return status;
+  return absl::WrapUnique(new Client(std::move(channel), std::move(options)));
+}
+
+Client::Client(std::shared_ptr<grpc::Channel> channel, ClientOptions options)
+    : channel_(std::move(channel)),
+      stub_(v1::PolicyService::NewStub(channel_)),
+      options_(std::move(options)) {}
+
+template <typename Request, typename Response>
+absl::Status Client::CallOnce(grpc::Status (v1::PolicyService::Stub::*method)(grpc::ClientContext*,
+                                                                              const Request&,
+                                                                              Response*),
+                              const Request& request, Response* response) {
+  grpc::ClientContext context;
+  context.set_deadline(absl::ToChronoTime(absl::Now() + options_.call_timeout));
+  return StatusFromGrpc(((*stub_).*method)(&context, request, response));
+}
+
+template <typename Request, typename Response>
+absl::StatusOr<Response> Client::Call(grpc::Status (v1::PolicyService::Stub::*method)(
+                                          grpc::ClientContext*, const Request&, Response*),
+                                      const Request& request, const std::string& key) {
+  Response response;
+  const absl::Status status =
+      CallWithRetries(options_.retry, key, [&] { return CallOnce(method, request, &response); });
+  if (!status.ok()) return status;
+  return response;
+}
+
+absl::Status Client::WaitForConnected(absl::Duration timeout) {
+  if (channel_->WaitForConnected(absl::ToChronoTime(absl::Now() + timeout))) {
+    return absl::OkStatus();
+  }
+  return absl::UnavailableError(
+      absl::StrCat("no server could be reached within ", absl::FormatDuration(timeout)));
+}
+
+absl::StatusOr<v1::ListPoliciesResponse> Client::ListPolicies() {
+  return Call(&v1::PolicyService::Stub::ListPolicies, v1::ListPoliciesRequest(), "ListPolicies");
+}
+
+absl::StatusOr<v1::OpenSessionResponse> Client::OpenSession(const v1::OpenSessionRequest& request) {
+  return Call(&v1::PolicyService::Stub::OpenSession, request, request.policy());
+}
+
+absl::StatusOr<v1::ActResponse> Client::Act(const v1::ActRequest& request) {
+  return Call(&v1::PolicyService::Stub::Act, request, request.session_id());
+}
+
+void Client::ActAsync(const v1::ActRequest& request,
+                      std::function<void(absl::StatusOr<v1::ActResponse>)> done) {
+  struct PendingCall {
+    grpc::ClientContext context;
+    v1::ActRequest request;
+    v1::ActResponse response;
+  };
+  auto call = std::make_shared<PendingCall>();
+  call->context.set_deadline(absl::ToChronoTime(absl::Now() + options_.call_timeout));
+  call->request = request;
+  stub_->async()->Act(&call->context, &call->request, &call->response,
+                      [call, done = std::move(done)](const grpc::Status& status) {
+                        if (status.ok()) {
+                          done(std::move(call->response));
+                        } else {
+                          done(StatusFromGrpc(status));
+                        }
+                      });
+}
+
+absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(
+    absl::Span<const v1::ActRequest> requests) {
+  v1::ActBatchRequest batch;
+  batch.mutable_requests()->Add(requests.begin(), requests.end());
+  absl::StatusOr<v1::ActBatchResponse> answer =
+      Call(&v1::PolicyService::Stub::ActBatch, batch,
+           requests.empty() ? std::string() : requests.front().session_id());
+  if (!answer.ok()) return answer.status();
+  if (answer->results_size() != batch.requests_size()) {
+    return absl::InternalError(absl::StrCat("results: expected ", batch.requests_size(),
+                                            " of them, got ", answer->results_size()));
+  }
+  std::vector<absl::StatusOr<v1::ActResponse>> results;
+  results.reserve(requests.size());
+  for (v1::ActResult& result : *answer->mutable_results()) {
+    if (result.code() == 0) {
+      results.emplace_back(std::move(*result.mutable_response()));
+    } else {
+      results.emplace_back(StatusFromCode(result.code(), result.message()));
+    }
+  }
+  return results;
+}
+
+std::unique_ptr<ActStream> Client::OpenActStream() { return std::make_unique<ActStream>(*stub_); }
+
+absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRequest& request) {
+  v1::EndEpisodeResponse response;
+  absl::Status status = CallOnce(&v1::PolicyService::Stub::EndEpisode, request, &response);
+  if (!status.ok()) return status;
+  return response;
+}
+
+absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id) {
+  v1::GetSessionRequest request;
+  request.set_session_id(session_id);
+  return Call(&v1::PolicyService::Stub::GetSession, request, session_id);
+}
+
+absl::Status Client::CloseSession(const std::string& session_id) {
+  v1::CloseSessionRequest request;
+  request.set_session_id(session_id);
+  v1::CloseSessionResponse response;
+  int attempts = 0;
+  const absl::Status status = CallWithRetries(options_.retry, session_id, [&] {
+    ++attempts;
+    return CallOnce(&v1::PolicyService::Stub::CloseSession, request, &response);
+  });
+  const bool closed_by_lost_attempt = attempts > 1 && absl::IsNotFound(status);
+  return closed_by_lost_attempt ? absl::OkStatus() : status;
+}
+
+}  // namespace spikeserve
