@@ -1,0 +1,166 @@
+#include "server/convert.h"
+
+#include <limits>
+#include <optional>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "nlohmann/json.hpp"
+#include "server/status_map.h"
+
+namespace spikeserve {
+namespace {
+
+// `evaluation.mean_return` of the policy file's training record, where it has one.
+std::optional<double> TrainingReturn(const std::string& training) {
+  const auto json = nlohmann::json::parse(training, /*cb=*/nullptr, /*allow_exceptions=*/false);
+  const auto evaluation = json.is_object() ? json.find("evaluation") : json.end();
+  if (evaluation == json.end() || !evaluation->is_object()) return std::nullopt;
+  const auto mean = evaluation->find("mean_return");
+  if (mean == evaluation->end() || !mean->is_number()) return std::nullopt;
+  return mean->get<double>();
+}
+
+v1::Action ToProto(const Action& action, bool discrete) {
+  v1::Action proto;
+  if (discrete) {
+    proto.set_discrete(action.discrete);
+  } else {
+    proto.mutable_continuous()->mutable_values()->Add(action.continuous.begin(),
+                                                      action.continuous.end());
+  }
+  return proto;
+}
+
+v1::SpikesByStage SpikesToProto(const Counts& counts) {
+  v1::SpikesByStage proto;
+  proto.set_coder(counts.spikes(Stage::kCoder));
+  proto.set_phase(counts.spikes(Stage::kPhase));
+  proto.set_query(counts.spikes(Stage::kQuery));
+  proto.set_key(counts.spikes(Stage::kKey));
+  proto.set_value(counts.spikes(Stage::kValue));
+  proto.set_ffn_in(counts.spikes(Stage::kFfnIn));
+  proto.set_ffn_hidden(counts.spikes(Stage::kFfnHidden));
+  proto.set_readout(counts.spikes(Stage::kReadout));
+  return proto;
+}
+
+v1::DecisionStats StatsToProto(const Answer& answer, bool dense) {
+  const Counts& counts = answer.counts;
+  v1::DecisionStats proto;
+  proto.set_spikes(counts.total_spikes());
+  proto.set_synaptic_operations(counts.synaptic_operations());
+  proto.set_energy_joules(PrimaryEnergy(counts, dense));
+  proto.set_compute_seconds(answer.compute_seconds);
+  *proto.mutable_spikes_by_stage() = SpikesToProto(counts);
+  proto.set_accumulates(counts.accumulates);
+  proto.set_multiply_accumulates(counts.multiply_accumulates);
+  proto.set_attention_products(counts.attention_products);
+  proto.set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
+  return proto;
+}
+
+}  // namespace
+
+absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request) {
+  ActionSelection selection;
+  if (!v1::ActionSelection_IsValid(request.action_selection())) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("action_selection: expected GREEDY or SAMPLE, received ",
+                     static_cast<int>(request.action_selection())));
+  }
+  selection.sample = request.action_selection() == v1::SAMPLE;
+  if (!request.has_temperature()) return selection;
+  if (!selection.sample) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("temperature: expected unset unless action_selection is SAMPLE, received ",
+                     request.temperature()));
+  }
+  // Decisions divide by it in float32, where the smallest doubles are zero.
+  constexpr double kSmallest = std::numeric_limits<float>::min();
+  constexpr double kLargest = std::numeric_limits<float>::max();
+  if (!(request.temperature() >= kSmallest && request.temperature() <= kLargest)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("temperature: expected a finite number above 0 within float32, received ",
+                     request.temperature()));
+  }
+  selection.temperature = static_cast<float>(request.temperature());
+  return selection;
+}
+
+v1::ActionSpace ToProto(const ActionSpace& space) {
+  v1::ActionSpace proto;
+  if (space.is_discrete()) {
+    proto.mutable_discrete()->set_n(space.n);
+  } else {
+    proto.mutable_box()->mutable_low()->Add(space.low.begin(), space.low.end());
+    proto.mutable_box()->mutable_high()->Add(space.high.begin(), space.high.end());
+  }
+  return proto;
+}
+
+v1::PolicyInfo ToProto(const ServedPolicy& served, bool is_default) {
+  const Policy& policy = served.policy();
+  v1::PolicyInfo proto;
+  proto.set_name(served.name);
+  proto.set_version(served.version);
+  proto.set_is_default(is_default);
+  proto.set_observation_size(policy.observation_size());
+  *proto.mutable_action_space() = ToProto(policy.action_space);
+  proto.set_context_length(policy.config.context);
+  proto.set_target_return(static_cast<double>(policy.target_return));
+  if (const auto training_return = TrainingReturn(policy.training)) {
+    proto.set_training_return(*training_return);
+  }
+  proto.set_environment(policy.environment);
+  proto.set_mode(std::string(ToString(policy.config.mode)));
+  return proto;
+}
+
+v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
+  v1::EndEpisodeResponse proto;
+  proto.set_episode_return(summary.episode_return);
+  proto.set_steps(summary.steps);
+  proto.set_spikes(summary.spikes);
+  proto.set_energy_joules(summary.energy_joules);
+  return proto;
+}
+
+v1::GetSessionResponse ToProto(const Session& session) {
+  v1::GetSessionResponse proto;
+  proto.set_session_id(session.id);
+  proto.set_policy(session.options.policy);
+  proto.set_version(session.options.version);
+  proto.set_episode(session.episode);
+  proto.set_step(session.step);
+  proto.set_episode_return(session.episode_return);
+  proto.set_return_to_go(session.return_to_go);
+  proto.set_target_return(session.target_return);
+  proto.set_spikes(session.spikes);
+  proto.set_energy_joules(session.energy_joules);
+  proto.set_decisions(session.decisions);
+  proto.mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
+  return proto;
+}
+
+void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
+             v1::ActResponse* response) {
+  response->set_session_id(session_id);
+  response->set_step(answer.step);
+  *response->mutable_action() = ToProto(answer.action, policy.action_space.is_discrete());
+  response->mutable_action_probabilities()->Add(answer.probabilities.begin(),
+                                                answer.probabilities.end());
+  response->set_return_to_go(static_cast<double>(answer.return_to_go));
+  *response->mutable_stats() = StatsToProto(answer, policy.config.is_dense());
+}
+
+void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
+                  v1::ActResponse* response) {
+  response->Clear();
+  response->set_session_id(request.session_id());
+  response->set_step(request.step());
+  response->mutable_error()->set_code(ToGrpcCode(status.code()));
+  response->mutable_error()->set_message(std::string(status.message()));
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,37 @@
+// Between the wire's messages and core's values. No rules of the game here, only translation.
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef SERVER_CONVERT_H_
+#define SERVER_CONVERT_H_
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/engine/action_head.h"
+#include "core/model/action_space.h"
+#include "core/session/agent_session.h"
+#include "core/session/served_policy.h"
+#include "core/session/session.h"
+#include "spikeserve/v1/policy_service.pb.h"
+
+namespace spikeserve {
+
+// INVALID_ARGUMENT for an unknown selection, or a temperature that is not positive or comes without
+// SAMPLE.
+absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request);
+
+v1::ActionSpace ToProto(const ActionSpace& space);
+v1::PolicyInfo ToProto(const ServedPolicy& served, bool is_default);
+v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary);
+v1::GetSessionResponse ToProto(const Session& session);
+
+// Equal answers give equal bytes. `policy` made the answer.
+void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
+             v1::ActResponse* response);
+
+// A reply on a stream to a request that failed.
+void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
+                  v1::ActResponse* response);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_CONVERT_H_

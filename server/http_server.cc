@@ -1,0 +1,60 @@
+#include "server/http_server.h"
+
+#include <civetweb.h>
+
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+
+absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& listen, Page page) {
+  auto server = std::unique_ptr<HttpServer>(new HttpServer(std::move(page)));
+  const std::string port = listen.ToString();
+  const char* options[] = {"listening_ports",    port.c_str(), "num_threads", "4",
+                           "request_timeout_ms", "10000",      nullptr};
+  mg_callbacks callbacks = {};
+  callbacks.begin_request = &HttpServer::Handle;
+  callbacks.log_message = &HttpServer::Log;
+  server->context_ = mg_start(&callbacks, server.get(), options);
+  mg_server_port bound = {};
+  if (server->context_ == nullptr || mg_get_server_ports(server->context_, 1, &bound) != 1) {
+    return absl::UnavailableError(
+        absl::StrCat("cannot listen on ", port, ": ", server->start_error_));
+  }
+  server->address_ = {.host = listen.host, .port = bound.port};
+  return server;
+}
+
+HttpServer::~HttpServer() {
+  if (context_ != nullptr) mg_stop(context_);
+}
+
+int HttpServer::Log(const mg_connection* connection, const char* message) {
+  // Only the start's errors are ours to report; later ones are about clients that went away.
+  const auto* context = mg_get_context(connection);
+  if (context == nullptr) return 1;
+  auto* server = static_cast<HttpServer*>(mg_get_user_data(context));
+  if (server != nullptr && server->context_ == nullptr) server->start_error_ = message;
+  return 1;
+}
+
+int HttpServer::Handle(mg_connection* connection) {
+  const mg_request_info* request = mg_get_request_info(connection);
+  const auto* server = static_cast<const HttpServer*>(request->user_data);
+  const absl::string_view method = request->request_method;
+  const bool head = method == "HEAD";
+  const HttpResponse response = head || method == "GET"
+                                    ? server->page_(request->local_uri)
+                                    : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+  const std::string header = absl::StrCat(
+      "HTTP/1.1 ", response.code, " ", mg_get_response_code_text(connection, response.code),
+      "\r\nContent-Type: ", response.content_type, "\r\nContent-Length: ", response.body.size(),
+      "\r\nConnection: close\r\n\r\n");
+  mg_write(connection, header.data(), header.size());
+  if (!head) mg_write(connection, response.body.data(), response.body.size());
+  return response.code;  // handled
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,56 @@
+// A small HTTP server for pages that a function writes.
+//
+// Thread-safe.
+#ifndef SERVER_HTTP_SERVER_H_
+#define SERVER_HTTP_SERVER_H_
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "server/address.h"
+
+struct mg_context;
+struct mg_connection;
+
+namespace spikeserve {
+
+struct HttpResponse {
+  int code = 200;
+  std::string content_type = "text/plain; charset=utf-8";
+  std::string body;
+};
+
+class HttpServer {
+ public:
+  // Answers a GET of `path`; called from many threads.
+  using Page = std::function<HttpResponse(absl::string_view path)>;
+
+  // UNAVAILABLE if the address cannot be listened on.
+  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen, Page page);
+
+  // Finishes the answers under way.
+  ~HttpServer();
+  HttpServer(const HttpServer&) = delete;
+  HttpServer& operator=(const HttpServer&) = delete;
+
+  // Where it listens, with the port that was picked.
+  const Address& address() const { return address_; }
+
+ private:
+  explicit HttpServer(Page page) : page_(std::move(page)) {}
+
+  static int Handle(mg_connection* connection);
+  static int Log(const mg_connection* connection, const char* message);
+
+  const Page page_;
+  std::string start_error_;  // what civetweb said last before it was up
+  Address address_;
+  mg_context* context_ = nullptr;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_HTTP_SERVER_H_

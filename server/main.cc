@@ -1,0 +1,80 @@
+// spikeserve: serves spiking policies over gRPC.
+//
+// Prints one line per endpoint on standard output once it serves, logs to standard error, and stops
+// gracefully on SIGTERM or SIGINT.
+#include <pthread.h>
+
+#include <csignal>
+#include <cstdint>
+#include <iostream>
+#include <string>
+#include <vector>
+
+#include "absl/flags/flag.h"
+#include "absl/flags/parse.h"
+#include "absl/flags/usage.h"
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "absl/time/time.h"
+#include "server/options.h"
+#include "server/server.h"
+
+ABSL_FLAG(std::string, policies, "",
+          "Directory of the policies to serve: DIR/<policy>/<version>/policy.safetensors");
+ABSL_FLAG(std::string, listen, spikeserve::ServerOptions().listen,
+          "HOST:PORT for gRPC; port 0 picks a free one");
+ABSL_FLAG(std::string, http_listen, spikeserve::ServerOptions().http_listen,
+          "HOST:PORT for /metrics and /healthz; port 0 picks a free one; empty for none");
+ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
+          "Sessions that nobody used for this long are ended");
+ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
+          "Sessions open at a time");
+ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
+          "How long calls in flight may take to end when the server stops");
+
+namespace spikeserve {
+namespace {
+
+absl::Status Run(const std::vector<char*>& arguments) {
+  if (arguments.size() > 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("expected flags alone, received \"", arguments[1], "\""));
+  }
+  ServerOptions options;
+  options.policies = absl::GetFlag(FLAGS_policies);
+  options.listen = absl::GetFlag(FLAGS_listen);
+  options.http_listen = absl::GetFlag(FLAGS_http_listen);
+  options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
+  options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
+  options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
+
+  // Blocked before there are threads, so that every thread inherits it and sigwait alone takes
+  // them.
+  sigset_t stop_signals;
+  sigemptyset(&stop_signals);
+  sigaddset(&stop_signals, SIGTERM);
+  sigaddset(&stop_signals, SIGINT);
+  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
+
+  const auto server = Server::Start(options);
+  if (!server.ok()) return server.status();
+  std::cout << "spikeserve: serving gRPC on " << (*server)->grpc_address() << std::endl;
+  if (!options.http_listen.empty()) {
+    std::cout << "spikeserve: serving HTTP on " << (*server)->http_address() << std::endl;
+  }
+  int signal = 0;
+  sigwait(&stop_signals, &signal);
+  (*server)->Stop();
+  return absl::OkStatus();
+}
+
+}  // namespace
+}  // namespace spikeserve
+
+int main(int argc, char** argv) {
+  absl::SetProgramUsageMessage("spikeserve --policies=DIR: serves spiking policies over gRPC.");
+  const absl::Status status = spikeserve::Run(absl::ParseCommandLine(argc, argv));
+  if (status.ok()) return 0;
+  std::cerr << "spikeserve: " << status.message() << std::endl;
+  return 1;
+}

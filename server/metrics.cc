@@ -1,0 +1,166 @@
+#include "server/metrics.h"
+
+#include <sstream>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "prometheus/text_serializer.h"
+#include "server/policy_metrics.h"
+
+namespace spikeserve {
+namespace {
+
+using prometheus::BuildCounter;
+using prometheus::BuildGauge;
+using prometheus::BuildHistogram;
+using Buckets = prometheus::Histogram::BucketBoundaries;
+
+Buckets ComputeSeconds() {
+  return {5e-6, 1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2, 0.1};
+}
+
+Buckets RpcSeconds() {
+  Buckets buckets = ComputeSeconds();
+  buckets.insert(buckets.end(), {0.25, 1.0, 2.5, 10.0});
+  return buckets;
+}
+
+Buckets Spikes() { return {10, 25, 50, 100, 200, 350, 500, 1000, 2000, 3500, 5000, 10000, 100000}; }
+
+// Both signs: many tasks pay for time, and their returns are below zero.
+Buckets Returns() {
+  return {-2000, -1000, -500, -300, -200, -150, -120, -100, -90, -80, -70, -60, -50,
+          -20,   0,     20,   50,   100,  200,  300,  400,  450, 490, 500, 1000};
+}
+
+std::string MethodName(Method method) {
+  static constexpr const char* kNames[kMethods] = {"ListPolicies", "OpenSession", "Act",
+                                                   "ActBatch",     "ActStream",   "EndEpisode",
+                                                   "GetSession",   "CloseSession"};
+  return kNames[static_cast<size_t>(method)];
+}
+
+}  // namespace
+
+Metrics::Metrics()
+    : decisions_(BuildCounter()
+                     .Name("spikeserve_decisions_total")
+                     .Help("Decisions computed; a retry is not computed again.")
+                     .Register(registry_)),
+      spikes_per_decision_(BuildHistogram()
+                               .Name("spikeserve_spikes_per_decision")
+                               .Help("Spikes of one decision's new tokens.")
+                               .Register(registry_)),
+      spikes_(BuildCounter()
+                  .Name("spikeserve_spikes_total")
+                  .Help("Spikes emitted, by neuron population.")
+                  .Register(registry_)),
+      synaptic_operations_(
+          BuildCounter()
+              .Name("spikeserve_synaptic_operations_total")
+              .Help("Effective synaptic operations as NeuroBench counts them: accumulate has a "
+                    "binary input, multiply_accumulate an analog one; attention products stand "
+                    "beside them and belong to neither.")
+              .Register(registry_)),
+      energy_(
+          BuildCounter()
+              .Name("spikeserve_energy_joules_total")
+              .Help("Estimated energy, not measured, memory traffic left out. spike_5pj: 5 pJ a "
+                    "spike; horowitz_45nm: 0.9 pJ an accumulate, 4.6 pJ a "
+                    "multiply-accumulate. The models are alternatives: do not add them up.")
+              .Register(registry_)),
+      decision_duration_(BuildHistogram()
+                             .Name("spikeserve_decision_duration_seconds")
+                             .Help("Time to compute one decision, without network or queues.")
+                             .Register(registry_)),
+      sessions_(
+          BuildGauge().Name("spikeserve_sessions").Help("Open sessions.").Register(registry_)),
+      episodes_(BuildCounter()
+                    .Name("spikeserve_episodes_total")
+                    .Help("Episodes ended.")
+                    .Register(registry_)),
+      episode_return_(BuildHistogram()
+                          .Name("spikeserve_episode_return")
+                          .Help("Return of each episode ended, in the environment's units.")
+                          .Register(registry_)),
+      episode_return_mean_(
+          BuildGauge()
+              .Name("spikeserve_episode_return_mean")
+              .Help("Running mean of the return over the episodes ended since the server started.")
+              .Register(registry_)),
+      policy_info_(BuildGauge()
+                       .Name("spikeserve_policy_info")
+                       .Help("1 for every policy version served.")
+                       .Register(registry_)),
+      rpc_duration_(BuildHistogram()
+                        .Name("spikeserve_rpc_duration_seconds")
+                        .Help("Time to handle one call as the server sees it, by method and gRPC "
+                              "status code; for ActStream, one request on the stream.")
+                        .Register(registry_)),
+      reaped_idle_(&BuildCounter()
+                        .Name("spikeserve_sessions_reaped_total")
+                        .Help("Sessions the server ended by itself.")
+                        .Register(registry_)
+                        .Add({{"reason", "idle"}})) {
+  BuildGauge()
+      .Name("spikeserve_build_info")
+      .Help("1 for the version that runs.")
+      .Register(registry_)
+      .Add({{"version", SPIKESERVE_VERSION}})
+      .Set(1);
+}
+
+std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& name,
+                                                            int64_t version, const Policy& policy) {
+  const prometheus::Labels labels = {{"policy", name}, {"version", absl::StrCat(version)}};
+  const auto with = [&](const char* label, absl::string_view value) {
+    prometheus::Labels more = labels;
+    more.emplace(label, value);
+    return more;
+  };
+  prometheus::Labels info = with("environment", policy.environment);
+  const std::string_view mode = ToString(policy.config.mode);
+  info.emplace("mode", mode);
+  policy_info_.Add(info).Set(1);
+
+  PolicyMetrics::Handles handles;
+  handles.decisions = &decisions_.Add(labels);
+  handles.spikes_per_decision = &spikes_per_decision_.Add(labels, Spikes());
+  for (int i = 0; i < kStages; ++i) {
+    const std::string_view stage = ToString(static_cast<Stage>(i));
+    handles.spikes[static_cast<size_t>(i)] =
+        &spikes_.Add(with("stage", {stage.data(), stage.size()}));
+  }
+  handles.accumulates = &synaptic_operations_.Add(with("kind", "accumulate"));
+  handles.multiply_accumulates = &synaptic_operations_.Add(with("kind", "multiply_accumulate"));
+  handles.attention_products = &synaptic_operations_.Add(with("kind", "attention"));
+  handles.spike_5pj = &energy_.Add(with("energy_model", "spike_5pj"));
+  handles.horowitz_45nm = &energy_.Add(with("energy_model", "horowitz_45nm"));
+  handles.decision_duration = &decision_duration_.Add(labels, ComputeSeconds());
+  handles.sessions = &sessions_.Add(labels);
+  handles.episodes = &episodes_.Add(labels);
+  handles.episode_return = &episode_return_.Add(labels, Returns());
+  handles.episode_return_mean = &episode_return_mean_.Add(labels);
+  return std::make_shared<PolicyMetrics>(handles, policy.config.is_dense());
+}
+
+void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {
+  auto& slot = rpc_durations_[static_cast<size_t>(method)][static_cast<size_t>(code)];
+  prometheus::Histogram* histogram = slot.load(std::memory_order_acquire);
+  if (histogram == nullptr) {
+    // Two threads may get here; the family gives both the same histogram. Abseil's names of the
+    // codes are gRPC's.
+    histogram = &rpc_duration_.Add(
+        {{"method", MethodName(method)}, {"code", absl::StatusCodeToString(code)}}, RpcSeconds());
+    slot.store(histogram, std::memory_order_release);
+  }
+  histogram->Observe(absl::ToDoubleSeconds(duration));
+}
+
+std::string Metrics::ToText() const {
+  std::ostringstream text;
+  prometheus::TextSerializer().Serialize(text, registry_.Collect());
+  return std::move(text).str();
+}
+
+}  // namespace spikeserve

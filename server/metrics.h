@@ -1,0 +1,79 @@
+// What the server tells Prometheus.
+//
+// Thread-safe. Every handle is made before it is needed, so that a decision looks nothing up.
+#ifndef SERVER_METRICS_H_
+#define SERVER_METRICS_H_
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "core/session/served_policy.h"
+#include "prometheus/counter.h"
+#include "prometheus/family.h"
+#include "prometheus/gauge.h"
+#include "prometheus/histogram.h"
+#include "prometheus/registry.h"
+
+namespace spikeserve {
+
+// The calls of PolicyService.
+enum class Method {
+  kListPolicies,
+  kOpenSession,
+  kAct,
+  kActBatch,
+  kActStream,
+  kEndEpisode,
+  kGetSession,
+  kCloseSession,
+};
+inline constexpr int kMethods = 8;
+
+class Metrics {
+ public:
+  Metrics();
+  Metrics(const Metrics&) = delete;
+  Metrics& operator=(const Metrics&) = delete;
+
+  // The figures of one policy version; must not outlive these metrics.
+  std::shared_ptr<SessionObserver> NewPolicyObserver(const std::string& name, int64_t version,
+                                                     const Policy& policy);
+
+  // One call as the server saw it; for ActStream, one request and its reply.
+  void ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration);
+
+  // Sessions that were idle for their time-to-live.
+  void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
+
+  // Everything in Prometheus's text format.
+  std::string ToText() const;
+
+ private:
+  static constexpr int kCodes = 17;  // gRPC's
+
+  prometheus::Registry registry_;  // owns everything below
+  prometheus::Family<prometheus::Counter>& decisions_;
+  prometheus::Family<prometheus::Histogram>& spikes_per_decision_;
+  prometheus::Family<prometheus::Counter>& spikes_;
+  prometheus::Family<prometheus::Counter>& synaptic_operations_;
+  prometheus::Family<prometheus::Counter>& energy_;
+  prometheus::Family<prometheus::Histogram>& decision_duration_;
+  prometheus::Family<prometheus::Gauge>& sessions_;
+  prometheus::Family<prometheus::Counter>& episodes_;
+  prometheus::Family<prometheus::Histogram>& episode_return_;
+  prometheus::Family<prometheus::Gauge>& episode_return_mean_;
+  prometheus::Family<prometheus::Gauge>& policy_info_;
+  prometheus::Family<prometheus::Histogram>& rpc_duration_;
+  prometheus::Counter* reaped_idle_;
+  // Made when a method first answers with a code, since most pairs never occur.
+  std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_METRICS_H_

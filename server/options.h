@@ -1,0 +1,27 @@
+// How a server is asked to run.
+#ifndef SERVER_OPTIONS_H_
+#define SERVER_OPTIONS_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+
+namespace spikeserve {
+
+struct ServerOptions {
+  std::string policies;                        // DIR of DIR/<policy>/<version>/policy.safetensors
+  std::string listen = "127.0.0.1:50051";      // gRPC; port 0 picks one
+  std::string http_listen = "127.0.0.1:9464";  // metrics and health; port 0 picks one; empty: none
+  absl::Duration session_ttl = absl::Minutes(10);
+  int64_t max_sessions = 100'000;
+  absl::Duration drain_timeout = absl::Seconds(30);
+
+  // INVALID_ARGUMENT names the flag, what was expected and what came.
+  absl::Status Validate() const;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_OPTIONS_H_

@@ -1,0 +1,57 @@
+// Counts what the sessions of one policy version do.
+//
+// Thread-safe.
+#ifndef SERVER_POLICY_METRICS_H_
+#define SERVER_POLICY_METRICS_H_
+
+#include <array>
+#include <cstdint>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "core/engine/counts.h"
+#include "core/session/served_policy.h"
+#include "prometheus/counter.h"
+#include "prometheus/gauge.h"
+#include "prometheus/histogram.h"
+
+namespace spikeserve {
+
+class PolicyMetrics final : public SessionObserver {
+ public:
+  // One time series each, all of this policy version.
+  struct Handles {
+    prometheus::Counter* decisions;
+    prometheus::Histogram* spikes_per_decision;
+    std::array<prometheus::Counter*, kStages> spikes;
+    prometheus::Counter* accumulates;
+    prometheus::Counter* multiply_accumulates;
+    prometheus::Counter* attention_products;
+    prometheus::Counter* spike_5pj;
+    prometheus::Counter* horowitz_45nm;
+    prometheus::Histogram* decision_duration;
+    prometheus::Gauge* sessions;
+    prometheus::Counter* episodes;
+    prometheus::Histogram* episode_return;
+    prometheus::Gauge* episode_return_mean;
+  };
+
+  // `dense` as EstimateEnergy takes it. The handles must outlive this object.
+  PolicyMetrics(const Handles& handles, bool dense) : handles_(handles), dense_(dense) {}
+
+  void OnOpen() override { handles_.sessions->Increment(); }
+  void OnClose() override { handles_.sessions->Decrement(); }
+  void OnDecision(const Answer& answer) override;
+  void OnEpisodeEnd(double episode_return) override;
+
+ private:
+  const Handles handles_;
+  const bool dense_;
+  absl::Mutex mutex_;
+  int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;
+  double return_mean_ ABSL_GUARDED_BY(mutex_) = 0.0;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_POLICY_METRICS_H_

@@ -1,0 +1,152 @@
+#include "server/request_handler.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
+#include "server/convert.h"
+#include "server/status_map.h"
+
+namespace spikeserve {
+namespace {
+
+absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& labels) {
+  if (labels.size() > LabelLimits::kLabels) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "labels: expected at most ", LabelLimits::kLabels, ", received ", labels.size()));
+  }
+  for (const auto& [key, value] : labels) {
+    const size_t longest = std::max(key.size(), value.size());
+    if (longest > LabelLimits::kBytes) {
+      return absl::InvalidArgumentError(absl::StrCat("labels: expected keys and values of at most ",
+                                                     LabelLimits::kBytes,
+                                                     " bytes, received one of ", longest));
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
+                                                const ServedPolicy& served) {
+  if (request.has_learning()) {
+    return absl::UnimplementedError(
+        "learning: expected unset, received a LearningConfig; this server serves frozen policies");
+  }
+  SessionOptions options;
+  options.policy = served.name;
+  options.version = served.version;
+  options.seed = request.seed();
+  options.target_return = request.has_target_return()
+                              ? request.target_return()
+                              : static_cast<double>(served.policy().target_return);
+  if (auto status = CheckTargetReturn(options.target_return); !status.ok()) return status;
+  const auto selection = SelectionFromProto(request);
+  if (!selection.ok()) return selection.status();
+  options.action_selection = *selection;
+  if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
+  options.labels.insert(request.labels().begin(), request.labels().end());
+  return options;
+}
+
+}  // namespace
+
+void DeferredWork::Run() {
+  for (const auto& entry : entries_) {
+    absl::MutexLock lock(&entry->mutex);
+    entry->agent.AppendPendingAction();
+  }
+  entries_.clear();
+}
+
+RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store)
+    : registry_(registry), store_(store) {}
+
+absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
+                                          v1::ListPoliciesResponse* response) const {
+  for (const auto& served : registry_->List()) {
+    const bool is_default = registry_->DefaultVersion(served->name) == served->version;
+    *response->add_policies() = ToProto(*served, is_default);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
+                                         v1::OpenSessionResponse* response) const {
+  auto served = registry_->Find(request.policy(), request.version());
+  if (!served.ok()) return served.status();
+  auto options = OptionsFromProto(request, **served);
+  if (!options.ok()) return options.status();
+  const double target_return = options->target_return;
+  auto id = store_->Open(*served, *std::move(options));
+  if (!id.ok()) return id.status();
+
+  const Policy& policy = (*served)->policy();
+  response->set_session_id(*std::move(id));
+  response->set_policy((*served)->name);
+  response->set_version((*served)->version);
+  response->set_observation_size(policy.observation_size());
+  *response->mutable_action_space() = ToProto(policy.action_space);
+  response->set_context_length(policy.config.context);
+  response->set_target_return(target_return);
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse* response,
+                                 DeferredWork* deferred) const {
+  auto entry = store_->Find(request.session_id());
+  if (!entry.ok()) return entry.status();
+  {
+    absl::MutexLock lock(&(*entry)->mutex);
+    const auto answer =
+        (*entry)->agent.Act(request.step(), request.observation(), request.reward());
+    if (!answer.ok()) return answer.status();
+    ToProto(request.session_id(), **answer, (*entry)->served->policy(), response);
+  }
+  deferred->Add(*std::move(entry));
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::ActBatch(const v1::ActBatchRequest& request,
+                                      v1::ActBatchResponse* response,
+                                      DeferredWork* deferred) const {
+  for (const v1::ActRequest& item : request.requests()) {
+    v1::ActResult* result = response->add_results();
+    const absl::Status status = Act(item, result->mutable_response(), deferred);
+    if (status.ok()) continue;
+    result->clear_response();
+    result->set_code(ToGrpcCode(status.code()));
+    result->set_message(std::string(status.message()));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
+                                        v1::EndEpisodeResponse* response) const {
+  const auto entry = store_->Find(request.session_id());
+  if (!entry.ok()) return entry.status();
+  // How the episode ended, terminated or truncated, changes nothing for a frozen policy.
+  EpisodeEnd end = {.reward = request.reward(), .target_return = std::nullopt};
+  if (request.has_target_return()) end.target_return = request.target_return();
+  absl::MutexLock lock(&(*entry)->mutex);
+  const auto summary = (*entry)->agent.EndEpisode(end);
+  if (!summary.ok()) return summary.status();
+  *response = ToProto(*summary);
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::GetSession(const v1::GetSessionRequest& request,
+                                        v1::GetSessionResponse* response) const {
+  const auto entry = store_->Find(request.session_id());
+  if (!entry.ok()) return entry.status();
+  absl::MutexLock lock(&(*entry)->mutex);
+  *response = ToProto((*entry)->agent.session());
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::CloseSession(const v1::CloseSessionRequest& request,
+                                          v1::CloseSessionResponse* /*response*/) const {
+  return store_->Close(request.session_id());
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,128 @@
+#include "server/server.h"
+
+#include <grpc/support/log.h>
+#include <grpcpp/ext/proto_server_reflection_plugin.h>
+#include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/security/server_credentials.h>
+#include <grpcpp/server_builder.h>
+
+#include <chrono>
+#include <iostream>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "server/status_pages.h"
+
+namespace spikeserve {
+namespace {
+
+// How long health watchers have, once nothing else is in flight, to read NOT_SERVING and hang up.
+constexpr auto kGoodbye = std::chrono::seconds(1);
+
+void SetHealth(grpc::Server& server, bool serving) {
+  auto* health = server.GetHealthCheckService();
+  health->SetServingStatus("", serving);
+  health->SetServingStatus(v1::PolicyService::service_full_name(), serving);
+}
+
+// gRPC reports a port it cannot have in its log, at length; we report it in one line.
+std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
+  gpr_set_log_function([](gpr_log_func_args*) {});
+  auto server = builder.BuildAndStart();
+  gpr_set_log_function(nullptr);
+  return server;
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
+  if (auto status = options.Validate(); !status.ok()) return status;
+  auto metrics = std::make_unique<Metrics>();
+  std::vector<absl::Status> refused;
+  auto registry = PolicyRegistry::Load(
+      options.policies,
+      [&](const std::string& name, int64_t version, const Policy& policy) {
+        return metrics->NewPolicyObserver(name, version, policy);
+      },
+      &refused);
+  if (!registry.ok()) {
+    return absl::Status(registry.status().code(),
+                        absl::StrCat("--policies: ", registry.status().message()));
+  }
+  for (const absl::Status& status : refused) {
+    std::cerr << "spikeserve: policy refused: " << status.message() << std::endl;
+  }
+  if (registry->List().empty()) {
+    std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
+  }
+
+  auto server =
+      std::unique_ptr<Server>(new Server(options, *std::move(registry), std::move(metrics)));
+  if (auto status = server->StartGrpc(); !status.ok()) return status;
+  if (auto status = server->StartHttp(); !status.ok()) return status;
+  return server;
+}
+
+Server::Server(const ServerOptions& options, PolicyRegistry registry,
+               std::unique_ptr<Metrics> metrics)
+    : options_(options),
+      metrics_(std::move(metrics)),
+      registry_(std::move(registry)),
+      store_(options.max_sessions, &clock_),
+      reaper_(&store_, options.session_ttl,
+              [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
+      handler_(&registry_, &store_),
+      service_(
+          {.handler = &handler_, .calls = &calls_, .metrics = metrics_.get(), .clock = &clock_}) {}
+
+absl::Status Server::StartGrpc() {
+  grpc::EnableDefaultHealthCheckService(true);
+  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+  grpc::ServerBuilder builder;
+  // Otherwise two servers would share a port, and a client would meet either.
+  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  auto address = ParseAddress("--listen", options_.listen);
+  if (!address.ok()) return address.status();
+  grpc_address_ = *std::move(address);
+  builder.AddListeningPort(options_.listen, grpc::InsecureServerCredentials(), &grpc_address_.port);
+  builder.RegisterService(&service_);
+  grpc_ = BuildQuietly(builder);
+  if (grpc_ == nullptr || grpc_address_.port == 0) {
+    return absl::UnavailableError(absl::StrCat("--listen: cannot listen on ", options_.listen));
+  }
+  SetHealth(*grpc_, true);
+  return absl::OkStatus();
+}
+
+absl::Status Server::StartHttp() {
+  if (options_.http_listen.empty()) return absl::OkStatus();
+  const auto address = ParseAddress("--http_listen", options_.http_listen);
+  if (!address.ok()) return address.status();
+  auto http = HttpServer::Start(
+      *address, [this](absl::string_view path) { return StatusPage(path, *metrics_, serving_); });
+  if (!http.ok()) {
+    return absl::Status(http.status().code(),
+                        absl::StrCat("--http_listen: ", http.status().message()));
+  }
+  http_ = *std::move(http);
+  return absl::OkStatus();
+}
+
+Server::~Server() { Stop(); }
+
+void Server::Stop() {
+  if (grpc_ == nullptr) return;
+  serving_ = false;
+  SetHealth(*grpc_, false);
+  calls_.Drain();
+  if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
+    std::cerr << "spikeserve: calls were still in flight after the drain timeout of "
+              << absl::FormatDuration(options_.drain_timeout) << std::endl;
+  }
+  grpc_->Shutdown(std::chrono::system_clock::now() + kGoodbye);
+  grpc_.reset();
+  http_.reset();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,68 @@
+// A running server: every part of it, put together, started and stopped in the right order.
+#ifndef SERVER_SERVER_H_
+#define SERVER_SERVER_H_
+
+#include <grpcpp/server.h>
+
+#include <atomic>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/session/clock.h"
+#include "core/session/session_reaper.h"
+#include "core/session/session_store.h"
+#include "server/address.h"
+#include "server/call_tracker.h"
+#include "server/http_server.h"
+#include "server/metrics.h"
+#include "server/options.h"
+#include "server/policy_registry.h"
+#include "server/policy_service.h"
+#include "server/request_handler.h"
+
+namespace spikeserve {
+
+// One thread starts and stops it.
+class Server {
+ public:
+  // Loads the policies and serves once it returns. Policies that cannot be loaded are logged, one
+  // line each.
+  static absl::StatusOr<std::unique_ptr<Server>> Start(const ServerOptions& options);
+
+  // Stops, if Stop() was not called.
+  ~Server();
+
+  // Where clients find it, HOST:PORT; the second is empty without HTTP.
+  std::string grpc_address() const { return grpc_address_.ToString(); }
+  std::string http_address() const { return http_ == nullptr ? "" : http_->address().ToString(); }
+
+  // Health turns NOT_SERVING, new calls are refused with UNAVAILABLE, and calls in flight get their
+  // answers, up to ServerOptions::drain_timeout.
+  void Stop();
+
+ private:
+  Server(const ServerOptions& options, PolicyRegistry registry, std::unique_ptr<Metrics> metrics);
+
+  absl::Status StartGrpc();
+  absl::Status StartHttp();
+
+  const ServerOptions options_;
+  const SteadyClock clock_;
+  const std::unique_ptr<Metrics> metrics_;
+  const PolicyRegistry registry_;
+  SessionStore store_;
+  SessionReaper reaper_;
+  const RequestHandler handler_;
+  CallTracker calls_;
+  PolicyService service_;
+  std::atomic<bool> serving_ = true;
+  Address grpc_address_;
+  std::unique_ptr<grpc::Server> grpc_;
+  std::unique_ptr<HttpServer> http_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVER_H_
