@@ -1,0 +1,110 @@
+#include "client/act_stream.h"
+
+#include <map>
+#include <vector>
+
+#include "client/client.h"
+#include "client/remote_session.h"
+#include "gtest/gtest.h"
+#include "tests/unit/client/fake_policy_service.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr absl::Duration kPatience = absl::Seconds(60);
+
+class ActStreamTest : public ::testing::Test {
+ protected:
+  RemoteSession Open() { return {client_.get(), client_->OpenSession({})->session_id(), 0}; }
+
+  FakePolicyService fake_;
+  std::unique_ptr<Client> client_ = *Client::Create(fake_.channel());
+};
+
+TEST_F(ActStreamTest, ManySessionsShareAStreamInOrder) {
+  constexpr int kSessions = 50;
+  constexpr int kSteps = 20;
+  std::map<std::string, RemoteSession> sessions;
+  for (int i = 0; i < kSessions; ++i) {
+    RemoteSession session = Open();
+    sessions.emplace(session.session_id(), session);
+  }
+  const auto stream = client_->OpenActStream();
+  for (int step = 0; step < kSteps; ++step) {
+    for (const auto& [id, session] : sessions) {
+      ASSERT_TRUE(stream->Send(RemoteSession(client_.get(), id, step).MakeRequest({}, 0.0)).ok());
+    }
+  }
+  for (int i = 0; i < kSessions * kSteps; ++i) {
+    const auto reply = stream->Receive(kPatience);
+    ASSERT_TRUE(reply.ok()) << reply.status();
+    ASSERT_TRUE(reply->response.ok()) << reply->response.status();
+    // Accept wants every session's steps in order.
+    ASSERT_TRUE(sessions.at(reply->session_id).Accept(*reply->response).ok());
+  }
+  EXPECT_EQ(fake_.decisions(), kSessions * kSteps);
+}
+
+TEST_F(ActStreamTest, ABadItemDoesNotEndTheStream) {
+  RemoteSession session = Open();
+  const auto stream = client_->OpenActStream();
+  ASSERT_TRUE(stream->Send(RemoteSession(client_.get(), "nobody", 3).MakeRequest({}, 0.0)).ok());
+  ASSERT_TRUE(stream->Send(session.MakeRequest({}, 0.0)).ok());
+
+  const auto bad = stream->Receive(kPatience);
+  ASSERT_TRUE(bad.ok()) << bad.status();
+  EXPECT_EQ(bad->session_id, "nobody");
+  EXPECT_EQ(bad->step, 3);
+  EXPECT_EQ(bad->response.status(), absl::NotFoundError("session_id: no session \"nobody\""));
+
+  const auto good = stream->Receive(kPatience);
+  ASSERT_TRUE(good.ok()) << good.status();
+  EXPECT_TRUE(good->response.ok());
+}
+
+TEST_F(ActStreamTest, WithoutARequestThereIsNoReply) {
+  const auto stream = client_->OpenActStream();
+  EXPECT_TRUE(absl::IsDeadlineExceeded(stream->Receive(absl::Milliseconds(1)).status()));
+  // The stream is as good as before.
+  ASSERT_TRUE(stream->Send(Open().MakeRequest({}, 0.0)).ok());
+  EXPECT_TRUE(stream->Receive(kPatience).ok());
+}
+
+TEST_F(ActStreamTest, CloseSendLetsTheServerFinish) {
+  const auto stream = client_->OpenActStream();
+  ASSERT_TRUE(stream->Send(Open().MakeRequest({}, 0.0)).ok());
+  stream->CloseSend();
+  EXPECT_FALSE(stream->Send(Open().MakeRequest({}, 0.0)).ok());
+  EXPECT_TRUE(stream->Receive(kPatience).ok());
+  EXPECT_TRUE(absl::IsOutOfRange(stream->Receive(kPatience).status()));
+}
+
+TEST_F(ActStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
+  RemoteSession session = Open();
+  fake_.BreakNextStream({grpc::StatusCode::UNAVAILABLE, "draining"});
+  const auto broken = client_->OpenActStream();
+  ASSERT_TRUE(broken->Send(session.MakeRequest({}, 0.0)).ok());
+  const auto first = broken->Receive(kPatience);
+  ASSERT_TRUE(first.ok()) << first.status();
+  EXPECT_EQ(broken->Receive(kPatience).status(), absl::UnavailableError("draining"));
+  EXPECT_EQ(broken->Send(session.MakeRequest({}, 0.0)), absl::UnavailableError("draining"));
+
+  // The answer counts as lost: the same step on another stream gets it again.
+  const auto stream = client_->OpenActStream();
+  ASSERT_TRUE(stream->Send(session.MakeRequest({}, 0.0)).ok());
+  const auto again = stream->Receive(kPatience);
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(again->response->SerializeAsString(), first->response->SerializeAsString());
+  EXPECT_EQ(fake_.decisions(), 1);
+}
+
+TEST_F(ActStreamTest, MayBeDroppedWithRequestsUnderWay) {
+  const auto stream = client_->OpenActStream();
+  for (int step = 0; step < 100; ++step) {
+    ASSERT_TRUE(
+        stream->Send(RemoteSession(client_.get(), "nobody", step).MakeRequest({}, 0.0)).ok());
+  }
+}
+
+}  // namespace
+}  // namespace spikeserve
