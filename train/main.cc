@@ -1,7 +1,10 @@
 // spiketrain: records data, trains policies on it, and plays them.
 
+#include <malloc.h>
+
 #include <cstdio>
 #include <filesystem>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -20,6 +23,14 @@ constexpr char kUsage[] =
     "  spiketrain train --out=DIR [--data=FILE] [--mode] [...]   train a policy\n"
     "  spiketrain eval --policy=FILE [--episodes --seed]         play a policy in closed loop\n";
 
+// Keeps freed memory instead of giving it back to the kernel: every iteration allocates the same
+// large tensors, and faulting their pages in anew costs a fifth of its time.
+void KeepFreedMemory() {
+  mallopt(M_MMAP_MAX, 0);
+  mallopt(M_TRIM_THRESHOLD, std::numeric_limits<int>::max());
+  mallopt(M_TOP_PAD, 64 << 20);
+}
+
 absl::Status Run(const std::vector<char*>& positional, const std::string& command_line) {
   if (positional.size() != 2) {
     return absl::InvalidArgumentError("command: expected one of dataset, train, eval");
@@ -36,6 +47,7 @@ absl::Status Run(const std::vector<char*>& positional, const std::string& comman
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
+  spikeserve::KeepFreedMemory();
   absl::SetProgramUsageMessage(spikeserve::kUsage);
   std::string command_line = std::filesystem::path(argv[0]).filename();
   for (int i = 1; i < argc; ++i) absl::StrAppend(&command_line, " ", argv[i]);

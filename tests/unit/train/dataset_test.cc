@@ -1,0 +1,161 @@
+// Recording, files, clips and the split of offline data.
+
+#include "train/dataset.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <set>
+
+#include "train/clip_sampler.h"
+#include "train/record.h"
+
+namespace spikeserve {
+namespace {
+
+using testing::Each;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+// An episode of `steps` steps whose observation at step t is {t} and whose rewards are 1.
+Episode Counting(int steps) {
+  Episode episode = {.actor = "expert",
+                     .seed = 1,
+                     .observations = {},
+                     .actions = {},
+                     .rewards = std::vector<double>(steps, 1.0),
+                     .terminated = true,
+                     .truncated = false};
+  for (int t = 0; t <= steps; ++t) episode.observations.push_back(static_cast<float>(t));
+  for (int t = 0; t < steps; ++t) {
+    episode.actions.push_back({.discrete = t % 2, .continuous = {}});
+  }
+  return episode;
+}
+
+Dataset DatasetOf(std::vector<Episode> episodes) {
+  return {.environment = "CartPole-v1",
+          .observation_size = 1,
+          .action_space = ActionSpace::Discrete(2),
+          .recipe = {},
+          .episodes = std::move(episodes)};
+}
+
+std::string TemporaryFile(const std::string& name) {
+  return (std::filesystem::path(testing::TempDir()) / name).string();
+}
+
+TEST(DatasetTest, ReturnsToGoAreSumsOfTheRewardsAhead) {
+  EXPECT_THAT(ReturnsToGo({1.0, -2.0, 5.0}), ElementsAre(4.0f, 3.0f, 5.0f));
+}
+
+TEST(DatasetTest, MomentsAreOfTheStepsAlone) {
+  const Moments moments = ObservationMoments(DatasetOf({Counting(3)}));  // 0, 1, 2
+  EXPECT_FLOAT_EQ(moments.mean[0], 1.0f);
+  EXPECT_NEAR(moments.std[0], 0.8165, 1e-4);
+}
+
+TEST(DatasetTest, FileRoundTrips) {
+  const std::string path = TemporaryFile("dataset_round_trip.cbor");
+  const Dataset written = *RecordDataset({.steps = 300});
+  ASSERT_TRUE(WriteDataset(written, path).ok());
+  const absl::StatusOr<Dataset> read = ReadDataset(path);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->environment, written.environment);
+  EXPECT_EQ(read->action_space, written.action_space);
+  EXPECT_EQ(read->recipe, written.recipe);
+  ASSERT_EQ(read->episodes.size(), written.episodes.size());
+  for (size_t i = 0; i < written.episodes.size(); ++i) {
+    EXPECT_EQ(read->episodes[i].observations, written.episodes[i].observations);
+    EXPECT_EQ(read->episodes[i].actions, written.episodes[i].actions);
+    EXPECT_EQ(read->episodes[i].rewards, written.episodes[i].rewards);
+    EXPECT_EQ(read->episodes[i].seed, written.episodes[i].seed);
+  }
+}
+
+TEST(DatasetTest, BrokenFilesAreRefusedWithPathAndReason) {
+  const std::string path = TemporaryFile("broken.cbor");
+  std::ofstream(path) << "not CBOR";
+  EXPECT_THAT(std::string(ReadDataset(path).status().message()),
+              testing::AllOf(HasSubstr(path), HasSubstr("not a dataset")));
+  Dataset dataset = DatasetOf({Counting(3)});
+  dataset.episodes[0].rewards.pop_back();
+  ASSERT_TRUE(WriteDataset(dataset, path).ok());
+  EXPECT_THAT(std::string(ReadDataset(path).status().message()),
+              HasSubstr("episode 0: rewards: expected 3, got 2"));
+  EXPECT_EQ(ReadDataset(path + ".none").status().code(), absl::StatusCode::kNotFound);
+}
+
+TEST(RecordTest, HalfTheStepsAreTheExpertsAndNoSeedIsForEvaluation) {
+  const Dataset dataset = *RecordDataset({.steps = 4000});
+  int expert = 0, random = 0;
+  std::set<uint64_t> seeds;
+  for (const Episode& episode : dataset.episodes) {
+    (episode.actor == "expert" ? expert : random) += episode.steps();
+    EXPECT_EQ(episode.truncated, episode.actor == "expert");
+    EXPECT_LT(episode.seed, kFirstEvaluationSeed);
+    EXPECT_NE(episode.terminated, episode.truncated);
+    seeds.insert(episode.seed);
+  }
+  EXPECT_EQ(expert, 2000);
+  EXPECT_GE(random, 2000);
+  EXPECT_GT(seeds.size(), dataset.episodes.size() * 9 / 10);
+}
+
+TEST(RecordTest, BadOptionsAreNamed) {
+  EXPECT_EQ(RecordDataset({.steps = 0}).status().message(), "steps: expected at least 1, got 0");
+  EXPECT_EQ(RecordDataset({.expert_fraction = 1.5}).status().message(),
+            "expert_fraction: expected 0 to 1, got 1.5");
+  EXPECT_THAT(std::string(RecordDataset({.environment = "MountainCar-v0"}).status().message()),
+              HasSubstr("none for 'MountainCar-v0'"));
+}
+
+TEST(ClipSamplerTest, ClipsEndWithTheirEpisodeAndTheRestIsMasked) {
+  constexpr int kSteps = 7, kClip = 5;
+  const Dataset dataset = DatasetOf({Counting(kSteps)});
+  const Clips clips = ClipSampler(dataset, {0}, kClip).Sample(/*key=*/1, /*count=*/200, 0.0);
+  std::set<int64_t> begins;
+  for (int clip = 0; clip < clips.count; ++clip) {
+    begins.insert(clips.timesteps[clip * kClip]);
+    for (int i = 0; i < kClip; ++i) {
+      const int slot = clip * kClip + i;
+      const int64_t t = clips.timesteps[clip * kClip] + i;
+      const bool inside = t < kSteps;
+      ASSERT_EQ(clips.timesteps[slot], t);
+      ASSERT_EQ(clips.mask[slot], inside ? 1.0f : 0.0f);
+      ASSERT_EQ(clips.observations[slot], inside ? static_cast<float>(t) : 0.0f);
+      ASSERT_EQ(clips.return_to_go[slot], inside ? static_cast<float>(kSteps - t) : 0.0f);
+      ASSERT_EQ(clips.targets[2 * slot + 1], inside && t % 2 == 1 ? 1.0f : 0.0f);
+    }
+  }
+  EXPECT_EQ(begins, (std::set<int64_t>{0, 1, 2, 3, 4, 5, 6}));
+}
+
+TEST(ClipSamplerTest, ActionNoiseChangesTokensAndNotTargets) {
+  const Dataset dataset = DatasetOf({Counting(400)});
+  const ClipSampler sampler(dataset, {0}, 20);
+  const Clips clean = sampler.Sample(3, 50, 0.0), noisy = sampler.Sample(3, 50, 0.4);
+  EXPECT_EQ(clean.actions, clean.targets);
+  EXPECT_EQ(noisy.targets, clean.targets);
+  int changed = 0, steps = 0;
+  for (size_t slot = 0; slot < clean.mask.size(); ++slot) {
+    steps += clean.mask[slot] > 0.0f;
+    changed += noisy.actions[2 * slot] != clean.actions[2 * slot];
+    ASSERT_EQ(noisy.actions[2 * slot] + noisy.actions[2 * slot + 1], clean.mask[slot]);
+  }
+  EXPECT_NEAR(static_cast<double>(changed) / steps, 0.4 / 2.0, 0.05);  // half keep their action
+}
+
+TEST(SplitTest, HoldsOutTheLastEpisodesOfEveryActor) {
+  Dataset dataset = DatasetOf({Counting(3), Counting(3), Counting(3), Counting(3), Counting(3)});
+  dataset.episodes[0].actor = dataset.episodes[3].actor = "random";
+  const Split split = SplitEpisodes(dataset, 0.1);
+  EXPECT_THAT(split.training, ElementsAre(1, 2, 0));
+  EXPECT_THAT(split.validation, ElementsAre(4, 3));
+  EXPECT_TRUE(SplitEpisodes(DatasetOf({Counting(3)}), 0.5).validation.empty());
+}
+
+}  // namespace
+}  // namespace spikeserve
