@@ -1,0 +1,80 @@
+#include "core/model/config.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <limits>
+#include <string>
+#include <vector>
+
+namespace spikeserve {
+namespace {
+
+using testing::HasSubstr;
+
+TEST(ConfigNames, RoundTrip) {
+  for (const char* name : {"baseline", "pos", "route", "full", "dense"}) {
+    ASSERT_TRUE(ParseMode(name).ok()) << name;
+    EXPECT_EQ(ToString(*ParseMode(name)), name);
+  }
+  for (const char* name : {"lif", "bernoulli"}) EXPECT_EQ(ToString(*ParseCoderKind(name)), name);
+  for (const char* name : {"timestep", "window"}) {
+    EXPECT_EQ(ToString(*ParsePhaseClock(name)), name);
+  }
+  for (const char* name : {"sum", "concat"}) EXPECT_EQ(ToString(*ParseMerge(name)), name);
+  for (const char* name : {"softmax", "sigmoid"}) EXPECT_EQ(ToString(*ParseGate(name)), name);
+}
+
+TEST(ConfigNames, UnknownNamesAreRefusedWithTheKnownOnes) {
+  EXPECT_EQ(ParseMode("Full").status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(ParseGate("relu").status().message(),
+            "gate: expected one of \"softmax\", \"sigmoid\", got \"relu\"");
+}
+
+TEST(ModelConfig, DefaultsAreThePapersAndValid) {
+  const ModelConfig config;
+  EXPECT_TRUE(config.Validate().ok());
+  EXPECT_EQ(config.head_size(), 32);
+  EXPECT_EQ(config.attention_inputs(), 132);
+  EXPECT_EQ(config.merged_size(), 32);
+}
+
+TEST(ModelConfig, SizesFollowTheMode) {
+  EXPECT_EQ(ModelConfig{.mode = Mode::kRoute}.attention_inputs(), 128);
+  EXPECT_EQ(ModelConfig{.mode = Mode::kPos}.attention_inputs(), 132);
+  EXPECT_EQ(ModelConfig{.merge = Merge::kConcat}.merged_size(), 128);
+  EXPECT_EQ(ModelConfig{.mode = Mode::kDense}.merged_size(), 128);
+}
+
+TEST(ModelConfig, ValidateNamesTheField) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  const float infinity = std::numeric_limits<float>::infinity();
+  const struct {
+    ModelConfig config;
+    std::string message;
+  } cases[] = {
+      {{.hidden_size = 0}, "hidden_size: expected 1 to 4096, got 0"},
+      {{.hidden_size = 8192}, "hidden_size: expected 1 to 4096, got 8192"},
+      {{.hidden_size = 130}, "hidden_size: expected a multiple of heads = 4, got 130"},
+      {{.heads = -1}, "heads: expected 1 to 64, got -1"},
+      {{.heads = 128}, "heads: expected 1 to 64, got 128"},
+      {{.layers = 65}, "layers: expected 1 to 64, got 65"},
+      {{.ticks = 0}, "ticks: expected 1 to 256, got 0"},
+      {{.context = 0}, "context: expected 1 to 4096, got 0"},
+      {{.routing_hidden_size = 0}, "routing_hidden_size: expected 1 to 4096, got 0"},
+      {{.ffn_size = 16385}, "ffn_size: expected 1 to 16384, got 16385"},
+      {{.membrane_decay = -0.5f}, "membrane_decay: expected 0 to 1, got -0.5"},
+      {{.membrane_decay = 1.5f}, "membrane_decay: expected 0 to 1, got 1.5"},
+      {{.membrane_decay = nan}, "membrane_decay: expected 0 to 1, got nan"},
+      {{.threshold = 0.0f}, "threshold: expected a positive finite number, got 0"},
+      {{.threshold = infinity}, "threshold: expected a positive finite number, got inf"},
+  };
+  for (const auto& c : cases) {
+    const absl::Status status = c.config.Validate();
+    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << c.message;
+    EXPECT_EQ(status.message(), c.message);
+  }
+}
+
+}  // namespace
+}  // namespace spikeserve

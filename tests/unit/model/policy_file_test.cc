@@ -1,0 +1,355 @@
+#include "core/model/policy_file.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <bit>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "core/model/safetensors.h"
+#include "nlohmann/json.hpp"
+#include "tests/unit/model/files.h"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::json;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+using PolicyFileTest = DirectoryTest;
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+Policy SmallPolicy(ModelConfig config = {}, ActionSpace space = ActionSpace::Discrete(2)) {
+  config.hidden_size = 8;
+  config.heads = 2;
+  config.ffn_size = 12;
+  return RandomPolicy(config, /*observation_size=*/3, space, /*seed=*/5);
+}
+
+// Also tells 0 from -0, which == does not.
+std::vector<uint32_t> Bits(const std::vector<float>& values) {
+  std::vector<uint32_t> bits;
+  for (const float value : values) bits.push_back(std::bit_cast<uint32_t>(value));
+  return bits;
+}
+
+void ExpectBitEqual(Policy a, Policy b) {
+  EXPECT_EQ(a.config, b.config);
+  EXPECT_EQ(a.action_space, b.action_space);
+  EXPECT_EQ(a.environment, b.environment);
+  EXPECT_EQ(a.training, b.training);
+  EXPECT_EQ(
+      Bits({a.return_offset, a.return_scale, a.target_return, a.modulator_mean, a.modulator_std}),
+      Bits({b.return_offset, b.return_scale, b.target_return, b.modulator_mean, b.modulator_std}));
+  const auto slots = [](Policy& policy) {
+    return TensorSlots(policy.config, policy.observation_size(), policy.action_space.size(),
+                       &policy.weights);
+  };
+  const std::vector<TensorSlot> a_slots = slots(a), b_slots = slots(b);
+  ASSERT_EQ(a_slots.size(), b_slots.size());
+  for (size_t i = 0; i < a_slots.size(); ++i) {
+    EXPECT_EQ(a_slots[i].tensor->shape, b_slots[i].tensor->shape) << a_slots[i].name;
+    EXPECT_EQ(Bits(a_slots[i].tensor->values), Bits(b_slots[i].tensor->values)) << a_slots[i].name;
+  }
+}
+
+void ExpectRoundTrip(const Policy& policy, const std::string& path) {
+  const absl::Status written = WritePolicyFile(policy, path);
+  ASSERT_TRUE(written.ok()) << written;
+  const auto read = ReadPolicyFile(path);
+  ASSERT_TRUE(read.ok()) << read.status();
+  ExpectBitEqual(policy, *read);
+}
+
+TEST_F(PolicyFileTest, EveryShapeRoundTripsBitForBit) {
+  for (const Mode mode : {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull, Mode::kDense}) {
+    for (const Merge merge : {Merge::kSum, Merge::kConcat}) {
+      for (const Gate gate : {Gate::kSoftmax, Gate::kSigmoid}) {
+        for (const ActionSpace& space :
+             {ActionSpace::Discrete(3), ActionSpace::Box({-2.0f, 0.1f}, {2.0f, 0.3f})}) {
+          ExpectRoundTrip(SmallPolicy({.mode = mode, .merge = merge, .gate = gate}, space), Path());
+        }
+      }
+    }
+  }
+}
+
+TEST_F(PolicyFileTest, EveryFieldRoundTripsBitForBit) {
+  Policy policy = SmallPolicy({.layers = 3,
+                               .ticks = 7,
+                               .context = 9,
+                               .routing_hidden_size = 5,
+                               .membrane_decay = std::nextafter(0.9f, 1.0f),
+                               .threshold = 1.0f / 3.0f,
+                               .coder = CoderKind::kBernoulli,
+                               .phase_clock = PhaseClock::kWindow});
+  policy.return_offset = -0.0f;
+  policy.return_scale = std::numeric_limits<float>::denorm_min();
+  policy.target_return = -std::numeric_limits<float>::max();
+  policy.modulator_mean = std::nextafter(0.1f, 1.0f);
+  policy.modulator_std = 1.0e-10f;
+  policy.environment = "Größe \"1\"\n";
+  policy.training = R"({"command": "a \"b\"", "evaluation": {"mean_return": 500.0}})";
+  policy.weights.head.bias.values = {-0.0f, std::numeric_limits<float>::denorm_min()};
+  ExpectRoundTrip(policy, Path());
+}
+
+TEST_F(PolicyFileTest, WhatIsWrittenIsTheSameEveryTime) {
+  ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("a")).ok());
+  ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("b")).ok());
+  EXPECT_EQ(ReadBytes(Path("a")), ReadBytes(Path("b")));
+}
+
+TEST_F(PolicyFileTest, MetadataIsReadableByOthers) {
+  Policy policy = SmallPolicy();
+  policy.return_offset = 0.1f;
+  ASSERT_TRUE(WritePolicyFile(policy, Path()).ok());
+  const auto contents = ReadSafetensors(Path());
+  ASSERT_TRUE(contents.ok());
+  EXPECT_EQ(contents->metadata.at("format"), "spikeserve.policy.v1");
+  EXPECT_EQ(contents->metadata.at("return_offset"), "0.1");
+  EXPECT_EQ(contents->metadata.at("action_space"), R"({"type":"Discrete","n":2})");
+  const json config = json::parse(contents->metadata.at("config"));
+  EXPECT_EQ(config["mode"], "full");
+  EXPECT_EQ(config["hidden_size"], 8);
+  EXPECT_EQ(config.size(), 14u);
+}
+
+TEST_F(PolicyFileTest, OtherAnnotationsAreLeftAlone) {
+  ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path()).ok());
+  auto contents = ReadSafetensors(Path());
+  contents->metadata["author"] = "someone";
+  ASSERT_TRUE(WriteSafetensors(*contents, Path()).ok());
+  EXPECT_TRUE(ReadPolicyFile(Path()).ok());
+}
+
+TEST_F(PolicyFileTest, AMissingFileIsNotFound) {
+  const absl::Status status = ReadPolicyFile(Path()).status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
+  EXPECT_EQ(status.message(), Path() + ": no such file");
+}
+
+TEST_F(PolicyFileTest, ABrokenContainerIsRefusedWithThePath) {
+  WriteBytes(Path(), "short");
+  const absl::Status status = ReadPolicyFile(Path()).status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(status.message()), StartsWith(Path() + ": file size: expected 8"));
+}
+
+TEST_F(PolicyFileTest, AnInvalidPolicyIsNotWritten) {
+  WriteBytes(Path(), "as it was");
+  Policy policy = SmallPolicy();
+  policy.weights.head.weight.values[0] = kNan;
+  const absl::Status status = WritePolicyFile(policy, Path());
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(status.message()), StartsWith(Path() + ": tensor \"head.weight\""));
+  EXPECT_EQ(ReadBytes(Path()), "as it was");
+}
+
+// What a broken policy file is refused with: the change to a good one, and the message after the
+// path.
+struct Refusal {
+  std::function<void(Safetensors&)> change;
+  std::string message;
+};
+
+class PolicyFileRefusalTest : public DirectoryTest {
+ protected:
+  void ExpectRefused(const std::vector<Refusal>& refusals) {
+    ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("good")).ok());
+    for (const Refusal& refusal : refusals) {
+      Safetensors contents = *ReadSafetensors(Path("good"));
+      refusal.change(contents);
+      ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
+      const absl::Status status = ReadPolicyFile(Path()).status();
+      EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << refusal.message;
+      EXPECT_EQ(status.message(), Path() + ": " + refusal.message);
+    }
+  }
+};
+
+TEST_F(PolicyFileRefusalTest, Tensors) {
+  ExpectRefused({
+      {[](auto& c) { c.tensors.erase("head.bias"); },
+       "tensor \"head.bias\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("layers.1.routing.gate.weight"); },
+       "tensor \"layers.1.routing.gate.weight\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("observation.mean"); },
+       "tensor \"observation.mean\": expected, but missing"},
+      {[](auto& c) {
+         c.tensors["embed.timestep.weight"] = Tensor::Zeros({4, 8});
+       },
+       "tensor \"embed.timestep.weight\": not expected in a policy of mode full"},
+      {[](auto& c) { c.tensors["layers.2.coder.gain"] = Tensor::Zeros({8}); },
+       "tensor \"layers.2.coder.gain\": not expected in a policy of mode full"},
+      {[](auto& c) {
+         c.tensors["head.weight"] = Tensor::Zeros({2, 9});
+       },
+       "tensor \"head.weight\": expected shape [2, 8], got [2, 9] with 18 values"},
+      {[](auto& c) {
+         c.tensors["head.weight"] = Tensor::Zeros({8, 2});
+       },
+       "tensor \"head.weight\": expected shape [2, 8], got [8, 2] with 16 values"},
+      {[](auto& c) { c.tensors["head.bias"] = Tensor::Zeros({}); },
+       "tensor \"head.bias\": expected shape [2], got [] with 1 values"},
+      {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({0}); },
+       "tensor \"observation.mean\": expected at least one value, got 0"},
+      {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({4}); },
+       "tensor \"embed.state.weight\": expected shape [8, 4], got [8, 3] with 24 values"},
+      {[](auto& c) { c.tensors["layers.0.attention.query.weight"].values[7] = kNan; },
+       "tensor \"layers.0.attention.query.weight\": expected finite numbers, got nan at index 7"},
+      {[](auto& c) { c.tensors["phase.omega"].values[1] = kInfinity; },
+       "tensor \"phase.omega\": expected finite numbers, got inf at index 1"},
+      {[](auto& c) { c.tensors["observation.std"].values[2] = -1.0f; },
+       "tensor \"observation.std\" at index 2: expected a positive finite number, got -1"},
+  });
+}
+
+TEST_F(PolicyFileRefusalTest, ADenseTimestepEmbeddingOfNoRows) {
+  ASSERT_TRUE(WritePolicyFile(SmallPolicy({.mode = Mode::kDense}), Path()).ok());
+  Safetensors contents = *ReadSafetensors(Path());
+  contents.tensors["embed.timestep.weight"] = Tensor::Zeros({0, 8});
+  ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
+  EXPECT_EQ(ReadPolicyFile(Path()).status().message(),
+            Path() +
+                ": tensor \"embed.timestep.weight\": expected shape [any, 8], got [0, 8] with "
+                "0 values");
+}
+
+TEST_F(PolicyFileRefusalTest, Metadata) {
+  std::vector<Refusal> refusals;
+  const auto set = [&](const char* key, const std::string& value, const std::string& message) {
+    refusals.push_back({[=](Safetensors& c) { c.metadata[key] = value; }, message});
+  };
+  for (const char* key :
+       {"format", "config", "action_space", "return_offset", "return_scale", "target_return",
+        "modulator_mean", "modulator_std", "environment", "training"}) {
+    refusals.push_back({[key](Safetensors& c) { c.metadata.erase(key); },
+                        "__metadata__: expected key \"" + std::string(key) + "\", got none"});
+  }
+  refusals.push_back({[](Safetensors& c) { c.metadata.clear(); },
+                      "__metadata__: expected key \"format\", got none"});
+  set("format", "pt", "format: expected \"spikeserve.policy.v1\", got \"pt\"");
+  for (const char* text :
+       {"", " 1", "1 ", "1x", "+1", "0x1", "one", "nan", "inf", "-inf", "1e39"}) {
+    set("return_offset", text,
+        "return_offset: expected a finite number that fits float32, got \"" + std::string(text) +
+            "\"");
+  }
+  set("return_scale", "0", "return_scale: expected a positive finite number, got 0");
+  set("return_scale", "-250", "return_scale: expected a positive finite number, got -250");
+  set("target_return", "nan",
+      "target_return: expected a finite number that fits float32, got \"nan\"");
+  set("modulator_mean", "inf",
+      "modulator_mean: expected a finite number that fits float32, got \"inf\"");
+  set("modulator_std", "0", "modulator_std: expected a positive finite number, got 0");
+  set("training", "", "training: expected valid JSON in UTF-8, got an error at byte 1");
+  set("training", "[1, 2]", "training: expected a JSON object, got an array of 2");
+  set("training", R"({"seed": 1, "seed": 1})",
+      "training: expected every key once, got \"seed\" twice");
+  ExpectRefused(refusals);
+}
+
+TEST_F(PolicyFileRefusalTest, ActionSpace) {
+  std::vector<Refusal> refusals;
+  const auto set = [&](const std::string& value, const std::string& message) {
+    refusals.push_back({[=](Safetensors& c) { c.metadata["action_space"] = value; }, message});
+  };
+  set("Discrete(2)", "action_space: expected valid JSON in UTF-8, got an error at byte 1");
+  set("2", "action_space: expected a JSON object, got 2");
+  set("{}", "action_space.type: expected \"Discrete\" or \"Box\", got none");
+  set(R"({"type": "MultiBinary", "n": 2})",
+      "action_space.type: expected \"Discrete\" or \"Box\", got \"MultiBinary\"");
+  set(R"({"type": "Discrete"})", "action_space: expected key \"n\", got none");
+  set(R"({"type": "Discrete", "n": "2"})",
+      "action_space.n: expected an integer from 0 to 2147483647, got \"2\"");
+  set(R"({"type": "Discrete", "n": 2.0})",
+      "action_space.n: expected an integer from 0 to 2147483647, got 2.0");
+  set(R"({"type": "Discrete", "n": -2})",
+      "action_space.n: expected an integer from 0 to 2147483647, got -2");
+  set(R"({"type": "Discrete", "n": 4294967298})",
+      "action_space.n: expected an integer from 0 to 2147483647, got 4294967298");
+  set(R"({"type": "Discrete", "n": 0})", "action_space.n: expected at least 1, got 0");
+  set(R"({"type": "Discrete", "n": 2, "start": 1})",
+      "action_space: expected no other keys, got \"start\"");
+  set(R"({"type": "Discrete", "n": 2147483647})",
+      "tensor \"embed.action.weight\": expected shape [8, 2147483647], got [8, 2] with 16 values");
+  set(R"({"type": "Box", "low": [-1]})", "action_space: expected key \"high\", got none");
+  set(R"({"type": "Box", "low": -1, "high": [1]})",
+      "action_space.low: expected an array of numbers, got -1");
+  set(R"({"type": "Box", "low": [-1, "x"], "high": [1, 1]})",
+      "action_space.low[1]: expected a number that fits float32, got \"x\"");
+  set(R"({"type": "Box", "low": [-1e39], "high": [1]})",
+      "action_space.low[0]: expected a number that fits float32, got -1e+39");
+  set(R"({"type": "Box", "low": [-1], "high": [1, 1]})",
+      "action_space: expected low and high of one length, got 1 and 2");
+  set(R"({"type": "Box", "low": [1], "high": [-1]})",
+      "action_space: expected finite bounds with low[0] < high[0], got 1 and -1");
+  set(R"({"type": "Box", "low": [], "high": []})", "action_space.n: expected at least 1, got 0");
+  ExpectRefused(refusals);
+}
+
+TEST_F(PolicyFileRefusalTest, Config) {
+  std::vector<Refusal> refusals;
+  const auto set = [&](const char* key, const json& value, const std::string& message) {
+    refusals.push_back({[=](Safetensors& c) {
+                          json config = json::parse(c.metadata["config"]);
+                          config[key] = value;
+                          c.metadata["config"] = config.dump();
+                        },
+                        message});
+  };
+  for (const char* key :
+       {"mode", "hidden_size", "heads", "layers", "ticks", "context", "routing_hidden_size",
+        "ffn_size", "membrane_decay", "threshold", "coder", "phase_clock", "merge", "gate"}) {
+    refusals.push_back({[key](Safetensors& c) {
+                          json config = json::parse(c.metadata["config"]);
+                          config.erase(key);
+                          c.metadata["config"] = config.dump();
+                        },
+                        "config: expected key \"" + std::string(key) + "\", got none"});
+  }
+  refusals.push_back({[](Safetensors& c) { c.metadata["config"] = "[]"; },
+                      "config: expected a JSON object, got an array of 0"});
+  set("dropout", 0.1, "config: expected no other keys, got \"dropout\"");
+  set("mode", "half",
+      "config.mode: expected one of \"baseline\", \"pos\", \"route\", \"full\", \"dense\", got "
+      "\"half\"");
+  set("coder", "poisson", "config.coder: expected one of \"lif\", \"bernoulli\", got \"poisson\"");
+  set("phase_clock", "tick",
+      "config.phase_clock: expected one of \"timestep\", \"window\", got \"tick\"");
+  set("merge", "mean", "config.merge: expected one of \"sum\", \"concat\", got \"mean\"");
+  set("gate", "relu", "config.gate: expected one of \"softmax\", \"sigmoid\", got \"relu\"");
+  set("gate", 1, "config.gate: expected a string, got 1");
+  set("hidden_size", "8",
+      "config.hidden_size: expected an integer from 0 to 2147483647, got \"8\"");
+  set("heads", 2.5, "config.heads: expected an integer from 0 to 2147483647, got 2.5");
+  set("heads", nullptr, "config.heads: expected an integer from 0 to 2147483647, got null");
+  set("layers", -1, "config.layers: expected an integer from 0 to 2147483647, got -1");
+  set("layers", 1000000000, "layers: expected 1 to 64, got 1000000000");
+  set("hidden_size", 1 << 20, "hidden_size: expected 1 to 4096, got 1048576");
+  set("hidden_size", 9, "hidden_size: expected a multiple of heads = 2, got 9");
+  set("ticks", 0, "ticks: expected 1 to 256, got 0");
+  set("context", 100000, "context: expected 1 to 4096, got 100000");
+  set("membrane_decay", "0.95",
+      "config.membrane_decay: expected a number that fits float32, got \"0.95\"");
+  set("membrane_decay", 1e39,
+      "config.membrane_decay: expected a number that fits float32, got 1e+39");
+  set("membrane_decay", 2, "membrane_decay: expected 0 to 1, got 2");
+  set("threshold", -1.0, "threshold: expected a positive finite number, got -1");
+  set("layers", 3, "tensor \"layers.2.coder.gain\": expected, but missing");
+  set("mode", "baseline",
+      "tensor \"layers.0.routing.gate.bias\": not expected in a policy of "
+      "mode baseline");
+  ExpectRefused(refusals);
+}
+
+}  // namespace
+}  // namespace spikeserve
