@@ -24,8 +24,8 @@ bench: build
 
 # Sixty seconds of 1,000 sessions on 8 streams under the address and thread sanitizers.
 sanitize: setup
-	tests/sanitize.sh asan
-	tests/sanitize.sh tsan
+	tests/sanitizers/run.sh asan
+	tests/sanitizers/run.sh tsan
 
 format:
 	clang-format -i $(SOURCES)

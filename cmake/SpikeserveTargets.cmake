@@ -14,6 +14,10 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
   target_compile_options(spikeserve_options INTERFACE -Wthread-safety)
 endif()
 
+# The thread sanitizer needs to be told of the mutexes of libraries that were built without it.
+option(SPIKESERVE_TSAN "Programs run under the thread sanitizer" OFF)
+set(SPIKESERVE_PROGRAM_SOURCES "$<$<BOOL:${SPIKESERVE_TSAN}>:${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_absl.cc>")
+
 # spikeserve_library(NAME SOURCES file... [DEPENDS target...] [PRIVATE_DEPENDS target...])
 # DEPENDS are what the headers of the library include, PRIVATE_DEPENDS what only its sources do.
 function(spikeserve_library name)
@@ -25,14 +29,14 @@ endfunction()
 # spikeserve_program(NAME SOURCES file... [DEPENDS target...]): lands in <build>/bin.
 function(spikeserve_program name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
-  add_executable(${name} ${ARG_SOURCES})
+  add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS})
 endfunction()
 
 # spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...])
 function(spikeserve_test name)
   cmake_parse_arguments(ARG "" "LABEL" "SOURCES;DEPENDS" ${ARGN})
-  add_executable(${name} ${ARG_SOURCES})
+  add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS} GTest::gmock_main)
   add_test(NAME ${name} COMMAND ${name})
