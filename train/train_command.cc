@@ -1,4 +1,4 @@
-#include <cstdio>
+#include <cmath>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -38,6 +38,10 @@ absl::StatusOr<double> TrainToEnd(const std::string& checkpoint, Trainer* traine
     const Trainer::StepReport step = trainer->Step();
     shown_loss = shown_loss < 0.0 ? step.loss : shown_loss + kForget * (step.loss - shown_loss);
     const int iteration = trainer->iteration();
+    if (!std::isfinite(step.loss)) {
+      return absl::InternalError(absl::StrCat("the loss is not finite at iteration ", iteration,
+                                              "; try a lower --learning_rate"));
+    }
     const bool last = trainer->done();
     if (trainer->has_validation() &&
         (last || iteration % absl::GetFlag(FLAGS_validate_every) == 0)) {

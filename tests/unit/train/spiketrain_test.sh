@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# The program itself, in little: data, training, resuming, fine-tuning, evaluation, and errors in one line.
+#
+# usage: spiketrain_test.sh SPIKETRAIN
+set -euo pipefail
+spiketrain=$1
+dir=$(mktemp -d)
+trap 'rm -rf "$dir"' EXIT
+cd "$dir"
+tiny=(--hidden_size=16 --heads=2 --ticks=4 --context=5 --batch=4 --episodes=2)
+
+fail() { echo "FAILED: $1" >&2; exit 1; }
+# refuses MESSAGE COMMAND...: the command fails, and says just this on standard error.
+refuses() {
+  local expected=$1 message
+  shift
+  if message=$("$spiketrain" "$@" 2>&1 >/dev/null); then fail "accepted: $*"; fi
+  [[ $message == "spiketrain: $expected" ]] || fail "$*: $message"
+}
+
+"$spiketrain" dataset --env=CartPole-v1 --steps=1500 --seed=3 --out=data.cbor --json | grep -q '"expert_steps": 1000'
+"$spiketrain" train --data=data.cbor --out=whole "${tiny[@]}" --iterations=6 --json 2>/dev/null > whole.json
+grep -q '"spikes_per_decision"' whole.json
+grep -q '"first_seed": 1000000' whole.json
+
+# A finished run resumed, or interrupted where only the checkpoint is left, ends in the same policy.
+cp -r whole resumed
+rm resumed/policy.safetensors
+"$spiketrain" train --data=data.cbor --out=resumed "${tiny[@]}" --iterations=6 --resume --json 2>/dev/null > resumed.json
+cmp whole.json resumed.json
+
+"$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=tuned --batch=4 --episodes=2 \
+  --iterations=2 --target_rate=1 2>/dev/null >/dev/null
+grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
+"$spiketrain" eval --policy=tuned/policy.safetensors --episodes=1 --seed=2000000 --json | grep -q '"first_seed": 2000000'
+
+refuses 'command: expected one of dataset, train, eval'
+refuses 'out: expected the directory to write into' train
+refuses 'heads: expected what --init has, or no such flag, got 8' \
+  train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8
+refuses 'env: expected CartPole-v1 as in --data, got Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x
+refuses 'none.safetensors: no such file' eval --policy=none.safetensors
+refuses 'batch: expected at least 1, got 0' train --data=data.cbor --out=x --batch=0
+echo ok
