@@ -129,7 +129,9 @@ absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(
   return results;
 }
 
-std::unique_ptr<ActStream> Client::OpenActStream() { return std::make_unique<ActStream>(*stub_); }
+std::unique_ptr<RemoteStream> Client::OpenStream() {
+  return std::make_unique<RemoteStream>(*stub_);
+}
 
 absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRequest& request) {
   v1::EndEpisodeResponse response;

@@ -17,7 +17,7 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
-#include "client/act_stream.h"
+#include "client/remote_stream.h"
 #include "client/retry.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 
@@ -66,7 +66,7 @@ class Client {
       absl::Span<const v1::ActRequest> requests);
 
   // A stream for any number of sessions.
-  std::unique_ptr<ActStream> OpenActStream();
+  std::unique_ptr<RemoteStream> OpenStream();
 
   // Never retried: a second EndEpisode would end the next episode. After UNAVAILABLE or
   // DEADLINE_EXCEEDED the `episode` of GetSession tells whether the first was carried out.

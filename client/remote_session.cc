@@ -32,13 +32,13 @@ absl::Status RemoteSession::Accept(const v1::ActResponse& response) {
   return absl::OkStatus();
 }
 
-absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeEnd& end) {
+absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOutcome& outcome) {
   v1::EndEpisodeRequest request;
   request.set_session_id(session_id_);
-  request.set_reward(end.reward);
-  request.set_terminated(end.terminated);
-  request.set_truncated(end.truncated);
-  if (end.target_return.has_value()) request.set_target_return(*end.target_return);
+  request.set_reward(outcome.reward);
+  request.set_terminated(outcome.terminated);
+  request.set_truncated(outcome.truncated);
+  if (outcome.target_return.has_value()) request.set_target_return(*outcome.target_return);
   absl::StatusOr<v1::EndEpisodeResponse> response = client_->EndEpisode(request);
   if (response.ok()) step_ = 0;
   return response;

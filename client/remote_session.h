@@ -21,7 +21,7 @@
 namespace spikeserve {
 
 // How an episode ended, in Gymnasium's terms.
-struct EpisodeEnd {
+struct EpisodeOutcome {
   double reward = 0.0;  // for the last action
   bool terminated = false;
   bool truncated = false;
@@ -45,12 +45,12 @@ class RemoteSession {
   // session or step.
   absl::StatusOr<v1::ActResponse> Act(absl::Span<const float> observation, double reward);
 
-  // Act in two halves, for ActBatch and ActStream: the request of this step, and its answer.
+  // Act in two halves, for ActBatch and streams: the request of this step, and its answer.
   v1::ActRequest MakeRequest(absl::Span<const float> observation, double reward) const;
   absl::Status Accept(const v1::ActResponse& response);
 
   // Ends the episode; the next step is 0. See Client::EndEpisode for what an error means.
-  absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const EpisodeEnd& end);
+  absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const EpisodeOutcome& outcome);
 
   // Ends the session on the server.
   absl::Status Close() { return client_->CloseSession(session_id_); }

@@ -1,4 +1,4 @@
-#include "client/act_stream.h"
+#include "client/remote_stream.h"
 
 #include <map>
 #include <vector>
@@ -13,7 +13,7 @@ namespace {
 
 constexpr absl::Duration kPatience = absl::Seconds(60);
 
-class ActStreamTest : public ::testing::Test {
+class RemoteStreamTest : public ::testing::Test {
  protected:
   RemoteSession Open() { return {client_.get(), client_->OpenSession({})->session_id(), 0}; }
 
@@ -21,7 +21,7 @@ class ActStreamTest : public ::testing::Test {
   std::unique_ptr<Client> client_ = *Client::Create(fake_.channel());
 };
 
-TEST_F(ActStreamTest, ManySessionsShareAStreamInOrder) {
+TEST_F(RemoteStreamTest, ManySessionsShareAStreamInOrder) {
   constexpr int kSessions = 50;
   constexpr int kSteps = 20;
   std::map<std::string, RemoteSession> sessions;
@@ -29,7 +29,7 @@ TEST_F(ActStreamTest, ManySessionsShareAStreamInOrder) {
     RemoteSession session = Open();
     sessions.emplace(session.session_id(), session);
   }
-  const auto stream = client_->OpenActStream();
+  const auto stream = client_->OpenStream();
   for (int step = 0; step < kSteps; ++step) {
     for (const auto& [id, session] : sessions) {
       ASSERT_TRUE(stream->Send(RemoteSession(client_.get(), id, step).MakeRequest({}, 0.0)).ok());
@@ -45,9 +45,9 @@ TEST_F(ActStreamTest, ManySessionsShareAStreamInOrder) {
   EXPECT_EQ(fake_.decisions(), kSessions * kSteps);
 }
 
-TEST_F(ActStreamTest, ABadItemDoesNotEndTheStream) {
+TEST_F(RemoteStreamTest, ABadItemDoesNotEndTheStream) {
   RemoteSession session = Open();
-  const auto stream = client_->OpenActStream();
+  const auto stream = client_->OpenStream();
   ASSERT_TRUE(stream->Send(RemoteSession(client_.get(), "nobody", 3).MakeRequest({}, 0.0)).ok());
   ASSERT_TRUE(stream->Send(session.MakeRequest({}, 0.0)).ok());
 
@@ -62,16 +62,16 @@ TEST_F(ActStreamTest, ABadItemDoesNotEndTheStream) {
   EXPECT_TRUE(good->response.ok());
 }
 
-TEST_F(ActStreamTest, WithoutARequestThereIsNoReply) {
-  const auto stream = client_->OpenActStream();
+TEST_F(RemoteStreamTest, WithoutARequestThereIsNoReply) {
+  const auto stream = client_->OpenStream();
   EXPECT_TRUE(absl::IsDeadlineExceeded(stream->Receive(absl::Milliseconds(1)).status()));
   // The stream is as good as before.
   ASSERT_TRUE(stream->Send(Open().MakeRequest({}, 0.0)).ok());
   EXPECT_TRUE(stream->Receive(kPatience).ok());
 }
 
-TEST_F(ActStreamTest, CloseSendLetsTheServerFinish) {
-  const auto stream = client_->OpenActStream();
+TEST_F(RemoteStreamTest, CloseSendLetsTheServerFinish) {
+  const auto stream = client_->OpenStream();
   ASSERT_TRUE(stream->Send(Open().MakeRequest({}, 0.0)).ok());
   stream->CloseSend();
   EXPECT_FALSE(stream->Send(Open().MakeRequest({}, 0.0)).ok());
@@ -79,10 +79,10 @@ TEST_F(ActStreamTest, CloseSendLetsTheServerFinish) {
   EXPECT_TRUE(absl::IsOutOfRange(stream->Receive(kPatience).status()));
 }
 
-TEST_F(ActStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
+TEST_F(RemoteStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
   RemoteSession session = Open();
   fake_.BreakNextStream({grpc::StatusCode::UNAVAILABLE, "draining"});
-  const auto broken = client_->OpenActStream();
+  const auto broken = client_->OpenStream();
   ASSERT_TRUE(broken->Send(session.MakeRequest({}, 0.0)).ok());
   const auto first = broken->Receive(kPatience);
   ASSERT_TRUE(first.ok()) << first.status();
@@ -90,7 +90,7 @@ TEST_F(ActStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
   EXPECT_EQ(broken->Send(session.MakeRequest({}, 0.0)), absl::UnavailableError("draining"));
 
   // The answer counts as lost: the same step on another stream gets it again.
-  const auto stream = client_->OpenActStream();
+  const auto stream = client_->OpenStream();
   ASSERT_TRUE(stream->Send(session.MakeRequest({}, 0.0)).ok());
   const auto again = stream->Receive(kPatience);
   ASSERT_TRUE(again.ok()) << again.status();
@@ -98,8 +98,8 @@ TEST_F(ActStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
   EXPECT_EQ(fake_.decisions(), 1);
 }
 
-TEST_F(ActStreamTest, MayBeDroppedWithRequestsUnderWay) {
-  const auto stream = client_->OpenActStream();
+TEST_F(RemoteStreamTest, MayBeDroppedWithRequestsUnderWay) {
+  const auto stream = client_->OpenStream();
   for (int step = 0; step < 100; ++step) {
     ASSERT_TRUE(
         stream->Send(RemoteSession(client_.get(), "nobody", step).MakeRequest({}, 0.0)).ok());

@@ -1,4 +1,4 @@
-#include "client/act_stream.h"
+#include "client/remote_stream.h"
 
 #include <grpcpp/client_context.h>
 #include <grpcpp/support/client_callback.h>
@@ -15,7 +15,7 @@ namespace spikeserve {
 
 // gRPC allows one read and one write at a time: a read is always under way, and requests wait in a
 // queue whose front is being written.
-class ActStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActResponse> {
+class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActResponse> {
  public:
   explicit Call(v1::PolicyService::Stub& stub) {
     stub.async()->ActStream(&context_, this);
@@ -121,16 +121,16 @@ class ActStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRe
   std::optional<absl::Status> final_status_ ABSL_GUARDED_BY(mutex_);
 };
 
-ActStream::ActStream(v1::PolicyService::Stub& stub) : call_(std::make_unique<Call>(stub)) {}
+RemoteStream::RemoteStream(v1::PolicyService::Stub& stub) : call_(std::make_unique<Call>(stub)) {}
 
-ActStream::~ActStream() { call_->Shutdown(); }
+RemoteStream::~RemoteStream() { call_->Shutdown(); }
 
-absl::Status ActStream::Send(const v1::ActRequest& request) { return call_->Send(request); }
+absl::Status RemoteStream::Send(const v1::ActRequest& request) { return call_->Send(request); }
 
-absl::StatusOr<ActReply> ActStream::Receive(absl::Duration timeout) {
+absl::StatusOr<ActReply> RemoteStream::Receive(absl::Duration timeout) {
   return call_->Receive(timeout);
 }
 
-void ActStream::CloseSend() { call_->CloseSend(); }
+void RemoteStream::CloseSend() { call_->CloseSend(); }
 
 }  // namespace spikeserve

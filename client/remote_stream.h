@@ -5,8 +5,8 @@
 // its requests.
 //
 // Thread-safe.
-#ifndef CLIENT_ACT_STREAM_H_
-#define CLIENT_ACT_STREAM_H_
+#ifndef CLIENT_REMOTE_STREAM_H_
+#define CLIENT_REMOTE_STREAM_H_
 
 #include <chrono>
 #include <cstdint>
@@ -28,14 +28,14 @@ struct ActReply {
   std::chrono::steady_clock::time_point arrived;  // when it reached this process
 };
 
-class ActStream {
+class RemoteStream {
  public:
-  explicit ActStream(v1::PolicyService::Stub& stub);
+  explicit RemoteStream(v1::PolicyService::Stub& stub);
   // Cancels the call if it has not ended.
-  ~ActStream();
+  ~RemoteStream();
 
-  ActStream(const ActStream&) = delete;
-  ActStream& operator=(const ActStream&) = delete;
+  RemoteStream(const RemoteStream&) = delete;
+  RemoteStream& operator=(const RemoteStream&) = delete;
 
   // Queues one request. If the call has ended: its status, or FAILED_PRECONDITION after CloseSend.
   absl::Status Send(const v1::ActRequest& request);
@@ -55,4 +55,4 @@ class ActStream {
 
 }  // namespace spikeserve
 
-#endif  // CLIENT_ACT_STREAM_H_
+#endif  // CLIENT_REMOTE_STREAM_H_

@@ -1,0 +1,18 @@
+// The sub-commands of spikectl. Each reads its own flags, writes its result to standard output, and
+// returns why it failed.
+#ifndef CLIENT_SPIKECTL_COMMANDS_H_
+#define CLIENT_SPIKECTL_COMMANDS_H_
+
+#include "absl/status/status.h"
+
+namespace spikeserve {
+
+// Lists every policy version served.
+absl::Status PoliciesCommand();
+
+// Plays episodes of an environment that is stepped here, with the decisions of the server.
+absl::Status RunCommand();
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_SPIKECTL_COMMANDS_H_

@@ -1,0 +1,22 @@
+// The flags that every sub-command of spikectl has.
+#ifndef CLIENT_SPIKECTL_COMMON_FLAGS_H_
+#define CLIENT_SPIKECTL_COMMON_FLAGS_H_
+
+#include <memory>
+#include <string>
+
+#include "absl/flags/declare.h"
+#include "absl/status/statusor.h"
+#include "client/client.h"
+
+ABSL_DECLARE_FLAG(std::string, server);
+ABSL_DECLARE_FLAG(bool, json);
+
+namespace spikeserve {
+
+// A client of --server. UNAVAILABLE if it cannot be reached within a few seconds.
+absl::StatusOr<std::unique_ptr<Client>> ConnectToServer();
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_SPIKECTL_COMMON_FLAGS_H_

@@ -1,0 +1,70 @@
+// spikectl: a client of spikeserve at the shell. Every sub-command has a file of its own.
+#include <iostream>
+#include <string>
+#include <vector>
+
+#include "absl/flags/parse.h"
+#include "absl/flags/usage.h"
+#include "absl/flags/usage_config.h"
+#include "absl/status/status.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "client/spikectl/commands.h"
+
+namespace spikeserve {
+namespace {
+
+struct Command {
+  const char* name;
+  const char* summary;
+  absl::Status (*run)();
+};
+
+constexpr Command kCommands[] = {
+    {"policies", "list every policy version served", PoliciesCommand},
+    {"run", "play episodes of an environment stepped here, acting over gRPC", RunCommand},
+};
+
+std::string Usage() {
+  std::string usage = "spikectl COMMAND [--flag=value ...]\n\nCommands:\n";
+  for (const Command& command : kCommands) {
+    absl::StrAppend(&usage, "  ", command.name, ": ", command.summary, "\n");
+  }
+  return usage;
+}
+
+absl::Status Dispatch(const std::vector<char*>& arguments) {
+  const std::string names = absl::StrJoin(
+      kCommands, ", ", [](std::string* out, const Command& c) { out->append(c.name); });
+  if (arguments.size() < 2) {
+    return absl::InvalidArgumentError(absl::StrCat("command: expected one of ", names));
+  }
+  for (const Command& command : kCommands) {
+    if (arguments[1] != absl::string_view(command.name)) continue;
+    if (arguments.size() > 2) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(command.name, ": expected flags alone, got \"", arguments[2], "\""));
+    }
+    return command.run();
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat("command: expected one of ", names, ", got \"", arguments[1], "\""));
+}
+
+}  // namespace
+}  // namespace spikeserve
+
+int main(int argc, char** argv) {
+  absl::SetProgramUsageMessage(spikeserve::Usage());
+  absl::FlagsUsageConfig usage;
+  usage.contains_help_flags = [](absl::string_view file) {
+    return absl::StrContains(file, "client/spikectl/");
+  };
+  absl::SetFlagsUsageConfig(usage);
+  const absl::Status status = spikeserve::Dispatch(absl::ParseCommandLine(argc, argv));
+  if (status.ok()) return 0;
+  std::cerr << "spikectl: " << status.message() << " (" << absl::StatusCodeToString(status.code())
+            << ")\n";
+  return 1;
+}

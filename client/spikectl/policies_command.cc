@@ -1,0 +1,74 @@
+#include <cstdio>
+#include <iostream>
+#include <string>
+
+#include "absl/flags/flag.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "client/spikectl/commands.h"
+#include "client/spikectl/common_flags.h"
+#include "nlohmann/json.hpp"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::ordered_json;
+
+ordered_json ToJson(const v1::ActionSpace& space) {
+  if (space.has_discrete()) return {{"type", "Discrete"}, {"n", space.discrete().n()}};
+  return {{"type", "Box"}, {"low", space.box().low()}, {"high", space.box().high()}};
+}
+
+ordered_json ToJson(const v1::PolicyInfo& policy) {
+  ordered_json json = {{"name", policy.name()},
+                       {"version", policy.version()},
+                       {"is_default", policy.is_default()},
+                       {"environment", policy.environment()},
+                       {"mode", policy.mode()},
+                       {"observation_size", policy.observation_size()},
+                       {"action_space", ToJson(policy.action_space())},
+                       {"context_length", policy.context_length()},
+                       {"target_return", policy.target_return()}};
+  if (policy.has_training_return()) json["training_return"] = policy.training_return();
+  return json;
+}
+
+std::string ToText(const v1::ActionSpace& space) {
+  if (space.has_discrete()) return absl::StrCat("Discrete(", space.discrete().n(), ")");
+  return absl::StrCat("Box(", space.box().low_size(), ")");
+}
+
+void PrintText(const v1::ListPoliciesResponse& response) {
+  absl::PrintF("%-20s %7s %7s  %-15s %-8s %11s  %-11s %7s %13s %15s\n", "POLICY", "VERSION",
+               "DEFAULT", "ENVIRONMENT", "MODE", "OBSERVATION", "ACTION", "CONTEXT",
+               "TARGET_RETURN", "TRAINING_RETURN");
+  for (const v1::PolicyInfo& policy : response.policies()) {
+    const std::string training_return =
+        policy.has_training_return() ? absl::StrFormat("%.1f", policy.training_return()) : "-";
+    absl::PrintF("%-20s %7d %7s  %-15s %-8s %11d  %-11s %7d %13.1f %15s\n", policy.name(),
+                 policy.version(), policy.is_default() ? "yes" : "", policy.environment(),
+                 policy.mode(), policy.observation_size(), ToText(policy.action_space()),
+                 policy.context_length(), policy.target_return(), training_return);
+  }
+}
+
+}  // namespace
+
+absl::Status PoliciesCommand() {
+  const auto client = ConnectToServer();
+  if (!client.ok()) return client.status();
+  const auto response = (*client)->ListPolicies();
+  if (!response.ok()) return response.status();
+  if (!absl::GetFlag(FLAGS_json)) {
+    PrintText(*response);
+    return absl::OkStatus();
+  }
+  ordered_json json = {{"policies", ordered_json::array()}};
+  for (const v1::PolicyInfo& policy : response->policies()) {
+    json["policies"].push_back(ToJson(policy));
+  }
+  std::cout << json.dump(2) << "\n";
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve
