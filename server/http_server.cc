@@ -36,7 +36,9 @@ int HttpServer::Log(const mg_connection* connection, const char* message) {
   const auto* context = mg_get_context(connection);
   if (context == nullptr) return 1;
   auto* server = static_cast<HttpServer*>(mg_get_user_data(context));
-  if (server != nullptr && server->context_ == nullptr) server->start_error_ = message;
+  if (server != nullptr && server->context_ == nullptr && server->start_error_.empty()) {
+    server->start_error_ = message;
+  }
   return 1;
 }
 

@@ -46,7 +46,7 @@ class HttpServer {
   static int Log(const mg_connection* connection, const char* message);
 
   const Page page_;
-  std::string start_error_;  // what civetweb said last before it was up
+  std::string start_error_;  // the first thing civetweb said before it was up
   Address address_;
   mg_context* context_ = nullptr;
 };

@@ -114,8 +114,8 @@ Server::~Server() { Stop(); }
 void Server::Stop() {
   if (grpc_ == nullptr) return;
   serving_ = false;
+  calls_.Drain();  // before the news spreads, so that nobody who has heard it is still served
   SetHealth(*grpc_, false);
-  calls_.Drain();
   if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
     std::cerr << "spikeserve: calls were still in flight after the drain timeout of "
               << absl::FormatDuration(options_.drain_timeout) << std::endl;

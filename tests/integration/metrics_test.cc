@@ -1,0 +1,117 @@
+// What Prometheus sees agrees with what the agents were told.
+#include <fstream>
+
+#include "tests/integration/http_client.h"
+#include "tests/integration/server_fixture.h"
+#include "tests/integration/subprocess.h"
+
+namespace spikeserve {
+namespace {
+
+class MetricsTest : public ServerTest {};
+
+TEST_F(MetricsTest, CountersGrowByExactlyWhatTheAnswersSay) {
+  v1::DecisionStats sum;
+  uint64_t hidden = 0;
+  const auto add = [&](const v1::DecisionStats& stats) {
+    sum.set_spikes(sum.spikes() + stats.spikes());
+    sum.set_accumulates(sum.accumulates() + stats.accumulates());
+    sum.set_multiply_accumulates(sum.multiply_accumulates() + stats.multiply_accumulates());
+    sum.set_attention_products(sum.attention_products() + stats.attention_products());
+    sum.set_horowitz_energy_joules(sum.horowitz_energy_joules() + stats.horowitz_energy_joules());
+    hidden += stats.spikes_by_stage().ffn_hidden();
+  };
+  for (const std::string policy : {"discrete", "box"}) {
+    const std::string session = client_->Open(policy);
+    for (int64_t step = 0; step < 9; ++step) {
+      add(client_->Act(session, step).stats());
+      client_->Act(session, step);                         // a retry
+      client_->TryAct(MakeActRequest(session, step + 5));  // an error
+    }
+    client_->EndEpisode(session, 0.0);
+  }
+  EXPECT_EQ(Metric("spikeserve_decisions_total"), 18.0);
+  EXPECT_EQ(Metric("spikeserve_spikes_total"), static_cast<double>(sum.spikes()));
+  EXPECT_EQ(Metric("spikeserve_spikes_total", {"stage=\"ffn_hidden\""}),
+            static_cast<double>(hidden));
+  EXPECT_EQ(Metric("spikeserve_spikes_per_decision_sum"), static_cast<double>(sum.spikes()));
+  const std::string operations = "spikeserve_synaptic_operations_total";
+  EXPECT_EQ(Metric(operations, {"kind=\"accumulate\""}), static_cast<double>(sum.accumulates()));
+  EXPECT_EQ(Metric(operations, {"kind=\"multiply_accumulate\""}),
+            static_cast<double>(sum.multiply_accumulates()));
+  EXPECT_EQ(Metric(operations, {"kind=\"attention\""}),
+            static_cast<double>(sum.attention_products()));
+  const std::string energy = "spikeserve_energy_joules_total";
+  EXPECT_NEAR(Metric(energy, {"energy_model=\"spike_5pj\""}),
+              5e-12 * static_cast<double>(sum.spikes()), 1e-18);
+  EXPECT_NEAR(Metric(energy, {"energy_model=\"horowitz_45nm\""}), sum.horowitz_energy_joules(),
+              1e-18);
+}
+
+TEST_F(MetricsTest, EpisodesAndTheirReturns) {
+  const std::string session = client_->Open();
+  for (const double reward : {-30.0, 10.0}) {
+    client_->Act(session, 0);
+    client_->EndEpisode(session, reward);
+  }
+  EXPECT_EQ(Metric("spikeserve_episodes_total", {"policy=\"discrete\"", "version=\"2\""}), 2.0);
+  EXPECT_EQ(Metric("spikeserve_episode_return_bucket",
+                   {"policy=\"discrete\"", "version=\"2\"", "le=\"-20\""}),
+            1.0);
+  EXPECT_EQ(Metric("spikeserve_episode_return_sum"), -20.0);
+  EXPECT_EQ(Metric("spikeserve_episode_return_mean", {"policy=\"discrete\"", "version=\"2\""}),
+            -10.0);
+}
+
+TEST_F(MetricsTest, CallsAreTimedByMethodAndCode) {
+  const std::string session = client_->Open();
+  client_->Act(session, 0);
+  client_->TryAct(MakeActRequest(session, 9));
+  client_->TryAct(MakeActRequest("nobody", 0));
+  auto context = NewContext();
+  const auto stream = client_->stub().ActStream(context.get());
+  v1::ActResponse response;
+  ASSERT_TRUE(stream->Write(MakeActRequest(session, 1)) && stream->Read(&response));
+  const auto calls = [&](const std::string& method, const std::string& code) {
+    return Metric("spikeserve_rpc_duration_seconds_count",
+                  {"method=\"" + method + "\"", "code=\"" + code + "\""});
+  };
+  EXPECT_EQ(calls("OpenSession", "OK"), 1.0);
+  EXPECT_EQ(calls("Act", "OK"), 1.0);
+  EXPECT_EQ(calls("Act", "FAILED_PRECONDITION"), 1.0);
+  EXPECT_EQ(calls("Act", "NOT_FOUND"), 1.0);
+  EXPECT_EQ(calls("ActStream", "OK"), 1.0);
+  EXPECT_EQ(Metric("spikeserve_decision_duration_seconds_count"), 2.0);
+  EXPECT_THAT(Page("/metrics"), ::testing::HasSubstr("le=\"5e-06\""));
+}
+
+TEST_F(MetricsTest, WhatIsServedIsSaid) {
+  EXPECT_EQ(Metric("spikeserve_policy_info", {"policy=\"discrete\"", "version=\"1\"",
+                                              "environment=\"Test-v0\"", "mode=\"full\""}),
+            1.0);
+  EXPECT_EQ(Metric("spikeserve_build_info", {"version=\""}), 1.0);
+}
+
+TEST_F(MetricsTest, PromtoolIsContent) {
+  const std::string session = client_->Open();
+  client_->Act(session, 0);
+  client_->EndEpisode(session, -1.0);
+  const TemporaryDirectory directory;
+  const std::string page = (directory.path() / "metrics").string();
+  std::ofstream(page) << Page("/metrics");
+  const auto finished = RunToEnd({"/bin/sh", "-c", "promtool check metrics < " + page + " 2>&1"});
+  ASSERT_TRUE(finished.ok()) << finished.status();
+  EXPECT_EQ(finished->exit_code, 0) << finished->output;
+  EXPECT_EQ(finished->output, "");
+}
+
+TEST_F(MetricsTest, OtherPages) {
+  EXPECT_THAT(Page("/"), ::testing::AllOf(::testing::HasSubstr("href=\"/metrics\""),
+                                          ::testing::HasSubstr("href=\"/healthz\"")));
+  const auto reply = HttpGet(server_->http_address(), "/etc/passwd");
+  ASSERT_TRUE(reply.ok()) << reply.status();
+  EXPECT_EQ(reply->code, 404);
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,108 @@
+// Policies that cannot be served are refused with path and reason, and the others are served.
+#include <fstream>
+#include <sstream>
+
+#include "tests/integration/server_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+namespace fs = std::filesystem;
+
+class PolicyFilesTest : public ServerTest {
+ protected:
+  std::string GoodFile() {
+    std::ostringstream bytes;
+    bytes << std::ifstream(policies_.path() / "box/1/policy.safetensors", std::ios::binary).rdbuf();
+    return bytes.str();
+  }
+
+  // Puts `bytes` where a policy's file belongs and returns its path.
+  std::string Write(const std::string& name, const std::string& bytes,
+                    const std::string& version = "1") {
+    const fs::path path = policies_.path() / name / version / "policy.safetensors";
+    fs::create_directories(path.parent_path());
+    std::ofstream(path, std::ios::binary) << bytes;
+    return path.string();
+  }
+
+  // Expects one log line that starts with `path` and holds `reason`, and that the good policies are
+  // served.
+  void ExpectRefused(const std::string& path, const std::string& reason) {
+    StartServer();
+    const std::string log = server_->Log();
+    const std::string start = "spikeserve: policy refused: " + path + ": ";
+    const size_t line = log.find(start);
+    ASSERT_NE(line, std::string::npos) << log;
+    EXPECT_THAT(log.substr(line, log.find('\n', line) - line), HasSubstr(reason));
+    EXPECT_EQ(std::count(log.begin(), log.end(), '\n'), 1) << log;
+    v1::ListPoliciesResponse list;
+    ASSERT_TRUE(client_->stub().ListPolicies(NewContext().get(), {}, &list).ok());
+    EXPECT_EQ(list.policies_size(), 3);
+    client_->Act(client_->Open("box"), 0);
+  }
+};
+
+TEST_F(PolicyFilesTest, Truncated) {
+  const std::string good = GoodFile();
+  ExpectRefused(Write("bad", good.substr(0, good.size() / 2)), "data_offsets");
+}
+
+TEST_F(PolicyFilesTest, Garbage) { ExpectRefused(Write("bad", "this is not a policy"), "header"); }
+
+TEST_F(PolicyFilesTest, NotANumber) {
+  std::string bytes = GoodFile();
+  bytes.replace(bytes.size() - 4, 4, std::string("\0\0\xc0\x7f", 4));
+  ExpectRefused(Write("bad", bytes), "finite");
+}
+
+TEST_F(PolicyFilesTest, Empty) { ExpectRefused(Write("bad", ""), "bytes"); }
+
+TEST_F(PolicyFilesTest, Missing) {
+  fs::create_directories(policies_.path() / "bad/1");
+  ExpectRefused((policies_.path() / "bad/1/policy.safetensors").string(), "no such file");
+}
+
+TEST_F(PolicyFilesTest, VersionsArePositiveIntegers) {
+  for (const std::string version : {"latest", "0", "-1", "01", "1.5"}) {
+    Write("discrete", GoodFile(), version);
+    ExpectRefused((policies_.path() / "discrete" / version).string(),
+                  "expected a version, a positive integer");
+    fs::remove_all(policies_.path() / "discrete" / version);
+  }
+}
+
+TEST_F(PolicyFilesTest, ABadNewerVersionLeavesTheOlderTheDefault) {
+  Write("discrete", "garbage", "10");
+  StartServer();
+  v1::OpenSessionRequest request;
+  request.set_policy("discrete");
+  v1::OpenSessionResponse opened;
+  ASSERT_TRUE(client_->stub().OpenSession(NewContext().get(), request, &opened).ok());
+  EXPECT_EQ(opened.version(), 2);
+}
+
+TEST_F(PolicyFilesTest, VersionsOrderAsNumbers) {
+  Write("box", GoodFile(), "10");
+  Write("box", GoodFile(), "9");
+  StartServer();
+  v1::OpenSessionRequest request;
+  request.set_policy("box");
+  v1::OpenSessionResponse opened;
+  ASSERT_TRUE(client_->stub().OpenSession(NewContext().get(), request, &opened).ok());
+  EXPECT_EQ(opened.version(), 10);
+}
+
+TEST_F(PolicyFilesTest, NothingToServeIsSaid) {
+  const TemporaryDirectory empty;
+  const auto server = ServerProcess::Start(empty.path().string());
+  ASSERT_TRUE(server.ok()) << server.status();
+  EXPECT_THAT((*server)->Log(),
+              AllOf(HasSubstr("no policy could be loaded"), HasSubstr(empty.path().string())));
+}
+
+}  // namespace
+}  // namespace spikeserve

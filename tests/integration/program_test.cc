@@ -1,0 +1,60 @@
+// The program itself: what it prints, and how it fails.
+#include "tests/integration/server_fixture.h"
+#include "tests/integration/subprocess.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+class ProgramTest : public ServerTest {
+ protected:
+  // Expects a failure with one line on standard error that contains `message`.
+  void ExpectFailure(std::vector<std::string> flags, const std::string& message) {
+    flags.insert(flags.begin(), SPIKESERVE_PROGRAM);
+    const auto finished = RunToEnd(flags);
+    ASSERT_TRUE(finished.ok()) << finished.status();
+    EXPECT_NE(finished->exit_code, 0);
+    EXPECT_EQ(finished->output, "");
+    EXPECT_THAT(finished->errors, HasSubstr(message));
+    EXPECT_EQ(std::count(finished->errors.begin(), finished->errors.end(), '\n'), 1)
+        << finished->errors;
+  }
+
+  std::string policies() const { return "--policies=" + policies_.path().string(); }
+};
+
+TEST_F(ProgramTest, BadFlags) {
+  ExpectFailure({}, "--policies: expected a directory, received none");
+  ExpectFailure({"--policies=/nonexistent"}, "--policies: /nonexistent: No such file");
+  ExpectFailure({policies(), "--listen=50051"}, "--listen: expected HOST:PORT, received \"50051\"");
+  ExpectFailure({policies(), "--listen=127.0.0.1:70000"}, "--listen: expected HOST:PORT");
+  ExpectFailure({policies(), "--http_listen=,:1"}, "--http_listen: expected HOST:PORT");
+  ExpectFailure({policies(), "--session_ttl=0s"}, "--session_ttl: expected at least 1ms");
+  ExpectFailure({policies(), "--max_sessions=0"}, "--max_sessions: expected at least 1");
+  ExpectFailure({policies(), "--drain_timeout=-1s"}, "--drain_timeout: expected");
+  ExpectFailure({policies(), "extra"}, "expected flags alone, received \"extra\"");
+  ExpectFailure({policies(), "--unknown=1"}, "unknown");
+}
+
+TEST_F(ProgramTest, TakenPorts) {
+  ExpectFailure({policies(), "--listen=" + server_->grpc_address(), "--http_listen="},
+                "--listen: cannot listen on " + server_->grpc_address());
+  ExpectFailure({policies(), "--listen=127.0.0.1:0", "--http_listen=" + server_->http_address()},
+                "--http_listen: cannot listen on " + server_->http_address());
+}
+
+TEST_F(ProgramTest, HttpIsOptional) {
+  const auto process =
+      Subprocess::Start({SPIKESERVE_PROGRAM, policies(), "--listen=127.0.0.1:0", "--http_listen="});
+  ASSERT_TRUE(process.ok()) << process.status();
+  const auto line = (*process)->ReadLine();
+  ASSERT_TRUE(line.has_value()) << (*process)->Errors();
+  EXPECT_THAT(*line, HasSubstr("spikeserve: serving gRPC on 127.0.0.1:"));
+  (*process)->Signal(SIGINT);
+  EXPECT_EQ((*process)->ReadLine(), std::nullopt);
+  EXPECT_EQ((*process)->Wait(), 0);
+}
+
+}  // namespace
+}  // namespace spikeserve

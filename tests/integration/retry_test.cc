@@ -1,0 +1,61 @@
+// A request that is repeated gets the same bytes, wherever it comes from.
+#include "tests/integration/server_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+class RetryTest : public ServerTest {};
+
+TEST_F(RetryTest, ARepeatedStepGetsTheSameBytes) {
+  for (const std::string policy : {"discrete", "box"}) {
+    const std::string session = client_->Open(policy);
+    for (int64_t step = 0; step < 12; ++step) {
+      const std::string answer = client_->Act(session, step).SerializeAsString();
+      EXPECT_EQ(client_->Act(session, step).SerializeAsString(), answer) << step;
+    }
+  }
+}
+
+TEST_F(RetryTest, ARepeatedStepMayCarryAnything) {
+  const std::string session = client_->Open();
+  const std::string answer = client_->Act(session, 0).SerializeAsString();
+  v1::ActRequest request;
+  request.set_session_id(session);
+  v1::ActResponse response;
+  ASSERT_TRUE(client_->stub().Act(NewContext().get(), request, &response).ok());
+  EXPECT_EQ(response.SerializeAsString(), answer);
+}
+
+TEST_F(RetryTest, AnAgentThatComesBackOnANewConnectionGoesOn) {
+  const std::string session = client_->Open();
+  client_->Act(session, 0);
+  const std::string answer = client_->Act(session, 1).SerializeAsString();
+
+  client_ = std::make_unique<TestClient>(server_->grpc_address());
+  EXPECT_EQ(client_->Act(session, 1).SerializeAsString(), answer);
+  auto context = NewContext();
+  const auto stream = client_->stub().ActStream(context.get());
+  v1::ActResponse response;
+  ASSERT_TRUE(stream->Write(MakeActRequest(session, 1)) && stream->Read(&response));
+  EXPECT_EQ(response.SerializeAsString(), answer);
+  ASSERT_TRUE(stream->Write(MakeActRequest(session, 2)) && stream->Read(&response));
+  EXPECT_EQ(response.step(), 2);
+}
+
+TEST_F(RetryTest, RetriesCountOnce) {
+  const std::string session = client_->Open();
+  for (int64_t step = 0; step < 5; ++step) {
+    client_->Act(session, step);
+    client_->Act(session, step);
+  }
+  EXPECT_EQ(Metric("spikeserve_decisions_total"), 5.0);
+  v1::GetSessionRequest request;
+  request.set_session_id(session);
+  v1::GetSessionResponse response;
+  ASSERT_TRUE(client_->stub().GetSession(NewContext().get(), request, &response).ok());
+  EXPECT_EQ(response.decisions(), 5u);
+  EXPECT_DOUBLE_EQ(response.episode_return(), 0.1 + 0.2 + 0.0 + 0.1);
+}
+
+}  // namespace
+}  // namespace spikeserve
