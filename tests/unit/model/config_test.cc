@@ -1,6 +1,5 @@
 #include "core/model/config.h"
 
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -9,8 +8,6 @@
 
 namespace spikeserve {
 namespace {
-
-using testing::HasSubstr;
 
 TEST(ConfigNames, RoundTrip) {
   for (const char* name : {"baseline", "pos", "route", "full", "dense"}) {
