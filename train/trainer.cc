@@ -126,26 +126,26 @@ Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& opt
 
 Trainer::~Trainer() = default;
 
-ClipTensors Trainer::ToTensors(const Clips& clips) const {
-  const int64_t count = clips.count, n = clips.timesteps_per_clip;
+Trainer::Batch Trainer::MakeBatch(const ClipSampler& sampler, uint64_t key,
+                                  double action_noise) const {
+  const Clips clips = sampler.Sample(key, options_.batch, action_noise);
+  const int64_t count = clips.count, n = clips.timesteps_per_clip, act = action_space_.size();
   std::vector<int64_t> seeds(count);
   for (int64_t i = 0; i < count; ++i) {
-    seeds[i] = static_cast<int64_t>(
-        RandomBits({kBernoulliSeeds, options_.seed, static_cast<uint64_t>(iteration_),
-                    static_cast<uint64_t>(i)}));
+    seeds[i] = static_cast<int64_t>(RandomBits({kBernoulliSeeds, key, static_cast<uint64_t>(i)}));
   }
-  return {.return_to_go = Copy(clips.return_to_go, {count, n}, torch::kFloat),
-          .observations = Copy(clips.observations, {count, n, observation_size_}, torch::kFloat),
-          .actions = Copy(clips.actions, {count, n, action_space_.size()}, torch::kFloat),
-          .timesteps = Copy(clips.timesteps, {count, n}, torch::kLong),
-          .seeds = Copy(seeds, {count}, torch::kLong)};
+  return {.clips = {.return_to_go = Copy(clips.return_to_go, {count, n}, torch::kFloat),
+                    .observations =
+                        Copy(clips.observations, {count, n, observation_size_}, torch::kFloat),
+                    .actions = Copy(clips.actions, {count, n, act}, torch::kFloat),
+                    .timesteps = Copy(clips.timesteps, {count, n}, torch::kLong),
+                    .seeds = Copy(seeds, {count}, torch::kLong)},
+          .targets = Copy(clips.targets, {count, n, act}, torch::kFloat),
+          .mask = Copy(clips.mask, {count, n}, torch::kFloat)};
 }
 
-torch::Tensor Trainer::Loss(const Clips& clips, const ModelOutput& output) const {
-  const int64_t count = clips.count, n = clips.timesteps_per_clip;
-  return ImitationLoss(action_space_, output.logits,
-                       Copy(clips.targets, {count, n, action_space_.size()}, torch::kFloat),
-                       Copy(clips.mask, {count, n}, torch::kFloat));
+torch::Tensor Trainer::Loss(const Batch& batch, const ModelOutput& output) const {
+  return ImitationLoss(action_space_, output.logits, batch.targets, batch.mask);
 }
 
 void Trainer::SetLearningRate() {
@@ -162,14 +162,12 @@ void Trainer::SetLearningRate() {
 Trainer::StepReport Trainer::Step() {
   const uint64_t key =
       RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
-  const Clips clips = training_.Sample(key, options_.batch, options_.action_noise);
-  const ModelOutput output = model_.Forward(ToTensors(clips));
-  torch::Tensor loss = Loss(clips, output);
+  const Batch batch = MakeBatch(training_, key, options_.action_noise);
+  const ModelOutput output = model_.Forward(batch.clips);
+  torch::Tensor loss = Loss(batch, output);
   StepReport report = {.loss = loss.item<double>(), .hinge = 0.0};
   const double ramp = std::min(1.0, iteration_ / (kHingeRamp * options_.iterations));
-  const torch::Tensor mask =
-      Copy(clips.mask, {clips.count, clips.timesteps_per_clip}, torch::kFloat);
-  const torch::Tensor hinge = RateHinge(output.populations, options_.rate_targets, mask);
+  const torch::Tensor hinge = RateHinge(output.populations, options_.rate_targets, batch.mask);
   if (hinge.defined()) {
     report.hinge = hinge.item<double>();
     loss = loss + options_.spike_penalty * ramp * hinge;
@@ -187,9 +185,9 @@ double Trainer::ValidationLoss() const {
   const torch::NoGradGuard no_gradient;
   double sum = 0.0;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
-    const Clips clips =
-        validation_->Sample(RandomBits({kValidationClips, options_.seed, i}), options_.batch, 0.0);
-    sum += Loss(clips, model_.Forward(ToTensors(clips))).item<double>();
+    const Batch batch =
+        MakeBatch(*validation_, RandomBits({kValidationClips, options_.seed, i}), 0.0);
+    sum += Loss(batch, model_.Forward(batch.clips)).item<double>();
   }
   return sum / kValidationBatches;
 }

@@ -73,8 +73,14 @@ class Trainer {
  private:
   struct Optimizer;
 
-  ClipTensors ToTensors(const Clips& clips) const;
-  torch::Tensor Loss(const Clips& clips, const ModelOutput& output) const;
+  // Clips as tensors, with what to imitate [B, n, act] and where there is a step [B, n].
+  struct Batch {
+    ClipTensors clips;
+    torch::Tensor targets;
+    torch::Tensor mask;
+  };
+  Batch MakeBatch(const ClipSampler& sampler, uint64_t key, double action_noise) const;
+  torch::Tensor Loss(const Batch& batch, const ModelOutput& output) const;
   void SetLearningRate();
 
   const TrainOptions options_;
