@@ -1,0 +1,126 @@
+#include "loadtest/exchange.h"
+
+#include <algorithm>
+#include <chrono>
+#include <deque>
+#include <utility>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+
+namespace spikeserve {
+namespace {
+
+// Longer than any call may take, so that only a server that has gone silent runs into it.
+constexpr absl::Duration kPatience = absl::Seconds(20);
+
+// Every request is a call of its own, and all of them are under way at once.
+class UnaryExchange : public Exchange {
+ public:
+  explicit UnaryExchange(Client* client) : client_(client) {}
+
+  absl::Status Send(const v1::ActRequest& request) override {
+    client_->ActAsync(request, [replies = replies_, id = request.session_id(),
+                                step = request.step()](absl::StatusOr<v1::ActResponse> response) {
+      replies->Push({id, step, std::move(response), std::chrono::steady_clock::now()});
+    });
+    return absl::OkStatus();
+  }
+
+  absl::StatusOr<ActReply> Receive() override { return replies_->Pop(); }
+
+ private:
+  // Shared with the calls under way, which may outlive the exchange.
+  class Replies {
+   public:
+    void Push(ActReply reply) ABSL_LOCKS_EXCLUDED(mutex_) {
+      absl::MutexLock lock(&mutex_);
+      queue_.push_back(std::move(reply));
+    }
+
+    absl::StatusOr<ActReply> Pop() ABSL_LOCKS_EXCLUDED(mutex_) {
+      absl::MutexLock lock(&mutex_);
+      const auto ready = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return !queue_.empty(); };
+      if (!mutex_.AwaitWithTimeout(absl::Condition(&ready), kPatience)) {
+        return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(kPatience));
+      }
+      ActReply reply = std::move(queue_.front());
+      queue_.pop_front();
+      return reply;
+    }
+
+   private:
+    absl::Mutex mutex_;
+    std::deque<ActReply> queue_ ABSL_GUARDED_BY(mutex_);
+  };
+
+  Client* const client_;
+  const std::shared_ptr<Replies> replies_ = std::make_shared<Replies>();
+};
+
+class StreamExchange : public Exchange {
+ public:
+  explicit StreamExchange(Client* client) : stream_(client->OpenStream()) {}
+
+  absl::Status Send(const v1::ActRequest& request) override { return stream_->Send(request); }
+  absl::StatusOr<ActReply> Receive() override { return stream_->Receive(kPatience); }
+
+ private:
+  const std::unique_ptr<RemoteStream> stream_;
+};
+
+// Gathers requests; once an answer is wanted and there is none, the requests gathered go out as a
+// batch.
+class BatchExchange : public Exchange {
+ public:
+  BatchExchange(int batch_size, Client* client) : batch_size_(batch_size), client_(client) {}
+
+  absl::Status Send(const v1::ActRequest& request) override {
+    requests_.push_back(request);
+    return absl::OkStatus();
+  }
+
+  absl::StatusOr<ActReply> Receive() override {
+    if (replies_.empty()) CallBatch();
+    if (replies_.empty()) return absl::FailedPreconditionError("no request was sent");
+    ActReply reply = std::move(replies_.front());
+    replies_.pop_front();
+    return reply;
+  }
+
+ private:
+  void CallBatch() {
+    const size_t limit = batch_size_ == 0 ? requests_.size() : static_cast<size_t>(batch_size_);
+    const auto end = requests_.begin() + std::min(limit, requests_.size());
+    const std::vector<v1::ActRequest> batch(requests_.begin(), end);
+    requests_.erase(requests_.begin(), end);
+    auto results = client_->ActBatch(batch);
+    const auto arrived = std::chrono::steady_clock::now();
+    for (size_t i = 0; i < batch.size(); ++i) {
+      replies_.push_back({batch[i].session_id(), batch[i].step(),
+                          results.ok() ? std::move((*results)[i]) : results.status(), arrived});
+    }
+  }
+
+  const int batch_size_;
+  Client* const client_;
+  std::deque<v1::ActRequest> requests_;
+  std::deque<ActReply> replies_;
+};
+
+}  // namespace
+
+std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* client) {
+  switch (mode) {
+    case LoadMode::kUnary:
+      return std::make_unique<UnaryExchange>(client);
+    case LoadMode::kStream:
+      return std::make_unique<StreamExchange>(client);
+    case LoadMode::kBatch:
+      return std::make_unique<BatchExchange>(batch_size, client);
+  }
+  return nullptr;  // not reached: every mode is listed
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,39 @@
+#include "loadtest/load_options.h"
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+absl::Status CheckRange(absl::string_view flag, int value, int least, int most) {
+  if (value >= least && value <= most) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--", flag, ": expected ", least, " to ", most, ", got ", value));
+}
+
+}  // namespace
+
+absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name) {
+  if (name == "unary") return LoadMode::kUnary;
+  if (name == "stream") return LoadMode::kStream;
+  if (name == "batch") return LoadMode::kBatch;
+  return absl::InvalidArgumentError(
+      absl::StrCat("--mode: expected unary, stream or batch, got \"", name, "\""));
+}
+
+absl::Status LoadOptions::Validate() const {
+  constexpr int kMany = 1'000'000;
+  if (auto status = CheckRange("sessions", sessions, 1, kMany); !status.ok()) return status;
+  if (auto status = CheckRange("streams", streams, 1, 1024); !status.ok()) return status;
+  if (auto status = CheckRange("episode_steps", episode_steps, 1, kMany); !status.ok()) {
+    return status;
+  }
+  if (auto status = CheckRange("batch_size", batch_size, 0, kMany); !status.ok()) return status;
+  if (duration <= absl::ZeroDuration() || duration > absl::Hours(24)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--duration: expected more than 0 and at most 24h, got ", absl::FormatDuration(duration)));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,38 @@
+// What a load test is asked to do.
+#ifndef LOADTEST_LOAD_OPTIONS_H_
+#define LOADTEST_LOAD_OPTIONS_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+
+namespace spikeserve {
+
+// How requests travel: one Act call each, a stream per caller, or ActBatch calls.
+enum class LoadMode { kUnary, kStream, kBatch };
+
+// "unary", "stream" or "batch". INVALID_ARGUMENT names these and what came.
+absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name);
+
+struct LoadOptions {
+  std::string server = "127.0.0.1:50051";  // HOST:PORT
+  LoadMode mode = LoadMode::kUnary;
+  int sessions = 64;
+  int streams = 8;  // callers at a time, each with a thread and a connection; at most one a session
+  absl::Duration duration = absl::Seconds(10);  // no request starts later
+  std::string policy;                           // empty: the first one served
+  int episode_steps = 200;                      // steps after which a session ends its episode
+  int batch_size = 0;                           // most requests in a batch; 0: all of a caller's
+  uint64_t seed = 0;                            // of the observations
+
+  // INVALID_ARGUMENT names the flag, what was expected and what came.
+  absl::Status Validate() const;
+};
+
+}  // namespace spikeserve
+
+#endif  // LOADTEST_LOAD_OPTIONS_H_

@@ -1,0 +1,42 @@
+#include "loadtest/simulated_agent.h"
+
+#include <utility>
+
+namespace spikeserve {
+namespace {
+
+constexpr double kReward = 1.0;
+
+}  // namespace
+
+SimulatedAgent::SimulatedAgent(RemoteSession session, int observation_size, int first_episode_steps,
+                               int episode_steps, uint64_t seed)
+    : session_(std::move(session)),
+      steps_left_(first_episode_steps),
+      episode_steps_(episode_steps),
+      random_(static_cast<std::minstd_rand::result_type>(seed)),
+      observation_(observation_size) {
+  MakeRequest();
+}
+
+absl::Status SimulatedAgent::Accept(const v1::ActResponse& response) {
+  if (absl::Status status = session_.Accept(response); !status.ok()) return status;
+  if (--steps_left_ == 0) {
+    const auto end = session_.EndEpisode({.reward = kReward, .truncated = true});
+    if (!end.ok()) return end.status();
+    steps_left_ = episode_steps_;
+  }
+  MakeRequest();
+  return absl::OkStatus();
+}
+
+void SimulatedAgent::MakeRequest() {
+  // Not a standard distribution: those differ between libraries.
+  constexpr double kHalf = (std::minstd_rand::max() - std::minstd_rand::min()) / 2.0;
+  for (float& value : observation_) {
+    value = static_cast<float>((random_() - std::minstd_rand::min()) / kHalf - 1.0);
+  }
+  request_ = session_.MakeRequest(observation_, kReward);
+}
+
+}  // namespace spikeserve
