@@ -12,13 +12,17 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "server/status_pages.h"
 
 namespace spikeserve {
 namespace {
 
-// How long health watchers have, once nothing else is in flight, to read NOT_SERVING and hang up.
-constexpr auto kGoodbye = std::chrono::seconds(1);
+// How long a stopping server goes on refusing calls with UNAVAILABLE, so that busy clients and
+// health watchers hear that it leaves. gRPC itself answers a call that comes after its shutdown
+// with CANCELLED, which no client expects.
+constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
 
 void SetHealth(grpc::Server& server, bool serving) {
   auto* health = server.GetHealthCheckService();
@@ -116,11 +120,12 @@ void Server::Stop() {
   serving_ = false;
   calls_.Drain();  // before the news spreads, so that nobody who has heard it is still served
   SetHealth(*grpc_, false);
+  absl::SleepFor(kGoodbye);
   if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
     std::cerr << "spikeserve: calls were still in flight after the drain timeout of "
               << absl::FormatDuration(options_.drain_timeout) << std::endl;
   }
-  grpc_->Shutdown(std::chrono::system_clock::now() + kGoodbye);
+  grpc_->Shutdown(std::chrono::system_clock::now());  // ends health watches, which never end alone
   grpc_.reset();
   http_.reset();
 }

@@ -11,8 +11,6 @@
 #include "tests/integration/http_client.h"
 
 namespace spikeserve {
-namespace {
-
 void WriteRandomPolicy(const std::filesystem::path& directory, const std::string& name, int version,
                        const ActionSpace& action_space) {
   Policy policy = RandomPolicy(SmallConfig(), kObservationSize, action_space,
@@ -25,8 +23,6 @@ void WriteRandomPolicy(const std::filesystem::path& directory, const std::string
   const auto status = WritePolicyFile(policy, (folder / "policy.safetensors").string());
   ASSERT_TRUE(status.ok()) << status;
 }
-
-}  // namespace
 
 ModelConfig SmallConfig() {
   ModelConfig config;

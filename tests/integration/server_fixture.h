@@ -6,10 +6,12 @@
 #include <grpcpp/grpcpp.h>
 #include <gtest/gtest.h>
 
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "core/model/action_space.h"
 #include "core/model/config.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 #include "tests/integration/server_process.h"
@@ -20,6 +22,10 @@ namespace spikeserve {
 constexpr int kObservationSize = 4;  // of every policy below
 
 ModelConfig SmallConfig();
+
+// Writes a small random policy below `directory`, and fails the test where that fails.
+void WriteRandomPolicy(const std::filesystem::path& directory, const std::string& name, int version,
+                       const ActionSpace& action_space);
 
 // gRPC calls on one channel of their own, as one client process would make them.
 class TestClient {
