@@ -73,7 +73,7 @@ absl::Status TrainOptions::Validate() const {
   return status;
 }
 
-std::string TrainOptions::Fingerprint() const {
+std::string TrainOptions::ToString() const {
   return absl::StrFormat(
       "seed=%d iterations=%d batch=%d learning_rate=%g weight_decay=%g warmup=%d clip_norm=%g "
       "action_noise=%g validation=%g target_rate=%g readout_rate=%g spike_penalty=%g surrogate=%d "
@@ -115,6 +115,7 @@ struct Trainer::Optimizer {
 
 Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& options)
     : options_(options),
+      run_(absl::StrCat(options.ToString(), " data=", dataset.recipe.dump())),
       action_space_(dataset.action_space),
       observation_size_(dataset.observation_size),
       model_(initial, options.surrogate),
@@ -196,7 +197,7 @@ absl::Status Trainer::SaveCheckpoint(const std::string& path) const {
   const std::string temporary = path + ".tmp";
   try {
     torch::serialize::OutputArchive archive, optimizer;
-    archive.write("options", c10::IValue(options_.Fingerprint()));
+    archive.write("run", c10::IValue(run_));
     archive.write("iteration", c10::IValue(static_cast<int64_t>(iteration_)));
     for (const auto& [name, tensor] : model_.parameters().tensors()) {
       archive.write(ArchiveName(name), tensor);
@@ -218,11 +219,11 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
   try {
     torch::serialize::InputArchive archive, optimizer;
     archive.load_from(path);
-    c10::IValue options, iteration;
-    archive.read("options", options);
-    if (options.toStringRef() != options_.Fingerprint()) {
-      return absl::FailedPreconditionError(absl::StrCat(path, ": made with ", options.toStringRef(),
-                                                        ", not ", options_.Fingerprint()));
+    c10::IValue run, iteration;
+    archive.read("run", run);
+    if (run.toStringRef() != run_) {
+      return absl::FailedPreconditionError(
+          absl::StrCat(path, ": made with ", run.toStringRef(), ", not ", run_));
     }
     std::map<std::string, torch::Tensor> loaded;
     for (const auto& [name, tensor] : model_.parameters().tensors()) {

@@ -37,8 +37,8 @@ struct TrainOptions {
   // INVALID_ARGUMENT names the option, what was expected and what came.
   absl::Status Validate() const;
 
-  // One line with every value: what a checkpoint was made with.
-  std::string Fingerprint() const;
+  // One line with every value.
+  std::string ToString() const;
 };
 
 class Trainer {
@@ -66,7 +66,7 @@ class Trainer {
   // Weights, optimiser and iteration; the random state is the seed and the iteration. Written
   // beside `path`, then renamed.
   absl::Status SaveCheckpoint(const std::string& path) const;
-  // FAILED_PRECONDITION if the checkpoint is of a run with other options or another model; what was
+  // FAILED_PRECONDITION if the checkpoint is of a run with other options, data or model; what was
   // trained so far is kept then.
   absl::Status LoadCheckpoint(const std::string& path);
 
@@ -84,6 +84,7 @@ class Trainer {
   void SetLearningRate();
 
   const TrainOptions options_;
+  const std::string run_;  // options and data, as a checkpoint is marked with
   const ActionSpace action_space_;
   const int observation_size_;
   TorchModel model_;
