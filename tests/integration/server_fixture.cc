@@ -9,6 +9,7 @@
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
 #include "tests/integration/http_client.h"
+#include "tests/unit/session/small_config.h"
 
 namespace spikeserve {
 void WriteRandomPolicy(const std::filesystem::path& directory, const std::string& name, int version,
@@ -22,18 +23,6 @@ void WriteRandomPolicy(const std::filesystem::path& directory, const std::string
   std::filesystem::create_directories(folder);
   const auto status = WritePolicyFile(policy, (folder / "policy.safetensors").string());
   ASSERT_TRUE(status.ok()) << status;
-}
-
-ModelConfig SmallConfig() {
-  ModelConfig config;
-  config.hidden_size = 16;
-  config.heads = 2;
-  config.layers = 2;
-  config.ticks = 5;
-  config.context = 4;
-  config.routing_hidden_size = 4;
-  config.ffn_size = 32;
-  return config;
 }
 
 std::unique_ptr<grpc::ClientContext> NewContext() {

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "core/model/action_space.h"
-#include "core/model/config.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 #include "tests/integration/server_process.h"
 #include "tests/integration/temporary_directory.h"
@@ -20,8 +19,6 @@
 namespace spikeserve {
 
 constexpr int kObservationSize = 4;  // of every policy below
-
-ModelConfig SmallConfig();
 
 // Writes a small random policy below `directory`, and fails the test where that fails.
 void WriteRandomPolicy(const std::filesystem::path& directory, const std::string& name, int version,

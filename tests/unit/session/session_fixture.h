@@ -13,6 +13,7 @@
 #include "core/model/policy.h"
 #include "core/session/agent_session.h"
 #include "core/session/served_policy.h"
+#include "tests/unit/session/small_config.h"
 
 namespace spikeserve {
 
@@ -28,19 +29,6 @@ struct RecordingObserver : SessionObserver {
   void OnEpisodeEnd(double episode_return) override { returns.push_back(episode_return); }
   void OnClose() override { ++closed; }
 };
-
-// Two layers and a window of 4 timesteps, so that a decision depends on 7.
-inline ModelConfig SmallConfig() {
-  ModelConfig config;
-  config.hidden_size = 16;
-  config.heads = 2;
-  config.layers = 2;
-  config.ticks = 5;
-  config.context = 4;
-  config.routing_hidden_size = 4;
-  config.ffn_size = 32;
-  return config;
-}
 
 constexpr int kObservationSize = 3;
 

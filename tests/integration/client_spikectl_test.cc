@@ -1,0 +1,132 @@
+// spikectl as an operator runs it.
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "tests/integration/client_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::UnorderedElementsAre;
+
+std::vector<std::string> Keys(const nlohmann::json& object) {
+  std::vector<std::string> keys;
+  for (const auto& item : object.items()) keys.push_back(item.key());
+  return keys;
+}
+
+class SpikectlTest : public ClientProgramTest {};
+
+TEST_F(SpikectlTest, ListsThePolicies) {
+  const nlohmann::json listed = ParseOutput(Spikectl("policies", {"--json"}));
+  ASSERT_EQ(listed["policies"].size(), 4u);
+  const nlohmann::json& cart_pole = listed["policies"][1];
+  EXPECT_EQ(cart_pole["name"], "cartpole-v1");
+  EXPECT_EQ(cart_pole["version"], 1);
+  EXPECT_EQ(cart_pole["is_default"], true);
+  EXPECT_EQ(cart_pole["environment"], "CartPole-v1");
+  EXPECT_EQ(cart_pole["observation_size"], 4);
+  EXPECT_EQ(cart_pole["action_space"]["n"], 2);
+  EXPECT_EQ(cart_pole["target_return"], 100.0);
+
+  const Finished text = Spikectl("policies");
+  EXPECT_EQ(text.exit_code, 0) << text.errors;
+  EXPECT_THAT(text.output, HasSubstr("pendulum-v1"));
+}
+
+TEST_F(SpikectlTest, PlaysEveryEnvironmentAndAgreesWithTheServersMetrics) {
+  for (const std::string id : kEnvironments) {
+    SCOPED_TRACE(id);
+    const double decisions_before = Metric("spikeserve_decisions_total");
+    const double spikes_before = Metric("spikeserve_spikes_total");
+    const nlohmann::json run =
+        ParseOutput(Spikectl("run", {"--env=" + id, "--episodes=3", "--seed=11", "--json"}));
+    const double decisions = Metric("spikeserve_decisions_total") - decisions_before;
+    const double spikes = Metric("spikeserve_spikes_total") - spikes_before;
+
+    EXPECT_THAT(Keys(run),
+                UnorderedElementsAre("episodes", "mean_return", "spikes_per_decision",
+                                     "energy_joules_per_decision", "p50_seconds", "p99_seconds"));
+    ASSERT_EQ(run["episodes"].size(), 3u);
+    double steps = 0.0, returns = 0.0, episode_spikes = 0.0;
+    for (const nlohmann::json& episode : run["episodes"]) {
+      EXPECT_THAT(Keys(episode), UnorderedElementsAre("return", "steps", "spikes_per_decision"));
+      steps += episode["steps"].get<double>();
+      returns += episode["return"].get<double>();
+      episode_spikes +=
+          std::round(episode["steps"].get<double>() * episode["spikes_per_decision"].get<double>());
+    }
+    EXPECT_EQ(steps, decisions);
+    EXPECT_EQ(episode_spikes, spikes);
+    EXPECT_DOUBLE_EQ(run["mean_return"].get<double>(), returns / 3.0);
+    EXPECT_DOUBLE_EQ(run["spikes_per_decision"].get<double>(), spikes / decisions);
+    EXPECT_NEAR(run["energy_joules_per_decision"].get<double>(), 5e-12 * spikes / decisions, 1e-15);
+    EXPECT_GT(run["p50_seconds"].get<double>(), 0.0);
+    EXPECT_GE(run["p99_seconds"].get<double>(), run["p50_seconds"].get<double>());
+  }
+  EXPECT_EQ(Metric("spikeserve_sessions"), 0.0);
+}
+
+TEST_F(SpikectlTest, EpisodeISeesTheStartOfSeedPlusI) {
+  const auto returns = [&](const std::string& episodes, const std::string& seed) {
+    const nlohmann::json run = ParseOutput(Spikectl(
+        "run", {"--env=Pendulum-v1", "--episodes=" + episodes, "--seed=" + seed, "--json"}));
+    std::vector<double> list;
+    for (const nlohmann::json& episode : run["episodes"]) list.push_back(episode["return"]);
+    return list;
+  };
+  const std::vector<double> three = returns("3", "100");
+  ASSERT_EQ(three.size(), 3u);
+  EXPECT_NE(three[0], three[1]);
+  EXPECT_EQ(returns("2", "101"), std::vector<double>({three[1], three[2]}));
+}
+
+TEST_F(SpikectlTest, PrintsALineForEveryEpisodeAndASummary) {
+  const Finished run = Spikectl("run", {"--env=CartPole-v1", "--episodes=2", "--seed=1000000"});
+  EXPECT_EQ(run.exit_code, 0) << run.errors;
+  EXPECT_EQ(run.errors, "");
+  EXPECT_THAT(run.output, HasSubstr("CartPole-v1 with policy cartpole-v1/1 (full)"));
+  EXPECT_THAT(run.output, HasSubstr("an estimate, energy model spike_5pj"));
+  EXPECT_THAT(run.output, HasSubstr(" 1000000 "));
+  EXPECT_THAT(run.output, HasSubstr(" 1000001 "));
+  EXPECT_THAT(run.output, HasSubstr("mean return"));
+}
+
+TEST_F(SpikectlTest, APolicyVersionAndTargetReturnMayBeNamed) {
+  EXPECT_EQ(Spikectl("run", {"--env=Acrobot-v1", "--policy=acrobot-v1", "--version=1",
+                             "--target_return=-80"})
+                .exit_code,
+            0);
+}
+
+TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
+  ExpectOneLineError(Spikectl("fly"), "command: expected one of policies, run, got \"fly\"");
+  ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, got \"land\"");
+  ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
+  ExpectOneLineError(Spikectl("run", {"--episodes=0"}), "--episodes: expected at least 1, got 0");
+  ExpectOneLineError(Spikectl("run", {"--episodes=many"}), "Illegal value 'many'");
+  ExpectOneLineError(Spikectl("run", {"--seed=-1"}), "Illegal value '-1'");
+  ExpectOneLineError(Spikectl("run", {"--version=-1"}), "--version: expected at least 0, got -1");
+  ExpectOneLineError(Spikectl("run", {"--target_return=inf"}), "--target_return");
+  ExpectOneLineError(Spikectl("run", {"--altitude=3"}), "Unknown command line flag 'altitude'");
+  ExpectOneLineError(Spikectl("run", {"--policy=nobody"}), "no policy \"nobody\" is served");
+  ExpectOneLineError(Spikectl("run", {"--version=9"}), "version 9");
+  ExpectOneLineError(Spikectl("run", {"--policy=pendulum-v1"}), "observations of length 3");
+}
+
+TEST_F(SpikectlTest, WithoutAPolicyForTheEnvironmentItSaysWhatThereIs) {
+  std::filesystem::remove_all(policies_.path() / "acrobot-v1");
+  StartServer();
+  ExpectOneLineError(Spikectl("run", {"--env=Acrobot-v1"}),
+                     "no policy for Acrobot-v1 is served; the server has cartpole-v1/1");
+}
+
+TEST_F(SpikectlTest, AnUnreachableServerIsNamed) {
+  const std::string address = server_->grpc_address();
+  server_->Stop();
+  ExpectOneLineError(Spikectl("policies"), absl::StrCat("no server could be reached at ", address));
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,62 @@
+#include "server/options.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "server/address.h"
+#include "server/status_map.h"
+#include "server/status_pages.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+TEST(AddressTest, HostAndPort) {
+  for (const std::string text :
+       {"127.0.0.1:0", "localhost:50051", "[::1]:65535", "my-host.example.org:1"}) {
+    const auto address = ParseAddress("--listen", text);
+    ASSERT_TRUE(address.ok()) << address.status();
+    EXPECT_EQ(address->ToString(), text);
+  }
+}
+
+TEST(AddressTest, AnythingElseIsRefused) {
+  for (const std::string text : {"", ":", "50051", ":50051", "host", "host:", "host:x", "host:-1",
+                                 "host:65536", "a b:1", "::1:80", "a,b:1", "[]:1", "host:80s"}) {
+    const auto address = ParseAddress("--listen", text);
+    EXPECT_EQ(address.status().code(), absl::StatusCode::kInvalidArgument) << text;
+    EXPECT_THAT(std::string(address.status().message()),
+                HasSubstr("--listen: expected HOST:PORT, received \"" + text + "\""));
+  }
+}
+
+TEST(OptionsTest, DefaultsNeedOnlyPolicies) {
+  ServerOptions options;
+  EXPECT_EQ(options.Validate().code(), absl::StatusCode::kInvalidArgument);
+  options.policies = "policies";
+  EXPECT_TRUE(options.Validate().ok()) << options.Validate();
+  options.http_listen = "";
+  EXPECT_TRUE(options.Validate().ok()) << options.Validate();
+}
+
+TEST(StatusMapTest, CodesAndMessagesAreKept) {
+  for (int code = 1; code <= 16; ++code) {
+    const auto status = ToGrpcStatus(absl::Status(static_cast<absl::StatusCode>(code), "why"));
+    EXPECT_EQ(static_cast<int>(status.error_code()), code);
+    EXPECT_EQ(status.error_message(), "why");
+  }
+  EXPECT_TRUE(ToGrpcStatus(absl::OkStatus()).ok());
+}
+
+TEST(StatusPagesTest, HealthFollowsTheServer) {
+  const Metrics metrics;
+  EXPECT_EQ(StatusPage("/healthz", metrics, true).code, 200);
+  EXPECT_EQ(StatusPage("/healthz", metrics, true).body, "SERVING\n");
+  EXPECT_EQ(StatusPage("/healthz", metrics, false).code, 503);
+  EXPECT_EQ(StatusPage("/healthz", metrics, false).body, "NOT_SERVING\n");
+  EXPECT_EQ(StatusPage("/metrics/", metrics, true).code, 404);
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,131 @@
+#include "server/request_handler.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <memory>
+
+#include "core/model/policy_file.h"
+#include "server/metrics.h"
+#include "server/policy_registry.h"
+#include "tests/integration/temporary_directory.h"
+#include "tests/unit/session/fake_clock.h"
+#include "tests/unit/session/session_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+class RequestHandlerTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    const auto folder = directory_.path() / "small" / "1";
+    std::filesystem::create_directories(folder);
+    const Policy policy =
+        RandomPolicy(SmallConfig(), kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
+    ASSERT_TRUE(WritePolicyFile(policy, (folder / "policy.safetensors").string()).ok());
+    std::vector<absl::Status> refused;
+    auto registry = PolicyRegistry::Load(
+        directory_.path().string(),
+        [&](const std::string& name, int64_t version, const Policy& loaded) {
+          return metrics_.NewPolicyObserver(name, version, loaded);
+        },
+        &refused);
+    ASSERT_TRUE(registry.ok()) << registry.status();
+    registry_ = std::make_unique<PolicyRegistry>(*std::move(registry));
+    handler_ = std::make_unique<RequestHandler>(registry_.get(), &store_);
+  }
+
+  std::string MustOpen() {
+    v1::OpenSessionRequest request;
+    request.set_policy("small");
+    v1::OpenSessionResponse response;
+    const auto status = handler_->OpenSession(request, &response);
+    EXPECT_TRUE(status.ok()) << status;
+    return response.session_id();
+  }
+
+  static v1::ActRequest MakeRequest(const std::string& session, int64_t step) {
+    v1::ActRequest request;
+    request.set_session_id(session);
+    request.set_step(step);
+    for (const float value : ObservationAt(step)) request.add_observation(value);
+    return request;
+  }
+
+  TemporaryDirectory directory_;
+  FakeClock clock_;
+  Metrics metrics_;
+  std::unique_ptr<PolicyRegistry> registry_;
+  SessionStore store_{10, &clock_};
+  std::unique_ptr<RequestHandler> handler_;
+};
+
+TEST_F(RequestHandlerTest, AnswersDoNotDependOnDeferredWork) {
+  const std::string prompt = MustOpen();
+  const std::string lazy = MustOpen();
+  for (int64_t step = 0; step < 20; ++step) {
+    v1::ActResponse expected;
+    v1::ActResponse actual;
+    DeferredWork done;
+    DeferredWork dropped;
+    ASSERT_TRUE(handler_->Act(MakeRequest(prompt, step), &expected, &done).ok());
+    done.Run();
+    ASSERT_TRUE(handler_->Act(MakeRequest(lazy, step), &actual, &dropped).ok());
+    actual.set_session_id(prompt);
+    EXPECT_EQ(actual.SerializeAsString(), expected.SerializeAsString()) << step;
+  }
+}
+
+TEST_F(RequestHandlerTest, DeferredWorkMayComeLate) {
+  const std::string session = MustOpen();
+  DeferredWork first;
+  DeferredWork second;
+  v1::ActResponse response;
+  ASSERT_TRUE(handler_->Act(MakeRequest(session, 0), &response, &first).ok());
+  ASSERT_TRUE(handler_->Act(MakeRequest(session, 1), &response, &second).ok());
+  first.Run();
+  v1::EndEpisodeRequest end;
+  end.set_session_id(session);
+  v1::EndEpisodeResponse ended;
+  ASSERT_TRUE(handler_->EndEpisode(end, &ended).ok());
+  second.Run();
+  response.Clear();
+  EXPECT_TRUE(handler_->Act(MakeRequest(session, 0), &response, &first).ok());
+}
+
+TEST_F(RequestHandlerTest, ASessionWithWorkLeftIsNotReaped) {
+  const std::string session = MustOpen();
+  v1::ActResponse response;
+  {
+    DeferredWork deferred;
+    ASSERT_TRUE(handler_->Act(MakeRequest(session, 0), &response, &deferred).ok());
+    clock_.Advance(absl::Hours(1));
+    EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 0);
+    deferred.Run();
+  }
+  EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 1);
+}
+
+TEST_F(RequestHandlerTest, OpenSessionsAreCountedByPolicy) {
+  const std::string session = MustOpen();
+  MustOpen();
+  const std::string gauge = "spikeserve_sessions{policy=\"small\",version=\"1\"} ";
+  EXPECT_THAT(metrics_.ToText(), ::testing::HasSubstr(gauge + "2\n"));
+  v1::CloseSessionRequest close;
+  close.set_session_id(session);
+  v1::CloseSessionResponse closed;
+  ASSERT_TRUE(handler_->CloseSession(close, &closed).ok());
+  EXPECT_THAT(metrics_.ToText(), ::testing::HasSubstr(gauge + "1\n"));
+}
+
+TEST_F(RequestHandlerTest, LongNamesAreCutInMessages) {
+  v1::ActResponse response;
+  DeferredWork deferred;
+  const auto status =
+      handler_->Act(MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
+  EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
+  EXPECT_LT(status.message().size(), 200u);
+}
+
+}  // namespace
+}  // namespace spikeserve
