@@ -39,6 +39,19 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Create(std::shared_ptr<grpc::Cha
   return absl::WrapUnique(new Client(std::move(channel), std::move(options)));
 }
 
+absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& server,
+                                                        ClientOptions options,
+                                                        absl::Duration patience) {
+  auto client = Create(server, std::move(options));
+  if (!client.ok()) return client.status();
+  const auto deadline = absl::ToChronoTime(absl::Now() + patience);
+  if (!(*client)->channel_->WaitForConnected(deadline)) {
+    return absl::UnavailableError(absl::StrCat("no server could be reached at ", server, " within ",
+                                               absl::FormatDuration(patience)));
+  }
+  return client;
+}
+
 Client::Client(std::shared_ptr<grpc::Channel> channel, ClientOptions options)
     : channel_(std::move(channel)),
       stub_(v1::PolicyService::NewStub(channel_)),
@@ -63,14 +76,6 @@ absl::StatusOr<Response> Client::Call(grpc::Status (v1::PolicyService::Stub::*me
       CallWithRetries(options_.retry, key, [&] { return CallOnce(method, request, &response); });
   if (!status.ok()) return status;
   return response;
-}
-
-absl::Status Client::WaitForConnected(absl::Duration timeout) {
-  if (channel_->WaitForConnected(absl::ToChronoTime(absl::Now() + timeout))) {
-    return absl::OkStatus();
-  }
-  return absl::UnavailableError(
-      absl::StrCat("no server could be reached within ", absl::FormatDuration(timeout)));
 }
 
 absl::StatusOr<v1::ListPoliciesResponse> Client::ListPolicies() {

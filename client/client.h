@@ -41,8 +41,10 @@ class Client {
   static absl::StatusOr<std::unique_ptr<Client>> Create(std::shared_ptr<grpc::Channel> channel,
                                                         ClientOptions options = {});
 
-  // Waits until the server can be reached. UNAVAILABLE if it cannot within `timeout`.
-  absl::Status WaitForConnected(absl::Duration timeout);
+  // Create, and wait for the connection. UNAVAILABLE if there is none within `patience`.
+  static absl::StatusOr<std::unique_ptr<Client>> Connect(
+      const std::string& server, ClientOptions options = {},
+      absl::Duration patience = absl::Seconds(3));
 
   // Errors of every call: the server's code and message; after the last attempt UNAVAILABLE if the
   // server could not be reached, DEADLINE_EXCEEDED if it did not answer in call_timeout.

@@ -6,25 +6,11 @@
 #include <utility>
 #include <vector>
 
-#include "absl/strings/str_cat.h"
 #include "client/client.h"
 #include "loadtest/caller.h"
 
 namespace spikeserve {
 namespace {
-
-// One attempt a call, so that every failure is seen and counted.
-absl::StatusOr<std::unique_ptr<Client>> Connect(const std::string& server) {
-  constexpr absl::Duration kPatience = absl::Seconds(3);
-  ClientOptions client_options;
-  client_options.retry.max_attempts = 1;
-  auto client = Client::Create(server, client_options);
-  if (!client.ok()) return client.status();
-  if (absl::Status status = (*client)->WaitForConnected(kPatience); !status.ok()) {
-    return absl::Status(status.code(), absl::StrCat("--server: ", server, ": ", status.message()));
-  }
-  return client;
-}
 
 // The name of the policy to ask for.
 absl::StatusOr<std::string> ChoosePolicy(Client& client, const std::string& name) {
@@ -73,10 +59,13 @@ LoadReport RunCallers(std::vector<Caller>& callers, absl::Duration duration) {
 
 absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
   if (absl::Status status = options.Validate(); !status.ok()) return status;
+  // One attempt a call, so that every failure is seen and counted.
+  ClientOptions client_options;
+  client_options.retry.max_attempts = 1;
   std::vector<std::unique_ptr<Client>> clients;
   std::vector<Caller> callers;
   for (int i = 0; i < std::min(options.streams, options.sessions); ++i) {
-    auto client = Connect(options.server);
+    auto client = Client::Connect(options.server, client_options);
     if (!client.ok()) return client.status();
     clients.push_back(*std::move(client));
     const auto policy = ChoosePolicy(*clients.back(), options.policy);
