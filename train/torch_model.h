@@ -31,8 +31,9 @@ struct Population {
   Stage stage;
   int layer;             // -1: readout and phase
   torch::Tensor spikes;  // [T, B, tokens, neurons]; phase: [T, B, n, H]
-  torch::Tensor
-      current;  // of LIF neurons: as spikes, or [B, tokens, neurons] where constant; else undefined
+  // Into LIF neurons: shaped as spikes, or [B, tokens, neurons] where constant. Undefined
+  // otherwise.
+  torch::Tensor current;
 };
 
 struct ModelOutput {
