@@ -1,0 +1,154 @@
+"""Plays the real Gymnasium against a real server, knowing nothing of it but its address.
+
+The message classes are built from what the server's reflection says, so that a client outside this
+repository is shown to need no file of it.
+"""
+
+import os
+import pathlib
+import subprocess
+
+import grpc
+import gymnasium
+import pytest
+from google.protobuf import descriptor_pool, message_factory
+from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
+    ProtoReflectionDescriptorDatabase,
+)
+
+POLICIES = pathlib.Path(__file__).parents[2] / "deploy" / "policies"
+DEADLINE_SECONDS = 30
+# Training draws its starts below a million.
+FIRST_UNSEEN_SEED = 1_000_000
+EPISODES = 3
+
+
+@pytest.fixture(scope="module")
+def address():
+    """The gRPC address of a server with the shipped policies."""
+    server = subprocess.Popen(
+        [
+            os.environ["SPIKESERVE_PROGRAM"],
+            f"--policies={POLICIES}",
+            "--listen=127.0.0.1:0",
+            "--http_listen=",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        announcement = "spikeserve: serving gRPC on "
+        line = server.stdout.readline()
+        assert line.startswith(announcement), f"the server said {line!r}"
+        yield line.removeprefix(announcement).strip()
+        server.terminate()
+        assert server.wait(timeout=DEADLINE_SECONDS) == 0
+    finally:
+        server.kill()
+        server.wait()
+        server.stdout.close()
+
+
+class Service:
+    """A service whose methods and messages come from the server's reflection."""
+
+    def __init__(self, channel, name):
+        pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
+        for method in pool.FindServiceByName(name).methods:
+            if not method.client_streaming and not method.server_streaming:
+                setattr(self, method.name, self._unary(channel, name, method))
+
+    @staticmethod
+    def _unary(channel, service, method):
+        request_class = message_factory.GetMessageClass(method.input_type)
+        response_class = message_factory.GetMessageClass(method.output_type)
+        call = channel.unary_unary(
+            f"/{service}/{method.name}",
+            request_serializer=request_class.SerializeToString,
+            response_deserializer=response_class.FromString,
+        )
+        return lambda **fields: call(request_class(**fields), timeout=DEADLINE_SECONDS)
+
+
+@pytest.fixture(scope="module")
+def channel(address):
+    with grpc.insecure_channel(address) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def policy_service(channel):
+    return Service(channel, "spikeserve.v1.PolicyService")
+
+
+def test_health(channel):
+    # gRPC's C++ health service is not in the reflection, so its two messages are written out here:
+    # field 1 of the request is the service's name, field 1 of the response its status, 1 = SERVING.
+    check = channel.unary_unary(
+        "/grpc.health.v1.Health/Check",
+        request_serializer=lambda name: bytes([0x0A, len(name)]) + name.encode(),
+        response_deserializer=bytes,
+    )
+    for name in ("", "spikeserve.v1.PolicyService"):
+        assert check(name, timeout=DEADLINE_SECONDS) == bytes([0x08, 1])
+    with pytest.raises(grpc.RpcError) as error:
+        check("nothing.of.the.kind", timeout=DEADLINE_SECONDS)
+    assert error.value.code() == grpc.StatusCode.NOT_FOUND
+
+
+def test_the_shipped_policy_is_listed(policy_service):
+    policies = [p for p in policy_service.ListPolicies().policies if p.name == "cartpole"]
+    assert policies
+    assert policies[0].environment == "CartPole-v1"
+    assert policies[0].observation_size == 4
+    assert policies[0].action_space.discrete.n == 2
+
+
+def test_a_repeated_step_gets_the_identical_answer(policy_service):
+    session = policy_service.OpenSession(policy="cartpole")
+    for step in range(30):
+        request = {
+            "session_id": session.session_id,
+            "step": step,
+            "observation": [0.01 * step, -0.02 * step, 0.003 * step, 0.1],
+            "reward": 1.0,
+        }
+        answer = policy_service.Act(**request)
+        assert answer.SerializeToString() == policy_service.Act(**request).SerializeToString()
+    assert policy_service.GetSession(session_id=session.session_id).decisions == 30
+    policy_service.CloseSession(session_id=session.session_id)
+
+
+def play_episode(environment, policy_service, session_id, seed):
+    """Returns the episode's return and the spikes its decisions reported."""
+    observation, _ = environment.reset(seed=seed)
+    reward, episode_return, step, spikes, over = 0.0, 0.0, 0, 0, False
+    while not over:
+        answer = policy_service.Act(
+            session_id=session_id, step=step, observation=observation.tolist(), reward=reward
+        )
+        spikes += answer.stats.spikes
+        observation, reward, terminated, truncated, _ = environment.step(answer.action.discrete)
+        reward = float(reward)
+        episode_return += reward
+        step += 1
+        over = terminated or truncated
+    end = policy_service.EndEpisode(
+        session_id=session_id, reward=reward, terminated=terminated, truncated=truncated
+    )
+    assert end.episode_return == episode_return
+    assert end.steps == step
+    assert end.spikes == spikes
+    return episode_return
+
+
+def test_plays_gymnasiums_cart_pole(policy_service):
+    session = policy_service.OpenSession(policy="cartpole")
+    environment = gymnasium.make("CartPole-v1")
+    returns = [
+        play_episode(environment, policy_service, session.session_id, FIRST_UNSEEN_SEED + episode)
+        for episode in range(EPISODES)
+    ]
+    environment.close()
+    policy_service.CloseSession(session_id=session.session_id)
+    assert sum(returns) / len(returns) >= 495, returns
