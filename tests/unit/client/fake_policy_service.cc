@@ -109,6 +109,7 @@ grpc::Status FakePolicyService::Decide(const v1::ActRequest& request, v1::ActRes
   response->set_step(request.step());
   response->mutable_action()->set_discrete(decisions_ % 2);
   response->set_return_to_go(decisions_);
+  response->mutable_stats()->set_spikes(kSpikes);
   state.last_answer = *response;
   ++state.step;
   return grpc::Status::OK;

@@ -23,6 +23,8 @@ namespace spikeserve {
 
 class FakePolicyService : public v1::PolicyService::Service {
  public:
+  static constexpr uint64_t kSpikes = 10;  // of every decision
+
   FakePolicyService();
   ~FakePolicyService() override;
 
