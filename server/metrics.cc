@@ -43,69 +43,41 @@ std::string MethodName(Method method) {
 }  // namespace
 
 Metrics::Metrics()
-    : decisions_(BuildCounter()
-                     .Name("spikeserve_decisions_total")
-                     .Help("Decisions computed; a retry is not computed again.")
-                     .Register(registry_)),
-      spikes_per_decision_(BuildHistogram()
-                               .Name("spikeserve_spikes_per_decision")
-                               .Help("Spikes of one decision's new tokens.")
-                               .Register(registry_)),
-      spikes_(BuildCounter()
-                  .Name("spikeserve_spikes_total")
-                  .Help("Spikes emitted, by neuron population.")
-                  .Register(registry_)),
-      synaptic_operations_(
-          BuildCounter()
-              .Name("spikeserve_synaptic_operations_total")
-              .Help("Effective synaptic operations as NeuroBench counts them: accumulate has a "
-                    "binary input, multiply_accumulate an analog one; attention products stand "
-                    "beside them and belong to neither.")
-              .Register(registry_)),
-      energy_(
-          BuildCounter()
-              .Name("spikeserve_energy_joules_total")
-              .Help("Estimated energy, not measured, memory traffic left out. spike_5pj: 5 pJ a "
-                    "spike; horowitz_45nm: 0.9 pJ an accumulate, 4.6 pJ a "
-                    "multiply-accumulate. The models are alternatives: do not add them up.")
-              .Register(registry_)),
-      decision_duration_(BuildHistogram()
-                             .Name("spikeserve_decision_duration_seconds")
-                             .Help("Time to compute one decision, without network or queues.")
-                             .Register(registry_)),
-      sessions_(
-          BuildGauge().Name("spikeserve_sessions").Help("Open sessions.").Register(registry_)),
-      episodes_(BuildCounter()
-                    .Name("spikeserve_episodes_total")
-                    .Help("Episodes ended.")
-                    .Register(registry_)),
-      episode_return_(BuildHistogram()
-                          .Name("spikeserve_episode_return")
-                          .Help("Return of each episode ended, in the environment's units.")
-                          .Register(registry_)),
+    : decisions_(Register(BuildCounter(), "spikeserve_decisions_total",
+                          "Decisions computed; a retry is not computed again.")),
+      spikes_per_decision_(Register(BuildHistogram(), "spikeserve_spikes_per_decision",
+                                    "Spikes of one decision's new tokens.")),
+      spikes_(Register(BuildCounter(), "spikeserve_spikes_total",
+                       "Spikes emitted, by neuron population.")),
+      synaptic_operations_(Register(
+          BuildCounter(), "spikeserve_synaptic_operations_total",
+          "Effective synaptic operations as NeuroBench counts them: accumulate has a binary input, "
+          "multiply_accumulate an analog one; attention products stand beside them and belong to "
+          "neither.")),
+      energy_(Register(
+          BuildCounter(), "spikeserve_energy_joules_total",
+          "Estimated energy, not measured, memory traffic left out. spike_5pj: 5 pJ a spike; "
+          "horowitz_45nm: 0.9 pJ an accumulate, 4.6 pJ a multiply-accumulate. The models are "
+          "alternatives: do not add them up.")),
+      decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
+                                  "Time to compute one decision, without network or queues.")),
+      sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
+      episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Episodes ended.")),
+      episode_return_(Register(BuildHistogram(), "spikeserve_episode_return",
+                               "Return of each episode ended, in the environment's units.")),
       episode_return_mean_(
-          BuildGauge()
-              .Name("spikeserve_episode_return_mean")
-              .Help("Running mean of the return over the episodes ended since the server started.")
-              .Register(registry_)),
-      policy_info_(BuildGauge()
-                       .Name("spikeserve_policy_info")
-                       .Help("1 for every policy version served.")
-                       .Register(registry_)),
-      rpc_duration_(BuildHistogram()
-                        .Name("spikeserve_rpc_duration_seconds")
-                        .Help("Time to handle one call as the server sees it, by method and gRPC "
-                              "status code; for ActStream, one request on the stream.")
-                        .Register(registry_)),
-      reaped_idle_(&BuildCounter()
-                        .Name("spikeserve_sessions_reaped_total")
-                        .Help("Sessions the server ended by itself.")
-                        .Register(registry_)
+          Register(BuildGauge(), "spikeserve_episode_return_mean",
+                   "Running mean of the return over the episodes ended since the server started.")),
+      policy_info_(
+          Register(BuildGauge(), "spikeserve_policy_info", "1 for every policy version served.")),
+      rpc_duration_(Register(
+          BuildHistogram(), "spikeserve_rpc_duration_seconds",
+          "Time to handle one call as the server sees it, by method and gRPC status code; for "
+          "ActStream, one request on the stream.")),
+      reaped_idle_(&Register(BuildCounter(), "spikeserve_sessions_reaped_total",
+                             "Sessions the server ended by itself.")
                         .Add({{"reason", "idle"}})) {
-  BuildGauge()
-      .Name("spikeserve_build_info")
-      .Help("1 for the version that runs.")
-      .Register(registry_)
+  Register(BuildGauge(), "spikeserve_build_info", "1 for the version that runs.")
       .Add({{"version", SPIKESERVE_VERSION}})
       .Set(1);
 }

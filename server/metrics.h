@@ -56,6 +56,10 @@ class Metrics {
  private:
   static constexpr int kCodes = 17;  // gRPC's
 
+  auto& Register(auto builder, const char* name, const char* help) {
+    return builder.Name(name).Help(help).Register(registry_);
+  }
+
   prometheus::Registry registry_;  // owns everything below
   prometheus::Family<prometheus::Counter>& decisions_;
   prometheus::Family<prometheus::Histogram>& spikes_per_decision_;
