@@ -9,7 +9,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/engine/kernels.h"
+#include "core/engine/kernels/attention_kernels.h"
 #include "core/engine/token.h"
 #include "core/model/config.h"
 

@@ -57,7 +57,8 @@ PackedWeights::PackedWeights(const Policy& policy)
     : embed_return(Pack({&policy.weights.embed_return.linear})),
       embed_state(Pack({&policy.weights.embed_state.linear})),
       embed_action(Pack({&policy.weights.embed_action.linear})),
-      head_nonzero(NonzeroByInput(policy.weights.head)) {
+      head_nonzero(NonzeroByInput(policy.weights.head)),
+      periods({policy.config.membrane_decay, policy.config.threshold}, policy.config.ticks) {
   for (const LayerWeights& weights : policy.weights.layers) {
     PackedLayer layer;
     layer.key_value_query = Pack({&weights.key, &weights.value, &weights.query});

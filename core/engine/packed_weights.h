@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "core/model/policy.h"
+#include "core/neuron/period_table.h"
 
 namespace spikeserve {
 
@@ -54,6 +55,7 @@ struct PackedWeights {
   PackedLinear embed_action;
   std::vector<PackedLayer> layers;
   std::vector<uint32_t> head_nonzero;  // [d]
+  PeriodTable periods;                 // of the coders' neurons
 };
 
 }  // namespace spikeserve

@@ -136,7 +136,7 @@ class ReferencePass {
       const float gain = coder.gain.values[j];
       const float bias = coder.bias.values[j];
       if (config_.coder == CoderKind::kLif) {
-        coded.periods.push_back(CoderPeriod(lif_, x[j], gain, bias, config_.ticks));
+        coded.periods.push_back(lif_.Period(x[j] * gain + bias, config_.ticks));
         for (int tick = 1; tick <= config_.ticks; ++tick) {
           coded.spikes[tick - 1][j] = coded.periods[j] > 0 && tick % coded.periods[j] == 0;
         }

@@ -1,14 +1,15 @@
 #include "core/engine/spike_input.h"
 
+#include <bit>
+
 #include "core/neuron/phase.h"
 
 namespace spikeserve {
 
-void SpikeInput::SetPhase(const Policy& policy, int64_t timestep) {
+void PhaseSpikes::Set(const Policy& policy, int64_t timestep) {
   const ModelConfig& config = policy.config;
-  ticks_ = config.ticks;
-  phase_members_.clear();
-  phase_offsets_.assign(1, 0);
+  generators.clear();
+  offsets.assign(1, 0);
   for (int tick = 0; tick < config.ticks; ++tick) {
     const double time = config.phase_clock == PhaseClock::kWindow
                             ? WindowPhaseTime(tick)
@@ -16,50 +17,52 @@ void SpikeInput::SetPhase(const Policy& policy, int64_t timestep) {
     for (int k = 0; config.has_phase() && k < config.heads; ++k) {
       if (PhaseSpike(policy.weights.phase_omega.values[k], policy.weights.phase_phi.values[k],
                      time)) {
-        phase_members_.push_back(k);
+        generators.push_back(k);
       }
     }
-    phase_offsets_.push_back(static_cast<int>(phase_members_.size()));
+    offsets.push_back(static_cast<int32_t>(generators.size()));
   }
-  phase_spikes_ = phase_members_.size();
 }
 
-void SpikeInput::Code(const ModelConfig& config, const Coder& coder, const float* x,
-                      const BernoulliKey& key) {
+void SpikeInput::Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
+                      const float* x, const BernoulliKey& key) {
+  ticks_ = config.ticks;
   neurons_ = config.hidden_size;
   periodic_ = config.coder == CoderKind::kLif;
-  spikes_.assign(neurons_, 0);
   total_ = 0;
   groups_.clear();
   if (periodic_) {
-    CodePeriods(config, coder, x);
+    CodePeriods(periods, coder, x);
   } else {
     CodeBernoulli(coder, x, key);
   }
 }
 
-void SpikeInput::CodePeriods(const ModelConfig& config, const Coder& coder, const float* x) {
+void SpikeInput::CodePeriods(const PeriodTable& table, const Coder& coder, const float* x) {
   periods_.resize(neurons_);
+  active_.resize((neurons_ + 31) / 32);
   members_.resize(neurons_);
-  kernels::CoderPeriods({config.membrane_decay, config.threshold}, x, coder.gain.values.data(),
-                        coder.bias.values.data(), neurons_, ticks_, periods_.data());
-  std::vector<int> next(ticks_ + 1, 0);
-  for (int j = 0; j < neurons_; ++j) ++next[periods_[j]];
-  next[0] = 0;
+  kernels::CoderPeriods(table, x, coder.gain.values.data(), coder.bias.values.data(), neurons_,
+                        periods_.data(), active_.data());
+  const auto for_each_active = [this](auto visit) {
+    for (size_t word = 0; word < active_.size(); ++word) {
+      for (uint32_t bits = active_[word]; bits != 0; bits &= bits - 1) {
+        visit(static_cast<int32_t>(32 * word) + std::countr_zero(bits));
+      }
+    }
+  };
+  next_.assign(ticks_ + 1, 0);
+  for_each_active([this](int32_t j) { ++next_[periods_[j]]; });
   int first = 0;
   for (int n = 1; n <= ticks_; ++n) {
-    const int count = next[n];
-    if (count > 0) groups_.push_back({n, first, count});
-    next[n] = first;
+    const int count = next_[n];
+    next_[n] = first;
+    if (count == 0) continue;
+    groups_.push_back({.tick = n, .first = first, .count = count, .spikes = ticks_ / n});
+    total_ += static_cast<uint64_t>(count) * groups_.back().spikes;
     first += count;
   }
-  for (int j = 0; j < neurons_; ++j) {
-    const int n = periods_[j];
-    if (n == 0) continue;
-    members_[next[n]++] = j;
-    spikes_[j] = ticks_ / n;
-    total_ += spikes_[j];
-  }
+  for_each_active([this](int32_t j) { members_[next_[periods_[j]]++] = j; });
 }
 
 void SpikeInput::CodeBernoulli(const Coder& coder, const float* x, const BernoulliKey& key) {
@@ -67,18 +70,30 @@ void SpikeInput::CodeBernoulli(const Coder& coder, const float* x, const Bernoul
   for (int tick = 0; tick < ticks_; ++tick) {
     const int first = static_cast<int>(members_.size());
     for (int j = 0; j < neurons_; ++j) {
-      if (!BernoulliSpike(key, j, tick, x[j], coder.gain.values[j], coder.bias.values[j])) continue;
-      members_.push_back(j);
-      ++spikes_[j];
+      if (BernoulliSpike(key, j, tick, x[j], coder.gain.values[j], coder.bias.values[j])) {
+        members_.push_back(j);
+      }
     }
     const int count = static_cast<int>(members_.size()) - first;
-    if (count > 0) groups_.push_back({tick + 1, first, count});
+    if (count > 0)
+      groups_.push_back({.tick = tick + 1, .first = first, .count = count, .spikes = 1});
   }
   total_ = members_.size();
 }
 
-const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width, bool with_phase) {
-  sums_.resize(groups_.size() * width);
+void SpikeInput::Rates(std::vector<float>* rates) const {
+  rates->assign(neurons_, 0.0f);
+  for (const Group& group : groups_) {
+    for (int m = group.first; m < group.first + group.count; ++m) {
+      (*rates)[members_[m]] += static_cast<float>(group.spikes);  // integers, exact
+    }
+  }
+  for (float& rate : *rates) rate /= static_cast<float>(ticks_);
+}
+
+const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
+                                          const PhaseSpikes* phase) {
+  if (sums_.size() < groups_.size() * width) sums_.resize(groups_.size() * width);
   for (size_t g = 0; g < groups_.size(); ++g) {
     kernels::SumRows(linear, members_.data() + groups_[g].first, groups_[g].count, width,
                      sums_.data() + g * width);
@@ -91,19 +106,26 @@ const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
       const bool fires = periodic_ ? tick % groups_[g].tick == 0 : tick == groups_[g].tick;
       if (fires) drive_.terms.push_back(sums_.data() + g * width);
     }
-    for (int k = phase_offsets_[tick - 1]; with_phase && k < phase_offsets_[tick]; ++k) {
-      drive_.terms.push_back(linear.row(neurons_ + phase_members_[k]));
+    if (phase != nullptr) {
+      for (int k = phase->offsets[tick - 1]; k < phase->offsets[tick]; ++k) {
+        drive_.terms.push_back(linear.row(neurons_ + phase->generators[k]));
+      }
     }
     drive_.offsets.push_back(static_cast<int>(drive_.terms.size()));
   }
   return drive_;
 }
 
-uint64_t SpikeInput::Products(const std::vector<uint32_t>& nonzero, bool with_phase) const {
+uint64_t SpikeInput::Products(const std::vector<uint32_t>& nonzero,
+                              const PhaseSpikes* phase) const {
   uint64_t products = 0;
-  for (int j = 0; j < neurons_; ++j) products += static_cast<uint64_t>(spikes_[j]) * nonzero[j];
-  if (with_phase) {
-    for (const int32_t k : phase_members_) products += nonzero[neurons_ + k];
+  for (const Group& group : groups_) {
+    uint64_t synapses = 0;
+    for (int m = group.first; m < group.first + group.count; ++m) synapses += nonzero[members_[m]];
+    products += synapses * group.spikes;
+  }
+  if (phase != nullptr) {
+    for (const int32_t k : phase->generators) products += nonzero[neurons_ + k];
   }
   return products;
 }

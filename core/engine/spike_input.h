@@ -10,32 +10,42 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/engine/kernels.h"
+#include "core/engine/kernels/lif_kernels.h"
 #include "core/engine/packed_weights.h"
 #include "core/model/policy.h"
 #include "core/neuron/coder.h"
+#include "core/neuron/period_table.h"
 
 namespace spikeserve {
 
+// The phase generators of one timestep (eq. 4.4), shared by its tokens and by all layers.
+struct PhaseSpikes {
+  std::vector<int32_t> generators;  // those that fire, by tick, ascending inside a tick
+  std::vector<int32_t> offsets;     // [T + 1]: where a tick starts in `generators`
+
+  // Empty ticks in modes without phase spikes.
+  void Set(const Policy& policy, int64_t timestep);
+};
+
 class SpikeInput {
  public:
-  // Sets the phase spikes of a timestep, shared by its tokens and by all layers.
-  void SetPhase(const Policy& policy, int64_t timestep);
-  uint64_t phase_spikes() const { return phase_spikes_; }
+  // Sets the coder spikes of a token vector x [d]. `periods` is the table of the policy's neurons;
+  // `key` is used by the Bernoulli coder only.
+  void Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
+            const float* x, const BernoulliKey& key);
 
-  // Sets the coder spikes of a token vector x [d].
-  void Code(const ModelConfig& config, const Coder& coder, const float* x, const BernoulliKey& key);
-
-  // Coder spikes: of neuron j, and of all neurons.
-  int spikes(int j) const { return spikes_[j]; }
+  // All coder spikes.
   uint64_t total() const { return total_; }
 
-  // The currents into the first `width` lanes of `linear`. Valid until the next call on this
-  // object.
-  const kernels::Drive& DriveOf(const PackedLinear& linear, int width, bool with_phase);
+  // rates[j] = spikes of neuron j / T; [d].
+  void Rates(std::vector<float>* rates) const;
+
+  // The currents into the first `width` lanes of `linear`; `phase` may be null. Valid until the
+  // next call on this object.
+  const kernels::Drive& DriveOf(const PackedLinear& linear, int width, const PhaseSpikes* phase);
 
   // Sum over all spikes of the nonzero weights [inputs] that their neuron meets.
-  uint64_t Products(const std::vector<uint32_t>& nonzero, bool with_phase) const;
+  uint64_t Products(const std::vector<uint32_t>& nonzero, const PhaseSpikes* phase) const;
 
  private:
   // Neurons whose rows are added together: those of one period, or those that fire at one tick.
@@ -43,22 +53,23 @@ class SpikeInput {
     int tick = 0;  // the period, or the tick itself, 1 ... T
     int first = 0;
     int count = 0;
+    int spikes = 0;  // of each member, in this group
   };
 
-  void CodePeriods(const ModelConfig& config, const Coder& coder, const float* x);
+  void CodePeriods(const PeriodTable& table, const Coder& coder, const float* x);
   void CodeBernoulli(const Coder& coder, const float* x, const BernoulliKey& key);
 
   int ticks_ = 0;
   int neurons_ = 0;  // d
   bool periodic_ = true;
   uint64_t total_ = 0;
-  std::vector<int> spikes_;             // [d]
-  std::vector<int32_t> periods_;        // [d]
-  std::vector<int32_t> members_;        // neurons by group, ascending inside a group
-  std::vector<Group> groups_;           // not empty, ascending by tick
-  std::vector<int32_t> phase_members_;  // generators that fire, by tick
-  std::vector<int> phase_offsets_;      // [T + 1]
-  uint64_t phase_spikes_ = 0;
+  std::vector<int32_t> members_;  // neurons by group, ascending inside a group
+  std::vector<Group> groups_;     // none empty, ascending by tick
+  // Of the rate coder:
+  std::vector<int32_t> periods_;  // [d]
+  std::vector<uint32_t> active_;  // [d / 32] bits: neurons that fire
+  std::vector<int> next_;         // [T + 1]: members of each period, then where its next one goes
+  // Of the currents:
   std::vector<float> sums_;  // [groups][width]
   kernels::Drive drive_;
 };

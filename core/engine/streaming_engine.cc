@@ -4,7 +4,10 @@
 #include <utility>
 
 #include "core/engine/attention_cache.h"
-#include "core/engine/kernels.h"
+#include "core/engine/kernels/attention_kernels.h"
+#include "core/engine/kernels/lif_kernels.h"
+#include "core/engine/kernels/linear_kernels.h"
+#include "core/engine/kernels/routing_kernels.h"
 #include "core/engine/spike_input.h"
 #include "core/engine/token.h"
 #include "core/math/exp.h"
@@ -23,6 +26,7 @@ class StreamingContext : public Engine::Context {
   int64_t timestep;  // of the next token
   AttentionBand band;
   std::vector<AttentionCache> caches;  // [L]
+  PhaseSpikes phase;                   // of the running timestep
   Counts action_counts;                // of the last action token, borne by the next decision
 };
 
@@ -66,12 +70,10 @@ class TokenPass {
         packed_(packed),
         context_(context),
         counts_(counts),
-        scratch_(ThreadScratch()) {
-    scratch_.spikes.SetPhase(policy, context.timestep);
-  }
+        scratch_(ThreadScratch()) {}
 
   // Emitted once a timestep, whoever hears them.
-  void CountPhase() { counts_.spikes(Stage::kPhase) += scratch_.spikes.phase_spikes(); }
+  void CountPhase() { counts_.spikes(Stage::kPhase) += context_.phase.generators.size(); }
 
   // Takes in the next token of the timestep; `input` is what its embedding takes.
   void Add(TokenKind kind, absl::Span<const float> input) {
@@ -100,11 +102,9 @@ class TokenPass {
   // Firing rates of the last token: the presynaptic activity of the action head.
   void Readout(std::vector<float>* readout) {
     Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout);
-    readout->resize(config_.hidden_size);
+    scratch_.spikes.Rates(readout);
     for (int j = 0; j < config_.hidden_size; ++j) {
-      const int spikes = scratch_.spikes.spikes(j);
-      (*readout)[j] = static_cast<float>(spikes) / static_cast<float>(config_.ticks);
-      if (spikes > 0) counts_.multiply_accumulates += packed_.head_nonzero[j];
+      if ((*readout)[j] > 0.0f) counts_.multiply_accumulates += packed_.head_nonzero[j];
     }
   }
 
@@ -132,7 +132,7 @@ class TokenPass {
                               .timestep = context_.timestep,
                               .token = static_cast<int>(token_->kind),
                               .site = site};
-    scratch_.spikes.Code(config_, coder, x(), key);
+    scratch_.spikes.Code(config_, packed_.periods, coder, x(), key);
     counts_.spikes(stage) += scratch_.spikes.total();
   }
 
@@ -163,16 +163,16 @@ class TokenPass {
     const int section = PadToLanes(config_.hidden_size);
     const int width = needs_query ? 3 * section : 2 * section;
     scratch_.bits.resize(static_cast<size_t>(config_.ticks) * width / kLanes);
-    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, width, /*with_phase=*/true);
+    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, width, &context_.phase);
     kernels::LifBits(lif_, linear.bias.data(), drive, width, scratch_.bits.data());
     counts_.spikes(Stage::kKey) += TakeSection(width, 0, scratch_.keys);
     const uint64_t value_spikes = TakeSection(width, section, scratch_.values);
     counts_.spikes(Stage::kValue) += value_spikes;
     if (needs_query)
       counts_.spikes(Stage::kQuery) += TakeSection(width, 2 * section, scratch_.query);
-    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, /*with_phase=*/true);
+    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, &context_.phase);
     if (!needs_query)
-      counts_.accumulates -= scratch_.spikes.Products(packed.nonzero_query, /*with_phase=*/true);
+      counts_.accumulates -= scratch_.spikes.Products(packed.nonzero_query, &context_.phase);
     return value_spikes;
   }
 
@@ -185,6 +185,10 @@ class TokenPass {
     uint32_t* out = heads.data();
     for (int tick = 0; tick < config_.ticks; ++tick) {
       const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * width / kLanes;
+      if (size % 32 == 0) {  // heads are whole words
+        out = std::copy_n(row + first / 32, config_.heads * words, out);
+        continue;
+      }
       for (int head = 0; head < config_.heads; ++head) {
         for (int k = 0; k < size; k += 32) {
           *out++ = TakeBits(row, first + head * size + k, std::min(32, size - k));
@@ -244,16 +248,10 @@ class TokenPass {
     Code(weights.ffn_coder, site, Stage::kFfnIn);
     const PackedLinear& linear = packed.ffn_hidden;
     scratch_.hidden.resize(linear.width);
-    const kernels::Drive& drive =
-        scratch_.spikes.DriveOf(linear, linear.width, /*with_phase=*/false);
-    kernels::LifCounts(lif_, linear.bias.data(), drive, linear.width, scratch_.hidden.data());
-    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, /*with_phase=*/false);
-    float spikes = 0.0f;
-    for (float& count : scratch_.hidden) {
-      spikes += count;  // integers, exact
-      count /= static_cast<float>(config_.ticks);
-    }
-    counts_.spikes(Stage::kFfnHidden) += static_cast<uint64_t>(spikes);
+    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, linear.width, nullptr);
+    counts_.spikes(Stage::kFfnHidden) +=
+        kernels::LifRates(lif_, linear.bias.data(), drive, linear.width, scratch_.hidden.data());
+    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, nullptr);
     Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
     AddResidual(weights.ffn_norm);
   }
@@ -289,6 +287,7 @@ void StreamingEngine::Decide(Context& context, float return_to_go,
   auto& streaming = static_cast<StreamingContext&>(context);
   output->counts = std::exchange(streaming.action_counts, Counts());
   streaming.band.Advance(streaming.timestep);
+  streaming.phase.Set(*policy_, streaming.timestep);
   TokenPass pass(*policy_, packed_, streaming, output->counts);
   pass.CountPhase();
   const float standard_return = StandardizeReturn(*policy_, return_to_go);

@@ -1,5 +1,6 @@
-// From an analog value to spikes: the rate coder, and the Bernoulli coder kept as the paper's
-// alternative.
+// From an analog value to spikes. The rate coder is a LIF neuron under the constant current
+// x * gain + bias, whose train is its period (lif.h, period_table.h); here is the Bernoulli coder,
+// kept as the paper's alternative.
 //
 // Pure functions; safe to call from many threads.
 #ifndef CORE_NEURON_CODER_H_
@@ -9,15 +10,8 @@
 
 #include "core/math/counter_random.h"
 #include "core/math/exp.h"
-#include "core/neuron/lif.h"
 
 namespace spikeserve {
-
-// The period of a rate coder's neuron, 0 if silent (see Lif::Period): x * gain + bias is its
-// constant current.
-inline int CoderPeriod(const Lif& lif, float x, float gain, float bias, int ticks) {
-  return lif.Period(x * gain + bias, ticks);
-}
 
 // Which draw of the Bernoulli coder: a key of its counter-based generator.
 struct BernoulliKey {

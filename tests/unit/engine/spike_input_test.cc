@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "core/math/counter_random.h"
+#include "core/neuron/lif.h"
 #include "core/neuron/phase.h"
 
 namespace spikeserve {
@@ -20,8 +21,8 @@ class SpikeInputTest : public testing::TestWithParam<CoderKind> {
     for (int j = 0; j < config_.hidden_size; ++j) {
       x_.push_back(4.0f * UniformFloat(RandomBits({9, static_cast<uint64_t>(j)})) - 1.0f);
     }
-    input_.SetPhase(policy_, kTimestep);
-    input_.Code(config_, Coder(), x_.data(), Key());
+    phase_.Set(policy_, kTimestep);
+    input_.Code(config_, PeriodTable(Lif(), config_.ticks), Coder(), x_.data(), Key());
   }
 
   const struct Coder& Coder() const { return policy_.weights.layers[0].coder; }
@@ -35,7 +36,7 @@ class SpikeInputTest : public testing::TestWithParam<CoderKind> {
     return Period(j) > 0 && tick % Period(j) == 0;
   }
   int Period(int j) const {
-    return CoderPeriod(Lif(), x_[j], Coder().gain.values[j], Coder().bias.values[j], config_.ticks);
+    return Lif().Period(x_[j] * Coder().gain.values[j] + Coder().bias.values[j], config_.ticks);
   }
 
   // The current into output i, added up as model.md's canonical order says.
@@ -63,13 +64,14 @@ class SpikeInputTest : public testing::TestWithParam<CoderKind> {
   ModelConfig config_;
   Policy policy_;
   std::vector<float> x_;
+  PhaseSpikes phase_;
   SpikeInput input_;
 };
 
 TEST_P(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
   const Linear& key = policy_.weights.layers[0].key;
   const PackedLinear packed = Pack({&key});
-  const kernels::Drive& drive = input_.DriveOf(packed, packed.width, /*with_phase=*/true);
+  const kernels::Drive& drive = input_.DriveOf(packed, packed.width, &phase_);
   for (int tick = 1; tick <= config_.ticks; ++tick) {
     for (int i = 0; i < config_.hidden_size; ++i) {
       float current = packed.bias[i];
@@ -81,19 +83,22 @@ TEST_P(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
 }
 
 TEST_P(SpikeInputTest, CountsSpikesAndTheSynapsesTheyMeet) {
+  std::vector<float> rates;
+  input_.Rates(&rates);
   uint64_t total = 0, products = 0;
   std::vector<uint32_t> nonzero(config_.attention_inputs());
   for (size_t j = 0; j < nonzero.size(); ++j) nonzero[j] = static_cast<uint32_t>(j + 1);
   for (int j = 0; j < config_.hidden_size; ++j) {
     int spikes = 0;
     for (int tick = 1; tick <= config_.ticks; ++tick) spikes += Fires(j, tick);
-    EXPECT_EQ(input_.spikes(j), spikes) << "neuron " << j;
+    EXPECT_EQ(rates[j], static_cast<float>(spikes) / static_cast<float>(config_.ticks))
+        << "neuron " << j;
     total += spikes;
     products += static_cast<uint64_t>(spikes) * nonzero[j];
   }
   EXPECT_EQ(input_.total(), total);
-  EXPECT_EQ(input_.Products(nonzero, /*with_phase=*/false), products);
-  EXPECT_GT(input_.Products(nonzero, /*with_phase=*/true), products);
+  EXPECT_EQ(input_.Products(nonzero, nullptr), products);
+  EXPECT_GT(input_.Products(nonzero, &phase_), products);
 }
 
 INSTANTIATE_TEST_SUITE_P(Coders, SpikeInputTest,

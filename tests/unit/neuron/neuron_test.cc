@@ -4,6 +4,7 @@
 
 #include "core/neuron/coder.h"
 #include "core/neuron/lif.h"
+#include "core/neuron/period_table.h"
 #include "core/neuron/phase.h"
 
 namespace spikeserve {
@@ -42,6 +43,23 @@ TEST(LifTest, PeriodsOfKnownCurrents) {
   EXPECT_EQ(lif.Period(0.52f, 10), 2);  // 0.52 (1 + 0.95) = 1.014
   EXPECT_EQ(lif.Period(0.51f, 10), 3);  // 0.51 (1 + 0.95) = 0.9945, then 1.4548
   EXPECT_EQ(lif.Period(0.05f, 1000), 0) << "0.05 / (1 - 0.95) is only ever approached";
+}
+
+TEST(PeriodTableTest, EqualsTheSimulatedNeuronAroundEveryThreshold) {
+  for (const Lif& lif :
+       {Lif(), Lif{.decay = 0.5f, .threshold = 0.3f}, Lif{.decay = 1.0f}, Lif{.decay = 0.0f}}) {
+    constexpr int kTicks = 37;
+    const PeriodTable table(lif, kTicks);
+    for (const float threshold : table.thresholds()) {
+      for (const float current :
+           {std::nextafter(threshold, 0.0f), threshold, std::nextafter(threshold, 2.0f)}) {
+        EXPECT_EQ(table.Period(current), lif.Period(current, kTicks)) << current;
+      }
+    }
+    for (float current = -1.0f; current < 2.0f; current += 0.00037f) {
+      ASSERT_EQ(table.Period(current), lif.Period(current, kTicks)) << current;
+    }
+  }
 }
 
 TEST(PhaseTest, IsTheSignOfTheSine) {

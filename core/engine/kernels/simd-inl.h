@@ -1,0 +1,58 @@
+// Types and small helpers of the kernels, compiled once per SIMD target; included by kernels only.
+#include <cstdint>
+#include <type_traits>
+
+#include "core/engine/packed_weights.h"
+#include "hwy/highway.h"
+
+// Highway's toggle: the guard falls with every new target.
+#if defined(CORE_ENGINE_KERNELS_SIMD_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CORE_ENGINE_KERNELS_SIMD_INL_H_
+#undef CORE_ENGINE_KERNELS_SIMD_INL_H_
+#else
+#define CORE_ENGINE_KERNELS_SIMD_INL_H_
+#endif
+
+HWY_BEFORE_NAMESPACE();
+namespace spikeserve::kernels::HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+using F32 = hn::CappedTag<float, 16>;
+using I32 = hn::RebindToSigned<F32>;
+using U32 = hn::RebindToUnsigned<F32>;
+using VecF = hn::Vec<F32>;
+
+constexpr int kVector = static_cast<int>(hn::MaxLanes(F32()));
+constexpr int kVectorsPerWord = kLanes / kVector;
+
+// One bit a lane.
+template <class D, class Mask>
+HWY_INLINE uint32_t MaskBits(D d, Mask mask) {
+  uint8_t bytes[8] = {};
+  hn::StoreMaskBits(d, mask, bytes);
+  return bytes[0] | static_cast<uint32_t>(bytes[1]) << 8;
+}
+
+template <class D>
+HWY_INLINE auto MaskFromBits(D d, uint32_t bits) {
+  const uint8_t bytes[8] = {static_cast<uint8_t>(bits), static_cast<uint8_t>(bits >> 8)};
+  return hn::LoadMaskBits(d, bytes);
+}
+
+// Calls block(lane, count<V>) over [0, width), a multiple of kLanes: blocks of eight vectors, so
+// that their chains of additions overlap, then of kLanes, which a block never undercuts.
+template <class Block>
+HWY_INLINE void ForEachBlock(int width, Block block) {
+  constexpr int kVectors = kVectorsPerWord > 8 ? kVectorsPerWord : 8;
+  int lane = 0;
+  for (; lane + kVectors * kVector <= width; lane += kVectors * kVector) {
+    block(lane, std::integral_constant<int, kVectors>());
+  }
+  for (; lane < width; lane += kLanes) block(lane, std::integral_constant<int, kVectorsPerWord>());
+}
+
+}  // namespace spikeserve::kernels::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#endif  // toggle
