@@ -98,14 +98,13 @@ void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int widt
   const F32 d;
   const int words = width / kLanes;
   ForEachBlock(width, [&](int lane, auto vectors) HWY_ATTR {
-    uint32_t* block = bits + lane / kLanes;
-    constexpr int kBlockWords = vectors / kVectorsPerWord;
-    for (int tick = 0; tick < drive.ticks; ++tick) {
-      std::fill_n(block + static_cast<size_t>(tick) * words, kBlockWords, 0u);
-    }
+    constexpr int kWords = vectors / kVectorsPerWord;
+    uint32_t word[kWords];
     RunLif<vectors>(lif, bias, drive, lane, [&](int tick, int v, auto spike) HWY_ATTR {
-      block[static_cast<size_t>(tick) * words + v / kVectorsPerWord] |=
-          MaskBits(d, spike) << (v % kVectorsPerWord * kVector);
+      const uint32_t part = MaskBits(d, spike) << (v % kVectorsPerWord * kVector);
+      uint32_t& current = word[v / kVectorsPerWord];
+      current = v % kVectorsPerWord == 0 ? part : current | part;
+      if (v + 1 == vectors) std::copy_n(word, kWords, bits + tick * words + lane / kLanes);
     });
   });
 }

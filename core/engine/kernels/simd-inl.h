@@ -1,5 +1,6 @@
 // Types and small helpers of the kernels, compiled once per SIMD target; included by kernels only.
 #include <cstdint>
+#include <cstring>
 #include <type_traits>
 
 #include "core/engine/packed_weights.h"
@@ -31,7 +32,9 @@ template <class D, class Mask>
 HWY_INLINE uint32_t MaskBits(D d, Mask mask) {
   uint8_t bytes[8] = {};
   hn::StoreMaskBits(d, mask, bytes);
-  return bytes[0] | static_cast<uint32_t>(bytes[1]) << 8;
+  uint16_t bits;  // at most 16 lanes; every target here is little-endian
+  std::memcpy(&bits, bytes, sizeof(bits));
+  return bits;
 }
 
 template <class D>
