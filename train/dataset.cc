@@ -5,6 +5,7 @@
 #include <iterator>
 
 #include "absl/strings/str_cat.h"
+#include "core/model/atomic_file.h"
 
 namespace spikeserve {
 namespace {
@@ -141,13 +142,9 @@ absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {
   for (const Episode& episode : dataset.episodes) {
     json["episodes"].push_back(EpisodeToJson(episode, discrete));
   }
-  const std::vector<uint8_t> bytes = Json::to_cbor(json);
-  std::ofstream file(path, std::ios::binary);
-  file.write(reinterpret_cast<const char*>(bytes.data()),
-             static_cast<std::streamsize>(bytes.size()));
-  file.close();
-  if (!file) return absl::InternalError(absl::StrCat(path, ": cannot write"));
-  return absl::OkStatus();
+  std::string bytes;
+  Json::to_cbor(json, bytes);
+  return WriteFileAtomically(path, {bytes});
 }
 
 absl::StatusOr<Dataset> ReadDataset(const std::string& path) {
