@@ -9,6 +9,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/time/clock.h"
 #include "client/status.h"
 
 namespace spikeserve {
@@ -37,11 +38,12 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
 
   absl::StatusOr<ActReply> Receive(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mutex_) {
     absl::MutexLock lock(&mutex_);
-    const auto ready = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-      return !replies_.empty() || final_status_.has_value();
-    };
-    if (!mutex_.AwaitWithTimeout(absl::Condition(&ready), timeout)) {
-      return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
+    const absl::Time deadline = absl::Now() + timeout;
+    while (replies_.empty() && !final_status_.has_value()) {
+      if (changed_.WaitWithDeadline(&mutex_, deadline) && replies_.empty() &&
+          !final_status_.has_value()) {
+        return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
+      }
     }
     if (replies_.empty()) {
       return final_status_->ok() ? absl::OutOfRangeError("the stream has ended") : *final_status_;
@@ -62,10 +64,7 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
   void Shutdown() ABSL_LOCKS_EXCLUDED(mutex_) {
     context_.TryCancel();
     absl::MutexLock lock(&mutex_);
-    const auto ended = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-      return final_status_.has_value();
-    };
-    mutex_.Await(absl::Condition(&ended));
+    while (!final_status_.has_value()) changed_.Wait(&mutex_);
   }
 
   void OnReadDone(bool ok) override ABSL_LOCKS_EXCLUDED(mutex_) {
@@ -76,6 +75,7 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
       return;
     }
     replies_.push_back(TakeIncoming());
+    changed_.Signal();
     StartRead(&incoming_);
   }
 
@@ -93,6 +93,7 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
   void OnDone(const grpc::Status& status) override ABSL_LOCKS_EXCLUDED(mutex_) {
     absl::MutexLock lock(&mutex_);
     final_status_ = StatusFromGrpc(status);
+    changed_.SignalAll();
   }
 
  private:
@@ -114,6 +115,7 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
   v1::ActResponse incoming_;  // gRPC's between StartRead and OnReadDone
 
   absl::Mutex mutex_;
+  absl::CondVar changed_;                                        // a reply came, or the call ended
   std::deque<v1::ActRequest> outgoing_ ABSL_GUARDED_BY(mutex_);  // the front is being written
   std::deque<ActReply> replies_ ABSL_GUARDED_BY(mutex_);
   bool send_closed_ ABSL_GUARDED_BY(mutex_) = false;

@@ -8,6 +8,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/time/clock.h"
 
 namespace spikeserve {
 namespace {
@@ -37,13 +38,16 @@ class UnaryExchange : public Exchange {
     void Push(ActReply reply) ABSL_LOCKS_EXCLUDED(mutex_) {
       absl::MutexLock lock(&mutex_);
       queue_.push_back(std::move(reply));
+      pushed_.Signal();
     }
 
     absl::StatusOr<ActReply> Pop() ABSL_LOCKS_EXCLUDED(mutex_) {
       absl::MutexLock lock(&mutex_);
-      const auto ready = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return !queue_.empty(); };
-      if (!mutex_.AwaitWithTimeout(absl::Condition(&ready), kPatience)) {
-        return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(kPatience));
+      const absl::Time deadline = absl::Now() + kPatience;
+      while (queue_.empty()) {
+        if (pushed_.WaitWithDeadline(&mutex_, deadline) && queue_.empty()) {
+          return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(kPatience));
+        }
       }
       ActReply reply = std::move(queue_.front());
       queue_.pop_front();
@@ -52,6 +56,7 @@ class UnaryExchange : public Exchange {
 
    private:
     absl::Mutex mutex_;
+    absl::CondVar pushed_;
     std::deque<ActReply> queue_ ABSL_GUARDED_BY(mutex_);
   };
 

@@ -25,6 +25,7 @@ FakePolicyService::~FakePolicyService() {
   {
     absl::MutexLock lock(&mutex_);
     ++calls_;  // lets a hanging call go
+    called_.SignalAll();
   }
   server_->Shutdown(std::chrono::system_clock::now());
 }
@@ -74,10 +75,10 @@ template <typename Work>
 grpc::Status FakePolicyService::Handle(Work work) {
   absl::MutexLock lock(&mutex_);
   const int call = ++calls_;
+  called_.SignalAll();
   if (hang_) {
     hang_ = false;
-    const auto another_came = [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return calls_ > call; };
-    mutex_.Await(absl::Condition(&another_came));
+    while (calls_ == call) called_.Wait(&mutex_);
     return {grpc::StatusCode::UNAVAILABLE, "hung"};
   }
   if (refusals_ > 0) {

@@ -76,6 +76,7 @@ class FakePolicyService : public v1::PolicyService::Service {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   mutable absl::Mutex mutex_;
+  absl::CondVar called_;  // calls_ has grown
   std::map<std::string, SessionState> sessions_ ABSL_GUARDED_BY(mutex_);
   int calls_ ABSL_GUARDED_BY(mutex_) = 0;
   int decisions_ ABSL_GUARDED_BY(mutex_) = 0;
