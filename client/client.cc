@@ -100,14 +100,17 @@ void Client::ActAsync(const v1::ActRequest& request,
   auto call = std::make_shared<PendingCall>();
   call->context.set_deadline(absl::ToChronoTime(absl::Now() + options_.call_timeout));
   call->request = request;
-  stub_->async()->Act(&call->context, &call->request, &call->response,
-                      [call, done = std::move(done)](const grpc::Status& status) {
-                        if (status.ok()) {
-                          done(std::move(call->response));
-                        } else {
-                          done(StatusFromGrpc(status));
-                        }
-                      });
+  auto* pending = call.get();
+  stub_->async()->Act(
+      &pending->context, &pending->request, &pending->response,
+      [call = std::move(call), done = std::move(done)](const grpc::Status& status) mutable {
+        absl::StatusOr<v1::ActResponse> response = std::move(call->response);
+        if (!status.ok()) response = StatusFromGrpc(status);
+        // The context holds on to the channel, which must not die on this thread of gRPC's, and
+        // may be dropped by its owner as soon as `done` is called.
+        call.reset();
+        done(std::move(response));
+      });
 }
 
 absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(

@@ -58,7 +58,7 @@ class Client {
   absl::StatusOr<v1::ActResponse> Act(const v1::ActRequest& request);
 
   // One attempt that does not block; `done` is called once, on a thread of gRPC's, and must not
-  // block.
+  // block. The client must outlive the call.
   void ActAsync(const v1::ActRequest& request,
                 std::function<void(absl::StatusOr<v1::ActResponse>)> done);
 
