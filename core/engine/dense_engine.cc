@@ -5,7 +5,7 @@
 #include <deque>
 #include <utility>
 
-#include "core/engine/reference_engine.h"
+#include "core/engine/prefix_engine.h"
 #include "core/engine/token.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"
@@ -136,59 +136,65 @@ class DenseContext : public Engine::Context {
   Counts action_counts;           // of the last action token, borne by the next decision
 };
 
+class DenseReferenceEngine final : public PrefixEngine {
+ public:
+  using PrefixEngine::PrefixEngine;
+
+ private:
+  void Compute(const PrefixContext& prefix, Output* output) const override {
+    std::vector<KeyValues> layers(policy().config.layers);
+    DensePass pass(policy(), layers);
+    for (size_t i = 0; i < prefix.tokens().size(); ++i) {
+      if (i == prefix.first_new_token()) pass.ResetCounts();
+      output->readout = pass.Run(prefix.tokens()[i]);
+    }
+    pass.CountHead(output->readout);
+    output->counts = pass.counts();
+  }
+};
+
+class DenseStreamingEngine final : public Engine {
+ public:
+  explicit DenseStreamingEngine(std::shared_ptr<const Policy> policy)
+      : policy_(std::move(policy)) {}
+
+  const Policy& policy() const override { return *policy_; }
+
+  std::unique_ptr<Context> NewContext(uint64_t /*seed*/, int64_t first_timestep) const override {
+    return std::make_unique<DenseContext>(policy_->config.layers, first_timestep);
+  }
+
+  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+              Output* output) const override {
+    auto& dense = static_cast<DenseContext&>(context);
+    DensePass pass(*policy_, dense.layers);
+    pass.Run(ReturnToken(*policy_, dense.timestep, return_to_go));
+    output->readout = pass.Run(StateToken(*policy_, dense.timestep, observation));
+    pass.CountHead(output->readout);
+    output->counts = std::exchange(dense.action_counts, Counts());
+    output->counts += pass.counts();
+  }
+
+  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
+    auto& dense = static_cast<DenseContext&>(context);
+    DensePass pass(*policy_, dense.layers);
+    pass.Run(ActionToken(dense.timestep, encoded_action));
+    dense.action_counts = pass.counts();
+    ++dense.timestep;
+  }
+
+ private:
+  std::shared_ptr<const Policy> policy_;
+};
+
 }  // namespace
 
-std::unique_ptr<Engine::Context> DenseReferenceEngine::NewContext(uint64_t seed,
-                                                                  int64_t first_timestep) const {
-  return std::make_unique<PrefixContext>(seed, first_timestep);
+std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<DenseReferenceEngine>(std::move(policy));
 }
 
-void DenseReferenceEngine::Decide(Context& context, float return_to_go,
-                                  absl::Span<const float> observation, Output* output) const {
-  auto& prefix = static_cast<PrefixContext&>(context);
-  prefix.AppendReturnAndState(*policy_, return_to_go, observation);
-  std::vector<KeyValues> layers(policy_->config.layers);
-  DensePass pass(*policy_, layers);
-  for (size_t i = 0; i < prefix.tokens().size(); ++i) {
-    if (i == prefix.first_new_token()) pass.ResetCounts();
-    output->readout = pass.Run(prefix.tokens()[i]);
-  }
-  pass.CountHead(output->readout);
-  output->counts = pass.counts();
-}
-
-void DenseReferenceEngine::AppendAction(Context& context,
-                                        absl::Span<const float> encoded_action) const {
-  static_cast<PrefixContext&>(context).AppendAction(encoded_action);
-}
-
-std::unique_ptr<Engine::Context> DenseStreamingEngine::NewContext(uint64_t,
-                                                                  int64_t first_timestep) const {
-  return std::make_unique<DenseContext>(policy_->config.layers, first_timestep);
-}
-
-void DenseStreamingEngine::Decide(Context& context, float return_to_go,
-                                  absl::Span<const float> observation, Output* output) const {
-  auto& dense = static_cast<DenseContext&>(context);
-  DensePass pass(*policy_, dense.layers);
-  pass.Run({TokenKind::kReturn, dense.timestep, {StandardizeReturn(*policy_, return_to_go)}});
-  Token state = {TokenKind::kState, dense.timestep, {observation.begin(), observation.end()}};
-  for (size_t i = 0; i < state.input.size(); ++i) {
-    state.input[i] = StandardizeObservation(*policy_, state.input[i], static_cast<int>(i));
-  }
-  output->readout = pass.Run(state);
-  pass.CountHead(output->readout);
-  output->counts = std::exchange(dense.action_counts, Counts());
-  output->counts += pass.counts();
-}
-
-void DenseStreamingEngine::AppendAction(Context& context,
-                                        absl::Span<const float> encoded_action) const {
-  auto& dense = static_cast<DenseContext&>(context);
-  DensePass pass(*policy_, dense.layers);
-  pass.Run({TokenKind::kAction, dense.timestep, {encoded_action.begin(), encoded_action.end()}});
-  dense.action_counts = pass.counts();
-  ++dense.timestep;
+std::unique_ptr<Engine> MakeDenseStreamingEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<DenseStreamingEngine>(std::move(policy));
 }
 
 }  // namespace spikeserve

@@ -15,36 +15,12 @@
 namespace spikeserve {
 
 // Recomputes every token of the episode at every decision.
-class DenseReferenceEngine : public Engine {
- public:
-  explicit DenseReferenceEngine(std::shared_ptr<const Policy> policy)
-      : policy_(std::move(policy)) {}
-
-  const Policy& policy() const override { return *policy_; }
-  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override;
-  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
-              Output* output) const override;
-  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override;
-
- private:
-  std::shared_ptr<const Policy> policy_;
-};
+// REQUIRES: a valid policy of dense mode.
+std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> policy);
 
 // Keeps keys and values of the last N timesteps and computes only the new tokens.
-class DenseStreamingEngine : public Engine {
- public:
-  explicit DenseStreamingEngine(std::shared_ptr<const Policy> policy)
-      : policy_(std::move(policy)) {}
-
-  const Policy& policy() const override { return *policy_; }
-  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override;
-  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
-              Output* output) const override;
-  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override;
-
- private:
-  std::shared_ptr<const Policy> policy_;
-};
+// REQUIRES: a valid policy of dense mode.
+std::unique_ptr<Engine> MakeDenseStreamingEngine(std::shared_ptr<const Policy> policy);
 
 }  // namespace spikeserve
 

@@ -9,13 +9,13 @@ namespace spikeserve {
 int HistorySize(const ModelConfig& config) { return config.layers * (config.context - 1) + 1; }
 
 std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy) {
-  if (policy->config.is_dense()) return std::make_unique<DenseReferenceEngine>(std::move(policy));
-  return std::make_unique<ReferenceEngine>(std::move(policy));
+  return policy->config.is_dense() ? MakeDenseReferenceEngine(std::move(policy))
+                                   : MakeSpikingReferenceEngine(std::move(policy));
 }
 
 std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy) {
-  if (policy->config.is_dense()) return std::make_unique<DenseStreamingEngine>(std::move(policy));
-  return std::make_unique<StreamingEngine>(std::move(policy));
+  return policy->config.is_dense() ? MakeDenseStreamingEngine(std::move(policy))
+                                   : MakeSpikingStreamingEngine(std::move(policy));
 }
 
 }  // namespace spikeserve

@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
+#include <vector>
 
+#include "core/engine/prefix_engine.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"
 #include "core/neuron/coder.h"
@@ -11,6 +14,9 @@
 
 namespace spikeserve {
 namespace {
+
+// Spikes of a population over the ticks of one token: [T][neurons] of 0 and 1.
+using SpikeTrain = std::vector<std::vector<uint8_t>>;
 
 uint64_t CountSpikes(const SpikeTrain& train) {
   uint64_t count = 0;
@@ -340,42 +346,20 @@ class ReferencePass {
   Counts counts_;
 };
 
+class ReferenceEngine final : public PrefixEngine {
+ public:
+  using PrefixEngine::PrefixEngine;
+
+ private:
+  void Compute(const PrefixContext& prefix, Output* output) const override {
+    ReferencePass(policy(), prefix).Run(output);
+  }
+};
+
 }  // namespace
 
-void PrefixContext::AppendReturnAndState(const Policy& policy, float return_to_go,
-                                         absl::Span<const float> observation) {
-  tokens_.push_back({TokenKind::kReturn, timestep_, {StandardizeReturn(policy, return_to_go)}});
-  Token state = {TokenKind::kState, timestep_, {observation.begin(), observation.end()}};
-  for (size_t i = 0; i < state.input.size(); ++i) {
-    state.input[i] = StandardizeObservation(policy, state.input[i], static_cast<int>(i));
-  }
-  tokens_.push_back(std::move(state));
-}
-
-void PrefixContext::AppendAction(absl::Span<const float> encoded_action) {
-  tokens_.push_back(
-      {TokenKind::kAction, timestep_, {encoded_action.begin(), encoded_action.end()}});
-  ++timestep_;
-}
-
-size_t PrefixContext::first_new_token() const {
-  return tokens_.size() - std::min<size_t>(tokens_.size(), 3);
-}
-
-std::unique_ptr<Engine::Context> ReferenceEngine::NewContext(uint64_t seed,
-                                                             int64_t first_timestep) const {
-  return std::make_unique<PrefixContext>(seed, first_timestep);
-}
-
-void ReferenceEngine::Decide(Context& context, float return_to_go,
-                             absl::Span<const float> observation, Output* output) const {
-  auto& prefix = static_cast<PrefixContext&>(context);
-  prefix.AppendReturnAndState(*policy_, return_to_go, observation);
-  ReferencePass(*policy_, prefix).Run(output);
-}
-
-void ReferenceEngine::AppendAction(Context& context, absl::Span<const float> encoded_action) const {
-  static_cast<PrefixContext&>(context).AppendAction(encoded_action);
+std::unique_ptr<Engine> MakeSpikingReferenceEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<ReferenceEngine>(std::move(policy));
 }
 
 }  // namespace spikeserve

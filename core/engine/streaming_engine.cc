@@ -8,6 +8,7 @@
 #include "core/engine/kernels/lif_kernels.h"
 #include "core/engine/kernels/linear_kernels.h"
 #include "core/engine/kernels/routing_kernels.h"
+#include "core/engine/packed_weights.h"
 #include "core/engine/spike_input.h"
 #include "core/engine/token.h"
 #include "core/math/exp.h"
@@ -272,42 +273,51 @@ class TokenPass {
   NewToken* token_ = nullptr;  // the one at hand
 };
 
+class StreamingEngine final : public Engine {
+ public:
+  explicit StreamingEngine(std::shared_ptr<const Policy> policy)
+      : policy_(std::move(policy)), packed_(*policy_) {}
+
+  const Policy& policy() const override { return *policy_; }
+
+  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override {
+    return std::make_unique<StreamingContext>(policy_->config, seed, first_timestep);
+  }
+
+  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+              Output* output) const override {
+    auto& streaming = static_cast<StreamingContext&>(context);
+    output->counts = std::exchange(streaming.action_counts, Counts());
+    streaming.band.Advance(streaming.timestep);
+    streaming.phase.Set(*policy_, streaming.timestep);
+    TokenPass pass(*policy_, packed_, streaming, output->counts);
+    pass.CountPhase();
+    const float standard_return = StandardizeReturn(*policy_, return_to_go);
+    pass.Add(TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
+    std::vector<float>& input = ThreadScratch().input;
+    StandardizeObservation(*policy_, observation, &input);
+    pass.Add(TokenKind::kState, input);
+    pass.Run();
+    pass.Readout(&output->readout);
+  }
+
+  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
+    auto& streaming = static_cast<StreamingContext&>(context);
+    TokenPass pass(*policy_, packed_, streaming, streaming.action_counts);
+    pass.Add(TokenKind::kAction, encoded_action);
+    pass.Run();
+    ++streaming.timestep;
+  }
+
+ private:
+  std::shared_ptr<const Policy> policy_;
+  PackedWeights packed_;
+};
+
 }  // namespace
 
-StreamingEngine::StreamingEngine(std::shared_ptr<const Policy> policy)
-    : policy_(std::move(policy)), packed_(*policy_) {}
-
-std::unique_ptr<Engine::Context> StreamingEngine::NewContext(uint64_t seed,
-                                                             int64_t first_timestep) const {
-  return std::make_unique<StreamingContext>(policy_->config, seed, first_timestep);
-}
-
-void StreamingEngine::Decide(Context& context, float return_to_go,
-                             absl::Span<const float> observation, Output* output) const {
-  auto& streaming = static_cast<StreamingContext&>(context);
-  output->counts = std::exchange(streaming.action_counts, Counts());
-  streaming.band.Advance(streaming.timestep);
-  streaming.phase.Set(*policy_, streaming.timestep);
-  TokenPass pass(*policy_, packed_, streaming, output->counts);
-  pass.CountPhase();
-  const float standard_return = StandardizeReturn(*policy_, return_to_go);
-  pass.Add(TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
-  std::vector<float>& input = ThreadScratch().input;
-  input.assign(observation.begin(), observation.end());
-  for (size_t i = 0; i < input.size(); ++i) {
-    input[i] = StandardizeObservation(*policy_, input[i], static_cast<int>(i));
-  }
-  pass.Add(TokenKind::kState, input);
-  pass.Run();
-  pass.Readout(&output->readout);
-}
-
-void StreamingEngine::AppendAction(Context& context, absl::Span<const float> encoded_action) const {
-  auto& streaming = static_cast<StreamingContext&>(context);
-  TokenPass pass(*policy_, packed_, streaming, streaming.action_counts);
-  pass.Add(TokenKind::kAction, encoded_action);
-  pass.Run();
-  ++streaming.timestep;
+std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<StreamingEngine>(std::move(policy));
 }
 
 }  // namespace spikeserve

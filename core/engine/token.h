@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "absl/types/span.h"
 #include "core/model/policy.h"
 
 namespace spikeserve {
@@ -36,10 +37,29 @@ inline float StandardizeReturn(const Policy& policy, float return_to_go) {
   return (return_to_go - policy.return_offset) / policy.return_scale;
 }
 
-// (observation[i] - mean[i]) / std[i].
-inline float StandardizeObservation(const Policy& policy, float value, int i) {
-  return (value - policy.weights.observation_mean.values[i]) /
-         policy.weights.observation_std.values[i];
+// input[i] = (observation[i] - mean[i]) / std[i].
+inline void StandardizeObservation(const Policy& policy, absl::Span<const float> observation,
+                                   std::vector<float>* input) {
+  input->resize(observation.size());
+  for (size_t i = 0; i < observation.size(); ++i) {
+    (*input)[i] = (observation[i] - policy.weights.observation_mean.values[i]) /
+                  policy.weights.observation_std.values[i];
+  }
+}
+
+inline Token ReturnToken(const Policy& policy, int64_t timestep, float return_to_go) {
+  return {TokenKind::kReturn, timestep, {StandardizeReturn(policy, return_to_go)}};
+}
+
+inline Token StateToken(const Policy& policy, int64_t timestep,
+                        absl::Span<const float> observation) {
+  Token token = {TokenKind::kState, timestep, {}};
+  StandardizeObservation(policy, observation, &token.input);
+  return token;
+}
+
+inline Token ActionToken(int64_t timestep, absl::Span<const float> encoded_action) {
+  return {TokenKind::kAction, timestep, {encoded_action.begin(), encoded_action.end()}};
 }
 
 }  // namespace spikeserve

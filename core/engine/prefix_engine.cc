@@ -1,0 +1,38 @@
+#include "core/engine/prefix_engine.h"
+
+#include <algorithm>
+
+namespace spikeserve {
+
+void PrefixContext::AppendReturnAndState(const Policy& policy, float return_to_go,
+                                         absl::Span<const float> observation) {
+  tokens_.push_back(ReturnToken(policy, timestep_, return_to_go));
+  tokens_.push_back(StateToken(policy, timestep_, observation));
+}
+
+void PrefixContext::AppendAction(absl::Span<const float> encoded_action) {
+  tokens_.push_back(ActionToken(timestep_, encoded_action));
+  ++timestep_;
+}
+
+size_t PrefixContext::first_new_token() const {
+  return tokens_.size() - std::min<size_t>(tokens_.size(), kTokensPerTimestep);
+}
+
+std::unique_ptr<Engine::Context> PrefixEngine::NewContext(uint64_t seed,
+                                                          int64_t first_timestep) const {
+  return std::make_unique<PrefixContext>(seed, first_timestep);
+}
+
+void PrefixEngine::Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+                          Output* output) const {
+  auto& prefix = static_cast<PrefixContext&>(context);
+  prefix.AppendReturnAndState(*policy_, return_to_go, observation);
+  Compute(prefix, output);
+}
+
+void PrefixEngine::AppendAction(Context& context, absl::Span<const float> encoded_action) const {
+  static_cast<PrefixContext&>(context).AppendAction(encoded_action);
+}
+
+}  // namespace spikeserve

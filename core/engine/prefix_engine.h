@@ -1,0 +1,55 @@
+// What engines that recompute have in common: the tokens of the episode so far.
+#ifndef CORE_ENGINE_PREFIX_ENGINE_H_
+#define CORE_ENGINE_PREFIX_ENGINE_H_
+
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "core/engine/engine.h"
+#include "core/engine/token.h"
+
+namespace spikeserve {
+
+// Every token of an episode, oldest first. Not thread-safe.
+class PrefixContext : public Engine::Context {
+ public:
+  PrefixContext(uint64_t seed, int64_t first_timestep) : seed_(seed), timestep_(first_timestep) {}
+
+  uint64_t seed() const { return seed_; }
+  const std::vector<Token>& tokens() const { return tokens_; }
+  // Index of the first token whose cost the running decision bears: a_{t-1}, or G_t where it opens
+  // the context.
+  size_t first_new_token() const;
+
+  void AppendReturnAndState(const Policy& policy, float return_to_go,
+                            absl::Span<const float> observation);
+  void AppendAction(absl::Span<const float> encoded_action);
+
+ private:
+  uint64_t seed_;
+  int64_t timestep_;
+  std::vector<Token> tokens_;
+};
+
+// An engine whose decision is a function of the whole prefix. Thread-safety as in engine.h.
+class PrefixEngine : public Engine {
+ public:
+  explicit PrefixEngine(std::shared_ptr<const Policy> policy) : policy_(std::move(policy)) {}
+
+  const Policy& policy() const final { return *policy_; }
+  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const final;
+  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+              Output* output) const final;
+  void AppendAction(Context& context, absl::Span<const float> encoded_action) const final;
+
+ private:
+  // The decision at the last token of `prefix`, a state token.
+  virtual void Compute(const PrefixContext& prefix, Output* output) const = 0;
+
+  std::shared_ptr<const Policy> policy_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_PREFIX_ENGINE_H_
