@@ -1,8 +1,9 @@
 // Lets the thread sanitizer see Abseil's mutexes.
 //
-// Debian's Abseil is built without the sanitizer, so what its mutexes order would look like a race, in our code and in
-// gRPC's. These definitions stand in front of the library's, for every caller in the process: each calls the library's
-// own and tells the sanitizer what was acquired or released. Linked into the programs of the `tsan` preset only.
+// Debian's Abseil is built without the sanitizer, so what its mutexes order would look like a race,
+// in our code and in gRPC's. These definitions stand in front of the library's, for every caller in
+// the process: each calls the library's own and tells the sanitizer what was acquired or released.
+// Linked into the programs of the `tsan` preset only.
 #include <dlfcn.h>
 
 #include "absl/synchronization/mutex.h"
@@ -83,7 +84,8 @@ bool Mutex::AwaitWithDeadline(const Condition& condition, Time deadline) {
 }
 
 void CondVar::Wait(Mutex* mutex) {
-  static const auto next = Next<void (*)(CondVar*, Mutex*)>(SPIKESERVE_ABSL("7CondVar4WaitEPNS0_5MutexE"));
+  static const auto next =
+      Next<void (*)(CondVar*, Mutex*)>(SPIKESERVE_ABSL("7CondVar4WaitEPNS0_5MutexE"));
   __tsan_release(mutex);
   next(this, mutex);
   __tsan_acquire(mutex);
