@@ -14,6 +14,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
+#include "grpc/health/v1/health.pb.h"
 #include "server/status_pages.h"
 
 namespace spikeserve {
@@ -83,6 +84,8 @@ Server::Server(const ServerOptions& options, PolicyRegistry registry,
 absl::Status Server::StartGrpc() {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+  // gRPC answers health checks without its messages; naming one links them, so reflection has them.
+  grpc::health::v1::HealthCheckRequest::descriptor();
   grpc::ServerBuilder builder;
   // Otherwise two servers would share a port, and a client would meet either.
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);

@@ -5,24 +5,42 @@
 namespace spikeserve {
 namespace {
 
-class ReflectionTest : public ServerTest {};
+namespace v1alpha = grpc::reflection::v1alpha;
+
+class ReflectionTest : public ServerTest {
+ protected:
+  // The server's answer to one question.
+  v1alpha::ServerReflectionResponse Ask(const v1alpha::ServerReflectionRequest& request) {
+    const auto stub = v1alpha::ServerReflection::NewStub(client_->channel());
+    auto context = NewContext();
+    const auto stream = stub->ServerReflectionInfo(context.get());
+    v1alpha::ServerReflectionResponse response;
+    EXPECT_TRUE(stream->Write(request) && stream->Read(&response));
+    stream->WritesDone();
+    EXPECT_TRUE(stream->Finish().ok());
+    return response;
+  }
+};
 
 TEST_F(ReflectionTest, ServicesAreListed) {
-  const auto stub = grpc::reflection::v1alpha::ServerReflection::NewStub(client_->channel());
-  auto context = NewContext();
-  const auto stream = stub->ServerReflectionInfo(context.get());
-  grpc::reflection::v1alpha::ServerReflectionRequest request;
+  v1alpha::ServerReflectionRequest request;
   request.set_list_services("");
-  grpc::reflection::v1alpha::ServerReflectionResponse response;
-  ASSERT_TRUE(stream->Write(request) && stream->Read(&response));
+  const auto response = Ask(request);
   std::vector<std::string> names;
   for (const auto& service : response.list_services_response().service()) {
     names.push_back(service.name());
   }
-  EXPECT_THAT(names, ::testing::IsSupersetOf({"spikeserve.v1.PolicyService",
-                                              "grpc.reflection.v1alpha.ServerReflection"}));
-  stream->WritesDone();
-  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_THAT(names,
+              ::testing::IsSupersetOf({"spikeserve.v1.PolicyService", "grpc.health.v1.Health",
+                                       "grpc.reflection.v1alpha.ServerReflection"}));
+}
+
+TEST_F(ReflectionTest, EveryServiceIsDescribed) {
+  for (const std::string service : {"spikeserve.v1.PolicyService", "grpc.health.v1.Health"}) {
+    v1alpha::ServerReflectionRequest request;
+    request.set_file_containing_symbol(service);
+    EXPECT_TRUE(Ask(request).has_file_descriptor_response()) << service;
+  }
 }
 
 }  // namespace

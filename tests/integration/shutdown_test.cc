@@ -2,7 +2,7 @@
 #include <chrono>
 
 #include "core/model/action_space.h"
-#include "grpc_standard/health.grpc.pb.h"
+#include "grpc/health/v1/health.grpc.pb.h"
 #include "tests/integration/http_client.h"
 #include "tests/integration/server_fixture.h"
 

@@ -82,17 +82,11 @@ def policy_service(channel):
 
 
 def test_health(channel):
-    # gRPC's C++ health service is not in the reflection, so its two messages are written out here:
-    # field 1 of the request is the service's name, field 1 of the response its status, 1 = SERVING.
-    check = channel.unary_unary(
-        "/grpc.health.v1.Health/Check",
-        request_serializer=lambda name: bytes([0x0A, len(name)]) + name.encode(),
-        response_deserializer=bytes,
-    )
+    health = Service(channel, "grpc.health.v1.Health")
     for name in ("", "spikeserve.v1.PolicyService"):
-        assert check(name, timeout=DEADLINE_SECONDS) == bytes([0x08, 1])
+        assert health.Check(service=name).status == 1  # SERVING
     with pytest.raises(grpc.RpcError) as error:
-        check("nothing.of.the.kind", timeout=DEADLINE_SECONDS)
+        health.Check(service="nothing.of.the.kind")
     assert error.value.code() == grpc.StatusCode.NOT_FOUND
 
 
