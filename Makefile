@@ -1,6 +1,10 @@
 # The front door. `make demo` and `make test` need nothing but a bare Debian 12 and root.
 BUILD := build/release
 BIN := $(BUILD)/bin
+# Lets the compiler cache serve every clone, wherever it lies.
+export CCACHE_BASEDIR := $(CURDIR)
+export CCACHE_NOHASHDIR := 1
+
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
 .PHONY: demo test build train bench sanitize format clean setup configure
