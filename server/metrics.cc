@@ -1,11 +1,15 @@
 #include "server/metrics.h"
 
+#include <iterator>
 #include <sstream>
 #include <utility>
+#include <vector>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "prometheus/text_serializer.h"
 #include "server/policy_metrics.h"
+#include "server/process_metrics.h"
 
 namespace spikeserve {
 namespace {
@@ -76,7 +80,10 @@ Metrics::Metrics()
           "ActStream, one request on the stream.")),
       reaped_idle_(&Register(BuildCounter(), "spikeserve_sessions_reaped_total",
                              "Sessions the server ended by itself.")
-                        .Add({{"reason", "idle"}})) {
+                        .Add({{"reason", "idle"}})),
+      sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
+                                "Sessions that may be open at a time, all policies together.")
+                           .Add({})) {
   Register(BuildGauge(), "spikeserve_build_info", "1 for the version that runs.")
       .Add({{"version", SPIKESERVE_VERSION}})
       .Set(1);
@@ -130,8 +137,10 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
 }
 
 std::string Metrics::ToText() const {
+  std::vector<prometheus::MetricFamily> families = registry_.Collect();
+  absl::c_move(CollectProcessMetrics(), std::back_inserter(families));
   std::ostringstream text;
-  prometheus::TextSerializer().Serialize(text, registry_.Collect());
+  prometheus::TextSerializer().Serialize(text, families);
   return std::move(text).str();
 }
 

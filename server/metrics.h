@@ -50,7 +50,10 @@ class Metrics {
   // Sessions that were idle for their time-to-live.
   void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
 
-  // Everything in Prometheus's text format.
+  // How many sessions may be open at a time.
+  void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
+
+  // Everything, this process's use of its machine included, in Prometheus's text format.
   std::string ToText() const;
 
  private:
@@ -74,6 +77,7 @@ class Metrics {
   prometheus::Family<prometheus::Gauge>& policy_info_;
   prometheus::Family<prometheus::Histogram>& rpc_duration_;
   prometheus::Counter* reaped_idle_;
+  prometheus::Gauge* sessions_limit_;
   // Made when a method first answers with a code, since most pairs never occur.
   std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
 };

@@ -44,6 +44,7 @@ std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
   if (auto status = options.Validate(); !status.ok()) return status;
   auto metrics = std::make_unique<Metrics>();
+  metrics->SetSessionsLimit(options.max_sessions);
   std::vector<absl::Status> refused;
   auto registry = PolicyRegistry::Load(
       options.policies,

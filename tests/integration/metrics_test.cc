@@ -1,4 +1,5 @@
 // What Prometheus sees agrees with what the agents were told.
+#include <chrono>
 #include <fstream>
 
 #include "tests/integration/http_client.h"
@@ -90,6 +91,31 @@ TEST_F(MetricsTest, WhatIsServedIsSaid) {
                                               "environment=\"Test-v0\"", "mode=\"full\""}),
             1.0);
   EXPECT_EQ(Metric("spikeserve_build_info", {"version=\""}), 1.0);
+}
+
+TEST_F(MetricsTest, TheLimitOfSessionsIsTheOneGiven) {
+  StartServer({"--max_sessions=7"});
+  EXPECT_EQ(Metric("spikeserve_sessions_limit"), 7.0);
+}
+
+TEST_F(MetricsTest, TheProcessSaysWhatItTakes) {
+  const auto now =
+      std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch());
+  // Loose: what /proc calls the start of the machine does not follow every change of its clock.
+  EXPECT_NEAR(Metric("process_start_time_seconds"), now.count(), 600.0);
+  EXPECT_GT(Metric("process_cpu_seconds_total"), 0.0);
+  EXPECT_GT(Metric("process_resident_memory_bytes"), 1e6);
+  const double open = Metric("process_open_fds");
+  EXPECT_GT(open, 3.0);
+  EXPECT_LT(open, Metric("process_max_fds"));
+  // A connection of its own: channels to one address share theirs unless told otherwise.
+  grpc::ChannelArguments arguments;
+  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  const auto another = grpc::CreateCustomChannel(server_->grpc_address(),
+                                                 grpc::InsecureChannelCredentials(), arguments);
+  ASSERT_TRUE(
+      another->WaitForConnected(std::chrono::system_clock::now() + std::chrono::seconds(10)));
+  EXPECT_GT(Metric("process_open_fds"), open);
 }
 
 TEST_F(MetricsTest, PromtoolIsContent) {
