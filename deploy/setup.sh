@@ -27,7 +27,7 @@ if ((${#missing[@]})); then
   echo "setup: installing ${missing[*]}"
   export DEBIAN_FRONTEND=noninteractive
   apt-get update -qq
-  # The prometheus package is here for promtool; its service has no business running.
+  # The prometheus package is here for the tests; its service has no business running.
   printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
   if [[ ! -e /usr/sbin/policy-rc.d ]]; then
     install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d

@@ -4,20 +4,12 @@ The message classes are built from what the server's reflection says, so that a 
 repository is shown to need no file of it.
 """
 
-import os
-import pathlib
-import subprocess
-
 import grpc
 import gymnasium
 import pytest
-from google.protobuf import descriptor_pool, message_factory
-from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
-    ProtoReflectionDescriptorDatabase,
-)
 
-POLICIES = pathlib.Path(__file__).parents[2] / "deploy" / "policies"
-DEADLINE_SECONDS = 30
+from serving import DEADLINE_SECONDS, Service, running_server
+
 # Training draws its starts below a million.
 FIRST_UNSEEN_SEED = 1_000_000
 EPISODES = 3
@@ -26,48 +18,8 @@ EPISODES = 3
 @pytest.fixture(scope="module")
 def address():
     """The gRPC address of a server with the shipped policies."""
-    server = subprocess.Popen(
-        [
-            os.environ["SPIKESERVE_PROGRAM"],
-            f"--policies={POLICIES}",
-            "--listen=127.0.0.1:0",
-            "--http_listen=",
-        ],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        announcement = "spikeserve: serving gRPC on "
-        line = server.stdout.readline()
-        assert line.startswith(announcement), f"the server said {line!r}"
-        yield line.removeprefix(announcement).strip()
-        server.terminate()
-        assert server.wait(timeout=DEADLINE_SECONDS) == 0
-    finally:
-        server.kill()
-        server.wait()
-        server.stdout.close()
-
-
-class Service:
-    """A service whose methods and messages come from the server's reflection."""
-
-    def __init__(self, channel, name):
-        pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
-        for method in pool.FindServiceByName(name).methods:
-            if not method.client_streaming and not method.server_streaming:
-                setattr(self, method.name, self._unary(channel, name, method))
-
-    @staticmethod
-    def _unary(channel, service, method):
-        request_class = message_factory.GetMessageClass(method.input_type)
-        response_class = message_factory.GetMessageClass(method.output_type)
-        call = channel.unary_unary(
-            f"/{service}/{method.name}",
-            request_serializer=request_class.SerializeToString,
-            response_deserializer=response_class.FromString,
-        )
-        return lambda **fields: call(request_class(**fields), timeout=DEADLINE_SECONDS)
+    with running_server() as addresses:
+        yield addresses.grpc
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,73 @@
+"""A real server with the shipped policies, and a client that needs no file of this repository."""
+
+import contextlib
+import os
+import pathlib
+import subprocess
+import typing
+
+from google.protobuf import descriptor_pool, message_factory
+from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
+    ProtoReflectionDescriptorDatabase,
+)
+
+DEPLOY = pathlib.Path(__file__).parents[2] / "deploy"
+DEADLINE_SECONDS = 30
+
+
+class Addresses(typing.NamedTuple):
+    """HOST:PORT of what a server listens on."""
+
+    grpc: str
+    http: str
+
+
+@contextlib.contextmanager
+def running_server():
+    """Yields the Addresses of a server, and sees to it that SIGTERM ends it well."""
+    server = subprocess.Popen(
+        [
+            os.environ["SPIKESERVE_PROGRAM"],
+            f"--policies={DEPLOY / 'policies'}",
+            "--listen=127.0.0.1:0",
+            "--http_listen=127.0.0.1:0",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+    def announced(protocol):
+        announcement = f"spikeserve: serving {protocol} on "
+        line = server.stdout.readline()
+        assert line.startswith(announcement), f"the server said {line!r}"
+        return line.removeprefix(announcement).strip()
+
+    try:
+        yield Addresses(grpc=announced("gRPC"), http=announced("HTTP"))
+        server.terminate()
+        assert server.wait(timeout=DEADLINE_SECONDS) == 0
+    finally:
+        server.kill()
+        server.wait()
+        server.stdout.close()
+
+
+class Service:
+    """A service whose methods and messages come from the server's reflection."""
+
+    def __init__(self, channel, name):
+        pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
+        for method in pool.FindServiceByName(name).methods:
+            if not method.client_streaming and not method.server_streaming:
+                setattr(self, method.name, self._unary(channel, name, method))
+
+    @staticmethod
+    def _unary(channel, service, method):
+        request_class = message_factory.GetMessageClass(method.input_type)
+        response_class = message_factory.GetMessageClass(method.output_type)
+        call = channel.unary_unary(
+            f"/{service}/{method.name}",
+            request_serializer=request_class.SerializeToString,
+            response_deserializer=response_class.FromString,
+        )
+        return lambda **fields: call(request_class(**fields), timeout=DEADLINE_SECONDS)

@@ -1,0 +1,300 @@
+"""Checks the shipped dashboard and alerts against a real server, scraped by a real Prometheus."""
+
+import contextlib
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import time
+import urllib.parse
+import urllib.request
+
+import grpc
+import pytest
+
+from serving import DEADLINE_SECONDS, DEPLOY, Service, running_server
+
+PROMETHEUS_YML = DEPLOY / "prometheus" / "prometheus.yml"
+ALERTS_YML = DEPLOY / "prometheus" / "alerts.yml"
+UNIT = DEPLOY / "systemd" / "spikeserve.service"
+DASHBOARD = json.loads((DEPLOY / "grafana" / "spikeserve.json").read_text())
+PANELS = [panel for panel in DASHBOARD["panels"] if panel["type"] != "row"]
+TARGETS = [(panel["title"], target) for panel in PANELS for target in panel["targets"]]
+
+# A method that Service, whose calls are unary, cannot call.
+ABSENT = {"ActStream"}
+
+# What Prometheus adds to everything it scrapes.
+SCRAPE_LABELS = {"job", "instance"}
+OBSERVATION = [0.01, -0.02, 0.03, 0.1]
+
+
+def get(url, **parameters):
+    query = f"?{urllib.parse.urlencode(parameters)}" if parameters else ""
+    with urllib.request.urlopen(url + query, timeout=DEADLINE_SECONDS) as response:
+        return response.read().decode()
+
+
+def wait_for(condition, what):
+    """Asks until the answer is true, and returns it."""
+    deadline = time.monotonic() + DEADLINE_SECONDS
+    while time.monotonic() < deadline:
+        if answer := condition():
+            return answer
+        time.sleep(0.05)
+    pytest.fail(f"{what} did not happen in {DEADLINE_SECONDS} s")
+
+
+class Prometheus:
+    """Prometheus's HTTP API."""
+
+    def __init__(self, address):
+        self._url = f"http://{address}/api/v1"
+
+    def query(self, expression):
+        """The series of an instant vector or scalar, as (labels, value) pairs."""
+        data = json.loads(get(f"{self._url}/query", query=expression))["data"]
+        return [(series["metric"], float(series["value"][1])) for series in data["result"]]
+
+    def rules(self):
+        groups = json.loads(get(f"{self._url}/rules"))["data"]["groups"]
+        return [rule for group in groups for rule in group["rules"]]
+
+
+@contextlib.contextmanager
+def running_prometheus(directory, target):
+    """Yields a Prometheus with the shipped configuration, but of this target and in a hurry."""
+    configuration = PROMETHEUS_YML.read_text()
+    for shipped, here in (("127.0.0.1:9464", target), ("_interval: 15s", "_interval: 200ms")):
+        assert shipped in configuration
+        configuration = configuration.replace(shipped, here)
+    (directory / "prometheus.yml").write_text(configuration)
+    shutil.copy(ALERTS_YML, directory)
+    process = subprocess.Popen(
+        [
+            "prometheus",
+            f"--config.file={directory / 'prometheus.yml'}",
+            f"--storage.tsdb.path={directory / 'data'}",
+            "--web.listen-address=127.0.0.1:0",
+        ],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        address, log = None, []
+        for line in process.stderr:
+            log.append(line)
+            if listening := re.search(r'msg="Listening on" address=(\S+)', line):
+                address = listening[1]
+            if "Server is ready" in line:
+                break
+        else:
+            pytest.fail("Prometheus did not start:\n" + "".join(log))
+        yield Prometheus(address)
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+def play(service):
+    """Two episodes, and each of the mistakes that an agent can make; leaves its session open."""
+    session = service.OpenSession(policy="cartpole").session_id
+    for _ in range(2):
+        for step in range(5):
+            service.Act(session_id=session, step=step, observation=OBSERVATION, reward=1.0)
+        service.EndEpisode(session_id=session, reward=1.0, terminated=True)
+    for mistake, code in (
+        ({"session_id": "nobody"}, grpc.StatusCode.NOT_FOUND),
+        ({"session_id": session, "step": 7}, grpc.StatusCode.FAILED_PRECONDITION),
+        ({"session_id": session, "observation": [1.0]}, grpc.StatusCode.INVALID_ARGUMENT),
+    ):
+        with pytest.raises(grpc.RpcError) as error:
+            service.Act(**{"observation": OBSERVATION, **mistake})
+        assert error.value.code() == code
+
+
+@pytest.fixture(scope="module")
+def server():
+    """The addresses of a server that somebody has played with."""
+    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        play(Service(channel, "spikeserve.v1.PolicyService"))
+        yield addresses
+
+
+@pytest.fixture(scope="module")
+def scraped(server):
+    """What /metrics says: for each metric, the list of its series' labels."""
+    metrics = {}
+    for line in get(f"http://{server.http}/metrics").splitlines():
+        if not line.startswith("#"):
+            name, labels = re.fullmatch(r"([a-z_:]+)(?:\{(.*)\})? \S+", line).groups()
+            metrics.setdefault(name, []).append(dict(re.findall(r'(\w+)="([^"]*)"', labels or "")))
+    return metrics
+
+
+@pytest.fixture(scope="module")
+def prometheus(server, tmp_path_factory):
+    """A Prometheus that has seen the server before and after another round of play."""
+    with running_prometheus(tmp_path_factory.mktemp("prometheus"), server.http) as api:
+        # A rate needs a sample from before, of every series.
+        errors = 'spikeserve_rpc_duration_seconds_count{code="INVALID_ARGUMENT"}'
+        [(_, before)] = wait_for(lambda: api.query(errors), "the first scrape")
+        with grpc.insecure_channel(server.grpc) as channel:
+            play(Service(channel, "spikeserve.v1.PolicyService"))
+        wait_for(lambda: api.query(f"{errors} > {before}"), "a scrape after the play")
+        wait_for(lambda: all(rule["health"] == "ok" for rule in api.rules()), "the rules")
+        yield api
+
+
+def fill_in(expression, instance):
+    """A panel's expression as Grafana would send it."""
+    for variable, value in (
+        ("$policy", "cartpole"),
+        ("$version", "1"),
+        ("$instance", instance),
+        ("$__rate_interval", "1m"),
+    ):
+        expression = expression.replace(variable, value)
+    assert "$" not in expression, f"a variable without a value: {expression}"
+    return expression
+
+
+def names_and_labels(expression):
+    """The metrics an expression reads, each with its label matchers, and the labels it groups by."""
+    selectors = re.findall(r"\b((?:spikeserve|process)_\w+)(?:\{([^}]*)\})?", expression)
+    matchers = [
+        (name, re.findall(r'(\w+)\s*(=~|!~|!=|=)\s*"([^"]*)"', braces)) for name, braces in selectors
+    ]
+    groupings = re.findall(r"\b(?:by|on)\s*\(([^)]*)\)", expression)
+    grouped_by = {label.strip() for labels in groupings for label in labels.split(",")} - {""}
+    return matchers, grouped_by
+
+
+def check_expression(expression, scraped):
+    """Every metric, label and label value that it reads is in what the server says."""
+    metrics, grouped_by = names_and_labels(expression)
+    known = set(SCRAPE_LABELS)
+    for name, matchers in metrics:
+        assert name in scraped, f"{name} is not exported"
+        known.update(*scraped[name])
+        for label, operator, pattern in matchers:
+            if label in SCRAPE_LABELS:
+                continue
+            values = {labels.get(label) for labels in scraped[name]}
+            assert None not in values, f"{name} has no label {label}"
+            if operator == "=~":
+                for alternative in pattern.split("|"):
+                    if alternative not in ABSENT:
+                        assert any(re.fullmatch(alternative, value) for value in values), (
+                            f'{name} has no {label}="{alternative}"'
+                        )
+            elif operator == "=":
+                assert pattern in values, f'{name} has no {label}="{pattern}"'
+    assert grouped_by <= known, f"no metric has {grouped_by - known}"
+
+
+@pytest.mark.parametrize(("title", "target"), TARGETS)
+def test_what_a_panel_reads_is_exported(title, target, scraped, server):
+    expression = fill_in(target["expr"], server.http)
+    assert names_and_labels(expression)[0], f"{title} reads no metric"
+    check_expression(expression, scraped)
+
+
+@pytest.mark.parametrize(("title", "target"), TARGETS)
+def test_a_panel_shows_data(title, target, prometheus, server):
+    series = prometheus.query(fill_in(target["expr"], server.http))
+    assert series, f"{title} is empty"
+    for labels, value in series:
+        assert math.isfinite(value), f"{title} shows {value}"
+        for label in re.findall(r"\{\{(\w+)\}\}", target["legendFormat"]):
+            assert labels.get(label), f"{title} has no {label} for its legend"
+
+
+def test_energy_models_stay_apart():
+    panels = [panel for panel in PANELS if "energy_joules" in json.dumps(panel)]
+    assert panels
+    for panel in panels:
+        assert panel["title"].startswith("Estimated")
+        assert "stacking" not in panel["fieldConfig"]["defaults"]["custom"]
+        for target in panel["targets"]:
+            assert "energy_model" in names_and_labels(target["expr"])[1]
+            assert "{{energy_model}}" in target["legendFormat"]
+
+
+def test_the_variables_have_values(scraped):
+    variables = {variable["name"]: variable for variable in DASHBOARD["templating"]["list"]}
+    assert list(variables) == ["datasource", "policy", "version", "instance"]
+    for name in ("policy", "version", "instance"):
+        query = variables[name]["query"]["query"]
+        metric, label = re.fullmatch(r"label_values\((\w+)(?:\{.*\})?, (\w+)\)", query).groups()
+        assert metric in scraped
+        assert label in SCRAPE_LABELS or all(label in labels for labels in scraped[metric])
+
+
+def test_what_an_alert_reads_is_exported(prometheus, scraped):
+    rules = prometheus.rules()
+    assert len(rules) >= 7
+    for rule in rules:
+        check_expression(re.sub(r"\w+:\w+:\w+", "", rule["query"]), scraped)
+        if rule["type"] == "alerting":
+            assert rule["annotations"]["summary"]
+            assert rule["annotations"]["runbook"]
+    recorded = {rule["name"] for rule in rules if rule["type"] == "recording"}
+    read = {name for rule in rules for name in re.findall(r"\b\w+:\w+:\w+", rule["query"])}
+    assert read == recorded
+
+
+def test_every_alert_is_explained_and_tested(prometheus):
+    page = (DEPLOY.parent / "docs" / "watching.md").read_text()
+    tests = (DEPLOY / "prometheus" / "alerts_test.yml").read_text()
+    for rule in prometheus.rules():
+        if rule["type"] == "alerting":
+            assert f"`{rule['name']}`" in page
+            assert f'alertname="{rule["name"]}"' in tests
+    for panel in PANELS:
+        assert panel["title"] in page, f"docs/watching.md says nothing of panel {panel['title']}"
+
+
+def test_the_server_is_up(prometheus):
+    assert [value for _, value in prometheus.query('up{job="spikeserve"}')] == [1.0]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", "config", PROMETHEUS_YML),
+        ("check", "rules", ALERTS_YML),
+        ("test", "rules", DEPLOY / "prometheus" / "alerts_test.yml"),
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]),
+)
+def test_promtool_is_content(arguments):
+    finished = subprocess.run(
+        ["promtool", *arguments], capture_output=True, text=True, timeout=DEADLINE_SECONDS
+    )
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_systemd_is_content(tmp_path):
+    # It wants to find the program, which is not installed here.
+    unit = UNIT.read_text().replace("/usr/local/bin/spikeserve", os.environ["SPIKESERVE_PROGRAM"])
+    (tmp_path / UNIT.name).write_text(unit)
+    finished = subprocess.run(
+        ["systemd-analyze", "verify", tmp_path / UNIT.name],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_SECONDS,
+    )
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    assert finished.stderr == ""
+
+
+def test_systemd_waits_for_the_drain():
+    unit = UNIT.read_text()
+    [drain] = re.findall(r"--drain_timeout=(\d+)s", unit)
+    [stop] = re.findall(r"^TimeoutStopSec=(\d+)s$", unit, re.MULTILINE)
+    assert int(drain) < int(stop)
