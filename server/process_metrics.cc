@@ -3,10 +3,11 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
 #include <limits>
+#include <sstream>
 #include <string>
 #include <system_error>
 #include <vector>
@@ -46,13 +47,24 @@ double BootSeconds() {
 // read.
 std::vector<double> ReadStat() {
   std::ifstream file("/proc/self/stat");
-  // Field 2 is the program's name in parentheses and may hold spaces; field 3 is a letter.
-  file.ignore(std::numeric_limits<std::streamsize>::max(), ')');
+  std::string line;
+  std::getline(file, line);
+  // Field 2 is the program's name in parentheses, which may hold any letter; field 3 is one letter.
+  std::istringstream rest(line.substr(line.rfind(')') + 1));
   char state = 0;
-  file >> state;
+  rest >> state;
   std::vector<double> fields(25);
-  for (size_t i = 4; i < fields.size(); ++i) file >> fields[i];
-  return file ? fields : std::vector<double>();
+  for (size_t i = 4; i < fields.size(); ++i) rest >> fields[i];
+  return rest ? fields : std::vector<double>();
+}
+
+// 0 where /proc does not say.
+int64_t CountOpenFiles() {
+  std::error_code error;
+  std::filesystem::directory_iterator file("/proc/self/fd", error);
+  int64_t count = 0;
+  for (; !error && file != std::filesystem::directory_iterator(); file.increment(error)) ++count;
+  return error ? 0 : count;
 }
 
 }  // namespace
@@ -73,11 +85,8 @@ std::vector<MetricFamily> CollectProcessMetrics() {
     add("process_start_time_seconds", "When the process started, since the Unix epoch.",
         MetricType::Gauge, BootSeconds() + start_ticks / ticks_per_second);
   }
-  std::error_code error;
-  const auto open = std::filesystem::directory_iterator("/proc/self/fd", error);
-  if (!error) {
-    add("process_open_fds", "Open file descriptors.", MetricType::Gauge,
-        static_cast<double>(std::distance(begin(open), end(open))));
+  if (const int64_t open = CountOpenFiles(); open > 0) {
+    add("process_open_fds", "Open file descriptors.", MetricType::Gauge, static_cast<double>(open));
   }
   if (rlimit limit; getrlimit(RLIMIT_NOFILE, &limit) == 0) {
     add("process_max_fds", "File descriptors that may be open.", MetricType::Gauge,
