@@ -65,7 +65,10 @@ ActionChoice ChooseAction(const Linear& head, const ActionSpace& space,
   }
   std::vector<float> unit = choice.logits;
   for (size_t i = 0; i < unit.size(); ++i) {
-    if (selection.sample) unit[i] += selection.temperature * Normal(random, i);
+    if (selection.sample) {
+      choice.noise.push_back(Normal(random, i));
+      unit[i] += selection.temperature * choice.noise[i];
+    }
     unit[i] = Tanh(unit[i]);
   }
   choice.action.continuous = space.FromUnit(unit);

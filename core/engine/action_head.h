@@ -24,7 +24,9 @@ struct ActionChoice {
   Action action;
   std::vector<float> logits;  // [act]: z = W r + b
   std::vector<float>
-      probabilities;  // [act]: softmax(z), at temperature when sampling; empty for a Box
+      probabilities;         // [act]: softmax(z), at temperature when sampling; empty for a Box
+  std::vector<float> noise;  // [act]: a sampled Box action is tanh(z + temperature * noise), noise
+                             // standard normal; empty otherwise
 };
 
 // Greedy: the first maximum of z, or tanh(z) mapped to the bounds. Sampled: a draw from softmax(z /

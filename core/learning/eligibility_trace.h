@@ -12,31 +12,29 @@
 
 namespace spikeserve {
 
-class EligibilityTrace {
- public:
-  EligibilityTrace() = default;
-  // All zero; `outputs` rows of the action head, `inputs` columns (d).
-  EligibilityTrace(int outputs, int inputs)
-      : inputs_(inputs), values_(static_cast<size_t>(outputs) * inputs, 0.0f) {}
+struct EligibilityTrace {
+  std::vector<float> values;  // [outputs of the action head, d], row-major
+
+  // All zero.
+  static EligibilityTrace Zeros(size_t outputs, size_t inputs) {
+    return {.values = std::vector<float>(outputs * inputs, 0.0f)};
+  }
 
   // E <- decay E + post (x) pre (eq. 4.1): `post` [outputs] is the head's side of the synapse,
-  // `pre` [inputs] the readout rates. `decay` is lambda in [0, 1].
+  // `pre` [d] the readout rates. `decay` is lambda in [0, 1]. REQUIRES: values of [outputs, d].
   void Update(float decay, absl::Span<const float> post, absl::Span<const float> pre);
 
   // Forgets everything, as at the start of an episode.
-  void Reset() { values_.assign(values_.size(), 0.0f); }
+  void Reset() { values.assign(values.size(), 0.0f); }
 
   // Frobenius norm.
   double Norm() const;
 
-  absl::Span<const float> values() const { return values_; }  // [outputs, inputs], row-major
-
   friend bool operator==(const EligibilityTrace&, const EligibilityTrace&) = default;
-
- private:
-  int inputs_ = 0;
-  std::vector<float> values_;
 };
+
+// Of a matrix, in whatever order its values stand.
+double FrobeniusNorm(absl::Span<const float> values);
 
 }  // namespace spikeserve
 

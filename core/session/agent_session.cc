@@ -48,7 +48,13 @@ absl::Status CheckReward(double reward, double next_return_to_go) {
 
 AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session session,
                            const Clock* clock)
-    : served_(std::move(served)), clock_(clock), session_(std::move(session)) {}
+    : served_(std::move(served)), clock_(clock), session_(std::move(session)) {
+  if (!session_.options.learning.has_value()) return;
+  if (!session_.learner.has_value()) {
+    session_.learner = Learner::New(*session_.options.learning, served_->policy());
+  }
+  head_ = session_.learner->Head(served_->policy());
+}
 
 absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const float> observation,
                                                 double reward) {
@@ -60,7 +66,7 @@ absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const f
   const absl::Duration start = clock_->Now();
   const double used_reward = step == 0 ? 0.0 : reward;
   const double return_to_go = NextReturnToGo(used_reward);
-  Answer answer = Decide(return_to_go, observation);
+  Answer answer = Decide(return_to_go, observation, used_reward);
   answer.compute_seconds = absl::ToDoubleSeconds(clock_->Now() - start);
   Record(std::move(answer), observation, return_to_go, used_reward);
   served_->observer->OnDecision(*session_.last_answer);
@@ -85,7 +91,8 @@ double AgentSession::NextReturnToGo(double reward) const {
   return session_.step == 0 ? session_.target_return : session_.return_to_go - reward;
 }
 
-Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observation) {
+Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observation,
+                            double reward) {
   if (context_ == nullptr) RebuildContext();
   AppendPendingAction();
 
@@ -98,12 +105,23 @@ Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observa
   answer.counts = output.counts;
 
   const Policy& policy = served_->policy();
-  ActionChoice choice = ChooseAction(policy.weights.head, policy.action_space, output.readout,
-                                     session_.options.action_selection,
-                                     RandomBits({session_.options.seed, session_.decisions}));
+  ActionChoice choice =
+      ChooseAction(Head(), policy.action_space, output.readout, session_.options.action_selection,
+                   RandomBits({session_.options.seed, session_.decisions}));
+  if (session_.learner.has_value()) {
+    TakeOutcome(session_.learner->OnDecision(
+        *session_.options.learning, policy, choice, output.readout,
+        static_cast<double>(answer.return_to_go), session_.episode_return + reward));
+  }
   answer.action = std::move(choice.action);
   answer.probabilities = std::move(choice.probabilities);
   return answer;
+}
+
+void AgentSession::TakeOutcome(std::optional<UpdateOutcome> outcome) {
+  if (!outcome.has_value()) return;
+  if (*outcome == UpdateOutcome::kApplied) head_ = session_.learner->Head(served_->policy());
+  served_->observer->OnHeadUpdate(*outcome);
 }
 
 void AgentSession::Record(Answer answer, absl::Span<const float> observation, double return_to_go,
@@ -164,10 +182,12 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   const double target_return = end.target_return.value_or(session_.options.target_return);
   if (auto status = CheckTargetReturn(target_return); !status.ok()) return status;
 
-  const EpisodeSummary summary = {.episode_return = session_.episode_return + end.reward,
+  const double episode_return = session_.episode_return + end.reward;
+  const EpisodeSummary summary = {.episode_return = episode_return,
                                   .steps = session_.step,
                                   .spikes = session_.episode_spikes,
-                                  .energy_joules = session_.episode_energy_joules};
+                                  .energy_joules = session_.episode_energy_joules,
+                                  .learning = LearnFromEpisode(episode_return)};
   ++session_.episode;
   session_.step = 0;
   session_.target_return = target_return;
@@ -180,6 +200,23 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   DropContext();
   served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;
+}
+
+std::optional<LearningSummary> AgentSession::LearnFromEpisode(double episode_return) {
+  if (!session_.learner.has_value()) return std::nullopt;
+  Learner& learner = *session_.learner;
+  TakeOutcome(learner.OnEpisodeEnd(*session_.options.learning, served_->policy(), episode_return));
+  const LearningSummary summary = {.updates = learner.updates,
+                                   .rejected = learner.rejected,
+                                   .head_drift = HeadDrift(),
+                                   .returns = learner.returns};
+  learner.StartEpisode(*session_.options.learning);
+  served_->observer->OnHeadDrift(summary.head_drift);
+  return summary;
+}
+
+double AgentSession::HeadDrift() const {
+  return session_.learner.has_value() ? session_.learner->Drift(served_->policy()) : 0.0;
 }
 
 void AgentSession::DropContext() {

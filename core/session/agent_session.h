@@ -1,7 +1,8 @@
 // What an agent's requests do to its session, with no network in sight.
 //
-// Beside the session's value stands the engine's context, a cache: it is rebuilt from the history
-// whenever it is absent, and no answer depends on whether it was.
+// Beside the session's value stand caches: the engine's context, rebuilt from the history whenever
+// it is absent, and the private head of a learning session, rebuilt from its delta. No answer
+// depends on whether they were.
 //
 // Not thread-safe: one caller at a time.
 #ifndef CORE_SESSION_AGENT_SESSION_H_
@@ -27,17 +28,27 @@ struct EpisodeEnd {
   std::optional<double> target_return;  // G_0 of the next episode; absent: the session's own
 };
 
+// What a learning session took from an episode.
+struct LearningSummary {
+  int64_t updates = 0;   // of the head
+  int64_t rejected = 0;  // updates refused as not finite
+  double head_drift = 0.0;
+  ReturnStatistics returns;  // mu and sigma^2, the episode taken in
+};
+
 struct EpisodeSummary {
   double episode_return = 0.0;
   int64_t steps = 0;
   uint64_t spikes = 0;
-  double energy_joules = 0.0;  // estimate, see PrimaryEnergy()
+  double energy_joules = 0.0;               // estimate, see PrimaryEnergy()
+  std::optional<LearningSummary> learning;  // absent for a frozen session
 };
 
 class AgentSession {
  public:
-  // Goes on from `session`, which may be new or restored. `clock` times decisions and must outlive
-  // this object. REQUIRES: `session` was opened on this policy, or restored from one that was.
+  // Goes on from `session`, which may be new or restored; a new one that learns gets its learner.
+  // `clock` times decisions and must outlive this object. REQUIRES: `session` was opened on this
+  // policy, or restored from one that was.
   AgentSession(std::shared_ptr<const ServedPolicy> served, Session session, const Clock* clock);
 
   // Decides timestep `step` from `observation` [obs], in environment units, and the reward of the
@@ -66,12 +77,18 @@ class AgentSession {
 
   const Session& session() const { return session_; }
 
+  // |W - W_base| / |W_base|; 0 for a frozen session.
+  double HeadDrift() const;
+
  private:
   absl::Status CheckRequest(int64_t step, absl::Span<const float> observation, double reward) const;
   double NextReturnToGo(double reward) const;
   void RebuildContext();
   void AppendAction(const Action& action);
-  Answer Decide(double return_to_go, absl::Span<const float> observation);
+  Answer Decide(double return_to_go, absl::Span<const float> observation, double reward);
+  const Linear& Head() const { return head_ ? *head_ : served_->policy().weights.head; }
+  void TakeOutcome(std::optional<UpdateOutcome> outcome);
+  std::optional<LearningSummary> LearnFromEpisode(double episode_return);
   void Record(Answer answer, absl::Span<const float> observation, double return_to_go,
               double reward);
 
@@ -79,7 +96,9 @@ class AgentSession {
   const Clock* clock_;
   Session session_;
   std::unique_ptr<Engine::Context> context_;  // null: to be rebuilt
-  bool action_pending_ = false;               // the context still lacks the last timestep's action
+  std::optional<Linear>
+      head_;  // the learner's; absent for a frozen session, which reads the policy's
+  bool action_pending_ = false;  // the context still lacks the last timestep's action
 };
 
 // A new session's value, at step 0 of its first episode.

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "core/engine/engine.h"
+#include "core/learning/head_update.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
@@ -21,6 +22,8 @@ class SessionObserver {
   virtual void OnOpen() {}
   virtual void OnDecision(const Answer& /*answer*/) {}
   virtual void OnEpisodeEnd(double /*episode_return*/) {}
+  virtual void OnHeadUpdate(UpdateOutcome /*outcome*/) {}
+  virtual void OnHeadDrift(double /*ratio*/) {}  // where a learning session's episode has ended
   virtual void OnClose() {}
 };
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <concepts>
 #include <limits>
+#include <tuple>
 #include <type_traits>
 #include <utility>
 
@@ -66,6 +67,43 @@ void VisitFields(T& selection, Visitor&& visit) {
   visit("temperature", selection.temperature);
 }
 
+template <Is<LearningOptions> T, typename Visitor>
+void VisitFields(T& options, Visitor&& visit) {
+  visit("rule", options.rule);
+  visit("modulator", options.modulator);
+  visit("learning_rate", options.learning_rate);
+  visit("trace_decay", options.trace_decay);
+  visit("clip", options.clip);
+  visit("max_drift", options.max_drift);
+}
+
+template <Is<ReturnStatistics> T, typename Visitor>
+void VisitFields(T& statistics, Visitor&& visit) {
+  visit("mean", statistics.mean);
+  visit("variance", statistics.variance);
+}
+
+template <Is<RewardsBefore> T, typename Visitor>
+void VisitFields(T& rewards, Visitor&& visit) {
+  visit("count", rewards.count);
+  visit("mean", rewards.mean);
+  visit("squares", rewards.squares);
+  visit("least", rewards.least);
+  visit("most", rewards.most);
+}
+
+template <Is<Learner> T, typename Visitor>
+void VisitFields(T& learner, Visitor&& visit) {
+  visit("head_delta", learner.head_delta);
+  visit("returns", learner.returns);
+  visit("trace", learner.trace.values);
+  visit("rewards_before", learner.rewards_before);
+  visit("trace_sum", learner.trace_sum);
+  visit("weighted_sum", learner.weighted_sum);
+  visit("updates", learner.updates);
+  visit("rejected", learner.rejected);
+}
+
 template <Is<SessionOptions> T, typename Visitor>
 void VisitFields(T& options, Visitor&& visit) {
   visit("policy", options.policy);
@@ -74,6 +112,7 @@ void VisitFields(T& options, Visitor&& visit) {
   visit("seed", options.seed);
   visit("action_selection", options.action_selection);
   visit("labels", options.labels);
+  visit("learning", options.learning);
 }
 
 template <Is<Session> T, typename Visitor>
@@ -92,6 +131,7 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("decisions", session.decisions);
   visit("spikes", session.spikes);
   visit("energy_joules", session.energy_joules);
+  visit("learner", session.learner);
 }
 
 template <typename T>
@@ -105,6 +145,9 @@ template <typename T>
 Json Write(const T& value) {
   return value;
 }
+
+template <typename T>
+requires std::is_enum_v<T> Json Write(const T& value) { return std::string(ToString(value)); }
 
 template <HasFields T>
 Json Write(const T& value);
@@ -142,6 +185,14 @@ class Reader {
   void Read(const Json& json, const std::string& path, bool& value) {
     if (!json.is_boolean()) return Fail(path, "a boolean", json);
     value = json.get<bool>();
+  }
+
+  template <typename T>
+  requires std::is_enum_v<T>
+  void Read(const Json& json, const std::string& path, T& value) {
+    if (!json.is_string() || !FromString(json.get<std::string>(), &value)) {
+      Fail(path, "a name of its values", json);
+    }
   }
 
   template <std::integral T>
@@ -239,6 +290,26 @@ absl::Status Inconsistent(absl::string_view field, absl::string_view expected, i
       absl::StrCat("session.", field, ": expected ", expected, ", received ", received));
 }
 
+// What holds of every learner: one size for everything of the head's shape.
+absl::Status CheckLearner(const LearningOptions& options, const Learner& learner) {
+  const auto size = static_cast<int64_t>(learner.head_delta.size());
+  const int64_t sums = options.modulator == Modulator::kRealized ? size : 0;
+  const std::tuple<const char*, size_t, int64_t> lengths[] = {
+      {"learner.trace", learner.trace.values.size(), size},
+      {"learner.trace_sum", learner.trace_sum.size(), sums},
+      {"learner.weighted_sum", learner.weighted_sum.size(), sums}};
+  for (const auto& [field, length, expected] : lengths) {
+    if (static_cast<int64_t>(length) == expected) continue;
+    return Inconsistent(field, absl::StrCat(expected, " numbers"), static_cast<int64_t>(length));
+  }
+  if (learner.returns.variance < 0.0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("session.learner.returns.variance: expected at least 0, received ",
+                     learner.returns.variance));
+  }
+  return absl::OkStatus();
+}
+
 // What holds of every session between two requests.
 absl::Status CheckInvariants(const Session& session) {
   if (session.options.version < 1) {
@@ -254,6 +325,11 @@ absl::Status CheckInvariants(const Session& session) {
   if (last != session.step - 1) {
     return Inconsistent("last_answer.step", absl::StrCat(session.step - 1), last);
   }
+  if (session.learner.has_value() != session.options.learning.has_value()) {
+    return absl::InvalidArgumentError(
+        "session.learner: expected one if and only if session.options.learning is set");
+  }
+  if (session.learner.has_value()) return CheckLearner(*session.options.learning, *session.learner);
   return absl::OkStatus();
 }
 

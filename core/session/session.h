@@ -14,6 +14,8 @@
 #include "absl/status/statusor.h"
 #include "core/engine/action_head.h"
 #include "core/engine/counts.h"
+#include "core/learning/learner.h"
+#include "core/learning/learning_options.h"
 #include "core/model/action_space.h"
 
 namespace spikeserve {
@@ -47,6 +49,7 @@ struct SessionOptions {
   uint64_t seed = 0;
   ActionSelection action_selection;
   std::map<std::string, std::string> labels;
+  std::optional<LearningOptions> learning;  // absent: the policy's head stays frozen
 };
 
 struct Session {
@@ -69,6 +72,7 @@ struct Session {
       0;  // also the counter of its random draws, keyed by (options.seed, decisions)
   uint64_t spikes = 0;
   double energy_joules = 0.0;
+  std::optional<Learner> learner;  // the private head; present where options.learning is
 };
 
 // A compact binary form (CBOR) and back, equal bit for bit. INVALID_ARGUMENT if `bytes` is not such

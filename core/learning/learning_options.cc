@@ -1,0 +1,61 @@
+#include "core/learning/learning_options.h"
+
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+absl::Status CheckPositive(const char* field, double value) {
+  if (std::isfinite(value) && value > 0.0) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("learning.", field, ": expected a finite number above 0, received ", value));
+}
+
+template <typename Enum>
+bool FindByName(std::string_view name, std::initializer_list<Enum> all, Enum* found) {
+  for (const Enum each : all) {
+    if (ToString(each) != name) continue;
+    *found = each;
+    return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+absl::Status LearningOptions::Validate(const ActionSpace& space,
+                                       const ActionSelection& selection) const {
+  if (auto status = CheckPositive("learning_rate", learning_rate); !status.ok()) return status;
+  if (!(trace_decay >= 0.0 && trace_decay <= 1.0)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "learning.trace_decay: expected a number from 0 to 1, received ", trace_decay));
+  }
+  if (auto status = CheckPositive("clip", clip); !status.ok()) return status;
+  if (auto status = CheckPositive("max_drift", max_drift); !status.ok()) return status;
+  if (rule == Rule::kPolicyGradient && !space.is_discrete() && !selection.sample) {
+    return absl::InvalidArgumentError(
+        "learning.rule: expected hebbian, or action_selection SAMPLE, since a greedy continuous "
+        "action has no score to learn from; received policy_gradient with GREEDY");
+  }
+  return absl::OkStatus();
+}
+
+std::string_view ToString(Rule rule) {
+  return rule == Rule::kHebbian ? "hebbian" : "policy_gradient";
+}
+
+std::string_view ToString(Modulator modulator) {
+  return modulator == Modulator::kRealized ? "realized" : "target";
+}
+
+bool FromString(std::string_view name, Rule* rule) {
+  return FindByName(name, {Rule::kPolicyGradient, Rule::kHebbian}, rule);
+}
+
+bool FromString(std::string_view name, Modulator* modulator) {
+  return FindByName(name, {Modulator::kTarget, Modulator::kRealized}, modulator);
+}
+
+}  // namespace spikeserve

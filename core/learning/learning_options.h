@@ -1,0 +1,45 @@
+// How an action head learns: the constants of eqs. 4.1 to 4.3, and their defaults.
+//
+// Plain values; free functions without shared state.
+#ifndef CORE_LEARNING_LEARNING_OPTIONS_H_
+#define CORE_LEARNING_LEARNING_OPTIONS_H_
+
+#include <string_view>
+
+#include "absl/status/status.h"
+#include "core/engine/action_head.h"
+#include "core/model/action_space.h"
+
+namespace spikeserve {
+
+// What the postsynaptic factor y of eq. 4.1 is; see postsynaptic.h.
+enum class Rule { kPolicyGradient, kHebbian };
+
+// Which return eq. 4.2 judges a decision by: the one that conditioned it, or the one that followed;
+// see learner.h.
+enum class Modulator { kTarget, kRealized };
+
+struct LearningOptions {
+  Rule rule = Rule::kPolicyGradient;
+  Modulator modulator = Modulator::kTarget;
+  double learning_rate = 1e-3;  // eta of eq. 4.3, > 0
+  double trace_decay = 0.9;     // lambda of eq. 4.1, in [0, 1]
+  double clip = 0.5;            // largest Frobenius norm of one update of the head, > 0
+  double max_drift = 1.0;       // largest |W - W_base| / |W_base| the head may reach, > 0
+
+  // INVALID_ARGUMENT names the field, as `learning.FIELD`, what was expected and what came. A
+  // policy gradient needs the noise of a sampled action where the space is a Box: the score of a
+  // greedy action is zero.
+  absl::Status Validate(const ActionSpace& space, const ActionSelection& selection) const;
+};
+
+// The names of the wire: "policy_gradient", "hebbian"; "target", "realized".
+std::string_view ToString(Rule rule);
+std::string_view ToString(Modulator modulator);
+// False, and nothing changes, for any other name.
+bool FromString(std::string_view name, Rule* rule);
+bool FromString(std::string_view name, Modulator* modulator);
+
+}  // namespace spikeserve
+
+#endif  // CORE_LEARNING_LEARNING_OPTIONS_H_

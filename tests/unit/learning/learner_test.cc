@@ -1,0 +1,243 @@
+#include "core/learning/learner.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+constexpr size_t kOutputs = 2;
+constexpr size_t kInputs = 3;
+
+Policy TestPolicy() {
+  Policy policy;
+  policy.action_space = ActionSpace::Discrete(kOutputs);
+  policy.weights.head.weight = {.shape = {kOutputs, kInputs},
+                                .values = {0.3f, -0.2f, 0.1f, 0.0f, 0.5f, -0.4f}};
+  policy.weights.head.bias = {.shape = {kOutputs}, .values = {0.1f, -0.1f}};
+  policy.modulator_mean = 4.0f;
+  policy.modulator_std = 2.0f;
+  return policy;
+}
+
+std::vector<float> ReadoutAt(int t) {
+  return {static_cast<float>((t * 3) % 10) / 10, static_cast<float>((t * 7) % 10) / 10, 0.5f};
+}
+
+// An episode, and all of it that a learner may forget.
+struct Step {
+  std::vector<double> trace;
+  double return_to_go;
+  double rewards_before;
+};
+
+class LearnerTest : public ::testing::Test {
+ protected:
+  // Plays `steps` decisions with the rewards 0.3, 0.6, 0.9, 0.3 ... and returns what it kept by
+  // itself, with double-precision traces.
+  std::vector<Step> Play(const LearningOptions& options, int steps, double target_return) {
+    std::vector<Step> kept;
+    std::vector<double> trace(kOutputs * kInputs, 0.0);
+    rewards_ = 0.0;
+    for (int t = 0; t < steps; ++t) {
+      const ActionChoice choice = ChooseAction(learner_.Head(policy_), policy_.action_space,
+                                               ReadoutAt(t), {.sample = true}, 1000 + t);
+      const double return_to_go = target_return - rewards_;
+      learner_.OnDecision(options, policy_, choice, ReadoutAt(t), return_to_go, rewards_);
+      const std::vector<float> r = ReadoutAt(t);
+      for (size_t i = 0; i < kOutputs; ++i) {
+        const double y = (choice.action.discrete == static_cast<int>(i) ? 1.0 : 0.0) -
+                         static_cast<double>(choice.probabilities[i]);
+        for (size_t j = 0; j < kInputs; ++j) {
+          double& e = trace[i * kInputs + j];
+          e = options.trace_decay * e + y * static_cast<double>(r[j]);
+        }
+      }
+      kept.push_back({trace, return_to_go, rewards_});
+      rewards_ += 0.3 * (t % 3 + 1);
+    }
+    return kept;
+  }
+
+  Policy policy_ = TestPolicy();
+  Learner learner_;
+  double rewards_ = 0.0;  // the return of the episode played last
+};
+
+TEST_F(LearnerTest, TargetAddsEveryStepAtOnce) {
+  const LearningOptions options = {.learning_rate = 0.01};
+  learner_ = Learner::New(options, policy_);
+  std::vector<double> expected(kOutputs * kInputs, 0.0);
+  for (const Step& step : Play(options, 40, /*target_return=*/9.0)) {
+    const double delta = std::min(1.0, std::max(-1.0, (step.return_to_go - 4.0) / 2.0));
+    for (size_t i = 0; i < expected.size(); ++i) {
+      expected[i] += options.learning_rate * delta * step.trace[i];
+    }
+  }
+  EXPECT_EQ(learner_.updates, 40);
+  for (size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_NEAR(learner_.head_delta[i], expected[i], 1e-6) << i;
+  }
+}
+
+// The sums of constant size give what a memory of every trace would give.
+TEST_F(LearnerTest, RealizedEqualsTheSumOverAllSteps) {
+  const LearningOptions options = {
+      .modulator = Modulator::kRealized, .learning_rate = 0.001, .clip = 100.0};
+  learner_ = Learner::New(options, policy_);
+  const std::vector<Step> kept = Play(options, 40, 9.0);
+  EXPECT_EQ(FrobeniusNorm(learner_.head_delta), 0.0);
+  learner_.OnEpisodeEnd(options, policy_, rewards_);
+
+  double scale = 1.0;
+  for (const Step& step : kept) {
+    scale = std::max(scale, std::abs(rewards_ - step.rewards_before - 4.0) / 2.0);
+  }
+  EXPECT_GT(scale, 1.0);
+  std::vector<double> expected(kOutputs * kInputs, 0.0);
+  for (const Step& step : kept) {
+    const double delta = (rewards_ - step.rewards_before - 4.0) / 2.0 / scale;
+    for (size_t i = 0; i < expected.size(); ++i) {
+      expected[i] += options.learning_rate * delta * step.trace[i];
+    }
+  }
+  for (size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_NEAR(learner_.head_delta[i], expected[i], 1e-6) << i;
+  }
+  EXPECT_EQ(learner_.updates, 1);
+}
+
+TEST_F(LearnerTest, MemoryDoesNotGrowWithTheEpisode) {
+  const LearningOptions options = {.modulator = Modulator::kRealized};
+  learner_ = Learner::New(options, policy_);
+  Play(options, 5000, 9.0);
+  EXPECT_EQ(learner_.trace.values.size(), kOutputs * kInputs);
+  EXPECT_EQ(learner_.trace_sum.size(), kOutputs * kInputs);
+  EXPECT_EQ(learner_.weighted_sum.size(), kOutputs * kInputs);
+}
+
+TEST_F(LearnerTest, OneStepIsNoLongerThanTheClip) {
+  for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
+    const LearningOptions options = {.modulator = modulator, .learning_rate = 1e30, .clip = 0.125};
+    learner_ = Learner::New(options, policy_);
+    Play(options, 1, /*target_return=*/9.0);
+    learner_.OnEpisodeEnd(options, policy_, 9.0);
+    EXPECT_NEAR(FrobeniusNorm(learner_.head_delta), 0.125, 1e-6);
+  }
+}
+
+TEST_F(LearnerTest, DriftStaysWithinItsBound) {
+  const LearningOptions options = {.learning_rate = 1.0, .max_drift = 0.25};
+  learner_ = Learner::New(options, policy_);
+  Play(options, 200, /*target_return=*/1e6);
+  EXPECT_NEAR(learner_.Drift(policy_), 0.25, 1e-7);
+  EXPECT_EQ(learner_.updates, 200);
+  const std::vector<float> before = learner_.head_delta;
+  Play(options, 1, /*target_return=*/1e6);
+  EXPECT_NE(learner_.head_delta, before);  // along the bound
+  EXPECT_NEAR(learner_.Drift(policy_), 0.25, 1e-7);
+}
+
+TEST_F(LearnerTest, NonFiniteUpdatesAreRefusedAndForgotten) {
+  const LearningOptions options;
+  learner_ = Learner::New(options, policy_);
+  Play(options, 3, 9.0);
+  const std::vector<float> before = learner_.head_delta;
+  ActionChoice choice =
+      ChooseAction(policy_.weights.head, policy_.action_space, ReadoutAt(0), {}, 0);
+  const std::vector<float> broken = {std::numeric_limits<float>::quiet_NaN(), 0.0f, 0.0f};
+  EXPECT_EQ(learner_.OnDecision(options, policy_, choice, broken, 9.0, 0.0),
+            UpdateOutcome::kNonFinite);
+  EXPECT_EQ(learner_.head_delta, before);
+  EXPECT_EQ(learner_.rejected, 1);
+  EXPECT_EQ(learner_.OnDecision(options, policy_, choice, ReadoutAt(1), 9.0, 0.0),
+            UpdateOutcome::kApplied);
+}
+
+TEST_F(LearnerTest, AbsurdReturnsLeaveAFiniteHeadWithinItsBound) {
+  for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
+    const LearningOptions options = {.modulator = modulator, .learning_rate = 0.1};
+    learner_ = Learner::New(options, policy_);
+    for (const double reward : {1e30, -3e38, 0.0, 3e38, -1e30}) {
+      for (int t = 0; t < 20; ++t) {
+        const ActionChoice choice = ChooseAction(learner_.Head(policy_), policy_.action_space,
+                                                 ReadoutAt(t), {.sample = true}, t);
+        const double rewards = t % 2 == 0 ? 0.0 : reward;
+        learner_.OnDecision(options, policy_, choice, ReadoutAt(t), 9.0 - rewards, rewards);
+      }
+      learner_.OnEpisodeEnd(options, policy_, reward);
+      learner_.StartEpisode(options);
+      EXPECT_TRUE(std::isfinite(learner_.returns.mean));
+      EXPECT_TRUE(std::isfinite(learner_.returns.variance));
+      EXPECT_LE(learner_.Drift(policy_), 1.0 + 1e-6);
+    }
+  }
+}
+
+TEST_F(LearnerTest, AnotherEpisodeStartsWithEmptyTraces) {
+  const LearningOptions options = {.modulator = Modulator::kRealized};
+  learner_ = Learner::New(options, policy_);
+  Play(options, 10, 9.0);
+  learner_.OnEpisodeEnd(options, policy_, rewards_);
+  const std::vector<float> learned = learner_.head_delta;
+  const ReturnStatistics returns = learner_.returns;
+  learner_.StartEpisode(options);
+  Learner fresh = Learner::New(options, policy_);
+  fresh.head_delta = learned;
+  fresh.returns = returns;
+  EXPECT_EQ(learner_.trace, fresh.trace);
+  EXPECT_EQ(learner_.trace_sum, fresh.trace_sum);
+  EXPECT_EQ(learner_.weighted_sum, fresh.weighted_sum);
+  EXPECT_EQ(learner_.rewards_before, fresh.rewards_before);
+  EXPECT_EQ(learner_.updates, 0);
+}
+
+TEST(ReturnStatisticsTest, MergesAsIfThePastWereAThousandDecisions) {
+  RewardsBefore rewards;
+  for (const double c : {0.0, 1.0, 5.0}) rewards.Add(c);
+  ReturnStatistics returns = {.mean = 2.0, .variance = 9.0};
+  returns.Merge(rewards, 10.0);  // G = 10, 9, 5
+  const double sum = 2.0 * 1000 + 10 + 9 + 5;
+  const double squares = 1000 * (9.0 + 4.0) + 100 + 81 + 25;
+  EXPECT_NEAR(returns.mean, sum / 1003, 1e-12);
+  EXPECT_NEAR(returns.variance, squares / 1003 - returns.mean * returns.mean, 1e-9);
+}
+
+TEST(ReturnStatisticsTest, DeviationIsNeverZero) {
+  const ReturnStatistics returns = {.mean = 1.0, .variance = 0.0};
+  EXPECT_EQ(returns.Normalized(1.0), 0.0);
+  EXPECT_TRUE(std::isfinite(returns.Normalized(2.0)));
+}
+
+TEST(LearningOptionsTest, RefusalsNameTheField) {
+  const auto refuse = [](const LearningOptions& options, const ActionSpace& space,
+                         const std::string& message) {
+    const absl::Status status = options.Validate(space, {});
+    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+    EXPECT_THAT(std::string(status.message()), HasSubstr(message));
+  };
+  const ActionSpace discrete = ActionSpace::Discrete(2);
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const double infinity = std::numeric_limits<double>::infinity();
+  refuse({.learning_rate = 0}, discrete,
+         "learning.learning_rate: expected a finite number above 0");
+  refuse({.learning_rate = infinity}, discrete, "received inf");
+  refuse({.trace_decay = 1.5}, discrete,
+         "learning.trace_decay: expected a number from 0 to 1, received 1.5");
+  refuse({.trace_decay = nan}, discrete, "learning.trace_decay: expected");
+  refuse({.clip = -1}, discrete, "learning.clip: expected a finite number above 0");
+  refuse({.max_drift = nan}, discrete, "learning.max_drift: expected a finite number above 0");
+  const ActionSpace box = ActionSpace::Box({-1}, {1});
+  refuse({}, box, "learning.rule: expected hebbian, or action_selection SAMPLE");
+  EXPECT_TRUE(LearningOptions().Validate(box, {.sample = true}).ok());
+  EXPECT_TRUE(LearningOptions({.rule = Rule::kHebbian}).Validate(box, {}).ok());
+}
+
+}  // namespace
+}  // namespace spikeserve
