@@ -5,6 +5,8 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "core/model/json.h"
 #include "nlohmann/json.hpp"
 #include "server/status_map.h"
 
@@ -60,6 +62,12 @@ v1::DecisionStats StatsToProto(const Answer& answer, bool dense) {
   return proto;
 }
 
+absl::Status UnknownName(absl::string_view field, absl::string_view expected,
+                         absl::string_view received) {
+  return absl::InvalidArgumentError(
+      absl::StrCat("learning.", field, ": expected ", expected, ", received ", Quoted(received)));
+}
+
 }  // namespace
 
 absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request) {
@@ -86,6 +94,35 @@ absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest&
   }
   selection.temperature = static_cast<float>(request.temperature());
   return selection;
+}
+
+absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& config,
+                                                  const ActionSpace& space,
+                                                  const ActionSelection& selection) {
+  if (config.scope() == v1::LearningConfig::FLEET) {
+    return absl::UnimplementedError(
+        "learning.scope: expected SESSION, received FLEET; this server has no heads that sessions "
+        "share");
+  }
+  if (config.scope() != v1::LearningConfig::SESSION) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "learning.scope: expected SESSION or FLEET, received ", static_cast<int>(config.scope())));
+  }
+  LearningOptions options;
+  if (!config.rule().empty() && !FromString(config.rule(), &options.rule)) {
+    return UnknownName("rule", "policy_gradient or hebbian", config.rule());
+  }
+  if (!config.modulator().empty() && !FromString(config.modulator(), &options.modulator)) {
+    return UnknownName("modulator", "target or realized", config.modulator());
+  }
+  if (config.has_learning_rate()) {
+    options.learning_rate = config.learning_rate();
+  }
+  if (config.has_trace_decay()) options.trace_decay = config.trace_decay();
+  if (config.has_clip()) options.clip = config.clip();
+  if (config.has_max_drift()) options.max_drift = config.max_drift();
+  if (auto status = options.Validate(space, selection); !status.ok()) return status;
+  return options;
 }
 
 v1::ActionSpace ToProto(const ActionSpace& space) {
@@ -123,10 +160,19 @@ v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
   proto.set_steps(summary.steps);
   proto.set_spikes(summary.spikes);
   proto.set_energy_joules(summary.energy_joules);
+  if (summary.learning.has_value()) {
+    v1::LearningSummary* learning = proto.mutable_learning();
+    learning->set_updates(summary.learning->updates);
+    learning->set_rejected_updates(summary.learning->rejected);
+    learning->set_head_drift(summary.learning->head_drift);
+    learning->set_modulator_mean(summary.learning->returns.mean);
+    learning->set_modulator_std(summary.learning->returns.deviation());
+  }
   return proto;
 }
 
-v1::GetSessionResponse ToProto(const Session& session) {
+v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta) {
+  const Session& session = agent.session();
   v1::GetSessionResponse proto;
   proto.set_session_id(session.id);
   proto.set_policy(session.options.policy);
@@ -139,6 +185,12 @@ v1::GetSessionResponse ToProto(const Session& session) {
   proto.set_spikes(session.spikes);
   proto.set_energy_joules(session.energy_joules);
   proto.set_decisions(session.decisions);
+  proto.set_head_drift(agent.HeadDrift());
+  if (session.learner.has_value()) {
+    proto.set_trace_norm(session.learner->trace.Norm());
+    const std::vector<float>& delta = session.learner->head_delta;
+    if (include_head_delta) proto.mutable_head_delta()->Add(delta.begin(), delta.end());
+  }
   proto.mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
   return proto;
 }

@@ -7,6 +7,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/engine/action_head.h"
+#include "core/learning/learning_options.h"
 #include "core/model/action_space.h"
 #include "core/session/agent_session.h"
 #include "core/session/served_policy.h"
@@ -19,10 +20,16 @@ namespace spikeserve {
 // SAMPLE.
 absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request);
 
+// Unset fields get the defaults of LearningOptions. UNIMPLEMENTED for fleet learning;
+// INVALID_ARGUMENT for an unknown name, and whatever LearningOptions::Validate refuses.
+absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& config,
+                                                  const ActionSpace& space,
+                                                  const ActionSelection& selection);
+
 v1::ActionSpace ToProto(const ActionSpace& space);
 v1::PolicyInfo ToProto(const ServedPolicy& served, bool is_default);
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary);
-v1::GetSessionResponse ToProto(const Session& session);
+v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta);
 
 // Equal answers give equal bytes. `policy` made the answer.
 void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,

@@ -72,6 +72,13 @@ Metrics::Metrics()
       episode_return_mean_(
           Register(BuildGauge(), "spikeserve_episode_return_mean",
                    "Running mean of the return over the episodes ended since the server started.")),
+      learning_updates_(Register(BuildCounter(), "spikeserve_learning_updates_total",
+                                 "Updates of action heads by sessions that learn.")),
+      learning_rejected_(Register(BuildCounter(), "spikeserve_learning_rejected_total",
+                                  "Updates of action heads refused, the head left as it was.")),
+      head_drift_(Register(BuildGauge(), "spikeserve_head_drift_ratio",
+                           "|W - W_base| / |W_base| of the action head, where the session that "
+                           "learned last ended its episode.")),
       policy_info_(
           Register(BuildGauge(), "spikeserve_policy_info", "1 for every policy version served.")),
       rpc_duration_(Register(
@@ -120,6 +127,11 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.episodes = &episodes_.Add(labels);
   handles.episode_return = &episode_return_.Add(labels, Returns());
   handles.episode_return_mean = &episode_return_mean_.Add(labels);
+  handles.learning_updates = &learning_updates_.Add(labels);
+  const std::string_view reason = ToString(UpdateOutcome::kNonFinite);
+  handles.learning_rejected_non_finite =
+      &learning_rejected_.Add(with("reason", {reason.data(), reason.size()}));
+  handles.head_drift = &head_drift_.Add(labels);
   return std::make_shared<PolicyMetrics>(handles, policy.config.is_dense());
 }
 

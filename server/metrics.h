@@ -74,6 +74,9 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& episodes_;
   prometheus::Family<prometheus::Histogram>& episode_return_;
   prometheus::Family<prometheus::Gauge>& episode_return_mean_;
+  prometheus::Family<prometheus::Counter>& learning_updates_;
+  prometheus::Family<prometheus::Counter>& learning_rejected_;
+  prometheus::Family<prometheus::Gauge>& head_drift_;
   prometheus::Family<prometheus::Gauge>& policy_info_;
   prometheus::Family<prometheus::Histogram>& rpc_duration_;
   prometheus::Counter* reaped_idle_;

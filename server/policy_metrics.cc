@@ -29,4 +29,9 @@ void PolicyMetrics::OnEpisodeEnd(double episode_return) {
   handles_.episode_return_mean->Set(return_mean_);
 }
 
+void PolicyMetrics::OnHeadUpdate(UpdateOutcome outcome) {
+  const bool applied = outcome == UpdateOutcome::kApplied;
+  (applied ? handles_.learning_updates : handles_.learning_rejected_non_finite)->Increment();
+}
+
 }  // namespace spikeserve

@@ -34,6 +34,9 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Counter* episodes;
     prometheus::Histogram* episode_return;
     prometheus::Gauge* episode_return_mean;
+    prometheus::Counter* learning_updates;
+    prometheus::Counter* learning_rejected_non_finite;
+    prometheus::Gauge* head_drift;
   };
 
   // `dense` as EstimateEnergy takes it. The handles must outlive this object.
@@ -43,6 +46,8 @@ class PolicyMetrics final : public SessionObserver {
   void OnClose() override { handles_.sessions->Decrement(); }
   void OnDecision(const Answer& answer) override;
   void OnEpisodeEnd(double episode_return) override;
+  void OnHeadUpdate(UpdateOutcome outcome) override;
+  void OnHeadDrift(double ratio) override { handles_.head_drift->Set(ratio); }
 
  private:
   const Handles handles_;

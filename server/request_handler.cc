@@ -29,10 +29,6 @@ absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& 
 
 absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
                                                 const ServedPolicy& served) {
-  if (request.has_learning()) {
-    return absl::UnimplementedError(
-        "learning: expected unset, received a LearningConfig; this server serves frozen policies");
-  }
   SessionOptions options;
   options.policy = served.name;
   options.version = served.version;
@@ -44,6 +40,12 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   const auto selection = SelectionFromProto(request);
   if (!selection.ok()) return selection.status();
   options.action_selection = *selection;
+  if (request.has_learning()) {
+    const auto learning =
+        LearningFromProto(request.learning(), served.policy().action_space, *selection);
+    if (!learning.ok()) return learning.status();
+    options.learning = *learning;
+  }
   if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
   options.labels.insert(request.labels().begin(), request.labels().end());
   return options;
@@ -125,7 +127,8 @@ absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
                                         v1::EndEpisodeResponse* response) const {
   const auto entry = store_->Find(request.session_id());
   if (!entry.ok()) return entry.status();
-  // How the episode ended, terminated or truncated, changes nothing for a frozen policy.
+  // How the episode ended, terminated or truncated, changes nothing: what is learned is judged by
+  // the rewards that came.
   EpisodeEnd end = {.reward = request.reward(), .target_return = std::nullopt};
   if (request.has_target_return()) end.target_return = request.target_return();
   absl::MutexLock lock(&(*entry)->mutex);
@@ -140,7 +143,7 @@ absl::Status RequestHandler::GetSession(const v1::GetSessionRequest& request,
   const auto entry = store_->Find(request.session_id());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
-  *response = ToProto((*entry)->agent.session());
+  *response = ToProto((*entry)->agent, request.include_head_delta());
   return absl::OkStatus();
 }
 

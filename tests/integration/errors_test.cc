@@ -64,10 +64,31 @@ TEST_F(OpenErrorsTest, UnknownActionSelection) {
               "action_selection: expected GREEDY or SAMPLE, received 7");
 }
 
-TEST_F(OpenErrorsTest, LearningIsNotServed) {
-  request_.mutable_learning();
+TEST_F(OpenErrorsTest, FleetLearningIsNotServed) {
+  request_.mutable_learning()->set_scope(v1::LearningConfig::FLEET);
   ExpectError(client_->TryOpen(request_), StatusCode::UNIMPLEMENTED,
-              "learning: expected unset, received a LearningConfig");
+              "learning.scope: expected SESSION, received FLEET");
+}
+
+TEST_F(OpenErrorsTest, Learning) {
+  const auto refuse = [&](const std::string& message) {
+    ExpectError(client_->TryOpen(request_), StatusCode::INVALID_ARGUMENT, message);
+    request_.clear_learning();
+  };
+  request_.mutable_learning()->set_scope(static_cast<v1::LearningConfig::Scope>(7));
+  refuse("learning.scope: expected SESSION or FLEET, received 7");
+  request_.mutable_learning()->set_rule("sarsa");
+  refuse("learning.rule: expected policy_gradient or hebbian, received \"sarsa\"");
+  request_.mutable_learning()->set_modulator("dopamine");
+  refuse("learning.modulator: expected target or realized, received \"dopamine\"");
+  request_.mutable_learning()->set_learning_rate(-1);
+  refuse("learning.learning_rate: expected a finite number above 0");
+  request_.mutable_learning()->set_trace_decay(2);
+  refuse("learning.trace_decay: expected a number from 0 to 1, received 2");
+  request_.mutable_learning()->set_clip(0);
+  refuse("learning.clip: expected a finite number above 0");
+  request_.mutable_learning()->set_max_drift(kNan);
+  refuse("learning.max_drift: expected a finite number above 0, received nan");
 }
 
 TEST_F(OpenErrorsTest, LabelsAreBounded) {

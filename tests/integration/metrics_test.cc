@@ -64,6 +64,27 @@ TEST_F(MetricsTest, EpisodesAndTheirReturns) {
             -10.0);
 }
 
+TEST_F(MetricsTest, LearningIsCounted) {
+  v1::OpenSessionRequest open;
+  open.set_policy("discrete");
+  open.mutable_learning()->set_learning_rate(0.1);
+  open.mutable_learning()->set_max_drift(0.001);
+  v1::OpenSessionResponse opened;
+  ASSERT_TRUE(client_->stub().OpenSession(NewContext().get(), open, &opened).ok());
+  for (int64_t step = 0; step < 9; ++step) {
+    client_->Act(opened.session_id(), step);
+    client_->Act(opened.session_id(), step);  // a retry
+  }
+  const v1::LearningSummary learned = client_->EndEpisode(opened.session_id(), 0.0).learning();
+  EXPECT_EQ(learned.updates(), 9);
+  EXPECT_EQ(learned.rejected_updates(), 0);
+  EXPECT_NEAR(learned.head_drift(), 0.001, 1e-9);
+  const std::string version = "policy=\"discrete\",version=\"2\"";
+  EXPECT_EQ(Metric("spikeserve_learning_updates_total"), 9.0);
+  EXPECT_EQ(Metric("spikeserve_learning_rejected_total", {"reason=\"non_finite\""}), 0.0);
+  EXPECT_NEAR(Metric("spikeserve_head_drift_ratio", {version}), learned.head_drift(), 1e-9);
+}
+
 TEST_F(MetricsTest, CallsAreTimedByMethodAndCode) {
   const std::string session = client_->Open();
   client_->Act(session, 0);

@@ -1,4 +1,4 @@
-"""A real server with the shipped policies, and a client that needs no file of this repository."""
+"""A real server, and a client that needs no file of this repository."""
 
 import contextlib
 import os
@@ -23,12 +23,15 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server():
-    """Yields the Addresses of a server, and sees to it that SIGTERM ends it well."""
+def running_server(policies=DEPLOY / "policies"):
+    """Yields the Addresses of a server of the policies in a folder, the shipped ones by default.
+
+    Sees to it that SIGTERM ends it well.
+    """
     server = subprocess.Popen(
         [
             os.environ["SPIKESERVE_PROGRAM"],
-            f"--policies={DEPLOY / 'policies'}",
+            f"--policies={policies}",
             "--listen=127.0.0.1:0",
             "--http_listen=127.0.0.1:0",
         ],

@@ -1,0 +1,34 @@
+"""Reads and writes policy files with NumPy alone: float32 tensors by name, and metadata strings."""
+
+import json
+
+import numpy as np
+
+
+def read_policy(path):
+    data = path.read_bytes()
+    header_end = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:header_end])
+    metadata = header.pop("__metadata__")
+    tensors = {}
+    for name, entry in header.items():
+        begin, end = (header_end + offset for offset in entry["data_offsets"])
+        tensors[name] = np.frombuffer(data[begin:end], "<f4").reshape(entry["shape"]).copy()
+    return tensors, metadata
+
+
+def write_policy(path, tensors, metadata):
+    header, chunks, offset = {"__metadata__": metadata}, [], 0
+    for name, tensor in sorted(tensors.items()):
+        chunk = np.ascontiguousarray(tensor, "<f4").tobytes()
+        header[name] = {
+            "dtype": "F32",
+            "shape": list(tensor.shape),
+            "data_offsets": [offset, offset + len(chunk)],
+        }
+        chunks.append(chunk)
+        offset += len(chunk)
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(len(text).to_bytes(8, "little") + text + b"".join(chunks))

@@ -1,0 +1,220 @@
+"""Holds a server's learning against eqs. 4.1 to 4.3 in NumPy, on episodes played over the wire.
+
+What the head reads, the readout rates, comes from a second session of a policy with the same body
+and the identity as its head. So that both bodies see the same tokens, their action embeddings are
+zero. Nothing here trusts the server for more than its answers: every trace is kept, in double
+precision, and summed as the equations are written.
+"""
+
+import json
+
+import grpc
+import gymnasium
+import numpy as np
+import pytest
+from policy_file import read_policy, write_policy
+from serving import DEPLOY, Service, running_server
+
+SHIPPED = DEPLOY / "policies/cartpole/1/policy.safetensors"
+LOW, HIGH = np.array([-2.0, 0.0]), np.array([2.0, 5.0])
+EPISODES = 3
+MOST_STEPS = 60
+TOLERANCE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def policies(tmp_path_factory):
+    """The head and modulator statistics of each policy, and the folder they lie in."""
+    folder = tmp_path_factory.mktemp("policies")
+    tensors, metadata = read_policy(SHIPPED)
+    size = tensors["head.weight"].shape[1]
+    generator = np.random.default_rng(1)
+    heads = {
+        "discrete": tensors["head.weight"],
+        "box": generator.normal(0, 0.3, (2, size)),
+        "probe": np.eye(size),
+    }
+    spaces = {
+        "discrete": {"type": "Discrete", "n": 2},
+        "box": {"type": "Box", "low": LOW.tolist(), "high": HIGH.tolist()},
+        "probe": {"type": "Box", "low": [-1.0] * size, "high": [1.0] * size},
+    }
+    kept = {}
+    for name, weight in heads.items():
+        bias = np.zeros(len(weight)) if name == "probe" else generator.normal(0, 0.1, len(weight))
+        edited = tensors | {
+            "head.weight": weight.astype("f4"),
+            "head.bias": bias.astype("f4"),
+            "embed.action.weight": np.zeros((size, len(weight)), "f4"),
+        }
+        path = folder / name / "1" / "policy.safetensors"
+        write_policy(path, edited, metadata | {"action_space": json.dumps(spaces[name])})
+        kept[name] = {
+            "weight": edited["head.weight"].astype("f8"),
+            "bias": edited["head.bias"].astype("f8"),
+            "mean": float(np.float32(metadata["modulator_mean"])),
+            "std": float(np.float32(metadata["modulator_std"])),
+        }
+    return folder, kept
+
+
+@pytest.fixture(scope="module")
+def policy_service(policies):
+    with running_server(policies[0]) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        yield Service(channel, "spikeserve.v1.PolicyService")
+
+
+def norm(matrix):
+    return float(np.sqrt(np.sum(np.square(matrix))))
+
+
+class Plasticity:
+    """Eqs. 4.1 to 4.3 with every trace of the episode kept."""
+
+    def __init__(self, policy, temperature, config):
+        self.base, self.bias = policy["weight"], policy["bias"]
+        self.mean, self.variance = policy["mean"], policy["std"] ** 2
+        self.temperature = temperature
+        self.config = {
+            "learning_rate": 1e-3,
+            "trace_decay": 0.9,
+            "clip": 0.5,
+            "max_drift": 1.0,
+        } | config
+        self.delta = np.zeros_like(self.base)
+        self.start_episode()
+
+    def start_episode(self):
+        self.trace = np.zeros_like(self.base)
+        self.traces, self.rewards_before = [], []
+
+    def logits(self, rates):
+        return (self.base + self.delta) @ rates + self.bias
+
+    def probabilities(self, rates):
+        z = self.logits(rates) / self.temperature
+        exponentials = np.exp(z - z.max())
+        return exponentials / exponentials.sum()
+
+    def postsynaptic(self, rates, action):
+        """The factor y of eq. 4.1; `action` as the wire has it."""
+        hebbian = self.config["rule"] == "hebbian"
+        if action.WhichOneof("kind") == "discrete":
+            probabilities = self.probabilities(rates)
+            return probabilities if hebbian else np.eye(2)[action.discrete] - probabilities
+        z = self.logits(rates)
+        if hebbian:
+            return np.tanh(z)
+        unit = 2 * (np.array(action.continuous.values, "f8") - LOW) / (HIGH - LOW) - 1
+        return (np.arctanh(unit) - z) / self.temperature
+
+    def decided(self, rates, action, return_to_go, rewards_before):
+        y = self.postsynaptic(rates, action)
+        self.trace = self.config["trace_decay"] * self.trace + np.outer(y, rates)
+        self.traces.append(self.trace)
+        self.rewards_before.append(rewards_before)
+        if self.config["modulator"] == "target":
+            modulator = np.clip((return_to_go - self.mean) / np.sqrt(self.variance), -1, 1)
+            self.update(modulator * self.trace)
+
+    def ended(self, episode_return):
+        returns = episode_return - np.array(self.rewards_before)
+        if self.config["modulator"] == "realized":
+            modulators = (returns - self.mean) / np.sqrt(self.variance)
+            modulators /= max(1.0, np.abs(modulators).max())
+            self.update(sum(m * trace for m, trace in zip(modulators, self.traces)))
+        # Merged as if the past were 1,000 decisions.
+        total = 1000 + len(returns)
+        squares = 1000 * (self.variance + self.mean**2) + np.sum(returns**2)
+        self.mean = (1000 * self.mean + np.sum(returns)) / total
+        self.variance = squares / total - self.mean**2
+        self.start_episode()
+
+    def update(self, direction):
+        step = self.config["learning_rate"] * direction
+        step *= min(1.0, self.config["clip"] / max(norm(step), 1e-300))
+        self.delta = self.delta + step
+        bound = self.config["max_drift"] * norm(self.base)
+        self.delta *= min(1.0, bound / max(norm(self.delta), 1e-300))
+
+
+def assert_head(policy_service, session_id, plasticity):
+    session = policy_service.GetSession(session_id=session_id, include_head_delta=True)
+    delta = np.array(session.head_delta).reshape(plasticity.base.shape)
+    assert np.abs(delta - plasticity.delta).max() <= TOLERANCE
+    assert session.head_drift == pytest.approx(
+        norm(plasticity.delta) / norm(plasticity.base), abs=TOLERANCE
+    )
+    assert session.trace_norm == pytest.approx(norm(plasticity.trace), rel=1e-5, abs=TOLERANCE)
+
+
+def play_episode(environment, policy_service, session_id, probe_id, plasticity, seed):
+    """Plays at most MOST_STEPS and compares after every answer."""
+    observation, _ = environment.reset(seed=seed)
+    reward, rewards, step, over = 0.0, 0.0, 0, False
+    while not over:
+        request = {"step": step, "observation": observation.tolist(), "reward": reward}
+        unit = policy_service.Act(session_id=probe_id, **request).action.continuous.values
+        # Spike counts over ten ticks, through tanh.
+        rates = np.round(10 * np.arctanh(np.array(unit, "f8"))) / 10
+        answer = policy_service.Act(session_id=session_id, **request)
+        discrete = answer.action.WhichOneof("kind") == "discrete"
+        if discrete:
+            probabilities = plasticity.probabilities(rates)
+            assert np.abs(np.array(answer.action_probabilities) - probabilities).max() <= TOLERANCE
+        plasticity.decided(rates, answer.action, answer.return_to_go, rewards)
+        if step % 7 == 0:  # a retry, which must not learn again
+            policy_service.Act(session_id=session_id, **request)
+        assert_head(policy_service, session_id, plasticity)
+        right = answer.action.discrete if discrete else answer.action.continuous.values[0] > 0
+        observation, _, terminated, truncated, _ = environment.step(int(right))
+        # Rewards that tell steps apart, so that credit matters.
+        reward = 1.0 - 2.0 * abs(float(observation[2]))
+        rewards += reward
+        step += 1
+        over = terminated or truncated or step == MOST_STEPS
+    policy_service.EndEpisode(session_id=probe_id, reward=reward)
+    end = policy_service.EndEpisode(session_id=session_id, reward=reward, terminated=terminated)
+    plasticity.ended(rewards)
+    assert end.learning.updates == (step if plasticity.config["modulator"] == "target" else 1)
+    assert end.learning.rejected_updates == 0
+    assert end.learning.modulator_mean == pytest.approx(plasticity.mean, rel=1e-9)
+    assert end.learning.modulator_std == pytest.approx(np.sqrt(plasticity.variance), rel=1e-9)
+    assert_head(policy_service, session_id, plasticity)
+
+
+SETTINGS = {
+    "defaults": {},
+    "own": {"learning_rate": 5e-3, "trace_decay": 0.7},
+    "bounded": {"learning_rate": 0.05, "clip": 0.02, "max_drift": 0.03},
+}
+
+
+@pytest.mark.parametrize("settings", SETTINGS)
+@pytest.mark.parametrize("modulator", ["target", "realized"])
+@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian"])
+@pytest.mark.parametrize("policy", ["discrete", "box"])
+def test_the_head_follows_the_equations(policies, policy_service, policy, rule, modulator, settings):
+    temperature = 0.5 if policy == "box" else 2.0
+    config = {"rule": rule, "modulator": modulator} | SETTINGS[settings]
+    opening = {"action_selection": "SAMPLE", "temperature": temperature, "target_return": 200.0}
+    session = policy_service.OpenSession(policy=policy, seed=3, learning=config, **opening)
+    probe = policy_service.OpenSession(policy="probe", target_return=200.0)
+    plasticity = Plasticity(policies[1][policy], temperature, config)
+    environment = gymnasium.make("CartPole-v1")
+    for episode in range(EPISODES):
+        ids = (session.session_id, probe.session_id)
+        play_episode(environment, policy_service, *ids, plasticity, seed=episode)
+    environment.close()
+    assert np.abs(plasticity.delta).max() > 100 * TOLERANCE
+    if settings == "bounded":
+        assert norm(plasticity.delta) <= 0.03 * norm(plasticity.base) + 1e-9
+
+
+def test_a_frozen_session_shows_no_learning(policy_service):
+    session_id = policy_service.OpenSession(policy="discrete").session_id
+    policy_service.Act(session_id=session_id, step=0, observation=[0.0] * 4)
+    session = policy_service.GetSession(session_id=session_id, include_head_delta=True)
+    assert session.trace_norm == 0 and session.head_drift == 0 and not session.head_delta
+    end = policy_service.EndEpisode(session_id=session_id, reward=1.0)
+    assert not end.HasField("learning")
