@@ -96,9 +96,8 @@ class AgentSession {
   const Clock* clock_;
   Session session_;
   std::unique_ptr<Engine::Context> context_;  // null: to be rebuilt
-  std::optional<Linear>
-      head_;  // the learner's; absent for a frozen session, which reads the policy's
-  bool action_pending_ = false;  // the context still lacks the last timestep's action
+  std::optional<Linear> head_;                // the learner's; absent where the policy's serves
+  bool action_pending_ = false;               // the context still lacks the last timestep's action
 };
 
 // A new session's value, at step 0 of its first episode.
