@@ -218,3 +218,23 @@ def test_a_frozen_session_shows_no_learning(policy_service):
     assert session.trace_norm == 0 and session.head_drift == 0 and not session.head_delta
     end = policy_service.EndEpisode(session_id=session_id, reward=1.0)
     assert not end.HasField("learning")
+
+
+@pytest.mark.parametrize("modulator", ["target", "realized"])
+def test_absurd_rewards_stay_within_the_bounds(policy_service, modulator):
+    config = {"modulator": modulator, "learning_rate": 1.0, "max_drift": 0.1}
+    session_id = policy_service.OpenSession(policy="discrete", learning=config).session_id
+    for _ in range(3):
+        for step in range(20):
+            reward = 1e30 * (-1) ** step
+            request = {"session_id": session_id, "observation": [0.01 * step] * 4}
+            if step > 0:
+                with pytest.raises(grpc.RpcError) as error:
+                    policy_service.Act(step=step, reward=float("nan"), **request)
+                assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+            answer = policy_service.Act(step=step, reward=reward, **request)
+            assert np.isfinite(answer.action_probabilities).all()
+        end = policy_service.EndEpisode(session_id=session_id, reward=1e30)
+        assert 0 < end.learning.head_drift <= 0.1 + 1e-6
+        assert np.isfinite(end.learning.modulator_mean)
+        assert np.isfinite(end.learning.modulator_std)
