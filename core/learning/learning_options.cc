@@ -1,6 +1,7 @@
 #include "core/learning/learning_options.h"
 
 #include <cmath>
+#include <initializer_list>
 
 #include "absl/strings/str_cat.h"
 
