@@ -77,7 +77,7 @@ def export_policy(
         "config": json.dumps(asdict(config)),
         "action_space": json.dumps({"type": type(space).__name__, **asdict(space)}),
         "environment": environment,
-        "training": json.dumps(dict(training or {}), allow_nan=False),
+        "training": _json("training", training or {}),
         **numbers,
     }
     _write_atomically(pathlib.Path(path), safetensors.numpy.save(arrays, metadata))
@@ -212,6 +212,13 @@ def _check_tensor(name: str, array: NDArray[np.float32], expected: Shape) -> Non
             f'tensor "{name}": expected numbers finite in float32, '
             f"got {array.flat[index]} at index {index}"
         )
+
+
+def _json(field: str, value: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(dict(value), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{field}: expected what JSON can hold, got {error}") from error
 
 
 def _number(field: str, value: float, positive: bool = False) -> str:

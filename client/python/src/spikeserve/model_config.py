@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class ModelConfig:
             )
         if not 0 <= self.membrane_decay <= 1:
             raise ValueError(f"membrane_decay: expected 0 to 1, got {self.membrane_decay}")
-        if not (self.threshold > 0 and math.isfinite(self.threshold)):
+        if not 0 < np.float32(self.threshold) < np.inf:
             raise ValueError(f"threshold: expected a positive finite number, got {self.threshold}")
 
     @property
