@@ -178,3 +178,10 @@ def test_evaluate_finds_the_policy_of_each_task(address, policy):
     evaluation = spikeserve.evaluate(POLICIES[policy], server=address, episodes=2)
     assert evaluation.policy == policy
     assert len(evaluation.returns) == 2
+
+
+def test_evaluate_plays_each_seed(client):
+    first = spikeserve.evaluate("CartPole-v1", "random_cartpole", server=client, seed=7, episodes=4)
+    later = spikeserve.evaluate("CartPole-v1", "random_cartpole", server=client, seed=9, episodes=2)
+    assert len(set(first.returns)) > 1
+    assert first.episodes[2:] == later.episodes

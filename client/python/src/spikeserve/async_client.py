@@ -103,9 +103,10 @@ class AsyncClient:
     ) -> Message:
         """Client.call."""
         attempts = Attempts(name, self._options.retry, repeated)
+        deadline = self._options.timeout if timeout is None else timeout
         while True:
             try:
-                return await self._calls[name](request, timeout=timeout or self._options.timeout)
+                return await self._calls[name](request, timeout=deadline)
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:

@@ -121,9 +121,10 @@ class Client:
         None if an attempt raised `repeated` after one whose answer was lost.
         """
         attempts = Attempts(name, self._options.retry, repeated)
+        deadline = self._options.timeout if timeout is None else timeout
         while True:
             try:
-                return self._calls[name](request, timeout=timeout or self._options.timeout)
+                return self._calls[name](request, timeout=deadline)
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:

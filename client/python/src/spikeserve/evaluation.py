@@ -67,21 +67,23 @@ def evaluate(
     env_id: str,
     policy: str | None = None,
     *,
-    server: str = DEFAULT_SERVER,
+    server: str | Client = DEFAULT_SERVER,
     episodes: int = 20,
     seed: int = 0,
 ) -> Evaluation:
     """Plays `episodes` episodes of Gymnasium's `env_id`, the first from reset seed `seed`, the
     next from `seed` + 1 and so on, acting greedily.
 
-    Without a `policy`, the served one that was made for this environment; LookupError if there is
+    `server` is an address or, where there is more to say than that, a client. Without a `policy`,
+    the served one that was made for this environment; LookupError if there is
     none, ValueError if its action space is not the environment's.
     """
     import gymnasium  # an extra: agents on robots have no need of it
 
     if episodes < 1:
         raise ValueError(f"episodes: expected at least 1, got {episodes}")
-    with Client(server) as client, contextlib.closing(gymnasium.make(env_id)) as environment:
+    connection = Client(server) if isinstance(server, str) else contextlib.nullcontext(server)
+    with connection as client, contextlib.closing(gymnasium.make(env_id)) as environment:
         name = policy or choose_policy(client.list_policies(), env_id).name
         with client.open_session(name) as session:
             assert session.opening is not None

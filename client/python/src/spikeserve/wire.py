@@ -23,16 +23,21 @@ _COMPILED = "policy_service.binpb"
 Message = Any
 
 
-def _load_pool() -> descriptor_pool.DescriptorPool:
+def _load_files() -> descriptor_pb2.FileDescriptorSet:
     files = descriptor_pb2.FileDescriptorSet()
     files.ParseFromString(importlib.resources.files(__package__).joinpath(_COMPILED).read_bytes())
+    return files
+
+
+def _make_pool(files: descriptor_pb2.FileDescriptorSet) -> descriptor_pool.DescriptorPool:
     pool = descriptor_pool.DescriptorPool()
     for file in files.file:
         pool.Add(file)
     return pool
 
 
-_POOL = _load_pool()
+_FILES = _load_files()
+_POOL = _make_pool(_FILES)
 
 
 def message_class(name: str) -> Message:
@@ -59,13 +64,17 @@ class Method:
 
 
 def _unary_methods() -> dict[str, Method]:
+    # From the files, since an older protobuf's descriptors do not tell what streams.
     return {
         method.name: Method(
             name=method.name,
-            request=message_factory.GetMessageClass(method.input_type),
-            response=message_factory.GetMessageClass(method.output_type),
+            request=message_class(method.input_type.rpartition(".")[2]),
+            response=message_class(method.output_type.rpartition(".")[2]),
         )
-        for method in _POOL.FindServiceByName(SERVICE).methods
+        for file in _FILES.file
+        for service in file.service
+        if f"{file.package}.{service.name}" == SERVICE
+        for method in service.method
         if not method.client_streaming and not method.server_streaming
     }
 
