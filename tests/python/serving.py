@@ -1,4 +1,4 @@
-"""A real server with the shipped policies, and a client that needs no file of this repository."""
+"""A real server, and a client that needs no file of this repository."""
 
 import contextlib
 import os
@@ -12,6 +12,7 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
 )
 
 DEPLOY = pathlib.Path(__file__).parents[2] / "deploy"
+SHIPPED_POLICIES = DEPLOY / "policies"
 DEADLINE_SECONDS = 30
 
 
@@ -23,12 +24,12 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server():
-    """Yields the Addresses of a server, and sees to it that SIGTERM ends it well."""
+def running_server(policies=SHIPPED_POLICIES):
+    """Yields the Addresses of a server with the policies in that folder, and sees to it that SIGTERM ends it well."""
     server = subprocess.Popen(
         [
             os.environ["SPIKESERVE_PROGRAM"],
-            f"--policies={DEPLOY / 'policies'}",
+            f"--policies={policies}",
             "--listen=127.0.0.1:0",
             "--http_listen=127.0.0.1:0",
         ],

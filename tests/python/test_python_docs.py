@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import spikeserve
-from conftest import serving
+from serving import running_server
 
 PAGE = pathlib.Path(__file__).parents[2] / "docs" / "python.md"
 PAGES_SERVER = "127.0.0.1:50051"
@@ -23,7 +23,7 @@ def test_the_examples_run(address, tmp_path, monkeypatch, capsys):
     assert "cartpole/1 plays CartPole-v1: return 500.0 " in printed
     assert "Act: INVALID_ARGUMENT: observation: expected 4 numbers, received 3" in printed
     assert "[100.0, 100.0, 100.0, 100.0]" in printed
-    with serving(tmp_path / "policies") as exported:
-        evaluation = spikeserve.evaluate("Pendulum-v1", server=exported, episodes=1)
+    with running_server(tmp_path / "policies") as exported:
+        evaluation = spikeserve.evaluate("Pendulum-v1", server=exported.grpc, episodes=1)
     assert evaluation.policy == "pendulum"
     assert np.isfinite(evaluation.mean_return)

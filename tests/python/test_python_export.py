@@ -10,8 +10,8 @@ import pytest
 import safetensors
 import safetensors.numpy
 import spikeserve
-from conftest import SHIPPED_POLICIES, serving
 from random_policy import SMALL, export_random, random_tensors
+from serving import SHIPPED_POLICIES, running_server
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
 
 SHIPPED = SHIPPED_POLICIES / "cartpole" / "1" / "policy.safetensors"
@@ -72,7 +72,7 @@ def test_the_server_plays_an_exported_policy_as_the_original(tmp_path):
     assert os.listdir(path.parent) == ["policy.safetensors"]
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
     (tmp_path / "original").symlink_to(SHIPPED_POLICIES / "cartpole")
-    with serving(tmp_path) as address, spikeserve.Client(address) as client:
+    with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
         copy, original = client.list_policies()
         assert vars(copy) | {"name": "original"} == vars(original)
         answers = play(client, "copy")
@@ -85,7 +85,7 @@ def test_the_server_reads_every_mode(tmp_path):
         for env_id in ("CartPole-v1", "Pendulum-v1"):
             with gymnasium.make(env_id) as environment:
                 export_random(tmp_path, f"{env_id}-{index}", environment, **shape)
-    with serving(tmp_path) as address, spikeserve.Client(address) as client:
+    with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
         served = client.list_policies()
         assert len(served) == 2 * len(SHAPES)
         for policy in served:
@@ -98,7 +98,7 @@ def test_the_server_reads_every_mode(tmp_path):
 def test_a_box_policy_acts_within_its_bounds(tmp_path):
     with gymnasium.make("Pendulum-v1") as environment:
         export_random(tmp_path, "p", environment)
-    with serving(tmp_path) as address, spikeserve.Client(address) as client:
+    with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
         (policy,) = client.list_policies()
         assert policy.action_space == spikeserve.Box((-2.0,), (2.0,))
         with client.open_session("p") as session:

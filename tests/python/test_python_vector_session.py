@@ -10,9 +10,9 @@ import gymnasium
 import numpy as np
 import pytest
 import spikeserve
-from conftest import SHIPPED_POLICIES, serving
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from random_policy import export_random
+from serving import SHIPPED_POLICIES, running_server
 
 # CartPole's random policy ends its episodes at many different steps; the others at the limit.
 POLICIES = {
@@ -34,8 +34,8 @@ def address(tmp_path_factory):
     for name, env_id in POLICIES.items():
         with gymnasium.make(env_id) as environment:
             export_random(folder, name, environment)
-    with serving(folder) as started:
-        yield started
+    with running_server(folder) as server:
+        yield server.grpc
 
 
 @pytest.fixture(scope="module")

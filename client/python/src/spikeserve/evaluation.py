@@ -75,8 +75,8 @@ def evaluate(
     next from `seed` + 1 and so on, acting greedily.
 
     `server` is an address or, where there is more to say than that, a client. Without a `policy`,
-    the served one that was made for this environment; LookupError if there is
-    none, ValueError if its action space is not the environment's.
+    the served one that was made for this environment; LookupError if there is none, ValueError if
+    its action space is not the environment's.
     """
     import gymnasium  # an extra: agents on robots have no need of it
 
