@@ -12,6 +12,7 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
 )
 
 DEPLOY = pathlib.Path(__file__).parents[2] / "deploy"
+SHIPPED_POLICIES = DEPLOY / "policies"
 DEADLINE_SECONDS = 30
 
 
@@ -23,11 +24,8 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server(policies=DEPLOY / "policies"):
-    """Yields the Addresses of a server of the policies in a folder, the shipped ones by default.
-
-    Sees to it that SIGTERM ends it well.
-    """
+def running_server(policies=SHIPPED_POLICIES):
+    """Yields the Addresses of a server with the policies in a folder; SIGTERM must end it well."""
     server = subprocess.Popen(
         [
             os.environ["SPIKESERVE_PROGRAM"],

@@ -8,18 +8,11 @@ import grpc
 import gymnasium
 import pytest
 
-from serving import DEADLINE_SECONDS, Service, running_server
+from serving import Service
 
 # Training draws its starts below a million.
 FIRST_UNSEEN_SEED = 1_000_000
 EPISODES = 3
-
-
-@pytest.fixture(scope="module")
-def address():
-    """The gRPC address of a server with the shipped policies."""
-    with running_server() as addresses:
-        yield addresses.grpc
 
 
 @pytest.fixture(scope="module")

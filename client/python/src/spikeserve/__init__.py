@@ -1,0 +1,70 @@
+"""Client of spikeserve, the inference service for Spiking Decision Transformers.
+
+Start with `Client` and `Session`; `VectorSession` serves Gymnasium's vector environments,
+`AsyncClient` asyncio, `evaluate` plays whole episodes. `spikeserve.export` writes policy files.
+"""
+
+from spikeserve.async_client import AsyncClient, AsyncSession
+from spikeserve.calls import ClientOptions
+from spikeserve.client import Client, Session
+from spikeserve.errors import (
+    DeadlineExceededError,
+    FailedPreconditionError,
+    InvalidArgumentError,
+    NotFoundError,
+    PermissionDeniedError,
+    ResourceExhaustedError,
+    SpikeserveError,
+    UnauthenticatedError,
+    UnavailableError,
+    UnimplementedError,
+)
+from spikeserve.evaluation import Evaluation, evaluate
+from spikeserve.retry import RetryOptions
+from spikeserve.spaces import ActionSpace, Box, Discrete
+from spikeserve.values import (
+    Action,
+    Decision,
+    EpisodeSummary,
+    Learning,
+    Opening,
+    Policy,
+    SessionOptions,
+    SessionState,
+    Stats,
+)
+from spikeserve.vector_session import VectorSession
+
+__all__ = [
+    "Action",
+    "ActionSpace",
+    "AsyncClient",
+    "AsyncSession",
+    "Box",
+    "Client",
+    "ClientOptions",
+    "DeadlineExceededError",
+    "Decision",
+    "Discrete",
+    "EpisodeSummary",
+    "Evaluation",
+    "FailedPreconditionError",
+    "InvalidArgumentError",
+    "Learning",
+    "NotFoundError",
+    "Opening",
+    "PermissionDeniedError",
+    "Policy",
+    "ResourceExhaustedError",
+    "RetryOptions",
+    "Session",
+    "SessionOptions",
+    "SessionState",
+    "SpikeserveError",
+    "Stats",
+    "UnauthenticatedError",
+    "UnavailableError",
+    "UnimplementedError",
+    "VectorSession",
+    "evaluate",
+]

@@ -1,0 +1,82 @@
+"""The messages and calls of `spikeserve.v1.PolicyService`.
+
+They are made from the compiled wire contract, not from generated code: generated code demands a
+protobuf runtime at least as new as its compiler, which would fight with whatever else an agent has
+installed. The descriptors live in a pool of their own, so that a program may also have classes
+generated from the same .proto.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+PACKAGE = "spikeserve.v1"
+SERVICE = f"{PACKAGE}.PolicyService"
+_COMPILED = "policy_service.binpb"
+
+# The classes exist at run time only.
+Message = Any
+
+
+def _load_files() -> descriptor_pb2.FileDescriptorSet:
+    files = descriptor_pb2.FileDescriptorSet()
+    files.ParseFromString(importlib.resources.files(__package__).joinpath(_COMPILED).read_bytes())
+    return files
+
+
+def _make_pool(files: descriptor_pb2.FileDescriptorSet) -> descriptor_pool.DescriptorPool:
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    return pool
+
+
+_FILES = _load_files()
+_POOL = _make_pool(_FILES)
+
+
+def message_class(name: str) -> Message:
+    """The class of the message `name` of the package, for example `ActRequest`."""
+    return message_factory.GetMessageClass(_POOL.FindMessageTypeByName(f"{PACKAGE}.{name}"))
+
+
+@dataclass(frozen=True)
+class Method:
+    """A unary call of the service."""
+
+    name: str
+    request: Message
+    response: Message
+
+    def bind(self, channel: Any) -> Callable[..., Any]:
+        """What calls the method on `channel`, a channel of grpc or grpc.aio."""
+        call: Callable[..., Any] = channel.unary_unary(
+            f"/{SERVICE}/{self.name}",
+            request_serializer=self.request.SerializeToString,
+            response_deserializer=self.response.FromString,
+        )
+        return call
+
+
+def _unary_methods() -> dict[str, Method]:
+    # From the files, since an older protobuf's descriptors do not tell what streams.
+    return {
+        method.name: Method(
+            name=method.name,
+            request=message_class(method.input_type.rpartition(".")[2]),
+            response=message_class(method.output_type.rpartition(".")[2]),
+        )
+        for file in _FILES.file
+        for service in file.service
+        if f"{file.package}.{service.name}" == SERVICE
+        for method in service.method
+        if not method.client_streaming and not method.server_streaming
+    }
+
+
+METHODS = _unary_methods()

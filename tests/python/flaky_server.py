@@ -1,0 +1,110 @@
+"""A PolicyService in this process that fails on demand."""
+
+import collections
+import concurrent.futures
+import contextlib
+import threading
+
+import grpc
+from spikeserve.wire import METHODS, SERVICE
+
+
+class FlakyServer:
+    """Keeps one session by the contract: answers a repeated step with the stored answer, counts an
+    end once.
+
+    `faults` is what befalls the next calls of a method, in order: "unavailable" (refused before
+    anything is done), "lost" (done, but the answer does not arrive), "stuck" (done, then silent
+    until the caller gives up). `calls` counts the calls of each method, `seconds_left` holds the
+    deadline each of them came with.
+    """
+
+    def __init__(self):
+        self.faults = collections.defaultdict(list)
+        self.calls = collections.Counter()
+        self.seconds_left = collections.defaultdict(list)
+        self.opened = []
+        self.answers = []
+        self.rewards = []
+        self.episodes = 0
+        self.is_open = True
+
+    @contextlib.contextmanager
+    def serving(self):
+        """The address while it serves."""
+        with concurrent.futures.ThreadPoolExecutor() as threads:
+            server = grpc.server(threads)
+            handlers = {name: self._handler(method) for name, method in METHODS.items()}
+            server.add_generic_rpc_handlers(
+                [grpc.method_handlers_generic_handler(SERVICE, handlers)]
+            )
+            port = server.add_insecure_port("127.0.0.1:0")
+            server.start()
+            yield f"127.0.0.1:{port}"
+            server.stop(None).wait()
+
+    def _handler(self, method):
+        def handle(request, context):
+            self.calls[method.name] += 1
+            self.seconds_left[method.name].append(context.time_remaining())
+            faults = self.faults[method.name]
+            fault = faults.pop(0) if faults else None
+            if fault == "unavailable":
+                context.abort(grpc.StatusCode.UNAVAILABLE, "the server is draining")
+            given_up = threading.Event()
+            context.add_callback(given_up.set)
+            response = getattr(self, method.name)(request, method.response(), context)
+            if fault == "lost":
+                context.abort(grpc.StatusCode.UNAVAILABLE, "connection reset")
+            if fault == "stuck":
+                given_up.wait()
+            return response
+
+        return grpc.unary_unary_rpc_method_handler(
+            handle, method.request.FromString, method.response.SerializeToString
+        )
+
+    def OpenSession(self, request, response, context):  # noqa: N802, as in the contract
+        self.opened.append(request)
+        response.session_id = "s"
+        response.action_space.discrete.n = 2
+        return response
+
+    def Act(self, request, response, context):  # noqa: N802
+        if request.step == len(self.answers):
+            self.rewards.append(request.reward)
+            response.session_id = "s"
+            response.step = request.step
+            response.action.discrete = request.step % 2
+            response.stats.spikes = 10 + request.step
+            response.stats.energy_joules = 0.5
+            self.answers.append(response)
+        elif request.step != len(self.answers) - 1:
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, "step: out of order")
+        return self.answers[-1]
+
+    def ActBatch(self, request, response, context):  # noqa: N802
+        for item in request.requests:
+            answer = self.Act(item, METHODS["Act"].response(), context)
+            response.results.add().response.CopyFrom(answer)
+        return response
+
+    def EndEpisode(self, request, response, context):  # noqa: N802
+        if not self.answers:
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, "step: expected a decision")
+        response.episode_return = sum(self.rewards) + request.reward
+        response.steps = len(self.answers)
+        response.spikes = sum(answer.stats.spikes for answer in self.answers)
+        response.energy_joules = sum(answer.stats.energy_joules for answer in self.answers)
+        self.answers, self.rewards = [], []
+        self.episodes += 1
+        return response
+
+    def CloseSession(self, request, response, context):  # noqa: N802
+        if not self.is_open:
+            context.abort(grpc.StatusCode.NOT_FOUND, "session: not found")
+        self.is_open = False
+        return response
+
+    def ListPolicies(self, request, response, context):  # noqa: N802
+        return response

@@ -1,0 +1,183 @@
+"""Calls that fail on the way are repeated, and nothing happens twice. Both clients, one scenario."""
+
+import asyncio
+import inspect
+
+import pytest
+import spikeserve
+from flaky_server import FlakyServer
+
+ATTEMPTS = 4
+RETRY = spikeserve.RetryOptions(max_attempts=ATTEMPTS, initial_backoff=0, max_backoff=0)
+PATIENT = spikeserve.ClientOptions(timeout=60, retry=RETRY)
+IMPATIENT = spikeserve.ClientOptions(timeout=0.5, retry=RETRY)
+OBSERVATION = [0.0]
+
+
+async def finish(result):
+    """What a call of either client returns."""
+    return await result if inspect.isawaitable(result) else result
+
+
+@pytest.fixture
+def server():
+    return FlakyServer()
+
+
+@pytest.fixture(params=[spikeserve.Client, spikeserve.AsyncClient])
+def play(server, request):
+    """Runs scenario(client, session) against the server."""
+
+    def run(scenario, options=PATIENT, session_options=None):
+        async def run_scenario():
+            client = request.param(address, options)
+            session = await finish(client.open_session("any", session_options))
+            await scenario(client, session)
+            await finish(client.close())
+
+        with server.serving() as address:
+            asyncio.run(run_scenario())
+
+    return run
+
+
+@pytest.mark.parametrize("fault", ["unavailable", "lost", "stuck"])
+def test_a_repeated_step_is_taken_once(server, play, fault):
+    async def scenario(client, session):
+        for step in range(6):
+            server.faults["Act"] = [fault] if step == 2 else []
+            decision = await finish(session.act(OBSERVATION, reward=1.0))
+            assert (decision.step, decision.action) == (step, step % 2)
+        assert server.calls["Act"] >= 7
+        summary = await finish(session.end_episode(1.0))
+        assert (summary.steps, summary.episode_return) == (6, 6.0)
+
+    play(scenario, IMPATIENT if fault == "stuck" else PATIENT)
+
+
+def test_the_last_attempt_raises_and_the_step_may_be_asked_again(server, play):
+    async def scenario(client, session):
+        await finish(session.act(OBSERVATION))
+        server.faults["Act"] = ["lost"] * ATTEMPTS
+        with pytest.raises(spikeserve.UnavailableError, match="Act: UNAVAILABLE: connection reset"):
+            await finish(session.act(OBSERVATION, reward=1.0))
+        assert server.calls["Act"] == 1 + ATTEMPTS
+        assert session.step == 1
+        assert (await finish(session.act(OBSERVATION, reward=1.0))).step == 1
+        assert server.rewards == [0.0, 1.0]
+
+    play(scenario)
+
+
+def test_the_last_deadline_raises(server, play):
+    async def scenario(client, session):
+        server.faults["Act"] = ["stuck"] * ATTEMPTS
+        with pytest.raises(spikeserve.DeadlineExceededError, match="Act: DEADLINE_EXCEEDED"):
+            await finish(session.act(OBSERVATION, timeout=0.1))
+        assert session.step == 0
+
+    play(scenario)
+
+
+def test_each_attempt_has_its_deadline(server, play):
+    async def scenario(client, session):
+        server.faults["Act"] = ["unavailable"]
+        await finish(session.act(OBSERVATION))
+        await finish(session.act(OBSERVATION, timeout=7))
+        first, second, third = server.seconds_left["Act"]
+        assert third < 8 < min(first, second)
+
+    play(scenario)
+
+
+def test_what_is_wrong_is_not_repeated(server, play):
+    async def scenario(client, session):
+        session.cursor.step = 5
+        with pytest.raises(spikeserve.FailedPreconditionError, match="out of order"):
+            await finish(session.act(OBSERVATION))
+        assert server.calls["Act"] == 1
+
+    play(scenario)
+
+
+@pytest.mark.parametrize("faults", [["unavailable"], ["lost"], ["lost", "unavailable"], ["stuck"]])
+def test_an_end_counts_once_and_its_summary_survives(server, play, faults):
+    async def scenario(client, session):
+        for _ in range(2):
+            server.faults["EndEpisode"] = list(faults)
+            for _ in range(3):
+                await finish(session.act(OBSERVATION, reward=2.0))
+            assert await finish(session.end_episode(2.0)) == spikeserve.EpisodeSummary(
+                episode_return=6.0, steps=3, spikes=33, energy_joules=1.5
+            )
+        assert server.episodes == 2
+
+    play(scenario, IMPATIENT if faults == ["stuck"] else PATIENT)
+
+
+def test_an_episode_that_never_began_cannot_end(server, play):
+    async def scenario(client, session):
+        with pytest.raises(spikeserve.FailedPreconditionError, match="expected a decision"):
+            await finish(session.end_episode(0.0))
+
+    play(scenario)
+
+
+def test_a_close_whose_answer_was_lost_is_a_close(server, play):
+    async def scenario(client, session):
+        server.faults["CloseSession"] = ["lost"]
+        await finish(session.close())
+        assert server.calls["CloseSession"] == 2
+        with pytest.raises(spikeserve.NotFoundError):
+            await finish(session.close())
+
+    play(scenario)
+
+
+def test_a_batch_is_repeated_as_a_whole(server, play):
+    async def scenario(client, session):
+        server.faults["ActBatch"] = ["lost", "unavailable"]
+        (decision,) = await finish(client.act_batch([session], [OBSERVATION], [0.0]))
+        assert decision.step == 0
+        assert server.calls["ActBatch"] == 3
+        assert len(server.answers) == 1
+
+    play(scenario)
+
+
+def test_learning_is_asked_for(server, play):
+    async def scenario(client, session):
+        (request,) = server.opened
+        assert request.learning.scope == request.learning.FLEET
+        assert request.learning.rule == "hebbian"
+        assert request.learning.clip == 0.25
+        assert not request.learning.HasField("learning_rate")
+
+    learning = spikeserve.Learning(scope="FLEET", rule="hebbian", clip=0.25)
+    play(scenario, session_options=spikeserve.SessionOptions(learning=learning))
+
+
+def test_pauses_grow_to_their_limit():
+    options = spikeserve.RetryOptions(
+        max_attempts=6, initial_backoff=1, max_backoff=5, multiplier=2
+    )
+    pauses = list(options.pauses())
+    assert len(pauses) == 5
+    for pause, full in zip(pauses, [1, 2, 4, 5, 5], strict=True):
+        assert full / 2 <= pause <= full
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_attempts": 0}, "max_attempts: expected at least 1, got 0"),
+        ({"initial_backoff": -1}, "initial_backoff: expected at least 0, got -1"),
+        ({"max_backoff": 0}, r"max_backoff: expected at least initial_backoff \(0.05\), got 0"),
+        ({"multiplier": 0.5}, "multiplier: expected at least 1, got 0.5"),
+    ],
+)
+def test_retry_options_are_checked(options, message):
+    with pytest.raises(ValueError, match=message):
+        spikeserve.RetryOptions(**options)
+    with pytest.raises(ValueError, match="timeout: expected more than 0, got 0"):
+        spikeserve.ClientOptions(timeout=0)

@@ -1,0 +1,187 @@
+"""VectorSession plays real Gymnasium vector environments exactly as Session plays single ones.
+
+A vector environment's row that was reset with a seed draws its later episodes from the same
+generator as a single environment that was reset with that seed, so each row's episodes must be
+equal, spikes and all, to those a Session plays alone. One action too many, one reward lost or one
+observation of the wrong episode, and they are not.
+"""
+
+import gymnasium
+import numpy as np
+import pytest
+import spikeserve
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from random_policy import export_random
+from serving import SHIPPED_POLICIES, running_server
+
+# CartPole's random policy ends its episodes at many different steps; the others at the limit.
+POLICIES = {
+    "random_cartpole": "CartPole-v1",
+    "random_mountaincar": "MountainCar-v0",
+    "random_acrobot": "Acrobot-v1",
+    "random_pendulum": "Pendulum-v1",
+}
+ROWS = 3
+STEPS = 150
+MAX_EPISODE_STEPS = 40
+SEED = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policies")
+    (folder / "cartpole").symlink_to(SHIPPED_POLICIES / "cartpole")
+    for name, env_id in POLICIES.items():
+        with gymnasium.make(env_id) as environment:
+            export_random(folder, name, environment)
+    with running_server(folder) as server:
+        yield server.grpc
+
+
+@pytest.fixture(scope="module")
+def client(address):
+    with spikeserve.Client(address) as opened:
+        yield opened
+
+
+def make(env_id):
+    return gymnasium.make(env_id, max_episode_steps=MAX_EPISODE_STEPS)
+
+
+def make_rows(env_id, mode):
+    return SyncVectorEnv([lambda: make(env_id)] * ROWS, autoreset_mode=mode)
+
+
+def play_alone(client, policy, env_id, seed, episodes):
+    """The summaries of consecutive episodes of one environment, and every action."""
+    environment = make(env_id)
+    summaries, actions = [], []
+    with client.open_session(policy) as session:
+        for episode in range(episodes):
+            observation, _ = environment.reset(seed=seed if episode == 0 else None)
+            reward, over = 0.0, False
+            while not over:
+                actions.append(session.act(observation, reward).action)
+                observation, reward, terminated, truncated, _ = environment.step(actions[-1])
+                over = terminated or truncated
+            summaries.append(session.end_episode(reward, terminated, truncated))
+    environment.close()
+    return summaries, actions
+
+
+def play_rows(agents, envs):
+    """The summaries and the actions of each row."""
+    summaries = [[] for _ in range(ROWS)]
+    actions = [[] for _ in range(ROWS)]
+    observations, _ = envs.reset(seed=SEED)
+    outcome = ()
+    for _ in range(STEPS):
+        chosen = agents.act(observations, *outcome)
+        assert chosen.dtype == envs.action_space.dtype
+        assert envs.action_space.contains(chosen)
+        for row, decision in enumerate(agents.decisions):
+            if decision is not None:
+                actions[row].append(chosen[row])
+        for row, summary in agents.ended.items():
+            summaries[row].append(summary)
+        observations, *outcome, _ = envs.step(chosen)
+    return summaries, actions
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize(("policy", "env_id"), [*POLICIES.items(), ("cartpole", "CartPole-v1")])
+def test_every_row_plays_as_if_alone(client, policy, env_id, mode):
+    envs = make_rows(env_id, mode)
+    with spikeserve.VectorSession(client, policy, envs) as agents:
+        summaries, actions = play_rows(agents, envs)
+        decisions = [session.state().decisions for session in agents.sessions]
+    envs.close()
+    assert decisions == [len(row) for row in actions]
+    for row in range(ROWS):
+        assert len(summaries[row]) >= 3
+        alone, actions_alone = play_alone(client, policy, env_id, SEED + row, len(summaries[row]))
+        assert summaries[row] == alone
+        np.testing.assert_array_equal(actions[row][: len(actions_alone)], actions_alone)
+
+
+def test_an_ended_row_waits_for_its_reset(client):
+    envs = make_rows("CartPole-v1", AutoresetMode.NEXT_STEP)
+    with spikeserve.VectorSession(client, "cartpole", envs) as agents:
+        observations, _ = envs.reset(seed=SEED)
+        agents.act(observations)
+        ended = np.array([False, True, False])
+        agents.act(observations, np.ones(ROWS), ended, np.zeros(ROWS, bool))
+        assert [decision is None for decision in agents.decisions] == ended.tolist()
+        assert [session.step for session in agents.sessions] == [2, 0, 2]
+        assert {row: summary.steps for row, summary in agents.ended.items()} == {1: 1}
+        agents.act(observations, np.zeros(ROWS))
+        assert [session.step for session in agents.sessions] == [3, 1, 3]
+        assert agents.ended == {}
+
+
+def test_a_fast_vector_environment_of_gymnasium_is_played(client):
+    envs = gymnasium.make_vec("CartPole-v1", num_envs=4)
+    with spikeserve.VectorSession(client, "cartpole", envs) as agents:
+        observations, _ = envs.reset(seed=SEED)
+        outcome, returns = (), []
+        while len(returns) < 4:
+            observations, *outcome, _ = envs.step(agents.act(observations, *outcome))
+            returns += [summary.episode_return for summary in agents.ended.values()]
+    assert np.mean(returns) >= 495, returns
+
+
+def test_a_reset_in_the_middle_starts_new_episodes(client):
+    envs = make_rows("CartPole-v1", AutoresetMode.SAME_STEP)
+    with spikeserve.VectorSession(client, "cartpole", envs) as agents:
+        for _ in range(2):
+            observations, _ = envs.reset(seed=SEED)
+            agents.reset()
+            first = agents.act(observations)
+            observations, *outcome, _ = envs.step(first)
+            agents.act(observations, *outcome)
+            assert [session.step for session in agents.sessions] == [2] * ROWS
+
+
+def test_all_rows_move_on_or_none(client):
+    envs = make_rows("CartPole-v1", AutoresetMode.SAME_STEP)
+    with spikeserve.VectorSession(client, "cartpole", envs) as agents:
+        observations, _ = envs.reset(seed=SEED)
+        agents.act(observations)
+        ended = [True, False, False]
+        broken = observations.copy()
+        broken[1] = np.nan
+        with pytest.raises(spikeserve.InvalidArgumentError, match=r"observation\[0\]"):
+            agents.act(broken, np.ones(ROWS), ended)
+        agents.act(observations, np.ones(ROWS), ended)
+        assert [session.step for session in agents.sessions] == [1, 2, 2]
+        assert list(agents.ended) == [0]
+        assert [session.state().decisions for session in agents.sessions] == [2, 2, 2]
+
+
+def test_what_does_not_fit_is_refused(client):
+    cartpole = make_rows("CartPole-v1", AutoresetMode.NEXT_STEP)
+    with pytest.raises(ValueError, match=r"'random_acrobot' takes shape \(6,\), .* has \(4,\)"):
+        spikeserve.VectorSession(client, "random_acrobot", cartpole)
+    mountain_car = make_rows("MountainCar-v0", AutoresetMode.DISABLED)
+    with pytest.raises(ValueError, match="autoreset_mode: expected NextStep or SameStep, got Disa"):
+        spikeserve.VectorSession(client, "random_mountaincar", mountain_car)
+    with spikeserve.VectorSession(client, "cartpole", cartpole) as agents:
+        with pytest.raises(ValueError, match=r"observations: expected shape \(3, n\), got \(3,\)"):
+            agents.act([0, 0, 0])
+        agents.act(np.zeros((ROWS, 4)))
+        with pytest.raises(ValueError, match="rewards: expected one a row"):
+            agents.act(np.zeros((ROWS, 4)))
+
+
+@pytest.mark.parametrize("policy", ["random_mountaincar", "random_acrobot", "random_pendulum"])
+def test_evaluate_finds_the_policy_of_each_task(address, policy):
+    evaluation = spikeserve.evaluate(POLICIES[policy], server=address, episodes=2)
+    assert evaluation.policy == policy
+    assert len(evaluation.returns) == 2
+
+
+def test_evaluate_plays_each_seed(client):
+    first = spikeserve.evaluate("CartPole-v1", "random_cartpole", server=client, seed=7, episodes=4)
+    later = spikeserve.evaluate("CartPole-v1", "random_cartpole", server=client, seed=9, episodes=2)
+    assert len(set(first.returns)) > 1
+    assert first.episodes[2:] == later.episodes
