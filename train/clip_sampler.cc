@@ -70,9 +70,9 @@ void ClipSampler::Fill(const Place& place, int clip, Clips* clips) const {
     std::copy_n(episode.observations.begin() + static_cast<int64_t>(step * obs), obs,
                 clips->observations.begin() + static_cast<int64_t>(slot * obs));
     const absl::Span<float> target = absl::MakeSpan(clips->targets).subspan(slot * act, act);
-    dataset_.action_space.Encode(episode.actions[step], target);
-    std::copy(target.begin(), target.end(),
-              clips->actions.begin() + static_cast<int64_t>(slot * act));
+    dataset_.action_space.Encode(episode.label(step), target);
+    dataset_.action_space.Encode(episode.actions[step],
+                                 absl::MakeSpan(clips->actions).subspan(slot * act, act));
   }
 }
 

@@ -12,6 +12,9 @@ namespace spikeserve {
 // Records a dataset and writes it to --out.
 absl::Status DatasetCommand();
 
+// Plays the expert of --env and prints its mean return.
+absl::Status ExpertCommand();
+
 // Trains a policy, evaluates it, and writes policy.safetensors and checkpoint.pt into --out.
 // `command_line` goes into the policy file.
 absl::Status TrainCommand(const std::string& command_line);

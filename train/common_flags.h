@@ -19,7 +19,10 @@ ABSL_DECLARE_FLAG(int, episodes);
 
 namespace spikeserve {
 
-// The recipe that --env, --seed, --steps and --expert_fraction ask for.
+// The expert that --env, --expert, --tables and --beam_width ask for.
+ExpertOptions ExpertOptionsFromFlags();
+
+// The recipe that the flags of the expert, --seed, --steps, the fractions and the bursts ask for.
 RecordOptions RecordOptionsFromFlags();
 
 // INVALID_ARGUMENT if --out is missing; `what` says what it should name.

@@ -23,13 +23,29 @@ Json ActionsToJson(const std::vector<Action>& actions, bool discrete) {
 }
 
 Json EpisodeToJson(const Episode& episode, bool discrete) {
-  return {{"actor", episode.actor},
-          {"seed", episode.seed},
-          {"observations", episode.observations},
-          {"actions", ActionsToJson(episode.actions, discrete)},
-          {"rewards", episode.rewards},
-          {"terminated", episode.terminated},
-          {"truncated", episode.truncated}};
+  Json json = {{"actor", episode.actor},
+               {"seed", episode.seed},
+               {"observations", episode.observations},
+               {"actions", ActionsToJson(episode.actions, discrete)},
+               {"rewards", episode.rewards},
+               {"terminated", episode.terminated},
+               {"truncated", episode.truncated}};
+  if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
+  return json;
+}
+
+// May throw Json::exception on a field of the wrong type, like its caller.
+std::vector<Action> ActionsFromJson(const Json& list, bool discrete) {
+  std::vector<Action> actions;
+  for (const Json& item : list) {
+    Action& action = actions.emplace_back();
+    if (discrete) {
+      item.get_to(action.discrete);
+    } else {
+      item.get_to(action.continuous);
+    }
+  }
+  return actions;
 }
 
 // May throw Json::exception on a field of the wrong type; ReadDataset catches it.
@@ -38,14 +54,8 @@ Episode EpisodeFromJson(const Json& json, bool discrete) {
   json.at("actor").get_to(episode.actor);
   json.at("seed").get_to(episode.seed);
   json.at("observations").get_to(episode.observations);
-  for (const Json& action : json.at("actions")) {
-    Action& added = episode.actions.emplace_back();
-    if (discrete) {
-      action.get_to(added.discrete);
-    } else {
-      action.get_to(added.continuous);
-    }
-  }
+  episode.actions = ActionsFromJson(json.at("actions"), discrete);
+  if (json.contains("labels")) episode.labels = ActionsFromJson(json["labels"], discrete);
   json.at("rewards").get_to(episode.rewards);
   json.at("terminated").get_to(episode.terminated);
   json.at("truncated").get_to(episode.truncated);
@@ -64,8 +74,14 @@ absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
     return absl::InvalidArgumentError(absl::StrCat("observations: expected ", numbers,
                                                    " numbers, got ", episode.observations.size()));
   }
-  for (const Action& action : episode.actions) {
-    if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
+  if (!episode.labels.empty() && episode.labels.size() != steps) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("labels: expected ", steps, " or none, got ", episode.labels.size()));
+  }
+  for (const auto* actions : {&episode.actions, &episode.labels}) {
+    for (const Action& action : *actions) {
+      if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
+    }
   }
   return absl::OkStatus();
 }

@@ -17,14 +17,17 @@
 namespace spikeserve {
 
 struct Episode {
-  std::string actor;                // who acted: "expert" or "random"
+  std::string actor;                // who acted: "expert", "random" or "disturbed"
   uint64_t seed = 0;                // of Environment::Reset
   std::vector<float> observations;  // [steps + 1, obs], environment units
-  std::vector<Action> actions;      // [steps]
+  std::vector<Action> actions;      // [steps], as executed
+  std::vector<Action> labels = {};  // [steps], what to imitate; empty where that is `actions`
   std::vector<double> rewards;      // [steps]
   bool terminated = false;
   bool truncated = false;
 
+  // What to imitate at a step.
+  const Action& label(int step) const { return labels.empty() ? actions[step] : labels[step]; }
   int steps() const { return static_cast<int>(actions.size()); }
 };
 

@@ -18,6 +18,8 @@ namespace {
 
 constexpr char kUsage[] =
     "trains spiking decision transformers.\n\n"
+    "  spiketrain expert --env=ID [--episodes --seed --tables]   play the expert that data come "
+    "from\n"
     "  spiketrain dataset --out=FILE [--env --seed --steps]      record expert and random "
     "episodes\n"
     "  spiketrain train --out=DIR [--data=FILE] [--mode] [...]   train a policy\n"
@@ -33,14 +35,15 @@ void KeepFreedMemory() {
 
 absl::Status Run(const std::vector<char*>& positional, const std::string& command_line) {
   if (positional.size() != 2) {
-    return absl::InvalidArgumentError("command: expected one of dataset, train, eval");
+    return absl::InvalidArgumentError("command: expected one of expert, dataset, train, eval");
   }
   const std::string command = positional[1];
+  if (command == "expert") return ExpertCommand();
   if (command == "dataset") return DatasetCommand();
   if (command == "train") return TrainCommand(command_line);
   if (command == "eval") return EvalCommand();
   return absl::InvalidArgumentError(
-      absl::StrCat("command: expected dataset, train or eval, got '", command, "'"));
+      absl::StrCat("command: expected expert, dataset, train or eval, got '", command, "'"));
 }
 
 }  // namespace

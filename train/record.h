@@ -1,4 +1,5 @@
-// Records the offline data of the paper's recipe: part expert steps, part random steps.
+// Records offline data: the paper's recipe, part expert steps, part random steps; and episodes of
+// the expert disturbed by bursts of random actions, which show how to recover.
 #ifndef TRAIN_RECORD_H_
 #define TRAIN_RECORD_H_
 
@@ -7,6 +8,7 @@
 
 #include "absl/status/statusor.h"
 #include "train/dataset.h"
+#include "train/expert/expert.h"
 
 namespace spikeserve {
 
@@ -15,17 +17,27 @@ namespace spikeserve {
 inline constexpr uint64_t kFirstEvaluationSeed = 1'000'000;
 
 struct RecordOptions {
-  std::string environment = "CartPole-v1";
+  ExpertOptions expert = {};  // and the environment
   uint64_t seed = 0;
-  int steps = 10'000;            // at least; the last episodes are completed
-  double expert_fraction = 0.5;  // of the steps
+  int steps = 10'000;               // at least; the last episodes are completed
+  double expert_fraction = 0.5;     // of the steps
+  double disturbed_fraction = 0.0;  // of the steps; the rest are random
+
+  // Each disturbed episode draws its own rate up to this: the probability that at a step without a
+  // burst one begins. A burst is 1 to `longest_burst` random actions.
+  double burst_rate = 0.3;
+  int longest_burst = 8;
+  // Of the disturbed episodes, those that start at any velocity an environment allows, not
+  // only at the small ones of Reset. Pendulum-v1 only.
+  double wide_start_fraction = 0.0;
 
   absl::Status Validate() const;
 };
 
-// Whole episodes of the expert, then of uniformly random actions, until each has its share of the
-// steps. A pure function of the options. NOT_FOUND for an unknown environment, or one without an
-// expert.
+// Whole episodes of the expert, then disturbed ones, then of uniformly random actions, until each
+// has its share of the steps. In a disturbed episode `actions` are what was done and `labels` what
+// the expert would have done. A pure function of the options. NOT_FOUND for an unknown environment
+// or expert.
 absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options);
 
 }  // namespace spikeserve

@@ -78,7 +78,7 @@ std::vector<double> Acrobot::DrawInitialState(NumpyRandom& random) const {
   return state;
 }
 
-ClassicControl::Outcome Acrobot::Advance(const Action& action, absl::Span<double> state) const {
+double Acrobot::Advance(const Action& action, absl::Span<double> state) const {
   const double torque = (action.discrete - 1) * parameters_.torque;
   const State next = RungeKutta4(parameters_, torque, {state[0], state[1], state[2], state[3]});
   state[0] = Wrap(next[0]);
@@ -86,8 +86,11 @@ ClassicControl::Outcome Acrobot::Advance(const Action& action, absl::Span<double
   state[2] = std::clamp(next[2], -kMaxVelocity1, kMaxVelocity1);
   state[3] = std::clamp(next[3], -kMaxVelocity2, kMaxVelocity2);
 
-  const bool terminated = -cos(state[0]) - cos(state[1] + state[0]) > 1.0;
-  return {.reward = terminated ? 0.0 : -1.0, .terminated = terminated};
+  return IsTerminal(state) ? 0.0 : -1.0;
+}
+
+bool Acrobot::IsTerminal(absl::Span<const double> state) const {
+  return -cos(state[0]) - cos(state[1] + state[0]) > 1.0;
 }
 
 std::vector<float> Acrobot::Observe(absl::Span<const double> state) const {

@@ -37,9 +37,11 @@ class Acrobot final : public ClassicControl {
 
   explicit Acrobot(const AcrobotParameters& parameters = {});
 
+  double Advance(const Action& action, absl::Span<double> state) const override;
+  bool IsTerminal(absl::Span<const double> state) const override;
+
  private:
   std::vector<double> DrawInitialState(NumpyRandom& random) const override;
-  Outcome Advance(const Action& action, absl::Span<double> state) const override;
   std::vector<float> Observe(absl::Span<const double> state) const override;
 
   AcrobotParameters parameters_;

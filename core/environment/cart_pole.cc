@@ -26,7 +26,7 @@ std::vector<double> CartPole::DrawInitialState(NumpyRandom& random) const {
   return state;
 }
 
-ClassicControl::Outcome CartPole::Advance(const Action& action, absl::Span<double> state) const {
+double CartPole::Advance(const Action& action, absl::Span<double> state) const {
   const auto& [gravity, cart_mass, pole_mass, half_length, push] = parameters_;
   const double total_mass = pole_mass + cart_mass;
   const double pole_mass_length = pole_mass * half_length;
@@ -46,8 +46,11 @@ ClassicControl::Outcome CartPole::Advance(const Action& action, absl::Span<doubl
   theta += kTimeStep * theta_dot;
   theta_dot += kTimeStep * theta_acceleration;
 
-  return {.reward = 1.0,
-          .terminated = std::abs(x) > kPositionLimit || std::abs(theta) > kAngleLimit};
+  return 1.0;
+}
+
+bool CartPole::IsTerminal(absl::Span<const double> state) const {
+  return std::abs(state[0]) > kPositionLimit || std::abs(state[2]) > kAngleLimit;
 }
 
 std::vector<float> CartPole::Observe(absl::Span<const double> state) const {

@@ -32,9 +32,11 @@ class CartPole final : public ClassicControl {
 
   explicit CartPole(const CartPoleParameters& parameters = {});
 
+  double Advance(const Action& action, absl::Span<double> state) const override;
+  bool IsTerminal(absl::Span<const double> state) const override;
+
  private:
   std::vector<double> DrawInitialState(NumpyRandom& random) const override;
-  Outcome Advance(const Action& action, absl::Span<double> state) const override;
   std::vector<float> Observe(absl::Span<const double> state) const override;
 
   CartPoleParameters parameters_;

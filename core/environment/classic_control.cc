@@ -22,11 +22,11 @@ std::vector<float> ClassicControl::ResetTo(absl::Span<const double> state) {
 
 StepResult ClassicControl::Step(const Action& action) {
   assert(running_ && "Step needs a Reset first, and again after an episode's end");
-  const Outcome outcome = Advance(action, absl::MakeSpan(state_));
+  const double reward = Advance(action, absl::MakeSpan(state_));
   ++steps_;
   StepResult result = {.observation = Observe(state_),
-                       .reward = outcome.reward,
-                       .terminated = outcome.terminated,
+                       .reward = reward,
+                       .terminated = IsTerminal(state_),
                        .truncated = steps_ >= spec_.max_episode_steps};
   running_ = !result.done();
   return result;

@@ -1,10 +1,10 @@
 // What the classic-control tasks share: the state in float64, the episode's step count and its time
 // limit.
 //
-// A task adds three functions: where an episode starts, how the state moves, and what of it is
-// observed. Each computes in the order of operations of Gymnasium 1.x, so that a step differs from
-// Gymnasium's by the rounding of sine and cosine at most. Not thread-safe; copying an environment
-// forks its episode.
+// A task adds four functions: where an episode starts, how the state moves, where it ends, and what
+// of it is observed. Each computes in the order of operations of Gymnasium 1.x, so that a step
+// differs from Gymnasium's by the rounding of sine and cosine at most. Not thread-safe; copying an
+// environment forks its episode.
 #ifndef CORE_ENVIRONMENT_CLASSIC_CONTROL_H_
 #define CORE_ENVIRONMENT_CLASSIC_CONTROL_H_
 
@@ -31,6 +31,12 @@ class ClassicControl : public Environment {
   std::vector<float> ResetTo(absl::Span<const double> state) final;
   StepResult Step(const Action& action) final;
 
+  // The model itself, apart from any episode, for planners; pure, safe to call from many threads.
+  // Moves `state` [state_size] one step on and returns the reward.
+  virtual double Advance(const Action& action, absl::Span<double> state) const = 0;
+  // Whether an episode that arrives in `state` [state_size] ends there.
+  virtual bool IsTerminal(absl::Span<const double> state) const = 0;
+
  protected:
   struct Spec {
     std::string_view id;
@@ -40,18 +46,10 @@ class ClassicControl : public Environment {
     int max_episode_steps = 0;
   };
 
-  // What a step yields beside the next state.
-  struct Outcome {
-    double reward = 0.0;
-    bool terminated = false;
-  };
-
   explicit ClassicControl(Spec spec);
 
   // Draws the state an episode starts from. Returns [state_size].
   virtual std::vector<double> DrawInitialState(NumpyRandom& random) const = 0;
-  // Moves `state` [state_size] one step on.
-  virtual Outcome Advance(const Action& action, absl::Span<double> state) const = 0;
   // What an agent sees of `state`. Returns [observation_size].
   virtual std::vector<float> Observe(absl::Span<const double> state) const = 0;
 

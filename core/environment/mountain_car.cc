@@ -25,7 +25,7 @@ std::vector<double> MountainCar::DrawInitialState(NumpyRandom& random) const {
   return {random.Uniform(-0.6, -0.4), 0.0};
 }
 
-ClassicControl::Outcome MountainCar::Advance(const Action& action, absl::Span<double> state) const {
+double MountainCar::Advance(const Action& action, absl::Span<double> state) const {
   const auto& [force, gravity] = parameters_;
   double &position = state[0], &velocity = state[1];
 
@@ -34,7 +34,11 @@ ClassicControl::Outcome MountainCar::Advance(const Action& action, absl::Span<do
   position = std::clamp(position + velocity, kMinPosition, kMaxPosition);
   if (position == kMinPosition && velocity < 0) velocity = 0;
 
-  return {.reward = -1.0, .terminated = position >= kGoalPosition && velocity >= 0};
+  return -1.0;
+}
+
+bool MountainCar::IsTerminal(absl::Span<const double> state) const {
+  return state[0] >= kGoalPosition && state[1] >= 0;
 }
 
 std::vector<float> MountainCar::Observe(absl::Span<const double> state) const {

@@ -29,9 +29,11 @@ class MountainCar final : public ClassicControl {
 
   explicit MountainCar(const MountainCarParameters& parameters = {});
 
+  double Advance(const Action& action, absl::Span<double> state) const override;
+  bool IsTerminal(absl::Span<const double> state) const override;
+
  private:
   std::vector<double> DrawInitialState(NumpyRandom& random) const override;
-  Outcome Advance(const Action& action, absl::Span<double> state) const override;
   std::vector<float> Observe(absl::Span<const double> state) const override;
 
   MountainCarParameters parameters_;

@@ -11,7 +11,6 @@ namespace {
 using std::numbers::pi;
 
 constexpr double kTimeStep = 0.05;  // s
-constexpr double kMaxSpeed = 8.0;   // rad/s
 constexpr float kMaxTorque = 2.0F;  // N m
 
 // The same angle in [-pi, pi), by Python's modulo, whose result has the divisor's sign.
@@ -37,7 +36,7 @@ std::vector<double> Pendulum::DrawInitialState(NumpyRandom& random) const {
   return {angle, velocity};
 }
 
-ClassicControl::Outcome Pendulum::Advance(const Action& action, absl::Span<double> state) const {
+double Pendulum::Advance(const Action& action, absl::Span<double> state) const {
   const auto& [g, m, l] = parameters_;
   double &theta = state[0], &velocity = state[1];
   const float torque = std::clamp(action.continuous[0], -kMaxTorque, kMaxTorque);
@@ -54,8 +53,10 @@ ClassicControl::Outcome Pendulum::Advance(const Action& action, absl::Span<doubl
   velocity = std::clamp(velocity, -kMaxSpeed, kMaxSpeed);
   theta += velocity * kTimeStep;
 
-  return {.reward = -cost, .terminated = false};
+  return -cost;
 }
+
+bool Pendulum::IsTerminal(absl::Span<const double>) const { return false; }
 
 std::vector<float> Pendulum::Observe(absl::Span<const double> state) const {
   const std::array<double, 3> observation = {std::cos(state[0]), std::sin(state[0]), state[1]};

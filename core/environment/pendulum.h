@@ -28,12 +28,15 @@ struct PendulumParameters {
 class Pendulum final : public ClassicControl {
  public:
   static constexpr std::string_view kId = "Pendulum-v1";
+  static constexpr double kMaxSpeed = 8.0;  // rad/s
 
   explicit Pendulum(const PendulumParameters& parameters = {});
 
+  double Advance(const Action& action, absl::Span<double> state) const override;
+  bool IsTerminal(absl::Span<const double> state) const override;
+
  private:
   std::vector<double> DrawInitialState(NumpyRandom& random) const override;
-  Outcome Advance(const Action& action, absl::Span<double> state) const override;
   std::vector<float> Observe(absl::Span<const double> state) const override;
 
   PendulumParameters parameters_;

@@ -59,7 +59,7 @@ TEST(DatasetTest, MomentsAreOfTheStepsAlone) {
 
 TEST(DatasetTest, FileRoundTrips) {
   const std::string path = TemporaryFile("dataset_round_trip.cbor");
-  const Dataset written = *RecordDataset({.steps = 300});
+  const Dataset written = *RecordDataset({.steps = 300, .disturbed_fraction = 0.3});
   ASSERT_TRUE(WriteDataset(written, path).ok());
   const absl::StatusOr<Dataset> read = ReadDataset(path);
   ASSERT_TRUE(read.ok()) << read.status();
@@ -70,6 +70,7 @@ TEST(DatasetTest, FileRoundTrips) {
   for (size_t i = 0; i < written.episodes.size(); ++i) {
     EXPECT_EQ(read->episodes[i].observations, written.episodes[i].observations);
     EXPECT_EQ(read->episodes[i].actions, written.episodes[i].actions);
+    EXPECT_EQ(read->episodes[i].labels, written.episodes[i].labels);
     EXPECT_EQ(read->episodes[i].rewards, written.episodes[i].rewards);
     EXPECT_EQ(read->episodes[i].seed, written.episodes[i].seed);
   }
@@ -108,8 +109,59 @@ TEST(RecordTest, BadOptionsAreNamed) {
   EXPECT_EQ(RecordDataset({.steps = 0}).status().message(), "steps: expected at least 1, got 0");
   EXPECT_EQ(RecordDataset({.expert_fraction = 1.5}).status().message(),
             "expert_fraction: expected 0 to 1, got 1.5");
-  EXPECT_THAT(std::string(RecordDataset({.environment = "MountainCar-v0"}).status().message()),
-              HasSubstr("none for 'MountainCar-v0'"));
+  EXPECT_EQ(RecordDataset({.disturbed_fraction = 0.6}).status().message(),
+            "disturbed_fraction: expected 0 to 0.5, got 0.6");
+  EXPECT_EQ(RecordDataset({.longest_burst = 0}).status().message(),
+            "longest_burst: expected at least 1, got 0");
+  EXPECT_EQ(RecordDataset({.wide_start_fraction = 0.5}).status().message(),
+            "wide_start_fraction: expected 0 for CartPole-v1, got 0.5");
+}
+
+TEST(RecordTest, DisturbedEpisodesAreLabelledByTheExpert) {
+  const Dataset dataset =
+      *RecordDataset({.steps = 3000, .expert_fraction = 0.0, .disturbed_fraction = 1.0});
+  const std::unique_ptr<Expert> expert = *MakeExpert({});
+  int steps = 0, disturbed = 0, longest = 0;
+  for (const Episode& episode : dataset.episodes) {
+    ASSERT_EQ(episode.actor, "disturbed");
+    ASSERT_EQ(episode.labels.size(), episode.actions.size());
+    int run = 0;
+    for (int t = 0; t < episode.steps(); ++t, ++steps) {
+      const auto observation = episode.observations.begin() + 4 * t;
+      const std::vector<double> state(observation, observation + 4);
+      ASSERT_EQ(episode.labels[t], expert->Act(state));
+      const bool differs = episode.actions[t] != episode.labels[t];
+      disturbed += differs;
+      longest = std::max(longest, run = differs ? run + 1 : 0);
+    }
+  }
+  // Rate 0.15 on average, 4.5 steps a burst, half of whose actions are the expert's by chance.
+  EXPECT_GT(disturbed, steps / 10);
+  EXPECT_LT(disturbed, steps / 3);
+  EXPECT_GT(longest, 2);
+}
+
+TEST(RecordTest, AQuarterOfPendulumsStartsAreWide) {
+  const Dataset dataset = *RecordDataset({.expert = {.environment = "Pendulum-v1", .coarsening = 8},
+                                          .steps = 20000,
+                                          .expert_fraction = 0.0,
+                                          .disturbed_fraction = 1.0,
+                                          .wide_start_fraction = 0.25});
+  ASSERT_EQ(dataset.episodes.size(), 100u);
+  int fast = 0;
+  for (const Episode& episode : dataset.episodes) fast += std::abs(episode.observations[2]) > 1.0f;
+  EXPECT_NEAR(fast, 25 * 7 / 8, 10);
+}
+
+TEST(ClipSamplerTest, LabelsAreTheTargetsAndActionsTheTokens) {
+  Episode episode = Counting(2);
+  episode.labels = {episode.actions[1], episode.actions[1]};
+  const Dataset dataset = DatasetOf({episode});
+  const Clips clips = ClipSampler(dataset, {0}, 1).Sample(/*key=*/1, /*count=*/20, 0.0);
+  for (int clip = 0; clip < clips.count; ++clip) {
+    EXPECT_EQ(clips.targets[2 * clip + 1], 1.0f);
+    EXPECT_EQ(clips.actions[2 * clip + 1], static_cast<float>(clips.timesteps[clip]));
+  }
 }
 
 TEST(ClipSamplerTest, ClipsEndWithTheirEpisodeAndTheRestIsMasked) {

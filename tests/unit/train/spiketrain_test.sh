@@ -19,6 +19,12 @@ refuses() {
 }
 
 "$spiketrain" dataset --env=CartPole-v1 --steps=1500 --seed=3 --out=data.cbor --json | grep -q '"expert_steps": 1000'
+"$spiketrain" expert --env=CartPole-v1 --episodes=3 --json | grep -q '"mean_return": 500.0'
+refuses "expert: expected feedback for CartPole-v1, got 'beam'" expert --expert=beam
+refuses 'wide_start_fraction: expected 0 for CartPole-v1, got 0.25' dataset --out=x --wide_start_fraction=0.25
+"$spiketrain" dataset --steps=300 --expert_fraction=0.2 --disturbed_fraction=0.5 --out=disturbed.cbor |
+  grep -q '"disturbed_steps":'
+
 "$spiketrain" train --data=data.cbor --out=whole "${tiny[@]}" --iterations=6 --json 2>/dev/null > whole.json
 grep -q '"spikes_per_decision"' whole.json
 grep -q '"first_seed": 1000000' whole.json
@@ -34,7 +40,7 @@ cmp whole.json resumed.json
 grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=1 --seed=2000000 --json | grep -q '"first_seed": 2000000'
 
-refuses 'command: expected one of dataset, train, eval'
+refuses 'command: expected one of expert, dataset, train, eval'
 refuses 'out: expected the directory to write into' train
 refuses 'heads: expected what --init has, or no such flag, got 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8

@@ -98,8 +98,7 @@ TEST_F(TrainerTest, CheckpointsOfAnotherRunAreRefused) {
 class TrainerModeTest : public TrainerTest, public testing::WithParamInterface<Mode> {};
 
 TEST_P(TrainerModeTest, LearnsToImitate) {
-  const Dataset experts = *RecordDataset(
-      {.environment = "CartPole-v1", .seed = 0, .steps = 2000, .expert_fraction = 1.0});
+  const Dataset experts = *RecordDataset({.seed = 0, .steps = 2000, .expert_fraction = 1.0});
   const TrainOptions options = With([](TrainOptions& o) {
     o.iterations = 100;
     o.batch = 8;

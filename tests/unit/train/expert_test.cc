@@ -1,0 +1,78 @@
+// Every expert, on a coarse table where it has one.
+#include "train/expert/expert.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+
+#include "train/expert/expert_evaluation.h"
+
+namespace spikeserve {
+namespace {
+
+using testing::HasSubstr;
+
+double MeanReturn(const ExpertOptions& options, int episodes) {
+  const std::unique_ptr<Expert> expert = *MakeExpert(options);
+  return StatisticsOf(*EvaluateExpert(*expert, options.environment, episodes, 0)).mean;
+}
+
+TEST(ExpertTest, CartPoleIsBalanced) { EXPECT_EQ(MeanReturn({}, 20), 500.0); }
+
+TEST(ExpertTest, MountainCarClimbsOnACoarseTable) {
+  EXPECT_GT(MeanReturn({.environment = "MountainCar-v0", .coarsening = 8}, 50), -105.0);
+}
+
+TEST(ExpertTest, PendulumSwingsUpOnACoarseTable) {
+  EXPECT_GT(MeanReturn({.environment = "Pendulum-v1", .coarsening = 8}, 50), -200.0);
+}
+
+TEST(ExpertTest, RobustPendulumSwingsUpOnACoarseTable) {
+  EXPECT_GT(MeanReturn({.environment = "Pendulum-v1", .name = "robust", .coarsening = 8}, 50),
+            -220.0);
+}
+
+TEST(ExpertTest, AcrobotSwingsUpOnACoarseTableAndABeamIsBest) {
+  ExpertOptions options = {.environment = "Acrobot-v1", .beam_width = 200, .coarsening = 8};
+  const double beam = MeanReturn(options, 3);
+  options.name = "greedy";
+  const double greedy = MeanReturn(options, 3);
+  EXPECT_GT(beam, -90.0);
+  EXPECT_GE(beam, greedy);
+}
+
+TEST(ExpertTest, TablesAreSolvedOnceAndReadAgain) {
+  const std::string directory =
+      (std::filesystem::path(testing::TempDir()) / "expert_tables").string();
+  std::filesystem::remove_all(directory);
+  ExpertOptions options = {
+      .environment = "MountainCar-v0", .tables_directory = directory, .coarsening = 8};
+  const double solved = MeanReturn(options, 20);
+  const std::string path = directory + "/mountain_car-coarse.safetensors";
+  ASSERT_TRUE(std::filesystem::exists(path));
+  const auto written = std::filesystem::last_write_time(path);
+  EXPECT_EQ(MeanReturn(options, 20), solved);
+  EXPECT_EQ(std::filesystem::last_write_time(path), written);
+
+  std::ofstream(path) << "not a table";
+  EXPECT_THAT(std::string(MakeExpert(options).status().message()), HasSubstr(path));
+  options.coarsening = 4;  // the same file, another shape
+  std::filesystem::remove(path);
+  ASSERT_TRUE(MakeExpert(options).ok());
+  options.coarsening = 8;
+  EXPECT_EQ(MakeExpert(options).status().code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(ExpertTest, UnknownOnesAreNamed) {
+  EXPECT_EQ(MakeExpert({.environment = "Pendulum-v1", .name = "beam"}).status().message(),
+            "expert: expected value_iteration or robust for Pendulum-v1, got 'beam'");
+  EXPECT_THAT(std::string(MakeExpert({.environment = "Pong"}).status().message()),
+              HasSubstr("none for 'Pong'"));
+  EXPECT_EQ(MakeExpert({.beam_width = 0}).status().message(),
+            "beam_width: expected at least 1, got 0");
+}
+
+}  // namespace
+}  // namespace spikeserve

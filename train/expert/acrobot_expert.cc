@@ -1,0 +1,75 @@
+// Acrobot: the number of steps to the goal, fitted on 72 x 72 x 57 x 57 points. So coarse a table
+// ranks states better than it values them: the beam search that uses it as a ranking is near the
+// optimum, depth-4 lookahead and one-step greedy follow.
+#include <memory>
+#include <numbers>
+#include <utility>
+#include <vector>
+
+#include "core/environment/acrobot.h"
+#include "train/expert/beam_search.h"
+#include "train/expert/experts.h"
+#include "train/expert/lookahead_expert.h"
+#include "train/expert/table_file.h"
+
+namespace spikeserve {
+namespace {
+
+using std::numbers::pi;
+
+// Follows a plan as long as the states are those the plan foresaw, to the bit; else plans anew.
+class BeamExpert final : public Expert {
+ public:
+  BeamExpert(Problem problem, std::shared_ptr<const ValueTable<4>> table, int width)
+      : problem_(std::move(problem)), table_(std::move(table)), width_(width) {}
+
+  Action Act(absl::Span<const double> state) override {
+    if (next_ == plan_.size() || state != absl::MakeConstSpan(foreseen_)) {
+      std::copy_n(state.begin(), foreseen_.size(), foreseen_.begin());
+      plan_ = BeamSearch(problem_, *table_, foreseen_, width_, problem_.model->max_episode_steps());
+      if (plan_.empty()) plan_ = {table_->Best(problem_, foreseen_).choice};
+      next_ = 0;
+    }
+    const Action& action = problem_.choices[plan_[next_++]].action;
+    problem_.model->Advance(action, absl::MakeSpan(foreseen_));
+    return action;
+  }
+
+  std::unique_ptr<Expert> Clone() const override {
+    return std::make_unique<BeamExpert>(problem_, table_, width_);
+  }
+
+ private:
+  Problem problem_;
+  std::shared_ptr<const ValueTable<4>> table_;
+  int width_;
+  std::vector<int> plan_;         // choices
+  size_t next_ = 0;               // step of the plan
+  Grid<4>::State foreseen_ = {};  // where that step begins
+};
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& options) {
+  const bool beam = options.name.empty() || options.name == "beam";
+  if (!beam && options.name != "lookahead" && options.name != "greedy") {
+    return UnknownExpert(options, "beam, lookahead or greedy");
+  }
+  Problem problem = {.model = std::make_shared<Acrobot>(), .choices = {}};
+  for (int torque = 0; torque < 3; ++torque) {
+    problem.choices.push_back(Choice::Of({.discrete = torque, .continuous = {}}));
+  }
+  const Axes<4> axes = {
+      {{-pi, pi, 72, true}, {-pi, pi, 72, true}, {-4 * pi, 4 * pi, 57}, {-9 * pi, 9 * pi, 57}}};
+  absl::StatusOr<ValueTable<4>> solved = LoadOrSolve<4>(
+      options, "acrobot", problem, axes, {.tolerance = 0.5, .coarsest = 2, .evaluation_sweeps = 4});
+  if (!solved.ok()) return solved.status();
+  auto table = std::make_shared<const ValueTable<4>>(*std::move(solved));
+  if (beam) {
+    return std::make_unique<BeamExpert>(std::move(problem), std::move(table), options.beam_width);
+  }
+  return std::make_unique<LookaheadExpert<4>>(std::move(problem), std::move(table),
+                                              /*depth=*/options.name == "lookahead" ? 4 : 1);
+}
+
+}  // namespace spikeserve

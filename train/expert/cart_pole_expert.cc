@@ -1,0 +1,32 @@
+// CartPole: push right iff 0.1 x + 0.3 x' + 3 theta + theta' > 0, a linear feedback on position,
+// velocity, angle and angular velocity that balances all 500 steps from every start Gymnasium
+// draws.
+#include <memory>
+
+#include "train/expert/experts.h"
+
+namespace spikeserve {
+namespace {
+
+class FeedbackExpert final : public Expert {
+ public:
+  Action Act(absl::Span<const double> state) override {
+    // In float32, like the observation an agent would decide by.
+    const auto s = [&](int i) { return static_cast<float>(state[i]); };
+    return {.discrete = 0.1f * s(0) + 0.3f * s(1) + 3.0f * s(2) + s(3) > 0.0f ? 1 : 0,
+            .continuous = {}};
+  }
+
+  std::unique_ptr<Expert> Clone() const override { return std::make_unique<FeedbackExpert>(); }
+};
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Expert>> MakeCartPoleExpert(const ExpertOptions& options) {
+  if (!options.name.empty() && options.name != "feedback") {
+    return UnknownExpert(options, "feedback");
+  }
+  return std::make_unique<FeedbackExpert>();
+}
+
+}  // namespace spikeserve

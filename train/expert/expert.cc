@@ -1,0 +1,37 @@
+#include "train/expert/expert.h"
+
+#include "absl/strings/str_cat.h"
+#include "train/expert/experts.h"
+
+namespace spikeserve {
+
+absl::Status ExpertOptions::Validate() const {
+  if (beam_width < 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("beam_width: expected at least 1, got ", beam_width));
+  }
+  if (coarsening != 1 && coarsening != 2 && coarsening != 4 && coarsening != 8) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("coarsening: expected 1, 2, 4 or 8, got ", coarsening));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status UnknownExpert(const ExpertOptions& options, absl::string_view expected) {
+  return absl::NotFoundError(absl::StrCat("expert: expected ", expected, " for ",
+                                          options.environment, ", got '", options.name, "'"));
+}
+
+absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options) {
+  if (auto status = options.Validate(); !status.ok()) return status;
+  if (options.environment == "CartPole-v1") return MakeCartPoleExpert(options);
+  if (options.environment == "MountainCar-v0") return MakeMountainCarExpert(options);
+  if (options.environment == "Pendulum-v1") return MakePendulumExpert(options);
+  if (options.environment == "Acrobot-v1") return MakeAcrobotExpert(options);
+  return absl::NotFoundError(
+      absl::StrCat("env: there are experts for CartPole-v1, MountainCar-v0, Pendulum-v1 and "
+                   "Acrobot-v1, none for '",
+                   options.environment, "'"));
+}
+
+}  // namespace spikeserve

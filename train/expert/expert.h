@@ -1,0 +1,46 @@
+// Controllers that stand for an expert in offline data.
+#ifndef TRAIN_EXPERT_EXPERT_H_
+#define TRAIN_EXPERT_EXPERT_H_
+
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/types/span.h"
+#include "core/model/action_space.h"
+
+namespace spikeserve {
+
+// Not thread-safe; a clone shares the tables, which are immutable, and may live on another thread.
+class Expert {
+ public:
+  virtual ~Expert() = default;
+
+  // The action in an environment's internal `state` (Environment::state()); a pure function of it
+  // for all but the planner, which keeps to its plan while the states are those it foresaw.
+  virtual Action Act(absl::Span<const double> state) = 0;
+
+  virtual std::unique_ptr<Expert> Clone() const = 0;
+};
+
+struct ExpertOptions {
+  std::string environment = "CartPole-v1";
+  // CartPole-v1: feedback. MountainCar-v0: value_iteration. Pendulum-v1: value_iteration, robust.
+  // Acrobot-v1: beam, lookahead, greedy. Empty for the first of these.
+  std::string name = {};
+  // Value tables are kept here and read when they are there; empty: solved anew, and not kept.
+  std::string tables_directory = {};
+  int beam_width = 5000;  // beam: partial plans that survive a step
+  // Divides the number of intervals of every axis: 1 is the full table, 8 is for quick tests.
+  int coarsening = 1;
+
+  absl::Status Validate() const;
+};
+
+// Solves or reads the tables the expert needs: seconds to minutes. NOT_FOUND names the environments
+// or experts there are.
+absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_EXPERT_EXPERT_H_

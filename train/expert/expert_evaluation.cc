@@ -1,0 +1,58 @@
+#include "train/expert/expert_evaluation.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <memory>
+#include <numeric>
+#include <thread>
+
+#include "absl/strings/str_cat.h"
+#include "core/environment/environment.h"
+
+namespace spikeserve {
+namespace {
+
+double PlayEpisode(Environment& environment, uint64_t seed, Expert& expert) {
+  environment.Reset(seed);
+  double episode_return = 0.0;
+  for (StepResult result; !result.done(); episode_return += result.reward) {
+    result = environment.Step(expert.Act(environment.state()));
+  }
+  return episode_return;
+}
+
+}  // namespace
+
+absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
+                                                   const std::string& environment, int episodes,
+                                                   uint64_t first_seed) {
+  if (episodes < 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("episodes: expected at least 1, got ", episodes));
+  }
+  if (auto status = MakeEnvironment(environment).status(); !status.ok()) return status;
+  std::vector<double> returns(episodes);
+  std::atomic<int> next = 0;
+  const auto play = [&] {
+    const std::unique_ptr<Environment> task = *MakeEnvironment(environment);
+    const std::unique_ptr<Expert> player = expert.Clone();
+    for (int i = next++; i < episodes; i = next++) {
+      returns[i] = PlayEpisode(*task, first_seed + static_cast<uint64_t>(i), *player);
+    }
+  };
+  std::vector<std::thread> threads(std::max(1u, std::thread::hardware_concurrency()));
+  for (std::thread& thread : threads) thread = std::thread(play);
+  for (std::thread& thread : threads) thread.join();
+  return returns;
+}
+
+ReturnStatistics StatisticsOf(absl::Span<const double> returns) {
+  const auto count = static_cast<double>(returns.size());
+  const double mean = std::accumulate(returns.begin(), returns.end(), 0.0) / count;
+  double squares = 0.0;
+  for (const double value : returns) squares += (value - mean) * (value - mean);
+  return {.mean = mean, .std = std::sqrt(squares / count)};
+}
+
+}  // namespace spikeserve

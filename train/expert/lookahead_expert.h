@@ -1,0 +1,39 @@
+// Acts by looking ahead on the exact model, a value table standing for what follows.
+#ifndef TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
+#define TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include "train/expert/expert.h"
+#include "train/expert/value_table.h"
+
+namespace spikeserve {
+
+template <int D>
+class LookaheadExpert final : public Expert {
+ public:
+  // REQUIRES: depth >= 1.
+  LookaheadExpert(Problem problem, std::shared_ptr<const ValueTable<D>> table, int depth)
+      : problem_(std::move(problem)), table_(std::move(table)), depth_(depth) {}
+
+  Action Act(absl::Span<const double> state) override {
+    typename ValueTable<D>::State from;
+    std::copy_n(state.begin(), D, from.begin());
+    return problem_.choices[table_->Best(problem_, from, depth_).choice].action;
+  }
+
+  std::unique_ptr<Expert> Clone() const override {
+    return std::make_unique<LookaheadExpert>(*this);
+  }
+
+ private:
+  Problem problem_;
+  std::shared_ptr<const ValueTable<D>> table_;
+  int depth_;
+};
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_

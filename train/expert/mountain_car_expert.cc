@@ -1,0 +1,28 @@
+// MountainCar: the number of steps to the goal on 1801 x 1401 points, and one step of lookahead.
+#include <memory>
+#include <utility>
+
+#include "core/environment/mountain_car.h"
+#include "train/expert/experts.h"
+#include "train/expert/lookahead_expert.h"
+#include "train/expert/table_file.h"
+
+namespace spikeserve {
+
+absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOptions& options) {
+  if (!options.name.empty() && options.name != "value_iteration") {
+    return UnknownExpert(options, "value_iteration");
+  }
+  Problem problem = {.model = std::make_shared<MountainCar>(), .choices = {}};
+  for (int push = 0; push < 3; ++push) {
+    problem.choices.push_back(Choice::Of({.discrete = push, .continuous = {}}));
+  }
+  absl::StatusOr<ValueTable<2>> table =
+      LoadOrSolve<2>(options, "mountain_car", problem, {{{-1.2, 0.6, 1801}, {-0.07, 0.07, 1401}}},
+                     {.tolerance = 1e-3});
+  if (!table.ok()) return table.status();
+  return std::make_unique<LookaheadExpert<2>>(
+      std::move(problem), std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);
+}
+
+}  // namespace spikeserve

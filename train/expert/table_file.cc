@@ -1,0 +1,42 @@
+#include "train/expert/table_file.h"
+
+#include <filesystem>
+#include <system_error>
+
+#include "core/model/safetensors.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kTensor[] = "values";
+constexpr char kName[] = "value_table";
+
+}  // namespace
+
+absl::StatusOr<std::vector<float>> ReadTable(const std::string& path, const std::string& name,
+                                             const std::vector<int>& shape) {
+  absl::StatusOr<Safetensors> file = ReadSafetensors(path);
+  if (absl::IsNotFound(file.status())) return file.status();
+  if (!file.ok()) {
+    return absl::InvalidArgumentError(absl::StrCat(path, ": ", file.status().message()));
+  }
+  const auto tensor = file->tensors.find(kTensor);
+  if (file->metadata[kName] != name || tensor == file->tensors.end() ||
+      tensor->second.shape != shape) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": expected the full value table ", name, ", got another"));
+  }
+  return std::move(tensor->second.values);
+}
+
+absl::Status WriteTable(const std::vector<float>& values, const std::string& path,
+                        const std::string& name, const std::vector<int>& shape) {
+  std::error_code error;
+  std::filesystem::create_directories(std::filesystem::path(path).parent_path(), error);
+  if (error) return absl::UnavailableError(absl::StrCat(path, ": ", error.message()));
+  return WriteSafetensors(
+      {.metadata = {{kName, name}}, .tensors = {{kTensor, {.shape = shape, .values = values}}}},
+      path);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,76 @@
+// A value function on a grid, and the lookahead on the exact model that acts by it.
+//
+// Immutable once solved; safe to call from many threads.
+#ifndef TRAIN_EXPERT_VALUE_TABLE_H_
+#define TRAIN_EXPERT_VALUE_TABLE_H_
+
+#include <algorithm>
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "absl/types/span.h"
+#include "core/environment/classic_control.h"
+#include "train/expert/grid.h"
+
+namespace spikeserve {
+
+// An action to choose, and what may be executed in its place, each with the same probability: the
+// action itself, unless a disturbance changes it.
+struct Choice {
+  Action action;
+  std::vector<Action> executed;
+
+  static Choice Of(Action action) { return {action, {action}}; }
+};
+
+// What there is to decide: maximise the sum of discount^t r_t.
+struct Problem {
+  std::shared_ptr<const ClassicControl> model;
+  std::vector<Choice> choices;
+  double discount = 1.0;
+};
+
+template <int D>
+struct ValueTable {
+  using State = typename Grid<D>::State;
+
+  Grid<D> grid;
+  std::vector<float> values;  // [grid.size()]
+
+  double operator()(const State& state) const { return grid.Interpolate(values, state); }
+
+  // The right-hand side of Bellman's equation for one choice: the mean over what may be executed of
+  // r + discount * max over the next choices, `depth` steps deep, at the end of which the table
+  // stands for what follows. REQUIRES: depth >= 1.
+  double Backup(const Problem& problem, const State& state, const Choice& choice,
+                int depth = 1) const {
+    double sum = 0.0;
+    for (const Action& action : choice.executed) {
+      State next = state;
+      sum += problem.model->Advance(action, absl::MakeSpan(next));
+      if (problem.model->IsTerminal(next)) continue;
+      sum += problem.discount * (depth == 1 ? (*this)(next) : Best(problem, next, depth - 1).value);
+    }
+    return sum / static_cast<double>(choice.executed.size());
+  }
+
+  struct Decision {
+    int choice = 0;
+    double value = -std::numeric_limits<double>::infinity();
+  };
+
+  // The first choice with the best backup.
+  Decision Best(const Problem& problem, const State& state, int depth = 1) const {
+    Decision best;
+    for (size_t i = 0; i < problem.choices.size(); ++i) {
+      const double value = Backup(problem, state, problem.choices[i], depth);
+      if (value > best.value) best = {static_cast<int>(i), value};
+    }
+    return best;
+  }
+};
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_EXPERT_VALUE_TABLE_H_
