@@ -55,7 +55,8 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& o
   if (!beam && options.name != "lookahead" && options.name != "greedy") {
     return UnknownExpert(options, "beam, lookahead or greedy");
   }
-  Problem problem = {.model = std::make_shared<Acrobot>(), .choices = {}};
+  // The discount bounds what a state costs from which a coarse grid shows no way to the goal.
+  Problem problem = {.model = std::make_shared<Acrobot>(), .choices = {}, .discount = 0.99};
   for (int torque = 0; torque < 3; ++torque) {
     problem.choices.push_back(Choice::Of({.discrete = torque, .continuous = {}}));
   }

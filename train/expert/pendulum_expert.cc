@@ -50,7 +50,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakePendulumExpert(const ExpertOptions& 
   const int velocities = robust ? 641 : 1281;
   Problem problem = {.model = std::make_shared<Pendulum>(),
                      .choices = robust ? Torques(21, {-2.0f, 0.0f, 2.0f}) : Torques(41, {0.0f}),
-                     .discount = robust ? 0.98 : 1.0};
+                     .discount = robust ? 0.99 : 1.0};
   absl::StatusOr<ValueTable<2>> table =
       LoadOrSolve<2>(options, robust ? "pendulum_robust" : "pendulum", problem,
                      {{{-pi, pi, angles, true}, {-8.0, 8.0, velocities}}}, {.tolerance = 1e-2});

@@ -35,12 +35,12 @@ TEST(ExpertTest, RobustPendulumSwingsUpOnACoarseTable) {
 }
 
 TEST(ExpertTest, AcrobotSwingsUpOnACoarseTableAndABeamIsBest) {
-  ExpertOptions options = {.environment = "Acrobot-v1", .beam_width = 200, .coarsening = 8};
+  ExpertOptions options = {.environment = "Acrobot-v1", .beam_width = 200, .coarsening = 4};
   const double beam = MeanReturn(options, 3);
   options.name = "greedy";
   const double greedy = MeanReturn(options, 3);
-  EXPECT_GT(beam, -90.0);
-  EXPECT_GE(beam, greedy);
+  EXPECT_GT(beam, -80.0);
+  EXPECT_GT(beam, greedy);
 }
 
 TEST(ExpertTest, TablesAreSolvedOnceAndReadAgain) {
