@@ -16,7 +16,7 @@ packages=(
   # training only
   libtorch-dev libopenblas-dev
   # tests, benchmarks, demo
-  libgtest-dev libgmock-dev libbenchmark-dev prometheus curl python3 python3-venv
+  libgtest-dev libgmock-dev libbenchmark-dev prometheus ca-certificates curl python3 python3-venv
 )
 
 missing=()
