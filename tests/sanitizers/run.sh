@@ -16,7 +16,6 @@ log=build/$preset/sanitizer-report.txt
 # what they do themselves is not judged.
 export TSAN_OPTIONS="ignore_noninstrumented_modules=1:exitcode=66:suppressions=tests/sanitizers/tsan_suppressions.txt"
 export ASAN_OPTIONS="detect_leaks=1:exitcode=66"
-export LSAN_OPTIONS="suppressions=tests/sanitizers/lsan_suppressions.txt:print_suppressions=0"
 export UBSAN_OPTIONS="halt_on_error=1:exitcode=66:print_stacktrace=1"
 
 exec {server_out}< <(exec "$bin/spikeserve" --policies=deploy/policies --listen=127.0.0.1:0 \
