@@ -17,6 +17,7 @@ packages=(
   libtorch-dev libopenblas-dev
   # tests, benchmarks, demo
   libgtest-dev libgmock-dev libbenchmark-dev prometheus ca-certificates curl python3 python3-venv
+  chromium chromium-driver
 )
 
 missing=()

@@ -10,6 +10,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
 #include "core/session/clock.h"
+#include "server/background_worker.h"
 #include "server/call_tracker.h"
 #include "server/metrics.h"
 #include "server/request_handler.h"
@@ -23,6 +24,7 @@ struct ServiceParts {
   CallTracker* calls;
   Metrics* metrics;
   const Clock* clock;
+  BackgroundWorker* worker;
 };
 
 // Keeps itself alive from Start() until gRPC is done with it. One operation is under way at a time,

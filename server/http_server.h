@@ -9,13 +9,18 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
 #include "server/address.h"
 
 struct mg_context;
 struct mg_connection;
 
 namespace spikeserve {
+
+// A GET; a HEAD is answered alike, its body left out.
+struct HttpRequest {
+  std::string path;   // decoded
+  std::string query;  // behind the question mark, as it came
+};
 
 struct HttpResponse {
   int code = 200;
@@ -25,8 +30,8 @@ struct HttpResponse {
 
 class HttpServer {
  public:
-  // Answers a GET of `path`; called from many threads.
-  using Page = std::function<HttpResponse(absl::string_view path)>;
+  // Answers a request; called from many threads.
+  using Page = std::function<HttpResponse(const HttpRequest& request)>;
 
   // UNAVAILABLE if the address cannot be listened on.
   static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen, Page page);

@@ -24,7 +24,8 @@ ABSL_FLAG(std::string, policies, "",
 ABSL_FLAG(std::string, listen, spikeserve::ServerOptions().listen,
           "HOST:PORT for gRPC; port 0 picks a free one");
 ABSL_FLAG(std::string, http_listen, spikeserve::ServerOptions().http_listen,
-          "HOST:PORT for /metrics and /healthz; port 0 picks a free one; empty for none");
+          "HOST:PORT for the status page, /metrics and /healthz; port 0 picks a free one; empty "
+          "for none");
 ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,

@@ -3,7 +3,6 @@
 #include <iterator>
 #include <sstream>
 #include <utility>
-#include <vector>
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
@@ -38,9 +37,9 @@ Buckets Returns() {
 }
 
 std::string MethodName(Method method) {
-  static constexpr const char* kNames[kMethods] = {"ListPolicies", "OpenSession",  "Act",
-                                                   "ActBatch",     "ActStream",    "EndEpisode",
-                                                   "GetSession",   "CloseSession", "ListSessions"};
+  static constexpr const char* kNames[kMethods] = {
+      "ListPolicies", "OpenSession", "Act",          "ActBatch", "ActStream",
+      "EndEpisode",   "GetSession",  "CloseSession", "Explain",  "ListSessions"};
   return kNames[static_cast<size_t>(method)];
 }
 
@@ -148,11 +147,15 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
   histogram->Observe(absl::ToDoubleSeconds(duration));
 }
 
-std::string Metrics::ToText() const {
+std::vector<prometheus::MetricFamily> Metrics::Collect() const {
   std::vector<prometheus::MetricFamily> families = registry_.Collect();
   absl::c_move(CollectProcessMetrics(), std::back_inserter(families));
+  return families;
+}
+
+std::string Metrics::ToText() const {
   std::ostringstream text;
-  prometheus::TextSerializer().Serialize(text, families);
+  prometheus::TextSerializer().Serialize(text, Collect());
   return std::move(text).str();
 }
 

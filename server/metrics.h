@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
@@ -17,6 +18,7 @@
 #include "prometheus/family.h"
 #include "prometheus/gauge.h"
 #include "prometheus/histogram.h"
+#include "prometheus/metric_family.h"
 #include "prometheus/registry.h"
 
 namespace spikeserve {
@@ -31,9 +33,10 @@ enum class Method {
   kEndEpisode,
   kGetSession,
   kCloseSession,
+  kExplain,
   kListSessions,
 };
-inline constexpr int kMethods = 9;
+inline constexpr int kMethods = 10;
 
 class Metrics {
  public:
@@ -54,7 +57,9 @@ class Metrics {
   // How many sessions may be open at a time.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
 
-  // Everything, this process's use of its machine included, in Prometheus's text format.
+  // Everything, this process's use of its machine included; and the same in Prometheus's text
+  // format.
+  std::vector<prometheus::MetricFamily> Collect() const;
   std::string ToText() const;
 
  private:

@@ -56,6 +56,13 @@ grpc::ServerUnaryReactor* PolicyService::GetSession(grpc::CallbackServerContext*
                [&](DeferredWork*) { return parts_.handler->GetSession(*request, response); });
 }
 
+grpc::ServerUnaryReactor* PolicyService::Explain(grpc::CallbackServerContext*,
+                                                 const v1::ExplainRequest* request,
+                                                 v1::ExplainResponse* response) {
+  return AnswerUnaryInBackground(parts_, Method::kExplain,
+                                 [=, this] { return parts_.handler->Explain(*request, response); });
+}
+
 grpc::ServerUnaryReactor* PolicyService::CloseSession(grpc::CallbackServerContext*,
                                                       const v1::CloseSessionRequest* request,
                                                       v1::CloseSessionResponse* response) {

@@ -5,7 +5,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
+#include "core/session/explanation.h"
 #include "server/convert.h"
+#include "server/explain_convert.h"
 #include "server/status_map.h"
 
 namespace spikeserve {
@@ -144,6 +146,22 @@ absl::Status RequestHandler::GetSession(const v1::GetSessionRequest& request,
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::Explain(const v1::ExplainRequest& request,
+                                     v1::ExplainResponse* response) const {
+  const auto entry = store_->Find(request.session_id());
+  if (!entry.ok()) return entry.status();
+  const ServedPolicy& served = *(*entry)->served;
+  Session session;
+  {
+    absl::MutexLock lock(&(*entry)->mutex);
+    session = (*entry)->agent.session();
+  }
+  const auto explanation = spikeserve::Explain(served.policy(), session);
+  if (!explanation.ok()) return explanation.status();
+  *response = ToProto(served, session, *explanation);
   return absl::OkStatus();
 }
 

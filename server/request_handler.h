@@ -51,6 +51,8 @@ class RequestHandler {
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
+  // Takes long; holds the session's lock for a moment only.
+  absl::Status Explain(const v1::ExplainRequest& request, v1::ExplainResponse* response) const;
   absl::Status CloseSession(const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response) const;
 

@@ -15,7 +15,6 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "grpc/health/v1/health.pb.h"
-#include "server/status_pages.h"
 
 namespace spikeserve {
 namespace {
@@ -24,6 +23,9 @@ namespace {
 // health watchers hear that it leaves. gRPC itself answers a call that comes after its shutdown
 // with CANCELLED, which no client expects.
 constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
+
+// Calls that take long, such as Explain, run one at a time; so many may wait.
+constexpr size_t kLongCallsWaiting = 16;
 
 void SetHealth(grpc::Server& server, bool serving) {
   auto* health = server.GetHealthCheckService();
@@ -81,11 +83,22 @@ Server::Server(const ServerOptions& options, PolicyRegistry registry,
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
       handler_(&registry_, &store_),
       admin_handler_(&store_),
+      worker_(kLongCallsWaiting),
       service_(Parts()),
-      admin_service_(Parts(), &admin_handler_) {}
+      admin_service_(Parts(), &admin_handler_),
+      pages_({.handler = &handler_,
+              .store = &store_,
+              .metrics = metrics_.get(),
+              .clock = &clock_,
+              .worker = &worker_,
+              .serving = &serving_}) {}
 
 ServiceParts Server::Parts() {
-  return {.handler = &handler_, .calls = &calls_, .metrics = metrics_.get(), .clock = &clock_};
+  return {.handler = &handler_,
+          .calls = &calls_,
+          .metrics = metrics_.get(),
+          .clock = &clock_,
+          .worker = &worker_};
 }
 
 absl::Status Server::StartGrpc() {
@@ -115,7 +128,7 @@ absl::Status Server::StartHttp() {
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
   auto http = HttpServer::Start(
-      *address, [this](absl::string_view path) { return StatusPage(path, *metrics_, serving_); });
+      *address, [this](const HttpRequest& request) { return pages_.Answer(request); });
   if (!http.ok()) {
     return absl::Status(http.status().code(),
                         absl::StrCat("--http_listen: ", http.status().message()));

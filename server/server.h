@@ -14,6 +14,7 @@
 #include "core/session/session_reaper.h"
 #include "core/session/session_store.h"
 #include "server/address.h"
+#include "server/background_worker.h"
 #include "server/call_tracker.h"
 #include "server/http_server.h"
 #include "server/metrics.h"
@@ -23,6 +24,7 @@
 #include "server/policy_registry.h"
 #include "server/policy_service.h"
 #include "server/request_handler.h"
+#include "server/status_pages.h"
 
 namespace spikeserve {
 
@@ -60,9 +62,11 @@ class Server {
   const RequestHandler handler_;
   const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
+  BackgroundWorker worker_;
   PolicyService service_;
   PolicyAdminService admin_service_;
   std::atomic<bool> serving_ = true;
+  const StatusPages pages_;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
   std::unique_ptr<HttpServer> http_;

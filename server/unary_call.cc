@@ -1,5 +1,7 @@
 #include "server/unary_call.h"
 
+#include <utility>
+
 #include "server/status_map.h"
 
 namespace spikeserve {
@@ -26,6 +28,12 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   DeferredWork deferred_;
 };
 
+void FinishCall(const ServiceParts& parts, Method method, absl::Duration start,
+                const absl::Status& status, UnaryCall* call) {
+  parts.metrics->ObserveRpc(method, status.code(), parts.clock->Now() - start);
+  call->Finish(ToGrpcStatus(status));
+}
+
 }  // namespace
 
 grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts, Method method,
@@ -33,8 +41,19 @@ grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts, Method method,
   const absl::Duration start = parts.clock->Now();
   auto* call = new UnaryCall(parts.calls);
   const absl::Status status = call->accepted() ? handle(call->deferred()) : DrainingError();
-  parts.metrics->ObserveRpc(method, status.code(), parts.clock->Now() - start);
-  call->Finish(ToGrpcStatus(status));
+  FinishCall(parts, method, start, status, call);
+  return call;
+}
+
+grpc::ServerUnaryReactor* AnswerUnaryInBackground(const ServiceParts& parts, Method method,
+                                                  std::function<absl::Status()> handle) {
+  const absl::Duration start = parts.clock->Now();
+  auto* call = new UnaryCall(parts.calls);
+  const absl::Status accepted =
+      !call->accepted() ? DrainingError() : parts.worker->Submit([=, handle = std::move(handle)] {
+        FinishCall(parts, method, start, handle(), call);
+      });
+  if (!accepted.ok()) FinishCall(parts, method, start, accepted, call);
   return call;
 }
 

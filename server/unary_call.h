@@ -4,6 +4,8 @@
 
 #include <grpcpp/support/server_callback.h>
 
+#include <functional>
+
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "server/act_stream.h"
@@ -14,6 +16,11 @@ namespace spikeserve {
 // server drains; records it. What `handle` defers is done once the answer has been sent.
 grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts, Method method,
                                       absl::FunctionRef<absl::Status(DeferredWork*)> handle);
+
+// The same for a call that takes long: `handle` runs on the background worker, or the call is
+// refused with RESOURCE_EXHAUSTED.
+grpc::ServerUnaryReactor* AnswerUnaryInBackground(const ServiceParts& parts, Method method,
+                                                  std::function<absl::Status()> handle);
 
 }  // namespace spikeserve
 

@@ -13,6 +13,9 @@ absl::Status PoliciesCommand();
 // Plays episodes of an environment that is stepped here, with the decisions of the server.
 absl::Status RunCommand();
 
+// Shows a decision from the inside.
+absl::Status ExplainCommand();
+
 }  // namespace spikeserve
 
 #endif  // CLIENT_SPIKECTL_COMMANDS_H_

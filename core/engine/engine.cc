@@ -1,12 +1,16 @@
 #include "core/engine/engine.h"
 
+#include <algorithm>
+
 #include "core/engine/dense_engine.h"
 #include "core/engine/reference_engine.h"
 #include "core/engine/streaming_engine.h"
 
 namespace spikeserve {
 
-int HistorySize(const ModelConfig& config) { return config.layers * (config.context - 1) + 1; }
+int HistorySize(const ModelConfig& config) {
+  return std::max(2, config.layers * (config.context - 1) + 1);
+}
 
 std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy) {
   return policy->config.is_dense() ? MakeDenseReferenceEngine(std::move(policy))

@@ -57,7 +57,7 @@ class Engine {
 };
 
 // Timesteps that the decision at t depends on: L bands of N timesteps, overlapping by one, so L (N
-// - 1) + 1.
+// - 1) + 1; at least 2, since it pays for a_{t-1} too.
 int HistorySize(const ModelConfig& config);
 
 // The equations as naive loops that recompute the whole episode at every decision: the definition

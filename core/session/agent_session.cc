@@ -114,6 +114,7 @@ Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observa
         static_cast<double>(answer.return_to_go), session_.episode_return + reward));
   }
   answer.action = std::move(choice.action);
+  answer.logits = std::move(choice.logits);
   answer.probabilities = std::move(choice.probabilities);
   return answer;
 }
