@@ -27,6 +27,8 @@ ABSL_FLAG(std::string, http_listen, spikeserve::ServerOptions().http_listen,
           "HOST:PORT for /metrics and /healthz; port 0 picks a free one; empty for none");
 ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
+ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_after,
+          "Sessions that nobody used for this long give back what their next decision can rebuild");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
           "Sessions open at a time");
 ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
@@ -45,6 +47,7 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.listen = absl::GetFlag(FLAGS_listen);
   options.http_listen = absl::GetFlag(FLAGS_http_listen);
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
+  options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
 

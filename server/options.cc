@@ -19,6 +19,10 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(absl::StrCat(
         "--session_ttl: expected at least 1ms, received ", absl::FormatDuration(session_ttl)));
   }
+  if (compact_after < absl::Milliseconds(1)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--compact_after: expected at least 1ms, received ", absl::FormatDuration(compact_after)));
+  }
   if (max_sessions < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("--max_sessions: expected at least 1, received ", max_sessions));
