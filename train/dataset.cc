@@ -31,6 +31,7 @@ Json EpisodeToJson(const Episode& episode, bool discrete) {
                {"terminated", episode.terminated},
                {"truncated", episode.truncated}};
   if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
+  if (!episode.weights.empty()) json["weights"] = episode.weights;
   return json;
 }
 
@@ -56,6 +57,7 @@ Episode EpisodeFromJson(const Json& json, bool discrete) {
   json.at("observations").get_to(episode.observations);
   episode.actions = ActionsFromJson(json.at("actions"), discrete);
   if (json.contains("labels")) episode.labels = ActionsFromJson(json["labels"], discrete);
+  if (json.contains("weights")) json["weights"].get_to(episode.weights);
   json.at("rewards").get_to(episode.rewards);
   json.at("terminated").get_to(episode.terminated);
   json.at("truncated").get_to(episode.truncated);
@@ -77,6 +79,10 @@ absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
   if (!episode.labels.empty() && episode.labels.size() != steps) {
     return absl::InvalidArgumentError(
         absl::StrCat("labels: expected ", steps, " or none, got ", episode.labels.size()));
+  }
+  if (!episode.weights.empty() && episode.weights.size() != steps) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("weights: expected ", steps, " or none, got ", episode.weights.size()));
   }
   for (const auto* actions : {&episode.actions, &episode.labels}) {
     for (const Action& action : *actions) {
@@ -142,6 +148,22 @@ Moments ObservationMoments(const Dataset& dataset) {
     moments.std.push_back(static_cast<float>(std::sqrt(variance) + kSmallestDeviation));
   }
   return moments;
+}
+
+absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
+  Dataset all = std::move(datasets[0]);
+  if (datasets.size() == 1) return all;
+  Json recipes = Json::array({std::move(all.recipe)});
+  for (Dataset& dataset : absl::MakeSpan(datasets).subspan(1)) {
+    if (dataset.environment != all.environment) {
+      return absl::InvalidArgumentError(absl::StrCat("data: expected all of ", all.environment,
+                                                     ", got one of ", dataset.environment));
+    }
+    recipes.push_back(std::move(dataset.recipe));
+    std::move(dataset.episodes.begin(), dataset.episodes.end(), std::back_inserter(all.episodes));
+  }
+  all.recipe = Json{{"parts", std::move(recipes)}};
+  return all;
 }
 
 absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {

@@ -10,7 +10,9 @@ namespace spikeserve {
 absl::Status DatasetCommand() {
   const absl::StatusOr<std::string> out = RequiredOut("the file to write");
   if (!out.ok()) return out.status();
-  const absl::StatusOr<Dataset> dataset = RecordDataset(RecordOptionsFromFlags());
+  const absl::StatusOr<RecordOptions> options = RecordOptionsFromFlags();
+  if (!options.ok()) return options.status();
+  const absl::StatusOr<Dataset> dataset = RecordDataset(*options);
   if (!dataset.ok()) return dataset.status();
   if (auto status = WriteDataset(*dataset, *out); !status.ok()) return status;
   nlohmann::ordered_json summary = {{"environment", dataset->environment}};
