@@ -16,7 +16,9 @@ ABSL_FLAG(
     absl::optional<uint64_t>, seed, absl::nullopt,
     "dataset, train: seed of every random draw (default 0); expert, eval: the first episode's "
     "seed (default 0, 1000000)");
-ABSL_FLAG(std::string, out, "", "dataset: the file to write; train: the directory to write into");
+ABSL_FLAG(std::string, out, "",
+          "dataset: what to write, a .cbor file or a directory for Minari's layout, named like "
+          "cartpole-expert-v0; train: the directory to write into");
 ABSL_FLAG(bool, json, false, "one JSON object on standard output instead of text");
 ABSL_FLAG(int, episodes, 100, "train, eval, expert: episodes of the closed-loop evaluation");
 ABSL_FLAG(int, steps, spikeserve::RecordOptions{}.steps,
@@ -51,18 +53,17 @@ ABSL_FLAG(int, beam_width, spikeserve::ExpertOptions{}.beam_width,
           "expert, dataset, train without --data: partial plans that --expert=beam keeps");
 ABSL_FLAG(std::string, tables, "",
           "expert, dataset, train without --data: directory in which the experts' value tables are "
-          "kept (default: that of --out; without either they are solved anew)");
+          "kept (default: the one --out is in; without either they are solved anew)");
 
 namespace spikeserve {
 
 namespace {
 
-// --tables, or else the directory --out is or is in.
+// --tables, or else the directory --out is in.
 std::string TablesDirectory() {
   std::string tables = absl::GetFlag(FLAGS_tables);
   const std::filesystem::path out = absl::GetFlag(FLAGS_out);
   if (!tables.empty() || out.empty()) return tables;
-  if (!out.has_extension()) return out.string();
   return out.has_parent_path() ? out.parent_path().string() : ".";
 }
 

@@ -64,6 +64,31 @@ Episode EpisodeFromJson(const Json& json, bool discrete) {
   return episode;
 }
 
+absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
+  if (json.value("format", "") != kFormat) {
+    return absl::InvalidArgumentError(absl::StrCat("format: expected ", kFormat));
+  }
+  Dataset dataset;
+  json.at("environment").get_to(dataset.environment);
+  json.at("observation_size").get_to(dataset.observation_size);
+  dataset.recipe = json.at("recipe");
+  const Json& space = json.at("action_space");
+  dataset.action_space = space.contains("n") ? ActionSpace::Discrete(space.at("n"))
+                                             : ActionSpace::Box(space.at("low"), space.at("high"));
+  for (const Json& item : json.at("episodes")) {
+    dataset.episodes.push_back(EpisodeFromJson(item, dataset.action_space.is_discrete()));
+    if (auto status = CheckEpisode(dataset, dataset.episodes.back()); !status.ok()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("episode ", dataset.episodes.size() - 1, ": ", status.message()));
+    }
+  }
+  if (dataset.episodes.empty())
+    return absl::InvalidArgumentError("episodes: expected at least one");
+  return dataset;
+}
+
+}  // namespace
+
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
   const size_t steps = episode.actions.size();
   if (steps == 0) return absl::InvalidArgumentError("actions: expected at least one, got none");
@@ -91,31 +116,6 @@ absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
   }
   return absl::OkStatus();
 }
-
-absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
-  if (json.value("format", "") != kFormat) {
-    return absl::InvalidArgumentError(absl::StrCat("format: expected ", kFormat));
-  }
-  Dataset dataset;
-  json.at("environment").get_to(dataset.environment);
-  json.at("observation_size").get_to(dataset.observation_size);
-  dataset.recipe = json.at("recipe");
-  const Json& space = json.at("action_space");
-  dataset.action_space = space.contains("n") ? ActionSpace::Discrete(space.at("n"))
-                                             : ActionSpace::Box(space.at("low"), space.at("high"));
-  for (const Json& item : json.at("episodes")) {
-    dataset.episodes.push_back(EpisodeFromJson(item, dataset.action_space.is_discrete()));
-    if (auto status = CheckEpisode(dataset, dataset.episodes.back()); !status.ok()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("episode ", dataset.episodes.size() - 1, ": ", status.message()));
-    }
-  }
-  if (dataset.episodes.empty())
-    return absl::InvalidArgumentError("episodes: expected at least one");
-  return dataset;
-}
-
-}  // namespace
 
 std::vector<float> ReturnsToGo(absl::Span<const double> rewards) {
   std::vector<float> returns(rewards.size());

@@ -41,6 +41,10 @@ struct Dataset {
   std::vector<Episode> episodes;
 };
 
+// INVALID_ARGUMENT if an array of the episode is not of the length that the others and the
+// dataset's observations ask for, or an action is not of its action space.
+absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode);
+
 // G_t = r_t + r_{t+1} + ... to the end of the episode.
 std::vector<float> ReturnsToGo(absl::Span<const double> rewards);
 

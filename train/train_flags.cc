@@ -10,13 +10,16 @@
 #include "absl/types/optional.h"
 #include "core/model/policy_file.h"
 #include "train/common_flags.h"
+#include "train/minari_file.h"
 #include "train/task.h"
 
 using spikeserve::ModelConfig;
 using spikeserve::TrainOptions;
 
 ABSL_FLAG(std::vector<std::string>, data, {},
-          "train: dataset files, comma-separated (default: record one as `dataset` would)");
+          "train: datasets, comma-separated: directories in Minari's layout or .cbor files "
+          "(default: record "
+          "one as `dataset` would)");
 ABSL_FLAG(std::string, init, "", "train: a policy file to go on from (default: random weights)");
 
 // The shape. Unset: that of --init, or of the paper.
@@ -187,7 +190,8 @@ absl::StatusOr<Dataset> DatasetFromFlags() {
   }
   std::vector<Dataset> parts;
   for (const std::string& path : paths) {
-    absl::StatusOr<Dataset> part = ReadDataset(path);
+    absl::StatusOr<Dataset> part =
+        IsMinariDataset(path) ? ReadMinariDataset(path) : ReadDataset(path);
     if (!part.ok()) return part;
     parts.push_back(*std::move(part));
   }

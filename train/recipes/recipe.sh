@@ -32,3 +32,9 @@ stage() {
 unseen() {
   "$spiketrain" eval --policy="$policy" --episodes=1000 --seed=2000000
 }
+
+# dial RETURN...: asks the last stage's policy for each return, from seeds that nothing saw before.
+dial() {
+  local returns=$*
+  "$spiketrain" eval --policy="$policy" --episodes=100 --seed=2000000 --target_returns="${returns// /,}"
+}
