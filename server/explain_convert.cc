@@ -57,7 +57,7 @@ v1::ExplainResponse ToProto(const ServedPolicy& served, const Session& session,
                             const Explanation& explanation) {
   const ModelConfig& config = served.policy().config;
   const Answer& answer = *session.last_answer;
-  const std::vector<float>& observation = session.history.back().observation;
+  const auto observation = session.history.observation(session.history.size() - 1);
   v1::ExplainResponse response;
   response.set_session_id(session.id);
   response.set_policy(served.name);

@@ -34,9 +34,17 @@ enum class Method {
   kGetSession,
   kCloseSession,
   kExplain,
+  kLoadPolicy,
+  kUnloadPolicy,
+  kReloadPolicies,
+  kSetDefaultVersion,
+  kSetLabel,
+  kRemoveLabel,
+  kSetTraffic,
   kListSessions,
+  kDrain,
 };
-inline constexpr int kMethods = 10;
+inline constexpr int kMethods = 18;
 
 class Metrics {
  public:
@@ -56,6 +64,9 @@ class Metrics {
 
   // How many sessions may be open at a time.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
+
+  // For figures that are kept elsewhere; what they belong to must not outlive these metrics.
+  prometheus::Registry& registry() { return registry_; }
 
   // Everything, this process's use of its machine included; and the same in Prometheus's text
   // format.

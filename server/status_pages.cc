@@ -69,7 +69,7 @@ HttpResponse StatusPages::Answer(const HttpRequest& request) const {
             .body = parts_.metrics->ToText()};
   }
   if (path == "/healthz") {
-    const bool serving = *parts_.serving;
+    const bool serving = parts_.serving();
     return {.code = serving ? 200 : 503, .body = serving ? "SERVING\n" : "NOT_SERVING\n"};
   }
   if (path == "/status.json") return JsonResponse(Status());
@@ -82,7 +82,7 @@ absl::StatusOr<std::string> StatusPages::Status() const {
   v1::ListPoliciesResponse policies;
   if (auto status = parts_.handler->ListPolicies({}, &policies); !status.ok()) return status;
   return StatusJson(parts_.metrics->Collect(), policies, absl::ToDoubleSeconds(parts_.clock->Now()),
-                    *parts_.serving);
+                    parts_.serving());
 }
 
 absl::StatusOr<std::string> StatusPages::Sessions(absl::string_view query) const {

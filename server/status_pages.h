@@ -2,8 +2,9 @@
 #ifndef SERVER_STATUS_PAGES_H_
 #define SERVER_STATUS_PAGES_H_
 
-#include <atomic>
+#include <functional>
 #include <string>
+#include <utility>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -26,10 +27,10 @@ class StatusPages {
     const Metrics* metrics;
     const Clock* clock;
     BackgroundWorker* worker;
-    const std::atomic<bool>* serving;
+    std::function<bool()> serving;
   };
 
-  explicit StatusPages(const Parts& parts) : parts_(parts) {}
+  explicit StatusPages(Parts parts) : parts_(std::move(parts)) {}
 
   // The one entry: every request over HTTP comes through here. 404 where there is no such page.
   // /healthz is 503 unless the server serves.

@@ -14,11 +14,13 @@ PrefixContext TokensOf(const Policy& policy, const Session& session) {
   const auto timesteps = static_cast<int64_t>(session.history.size());
   PrefixContext prefix(session.options.seed, session.step - timesteps);
   std::vector<float> action(static_cast<size_t>(policy.action_space.size()));
-  for (const Timestep& timestep : session.history) {
-    prefix.AppendReturnAndState(policy, timestep.return_to_go, timestep.observation);
-    if (&timestep == &session.history.back()) break;
-    policy.action_space.Encode(timestep.action, absl::MakeSpan(action));
-    prefix.AppendAction(action);
+  const History& history = session.history;
+  for (size_t i = 0; i < history.size(); ++i) {
+    if (i > 0) {
+      policy.action_space.Encode(history.action(i - 1), absl::MakeSpan(action));
+      prefix.AppendAction(action);
+    }
+    prefix.AppendReturnAndState(policy, history.return_to_go(i), history.observation(i));
   }
   return prefix;
 }

@@ -123,7 +123,7 @@ TEST_P(ExplanationTest, TheHistoryHoldsEverything) {
   const Session& session = agent_.session();
   const auto whole = Explain(served_->policy(), session);
   ASSERT_TRUE(whole.ok());
-  ASSERT_EQ(std::ssize(session.history), kSteps - first);
+  ASSERT_EQ(static_cast<int64_t>(session.history.size()), kSteps - first);
 
   // The same decision, seen by an engine that remembers the whole episode.
   AgentSession replay(served_, NewSession("id", SmallOptions()), &clock_);
@@ -131,7 +131,8 @@ TEST_P(ExplanationTest, TheHistoryHoldsEverything) {
   std::vector<float> action(static_cast<size_t>(served_->policy().action_space.size()));
   for (int64_t step = 0; step < kSteps; ++step) {
     ASSERT_TRUE(replay.Act(step, ObservationAt(step), RewardAt(step)).ok());
-    const Timestep& timestep = replay.session().history.back();
+    const History& history = replay.session().history;
+    const Timestep timestep = history.at(history.size() - 1);
     prefix.AppendReturnAndState(served_->policy(), timestep.return_to_go, timestep.observation);
     if (step + 1 == kSteps) break;
     served_->policy().action_space.Encode(timestep.action, absl::MakeSpan(action));
