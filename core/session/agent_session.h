@@ -79,6 +79,9 @@ class AgentSession {
   // Gives the cache back; the next decision rebuilds it.
   void DropContext();
 
+  // For a session that is not used for a while: gives back all memory that its value does not need.
+  void Compact();
+
   const Session& session() const { return session_; }
 
   // |W - W_base| / |W_base|; 0 for a frozen session.
