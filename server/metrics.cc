@@ -38,9 +38,9 @@ Buckets Returns() {
 }
 
 std::string MethodName(Method method) {
-  static constexpr const char* kNames[kMethods] = {"ListPolicies", "OpenSession", "Act",
-                                                   "ActBatch",     "ActStream",   "EndEpisode",
-                                                   "GetSession",   "CloseSession"};
+  static constexpr const char* kNames[kMethods] = {"ListPolicies", "OpenSession",  "Act",
+                                                   "ActBatch",     "ActStream",    "EndEpisode",
+                                                   "GetSession",   "CloseSession", "ListSessions"};
   return kNames[static_cast<size_t>(method)];
 }
 

@@ -21,7 +21,7 @@
 
 namespace spikeserve {
 
-// The calls of PolicyService.
+// The calls of PolicyService, then those of PolicyAdmin.
 enum class Method {
   kListPolicies,
   kOpenSession,
@@ -31,8 +31,9 @@ enum class Method {
   kEndEpisode,
   kGetSession,
   kCloseSession,
+  kListSessions,
 };
-inline constexpr int kMethods = 8;
+inline constexpr int kMethods = 9;
 
 class Metrics {
  public:

@@ -18,6 +18,8 @@
 #include "server/http_server.h"
 #include "server/metrics.h"
 #include "server/options.h"
+#include "server/policy_admin_handler.h"
+#include "server/policy_admin_service.h"
 #include "server/policy_registry.h"
 #include "server/policy_service.h"
 #include "server/request_handler.h"
@@ -45,6 +47,7 @@ class Server {
  private:
   Server(const ServerOptions& options, PolicyRegistry registry, std::unique_ptr<Metrics> metrics);
 
+  ServiceParts Parts();
   absl::Status StartGrpc();
   absl::Status StartHttp();
 
@@ -55,8 +58,10 @@ class Server {
   SessionStore store_;
   SessionReaper reaper_;
   const RequestHandler handler_;
+  const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
   PolicyService service_;
+  PolicyAdminService admin_service_;
   std::atomic<bool> serving_ = true;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;

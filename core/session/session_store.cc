@@ -2,6 +2,7 @@
 
 #include <sys/random.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <utility>
 #include <vector>
@@ -82,6 +83,20 @@ absl::Status SessionStore::Close(absl::string_view id) {
   size_.fetch_sub(1);
   entry->served->observer->OnClose();
   return absl::OkStatus();
+}
+
+std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const ServedPolicy&)> wanted) {
+  const absl::Duration now = clock_->Now();
+  std::vector<ListedSession> list;
+  for (Shard& shard : shards_) {
+    absl::MutexLock lock(&shard.mutex);
+    for (const auto& [id, slot] : shard.slots) {
+      if (!wanted(*slot.entry->served)) continue;
+      list.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});
+    }
+  }
+  std::sort(list.begin(), list.end(), [](const auto& a, const auto& b) { return a.id < b.id; });
+  return list;
 }
 
 int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {

@@ -11,9 +11,11 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/flat_hash_map.h"
+#include "absl/functional/function_ref.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
@@ -35,6 +37,13 @@ struct SessionEntry {
   AgentSession agent ABSL_GUARDED_BY(mutex);
 };
 
+// One line of SessionStore::List.
+struct ListedSession {
+  std::string id;
+  std::shared_ptr<SessionEntry> entry;
+  absl::Duration idle;  // since the last Find
+};
+
 class SessionStore {
  public:
   // `clock` must outlive the store and every entry.
@@ -50,6 +59,10 @@ class SessionStore {
 
   // Takes the session out. NOT_FOUND where there is none of this id.
   absl::Status Close(absl::string_view id);
+
+  // The open sessions whose policy `wanted` says yes to, by id. Leaves when they were used last as
+  // it is. `wanted` is called under a lock and must be quick.
+  std::vector<ListedSession> List(absl::FunctionRef<bool(const ServedPolicy&)> wanted);
 
   // Takes out every session that nobody holds and nobody has used for `time_to_live`; returns how
   // many.

@@ -1,0 +1,30 @@
+// PolicyAdmin on gRPC's callback API: every method takes a call in, hands it to the handler,
+// records it and sends the answer. Methods that are not here answer UNIMPLEMENTED.
+#ifndef SERVER_POLICY_ADMIN_SERVICE_H_
+#define SERVER_POLICY_ADMIN_SERVICE_H_
+
+#include "server/act_stream.h"
+#include "server/policy_admin_handler.h"
+#include "spikeserve/v1/policy_admin.grpc.pb.h"
+
+namespace spikeserve {
+
+// Thread-safe.
+class PolicyAdminService final : public v1::PolicyAdmin::CallbackService {
+ public:
+  // `admin` must outlive the service.
+  PolicyAdminService(const ServiceParts& parts, const PolicyAdminHandler* admin)
+      : parts_(parts), admin_(admin) {}
+
+  grpc::ServerUnaryReactor* ListSessions(grpc::CallbackServerContext* context,
+                                         const v1::ListSessionsRequest* request,
+                                         v1::ListSessionsResponse* response) override;
+
+ private:
+  const ServiceParts parts_;
+  const PolicyAdminHandler* const admin_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_POLICY_ADMIN_SERVICE_H_
