@@ -64,7 +64,9 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadVersion(
   served->name = folder.parent_path().filename().string();
   served->version = *version;
   served->observer = new_observer(served->name, served->version, *policy);
-  served->engine = MakeStreamingEngine(std::make_shared<const Policy>(*std::move(policy)));
+  const auto shared = std::make_shared<const Policy>(*std::move(policy));
+  served->engine = MakeStreamingEngine(shared);
+  served->fleet = std::make_shared<FleetHead>(shared);
   return served;
 }
 
