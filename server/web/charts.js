@@ -1,11 +1,12 @@
 // The charts over time: one line a policy version.
+import {si} from './format.js';
 import {policyRows} from './policies.js';
 
 const CHARTS = [
   ['chart-decisions', (row) => row.decisionRate],
   ['chart-power', (row) => row.power],
   ['chart-spikes', (row) => row.spikes],
-  ['chart-latency', (row) => (typeof row['p99'] === 'number' ? 1e3 * row['p99'] : undefined)],
+  ['chart-latency', (row) => row.p99 ?? undefined],
 ];
 const HEIGHT = 170;
 const LINES = 8;  // more cannot be told apart; the tables hold them all
@@ -18,13 +19,15 @@ export class Charts {
     this.plots = [];
     this.known = new WeakMap();
     const rebuild = () => {
-      this.keys = [];  // so that the next show makes new ones
+      this.keys = [];  // so that show makes new ones
+      if (this.shown) this.show(...this.shown);
     };
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', rebuild);
     addEventListener('resize', rebuild);
   }
 
   show(samples, energyModel) {
+    this.shown = [samples, energyModel];
     const steps = samples.steps().map(({time, window}) => ({time, rows: this.rowsOf(window, energyModel)}));
     if (steps.length === 0) return;
     const end = steps[steps.length - 1];
@@ -63,12 +66,15 @@ export class Charts {
       return new uPlot({
         width: Math.max(element.clientWidth, 200), height: HEIGHT, cursor: {drag: {x: false, y: false}},
         scales: {x: {time: false}, y: {range: (_, low, high) => [Math.min(0, low ?? 0), (high ?? 0) * 1.1 || 1]}},
-        axes: [{...axis, values: (_, ticks) => ticks.map((t) => `${t} s`)}, {...axis, size: 60}],
+        axes: [
+          {...axis, values: (_, ticks) => ticks.map((t) => `${t} s`)},
+          {...axis, size: 60, values: (_, ticks) => ticks.map((y) => si(y, ''))},
+        ],
         series: [
           {label: 'seconds ago', value: (_, t) => (t == null ? '' : `${(-t).toFixed(0)}`)},
           ...keys.map((key, i) => ({
             label: key, stroke: COLOURS[i], width: 2, points: {show: false},
-            value: (_, y) => (y == null ? '' : y.toPrecision(3)),
+            value: (_, y) => (y == null ? '' : si(y, '')),
           })),
         ],
       }, [[], ...keys.map(() => [])], element);

@@ -2,6 +2,7 @@
 import {count, fixed, si} from './format.js';
 import {STAGES} from './policies.js';
 
+const RASTER_WIDTH = 165;  // pixels, so that a layer's six stand in one row
 const SYMBOLS = {RETURN_TO_GO: 'G', STATE: 's', ACTION: 'a'};
 
 function tokenName(token) {
@@ -12,6 +13,10 @@ function element(tag, properties, ...children) {
   const made = Object.assign(document.createElement(tag), properties);
   made.append(...children);
   return made;
+}
+
+function section(title, figures) {
+  return [element('h3', {textContent: title}), element('div', {className: 'rasters'}, ...figures)];
 }
 
 export class Explanation {
@@ -49,7 +54,8 @@ export class Explanation {
       this.body.replaceChildren();
       return;
     }
-    this.body.replaceChildren(summary(decision), ...this.rasters(decision), ...routing(decision), ...attention(decision));
+    this.body.replaceChildren(summary(decision), ...this.rasters(decision), ...routing(decision),
+                              ...attention(decision));
   }
 
   rasters(decision) {
@@ -64,7 +70,7 @@ export class Explanation {
         return rasters.length ? [rasterFigure(stage, rasters, decision.ticks)] : [];
       });
       const title = layer === undefined ? 'Spikes outside the layers' : `Spikes of layer ${layer}`;
-      return [element('h3', {textContent: title}), element('div', {className: 'rasters'}, ...figures)];
+      return section(title, figures);
     });
   }
 }
@@ -89,7 +95,7 @@ function summary(decision) {
     row.append(element('th', {scope: 'row', className: 'text', textContent: name}),
                element('td', {className: 'text', textContent: value}));
   }
-  return element('table', {}, body);
+  return element('table', {className: 'figures facts'}, body);
 }
 
 /**
@@ -116,6 +122,11 @@ function map(rows, columns, cell, shade, lines, description) {
   return canvas;
 }
 
+function figure(title, canvas, axis) {
+  return element('figure', {}, element('figcaption', {textContent: title}), canvas,
+                 element('p', {className: 'axis', textContent: axis}));
+}
+
 /** Neurons downwards, ticks to the right, the tokens side by side. */
 function rasterFigure(stage, rasters, ticks) {
   const fired = new Set();
@@ -126,12 +137,15 @@ function rasterFigure(stage, rasters, ticks) {
   }));
   const population = rasters[0].population;
   const names = rasters.map((raster) => tokenName(raster.token)).join(' | ');
+  const columns = rasters.length * ticks;
+  const width = Math.max(4, Math.floor(RASTER_WIDTH / columns));
   const height = population <= 16 ? 12 : population <= 160 ? 2 : 1;
-  const canvas = map(population, rasters.length * ticks, [Math.max(4, Math.floor(150 / (rasters.length * ticks))), height],
+  const title = `${stage}: ${spikes} spike${spikes === 1 ? '' : 's'}`;
+  const canvas = map(population, columns, [width, height],
                      (neuron, column) => (fired.has(`${neuron} ${column}`) ? 1 : 0), rasters.map((_, i) => i * ticks),
-                     `${stage}: ${spikes} spikes of ${population} neurons over ${ticks} ticks of ${names}`);
-  return element('figure', {}, element('figcaption', {textContent: `${stage}: ${spikes} spikes`}), canvas,
-                 element('p', {className: 'axis', textContent: `${population} neurons ↓, ${ticks} ticks → of ${names}`}));
+                     `${title} of ${population} neurons over ${ticks} ticks of ${names}`);
+  const axis = `${population} neurons ↓, ${ticks} ticks → of ${names}`;
+  return figure(title, canvas, axis);
 }
 
 function routing(decision) {
@@ -147,11 +161,10 @@ function routing(decision) {
     const last = gates.slice(-ticks * heads);
     const means = Array.from({length: heads}, (_, head) =>
       last.filter((__, i) => i % heads === head).reduce((sum, gate) => sum + gate, 0) / ticks);
-    return element('figure', {}, element('figcaption', {textContent: `Layer ${layer}`}), canvas,
-      element('p', {className: 'axis', textContent: `${heads} heads ↓, ticks → of ${tokenName(tokens[0])} to ` +
-        `${tokenName(tokens[tokens.length - 1])}; mean of the last: ${means.map((x) => fixed(x, 2)).join(', ')}`}));
+    return figure(`Layer ${layer}`, canvas, `${heads} heads ↓, ticks → of ${tokenName(tokens[0])} to ` +
+      `${tokenName(tokens[tokens.length - 1])}; mean of the last: ${means.map((x) => fixed(x, 2)).join(', ')}`);
   });
-  return [element('h3', {textContent: 'Routing gates'}), element('div', {className: 'rasters'}, ...figures)];
+  return section('Routing gates', figures);
 }
 
 function attention(decision) {
@@ -166,9 +179,8 @@ function attention(decision) {
                        (row, key) => weight(row, key) / largest,
                        keys.flatMap((key, i) => (key.kind === 'RETURN_TO_GO' ? [i] : [])),
                        `attention of layer ${layer}, ${rows} rows of heads and ticks over ${n} keys`);
-    return element('figure', {}, element('figcaption', {textContent: `Layer ${layer}`}), canvas,
-      element('p', {className: 'axis', textContent: `${heads} heads of ${ticks} ticks ↓, keys → ${tokenName(keys[0])} to ` +
-        `${tokenName(keys[n - 1])}; darkest ${fixed(largest, 3)}`}));
+    return figure(`Layer ${layer}`, canvas, `${heads} heads of ${ticks} ticks ↓, keys → ${tokenName(keys[0])} to ` +
+      `${tokenName(keys[n - 1])}; full colour is ${fixed(largest, 3)}`);
   });
-  return [element('h3', {textContent: 'Attention of the state token'}), element('div', {className: 'rasters'}, ...figures)];
+  return section('Attention of the state token', figures);
 }

@@ -19,9 +19,9 @@ export function count(x) {
 /** `x` with an SI prefix: 6.5e-10, 'J' is "650 pJ". */
 export function si(x, unit) {
   if (!isNumber(x)) return NOTHING;
-  if (x === 0) return `0 ${unit}`;
+  if (x === 0) return `0 ${unit}`.trim();
   const [scale, prefix] = PREFIXES.find(([s]) => Math.abs(x) >= s) ?? PREFIXES[PREFIXES.length - 1];
-  return `${(x / scale).toPrecision(3)} ${prefix}${unit}`;
+  return `${Number((x / scale).toPrecision(3))} ${prefix}${unit}`.trim();
 }
 
 /** A bucket bound stands for what a histogram cannot tell: null is beyond the last one. */

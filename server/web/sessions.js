@@ -12,7 +12,9 @@ export class Sessions {
     this.previous = document.getElementById('previous');
     this.next = document.getElementById('next');
     this.page = document.getElementById('page');
-    const number = (key, label, format) => ({key, label, value: (row) => row[key], text: (row) => format(Number(row[key]))});
+    const number = (key, label, format) => ({
+      key, label, value: (row) => row[key], text: (row) => format(Number(row[key])),
+    });
     this.table = new Table(document.getElementById('sessions-table'), [
       {key: 'session_id', label: 'Session', value: (row) => row.session_id, isText: true, fill: (cell, row) => {
         const button = document.createElement('button');

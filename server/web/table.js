@@ -15,6 +15,7 @@ export class Table {
     this.descending = options.descending ?? false;
     this.rows = [];
     this.rowElements = new Map();
+    this.heads = new Map();  // by column
     this.body = document.createElement('tbody');
     element.replaceChildren(this.makeHead(), this.body);
     this.markSort();
@@ -37,7 +38,7 @@ export class Table {
         cell.textContent = column.label;
       }
       row.append(cell);
-      column.head = cell;
+      this.heads.set(column, cell);
     }
     return head;
   }
@@ -52,11 +53,11 @@ export class Table {
   }
 
   markSort() {
-    for (const column of this.columns) {
+    for (const [column, head] of this.heads) {
       if (column.key === this.sort) {
-        column.head.setAttribute('aria-sort', this.descending ? 'descending' : 'ascending');
+        head.setAttribute('aria-sort', this.descending ? 'descending' : 'ascending');
       } else {
-        column.head.removeAttribute('aria-sort');
+        head.removeAttribute('aria-sort');
       }
     }
   }

@@ -187,7 +187,7 @@ TEST(ExplainTest, LogitsAreThoseOfTheHeadThatDecided) {
     const ActionChoice choice = ChooseAction(head, served->policy().action_space,
                                              explanation->readout, options.action_selection, 0);
     EXPECT_EQ(choice.logits, agent.session().last_answer->logits) << step;
-    head = agent.session().learner->Head(served->policy());
+    head = HeadWith(served->policy(), agent.session().learner->head_delta);
   }
   EXPECT_GT(agent.HeadDrift(), 0.0);
 }
