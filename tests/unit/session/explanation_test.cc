@@ -177,7 +177,7 @@ TEST(ExplainTest, LogitsAreThoseOfTheHeadThatDecided) {
   FakeClock clock;
   SessionOptions options = SmallOptions();
   options.action_selection.sample = true;
-  options.learning = LearningOptions{.learning_rate = 1.0};
+  options.learning = LearningOptions{.modulator = Modulator::kTarget, .learning_rate = 1.0};
   AgentSession agent(served, NewSession("id", options), &clock);
   Linear head = served->policy().weights.head;
   for (int64_t step = 0; step < 5; ++step) {
