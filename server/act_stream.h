@@ -1,15 +1,9 @@
-// One ActStream call: read a request, answer it, and so on, until the client or the server has had
-// enough.
+// One ActStream call.
 #ifndef SERVER_ACT_STREAM_H_
 #define SERVER_ACT_STREAM_H_
 
-#include <grpcpp/support/server_callback.h>
-
-#include <memory>
-
-#include "absl/base/thread_annotations.h"
-#include "absl/synchronization/mutex.h"
 #include "core/session/clock.h"
+#include "server/answer_stream.h"
 #include "server/call_tracker.h"
 #include "server/metrics.h"
 #include "server/request_handler.h"
@@ -25,37 +19,17 @@ struct ServiceParts {
   const Clock* clock;
 };
 
-// Keeps itself alive from Start() until gRPC is done with it. One operation is under way at a time,
-// so the messages need no lock; Drain() may come from any thread in between.
-class ActStream final : public grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>,
-                        public CallTracker::Stream {
+// Thread-safe as AnswerStream is.
+class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {
  public:
-  // A stream that reads its first request, or is refused where the server drains.
-  static ActStream* Start(const ServiceParts& parts);
-
-  void OnReadDone(bool ok) override;
-  void OnWriteDone(bool ok) override;
-  void OnDone() override;
-
-  // Ends the call with UNAVAILABLE, after the reply that is under way, if one is.
-  void Drain() override;
-
- private:
-  enum class State { kReading, kReplying, kFinished };
-
   explicit ActStream(const ServiceParts& parts) : parts_(parts) {}
 
-  void Answer(DeferredWork* deferred);
-  void FinishLocked(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+ protected:
+  void Answer(const v1::ActRequest& request, v1::ActResponse* response,
+              DeferredWork* deferred) override;
 
+ private:
   const ServiceParts parts_;
-  std::shared_ptr<ActStream> self_;
-  v1::ActRequest request_;
-  v1::ActResponse response_;
-
-  absl::Mutex mutex_;  // held for a change of state only, never for a decision
-  State state_ ABSL_GUARDED_BY(mutex_) = State::kReading;
-  bool draining_ ABSL_GUARDED_BY(mutex_) = false;
 };
 
 }  // namespace spikeserve

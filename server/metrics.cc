@@ -38,9 +38,13 @@ Buckets Returns() {
 }
 
 std::string MethodName(Method method) {
-  static constexpr const char* kNames[kMethods] = {"ListPolicies", "OpenSession", "Act",
-                                                   "ActBatch",     "ActStream",   "EndEpisode",
-                                                   "GetSession",   "CloseSession"};
+  static constexpr const char* kNames[kMethods] = {
+      "ListPolicies",  "OpenSession",     "Act",
+      "ActBatch",      "ActStream",       "EndEpisode",
+      "GetSession",    "CloseSession",    "ServerLive",
+      "ServerReady",   "ModelReady",      "ServerMetadata",
+      "ModelMetadata", "ModelInfer",      "ModelStreamInfer",
+      "ModelConfig",   "ModelStatistics", "RepositoryIndex"};
   return kNames[static_cast<size_t>(method)];
 }
 

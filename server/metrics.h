@@ -21,7 +21,7 @@
 
 namespace spikeserve {
 
-// The calls of PolicyService.
+// The calls of PolicyService, then those of GRPCInferenceService.
 enum class Method {
   kListPolicies,
   kOpenSession,
@@ -31,8 +31,18 @@ enum class Method {
   kEndEpisode,
   kGetSession,
   kCloseSession,
+  kServerLive,
+  kServerReady,
+  kModelReady,
+  kServerMetadata,
+  kModelMetadata,
+  kModelInfer,
+  kModelStreamInfer,
+  kModelConfig,
+  kModelStatistics,
+  kRepositoryIndex,
 };
-inline constexpr int kMethods = 8;
+inline constexpr int kMethods = 18;
 
 class Metrics {
  public:

@@ -75,16 +75,21 @@ absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*reque
 
 absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
                                          v1::OpenSessionResponse* response) const {
+  return OpenSessionAs("", request, response);
+}
+
+absl::Status RequestHandler::OpenSessionAs(std::string id, const v1::OpenSessionRequest& request,
+                                           v1::OpenSessionResponse* response) const {
   auto served = registry_->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
   auto options = OptionsFromProto(request, **served);
   if (!options.ok()) return options.status();
   const double target_return = options->target_return;
-  auto id = store_->Open(*served, *std::move(options));
-  if (!id.ok()) return id.status();
+  auto opened = store_->Open(*served, *std::move(options), std::move(id));
+  if (!opened.ok()) return opened.status();
 
   const Policy& policy = (*served)->policy();
-  response->set_session_id(*std::move(id));
+  response->set_session_id(*std::move(opened));
   response->set_policy((*served)->name);
   response->set_version((*served)->version);
   response->set_observation_size(policy.observation_size());
@@ -96,12 +101,23 @@ absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
 
 absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse* response,
                                  DeferredWork* deferred) const {
+  return ActAt(request.step(), request, response, deferred);
+}
+
+absl::Status RequestHandler::ActNext(const v1::ActRequest& request, v1::ActResponse* response,
+                                     DeferredWork* deferred) const {
+  return ActAt(std::nullopt, request, response, deferred);
+}
+
+absl::Status RequestHandler::ActAt(std::optional<int64_t> step, const v1::ActRequest& request,
+                                   v1::ActResponse* response, DeferredWork* deferred) const {
   auto entry = store_->Find(request.session_id());
   if (!entry.ok()) return entry.status();
   {
     absl::MutexLock lock(&(*entry)->mutex);
+    AgentSession& agent = (*entry)->agent;
     const auto answer =
-        (*entry)->agent.Act(request.step(), request.observation(), request.reward());
+        agent.Act(step.value_or(agent.session().step), request.observation(), request.reward());
     if (!answer.ok()) return answer.status();
     ToProto(request.session_id(), **answer, (*entry)->served->policy(), response);
   }

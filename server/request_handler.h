@@ -6,6 +6,7 @@
 #define SERVER_REQUEST_HANDLER_H_
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -43,8 +44,14 @@ class RequestHandler {
                             v1::ListPoliciesResponse* response) const;
   absl::Status OpenSession(const v1::OpenSessionRequest& request,
                            v1::OpenSessionResponse* response) const;
+  // Under an id that the caller picks; ALREADY_EXISTS where it is taken.
+  absl::Status OpenSessionAs(std::string id, const v1::OpenSessionRequest& request,
+                             v1::OpenSessionResponse* response) const;
   absl::Status Act(const v1::ActRequest& request, v1::ActResponse* response,
                    DeferredWork* deferred) const;
+  // At the step that the session expects, whatever `request` says, so nothing is ever a retry.
+  absl::Status ActNext(const v1::ActRequest& request, v1::ActResponse* response,
+                       DeferredWork* deferred) const;
   absl::Status ActBatch(const v1::ActBatchRequest& request, v1::ActBatchResponse* response,
                         DeferredWork* deferred) const;
   absl::Status EndEpisode(const v1::EndEpisodeRequest& request,
@@ -55,6 +62,10 @@ class RequestHandler {
                             v1::CloseSessionResponse* response) const;
 
  private:
+  // At the step that the session expects where `step` is nothing.
+  absl::Status ActAt(std::optional<int64_t> step, const v1::ActRequest& request,
+                     v1::ActResponse* response, DeferredWork* deferred) const;
+
   const PolicyRegistry* const registry_;
   SessionStore* const store_;
 };

@@ -29,6 +29,7 @@ void SetHealth(grpc::Server& server, bool serving) {
   auto* health = server.GetHealthCheckService();
   health->SetServingStatus("", serving);
   health->SetServingStatus(v1::PolicyService::service_full_name(), serving);
+  health->SetServingStatus(inference::GRPCInferenceService::service_full_name(), serving);
 }
 
 // gRPC reports a port it cannot have in its log, at length; we report it in one line.
@@ -79,8 +80,17 @@ Server::Server(const ServerOptions& options, PolicyRegistry registry,
       reaper_(&store_, options.session_ttl,
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
       handler_(&registry_, &store_),
-      service_(
-          {.handler = &handler_, .calls = &calls_, .metrics = metrics_.get(), .clock = &clock_}) {}
+      service_(Parts()),
+      inference_handler_({.registry = &registry_,
+                          .store = &store_,
+                          .requests = &handler_,
+                          .clock = &clock_,
+                          .session_ttl = options.session_ttl}),
+      inference_service_(Parts(), &inference_handler_) {}
+
+ServiceParts Server::Parts() {
+  return {.handler = &handler_, .calls = &calls_, .metrics = metrics_.get(), .clock = &clock_};
+}
 
 absl::Status Server::StartGrpc() {
   grpc::EnableDefaultHealthCheckService(true);
@@ -95,6 +105,7 @@ absl::Status Server::StartGrpc() {
   grpc_address_ = *std::move(address);
   builder.AddListeningPort(options_.listen, grpc::InsecureServerCredentials(), &grpc_address_.port);
   builder.RegisterService(&service_);
+  builder.RegisterService(&inference_service_);
   grpc_ = BuildQuietly(builder);
   if (grpc_ == nullptr || grpc_address_.port == 0) {
     return absl::UnavailableError(absl::StrCat("--listen: cannot listen on ", options_.listen));

@@ -16,6 +16,8 @@
 #include "server/address.h"
 #include "server/call_tracker.h"
 #include "server/http_server.h"
+#include "server/inference_handler.h"
+#include "server/inference_service.h"
 #include "server/metrics.h"
 #include "server/options.h"
 #include "server/policy_registry.h"
@@ -45,6 +47,7 @@ class Server {
  private:
   Server(const ServerOptions& options, PolicyRegistry registry, std::unique_ptr<Metrics> metrics);
 
+  ServiceParts Parts();
   absl::Status StartGrpc();
   absl::Status StartHttp();
 
@@ -57,6 +60,8 @@ class Server {
   const RequestHandler handler_;
   CallTracker calls_;
   PolicyService service_;
+  InferenceHandler inference_handler_;
+  InferenceService inference_service_;
   std::atomic<bool> serving_ = true;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;

@@ -37,9 +37,12 @@ SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
 }
 
 absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolicy> served,
-                                               SessionOptions options) {
-  auto id = NewSessionId();
-  if (!id.ok()) return id;
+                                               SessionOptions options, std::string id) {
+  if (id.empty()) {
+    auto new_id = NewSessionId();
+    if (!new_id.ok()) return new_id;
+    id = *std::move(new_id);
+  }
   if (size_.fetch_add(1) >= max_sessions_) {
     size_.fetch_sub(1);
     return absl::ResourceExhaustedError(
@@ -48,12 +51,18 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
   }
   const std::shared_ptr<SessionObserver> observer = served->observer;
   Slot slot = {.entry = std::make_shared<SessionEntry>(std::move(served),
-                                                       NewSession(*id, std::move(options)), clock_),
+                                                       NewSession(id, std::move(options)), clock_),
                .last_used = clock_->Now()};
-  Shard& shard = ShardOf(*id);
+  Shard& shard = ShardOf(id);
+  bool is_new = false;
   {
     absl::MutexLock lock(&shard.mutex);
-    shard.slots.emplace(*id, std::move(slot));
+    is_new = shard.slots.try_emplace(id, std::move(slot)).second;
+  }
+  if (!is_new) {
+    size_.fetch_sub(1);
+    return absl::AlreadyExistsError(
+        absl::StrCat("session_id: expected one that is not open, received ", Quoted(id)));
   }
   observer->OnOpen();
   return id;

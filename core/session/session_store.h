@@ -40,10 +40,11 @@ class SessionStore {
   // `clock` must outlive the store and every entry.
   SessionStore(int64_t max_sessions, const Clock* clock);
 
-  // Opens a session under a new random id of 128 bits in hexadecimal, and returns the id.
-  // RESOURCE_EXHAUSTED where max_sessions are open.
+  // Opens a session under `id`, or, where that is empty, a new random one of 128 bits in
+  // hexadecimal; returns the id. RESOURCE_EXHAUSTED where max_sessions are open; ALREADY_EXISTS
+  // where one of this id is.
   absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
-                                   SessionOptions options);
+                                   SessionOptions options, std::string id = "");
 
   // The session, marked as used now. NOT_FOUND where there is none of this id.
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id);

@@ -1,0 +1,222 @@
+#include "server/inference_handler.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "core/model/json.h"
+
+namespace spikeserve {
+namespace {
+
+using inference::ModelInferRequest;
+using inference::ModelInferResponse;
+
+constexpr char kPlatform[] = "spikeserve";
+
+void FillConfig(const ServedPolicy& served, absl::Duration session_ttl,
+                inference::ModelConfig* config) {
+  config->set_name(served.name);
+  config->set_platform(kPlatform);
+  config->set_backend(kPlatform);
+  config->mutable_version_policy()->mutable_all();
+  for (const TensorSpec& spec : InputSpecs(served.policy())) {
+    auto* input = config->add_input();
+    input->set_name(spec.name);
+    input->set_data_type(spec.data_type);
+    input->mutable_dims()->Add(spec.shape.begin(), spec.shape.end());
+    input->set_optional(spec.optional);
+  }
+  for (const TensorSpec& spec : OutputSpecs(served.policy())) {
+    auto* output = config->add_output();
+    output->set_name(spec.name);
+    output->set_data_type(spec.data_type);
+    output->mutable_dims()->Add(spec.shape.begin(), spec.shape.end());
+  }
+  auto* sequences = config->mutable_sequence_batching();
+  sequences->mutable_direct();
+  sequences->set_max_sequence_idle_microseconds(
+      static_cast<uint64_t>(absl::ToInt64Microseconds(session_ttl)));
+}
+
+void FillTensor(const TensorSpec& spec,
+                inference::ModelMetadataResponse::TensorMetadata* metadata) {
+  metadata->set_name(spec.name);
+  metadata->set_datatype(DataTypeName(spec.data_type));
+  metadata->mutable_shape()->Add(spec.shape.begin(), spec.shape.end());
+}
+
+}  // namespace
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindPolicy(
+    const std::string& name, const std::string& version) const {
+  const auto number = ReadVersion(version);
+  if (!number.ok()) return number.status();
+  return parts_.registry->Find(name, *number);
+}
+
+absl::Status InferenceHandler::ModelReady(const inference::ModelReadyRequest& request,
+                                          inference::ModelReadyResponse* response) const {
+  response->set_ready(FindPolicy(request.name(), request.version()).ok());
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ServerMetadata(const inference::ServerMetadataRequest& /*request*/,
+                                              inference::ServerMetadataResponse* response) const {
+  response->set_name(kPlatform);
+  response->set_version(SPIKESERVE_VERSION);
+  for (const char* extension :
+       {"sequence", "sequence(string_id)", "model_configuration", "statistics"}) {
+    response->add_extensions(extension);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelMetadata(const inference::ModelMetadataRequest& request,
+                                             inference::ModelMetadataResponse* response) const {
+  const auto served = FindPolicy(request.name(), request.version());
+  if (!served.ok()) return served.status();
+  response->set_name(request.name());
+  for (const auto& other : parts_.registry->List()) {
+    if (other->name == request.name()) response->add_versions(absl::StrCat(other->version));
+  }
+  response->set_platform(kPlatform);
+  for (const auto& spec : InputSpecs((*served)->policy())) FillTensor(spec, response->add_inputs());
+  for (const auto& spec : OutputSpecs((*served)->policy())) {
+    FillTensor(spec, response->add_outputs());
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelConfig(const inference::ModelConfigRequest& request,
+                                           inference::ModelConfigResponse* response) const {
+  const auto served = FindPolicy(request.name(), request.version());
+  if (!served.ok()) return served.status();
+  FillConfig(**served, parts_.session_ttl, response->mutable_config());
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsRequest& request,
+                                               inference::ModelStatisticsResponse* response) const {
+  if (!request.name().empty()) {
+    const auto served = FindPolicy(request.name(), request.version());
+    if (!served.ok()) return served.status();
+  }
+  for (const auto& served : parts_.registry->List()) {
+    if (!request.name().empty() && served->name != request.name()) continue;
+    if (!request.version().empty() && absl::StrCat(served->version) != request.version()) continue;
+    *response->add_model_stats() = statistics_.Get(served->name, served->version);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::RepositoryIndex(const inference::RepositoryIndexRequest& request,
+                                               inference::RepositoryIndexResponse* response) const {
+  if (!request.repository_name().empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("repository_name: expected none, since there is one repository, received ",
+                     Quoted(request.repository_name())));
+  }
+  for (const auto& served : parts_.registry->List()) {
+    auto* model = response->add_models();
+    model->set_name(served->name);
+    model->set_version(absl::StrCat(served->version));
+    model->set_state("READY");
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelInfer(const ModelInferRequest& request,
+                                          ModelInferResponse* response, DeferredWork* deferred) {
+  const absl::Duration start = parts_.clock->Now();
+  const auto sequence = ReadSequence(request);
+  if (!sequence.ok()) return sequence.status();
+  const auto input = ReadInputs(request);
+  if (!input.ok()) return input.status();
+  if (sequence->start) {
+    if (auto status = Start(request, *sequence); !status.ok()) return status;
+  }
+  const auto served = FindRunning(request, *sequence);
+  if (!served.ok()) return served.status();
+  const std::string& name = (*served)->name;
+  const int64_t version = (*served)->version;
+
+  v1::ActResponse answer;
+  if (auto status = Decide(request, *input, *sequence, **served, &answer, deferred); !status.ok()) {
+    if (sequence->start) status.Update(Close(*sequence));
+    statistics_.CountFailure(name, version, parts_.clock->Now() - start);
+    return status;
+  }
+  response->set_model_name(name);
+  response->set_model_version(absl::StrCat(version));
+  response->set_id(request.id());
+  WriteOutputs(answer, request, *input, response);
+  statistics_.CountSuccess(name, version, absl::Now(), parts_.clock->Now() - start,
+                           absl::Seconds(answer.stats().compute_seconds()));
+  return sequence->end ? End(*sequence) : absl::OkStatus();
+}
+
+absl::Status InferenceHandler::Start(const ModelInferRequest& request,
+                                     const SequenceRequest& sequence) const {
+  const auto opening = ReadOpening(request);
+  if (!opening.ok()) return opening.status();
+  // Whatever ran under this id before; its agent has forgotten it.
+  if (auto status = Close(sequence); !status.ok() && !absl::IsNotFound(status)) return status;
+  v1::OpenSessionResponse opened;
+  return parts_.requests->OpenSessionAs(sequence.session_id, *opening, &opened);
+}
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(
+    const ModelInferRequest& request, const SequenceRequest& sequence) const {
+  const auto version = ReadVersion(request.model_version());
+  if (!version.ok()) return version.status();
+  const auto entry = parts_.store->Find(sequence.session_id);
+  if (!entry.ok() || (*entry)->served->name != request.model_name()) {
+    return absl::NotFoundError(absl::StrCat(
+        "parameters.sequence_id: expected a running sequence of model ",
+        Quoted(request.model_name()), ", received ", Quoted(sequence.id),
+        "; send sequence_start with the first request. A sequence that nobody used for ",
+        absl::FormatDuration(parts_.session_ttl), " is ended"));
+  }
+  const auto& served = (*entry)->served;
+  if (*version == 0 || *version == served->version) return served;
+  return absl::InvalidArgumentError(
+      absl::StrCat("model_version: expected ", served->version,
+                   ", with which the sequence started, or nothing, received ", *version));
+}
+
+absl::Status InferenceHandler::Decide(const ModelInferRequest& request, const InferenceInput& input,
+                                      const SequenceRequest& sequence, const ServedPolicy& served,
+                                      v1::ActResponse* answer, DeferredWork* deferred) const {
+  if (auto status = CheckOutputs(request, OutputSpecs(served.policy())); !status.ok()) {
+    return status;
+  }
+  if (!sequence.start && !input.reward.has_value()) {
+    return absl::InvalidArgumentError(
+        "inputs: expected reward, for the previous action, with every request but the first of a "
+        "sequence, received none");
+  }
+  v1::ActRequest act;
+  act.set_session_id(sequence.session_id);
+  act.mutable_observation()->Add(input.observation.begin(), input.observation.end());
+  act.set_reward(static_cast<double>(input.reward.value_or(0.0f)));
+  return parts_.requests->ActNext(act, answer, deferred);
+}
+
+absl::Status InferenceHandler::End(const SequenceRequest& sequence) const {
+  v1::EndEpisodeRequest end;
+  end.set_session_id(sequence.session_id);
+  end.set_terminated(true);
+  v1::EndEpisodeResponse ended;
+  if (auto status = parts_.requests->EndEpisode(end, &ended); !status.ok()) return status;
+  return Close(sequence);
+}
+
+absl::Status InferenceHandler::Close(const SequenceRequest& sequence) const {
+  v1::CloseSessionRequest close;
+  close.set_session_id(sequence.session_id);
+  v1::CloseSessionResponse closed;
+  return parts_.requests->CloseSession(close, &closed);
+}
+
+}  // namespace spikeserve
