@@ -14,7 +14,7 @@ packages=(
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev libeigen3-dev
   prometheus-cpp-dev libcivetweb-dev libhwy-dev nlohmann-json3-dev zlib1g-dev
   # training only
-  libtorch-dev libopenblas-dev
+  libtorch-dev libopenblas-dev libhdf5-dev
   # tests, benchmarks, demo
   libgtest-dev libgmock-dev libbenchmark-dev prometheus ca-certificates curl python3 python3-venv
 )
