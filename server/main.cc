@@ -29,6 +29,8 @@ ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
           "Sessions open at a time");
+ABSL_FLAG(std::string, record_dir, spikeserve::ServerOptions().record_dir,
+          "Directory in which sessions that ask for it are recorded; empty for none");
 ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
           "How long calls in flight may take to end when the server stops");
 
@@ -46,6 +48,7 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.http_listen = absl::GetFlag(FLAGS_http_listen);
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
+  options.record_dir = absl::GetFlag(FLAGS_record_dir);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
 
   // Blocked before there are threads, so that every thread inherits it and sigwait alone takes

@@ -44,6 +44,10 @@ enum class Method {
 };
 inline constexpr int kMethods = 18;
 
+// What became of an episode that was to be recorded.
+enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
+inline constexpr int kRecordingOutcomes = 3;
+
 class Metrics {
  public:
   Metrics();
@@ -59,6 +63,10 @@ class Metrics {
 
   // Sessions that were idle for their time-to-live.
   void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
+
+  void CountRecordedEpisode(RecordingOutcome outcome) {
+    recorded_episodes_[static_cast<size_t>(outcome)]->Increment();
+  }
 
   // How many sessions may be open at a time.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
@@ -91,6 +99,7 @@ class Metrics {
   prometheus::Family<prometheus::Histogram>& rpc_duration_;
   prometheus::Counter* reaped_idle_;
   prometheus::Gauge* sessions_limit_;
+  std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
   // Made when a method first answers with a code, since most pairs never occur.
   std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
 };

@@ -16,6 +16,7 @@ struct ServerOptions {
   std::string http_listen = "127.0.0.1:9464";  // metrics and health; port 0 picks one; empty: none
   absl::Duration session_ttl = absl::Minutes(10);
   int64_t max_sessions = 100'000;
+  std::string record_dir;  // where sessions that ask for it are recorded; empty: nowhere
   absl::Duration drain_timeout = absl::Seconds(30);
 
   // INVALID_ARGUMENT names the flag, what was expected and what came.

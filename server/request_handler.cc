@@ -61,8 +61,9 @@ void DeferredWork::Run() {
   entries_.clear();
 }
 
-RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store)
-    : registry_(registry), store_(store) {}
+RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store,
+                               Recordings* recordings)
+    : registry_(registry), store_(store), recordings_(recordings) {}
 
 absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
                                           v1::ListPoliciesResponse* response) const {
@@ -80,6 +81,10 @@ absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
 
 absl::Status RequestHandler::OpenSessionAs(std::string id, const v1::OpenSessionRequest& request,
                                            v1::OpenSessionResponse* response) const {
+  if (request.record() && recordings_ == nullptr) {
+    return absl::FailedPreconditionError(
+        "record: expected false, because the server runs without --record_dir, received true");
+  }
   auto served = registry_->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
   auto options = OptionsFromProto(request, **served);
@@ -88,6 +93,11 @@ absl::Status RequestHandler::OpenSessionAs(std::string id, const v1::OpenSession
   auto opened = store_->Open(*served, *std::move(options), std::move(id));
   if (!opened.ok()) return opened.status();
 
+  if (request.record()) {
+    auto recording = Record(*opened);
+    if (!recording.ok()) return recording.status();
+    response->set_recording(*std::move(recording));
+  }
   const Policy& policy = (*served)->policy();
   response->set_session_id(*std::move(opened));
   response->set_policy((*served)->name);
@@ -97,6 +107,15 @@ absl::Status RequestHandler::OpenSessionAs(std::string id, const v1::OpenSession
   response->set_context_length(policy.config.context);
   response->set_target_return(target_return);
   return absl::OkStatus();
+}
+
+absl::StatusOr<std::string> RequestHandler::Record(const std::string& session_id) const {
+  const auto entry = store_->Find(session_id);
+  if (!entry.ok()) return entry.status();
+  std::string name = Recordings::NewName(*(*entry)->served);
+  absl::MutexLock lock(&(*entry)->mutex);
+  (*entry)->agent.RecordTo(recordings_->Record((*entry)->served, name));
+  return name;
 }
 
 absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse* response,
@@ -143,9 +162,13 @@ absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
                                         v1::EndEpisodeResponse* response) const {
   const auto entry = store_->Find(request.session_id());
   if (!entry.ok()) return entry.status();
-  // How the episode ended, terminated or truncated, changes nothing: what is learned is judged by
-  // the rewards that came.
-  EpisodeEnd end = {.reward = request.reward(), .target_return = std::nullopt};
+  // How the episode ended, terminated or truncated, changes nothing but its recording: what is
+  // learned is judged by the rewards that came.
+  EpisodeEnd end = {.reward = request.reward(),
+                    .target_return = std::nullopt,
+                    .terminated = request.terminated(),
+                    .truncated = request.truncated(),
+                    .observation = {request.observation().begin(), request.observation().end()}};
   if (request.has_target_return()) end.target_return = request.target_return();
   absl::MutexLock lock(&(*entry)->mutex);
   const auto summary = (*entry)->agent.EndEpisode(end);

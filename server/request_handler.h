@@ -13,6 +13,7 @@
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
 #include "server/policy_registry.h"
+#include "server/recordings.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -35,8 +36,9 @@ struct LabelLimits {
 
 class RequestHandler {
  public:
-  // Both must outlive the handler.
-  RequestHandler(const PolicyRegistry* registry, SessionStore* store);
+  // All must outlive the handler. Without `recordings` no session is recorded.
+  RequestHandler(const PolicyRegistry* registry, SessionStore* store,
+                 Recordings* recordings = nullptr);
 
   // Each fills in `response` and returns OK, or returns the error that api.md names and leaves the
   // session as it was.
@@ -62,12 +64,16 @@ class RequestHandler {
                             v1::CloseSessionResponse* response) const;
 
  private:
+  // Has the session that was just opened recorded; returns the recording's name.
+  absl::StatusOr<std::string> Record(const std::string& session_id) const;
+
   // At the step that the session expects where `step` is nothing.
   absl::Status ActAt(std::optional<int64_t> step, const v1::ActRequest& request,
                      v1::ActResponse* response, DeferredWork* deferred) const;
 
   const PolicyRegistry* const registry_;
   SessionStore* const store_;
+  Recordings* const recordings_;
 };
 
 }  // namespace spikeserve

@@ -64,22 +64,29 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
   }
 
-  auto server =
-      std::unique_ptr<Server>(new Server(options, *std::move(registry), std::move(metrics)));
+  std::unique_ptr<Recordings> recordings;
+  if (!options.record_dir.empty()) {
+    auto created = Recordings::Create(options.record_dir, metrics.get());
+    if (!created.ok()) return created.status();
+    recordings = *std::move(created);
+  }
+  auto server = std::unique_ptr<Server>(
+      new Server(options, *std::move(registry), std::move(metrics), std::move(recordings)));
   if (auto status = server->StartGrpc(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   return server;
 }
 
 Server::Server(const ServerOptions& options, PolicyRegistry registry,
-               std::unique_ptr<Metrics> metrics)
+               std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings)
     : options_(options),
       metrics_(std::move(metrics)),
       registry_(std::move(registry)),
+      recordings_(std::move(recordings)),
       store_(options.max_sessions, &clock_),
       reaper_(&store_, options.session_ttl,
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
-      handler_(&registry_, &store_),
+      handler_(&registry_, &store_, recordings_.get()),
       service_(Parts()),
       inference_handler_({.registry = &registry_,
                           .store = &store_,

@@ -22,6 +22,7 @@
 #include "server/options.h"
 #include "server/policy_registry.h"
 #include "server/policy_service.h"
+#include "server/recordings.h"
 #include "server/request_handler.h"
 
 namespace spikeserve {
@@ -45,7 +46,8 @@ class Server {
   void Stop();
 
  private:
-  Server(const ServerOptions& options, PolicyRegistry registry, std::unique_ptr<Metrics> metrics);
+  Server(const ServerOptions& options, PolicyRegistry registry, std::unique_ptr<Metrics> metrics,
+         std::unique_ptr<Recordings> recordings);
 
   ServiceParts Parts();
   absl::Status StartGrpc();
@@ -55,6 +57,7 @@ class Server {
   const SteadyClock clock_;
   const std::unique_ptr<Metrics> metrics_;
   const PolicyRegistry registry_;
+  const std::unique_ptr<Recordings> recordings_;  // null: nothing is recorded. Outlives the store
   SessionStore store_;
   SessionReaper reaper_;
   const RequestHandler handler_;

@@ -111,6 +111,10 @@ class Writer {
     status_.Update(file_.WriteAttribute(group, "total_steps", steps));
     status_.Update(file_.WriteAttribute(group, "seed", static_cast<int64_t>(episode.seed)));
     status_.Update(file_.WriteAttribute(group, "actor", episode.actor));
+    if (const auto& served = episode.served) {
+      status_.Update(file_.WriteAttribute(group, "policy", served->policy));
+      status_.Update(file_.WriteAttribute(group, "policy_version", served->version));
+    }
     status_.Update(file_.Write<float>(
         group + "/observations", {steps + 1, dataset_.observation_size}, episode.observations));
     WriteActions(group + "/actions", episode.actions);
@@ -144,7 +148,7 @@ class Writer {
 
   // Infos are of every observation, and the last one has no action: it repeats the one before.
   void WriteInfos(const std::string& group, const Episode& episode) {
-    if (episode.labels.empty() && episode.weights.empty()) return;
+    if (episode.labels.empty() && episode.weights.empty() && !episode.served.has_value()) return;
     status_.Update(file_.CreateGroup(group));
     if (!episode.labels.empty()) {
       std::vector<Action> labels = episode.labels;
@@ -156,6 +160,15 @@ class Writer {
       weights.push_back(weights.back());
       status_.Update(file_.Write<float>(group + "/weight", {episode.steps() + 1, {}}, weights));
     }
+    if (episode.served.has_value()) WriteReturnsToGo(group + "/return_to_go", episode);
+  }
+
+  // What each decision was conditioned on; after the last action G_T = G_{T-1} - r_{T-1}.
+  void WriteReturnsToGo(const std::string& name, const Episode& episode) {
+    std::vector<float> returns = episode.served->returns_to_go;
+    returns.push_back(
+        static_cast<float>(static_cast<double>(returns.back()) - episode.rewards.back()));
+    status_.Update(file_.Write<float>(name, {episode.steps() + 1, {}}, returns));
   }
 
   const Dataset& dataset_;

@@ -13,6 +13,9 @@ absl::Status PoliciesCommand();
 // Plays episodes of an environment that is stepped here, with the decisions of the server.
 absl::Status RunCommand();
 
+// Plays a recorded session again and fails at the first decision that differs.
+absl::Status ReplayCommand();
+
 }  // namespace spikeserve
 
 #endif  // CLIENT_SPIKECTL_COMMANDS_H_

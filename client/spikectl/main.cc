@@ -24,6 +24,8 @@ struct Command {
 constexpr Command kCommands[] = {
     {"policies", "list every policy version served", PoliciesCommand},
     {"run", "play episodes of an environment stepped here, acting over gRPC", RunCommand},
+    {"replay", "play a recorded session again and compare every decision, bit for bit",
+     ReplayCommand},
 };
 
 std::string Usage() {

@@ -11,12 +11,15 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
 #include "core/engine/engine.h"
 #include "core/session/clock.h"
+#include "core/session/episode_recorder.h"
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
 
@@ -25,7 +28,10 @@ namespace spikeserve {
 // How an episode ends.
 struct EpisodeEnd {
   double reward = 0.0;                  // for the last action
-  std::optional<double> target_return;  // G_0 of the next episode; absent: the session's own
+  std::optional<double> target_return = std::nullopt;  // G_0 of the next; absent: the session's own
+  bool terminated = false;
+  bool truncated = false;
+  std::vector<float> observation = {};  // [obs], what the last action led to; empty: unknown
 };
 
 // What a learning session took from an episode.
@@ -68,9 +74,12 @@ class AgentSession {
 
   // Ends the running episode and makes the session ready for the next, whose first step is 0.
   // FAILED_PRECONDITION if no decision was made since the last end (so an end that is repeated
-  // counts once); INVALID_ARGUMENT for a number that is not finite. Errors leave the session as it
-  // was.
+  // counts once); INVALID_ARGUMENT for a number that is not finite, or an observation of another
+  // length. Errors leave the session as it was.
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
+
+  // Has the episodes from the next one on recorded.
+  void RecordTo(std::unique_ptr<EpisodeRecorder> recorder) { recorder_ = std::move(recorder); }
 
   // Gives the cache back; the next decision rebuilds it.
   void DropContext();
@@ -95,9 +104,10 @@ class AgentSession {
   std::shared_ptr<const ServedPolicy> served_;
   const Clock* clock_;
   Session session_;
-  std::unique_ptr<Engine::Context> context_;  // null: to be rebuilt
-  std::optional<Linear> head_;                // the learner's; absent where the policy's serves
-  bool action_pending_ = false;               // the context still lacks the last timestep's action
+  std::unique_ptr<Engine::Context> context_;   // null: to be rebuilt
+  std::optional<Linear> head_;                 // the learner's; absent where the policy's serves
+  std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded
+  bool action_pending_ = false;                // the context still lacks the last timestep's action
 };
 
 // A new session's value, at step 0 of its first episode.

@@ -6,11 +6,11 @@ import grpc
 import gymnasium
 import numpy
 import pytest
+from documentation import run_examples
 from google.protobuf import descriptor_pool
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
     ProtoReflectionDescriptorDatabase,
 )
-from documentation import run_examples
 from serving import DEADLINE_SECONDS
 from tritonclient import grpc as triton
 from tritonclient.grpc import service_pb2
