@@ -1,10 +1,13 @@
 #include "server/inference_handler.h"
 
+#include <map>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "core/model/json.h"
+#include "server/policy_repository.h"
 
 namespace spikeserve {
 namespace {
@@ -39,6 +42,22 @@ void FillConfig(const ServedPolicy& served, absl::Duration session_ttl,
       static_cast<uint64_t>(absl::ToInt64Microseconds(session_ttl)));
 }
 
+// Every policy version that is served, by name, then version.
+std::vector<std::shared_ptr<const ServedPolicy>> ListServed(const PolicyRegistry& registry) {
+  std::vector<std::shared_ptr<const ServedPolicy>> list;
+  const auto catalog = registry.catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    for (const auto& [version, served] : policy.versions) list.push_back(served);
+  }
+  return list;
+}
+
+absl::Status CheckRepository(const std::string& name) {
+  if (name.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "repository_name: expected none, since there is one repository, received ", Quoted(name)));
+}
+
 void FillTensor(const TensorSpec& spec,
                 inference::ModelMetadataResponse::TensorMetadata* metadata) {
   metadata->set_name(spec.name);
@@ -52,7 +71,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindPolicy
     const std::string& name, const std::string& version) const {
   const auto number = ReadVersion(version);
   if (!number.ok()) return number.status();
-  return parts_.registry->Find(name, *number);
+  return parts_.registry->catalog()->Find(name, *number);
 }
 
 absl::Status InferenceHandler::ModelReady(const inference::ModelReadyRequest& request,
@@ -65,8 +84,8 @@ absl::Status InferenceHandler::ServerMetadata(const inference::ServerMetadataReq
                                               inference::ServerMetadataResponse* response) const {
   response->set_name(kPlatform);
   response->set_version(SPIKESERVE_VERSION);
-  for (const char* extension :
-       {"sequence", "sequence(string_id)", "model_configuration", "statistics"}) {
+  for (const char* extension : {"sequence", "sequence(string_id)", "model_repository",
+                                "model_configuration", "statistics"}) {
     response->add_extensions(extension);
   }
   return absl::OkStatus();
@@ -77,7 +96,7 @@ absl::Status InferenceHandler::ModelMetadata(const inference::ModelMetadataReque
   const auto served = FindPolicy(request.name(), request.version());
   if (!served.ok()) return served.status();
   response->set_name(request.name());
-  for (const auto& other : parts_.registry->List()) {
+  for (const auto& other : ListServed(*parts_.registry)) {
     if (other->name == request.name()) response->add_versions(absl::StrCat(other->version));
   }
   response->set_platform(kPlatform);
@@ -102,7 +121,7 @@ absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsR
     const auto served = FindPolicy(request.name(), request.version());
     if (!served.ok()) return served.status();
   }
-  for (const auto& served : parts_.registry->List()) {
+  for (const auto& served : ListServed(*parts_.registry)) {
     if (!request.name().empty() && served->name != request.name()) continue;
     if (!request.version().empty() && absl::StrCat(served->version) != request.version()) continue;
     *response->add_model_stats() = statistics_.Get(served->name, served->version);
@@ -112,16 +131,66 @@ absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsR
 
 absl::Status InferenceHandler::RepositoryIndex(const inference::RepositoryIndexRequest& request,
                                                inference::RepositoryIndexResponse* response) const {
-  if (!request.repository_name().empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("repository_name: expected none, since there is one repository, received ",
-                     Quoted(request.repository_name())));
+  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  const auto folders = ListPolicyFolders(parts_.registry->directory());
+  if (!folders.ok()) return folders.status();
+  std::map<PolicyVersion, bool> ready;
+  for (const PolicyVersion& version : folders->versions) ready[version] = false;
+  for (const auto& served : ListServed(*parts_.registry)) {
+    ready[{served->name, served->version}] = true;
   }
-  for (const auto& served : parts_.registry->List()) {
+  for (const auto& [version, is_ready] : ready) {
+    if (request.ready() && !is_ready) continue;
     auto* model = response->add_models();
-    model->set_name(served->name);
-    model->set_version(absl::StrCat(served->version));
-    model->set_state("READY");
+    model->set_name(version.policy);
+    model->set_version(absl::StrCat(version.version));
+    model->set_state(is_ready ? "READY" : "UNAVAILABLE");
+    if (!is_ready) model->set_reason("not loaded");
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::RepositoryModelLoad(
+    const inference::RepositoryModelLoadRequest& request,
+    inference::RepositoryModelLoadResponse* /*response*/) const {
+  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  if (!request.parameters().empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("parameters: expected none, since a model is what its file says, received ",
+                     Quoted(request.parameters().begin()->first)));
+  }
+  const auto folders = ListPolicyFolders(parts_.registry->directory());
+  if (!folders.ok()) return folders.status();
+  absl::Status status = absl::NotFoundError(
+      absl::StrCat("model_name: expected a policy in the policy directory, received ",
+                   Quoted(request.model_name())));
+  bool found = false;
+  for (const PolicyVersion& version : folders->versions) {
+    if (version.policy != request.model_name()) continue;
+    if (!std::exchange(found, true)) status = absl::OkStatus();
+    status.Update(parts_.registry->LoadVersion(version).status());
+  }
+  return status;
+}
+
+absl::Status InferenceHandler::RepositoryModelUnload(
+    const inference::RepositoryModelUnloadRequest& request,
+    inference::RepositoryModelUnloadResponse* /*response*/) const {
+  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  const auto catalog = parts_.registry->catalog();
+  const auto policy = catalog->FindPolicy(request.model_name());
+  if (!policy.ok()) return policy.status();
+  for (const auto& [version, served] : (*policy)->versions) {
+    if (const std::string use = (*policy)->UseOf(version); !use.empty()) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("model_name: expected a policy of which no version is set to anything, "
+                       "received one whose version ",
+                       version, " is (", use, ")"));
+    }
+  }
+  for (const auto& [version, served] : (*policy)->versions) {
+    auto status = parts_.registry->Unload({.policy = request.model_name(), .version = version});
+    if (!status.ok()) return status;
   }
   return absl::OkStatus();
 }

@@ -30,7 +30,7 @@ class InferenceHandler {
  public:
   // All must outlive the handler.
   struct Parts {
-    const PolicyRegistry* registry;
+    PolicyRegistry* registry;
     SessionStore* store;
     const RequestHandler* requests;
     const Clock* clock;
@@ -53,6 +53,13 @@ class InferenceHandler {
                                inference::ModelStatisticsResponse* response) const;
   absl::Status RepositoryIndex(const inference::RepositoryIndexRequest& request,
                                inference::RepositoryIndexResponse* response) const;
+  // Where some versions cannot be read the others are, and the first error is returned. NOT_FOUND
+  // for a model without a version in the policy directory.
+  absl::Status RepositoryModelLoad(const inference::RepositoryModelLoadRequest& request,
+                                   inference::RepositoryModelLoadResponse* response) const;
+  // FAILED_PRECONDITION while an operator's setting points at one of its versions; then all stay.
+  absl::Status RepositoryModelUnload(const inference::RepositoryModelUnloadRequest& request,
+                                     inference::RepositoryModelUnloadResponse* response) const;
 
   // One decision. INVALID_ARGUMENT without a sequence id; NOT_FOUND for a sequence that does not
   // run, where the request does not start it. A start ends a sequence of the same id that still

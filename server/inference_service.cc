@@ -110,4 +110,20 @@ grpc::ServerUnaryReactor* InferenceService::RepositoryIndex(
                      [&](DeferredWork*) { return handler_->RepositoryIndex(*request, response); });
 }
 
+grpc::ServerUnaryReactor* InferenceService::RepositoryModelLoad(
+    grpc::CallbackServerContext*, const inference::RepositoryModelLoadRequest* request,
+    inference::RepositoryModelLoadResponse* response) {
+  return AnswerUnary(parts_, Method::kRepositoryModelLoad, [&](DeferredWork*) {
+    return handler_->RepositoryModelLoad(*request, response);
+  });
+}
+
+grpc::ServerUnaryReactor* InferenceService::RepositoryModelUnload(
+    grpc::CallbackServerContext*, const inference::RepositoryModelUnloadRequest* request,
+    inference::RepositoryModelUnloadResponse* response) {
+  return AnswerUnary(parts_, Method::kRepositoryModelUnload, [&](DeferredWork*) {
+    return handler_->RepositoryModelUnload(*request, response);
+  });
+}
+
 }  // namespace spikeserve

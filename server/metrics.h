@@ -21,7 +21,7 @@
 
 namespace spikeserve {
 
-// The calls of PolicyService, then those of GRPCInferenceService.
+// The calls of PolicyService, PolicyAdmin and GRPCInferenceService, in this order.
 enum class Method {
   kListPolicies,
   kOpenSession,
@@ -31,6 +31,15 @@ enum class Method {
   kEndEpisode,
   kGetSession,
   kCloseSession,
+  kLoadPolicy,
+  kUnloadPolicy,
+  kReloadPolicies,
+  kSetDefaultVersion,
+  kSetLabel,
+  kRemoveLabel,
+  kSetTraffic,
+  kListSessions,
+  kDrain,
   kServerLive,
   kServerReady,
   kModelReady,
@@ -41,8 +50,10 @@ enum class Method {
   kModelConfig,
   kModelStatistics,
   kRepositoryIndex,
+  kRepositoryModelLoad,
+  kRepositoryModelUnload,
 };
-inline constexpr int kMethods = 18;
+inline constexpr int kMethods = 29;
 
 // What became of an episode that was to be recorded.
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
@@ -70,6 +81,9 @@ class Metrics {
 
   // How many sessions may be open at a time.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
+
+  // For figures that are kept elsewhere; what they belong to must not outlive these metrics.
+  prometheus::Registry& registry() { return registry_; }
 
   // Everything, this process's use of its machine included, in Prometheus's text format.
   std::string ToText() const;

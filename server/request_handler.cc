@@ -51,25 +51,57 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   return options;
 }
 
+// The version a new session gets. Without a routing key the session's id divides the traffic.
+absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const std::string& id,
+                                  const PolicyCatalog& catalog) {
+  const std::string& key = request.routing_key();
+  if (key.size() > LabelLimits::kBytes) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "routing_key: expected at most ", LabelLimits::kBytes, " bytes, received ", key.size()));
+  }
+  return catalog.Choose({.policy = request.policy(),
+                         .version = request.version(),
+                         .label = request.version_label(),
+                         .routing_key = key.empty() ? id : key});
+}
+
+// What the shadow of a session is to see of the decision that was just made.
+ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
+  return {.episode = session.episode,
+          .step = session.last_answer->step,
+          .observation = {request.observation().begin(), request.observation().end()},
+          .reward = request.reward(),
+          .target_return = session.target_return,
+          .served = *session.last_answer};
+}
+
 }  // namespace
 
 void DeferredWork::Run() {
   for (const auto& entry : entries_) {
     absl::MutexLock lock(&entry->mutex);
     entry->agent.AppendPendingAction();
+    if (entry->shadow == nullptr || entry->shadow_steps.empty()) continue;
+    shadows_->Submit(entry->shadow, entry->served->version, std::exchange(entry->shadow_steps, {}));
   }
   entries_.clear();
 }
 
 RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store,
-                               Recordings* recordings)
-    : registry_(registry), store_(store), recordings_(recordings) {}
+                               ShadowRunner* shadows, const Clock* clock, Recordings* recordings)
+    : registry_(registry),
+      store_(store),
+      shadows_(shadows),
+      clock_(clock),
+      recordings_(recordings) {}
 
 absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
                                           v1::ListPoliciesResponse* response) const {
-  for (const auto& served : registry_->List()) {
-    const bool is_default = registry_->DefaultVersion(served->name) == served->version;
-    *response->add_policies() = ToProto(*served, is_default);
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    for (const auto& [version, served] : policy.versions) {
+      *response->add_policies() = ToProto(policy, *served);
+    }
   }
   return absl::OkStatus();
 }
@@ -79,29 +111,35 @@ absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
   return OpenSessionAs("", request, response);
 }
 
-absl::Status RequestHandler::OpenSessionAs(std::string id, const v1::OpenSessionRequest& request,
+absl::Status RequestHandler::OpenSessionAs(std::string session_id,
+                                           const v1::OpenSessionRequest& request,
                                            v1::OpenSessionResponse* response) const {
-  if (request.record() && recordings_ == nullptr) {
-    return absl::FailedPreconditionError(
-        "record: expected false, because the server runs without --record_dir, received true");
-  }
-  auto served = registry_->Find(request.policy(), request.version());
-  if (!served.ok()) return served.status();
-  auto options = OptionsFromProto(request, **served);
+  absl::StatusOr<std::string> id = std::move(session_id);
+  if (id->empty()) id = NewSessionId();
+  if (!id.ok()) return id.status();
+  const auto route = ChooseRoute(request, *id, *registry_->catalog());
+  if (!route.ok()) return route.status();
+  const ServedPolicy& served = *route->served;
+  auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
   const double target_return = options->target_return;
-  auto opened = store_->Open(*served, *std::move(options), std::move(id));
-  if (!opened.ok()) return opened.status();
-
-  if (request.record()) {
-    auto recording = Record(*opened);
-    if (!recording.ok()) return recording.status();
-    response->set_recording(*std::move(recording));
+  SessionExtras extras;
+  extras.id = *std::move(id);
+  if (route->shadow != nullptr) {
+    extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
   }
-  const Policy& policy = (*served)->policy();
-  response->set_session_id(*std::move(opened));
-  response->set_policy((*served)->name);
-  response->set_version((*served)->version);
+  if (request.record()) {
+    auto recorder = NewRecorder(route->served, response->mutable_recording());
+    if (!recorder.ok()) return recorder.status();
+    extras.recorder = *std::move(recorder);
+  }
+  id = store_->Open(route->served, *std::move(options), std::move(extras));
+  if (!id.ok()) return id.status();
+
+  const Policy& policy = served.policy();
+  response->set_session_id(*std::move(id));
+  response->set_policy(served.name);
+  response->set_version(served.version);
   response->set_observation_size(policy.observation_size());
   *response->mutable_action_space() = ToProto(policy.action_space);
   response->set_context_length(policy.config.context);
@@ -109,13 +147,14 @@ absl::Status RequestHandler::OpenSessionAs(std::string id, const v1::OpenSession
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::string> RequestHandler::Record(const std::string& session_id) const {
-  const auto entry = store_->Find(session_id);
-  if (!entry.ok()) return entry.status();
-  std::string name = Recordings::NewName(*(*entry)->served);
-  absl::MutexLock lock(&(*entry)->mutex);
-  (*entry)->agent.RecordTo(recordings_->Record((*entry)->served, name));
-  return name;
+absl::StatusOr<std::unique_ptr<EpisodeRecorder>> RequestHandler::NewRecorder(
+    const std::shared_ptr<const ServedPolicy>& served, std::string* name) const {
+  if (recordings_ == nullptr) {
+    return absl::FailedPreconditionError(
+        "record: expected false, because the server runs without --record_dir, received true");
+  }
+  *name = Recordings::NewName(*served);
+  return recordings_->Record(served, *name);
 }
 
 absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse* response,
@@ -135,12 +174,18 @@ absl::Status RequestHandler::ActAt(std::optional<int64_t> step, const v1::ActReq
   {
     absl::MutexLock lock(&(*entry)->mutex);
     AgentSession& agent = (*entry)->agent;
+    const Session& session = agent.session();
+    const uint64_t decisions = session.decisions;
     const auto answer =
-        agent.Act(step.value_or(agent.session().step), request.observation(), request.reward());
+        agent.Act(step.value_or(session.step), request.observation(), request.reward());
     if (!answer.ok()) return answer.status();
+    const bool is_retry = session.decisions == decisions;
+    if ((*entry)->shadow != nullptr && !is_retry) {
+      (*entry)->shadow_steps.push_back(MakeShadowStep(request, session));
+    }
     ToProto(request.session_id(), **answer, (*entry)->served->policy(), response);
   }
-  deferred->Add(*std::move(entry));
+  deferred->Add(*std::move(entry), shadows_);
   return absl::OkStatus();
 }
 

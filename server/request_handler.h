@@ -14,31 +14,38 @@
 #include "core/session/session_store.h"
 #include "server/policy_registry.h"
 #include "server/recordings.h"
+#include "server/shadow_runner.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
-// What is left to do once an answer has been sent: the action tokens of the sessions that decided.
+// What is left to do once an answer has been sent: the action tokens of the sessions that decided,
+// and what their shadows are to see.
 class DeferredWork {
  public:
-  void Add(std::shared_ptr<SessionEntry> entry) { entries_.push_back(std::move(entry)); }
+  // `shadows` must outlive this object.
+  void Add(std::shared_ptr<SessionEntry> entry, ShadowRunner* shadows) {
+    entries_.push_back(std::move(entry));
+    shadows_ = shadows;
+  }
   void Run();
 
  private:
   std::vector<std::shared_ptr<SessionEntry>> entries_;
+  ShadowRunner* shadows_ = nullptr;
 };
 
-// Bounds on what one OpenSession can make the server keep.
+// Bounds on what one OpenSession can make the server keep or hash.
 struct LabelLimits {
   static constexpr int kLabels = 32;
-  static constexpr size_t kBytes = 256;  // of a key or a value
+  static constexpr size_t kBytes = 256;  // of a key, a value or a routing key
 };
 
 class RequestHandler {
  public:
   // All must outlive the handler. Without `recordings` no session is recorded.
-  RequestHandler(const PolicyRegistry* registry, SessionStore* store,
-                 Recordings* recordings = nullptr);
+  RequestHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
+                 const Clock* clock, Recordings* recordings = nullptr);
 
   // Each fills in `response` and returns OK, or returns the error that api.md names and leaves the
   // session as it was.
@@ -64,8 +71,9 @@ class RequestHandler {
                             v1::CloseSessionResponse* response) const;
 
  private:
-  // Has the session that was just opened recorded; returns the recording's name.
-  absl::StatusOr<std::string> Record(const std::string& session_id) const;
+  // Records a session of `served` under a new `name`.
+  absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
+      const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;
 
   // At the step that the session expects where `step` is nothing.
   absl::Status ActAt(std::optional<int64_t> step, const v1::ActRequest& request,
@@ -73,6 +81,8 @@ class RequestHandler {
 
   const PolicyRegistry* const registry_;
   SessionStore* const store_;
+  ShadowRunner* const shadows_;
+  const Clock* const clock_;
   Recordings* const recordings_;
 };
 

@@ -11,9 +11,10 @@
 #include "train/minari_file.h"
 #include "train/record.h"
 
-ABSL_FLAG(std::string, recordings, "",
-          "dataset: episodes that a server recorded (its --record_dir, or one session in it) instead "
-          "of new ones; with --env, only those of it");
+ABSL_FLAG(
+    std::string, recordings, "",
+    "dataset: episodes that a server recorded (its --record_dir, or one session in it) instead "
+    "of new ones; with --env, only those of it");
 
 namespace spikeserve {
 namespace {
@@ -24,7 +25,10 @@ absl::StatusOr<Dataset> FromRecordings(const std::string& path) {
     return absl::Status(recordings.status().code(),
                         absl::StrCat("recordings: ", recordings.status().message()));
   }
-  return Concatenate(*std::move(recordings));
+  const size_t episodes = recordings->size();
+  absl::StatusOr<Dataset> dataset = Concatenate(*std::move(recordings));
+  if (dataset.ok()) dataset->recipe = {{"recordings", path}, {"episodes", episodes}};
+  return dataset;
 }
 
 absl::StatusOr<Dataset> FromExpert() {

@@ -2,6 +2,7 @@
 
 #include <sys/random.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <utility>
 #include <vector>
@@ -15,19 +16,18 @@
 namespace spikeserve {
 namespace {
 
-// From the kernel, so that nobody can guess another agent's session.
-absl::StatusOr<std::string> NewSessionId() {
-  char bytes[16];
-  if (getentropy(bytes, sizeof(bytes)) != 0) return absl::ErrnoToStatus(errno, "getentropy");
-  return absl::BytesToHexString(absl::string_view(bytes, sizeof(bytes)));
-}
-
 absl::Status NoSuchSession(absl::string_view id) {
   return absl::NotFoundError(
       absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
 }
 
 }  // namespace
+
+absl::StatusOr<std::string> NewSessionId() {
+  char bytes[16];
+  if (getentropy(bytes, sizeof(bytes)) != 0) return absl::ErrnoToStatus(errno, "getentropy");
+  return absl::BytesToHexString(absl::string_view(bytes, sizeof(bytes)));
+}
 
 SessionStore::SessionStore(int64_t max_sessions, const Clock* clock)
     : max_sessions_(max_sessions), clock_(clock) {}
@@ -37,12 +37,13 @@ SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
 }
 
 absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolicy> served,
-                                               SessionOptions options, std::string id) {
-  if (id.empty()) {
-    auto new_id = NewSessionId();
-    if (!new_id.ok()) return new_id;
-    id = *std::move(new_id);
+                                               SessionOptions options, SessionExtras extras) {
+  if (draining()) {
+    return absl::UnavailableError("draining: the server takes no new sessions; try another");
   }
+  absl::StatusOr<std::string> id = std::move(extras.id);
+  if (id->empty()) id = NewSessionId();
+  if (!id.ok()) return id;
   if (size_.fetch_add(1) >= max_sessions_) {
     size_.fetch_sub(1);
     return absl::ResourceExhaustedError(
@@ -51,18 +52,23 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
   }
   const std::shared_ptr<SessionObserver> observer = served->observer;
   Slot slot = {.entry = std::make_shared<SessionEntry>(std::move(served),
-                                                       NewSession(id, std::move(options)), clock_),
+                                                       NewSession(*id, std::move(options)), clock_),
                .last_used = clock_->Now()};
-  Shard& shard = ShardOf(id);
+  slot.entry->shadow = std::move(extras.shadow);
+  if (extras.recorder != nullptr) {
+    absl::MutexLock lock(&slot.entry->mutex);
+    slot.entry->agent.RecordTo(std::move(extras.recorder));
+  }
+  Shard& shard = ShardOf(*id);
   bool is_new = false;
   {
     absl::MutexLock lock(&shard.mutex);
-    is_new = shard.slots.try_emplace(id, std::move(slot)).second;
+    is_new = shard.slots.try_emplace(*id, std::move(slot)).second;
   }
   if (!is_new) {
     size_.fetch_sub(1);
     return absl::AlreadyExistsError(
-        absl::StrCat("session_id: expected one that is not open, received ", Quoted(id)));
+        absl::StrCat("session_id: expected one that is not open, received ", Quoted(*id)));
   }
   observer->OnOpen();
   return id;
@@ -91,6 +97,20 @@ absl::Status SessionStore::Close(absl::string_view id) {
   size_.fetch_sub(1);
   entry->served->observer->OnClose();
   return absl::OkStatus();
+}
+
+std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const ServedPolicy&)> wanted) {
+  const absl::Duration now = clock_->Now();
+  std::vector<ListedSession> list;
+  for (Shard& shard : shards_) {
+    absl::MutexLock lock(&shard.mutex);
+    for (const auto& [id, slot] : shard.slots) {
+      if (!wanted(*slot.entry->served)) continue;
+      list.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});
+    }
+  }
+  std::sort(list.begin(), list.end(), [](const auto& a, const auto& b) { return a.id < b.id; });
+  return list;
 }
 
 int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {

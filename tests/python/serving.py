@@ -24,7 +24,7 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server(policies=SHIPPED_POLICIES):
+def running_server(policies=SHIPPED_POLICIES, flags=()):
     """Yields the Addresses of a server with the policies in a folder; SIGTERM must end it well."""
     server = subprocess.Popen(
         [
@@ -32,6 +32,7 @@ def running_server(policies=SHIPPED_POLICIES):
             f"--policies={policies}",
             "--listen=127.0.0.1:0",
             "--http_listen=127.0.0.1:0",
+            *flags,
         ],
         stdout=subprocess.PIPE,
         text=True,
