@@ -30,6 +30,8 @@ ABSL_FLAG(absl::Duration, poll_policies, spikeserve::ServerOptions().poll_polici
           "an operator asks");
 ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
+ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_after,
+          "Sessions that nobody used for this long give back what their next decision can rebuild");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
           "Sessions open at a time");
 ABSL_FLAG(std::string, record_dir, spikeserve::ServerOptions().record_dir,
@@ -51,6 +53,7 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.http_listen = absl::GetFlag(FLAGS_http_listen);
   options.poll_policies = absl::GetFlag(FLAGS_poll_policies);
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
+  options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
   options.record_dir = absl::GetFlag(FLAGS_record_dir);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);

@@ -146,8 +146,7 @@ absl::Status CheckReplayable(const std::vector<Dataset>& recording) {
     const ServedEpisode& first = ServedOf(recording[0]);
     if (served.learning) {
       return absl::InvalidArgumentError(
-          "recording: expected a session without learning, got one whose head moved while it "
-          "decided");
+          "recording: expected a session with the policy's head, got one that learned");
     }
     if (served.policy != first.policy || served.version != first.version ||
         served.seed != first.seed ||

@@ -26,7 +26,7 @@ struct ServedEpisode {
   double target_return = 0.0;        // G_0
   uint64_t seed = 0;                 // of its session
   std::optional<float> temperature;  // of the draws; absent: greedy
-  bool learning = false;             // the head moved while it decided
+  bool learning = false;             // its head was not the policy's: it learned, or had
   std::map<std::string, std::string> labels;
   std::vector<float> returns_to_go;  // [steps], what each decision was conditioned on
   std::vector<float> probabilities;  // [steps, n]; Discrete spaces only

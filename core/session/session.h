@@ -17,17 +17,9 @@
 #include "core/learning/learner.h"
 #include "core/learning/learning_options.h"
 #include "core/model/action_space.h"
+#include "core/session/history.h"
 
 namespace spikeserve {
-
-// One timestep of the past, as the model saw it.
-struct Timestep {
-  float return_to_go = 0.0f;
-  std::vector<float> observation;  // environment units
-  Action action;
-
-  friend bool operator==(const Timestep&, const Timestep&) = default;
-};
 
 // The answer to one Act, kept so that a retry gets it byte for byte.
 struct Answer {
@@ -49,7 +41,8 @@ struct SessionOptions {
   uint64_t seed = 0;
   ActionSelection action_selection;
   std::map<std::string, std::string> labels;
-  std::optional<LearningOptions> learning;  // absent: the policy's head stays frozen
+  std::optional<LearningOptions> learning;  // absent: the head stays as it is
+  std::vector<float> head_delta;  // [act, d]: what the head starts as beyond W_base; empty: W_base
 };
 
 struct Session {
@@ -64,7 +57,7 @@ struct Session {
   double episode_return = 0.0;  // rewards received so far
   uint64_t episode_spikes = 0;
   double episode_energy_joules = 0.0;
-  std::vector<Timestep> history;  // the last timesteps, oldest first, at most HistorySize() of them
+  History history;  // the last timesteps, at most HistorySize() of them
   std::optional<Answer> last_answer;
 
   // Over the session's life.
@@ -72,7 +65,7 @@ struct Session {
       0;  // also the counter of its random draws, keyed by (options.seed, decisions)
   uint64_t spikes = 0;
   double energy_joules = 0.0;
-  std::optional<Learner> learner;  // the private head; present where options.learning is
+  std::optional<Learner> learner;  // present where options.learning is
 };
 
 // A compact binary form (CBOR) and back, equal bit for bit. INVALID_ARGUMENT if `bytes` is not such

@@ -81,6 +81,7 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_vi
   const auto it = shard.slots.find(id);
   if (it == shard.slots.end()) return NoSuchSession(id);
   it->second.last_used = now;
+  it->second.compacted = false;
   return it->second.entry;
 }
 
@@ -130,6 +131,28 @@ int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
   size_.fetch_sub(static_cast<int64_t>(idle.size()));
   for (const auto& entry : idle) entry->served->observer->OnClose();
   return static_cast<int64_t>(idle.size());
+}
+
+int64_t SessionStore::CompactIdle(absl::Duration idle_for) {
+  const absl::Duration oldest = clock_->Now() - idle_for;
+  int64_t compacted = 0;
+  for (Shard& shard : shards_) {
+    std::vector<std::shared_ptr<SessionEntry>> idle;
+    {
+      absl::MutexLock lock(&shard.mutex);
+      for (auto& [id, slot] : shard.slots) {
+        if (slot.compacted || slot.last_used > oldest || slot.entry.use_count() > 1) continue;
+        slot.compacted = true;
+        idle.push_back(slot.entry);
+      }
+    }
+    for (const auto& entry : idle) {
+      absl::MutexLock lock(&entry->mutex);
+      entry->agent.Compact();
+    }
+    compacted += static_cast<int64_t>(idle.size());
+  }
+  return compacted;
 }
 
 }  // namespace spikeserve

@@ -86,12 +86,17 @@ class SessionStore {
   // many.
   int64_t RemoveIdle(absl::Duration time_to_live);
 
+  // Compacts every session that nobody holds and nobody has used for `idle_for`, once until it is
+  // used again; returns how many. It goes on bit for bit as it would have.
+  int64_t CompactIdle(absl::Duration idle_for);
+
   int64_t size() const { return size_.load(std::memory_order_relaxed); }
 
  private:
   struct Slot {
     std::shared_ptr<SessionEntry> entry;
     absl::Duration last_used;  // on the clock
+    bool compacted = false;    // since then
   };
   struct Shard {
     absl::Mutex mutex;
