@@ -38,6 +38,11 @@ ABSL_FLAG(absl::optional<std::string>, phase_clock, absl::nullopt,
 ABSL_FLAG(absl::optional<std::string>, merge, absl::nullopt, "train: sum (default) or concat");
 ABSL_FLAG(absl::optional<std::string>, gate, absl::nullopt, "train: softmax (default) or sigmoid");
 
+// Unset: what suits the environment. Small numbers tell returns near the end of an episode apart.
+ABSL_FLAG(absl::optional<double>, return_offset, absl::nullopt,
+          "train: the return token's input is (G - return_offset) / return_scale");
+ABSL_FLAG(absl::optional<double>, return_scale, absl::nullopt, "train: see --return_offset");
+
 ABSL_FLAG(int, iterations, TrainOptions{}.iterations, "train: iterations");
 ABSL_FLAG(int, batch, TrainOptions{}.batch, "train: clips an iteration");
 ABSL_FLAG(int, clip_steps, TrainOptions{}.clip_steps,
@@ -125,6 +130,11 @@ std::pair<float, float> ReturnMoments(const Dataset& dataset) {
 }
 
 absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
+  const double scale = absl::GetFlag(FLAGS_return_scale).value_or(1.0);
+  if (!(scale > 0.0) || !std::isfinite(scale)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("return_scale: expected a number above 0, got ", scale));
+  }
   ModelConfig config;
   if (auto status = ShapeFlags(&config, /*fixed=*/false).Apply(); !status.ok()) return status;
   const absl::StatusOr<ReturnScaling> returns = ReturnScalingOf(dataset.environment);
@@ -134,8 +144,10 @@ absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
   const Moments moments = ObservationMoments(dataset);
   policy.weights.observation_mean.values = moments.mean;
   policy.weights.observation_std.values = moments.std;
-  policy.return_offset = returns->offset;
-  policy.return_scale = returns->scale;
+  policy.return_offset =
+      static_cast<float>(absl::GetFlag(FLAGS_return_offset).value_or(returns->offset));
+  policy.return_scale =
+      static_cast<float>(absl::GetFlag(FLAGS_return_scale).value_or(returns->scale));
   policy.target_return = returns->target;
   std::tie(policy.modulator_mean, policy.modulator_std) = ReturnMoments(dataset);
   policy.environment = dataset.environment;
