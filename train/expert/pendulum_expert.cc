@@ -1,9 +1,9 @@
 // Pendulum: the undiscounted return on 1440 angles x 1281 velocities x 41 torques, and one step of
 // lookahead.
 //
-// `robust` expects every torque to be disturbed by -2, 0 or 2 N m (720 x 641 x 21), `cautious` by
-// -1, 0 or 1: the optimal swing-up has no margin, and who imitates it imperfectly pays for one more
-// swing. Nothing can be held still under a disturbance, so their return is discounted.
+// `robust` expects every torque to be disturbed by -2, 0 or 2 N m (720 x 641 x 21), `cautious`
+// every second by -1 or 1: the optimal swing-up has no margin, and who imitates it imperfectly pays
+// for one more swing. Nothing can be held still under a disturbance, so their return is discounted.
 #include <algorithm>
 #include <memory>
 #include <numbers>
@@ -54,8 +54,8 @@ absl::StatusOr<std::unique_ptr<Expert>> MakePendulumExpert(const ExpertOptions& 
     problem.choices = Torques(21, {-2.0f, 0.0f, 2.0f});
     problem.discount = 0.99;
   } else if (cautious) {
-    problem.choices = Torques(21, {-1.0f, 0.0f, 1.0f});
-    problem.discount = 0.995;
+    problem.choices = Torques(21, {-1.0f, 0.0f, 0.0f, 1.0f});
+    problem.discount = 0.99;
   } else {
     problem.choices = Torques(41, {0.0f});
     axes = {{{-pi, pi, 1440, true}, {-8.0, 8.0, 1281}}};
