@@ -67,6 +67,13 @@ def record_with_minari(environment_id: str, directory: pathlib.Path) -> None:
     storage.update_metadata({"dataset_id": directory.name, "minari_version": minari.__version__})
 
 
+def test_an_environment_that_is_not_ours_is_trained_and_not_played(tmp_path):
+    directory = tmp_path / "car-random-v0"
+    record_with_minari("MountainCarContinuous-v0", directory)
+    assert spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY) == ""
+    assert (tmp_path / "run" / "policy.safetensors").exists()
+
+
 @pytest.mark.parametrize("environment_id", ["CartPole-v1", "Pendulum-v1"])
 def test_spiketrain_trains_on_minari_data(environment_id, tmp_path):
     directory = tmp_path / "random-v0"
