@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "core/environment/environment.h"
 #include "core/model/atomic_file.h"
 #include "train/hdf5_file.h"
 
@@ -23,17 +24,21 @@ constexpr char kMetadata[] = "/data/metadata.json";
 constexpr char kData[] = "/data/main_data.hdf5";
 constexpr char kOwn[] = "spikeserve";  // key of our own metadata
 
-// Gymnasium's entry point for the environments it knows.
-std::string EntryPoint(const std::string& environment) {
+// What Gymnasium makes the environment from; null where the environment is not one of its own.
+Json EnvironmentSpec(const std::string& id) {
   static constexpr std::pair<const char*, const char*> kClasses[] = {
       {"CartPole-v1", "CartPoleEnv"},
       {"MountainCar-v0", "MountainCarEnv"},
       {"Acrobot-v1", "AcrobotEnv"},
       {"Pendulum-v1", "PendulumEnv"}};
-  for (const auto& [id, name] : kClasses) {
-    if (environment == id) return absl::StrCat("gymnasium.envs.classic_control:", name);
+  for (const auto& [own, name] : kClasses) {
+    if (id != own) continue;
+    return {{"id", id},
+            {"entry_point", absl::StrCat("gymnasium.envs.classic_control:", name)},
+            {"max_episode_steps", (*MakeEnvironment(id))->max_episode_steps()},
+            {"additional_wrappers", Json::array()}};
   }
-  return "";
+  return nullptr;
 }
 
 // "name-v0" is a dataset's id.
@@ -81,12 +86,8 @@ Json Metadata(const Dataset& dataset, const std::string& id) {
                    {"observation_space", UnboundedBox(dataset.observation_size)},
                    {"action_space", SpaceToJson(dataset.action_space)},
                    {kOwn, {{"environment", dataset.environment}, {"recipe", dataset.recipe}}}};
-  if (const std::string entry_point = EntryPoint(dataset.environment); !entry_point.empty()) {
-    metadata["env_spec"] = Json{
-        {"id", dataset.environment},
-        {"entry_point", entry_point},
-        {"additional_wrappers",
-         Json::array()}}.dump();
+  if (const Json spec = EnvironmentSpec(dataset.environment); !spec.is_null()) {
+    metadata["env_spec"] = spec.dump();
   }
   return metadata;
 }
