@@ -42,9 +42,9 @@ struct SessionEntry {
 
 // What a session may be opened with, beside its policy and options.
 struct SessionExtras {
-  std::string id;                             // from NewSessionId(); empty: a new one
-  std::shared_ptr<ShadowSession> shadow;      // null: none
-  std::unique_ptr<EpisodeRecorder> recorder;  // null: none
+  std::string id;                                       // from NewSessionId(); empty: a new one
+  std::shared_ptr<ShadowSession> shadow;                // null: none
+  std::unique_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
 };
 
 // 128 random bits in hexadecimal, from the kernel, so that nobody can guess another agent's

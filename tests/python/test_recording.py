@@ -74,7 +74,7 @@ def test_minari_reads_what_was_played(played, tmp_path, monkeypatch):
 
 
 def test_spiketrain_trains_on_it(played, tmp_path):
-    folder, episodes = played
+    folder, _ = played
     run("SPIKETRAIN_PROGRAM", "dataset", f"--recordings={folder}", f"--out={tmp_path}/served.cbor")
     report = run(
         "SPIKETRAIN_PROGRAM",

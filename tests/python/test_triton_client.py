@@ -1,6 +1,7 @@
 """Triton's own client, unmodified, against a real server."""
 
 import queue
+import shutil
 
 import grpc
 import gymnasium
@@ -11,7 +12,7 @@ from google.protobuf import descriptor_pool
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
     ProtoReflectionDescriptorDatabase,
 )
-from serving import DEADLINE_SECONDS
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server
 from tritonclient import grpc as triton
 from tritonclient.grpc import service_pb2
 from tritonclient.utils import InferenceServerException
@@ -259,6 +260,29 @@ def test_statistics_count_answers_and_refusals(client):
     refusal(infer, tensors([0.0]), sequence_id=11)
     infer(tensors(OBSERVATION, 1.0), sequence_id=11, sequence_end=True)
     assert counts() == (successes + 2, failures + 1)
+
+
+def test_models_come_and_go_while_sequences_run(tmp_path):
+    shutil.copytree(SHIPPED_POLICIES / MODEL, tmp_path / MODEL)
+    with running_server(tmp_path) as server:
+        client = triton.InferenceServerClient(server.grpc)
+        infer = unary(client)
+        infer(tensors(OBSERVATION), sequence_id=1, sequence_start=True)
+        client.unload_model(MODEL)
+        assert not client.is_model_ready(MODEL)
+        states = {entry.state for entry in client.get_model_repository_index().models}
+        assert states == {"UNAVAILABLE"}
+        infer(tensors(OBSERVATION, 1.0), sequence_id=1)
+        error = refusal(infer, tensors(OBSERVATION), sequence_id=2, sequence_start=True)
+        assert error.status() == "StatusCode.NOT_FOUND"
+        client.load_model(MODEL)
+        assert client.is_model_ready(MODEL)
+        infer(tensors(OBSERVATION), sequence_id=2, sequence_start=True)
+        assert refusal(client.load_model, "nothing").status() == "StatusCode.NOT_FOUND"
+        assert refusal(client.unload_model, "nothing").status() == "StatusCode.NOT_FOUND"
+        error = refusal(client.load_model, MODEL, config="{}")
+        assert "parameters: expected none" in error.message()
+        client.close()
 
 
 def test_names_and_numbers_are_the_public_ones(address):

@@ -51,8 +51,8 @@ TEST_F(EpisodeRecorderTest, AnEpisodeIsWhatWasAskedAndAnswered) {
   const auto answers = Play(*agent, 3);
   ASSERT_TRUE(agent
                   ->EndEpisode({.reward = 5.0,
-                                .target_return = 20.0,
                                 .terminated = true,
+                                .target_return = 20.0,
                                 .observation = {7.0f, 8.0f, 9.0f}})
                   .ok());
   ASSERT_EQ(recorded_.size(), 1u);
