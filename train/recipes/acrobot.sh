@@ -7,7 +7,7 @@ environment=Acrobot-v1
 source "$(dirname "$0")/recipe.sh"
 
 # A clone's regret lies in the chaotic states before the finish, where most choices do not matter and some matter a lot.
-expert=(--expert=beam --beam_width=300 --weigh)
+expert=(--expert=lookahead --weigh)
 data base --steps=60000 --expert_fraction=0.1 --disturbed_fraction=0.9 "${expert[@]}"
 
 # The present state tells everything, so short clips teach the same in a third of the time; the last stage sees whole
