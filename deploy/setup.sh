@@ -15,8 +15,8 @@ packages=(
   prometheus-cpp-dev libcivetweb-dev libhwy-dev nlohmann-json3-dev zlib1g-dev
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
-  # tests, benchmarks, demo
-  libgtest-dev libgmock-dev libbenchmark-dev prometheus ca-certificates curl python3 python3-venv
+  # tests, demo
+  libgtest-dev libgmock-dev prometheus ca-certificates curl python3 python3-venv
 )
 
 missing=()
