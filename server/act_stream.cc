@@ -2,18 +2,22 @@
 
 #include <utility>
 
+#include "server/admission.h"
 #include "server/convert.h"
 #include "server/status_map.h"
 
 namespace spikeserve {
 
-ActStream* ActStream::Start(const ServiceParts& parts) {
-  const auto stream = std::shared_ptr<ActStream>(new ActStream(parts));
+ActStream* ActStream::Start(const ServiceParts& parts, const grpc::CallbackServerContext& context) {
+  const auto stream = std::shared_ptr<ActStream>(
+      new ActStream(parts, Admit(*parts.authenticator, context, Method::kActStream)));
   stream->self_ = stream;
   const bool accepted = parts.calls->BeginStream(stream);
   absl::MutexLock lock(&stream->mutex_);
   if (!accepted) {
     stream->FinishLocked(DrainingError());
+  } else if (!stream->caller_.ok()) {
+    stream->FinishLocked(stream->caller_.status());
   } else if (stream->state_ == State::kReading) {  // else drained since
     stream->StartRead(&stream->request_);
   }
@@ -33,10 +37,17 @@ void ActStream::OnReadDone(bool ok) {
   deferred.Run();
 }
 
+absl::Status ActStream::Handle(DeferredWork* deferred) {
+  const Credential& caller = **caller_;
+  if (auto status = caller.CheckValid(); !status.ok()) return status;
+  if (auto status = CheckSize(caller, request_); !status.ok()) return status;
+  return parts_.handler->Act(caller, request_, &response_, deferred);
+}
+
 void ActStream::Answer(DeferredWork* deferred) {
   const absl::Duration start = parts_.clock->Now();
   response_.Clear();
-  const absl::Status status = parts_.handler->Act(request_, &response_, deferred);
+  const absl::Status status = Handle(deferred);
   if (!status.ok()) ErrorToProto(request_, status, &response_);
   parts_.metrics->ObserveRpc(Method::kActStream, status.code(), parts_.clock->Now() - start);
 }

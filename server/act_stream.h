@@ -3,13 +3,17 @@
 #ifndef SERVER_ACT_STREAM_H_
 #define SERVER_ACT_STREAM_H_
 
+#include <grpcpp/server_context.h>
 #include <grpcpp/support/server_callback.h>
 
 #include <memory>
+#include <utility>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "core/session/clock.h"
+#include "server/authenticator.h"
 #include "server/call_tracker.h"
 #include "server/metrics.h"
 #include "server/request_handler.h"
@@ -21,6 +25,7 @@ namespace spikeserve {
 struct ServiceParts {
   const RequestHandler* handler;
   CallTracker* calls;
+  const Authenticator* authenticator;
   Metrics* metrics;
   const Clock* clock;
 };
@@ -30,8 +35,9 @@ struct ServiceParts {
 class ActStream final : public grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>,
                         public CallTracker::Stream {
  public:
-  // A stream that reads its first request, or is refused where the server drains.
-  static ActStream* Start(const ServiceParts& parts);
+  // A stream that reads its first request, or is refused where the server drains or the caller may
+  // not make it. A token that expires later fails the requests that come then.
+  static ActStream* Start(const ServiceParts& parts, const grpc::CallbackServerContext& context);
 
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
@@ -43,12 +49,15 @@ class ActStream final : public grpc::ServerBidiReactor<v1::ActRequest, v1::ActRe
  private:
   enum class State { kReading, kReplying, kFinished };
 
-  explicit ActStream(const ServiceParts& parts) : parts_(parts) {}
+  ActStream(const ServiceParts& parts, absl::StatusOr<const Credential*> caller)
+      : parts_(parts), caller_(std::move(caller)) {}
 
+  absl::Status Handle(DeferredWork* deferred);
   void Answer(DeferredWork* deferred);
   void FinishLocked(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const ServiceParts parts_;
+  const absl::StatusOr<const Credential*> caller_;
   std::shared_ptr<ActStream> self_;
   v1::ActRequest request_;
   v1::ActResponse response_;

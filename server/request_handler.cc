@@ -105,7 +105,8 @@ absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*reque
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
+absl::Status RequestHandler::OpenSession(const Credential& caller,
+                                         const v1::OpenSessionRequest& request,
                                          v1::OpenSessionResponse* response) const {
   auto id = NewSessionId();
   if (!id.ok()) return id.status();
@@ -114,8 +115,9 @@ absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
   const ServedPolicy& served = *route->served;
   auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
+  options->tenant = caller.tenant()->name();
   const double target_return = options->target_return;
-  SessionExtras extras = {.id = *std::move(id), .shadow = nullptr};
+  SessionExtras extras = {.id = *std::move(id), .shadow = nullptr, .quota = caller.tenant()};
   if (route->shadow != nullptr) {
     extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
   }
@@ -133,9 +135,10 @@ absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse* response,
-                                 DeferredWork* deferred) const {
-  auto entry = store_->Find(request.session_id());
+absl::Status RequestHandler::Act(const Credential& caller, const v1::ActRequest& request,
+                                 v1::ActResponse* response, DeferredWork* deferred) const {
+  if (auto status = caller.tenant()->TakeDecision(clock_->Now()); !status.ok()) return status;
+  auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   {
     absl::MutexLock lock(&(*entry)->mutex);
@@ -154,23 +157,27 @@ absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse*
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::ActBatch(const v1::ActBatchRequest& request,
+absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                                       v1::ActBatchResponse* response,
                                       DeferredWork* deferred) const {
   for (const v1::ActRequest& item : request.requests()) {
     v1::ActResult* result = response->add_results();
-    const absl::Status status = Act(item, result->mutable_response(), deferred);
+    const absl::Status status = Act(caller, item, result->mutable_response(), deferred);
     if (status.ok()) continue;
     result->clear_response();
     result->set_code(ToGrpcCode(status.code()));
     result->set_message(std::string(status.message()));
+    if (const auto delay = RetryDelay(status)) {
+      result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+    }
   }
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
+absl::Status RequestHandler::EndEpisode(const Credential& caller,
+                                        const v1::EndEpisodeRequest& request,
                                         v1::EndEpisodeResponse* response) const {
-  const auto entry = store_->Find(request.session_id());
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   EpisodeEnd end = {.reward = request.reward(),
                     .terminated = request.terminated(),
@@ -183,18 +190,20 @@ absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::GetSession(const v1::GetSessionRequest& request,
+absl::Status RequestHandler::GetSession(const Credential& caller,
+                                        const v1::GetSessionRequest& request,
                                         v1::GetSessionResponse* response) const {
-  const auto entry = store_->Find(request.session_id());
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::CloseSession(const v1::CloseSessionRequest& request,
+absl::Status RequestHandler::CloseSession(const Credential& caller,
+                                          const v1::CloseSessionRequest& request,
                                           v1::CloseSessionResponse* /*response*/) const {
-  return store_->Close(request.session_id());
+  return store_->Close(request.session_id(), caller.tenant()->name());
 }
 
 }  // namespace spikeserve

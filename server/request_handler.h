@@ -11,6 +11,7 @@
 
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
+#include "server/authenticator.h"
 #include "server/policy_registry.h"
 #include "server/shadow_runner.h"
 #include "spikeserve/v1/policy_service.pb.h"
@@ -45,21 +46,23 @@ class RequestHandler {
   RequestHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
                  const Clock* clock);
 
+  // A session belongs to the tenant that opened it and is NOT_FOUND for every other caller.
+  //
   // Each fills in `response` and returns OK, or returns the error that api.md names and leaves the
   // session as it was.
   absl::Status ListPolicies(const v1::ListPoliciesRequest& request,
                             v1::ListPoliciesResponse* response) const;
-  absl::Status OpenSession(const v1::OpenSessionRequest& request,
+  absl::Status OpenSession(const Credential& caller, const v1::OpenSessionRequest& request,
                            v1::OpenSessionResponse* response) const;
-  absl::Status Act(const v1::ActRequest& request, v1::ActResponse* response,
-                   DeferredWork* deferred) const;
-  absl::Status ActBatch(const v1::ActBatchRequest& request, v1::ActBatchResponse* response,
-                        DeferredWork* deferred) const;
-  absl::Status EndEpisode(const v1::EndEpisodeRequest& request,
+  absl::Status Act(const Credential& caller, const v1::ActRequest& request,
+                   v1::ActResponse* response, DeferredWork* deferred) const;
+  absl::Status ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
+                        v1::ActBatchResponse* response, DeferredWork* deferred) const;
+  absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
-  absl::Status GetSession(const v1::GetSessionRequest& request,
+  absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
-  absl::Status CloseSession(const v1::CloseSessionRequest& request,
+  absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response) const;
 
  private:

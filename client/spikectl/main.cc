@@ -66,7 +66,7 @@ int main(int argc, char** argv) {
   absl::SetProgramUsageMessage(spikeserve::Usage());
   absl::FlagsUsageConfig usage;
   usage.contains_help_flags = [](absl::string_view file) {
-    return absl::StrContains(file, "client/spikectl/");
+    return absl::StrContains(file, "client/");
   };
   absl::SetFlagsUsageConfig(usage);
   const absl::Status status = spikeserve::Dispatch(absl::ParseCommandLine(argc, argv));
