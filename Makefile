@@ -23,8 +23,12 @@ build: configure
 train: build
 	train/recipes/cartpole.sh $(BIN)/spiketrain build/train
 
+# Everything against everything, about eight minutes on an idle machine; BENCH_FLAGS="--rounds=20" for longer runs,
+# "--sections engine" for a part.
 bench: build
-	$(BIN)/engine_bench
+	loadtest/bench/setup.sh $(BUILD)/bench_venv
+	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
+	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
 
 # Sixty seconds of 1,000 sessions on 8 streams under the address and thread sanitizers.
 sanitize: setup

@@ -10,6 +10,9 @@ namespace {
 
 using std::chrono::steady_clock;
 
+// Longer than any call may take, so that only a server that has gone silent runs into it.
+constexpr absl::Duration kPatience = absl::Seconds(20);
+
 // Keeps a server that refuses everything from being flooded.
 constexpr absl::Duration kPauseAfterError = absl::Milliseconds(10);
 
@@ -27,25 +30,55 @@ Caller::Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> a
   }
 }
 
-LoadReport Caller::Run(steady_clock::duration duration) {
-  const auto start = steady_clock::now();
-  end_ = start + duration;
-  for (auto& [id, agent] : agents_) Send(agent);
+LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
+  const Time start = steady_clock::now();
+  const Time end = start + duration;
+  for (auto& [id, agent] : agents_) Send(agent, steady_clock::now());
   while (under_way_ > 0) {
-    const auto reply = exchange_->Receive();
+    const auto reply = exchange_->Receive(kPatience);
     if (!reply.ok()) {
-      for (; under_way_ > 0; --under_way_) report_.CountError(reply.status());
+      LoseRequestsUnderWay(reply.status());
       break;
     }
-    TakeReply(*reply);
+    SimulatedAgent* agent = TakeReply(*reply);
+    const Time now = steady_clock::now();
+    if (agent != nullptr && now < end) Send(*agent, now);
   }
   report_.seconds = Seconds(steady_clock::now() - start);
   return report_;
 }
 
-void Caller::Send(SimulatedAgent& agent) {
-  agent.sent = steady_clock::now();
-  if (agent.sent >= end_) return;
+LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration duration) {
+  const Time start = steady_clock::now();
+  const Time end = start + duration;
+  std::deque<SimulatedAgent*> free;
+  for (auto& [id, agent] : agents_) free.push_back(&agent);
+  Time next = start + schedule.offset;  // the first request that has not gone out
+  while (under_way_ > 0 || (next < end && !free.empty())) {
+    while (next < end && next <= steady_clock::now() && !free.empty()) {
+      Send(*free.front(), next);
+      free.pop_front();
+      next += schedule.interval;
+    }
+    const bool waits_for_time = next < end && !free.empty();
+    const auto pause = waits_for_time ? absl::FromChrono(next - steady_clock::now()) : kPatience;
+    if (under_way_ == 0) {
+      absl::SleepFor(pause);
+      continue;
+    }
+    const auto reply = exchange_->Receive(pause);
+    if (reply.ok()) {
+      if (SimulatedAgent* agent = TakeReply(*reply)) free.push_back(agent);
+    } else if (!waits_for_time || !absl::IsDeadlineExceeded(reply.status())) {
+      LoseRequestsUnderWay(reply.status());
+    }
+  }
+  report_.seconds = Seconds(steady_clock::now() - start);
+  return report_;
+}
+
+void Caller::Send(SimulatedAgent& agent, Time due) {
+  agent.due = due;
   if (absl::Status status = exchange_->Send(agent.request()); !status.ok()) {
     report_.CountError(status);
     return;
@@ -53,22 +86,26 @@ void Caller::Send(SimulatedAgent& agent) {
   ++under_way_;
 }
 
-void Caller::TakeReply(const ActReply& reply) {
+SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
   --under_way_;
   SimulatedAgent& agent = agents_.at(reply.session_id);
   if (!reply.response.ok()) {
     report_.CountError(reply.response.status());
-    if (!IsRetryable(reply.response.status())) return;
+    if (!IsRetryable(reply.response.status())) return nullptr;
     absl::SleepFor(kPauseAfterError);
-  } else {
-    report_.latency.Add(Seconds(reply.arrived - agent.sent));
-    ++report_.decisions;
-    if (absl::Status status = agent.Accept(*reply.response); !status.ok()) {
-      report_.CountError(status);
-      return;
-    }
+    return &agent;
   }
-  Send(agent);
+  report_.latency.Add(Seconds(reply.arrived - agent.due));
+  ++report_.decisions;
+  if (absl::Status status = agent.Accept(*reply.response); !status.ok()) {
+    report_.CountError(status);
+    return nullptr;
+  }
+  return &agent;
+}
+
+void Caller::LoseRequestsUnderWay(const absl::Status& status) {
+  for (; under_way_ > 0; --under_way_) report_.CountError(status);
 }
 
 absl::Status Caller::CloseSessions() {

@@ -1,14 +1,20 @@
-// One caller of a load test: the closed loop of its agents over one exchange.
+// One caller of a load test: its agents over one exchange.
 //
-// Every agent has one request under way and sends its next when it has the answer. An agent whose
-// request failed for no lasting reason repeats it after a pause; after any other error it is
-// retired.
+// In a closed loop every agent has one request under way and sends its next when it has the answer.
+// At a rate, requests fall due on a fixed schedule, and each goes out as soon as an agent is free
+// for it; its latency counts from when it was due, so that a server which stalls is charged for all
+// the requests that it kept waiting, and not only for those it kept under way (coordinated
+// omission).
+//
+// An agent whose request failed for no lasting reason repeats it after a pause; after any other
+// error it is retired.
 //
 // Not thread-safe; runs on a thread of its own.
 #ifndef LOADTEST_CALLER_H_
 #define LOADTEST_CALLER_H_
 
 #include <chrono>
+#include <deque>
 #include <memory>
 #include <string>
 #include <unordered_map>
@@ -20,23 +26,33 @@
 
 namespace spikeserve {
 
+// When requests fall due: after `offset`, and from then on every `interval`.
+struct Schedule {
+  std::chrono::steady_clock::duration offset;
+  std::chrono::steady_clock::duration interval;
+};
+
 class Caller {
  public:
   Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents);
 
-  // Sends requests for `duration`, then waits for the answers under way.
-  LoadReport Run(std::chrono::steady_clock::duration duration);
+  // Each sends requests for `duration`, then waits for the answers under way.
+  LoadReport RunClosedLoop(std::chrono::steady_clock::duration duration);
+  LoadReport RunAtRate(const Schedule& schedule, std::chrono::steady_clock::duration duration);
 
   // Ends the sessions of all agents, retired ones too, and returns the first error.
   absl::Status CloseSessions();
 
  private:
-  void Send(SimulatedAgent& agent);
-  void TakeReply(const ActReply& reply);
+  using Time = std::chrono::steady_clock::time_point;
+
+  void Send(SimulatedAgent& agent, Time due);
+  // The agent that may go on, or null.
+  SimulatedAgent* TakeReply(const ActReply& reply);
+  void LoseRequestsUnderWay(const absl::Status& status);
 
   std::unique_ptr<Exchange> exchange_;
   std::unordered_map<std::string, SimulatedAgent> agents_;  // by session id
-  std::chrono::steady_clock::time_point end_;               // no request starts later
   int under_way_ = 0;
   LoadReport report_;
 };

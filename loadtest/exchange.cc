@@ -13,9 +13,6 @@
 namespace spikeserve {
 namespace {
 
-// Longer than any call may take, so that only a server that has gone silent runs into it.
-constexpr absl::Duration kPatience = absl::Seconds(20);
-
 // Every request is a call of its own, and all of them are under way at once.
 class UnaryExchange : public Exchange {
  public:
@@ -29,7 +26,9 @@ class UnaryExchange : public Exchange {
     return absl::OkStatus();
   }
 
-  absl::StatusOr<ActReply> Receive() override { return replies_->Pop(); }
+  absl::StatusOr<ActReply> Receive(absl::Duration timeout) override {
+    return replies_->Pop(timeout);
+  }
 
  private:
   // Shared with the calls under way, which may outlive the exchange.
@@ -41,12 +40,12 @@ class UnaryExchange : public Exchange {
       pushed_.Signal();
     }
 
-    absl::StatusOr<ActReply> Pop() ABSL_LOCKS_EXCLUDED(mutex_) {
+    absl::StatusOr<ActReply> Pop(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mutex_) {
       absl::MutexLock lock(&mutex_);
-      const absl::Time deadline = absl::Now() + kPatience;
+      const absl::Time deadline = absl::Now() + timeout;
       while (queue_.empty()) {
         if (pushed_.WaitWithDeadline(&mutex_, deadline) && queue_.empty()) {
-          return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(kPatience));
+          return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
         }
       }
       ActReply reply = std::move(queue_.front());
@@ -69,7 +68,9 @@ class StreamExchange : public Exchange {
   explicit StreamExchange(Client* client) : stream_(client->OpenStream()) {}
 
   absl::Status Send(const v1::ActRequest& request) override { return stream_->Send(request); }
-  absl::StatusOr<ActReply> Receive() override { return stream_->Receive(kPatience); }
+  absl::StatusOr<ActReply> Receive(absl::Duration timeout) override {
+    return stream_->Receive(timeout);
+  }
 
  private:
   const std::unique_ptr<RemoteStream> stream_;
@@ -86,7 +87,7 @@ class BatchExchange : public Exchange {
     return absl::OkStatus();
   }
 
-  absl::StatusOr<ActReply> Receive() override {
+  absl::StatusOr<ActReply> Receive(absl::Duration /*timeout*/) override {
     if (replies_.empty()) CallBatch();
     if (replies_.empty()) return absl::FailedPreconditionError("no request was sent");
     ActReply reply = std::move(replies_.front());

@@ -21,8 +21,10 @@ class Exchange {
   // Hands over a request without waiting for its answer.
   virtual absl::Status Send(const v1::ActRequest& request) = 0;
 
-  // The next answer to any request. An error means that none of those under way will be answered.
-  virtual absl::StatusOr<ActReply> Receive() = 0;
+  // The next answer to any request. DEADLINE_EXCEEDED if none came within `timeout`; the requests
+  // are still under way then. After any other error none of them will be answered. A batch waits
+  // for its answer, however long that takes; without a request it is FAILED_PRECONDITION.
+  virtual absl::StatusOr<ActReply> Receive(absl::Duration timeout) = 0;
 };
 
 // `batch_size` as in LoadOptions. `client` must outlive the exchange.

@@ -29,6 +29,9 @@ absl::Status LoadOptions::Validate() const {
     return status;
   }
   if (auto status = CheckRange("batch_size", batch_size, 0, kMany); !status.ok()) return status;
+  if (!(rate >= 0.0 && rate <= 1e7)) {
+    return absl::InvalidArgumentError(absl::StrCat("--rate: expected 0 to 1e7, got ", rate));
+  }
   if (duration <= absl::ZeroDuration() || duration > absl::Hours(24)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--duration: expected more than 0 and at most 24h, got ", absl::FormatDuration(duration)));

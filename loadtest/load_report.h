@@ -17,7 +17,7 @@ struct LoadReport {
   int64_t decisions = 0;     // answered
   int64_t errors = 0;        // requests that failed, repeated ones each time
   double seconds = 0.0;      // from the first request to the last answer
-  LatencyHistogram latency;  // seconds from handing over a request to the arrival of its answer
+  LatencyHistogram latency;  // seconds from when a request was due to the arrival of its answer
   absl::Status first_error;
 
   void CountError(const absl::Status& error);

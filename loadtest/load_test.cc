@@ -41,12 +41,23 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
   return agents;
 }
 
-LoadReport RunCallers(std::vector<Caller>& callers, absl::Duration duration) {
+// Caller `index` of `callers`, whose schedules interleave.
+LoadReport RunCaller(const LoadOptions& options, size_t index, size_t callers, Caller& caller) {
+  const auto duration = absl::ToChronoNanoseconds(options.duration);
+  if (options.rate == 0.0) return caller.RunClosedLoop(duration);
+  const absl::Duration offset = absl::Seconds(static_cast<double>(index) / options.rate);
+  const absl::Duration interval = absl::Seconds(static_cast<double>(callers) / options.rate);
+  return caller.RunAtRate({.offset = absl::ToChronoNanoseconds(offset),
+                           .interval = absl::ToChronoNanoseconds(interval)},
+                          duration);
+}
+
+LoadReport RunCallers(const LoadOptions& options, std::vector<Caller>& callers) {
   std::vector<LoadReport> reports(callers.size());
   std::vector<std::thread> threads;
   for (size_t i = 0; i < callers.size(); ++i) {
-    threads.emplace_back([&callers, &reports, i, duration] {
-      reports[i] = callers[i].Run(absl::ToChronoNanoseconds(duration));
+    threads.emplace_back([&options, &callers, &reports, i] {
+      reports[i] = RunCaller(options, i, callers.size(), callers[i]);
     });
   }
   for (std::thread& thread : threads) thread.join();
@@ -75,7 +86,7 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
     callers.emplace_back(MakeExchange(options.mode, options.batch_size, clients.back().get()),
                          *std::move(agents));
   }
-  LoadReport report = RunCallers(callers, options.duration);
+  LoadReport report = RunCallers(options, callers);
   absl::Status closed;
   for (Caller& caller : callers) closed.Update(caller.CloseSessions());
   // Where decisions failed, their first error says more than what followed from it.

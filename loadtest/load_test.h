@@ -1,4 +1,4 @@
-// A load test: many sessions in closed loop against one server, for a bounded time.
+// A load test: many sessions against one server, in closed loop or at a rate, for a bounded time.
 #ifndef LOADTEST_LOAD_TEST_H_
 #define LOADTEST_LOAD_TEST_H_
 

@@ -33,8 +33,8 @@ class SimulatedAgent {
 
   absl::Status Close() { return session_.Close(); }
 
-  // When the request was handed over.
-  std::chrono::steady_clock::time_point sent;
+  // When the request was to be handed over.
+  std::chrono::steady_clock::time_point due;
 
  private:
   void MakeRequest();

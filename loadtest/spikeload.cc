@@ -1,4 +1,4 @@
-// spikeload: a closed-loop load test of a spikeserve server.
+// spikeload: a load test of a spikeserve server, in closed loop or at a rate.
 #include <iostream>
 #include <string>
 #include <vector>
@@ -45,6 +45,10 @@ ABSL_FLAG(int32_t, episode_steps, spikeserve::LoadOptions().episode_steps,
           "Steps after which a session ends its episode");
 ABSL_FLAG(int32_t, batch_size, spikeserve::LoadOptions().batch_size,
           "Batch mode: most requests in a batch; 0: all that a caller has");
+ABSL_FLAG(
+    double, rate, 0.0,
+    "Requests a second, on a fixed schedule, latencies counted from when a request was due; 0: "
+    "closed loop, every session sends its next request when it has the answer");
 ABSL_FLAG(uint64_t, seed, 0, "Seed of the random observations");
 ABSL_FLAG(bool, json, false, "Print one JSON object instead of text");
 
@@ -63,6 +67,7 @@ absl::StatusOr<LoadOptions> OptionsFromFlags() {
   options.policy = absl::GetFlag(FLAGS_policy);
   options.episode_steps = absl::GetFlag(FLAGS_episode_steps);
   options.batch_size = absl::GetFlag(FLAGS_batch_size);
+  options.rate = absl::GetFlag(FLAGS_rate);
   options.seed = absl::GetFlag(FLAGS_seed);
   return options;
 }
@@ -92,7 +97,8 @@ absl::Status Run(const std::vector<char*>& arguments) {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
-  absl::SetProgramUsageMessage("spikeload [--flag=value ...]: a closed-loop load test");
+  absl::SetProgramUsageMessage(
+      "spikeload [--flag=value ...]: a load test, in closed loop or at a rate");
   const absl::Status status = spikeserve::Run(absl::ParseCommandLine(argc, argv));
   if (status.ok()) return 0;
   std::cerr << "spikeload: " << status.message() << " (" << absl::StatusCodeToString(status.code())

@@ -16,9 +16,33 @@ class PolicyAdminService final : public v1::PolicyAdmin::CallbackService {
   PolicyAdminService(const ServiceParts& parts, const PolicyAdminHandler* admin)
       : parts_(parts), admin_(admin) {}
 
+  grpc::ServerUnaryReactor* LoadPolicy(grpc::CallbackServerContext* context,
+                                       const v1::LoadPolicyRequest* request,
+                                       v1::LoadPolicyResponse* response) override;
+  grpc::ServerUnaryReactor* UnloadPolicy(grpc::CallbackServerContext* context,
+                                         const v1::UnloadPolicyRequest* request,
+                                         v1::UnloadPolicyResponse* response) override;
+  grpc::ServerUnaryReactor* ReloadPolicies(grpc::CallbackServerContext* context,
+                                           const v1::ReloadPoliciesRequest* request,
+                                           v1::ReloadPoliciesResponse* response) override;
+  grpc::ServerUnaryReactor* SetDefaultVersion(grpc::CallbackServerContext* context,
+                                              const v1::SetDefaultVersionRequest* request,
+                                              v1::SetDefaultVersionResponse* response) override;
+  grpc::ServerUnaryReactor* SetLabel(grpc::CallbackServerContext* context,
+                                     const v1::SetLabelRequest* request,
+                                     v1::SetLabelResponse* response) override;
+  grpc::ServerUnaryReactor* RemoveLabel(grpc::CallbackServerContext* context,
+                                        const v1::RemoveLabelRequest* request,
+                                        v1::RemoveLabelResponse* response) override;
+  grpc::ServerUnaryReactor* SetTraffic(grpc::CallbackServerContext* context,
+                                       const v1::SetTrafficRequest* request,
+                                       v1::SetTrafficResponse* response) override;
   grpc::ServerUnaryReactor* ListSessions(grpc::CallbackServerContext* context,
                                          const v1::ListSessionsRequest* request,
                                          v1::ListSessionsResponse* response) override;
+  grpc::ServerUnaryReactor* Drain(grpc::CallbackServerContext* context,
+                                  const v1::DrainRequest* request,
+                                  v1::DrainResponse* response) override;
 
  private:
   const ServiceParts parts_;

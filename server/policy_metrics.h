@@ -30,6 +30,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Counter* rollbacks;
   };
   struct Handles {
+    prometheus::Gauge* info;
     prometheus::Counter* decisions;
     prometheus::Histogram* spikes_per_decision;
     std::array<prometheus::Counter*, kStages> spikes;
@@ -51,7 +52,10 @@ class PolicyMetrics final : public SessionObserver {
   // `name` is what the log calls the policy version. `dense` as EstimateEnergy takes it. The
   // handles must outlive this object.
   PolicyMetrics(std::string name, const Handles& handles, bool dense)
-      : name_(std::move(name)), handles_(handles), dense_(dense) {}
+      : name_(std::move(name)), handles_(handles), dense_(dense) {
+    handles_.info->Increment();
+  }
+  ~PolicyMetrics() override { handles_.info->Decrement(); }
 
   void OnOpen() override { handles_.sessions->Increment(); }
   void OnClose() override { handles_.sessions->Decrement(); }

@@ -147,11 +147,8 @@ void AgentSession::TakeOutcome(std::optional<UpdateOutcome> outcome) {
 
 void AgentSession::Record(Answer answer, absl::Span<const float> observation, double return_to_go,
                           double reward) {
-  session_.history.push_back({.return_to_go = answer.return_to_go,
-                              .observation = {observation.begin(), observation.end()},
-                              .action = answer.action});
   const auto limit = static_cast<size_t>(HistorySize(served_->policy().config));
-  if (session_.history.size() > limit) session_.history.erase(session_.history.begin());
+  session_.history.Append(answer.return_to_go, observation, answer.action, limit);
 
   const uint64_t spikes = answer.counts.total_spikes();
   const double energy = PrimaryEnergy(answer.counts, served_->policy().config.is_dense());
@@ -168,7 +165,7 @@ void AgentSession::Record(Answer answer, absl::Span<const float> observation, do
 
 void AgentSession::AppendPendingAction() {
   if (!action_pending_) return;
-  AppendAction(session_.history.back().action);
+  AppendAction(session_.last_answer->action);
   action_pending_ = false;
 }
 
@@ -186,9 +183,10 @@ void AgentSession::RebuildContext() {
   context_ = engine.NewContext(session_.options.seed, first_timestep);
   action_pending_ = false;
   Engine::Output ignored;
-  for (const Timestep& timestep : session_.history) {
-    engine.Decide(*context_, timestep.return_to_go, timestep.observation, &ignored);
-    AppendAction(timestep.action);
+  const History& history = session_.history;
+  for (size_t i = 0; i < history.size(); ++i) {
+    engine.Decide(*context_, history.return_to_go(i), history.observation(i), &ignored);
+    AppendAction(history.action(i));
   }
 }
 
@@ -216,7 +214,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   session_.episode_return = 0.0;
   session_.episode_spikes = 0;
   session_.episode_energy_joules = 0.0;
-  session_.history.clear();
+  session_.history.Clear();
   session_.last_answer.reset();
   DropContext();
   served_->observer->OnEpisodeEnd(summary.episode_return);
@@ -281,6 +279,11 @@ int64_t AgentSession::Rollbacks() const {
 void AgentSession::DropContext() {
   context_.reset();
   action_pending_ = false;
+}
+
+void AgentSession::Compact() {
+  DropContext();
+  session_.history.ShrinkToFit();
 }
 
 Session NewSession(std::string id, SessionOptions options) {

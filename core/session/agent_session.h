@@ -61,6 +61,10 @@ class AgentSession {
   // this once the answer has been sent keeps it out of the next answer's latency.
   void AppendPendingAction();
 
+  // Replaces the action of the last answer in the history: the window then sees what was really
+  // done. The answer itself stays as it was, for retries. REQUIRES: Act was the last call.
+  void TakeInstead(const Action& action) { session_.history.back().action = action; }
+
   // Ends the running episode and makes the session ready for the next, whose first step is 0.
   // FAILED_PRECONDITION if no decision was made since the last end (so an end that is repeated
   // counts once); INVALID_ARGUMENT for a number that is not finite. Errors leave the session as it
@@ -69,6 +73,9 @@ class AgentSession {
 
   // Gives the cache back; the next decision rebuilds it.
   void DropContext();
+
+  // For a session that is not used for a while: gives back all memory that its value does not need.
+  void Compact();
 
   const Session& session() const { return session_; }
 

@@ -180,10 +180,9 @@ requires std::is_enum_v<T> Json Write(const T& value) { return std::string(ToStr
 template <HasFields T>
 Json Write(const T& value);
 
-template <HasFields T>
-Json Write(const std::vector<T>& values) {
+Json Write(const History& history) {
   Json json = Json::array();
-  for (const T& value : values) json.push_back(Write(value));
+  for (size_t i = 0; i < history.size(); ++i) json.push_back(Write(history.at(i)));
   return json;
 }
 
@@ -255,6 +254,19 @@ class Reader {
     values.resize(json.size());
     for (size_t i = 0; i < json.size(); ++i) {
       Read(json[i], absl::StrCat(path, "[", i, "]"), values[i]);
+    }
+  }
+
+  void Read(const Json& json, const std::string& path, History& history) {
+    std::vector<Timestep> timesteps;
+    Read(json, path, timesteps);
+    for (size_t i = 0; i < timesteps.size(); ++i) {
+      const auto& [return_to_go, observation, action] = timesteps[i];
+      if (observation.size() != timesteps[0].observation.size() ||
+          action.continuous.size() != timesteps[0].action.continuous.size()) {
+        return Fail(absl::StrCat(path, "[", i, "]"), "as many numbers as timestep 0 has", json[i]);
+      }
+      history.Append(return_to_go, observation, action, timesteps.size());
     }
   }
 

@@ -17,17 +17,9 @@
 #include "core/learning/learner.h"
 #include "core/learning/learning_options.h"
 #include "core/model/action_space.h"
+#include "core/session/history.h"
 
 namespace spikeserve {
-
-// One timestep of the past, as the model saw it.
-struct Timestep {
-  float return_to_go = 0.0f;
-  std::vector<float> observation;  // environment units
-  Action action;
-
-  friend bool operator==(const Timestep&, const Timestep&) = default;
-};
 
 // The answer to one Act, kept so that a retry gets it byte for byte.
 struct Answer {
@@ -65,7 +57,7 @@ struct Session {
   double episode_return = 0.0;  // rewards received so far
   uint64_t episode_spikes = 0;
   double episode_energy_joules = 0.0;
-  std::vector<Timestep> history;  // the last timesteps, oldest first, at most HistorySize() of them
+  History history;  // the last timesteps, at most HistorySize() of them
   std::optional<Answer> last_answer;
 
   // Over the session's life.

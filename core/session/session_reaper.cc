@@ -1,14 +1,18 @@
 #include "core/session/session_reaper.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace spikeserve {
 
-SessionReaper::SessionReaper(SessionStore* store, absl::Duration time_to_live,
+SessionReaper::SessionReaper(SessionStore* store, const IdleLimits& limits,
                              std::function<void(int64_t)> on_reaped)
-    : thread_([this, store, time_to_live, on_reaped = std::move(on_reaped)] {
-        while (!stop_.WaitForNotificationWithTimeout(time_to_live / 4)) {
-          if (const int64_t reaped = store->RemoveIdle(time_to_live); reaped > 0) on_reaped(reaped);
+    : thread_([this, store, limits, on_reaped = std::move(on_reaped)] {
+        const absl::Duration pause = std::min(limits.compact_after, limits.time_to_live) / 4;
+        while (!stop_.WaitForNotificationWithTimeout(pause)) {
+          const int64_t reaped = store->RemoveIdle(limits.time_to_live);
+          if (reaped > 0) on_reaped(reaped);
+          store->CompactIdle(limits.compact_after);
         }
       }) {}
 

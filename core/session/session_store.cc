@@ -16,19 +16,18 @@
 namespace spikeserve {
 namespace {
 
-// From the kernel, so that nobody can guess another agent's session.
-absl::StatusOr<std::string> NewSessionId() {
-  char bytes[16];
-  if (getentropy(bytes, sizeof(bytes)) != 0) return absl::ErrnoToStatus(errno, "getentropy");
-  return absl::BytesToHexString(absl::string_view(bytes, sizeof(bytes)));
-}
-
 absl::Status NoSuchSession(absl::string_view id) {
   return absl::NotFoundError(
       absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
 }
 
 }  // namespace
+
+absl::StatusOr<std::string> NewSessionId() {
+  char bytes[16];
+  if (getentropy(bytes, sizeof(bytes)) != 0) return absl::ErrnoToStatus(errno, "getentropy");
+  return absl::BytesToHexString(absl::string_view(bytes, sizeof(bytes)));
+}
 
 SessionStore::SessionStore(int64_t max_sessions, const Clock* clock)
     : max_sessions_(max_sessions), clock_(clock) {}
@@ -38,8 +37,12 @@ SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
 }
 
 absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolicy> served,
-                                               SessionOptions options) {
-  auto id = NewSessionId();
+                                               SessionOptions options, SessionExtras extras) {
+  if (draining()) {
+    return absl::UnavailableError("draining: the server takes no new sessions; try another");
+  }
+  absl::StatusOr<std::string> id = std::move(extras.id);
+  if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id;
   if (size_.fetch_add(1) >= max_sessions_) {
     size_.fetch_sub(1);
@@ -51,6 +54,7 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
   Slot slot = {.entry = std::make_shared<SessionEntry>(std::move(served),
                                                        NewSession(*id, std::move(options)), clock_),
                .last_used = clock_->Now()};
+  slot.entry->shadow = std::move(extras.shadow);
   Shard& shard = ShardOf(*id);
   {
     absl::MutexLock lock(&shard.mutex);
@@ -67,6 +71,7 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_vi
   const auto it = shard.slots.find(id);
   if (it == shard.slots.end()) return NoSuchSession(id);
   it->second.last_used = now;
+  it->second.compacted = false;
   return it->second.entry;
 }
 
@@ -116,6 +121,28 @@ int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
   size_.fetch_sub(static_cast<int64_t>(idle.size()));
   for (const auto& entry : idle) entry->served->observer->OnClose();
   return static_cast<int64_t>(idle.size());
+}
+
+int64_t SessionStore::CompactIdle(absl::Duration idle_for) {
+  const absl::Duration oldest = clock_->Now() - idle_for;
+  int64_t compacted = 0;
+  for (Shard& shard : shards_) {
+    std::vector<std::shared_ptr<SessionEntry>> idle;
+    {
+      absl::MutexLock lock(&shard.mutex);
+      for (auto& [id, slot] : shard.slots) {
+        if (slot.compacted || slot.last_used > oldest || slot.entry.use_count() > 1) continue;
+        slot.compacted = true;
+        idle.push_back(slot.entry);
+      }
+    }
+    for (const auto& entry : idle) {
+      absl::MutexLock lock(&entry->mutex);
+      entry->agent.Compact();
+    }
+    compacted += static_cast<int64_t>(idle.size());
+  }
+  return compacted;
 }
 
 }  // namespace spikeserve

@@ -1,81 +1,122 @@
-// Decisions a second through the engines alone, on one core: the shipped CartPole policy in closed
-// loop with its environment, and a random policy of the same size, which is as loud as an
-// unregularised one.
+// A contestant of the benchmark: decisions through an engine alone, action tokens included.
 //
-// usage: engine_bench [Google Benchmark flags]; run from the repository root, where deploy/policies
-// is.
+// Inputs are those of CartPole, played in closed loop by the policy itself. The environment starts
+// anew when its episode ends; the context starts anew every --episode_steps decisions, so that
+// episodes of any length can be compared.
 
-#include <benchmark/benchmark.h>
-
+#include <iostream>
 #include <memory>
 #include <string>
+#include <vector>
 
+#include "absl/flags/flag.h"
+#include "absl/flags/parse.h"
+#include "absl/flags/usage.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
 #include "core/engine/action_head.h"
 #include "core/engine/engine.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
+#include "loadtest/bench/contestant.h"
+
+ABSL_FLAG(std::string, policy, "",
+          "Policy file; empty: a random policy, which is as loud as one without a regulariser");
+ABSL_FLAG(std::string, engine, "streaming", "streaming or reference");
+ABSL_FLAG(int32_t, hidden_size, 128, "Of a random policy");
+ABSL_FLAG(int32_t, ticks, 10, "Of a random policy");
+ABSL_FLAG(int32_t, context, 20, "Of a random policy");
+ABSL_FLAG(int32_t, episode_steps, 500, "Decisions after which the context starts anew");
 
 namespace spikeserve {
 namespace {
 
-constexpr char kShippedPolicy[] = "deploy/policies/cartpole/1/policy.safetensors";
-
-std::shared_ptr<const Policy> ShippedPolicy() {
-  absl::StatusOr<Policy> policy = ReadPolicyFile(kShippedPolicy);
-  return policy.ok() ? std::make_shared<const Policy>(*std::move(policy)) : nullptr;
+absl::StatusOr<Policy> LoadPolicy() {
+  if (const std::string path = absl::GetFlag(FLAGS_policy); !path.empty()) {
+    return ReadPolicyFile(path);
+  }
+  ModelConfig config;
+  config.hidden_size = absl::GetFlag(FLAGS_hidden_size);
+  config.ffn_size = 4 * config.hidden_size;
+  config.ticks = absl::GetFlag(FLAGS_ticks);
+  config.context = absl::GetFlag(FLAGS_context);
+  if (auto status = config.Validate(); !status.ok()) return status;
+  return RandomPolicy(config, /*observation_size=*/4, ActionSpace::Discrete(2), /*seed=*/1);
 }
 
-std::shared_ptr<const Policy> RandomCartPolePolicy() {
-  return std::make_shared<const Policy>(
-      RandomPolicy(ModelConfig(), 4, ActionSpace::Discrete(2), /*seed=*/1));
-}
+// An agent and its CartPole.
+class Player {
+ public:
+  Player(const Engine* engine, uint64_t seed)
+      : engine_(engine),
+        environment_(*MakeEnvironment("CartPole-v1")),
+        seed_(seed),
+        encoded_(static_cast<size_t>(engine->policy().action_space.size())) {
+    Reset();
+  }
 
-// One decision an iteration, its action token included; the environment's share is noise beside it.
-void Decide(benchmark::State& state, const std::shared_ptr<const Policy>& policy, bool streaming) {
-  if (policy == nullptr)
-    return state.SkipWithError("no shipped policy: run from the repository root");
-  const std::unique_ptr<Engine> engine =
-      streaming ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
-  auto environment = *MakeEnvironment("CartPole-v1");
-  std::unique_ptr<Engine::Context> context;
-  std::vector<float> observation, encoded(policy->action_space.size());
-  Engine::Output output;
-  uint64_t seed = 1, spikes = 0;
-  float return_to_go = 0.0f;
-  for (auto _ : state) {
-    if (context == nullptr) {
-      observation = environment->Reset(seed++);
-      context = engine->NewContext(0);
-      return_to_go = policy->target_return;
-    }
-    engine->Decide(*context, return_to_go, observation, &output);
-    const Action action = ChooseAction(policy->weights.head, policy->action_space, output.readout,
+  // One decision; returns its spikes.
+  uint64_t Play() {
+    if (steps_++ % absl::GetFlag(FLAGS_episode_steps) == 0) context_ = engine_->NewContext(0);
+    engine_->Decide(*context_, return_to_go_, observation_, &output_);
+    Act();
+    return output_.counts.total_spikes();
+  }
+
+ private:
+  void Act() {
+    const Policy& policy = engine_->policy();
+    const Action action = ChooseAction(policy.weights.head, policy.action_space, output_.readout,
                                        ActionSelection(), 0)
                               .action;
-    policy->action_space.Encode(action, absl::MakeSpan(encoded));
-    engine->AppendAction(*context, encoded);
-    const StepResult step = environment->Step(action);
-    observation = step.observation;
-    return_to_go -= static_cast<float>(step.reward);
-    spikes += output.counts.total_spikes();
-    if (step.done()) context.reset();
+    policy.action_space.Encode(action, absl::MakeSpan(encoded_));
+    engine_->AppendAction(*context_, encoded_);
+    const StepResult step = environment_->Step(action);
+    observation_ = step.observation;
+    return_to_go_ -= static_cast<float>(step.reward);
+    if (step.done()) Reset();
   }
-  state.counters["decisions/s"] =
-      benchmark::Counter(static_cast<double>(state.iterations()), benchmark::Counter::kIsRate);
-  state.counters["spikes/decision"] =
-      static_cast<double>(spikes) / static_cast<double>(state.iterations());
-}
 
-BENCHMARK_CAPTURE(Decide, streaming_shipped, ShippedPolicy(), true)->Unit(benchmark::kMicrosecond);
-BENCHMARK_CAPTURE(Decide, streaming_random, RandomCartPolePolicy(), true)
-    ->Unit(benchmark::kMicrosecond);
-// The reference recomputes the episode, so its cost grows with it: a fixed number of decisions
-// keeps runs alike.
-BENCHMARK_CAPTURE(Decide, reference_random, RandomCartPolePolicy(), false)
-    ->Unit(benchmark::kMicrosecond)
-    ->Iterations(20);
+  void Reset() {
+    observation_ = environment_->Reset(seed_++);
+    return_to_go_ = engine_->policy().target_return;
+  }
+
+  const Engine* const engine_;
+  const std::unique_ptr<Environment> environment_;
+  uint64_t seed_;
+  int64_t steps_ = 0;
+  std::unique_ptr<Engine::Context> context_;
+  float return_to_go_ = 0.0f;
+  std::vector<float> observation_;
+  std::vector<float> encoded_;
+  Engine::Output output_;
+};
+
+absl::Status Run() {
+  auto loaded = LoadPolicy();
+  if (!loaded.ok()) return loaded.status();
+  const auto policy = std::make_shared<const Policy>(*std::move(loaded));
+  const std::string name = absl::GetFlag(FLAGS_engine);
+  if (name != "streaming" && name != "reference") {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--engine: expected streaming or reference, received \"", name, "\""));
+  }
+  const std::unique_ptr<Engine> engine =
+      name == "streaming" ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
+  Player player(engine.get(), /*seed=*/1);
+  RunContestant([&player] { return Work{.decisions = 1, .spikes = player.Play()}; });
+  return absl::OkStatus();
+}
 
 }  // namespace
 }  // namespace spikeserve
 
-BENCHMARK_MAIN();
+int main(int argc, char** argv) {
+  absl::SetProgramUsageMessage("engine_bench: a contestant of the benchmark, see contestant.h");
+  absl::ParseCommandLine(argc, argv);
+  const absl::Status status = spikeserve::Run();
+  if (status.ok()) return 0;
+  std::cerr << "engine_bench: " << status.message() << std::endl;
+  return 1;
+}

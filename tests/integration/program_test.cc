@@ -31,6 +31,7 @@ TEST_F(ProgramTest, BadFlags) {
   ExpectFailure({policies(), "--listen=127.0.0.1:70000"}, "--listen: expected HOST:PORT");
   ExpectFailure({policies(), "--http_listen=,:1"}, "--http_listen: expected HOST:PORT");
   ExpectFailure({policies(), "--session_ttl=0s"}, "--session_ttl: expected at least 1ms");
+  ExpectFailure({policies(), "--compact_after=0s"}, "--compact_after: expected at least 1ms");
   ExpectFailure({policies(), "--max_sessions=0"}, "--max_sessions: expected at least 1");
   ExpectFailure({policies(), "--drain_timeout=-1s"}, "--drain_timeout: expected");
   ExpectFailure({policies(), "extra"}, "expected flags alone, received \"extra\"");

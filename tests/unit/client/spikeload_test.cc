@@ -1,4 +1,4 @@
-// The closed loop of spikeload, without its process.
+// The loops of spikeload, without its process.
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "loadtest/caller.h"
@@ -38,7 +38,7 @@ class CallerTest : public ::testing::TestWithParam<LoadMode> {
 
 TEST_P(CallerTest, EveryAgentPlaysOn) {
   Caller caller = MakeCaller();
-  const LoadReport report = caller.Run(std::chrono::milliseconds(200));
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
   EXPECT_EQ(report.errors, 0) << report.first_error;
   EXPECT_GE(report.decisions, kAgents);
   EXPECT_EQ(report.decisions, fake_.decisions());
@@ -48,13 +48,34 @@ TEST_P(CallerTest, EveryAgentPlaysOn) {
   EXPECT_EQ(fake_.sessions(), 0);
 }
 
+TEST_P(CallerTest, RequestsFollowTheSchedule) {
+  Caller caller = MakeCaller();
+  const LoadReport report = caller.RunAtRate(
+      {.offset = std::chrono::milliseconds(1), .interval = std::chrono::milliseconds(2)},
+      std::chrono::milliseconds(200));
+  EXPECT_EQ(report.errors, 0) << report.first_error;
+  EXPECT_EQ(report.decisions, 100);  // due at 1, 3, ... 199 ms, however late they went out
+  EXPECT_EQ(report.latency.count(), 100);
+}
+
+TEST_P(CallerTest, AServerTooSlowForTheScheduleIsChargedForTheWait) {
+  Caller caller = MakeCaller();
+  // 100,000 requests a second, which nothing here can answer: the last is due at 20 ms, all the
+  // same, and its latency is what it took beyond that.
+  const LoadReport report = caller.RunAtRate(
+      {.offset = std::chrono::nanoseconds(0), .interval = std::chrono::microseconds(10)},
+      std::chrono::milliseconds(20));
+  EXPECT_EQ(report.decisions, 2000);
+  EXPECT_GT(report.latency.Quantile(1.0), (report.seconds - 0.02) / 2);
+}
+
 TEST_P(CallerTest, ALastingErrorRetiresItsAgent) {
   Caller caller = MakeCaller();
   for (int i = 0; i < kAgents; ++i) {
     ASSERT_TRUE(client_->CloseSession("session-" + std::to_string(i)).ok());
   }
   // Would never end if an agent went on.
-  const LoadReport report = caller.Run(std::chrono::hours(24));
+  const LoadReport report = caller.RunClosedLoop(std::chrono::hours(24));
   EXPECT_EQ(report.errors, kAgents);
   EXPECT_EQ(report.decisions, 0);
   EXPECT_TRUE(absl::IsNotFound(report.first_error));
@@ -68,7 +89,7 @@ using CallTest = CallerTest;
 TEST_P(CallTest, AFailureThatPassesIsCountedAndRepeated) {
   Caller caller = MakeCaller();
   fake_.RefuseNext(1, {grpc::StatusCode::UNAVAILABLE, "overloaded"});
-  const LoadReport report = caller.Run(std::chrono::milliseconds(200));
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
   EXPECT_GE(report.errors, 1);
   EXPECT_EQ(report.first_error, absl::UnavailableError("overloaded"));
   EXPECT_GE(report.decisions, 1);
@@ -81,7 +102,7 @@ using BrokenStreamTest = CallerTest;
 TEST_P(BrokenStreamTest, CountsEveryRequestUnderWay) {
   Caller caller = MakeCaller();
   fake_.BreakNextStream({grpc::StatusCode::UNAVAILABLE, "draining"});
-  const LoadReport report = caller.Run(std::chrono::hours(24));
+  const LoadReport report = caller.RunClosedLoop(std::chrono::hours(24));
   EXPECT_GE(report.errors, kAgents - 1);
   EXPECT_LE(report.decisions, 1);
 }
@@ -140,6 +161,7 @@ TEST(LoadOptionsTest, ValidateNamesTheFlag) {
   EXPECT_THAT(message([](LoadOptions& o) { o.batch_size = -1; }), HasSubstr("--batch_size"));
   EXPECT_THAT(message([](LoadOptions& o) { o.duration = absl::InfiniteDuration(); }),
               HasSubstr("--duration"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.rate = -1.0; }), HasSubstr("--rate"));
   EXPECT_EQ(*ParseLoadMode("stream"), LoadMode::kStream);
   EXPECT_TRUE(absl::IsInvalidArgument(ParseLoadMode("Stream").status()));
 }

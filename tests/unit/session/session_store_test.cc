@@ -87,6 +87,71 @@ TEST_F(SessionStoreTest, OnlyIdleSessionsAreRemoved) {
   EXPECT_EQ(observer_->closed, 1);
 }
 
+TEST_F(SessionStoreTest, IdleSessionsAreCompactedOnceUntilTheyAreUsed) {
+  SessionStore store(10, &clock_);
+  const std::string id = MustOpen(store);
+  const std::string held = MustOpen(store);
+  const auto holder = store.Find(held);
+  clock_.Advance(absl::Seconds(6));
+  EXPECT_EQ(store.CompactIdle(absl::Seconds(10)), 0);
+  clock_.Advance(absl::Seconds(6));
+  EXPECT_EQ(store.CompactIdle(absl::Seconds(10)), 1);
+  EXPECT_EQ(store.CompactIdle(absl::Seconds(10)), 0);
+  ASSERT_TRUE(store.Find(id).ok());
+  clock_.Advance(absl::Seconds(12));
+  EXPECT_EQ(store.CompactIdle(absl::Seconds(10)), 1);
+}
+
+// The same engine, told of the contexts it makes.
+class CountingEngine final : public Engine {
+ public:
+  explicit CountingEngine(std::shared_ptr<const Engine> engine) : engine_(std::move(engine)) {}
+
+  const Policy& policy() const override { return engine_->policy(); }
+  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override {
+    ++contexts;
+    return engine_->NewContext(seed, first_timestep);
+  }
+  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+              Output* output) const override {
+    engine_->Decide(context, return_to_go, observation, output);
+  }
+  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
+    engine_->AppendAction(context, encoded_action);
+  }
+
+  mutable int contexts = 0;
+
+ private:
+  std::shared_ptr<const Engine> engine_;
+};
+
+TEST_F(SessionStoreTest, ACompactedSessionGoesOnBitForBit) {
+  auto counting = std::make_shared<ServedPolicy>(*served_);
+  const auto engine = std::make_shared<CountingEngine>(served_->engine);
+  counting->engine = engine;
+  SessionStore store(10, &clock_);
+  const auto steady = store.Open(served_, SmallOptions());
+  const auto idling = store.Open(counting, SmallOptions());
+  const auto act = [&](const std::string& id, int64_t t) {
+    const auto entry = store.Find(id);
+    absl::MutexLock lock(&(*entry)->mutex);
+    return **(*entry)->agent.Act(t, ObservationAt(t), RewardAt(t));
+  };
+  for (int64_t t = 0; t < 30; ++t) {
+    const Answer expected = act(*steady, t);
+    if (t % 4 == 3) {
+      clock_.Advance(absl::Seconds(10));
+      const auto hold = store.Find(*steady);
+      EXPECT_EQ(store.CompactIdle(absl::Seconds(10)), 1);
+    }
+    Answer actual = act(*idling, t);
+    actual.compute_seconds = expected.compute_seconds;
+    EXPECT_EQ(actual, expected) << t;
+  }
+  EXPECT_EQ(engine->contexts, 8);  // the first one, and 7 rebuilt
+}
+
 TEST_F(SessionStoreTest, AClosedSessionOutlivesTheStoreForItsHolder) {
   SessionStore store(10, &clock_);
   const std::string id = MustOpen(store);
@@ -123,7 +188,9 @@ TEST_F(SessionStoreTest, TheReaperTakesOutIdleSessions) {
   MustOpen(store);
   clock_.Advance(absl::Seconds(1));
   absl::Notification reaped;
-  SessionReaper reaper(&store, absl::Milliseconds(1), [&](int64_t count) {
+  const IdleLimits limits = {.compact_after = absl::Milliseconds(1),
+                             .time_to_live = absl::Milliseconds(1)};
+  SessionReaper reaper(&store, limits, [&](int64_t count) {
     EXPECT_EQ(count, 1);
     reaped.Notify();
   });

@@ -97,6 +97,8 @@ TEST(SessionTest, WrongFieldsAreNamed) {
   ExpectRefused(Edited(session, "/1/3", -1), "session.step: expected at least 0, received -1");
   ExpectRefused(Edited(session, "/1/3", 11), "session.last_answer.step: expected 10, received 11");
   ExpectRefused(Edited(session, "/1/9/2/1/0", "x"), "session.history[2].observation[0]: expected");
+  ExpectRefused(Edited(session, "/1/9/2/1", Json::array()),
+                "session.history[2]: expected as many numbers as timestep 0 has");
   ExpectRefused(Edited(session, "/1/9", Json::array()), "session.history: expected 1 to 12");
   ExpectRefused(Edited(session, "/1/10", nullptr), "session.last_answer.step: expected 11");
   ExpectRefused(Edited(session, "/1/10/4/0", {1, 2}),

@@ -1,0 +1,68 @@
+#include "core/session/history.h"
+
+#include <algorithm>
+#include <bit>
+#include <cstdint>
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kFirstObservation = 2;
+
+}  // namespace
+
+absl::Span<const float> History::observation(size_t i) const {
+  return {row(i) + kFirstObservation, observation_size_};
+}
+
+Action History::action(size_t i) const {
+  const float* cells = row(i);
+  return {.discrete = std::bit_cast<int32_t>(cells[1]),
+          .continuous = {cells + kFirstObservation + observation_size_, cells + stride_}};
+}
+
+Timestep History::at(size_t i) const {
+  const absl::Span<const float> seen = observation(i);
+  return {.return_to_go = return_to_go(i),
+          .observation = {seen.begin(), seen.end()},
+          .action = action(i)};
+}
+
+void History::Append(float return_to_go, absl::Span<const float> observation, const Action& action,
+                     size_t limit) {
+  if (empty()) {
+    observation_size_ = observation.size();
+    stride_ = kFirstObservation + observation.size() + action.continuous.size();
+  }
+  size_t row = oldest_;
+  if (size() < limit) {
+    // The newest is the last row as long as the ring is not closed, and stays so.
+    std::rotate(cells_.begin(), cells_.begin() + static_cast<ptrdiff_t>(oldest_ * stride_),
+                cells_.end());
+    oldest_ = 0;
+    row = size();
+    cells_.resize(cells_.size() + stride_);
+  } else {
+    oldest_ = (oldest_ + 1) % size();
+  }
+  float* cells = cells_.data() + row * stride_;
+  cells[0] = return_to_go;
+  cells[1] = std::bit_cast<float>(static_cast<int32_t>(action.discrete));
+  cells = std::copy(observation.begin(), observation.end(), cells + kFirstObservation);
+  std::copy(action.continuous.begin(), action.continuous.end(), cells);
+}
+
+void History::Clear() {
+  cells_.clear();
+  oldest_ = 0;
+}
+
+bool operator==(const History& a, const History& b) {
+  if (a.size() != b.size()) return false;
+  for (size_t i = 0; i < a.size(); ++i) {
+    if (a.at(i) != b.at(i)) return false;
+  }
+  return true;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,60 @@
+// The last timesteps of an episode, in one flat array: an idle session keeps little else.
+//
+// A plain value, not thread-safe. obs: observation length; act: values of a Box action, 0 for
+// Discrete spaces.
+#ifndef CORE_SESSION_HISTORY_H_
+#define CORE_SESSION_HISTORY_H_
+
+#include <cstddef>
+#include <vector>
+
+#include "absl/types/span.h"
+#include "core/model/action_space.h"
+
+namespace spikeserve {
+
+// One timestep of the past, as the model saw it.
+struct Timestep {
+  float return_to_go = 0.0f;
+  std::vector<float> observation;  // environment units
+  Action action;
+
+  friend bool operator==(const Timestep&, const Timestep&) = default;
+};
+
+class History {
+ public:
+  size_t size() const { return stride_ == 0 ? 0 : cells_.size() / stride_; }
+  bool empty() const { return cells_.empty(); }
+
+  // Timestep i, counted from the oldest. REQUIRES: i < size().
+  float return_to_go(size_t i) const { return row(i)[0]; }
+  absl::Span<const float> observation(size_t i) const;  // valid until the history changes
+  Action action(size_t i) const;
+  Timestep at(size_t i) const;
+
+  // Adds a timestep, in the place of the oldest where there are `limit` of them.
+  // REQUIRES: obs and act are those of the timesteps that are here.
+  void Append(float return_to_go, absl::Span<const float> observation, const Action& action,
+              size_t limit);
+
+  // Forgets all timesteps; keeps the memory.
+  void Clear();
+  // Gives back memory that holds no timestep.
+  void ShrinkToFit() { cells_.shrink_to_fit(); }
+
+  friend bool operator==(const History& a, const History& b);
+
+ private:
+  const float* row(size_t i) const { return cells_.data() + (oldest_ + i) % size() * stride_; }
+
+  size_t observation_size_ = 0;
+  size_t stride_ = 0;         // cells of a timestep
+  size_t oldest_ = 0;         // its row; the rows are a ring
+  std::vector<float> cells_;  // [size][2 + obs + act]: G_t, the bits of the discrete action, the
+                              // observation, the continuous action
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_SESSION_HISTORY_H_

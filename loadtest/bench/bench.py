@@ -1,0 +1,236 @@
+"""The benchmark: every contestant in one run, in turn, round after round, so that ratios hold on a noisy machine.
+
+Writes one JSON file and one Markdown page. Medians over rounds; a ratio is the median of the ratios within a round.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import pathlib
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+import programs
+import report
+
+ROOT = pathlib.Path(__file__).parents[2]
+BENCH = pathlib.Path(__file__).parent
+POLICIES = ROOT / "deploy/policies"
+SHIPPED = POLICIES / "cartpole/1/policy.safetensors"
+
+SESSIONS = [1, 8, 64, 512]
+BATCH = 64  # requests
+
+
+def parse_arguments():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--bin", type=pathlib.Path, required=True, help="where the programs lie")
+    parser.add_argument("--python", type=pathlib.Path, required=True, help="a Python with requirements.txt")
+    parser.add_argument("--json", type=pathlib.Path, required=True, help="the result, for machines")
+    parser.add_argument("--markdown", type=pathlib.Path, required=True, help="the result, for people")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=1.0, help="of a round of a contestant")
+    parser.add_argument("--max_sessions", type=int, default=1_000_000, help="the most sessions open at once")
+    sections = ["engine", "growth", "sessions", "server"]
+    parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
+    return parser.parse_args()
+
+
+def summarize(rounds):
+    """Medians over rounds, each a dict of numbers."""
+    return {key: statistics.median(r[key] for r in rounds) for key in rounds[0]}
+
+
+def run_contestants(commands, rounds, seconds):
+    """By name: medians of decisions_per_second and spikes_per_decision, and the rate of every round."""
+    results = {name: [] for name in commands}
+    with programs.running_contestants(commands) as contestants:
+        for contestant in contestants:
+            contestant.measure(seconds / 10)  # caches and clocks get warm
+        for _ in range(rounds):
+            for contestant in contestants:
+                measured = contestant.measure(seconds)
+                results[contestant.name].append(
+                    {
+                        "decisions_per_second": measured["decisions"] / measured["seconds"],
+                        "spikes_per_decision": measured["spikes"] / measured["decisions"],
+                    }
+                )
+    return {
+        name: {**summarize(rounds), "rates": [r["decisions_per_second"] for r in rounds]}
+        for name, rounds in results.items()
+    }
+
+
+def engine_contestants(arguments):
+    engine, torch = arguments.bin / "engine_bench", arguments.bin / "torch_bench"
+    shipped = f"--policy={SHIPPED}"
+    return {
+        "spikeserve_silent": [engine, shipped],
+        "spikeserve_loud": [engine],
+        "reference": [engine, shipped, "--engine=reference", "--episode_steps=20"],
+        "torch_snn_window": [torch, "--model=snn", shipped],
+        "torch_dense_window": [torch, "--model=dense"],
+        "torch_dense_cached": [torch, "--model=dense_cached"],
+        "onnx_dense_cached": [arguments.python, BENCH / "dense_onnx.py"],
+    }
+
+
+def growth_contestants(arguments):
+    engine = arguments.bin / "engine_bench"
+    variants = {
+        "ticks": [5, 10, 20, 40],
+        "context": [20, 50, 100, 1000],
+        "hidden_size": [64, 128, 256, 512],
+    }
+    commands = {
+        f"{flag}={value}": [engine, f"--{flag}={value}", f"--episode_steps={4 * value if flag == 'context' else 500}"]
+        for flag, values in variants.items()
+        for value in values
+    }
+    for steps in [20, 100, 500, 10_000]:
+        commands[f"episode_steps={steps}"] = [engine, f"--policy={SHIPPED}", f"--episode_steps={steps}"]
+    return commands
+
+
+def measure_sessions(arguments):
+    """Memory a session, for a growing number of them."""
+    counts = [n for n in (1, 1000, 100_000, 1_000_000) if n <= arguments.max_sessions]
+    results = []
+    for count in counts:
+        command = [arguments.bin / "session_bench", f"--policy={SHIPPED}", f"--sessions={count}"]
+        output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        results.append(json.loads(output))
+    return results
+
+
+def load_flags(mode, sessions):
+    """The flags of spikeload for a mode; batches are of BATCH requests, or of all sessions where there are fewer."""
+    streams = -(-sessions // BATCH) if mode == "batch" else min(8, sessions)
+    return {"mode": mode, "sessions": sessions, "streams": streams}
+
+
+@contextlib.contextmanager
+def running_servers(arguments):
+    """spikeserve and the echo service."""
+    spikeserve = [arguments.bin / "spikeserve", f"--policies={POLICIES}", "--listen=127.0.0.1:0", "--http_listen="]
+    echo = [arguments.bin / "echo_server"]
+    with (
+        programs.running_server(spikeserve, "spikeserve: serving gRPC on ") as spikeserve_server,
+        programs.running_server(echo, "listening on ") as echo_server,
+    ):
+        yield {"spikeserve": spikeserve_server, "echo": echo_server}
+
+
+@contextlib.contextmanager
+def running_torch_server(arguments):
+    """The Python server."""
+    with tempfile.TemporaryDirectory() as stubs:
+        proto = ROOT / "proto"
+        subprocess.run(
+            [arguments.python, "-m", "grpc_tools.protoc", f"-I{proto}", f"--python_out={stubs}"]
+            + [f"--grpc_python_out={stubs}", proto / "spikeserve/v1/policy_service.proto"],
+            check=True,
+        )
+        command = [arguments.python, BENCH / "torch_server.py", SHIPPED, stubs]
+        with programs.running_server(command, "listening on ") as server:
+            yield server
+
+
+def share(measured, case, key):
+    """The median over rounds of spikeserve's figure as a share of the echo's."""
+    pairs = zip(measured["spikeserve"][case], measured["echo"][case], strict=True)
+    return statistics.median(ours[key] / echo[key] for ours, echo in pairs)
+
+
+def measure_servers(arguments):
+    """Closed-loop rates by mode and sessions, then latencies at half the peak rate."""
+    rounds, spikeload = min(arguments.rounds, 3), arguments.bin / "spikeload"
+    duration = f"{arguments.seconds}s"
+    cases = [(mode, sessions) for mode in ("unary", "stream", "batch") for sessions in SESSIONS]
+    measured = {name: {case: [] for case in cases} for name in ("spikeserve", "echo")}
+    half = {mode: [] for mode in ("unary", "stream")}
+    with running_servers(arguments) as servers:
+
+        def load(name, mode, sessions, **flags):
+            flags = {**load_flags(mode, sessions), "duration": duration, **flags}
+            return programs.measure_load(spikeload, servers[name], **flags)
+
+        for _ in range(rounds):
+            for case in cases:
+                for name, results in measured.items():
+                    results[case].append(load(name, *case))
+        sessions = SESSIONS[-1]
+        for mode, results in half.items():
+            peak = summarize(measured["spikeserve"][mode, sessions])["decisions_per_second"]
+            for _ in range(rounds):
+                results.append(load("spikeserve", mode, sessions, rate=peak / 2))
+    return {
+        "closed_loop": [
+            {
+                "mode": mode,
+                "sessions": sessions,
+                **{name: summarize(results[mode, sessions]) for name, results in measured.items()},
+                "share_of_echo": share(measured, (mode, sessions), "decisions_per_second"),
+                "processor_share_of_echo": 1 / share(measured, (mode, sessions), "processor_seconds_per_decision"),
+            }
+            for mode, sessions in cases
+        ],
+        "half_peak": [{"mode": mode, "sessions": SESSIONS[-1], **summarize(r)} for mode, r in half.items()],
+    }
+
+
+def measure_torch_server(arguments):
+    with running_torch_server(arguments) as server:
+        return [
+            {
+                "sessions": sessions,
+                **programs.measure_load(
+                    arguments.bin / "spikeload",
+                    server,
+                    **load_flags("unary", sessions),
+                    duration=f"{2 * arguments.seconds}s",
+                ),
+            }
+            for sessions in SESSIONS[:3]
+        ]
+
+
+def machine():
+    with open("/proc/cpuinfo") as file:
+        model = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
+    return {
+        "processor": model,
+        "cores": os.cpu_count(),
+        "caches": subprocess.run(["lscpu", "--caches=NAME,ONE-SIZE"], capture_output=True, text=True).stdout.split()[2:],
+        "kernel": platform.release(),
+        "load_before": os.getloadavg()[0],
+    }
+
+
+def main():
+    arguments = parse_arguments()
+    start = time.monotonic()
+    result = {"machine": machine(), "rounds": arguments.rounds, "seconds": arguments.seconds}
+
+    def section(name, measure):
+        if name in arguments.sections:
+            print(f"bench: {name}", file=sys.stderr, flush=True)
+            result[name] = measure()
+
+    section("engine", lambda: run_contestants(engine_contestants(arguments), arguments.rounds, arguments.seconds))
+    section("growth", lambda: run_contestants(growth_contestants(arguments), arguments.rounds, arguments.seconds / 2))
+    section("sessions", lambda: measure_sessions(arguments))
+    section("server", lambda: {**measure_servers(arguments), "torch_server": measure_torch_server(arguments)})
+    result["duration_seconds"] = time.monotonic() - start
+    arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+    arguments.markdown.write_text(report.to_markdown(result))
+
+
+if __name__ == "__main__":
+    main()

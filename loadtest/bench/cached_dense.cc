@@ -1,0 +1,92 @@
+#include "loadtest/bench/cached_dense.h"
+
+#include <torch/torch.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+using torch::indexing::None;
+using torch::indexing::Slice;
+
+constexpr int kNew = 3;  // tokens a decision
+constexpr double kUnseen = -1e9;
+
+// What each new token may attend to: the last N timesteps up to itself.
+torch::Tensor Band(int context) {
+  const int keys = 3 * context + 2;
+  torch::Tensor mask = torch::zeros({kNew, keys});
+  for (int token = 0; token < kNew; ++token) {
+    mask.index_put_({token, Slice(keys - kNew + token + 1, None)}, kUnseen);
+  }
+  mask.index_put_({Slice(1, None), Slice(None, 3)}, kUnseen);  // timestep t - N, for a_{t-1} alone
+  return mask;
+}
+
+torch::Tensor Remember(const torch::Tensor& fresh, torch::Tensor& cache) {
+  const torch::Tensor window = torch::cat({cache, fresh}, 1);
+  cache = window.slice(1, kNew);
+  return window;
+}
+
+}  // namespace
+
+CachedDense::CachedDense(const Policy& policy)
+    : policy_(policy), p_(policy), mask_(Band(policy.config.context)) {
+  const ModelConfig& config = policy_.config;
+  for (int layer = 0; layer < config.layers; ++layer) {
+    const auto zeros = [&config] {
+      return torch::zeros({config.heads, 3 * config.context - 1, config.head_size()});
+    };
+    caches_.push_back({zeros(), zeros()});
+  }
+}
+
+torch::Tensor CachedDense::Decide(int64_t timestep, const torch::Tensor& action,
+                                  const torch::Tensor& return_to_go,
+                                  const torch::Tensor& observation) {
+  const torch::Tensor g = (return_to_go - policy_.return_offset) / policy_.return_scale;
+  const torch::Tensor s = (observation - p_["observation.mean"]) / p_["observation.std"];
+  torch::Tensor x = torch::cat({Embed("action", action, std::max<int64_t>(timestep - 1, 0)),
+                                Embed("return", g, timestep), Embed("state", s, timestep)});
+  for (int layer = 0; layer < policy_.config.layers; ++layer) x = Layer(x, layer);
+  return p_.Linear(x, "head");
+}
+
+torch::Tensor CachedDense::Embed(const char* modality, const torch::Tensor& input,
+                                 int64_t timestep) const {
+  const std::string name = absl::StrCat("embed.", modality);
+  const torch::Tensor& table = p_["embed.timestep.weight"];
+  const int64_t row = std::min<int64_t>(timestep, table.size(0) - 1);
+  return p_.Norm(p_.Linear(input, name) + table[row], name + ".norm");
+}
+
+torch::Tensor CachedDense::Heads(const torch::Tensor& x) const {
+  return x.view({x.size(0), policy_.config.heads, policy_.config.head_size()}).transpose(0, 1);
+}
+
+torch::Tensor CachedDense::Layer(const torch::Tensor& x, int layer) {
+  const std::string name = absl::StrCat("layers.", layer);
+  const std::string attention = name + ".attention";
+  const bool is_last = layer + 1 == policy_.config.layers;
+  const torch::Tensor asking = is_last ? x.slice(0, kNew - 1) : x;
+  const torch::Tensor mask = is_last ? mask_.slice(0, kNew - 1) : mask_;
+  const torch::Tensor query = Heads(p_.Linear(asking, attention + ".query"));
+  const torch::Tensor keys = Remember(Heads(p_.Linear(x, attention + ".key")), caches_[layer].keys);
+  const torch::Tensor values =
+      Remember(Heads(p_.Linear(x, attention + ".value")), caches_[layer].values);
+  const torch::Tensor scores =
+      torch::matmul(query, keys.transpose(1, 2)) / std::sqrt(policy_.config.head_size()) + mask;
+  const torch::Tensor y = torch::matmul(torch::softmax(scores, -1), values).transpose(0, 1);
+  const torch::Tensor after =
+      p_.Norm(asking + p_.Linear(y.flatten(1), attention + ".output"), attention + ".norm");
+  const torch::Tensor hidden = at::gelu(p_.Linear(after, name + ".ffn.hidden"), "tanh");
+  return p_.Norm(after + p_.Linear(hidden, name + ".ffn.output"), name + ".ffn.norm");
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,46 @@
+// A dense decision transformer in libtorch that keeps its keys and values: what a careful PyTorch
+// user would serve.
+//
+// In steady state: its window is always full, at first of zeros. Once those have left the band its
+// answers are those of the engine of dense mode. Not thread-safe.
+#ifndef LOADTEST_BENCH_CACHED_DENSE_H_
+#define LOADTEST_BENCH_CACHED_DENSE_H_
+
+#include <torch/types.h>
+
+#include <vector>
+
+#include "core/model/policy.h"
+#include "train/parameters.h"
+
+namespace spikeserve {
+
+class CachedDense {
+ public:
+  // REQUIRES: a valid policy of dense mode.
+  explicit CachedDense(const Policy& policy);
+
+  // The logits [1, act] of timestep `timestep`, from its three new tokens: a_{t-1} [1, act] as
+  // ActionSpace::Encode writes it, G_t [1, 1] and s_t [1, obs] in environment units.
+  torch::Tensor Decide(int64_t timestep, const torch::Tensor& action,
+                       const torch::Tensor& return_to_go, const torch::Tensor& observation);
+
+ private:
+  struct Cache {
+    torch::Tensor keys;    // [H, 3N - 1, d_h]
+    torch::Tensor values;  // likewise
+  };
+
+  torch::Tensor Embed(const char* modality, const torch::Tensor& input, int64_t timestep) const;
+  torch::Tensor Heads(const torch::Tensor& x) const;  // [H, tokens, d_h]
+  torch::Tensor Layer(const torch::Tensor& x, int layer);
+
+  const Policy policy_;
+  const Parameters p_;
+  const torch::Tensor mask_;  // [3, 3N + 2]
+  std::vector<Cache> caches_;
+};
+
+}  // namespace spikeserve
+
+#endif  // LOADTEST_BENCH_CACHED_DENSE_H_

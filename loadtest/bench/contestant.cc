@@ -1,0 +1,35 @@
+#include "loadtest/bench/contestant.h"
+
+#include <ctime>
+#include <iostream>
+#include <string>
+
+namespace spikeserve {
+namespace {
+
+double ProcessorSeconds() {
+  timespec time;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
+  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+}
+
+}  // namespace
+
+void RunContestant(const std::function<Work()>& decide) {
+  std::cout << "ready" << std::endl;
+  for (std::string line; std::getline(std::cin, line);) {
+    const double duration = std::stod(line);
+    Work total;
+    const double start = ProcessorSeconds();
+    double now = start;
+    for (; now - start < duration; now = ProcessorSeconds()) {
+      const Work work = decide();
+      total.decisions += work.decisions;
+      total.spikes += work.spikes;
+    }
+    std::cout << "{\"decisions\": " << total.decisions << ", \"seconds\": " << now - start
+              << ", \"spikes\": " << total.spikes << "}" << std::endl;
+  }
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,161 @@
+"""A contestant of the benchmark: a dense decision transformer of the paper's size in ONNX Runtime.
+
+One decision computes its three new tokens a_{t-1}, G_t, s_t with a key/value cache, in steady state: the window is
+full. Weights are random, as they do not change the cost. One thread.
+"""
+
+import numpy as np
+import onnx
+import onnxruntime
+from onnx import TensorProto, helper, numpy_helper
+
+import contestant
+
+HIDDEN, HEADS, LAYERS, CONTEXT, FFN = 128, 4, 2, 20, 512
+OBSERVATION, ACTIONS = 4, 2
+NEW = 3  # tokens a decision
+PAST = 3 * CONTEXT - 1  # G_{t-N} ... s_{t-1}
+KEYS = PAST + NEW
+HEAD_SIZE = HIDDEN // HEADS
+UNSEEN = -1e9
+
+
+class Graph:
+    """Collects nodes and weights; every method returns the name of what it computes."""
+
+    def __init__(self, seed):
+        self.random = np.random.default_rng(seed)
+        self.nodes = []
+        self.weights = []
+
+    def constant(self, values, dtype=np.float32):
+        name = f"w{len(self.weights)}"
+        self.weights.append(numpy_helper.from_array(np.asarray(values, dtype), name))
+        return name
+
+    def op(self, kind, *inputs, output=None, **attributes):
+        output = output or f"x{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, inputs, [output], **attributes))
+        return output
+
+    def linear(self, x, inputs, outputs):
+        weight = self.constant(self.random.normal(size=(inputs, outputs)) * 0.3 / np.sqrt(inputs))
+        return self.op("Gemm", x, weight, self.constant(np.full(outputs, 0.1)))
+
+    def norm(self, x):
+        return self.op(
+            "LayerNormalization", x, self.constant(np.ones(HIDDEN)), self.constant(np.zeros(HIDDEN)), epsilon=1e-5
+        )
+
+    def reshape(self, x, shape):
+        return self.op("Reshape", x, self.constant(shape, np.int64))
+
+    def heads(self, x, tokens):
+        return self.op("Transpose", self.reshape(x, [tokens, HEADS, HEAD_SIZE]), perm=[1, 0, 2])
+
+    def last_token(self, x):
+        return self.op("Slice", x, *(self.constant([n], np.int64) for n in (NEW - 1, NEW, 0)))
+
+
+def band():
+    """What each new token may attend to: the last N timesteps up to itself."""
+    mask = np.zeros((NEW, KEYS))
+    for token in range(NEW):
+        mask[token, PAST + token + 1 :] = UNSEEN
+    mask[1:, :3] = UNSEEN  # timestep t - N, which a_{t-1} still sees
+    return mask
+
+
+def remember(graph, new, kind, layer):
+    """The keys or values of the window; what the next decision needs of them becomes an output."""
+    window = graph.op("Concat", f"past_{kind}{layer}", new, axis=1)
+    first, last, axis = (graph.constant([n], np.int64) for n in (NEW, KEYS, 1))
+    graph.op("Slice", window, first, last, axis, output=f"next_{kind}{layer}")
+    return window
+
+
+def attention(graph, x, layer, is_last):
+    key = remember(graph, graph.heads(graph.linear(x, HIDDEN, HIDDEN), NEW), "key", layer)
+    value = remember(graph, graph.heads(graph.linear(x, HIDDEN, HIDDEN), NEW), "value", layer)
+    asking = graph.last_token(x) if is_last else x
+    tokens = 1 if is_last else NEW
+    query = graph.heads(graph.linear(asking, HIDDEN, HIDDEN), tokens)
+    scores = graph.op("MatMul", query, graph.op("Transpose", key, perm=[0, 2, 1]))
+    scaled = graph.op("Mul", scores, graph.constant(1.0 / np.sqrt(HEAD_SIZE)))
+    mask = graph.constant(band()[-tokens:])
+    weights = graph.op("Softmax", graph.op("Add", scaled, mask), axis=-1)
+    merged = graph.op("Transpose", graph.op("MatMul", weights, value), perm=[1, 0, 2])
+    update = graph.linear(graph.reshape(merged, [tokens, HIDDEN]), HIDDEN, HIDDEN)
+    return graph.norm(graph.op("Add", asking, update))
+
+
+def build_model():
+    graph = Graph(seed=1)
+    inputs = {"action": ACTIONS, "return": 1, "observation": OBSERVATION}
+    embedded = [
+        graph.norm(graph.op("Add", graph.linear(name, size, HIDDEN), f"timestep_{name}"))
+        for name, size in inputs.items()
+    ]
+    x = graph.op("Concat", *embedded, axis=0)
+    for layer in range(LAYERS):
+        x = attention(graph, x, layer, is_last=layer + 1 == LAYERS)
+        hidden = graph.op("Gelu", graph.linear(x, HIDDEN, FFN), approximate="tanh")
+        x = graph.norm(graph.op("Add", x, graph.linear(hidden, FFN, HIDDEN)))
+    logits = graph.op("Identity", graph.linear(x, HIDDEN, ACTIONS), output="logits")
+
+    def value(name, *shape):
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+
+    cache = [f"{kind}{layer}" for layer in range(LAYERS) for kind in ("key", "value")]
+    model = helper.make_model(
+        helper.make_graph(
+            graph.nodes,
+            "dense",
+            [value(name, 1, size) for name, size in inputs.items()]
+            + [value(f"timestep_{name}", 1, HIDDEN) for name in inputs]
+            + [value(f"past_{name}", HEADS, PAST, HEAD_SIZE) for name in cache],
+            [value(logits, 1, ACTIONS)] + [value(f"next_{name}", HEADS, PAST, HEAD_SIZE) for name in cache],
+            graph.weights,
+        ),
+        opset_imports=[helper.make_opsetid("", 20)],
+    )
+    model.ir_version = 10
+    onnx.checker.check_model(model, full_check=True)
+    return model, cache
+
+
+class Player:
+    """Decides in closed loop with itself: the cache of one decision is the next one's, without copies."""
+
+    def __init__(self):
+        model, cache = build_model()
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.inter_op_num_threads = 1
+        self.session = onnxruntime.InferenceSession(
+            model.SerializeToString(), options, providers=["CPUExecutionProvider"]
+        )
+        random = np.random.default_rng(2)
+
+        def tensor(*shape):
+            return onnxruntime.OrtValue.ortvalue_from_numpy(random.normal(size=shape).astype(np.float32))
+
+        self.bindings = [self.session.io_binding(), self.session.io_binding()]
+        buffers = [{name: tensor(HEADS, PAST, HEAD_SIZE) for name in cache} for _ in range(2)]
+        for i, binding in enumerate(self.bindings):
+            for name, size in {"action": ACTIONS, "return": 1, "observation": OBSERVATION}.items():
+                binding.bind_ortvalue_input(name, tensor(1, size))
+                binding.bind_ortvalue_input(f"timestep_{name}", tensor(1, HIDDEN))
+            for name in cache:
+                binding.bind_ortvalue_input(f"past_{name}", buffers[i][name])
+                binding.bind_ortvalue_output(f"next_{name}", buffers[1 - i][name])
+            binding.bind_ortvalue_output("logits", tensor(1, ACTIONS))
+        self.decisions = 0
+
+    def decide(self):
+        self.session.run_with_iobinding(self.bindings[self.decisions % 2])
+        self.decisions += 1
+
+
+if __name__ == "__main__":
+    contestant.run(Player().decide)

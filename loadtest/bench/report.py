@@ -1,0 +1,181 @@
+"""Turns the benchmark's result into a page."""
+
+import statistics
+
+ENGINE_NAMES = {
+    "spikeserve_silent": "spikeserve, shipped CartPole policy",
+    "spikeserve_loud": "spikeserve, unregularised (random weights)",
+    "reference": "reference engine, shipped policy, episodes of one window",
+    "torch_snn_window": "the same model, libtorch eager, full window",
+    "torch_dense_window": "dense decision transformer, libtorch, full window",
+    "torch_dense_cached": "dense, libtorch, key/value cache",
+    "onnx_dense_cached": "dense, ONNX Runtime, key/value cache",
+}
+
+
+def number(value):
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def table(header, rows):
+    lines = ["| " + " | ".join(header) + " |", "| --- |" + " ---: |" * (len(header) - 1)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
+
+
+def ratio(engine, contestant, other):
+    """The median over rounds of the ratio of two rates."""
+    return statistics.median(
+        a / b for a, b in zip(engine[contestant]["rates"], engine[other]["rates"], strict=True)
+    )
+
+
+def verdict(measured, target, at_least=True):
+    met = measured >= target if at_least else measured <= target
+    return [number(measured), ("at least " if at_least else "at most ") + number(target), "yes" if met else "no"]
+
+
+def engine_targets(engine):
+    silent = "spikeserve_silent"
+    rate = {name: results["decisions_per_second"] for name, results in engine.items()}
+    return [
+        ["decisions a second, silent policy", *verdict(rate[silent], 60_000)],
+        ["decisions a second, unregularised", *verdict(rate["spikeserve_loud"], 25_000)],
+        ["times libtorch eager, full window", *verdict(ratio(engine, silent, "torch_snn_window"), 300)],
+        ["times the dense model in libtorch, full window", *verdict(ratio(engine, silent, "torch_dense_window"), 30)],
+        ["times the cached dense model in ONNX Runtime", *verdict(ratio(engine, silent, "onnx_dense_cached"), 1)],
+    ]
+
+
+def server_targets(server):
+    rows = []
+    cases = {(case["mode"], case["sessions"]): case for case in server["closed_loop"]}
+    for mode in ("unary", "stream"):
+        rows.append([f"share of the echo's rate, {mode}, 64 sessions", *verdict(cases[mode, 64]["share_of_echo"], 0.5)])
+    batch, unary = (cases[mode, 64]["spikeserve"]["decisions_per_second"] for mode in ("batch", "unary"))
+    rows.append(["`ActBatch` of 64, times unary", *verdict(batch / unary, 1.5)])
+    for case in server["half_peak"]:
+        name = f"p99 at half the peak rate, {case['mode']}, {case['sessions']} sessions, ms"
+        rows.append([name, *verdict(case["p99_seconds"] * 1e3, 1, at_least=False)])
+    return rows
+
+
+def session_targets(sessions):
+    active = max(s.get("active_bytes", 0) for s in sessions if s["sessions"] > 1)
+    idle = max(s["idle_bytes"] for s in sessions if s["sessions"] > 1)
+    return [
+        ["KiB an active session", *verdict(active / 1024, 48, at_least=False)],
+        ["KiB an idle session", *verdict(idle / 1024, 4, at_least=False)],
+        ["idle sessions open at once", *verdict(sessions[-1]["sessions"], 1_000_000)],
+    ]
+
+
+def targets_section(result):
+    rows = []
+    for key, targets in (("engine", engine_targets), ("server", server_targets), ("sessions", session_targets)):
+        if key in result:
+            rows += targets(result[key])
+    return "## Against what was asked\n\n" + table(["figure", "measured", "asked", "met"], rows)
+
+
+def engine_section(engine):
+    rows = [
+        [
+            name,
+            number(engine[key]["decisions_per_second"]),
+            number(1e6 / engine[key]["decisions_per_second"]),
+            number(engine[key]["spikes_per_decision"]) if engine[key]["spikes_per_decision"] else "-",
+            number(ratio(engine, "spikeserve_silent", key)),
+        ]
+        for key, name in ENGINE_NAMES.items()
+    ]
+    header = ["contestant", "decisions/s", "µs a decision", "spikes a decision", "silent spikeserve is faster by"]
+    return "## Engine, one core\n\n" + table(header, rows)
+
+
+def growth_section(growth):
+    text = "## Growth\n\nRandom, unregularised policies at the paper's size but for what is varied; episodes of 500 steps, "
+    text += "for N of 4 N. The length of episodes is varied with the shipped policy.\n\n"
+    flags = dict.fromkeys(key.split("=")[0] for key in growth)
+    for flag in flags:
+        cases = [(key.split("=")[1], r) for key, r in growth.items() if key.split("=")[0] == flag]
+        header = [flag] + [value for value, _ in cases]
+        cost = ["µs a decision"] + [number(1e6 / r["decisions_per_second"]) for _, r in cases]
+        spikes = ["spikes a decision"] + [number(r["spikes_per_decision"]) for _, r in cases]
+        text += table(header, [cost, spikes]) + "\n"
+    return text.rstrip() + "\n"
+
+
+def sessions_section(sessions):
+    rows = [
+        [
+            number(s["sessions"]),
+            number(s["opened_bytes"]),
+            number(s["active_bytes"]) if "active_bytes" in s else "-",
+            number(s["idle_bytes"]),
+            number(s["resident_bytes"] / 2**20),
+        ]
+        for s in sessions
+    ]
+    header = ["sessions", "bytes opened", "bytes active", "bytes idle", "process, MiB resident"]
+    text = "## Memory a session\n\nA single session pays for the store's empty shards alone. Idle: its history full, compacted."
+    return text + "\n\n" + table(header, rows)
+
+
+def server_section(server):
+    rows = [
+        [
+            case["mode"],
+            str(case["sessions"]),
+            number(case["spikeserve"]["decisions_per_second"]),
+            number(case["echo"]["decisions_per_second"]),
+            f"{case['share_of_echo']:.2f}",
+            number(case["spikeserve"]["processor_seconds_per_decision"] * 1e6),
+            number(case["echo"]["processor_seconds_per_decision"] * 1e6),
+            f"{case['processor_share_of_echo']:.2f}",
+            number(case["spikeserve"]["p99_seconds"] * 1e3),
+        ]
+        for case in server["closed_loop"]
+    ]
+    header = ["mode", "sessions", "spikeserve, decisions/s", "echo, calls/s", "share"]
+    header += ["spikeserve, processor µs", "echo, processor µs", "share", "spikeserve p99, ms"]
+    text = "## Server on one core, load from the others, closed loop\n\nProcessor time is the server's, for a decision, "
+    text += "sessions opened and closed included: what it could do where it is the bottleneck.\n\n" + table(header, rows)
+    rows = [
+        [
+            case["mode"],
+            number(case["decisions_per_second"]),
+            number(case["p50_seconds"] * 1e3),
+            number(case["p99_seconds"] * 1e3),
+        ]
+        for case in server["half_peak"]
+    ]
+    text += f"\nAt half the peak rate, {server['half_peak'][0]['sessions']} sessions, on a schedule; latency counts from "
+    text += "when a request was due.\n\n" + table(["mode", "decisions/s", "p50, ms", "p99, ms"], rows)
+    rows = [
+        [str(case["sessions"]), number(case["decisions_per_second"]), number(case["p99_seconds"] * 1e3)]
+        for case in server["torch_server"]
+    ]
+    text += "\nA Python gRPC server around the same policy in eager PyTorch, which recomputes the window, unary.\n\n"
+    return text + table(["sessions", "decisions/s", "p99, ms"], rows)
+
+
+def to_markdown(result):
+    machine = result["machine"]
+    caches = ", ".join(" ".join(pair) for pair in zip(machine["caches"][::2], machine["caches"][1::2], strict=False))
+    text = "# Performance\n\nWritten by `make bench`; do not edit. "
+    text += "[loadtest/bench](../loadtest/bench/bench.py) says how it is measured.\n\n"
+    text += f"Machine: {machine['processor']}, {machine['cores']} cores, {caches}; Linux {machine['kernel']}; load average "
+    text += f"before the run {machine['load_before']:.2f}. {result['rounds']} rounds, every contestant in each of them for "
+    text += f"{result['seconds']:g} s; medians. The run took {result['duration_seconds'] / 60:.1f} minutes. Engines are "
+    text += "timed in processor time.\n\n"
+    sections = {
+        "engine": engine_section,
+        "server": server_section,
+        "growth": growth_section,
+        "sessions": sessions_section,
+    }
+    text += targets_section(result)
+    for key, write in sections.items():
+        if key in result:
+            text += "\n" + write(result[key])
+    return text

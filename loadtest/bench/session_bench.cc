@@ -1,0 +1,150 @@
+// How much memory a session needs: opened, active, and idle. Prints one JSON object.
+//
+// Bytes are what the allocator has handed out, the store's table included, divided by the number of
+// sessions (and so is the list of ids this program keeps); `resident_bytes` is the whole process's
+// share of memory at the end.
+//
+// Active sessions play on the policy's own engine. An idle session keeps nothing of its engine, so
+// where there are more than --active of them they get their history from an engine that does not
+// compute, to have a million ready within seconds.
+
+#include <malloc.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <iostream>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/flags/flag.h"
+#include "absl/flags/parse.h"
+#include "absl/flags/usage.h"
+#include "core/model/policy_file.h"
+#include "core/session/session_store.h"
+#include "nlohmann/json.hpp"
+
+ABSL_FLAG(std::string, policy, "", "Policy file");
+ABSL_FLAG(int64_t, sessions, 1000, "Sessions open at once");
+ABSL_FLAG(int64_t, active, 1000, "Most sessions that are active at once");
+
+namespace spikeserve {
+namespace {
+
+// Says nothing, at no cost.
+class SilentEngine final : public Engine {
+ public:
+  explicit SilentEngine(std::shared_ptr<const Policy> policy) : policy_(std::move(policy)) {}
+
+  const Policy& policy() const override { return *policy_; }
+  std::unique_ptr<Context> NewContext(uint64_t, int64_t) const override {
+    return std::make_unique<Context>();
+  }
+  void Decide(Context&, float, absl::Span<const float>, Output* output) const override {
+    output->readout.assign(static_cast<size_t>(policy_->config.hidden_size), 0.0f);
+  }
+  void AppendAction(Context&, absl::Span<const float>) const override {}
+
+ private:
+  std::shared_ptr<const Policy> policy_;
+};
+
+std::shared_ptr<const ServedPolicy> Serve(std::shared_ptr<const Engine> engine) {
+  auto served = std::make_shared<ServedPolicy>();
+  served->name = "cartpole";
+  served->version = 1;
+  served->engine = std::move(engine);
+  served->observer = std::make_shared<SessionObserver>();
+  return served;
+}
+
+int64_t AllocatedBytes() {
+  const struct mallinfo2 info = mallinfo2();
+  return static_cast<int64_t>(info.uordblks + info.hblkhd);
+}
+
+int64_t ResidentBytes() {
+  int64_t total = 0, resident = 0;
+  std::ifstream("/proc/self/statm") >> total >> resident;
+  return resident * sysconf(_SC_PAGESIZE);
+}
+
+// Opens sessions and takes them through their lives.
+class Measurement {
+ public:
+  Measurement(int64_t sessions, std::shared_ptr<const ServedPolicy> served)
+      : sessions_(sessions), served_(std::move(served)), before_(AllocatedBytes()) {
+    store_ = std::make_unique<SessionStore>(sessions, &clock_);
+    ids_.reserve(static_cast<size_t>(sessions));
+  }
+
+  // Bytes a session.
+  int64_t Opened() {
+    SessionOptions options;
+    options.policy = served_->name;
+    options.version = served_->version;
+    options.target_return = 500.0;
+    for (int64_t i = 0; i < sessions_; ++i) ids_.push_back(*store_->Open(served_, options));
+    return BytesPerSession();
+  }
+
+  // Fills every session's history, and one timestep more.
+  void Play(int64_t compact_every) {
+    const int steps = HistorySize(served_->policy().config) + 1;
+    const std::vector<float> observation(static_cast<size_t>(served_->policy().observation_size()));
+    for (size_t i = 0; i < ids_.size(); ++i) {
+      PlaySession(ids_[i], steps, observation);
+      if (compact_every > 0 && (i + 1) % static_cast<size_t>(compact_every) == 0) Compact();
+    }
+  }
+
+  void Compact() { store_->CompactIdle(absl::ZeroDuration()); }
+
+  int64_t BytesPerSession() const { return (AllocatedBytes() - before_) / sessions_; }
+
+ private:
+  void PlaySession(const std::string& id, int steps, const std::vector<float>& observation) {
+    const auto entry = *store_->Find(id);
+    absl::MutexLock lock(&entry->mutex);
+    for (int step = 0; step < steps; ++step) (void)entry->agent.Act(step, observation, 1.0);
+    entry->agent.AppendPendingAction();
+  }
+
+  const int64_t sessions_;
+  const std::shared_ptr<const ServedPolicy> served_;
+  const int64_t before_;
+  const SteadyClock clock_;
+  std::unique_ptr<SessionStore> store_;
+  std::vector<std::string> ids_;
+};
+
+absl::Status Run() {
+  auto policy = ReadPolicyFile(absl::GetFlag(FLAGS_policy));
+  if (!policy.ok()) return policy.status();
+  const auto shared = std::make_shared<const Policy>(*std::move(policy));
+  const int64_t sessions = absl::GetFlag(FLAGS_sessions);
+  const bool can_be_active = sessions <= absl::GetFlag(FLAGS_active);
+  nlohmann::ordered_json result = {{"sessions", sessions}};
+  Measurement measurement(sessions, can_be_active ? Serve(MakeStreamingEngine(shared))
+                                                  : Serve(std::make_shared<SilentEngine>(shared)));
+  result["opened_bytes"] = measurement.Opened();
+  measurement.Play(can_be_active ? 0 : 10'000);
+  if (can_be_active) result["active_bytes"] = measurement.BytesPerSession();
+  measurement.Compact();
+  result["idle_bytes"] = measurement.BytesPerSession();
+  result["resident_bytes"] = ResidentBytes();
+  std::cout << result.dump() << std::endl;
+  return absl::OkStatus();
+}
+
+}  // namespace
+}  // namespace spikeserve
+
+int main(int argc, char** argv) {
+  absl::SetProgramUsageMessage("session_bench --policy=FILE: memory a session");
+  absl::ParseCommandLine(argc, argv);
+  const absl::Status status = spikeserve::Run();
+  if (status.ok()) return 0;
+  std::cerr << "session_bench: " << status.message() << std::endl;
+  return 1;
+}

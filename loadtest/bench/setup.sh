@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# Installs what the benchmark alone needs, on top of deploy/setup.sh: PyTorch from Debian (which comes without CUDA), and
+# a Python environment beside it. Does nothing where everything is there already.
+#
+# usage: loadtest/bench/setup.sh VENV
+set -euo pipefail
+cd "$(dirname "$0")"
+venv=$1
+
+if ! dpkg-query -W -f='${Status}' python3-torch 2>/dev/null | grep -q '^install ok installed$'; then
+  echo "setup: installing python3-torch"
+  DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends python3-torch >/dev/null
+fi
+if ! cmp -s requirements.txt "$venv/requirements.txt"; then
+  echo "setup: making the Python environment of the benchmark in $venv"
+  rm -rf "$venv"
+  /usr/bin/python3 -m venv --system-site-packages "$venv"
+  "$venv/bin/pip" install --quiet --disable-pip-version-check -r requirements.txt
+  cp requirements.txt "$venv/requirements.txt"
+fi

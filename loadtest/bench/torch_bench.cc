@@ -1,0 +1,128 @@
+// A contestant of the benchmark: the same model, or a dense decision transformer of its size, in
+// libtorch on one thread, eager, in steady state.
+//
+// usage: torch_bench --model=snn|dense|dense_cached --policy=FILE (of the snn; the dense models'
+// weights are random, as they do not change the cost)
+
+#include <torch/torch.h>
+
+#include <cmath>
+#include <functional>
+#include <iostream>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/flags/flag.h"
+#include "absl/flags/parse.h"
+#include "absl/flags/usage.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
+#include "core/engine/action_head.h"
+#include "core/engine/engine.h"
+#include "core/model/policy_file.h"
+#include "loadtest/bench/cached_dense.h"
+#include "loadtest/bench/contestant.h"
+#include "train/torch_model.h"
+
+ABSL_FLAG(std::string, model, "snn", "snn, dense (full window) or dense_cached");
+ABSL_FLAG(std::string, policy, "", "Policy file of the snn");
+
+namespace spikeserve {
+namespace {
+
+using Decide = std::function<Work()>;
+
+// One clip of a full window, as a stateless server recomputes it at every decision.
+Decide FullWindow(Policy policy) {
+  const int n = policy.config.context;
+  const ClipTensors clip = {.return_to_go = torch::full({1, n}, policy.target_return),
+                            .observations = torch::randn({1, n, policy.observation_size()}) * 0.1,
+                            .actions = torch::eye(policy.action_space.size())
+                                           .index({torch::arange(n) % policy.action_space.size()})
+                                           .unsqueeze(0),
+                            .timesteps = torch::arange(n).unsqueeze(0),
+                            .seeds = torch::zeros({1}, torch::kLong)};
+  const auto model = std::make_shared<const TorchModel>(std::move(policy), Surrogate());
+  return [model, clip] {
+    model->Forward(clip);
+    return Work{.decisions = 1};
+  };
+}
+
+// Refuses to measure a model that does not compute what the engine of dense mode does.
+absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy) {
+  constexpr float kTolerance = 1e-3f;
+  CachedDense cached(*policy);
+  const auto engine = MakeStreamingEngine(policy);
+  const auto context = engine->NewContext(0);
+  const torch::Tensor action = torch::tensor({{1.0f, 0.0f}});
+  Engine::Output output;
+  torch::Tensor logits;
+  for (int64_t t = 0; t < 3 * policy->config.context; ++t) {
+    std::vector<float> observation;
+    for (int i = 0; i < 4; ++i) observation.push_back(std::sin(0.3f * static_cast<float>(t + i)));
+    engine->Decide(*context, 1.0f, observation, &output);
+    engine->AppendAction(*context, std::vector<float>{1.0f, 0.0f});
+    logits = cached.Decide(t, action, torch::ones({1, 1}), torch::tensor(observation).view({1, 4}));
+  }
+  const auto choice = ChooseAction(policy->weights.head, policy->action_space, output.readout,
+                                   ActionSelection(), 0);
+  for (size_t i = 0; i < choice.logits.size(); ++i) {
+    const float got = logits[0][static_cast<int64_t>(i)].item<float>();
+    if (std::abs(got - choice.logits[i]) <= kTolerance) continue;
+    return absl::InternalError(
+        absl::StrCat("dense_cached: logit ", i, ": expected ", choice.logits[i], ", got ", got));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Decide> CachedWindow(const Policy& policy) {
+  if (auto status = CheckAgainstEngine(std::make_shared<const Policy>(policy)); !status.ok()) {
+    return status;
+  }
+  const auto model = std::make_shared<CachedDense>(policy);
+  const torch::Tensor action = torch::tensor({{1.0f, 0.0f}});
+  const torch::Tensor return_to_go = torch::ones({1, 1});
+  const torch::Tensor observation = torch::randn({1, policy.observation_size()});
+  return [=, timestep = int64_t{0}]() mutable {
+    model->Decide(timestep++, action, return_to_go, observation);
+    return Work{.decisions = 1};
+  };
+}
+
+absl::StatusOr<Decide> MakeDecide(const std::string& model) {
+  if (model == "snn") {
+    auto policy = ReadPolicyFile(absl::GetFlag(FLAGS_policy));
+    if (!policy.ok()) return policy.status();
+    return FullWindow(*std::move(policy));
+  }
+  ModelConfig config;
+  config.mode = Mode::kDense;
+  Policy policy = RandomPolicy(config, 4, ActionSpace::Discrete(2), /*seed=*/1);
+  if (model == "dense") return FullWindow(std::move(policy));
+  if (model == "dense_cached") return CachedWindow(policy);
+  return absl::InvalidArgumentError(
+      absl::StrCat("--model: expected snn, dense or dense_cached, received \"", model, "\""));
+}
+
+absl::Status Run() {
+  at::set_num_threads(1);
+  const torch::NoGradGuard no_grad;
+  const auto decide = MakeDecide(absl::GetFlag(FLAGS_model));
+  if (!decide.ok()) return decide.status();
+  RunContestant(*decide);
+  return absl::OkStatus();
+}
+
+}  // namespace
+}  // namespace spikeserve
+
+int main(int argc, char** argv) {
+  absl::SetProgramUsageMessage("torch_bench: a contestant of the benchmark, see contestant.h");
+  absl::ParseCommandLine(argc, argv);
+  const absl::Status status = spikeserve::Run();
+  if (status.ok()) return 0;
+  std::cerr << "torch_bench: " << status.message() << std::endl;
+  return 1;
+}
