@@ -67,4 +67,39 @@ grpc::ServerUnaryReactor* PolicyAdminService::Drain(grpc::CallbackServerContext*
                      [&](DeferredWork*) { return admin_->Drain(*request, response); });
 }
 
+grpc::ServerUnaryReactor* PolicyAdminService::GetHead(grpc::CallbackServerContext*,
+                                                      const v1::GetHeadRequest* request,
+                                                      v1::GetHeadResponse* response) {
+  return AnswerUnary(parts_, Method::kGetHead,
+                     [&](DeferredWork*) { return heads_->GetHead(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::PromoteHead(grpc::CallbackServerContext*,
+                                                          const v1::PromoteHeadRequest* request,
+                                                          v1::PromoteHeadResponse* response) {
+  return AnswerUnary(parts_, Method::kPromoteHead,
+                     [&](DeferredWork*) { return heads_->PromoteHead(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::RollbackHead(grpc::CallbackServerContext*,
+                                                           const v1::RollbackHeadRequest* request,
+                                                           v1::RollbackHeadResponse* response) {
+  return AnswerUnary(parts_, Method::kRollbackHead,
+                     [&](DeferredWork*) { return heads_->RollbackHead(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::PauseLearning(grpc::CallbackServerContext*,
+                                                            const v1::PauseLearningRequest* request,
+                                                            v1::PauseLearningResponse* response) {
+  return AnswerUnary(parts_, Method::kPauseLearning,
+                     [&](DeferredWork*) { return heads_->PauseLearning(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::ResumeLearning(
+    grpc::CallbackServerContext*, const v1::ResumeLearningRequest* request,
+    v1::ResumeLearningResponse* response) {
+  return AnswerUnary(parts_, Method::kResumeLearning,
+                     [&](DeferredWork*) { return heads_->ResumeLearning(*request, response); });
+}
+
 }  // namespace spikeserve

@@ -15,6 +15,7 @@
 #include "core/session/session_store.h"
 #include "server/address.h"
 #include "server/call_tracker.h"
+#include "server/head_admin.h"
 #include "server/http_server.h"
 #include "server/metrics.h"
 #include "server/options.h"
@@ -67,6 +68,7 @@ class Server {
   const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
   PolicyService service_;
+  const HeadAdmin head_admin_;
   PolicyAdminService admin_service_;
   std::atomic<bool> stopping_ = false;
   Address grpc_address_;
