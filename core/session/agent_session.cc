@@ -165,7 +165,7 @@ void AgentSession::Record(Answer answer, absl::Span<const float> observation, do
 
 void AgentSession::AppendPendingAction() {
   if (!action_pending_) return;
-  AppendAction(session_.last_answer->action);
+  AppendAction(session_.history.action(session_.history.size() - 1));
   action_pending_ = false;
 }
 

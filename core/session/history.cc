@@ -52,6 +52,13 @@ void History::Append(float return_to_go, absl::Span<const float> observation, co
   std::copy(action.continuous.begin(), action.continuous.end(), cells);
 }
 
+void History::ReplaceLastAction(const Action& action) {
+  float* cells = cells_.data() + (oldest_ + size() - 1) % size() * stride_;
+  cells[1] = std::bit_cast<float>(static_cast<int32_t>(action.discrete));
+  std::copy(action.continuous.begin(), action.continuous.end(),
+            cells + kFirstObservation + observation_size_);
+}
+
 void History::Clear() {
   cells_.clear();
   oldest_ = 0;

@@ -38,6 +38,10 @@ class History {
   void Append(float return_to_go, absl::Span<const float> observation, const Action& action,
               size_t limit);
 
+  // Puts `action` in the place of the newest timestep's. REQUIRES: !empty(), an action of the same
+  // space.
+  void ReplaceLastAction(const Action& action);
+
   // Forgets all timesteps; keeps the memory.
   void Clear();
   // Gives back memory that holds no timestep.
