@@ -140,9 +140,11 @@ absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRe
   return response;
 }
 
-absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id) {
+absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id,
+                                                          bool include_head_delta) {
   v1::GetSessionRequest request;
   request.set_session_id(session_id);
+  request.set_include_head_delta(include_head_delta);
   return Call(&v1::PolicyService::Stub::GetSession, request, session_id);
 }
 

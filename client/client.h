@@ -78,8 +78,9 @@ class Client {
   // DEADLINE_EXCEEDED the `episode` of GetSession tells whether the first was carried out.
   absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const v1::EndEpisodeRequest& request);
 
-  // Retried.
-  absl::StatusOr<v1::GetSessionResponse> GetSession(const std::string& session_id);
+  // Retried. `include_head_delta` asks for W - W_base of the head it plays on.
+  absl::StatusOr<v1::GetSessionResponse> GetSession(const std::string& session_id,
+                                                    bool include_head_delta = false);
 
   // Retried; OK if a repeated attempt finds the session gone.
   absl::Status CloseSession(const std::string& session_id);

@@ -39,12 +39,14 @@ Buckets Returns() {
 
 std::string MethodName(Method method) {
   static constexpr const char* kNames[kMethods] = {
-      "ListPolicies", "OpenSession",    "Act",
-      "ActBatch",     "ActStream",      "EndEpisode",
-      "GetSession",   "CloseSession",   "LoadPolicy",
-      "UnloadPolicy", "ReloadPolicies", "SetDefaultVersion",
-      "SetLabel",     "RemoveLabel",    "SetTraffic",
-      "ListSessions", "Drain"};
+      "ListPolicies",  "OpenSession",    "Act",
+      "ActBatch",      "ActStream",      "EndEpisode",
+      "GetSession",    "CloseSession",   "LoadPolicy",
+      "UnloadPolicy",  "ReloadPolicies", "SetDefaultVersion",
+      "SetLabel",      "RemoveLabel",    "SetTraffic",
+      "ListSessions",  "Drain",          "GetHead",
+      "PromoteHead",   "RollbackHead",   "PauseLearning",
+      "ResumeLearning"};
   return kNames[static_cast<size_t>(method)];
 }
 

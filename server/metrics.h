@@ -40,8 +40,13 @@ enum class Method {
   kSetTraffic,
   kListSessions,
   kDrain,
+  kGetHead,
+  kPromoteHead,
+  kRollbackHead,
+  kPauseLearning,
+  kResumeLearning,
 };
-inline constexpr int kMethods = 17;
+inline constexpr int kMethods = 22;
 
 class Metrics {
  public:

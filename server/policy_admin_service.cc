@@ -77,4 +77,44 @@ grpc::ServerUnaryReactor* PolicyAdminService::Drain(grpc::CallbackServerContext*
       [&](const Credential&, DeferredWork*) { return admin_->Drain(*request, response); });
 }
 
+grpc::ServerUnaryReactor* PolicyAdminService::GetHead(grpc::CallbackServerContext* context,
+                                                      const v1::GetHeadRequest* request,
+                                                      v1::GetHeadResponse* response) {
+  return AnswerUnary(
+      parts_, *context, Method::kGetHead, *request,
+      [&](const Credential&, DeferredWork*) { return heads_->GetHead(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::PromoteHead(grpc::CallbackServerContext* context,
+                                                          const v1::PromoteHeadRequest* request,
+                                                          v1::PromoteHeadResponse* response) {
+  return AnswerUnary(
+      parts_, *context, Method::kPromoteHead, *request,
+      [&](const Credential&, DeferredWork*) { return heads_->PromoteHead(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::RollbackHead(grpc::CallbackServerContext* context,
+                                                           const v1::RollbackHeadRequest* request,
+                                                           v1::RollbackHeadResponse* response) {
+  return AnswerUnary(
+      parts_, *context, Method::kRollbackHead, *request,
+      [&](const Credential&, DeferredWork*) { return heads_->RollbackHead(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::PauseLearning(grpc::CallbackServerContext* context,
+                                                            const v1::PauseLearningRequest* request,
+                                                            v1::PauseLearningResponse* response) {
+  return AnswerUnary(
+      parts_, *context, Method::kPauseLearning, *request,
+      [&](const Credential&, DeferredWork*) { return heads_->PauseLearning(*request, response); });
+}
+
+grpc::ServerUnaryReactor* PolicyAdminService::ResumeLearning(
+    grpc::CallbackServerContext* context, const v1::ResumeLearningRequest* request,
+    v1::ResumeLearningResponse* response) {
+  return AnswerUnary(
+      parts_, *context, Method::kResumeLearning, *request,
+      [&](const Credential&, DeferredWork*) { return heads_->ResumeLearning(*request, response); });
+}
+
 }  // namespace spikeserve

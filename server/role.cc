@@ -42,6 +42,7 @@ absl::Status CheckMayCall(Role role, Method method) {
     case Method::kCloseSession:
       return role == Role::kAgent ? absl::OkStatus() : Denied(role, "agent or operator");
     case Method::kListSessions:
+    case Method::kGetHead:
       return role == Role::kViewer ? absl::OkStatus() : Denied(role, "viewer or operator");
     default:  // whatever is new stays the operator's until it is listed above
       return Denied(role, "operator");

@@ -92,7 +92,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       handler_(registry_.get(), &store_, &shadows_, &clock_),
       admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
       service_(Parts()),
-      admin_service_(Parts(), &admin_handler_) {}
+      head_admin_(registry_.get(), &store_),
+      admin_service_(Parts(), &admin_handler_, &head_admin_) {}
 
 ServiceParts Server::Parts() {
   return {.handler = &handler_,

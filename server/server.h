@@ -16,6 +16,7 @@
 #include "server/address.h"
 #include "server/authenticator.h"
 #include "server/call_tracker.h"
+#include "server/head_admin.h"
 #include "server/http_server.h"
 #include "server/metrics.h"
 #include "server/options.h"
@@ -71,6 +72,7 @@ class Server {
   const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
   PolicyService service_;
+  const HeadAdmin head_admin_;
   PolicyAdminService admin_service_;
   std::atomic<bool> stopping_ = false;
   Address grpc_address_;

@@ -18,6 +18,9 @@ absl::Status PoliciesCommand();
 // Plays episodes of an environment that is stepped here, with the decisions of the server.
 absl::Status RunCommand();
 
+// Plays a perturbed environment with learning on, then greedily with the learned head.
+absl::Status AdaptCommand();
+
 }  // namespace spikeserve
 
 #endif  // CLIENT_SPIKECTL_COMMANDS_H_
