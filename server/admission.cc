@@ -29,6 +29,12 @@ absl::Status MayWatch(const Authenticator& authenticator, absl::string_view path
   return CheckMayWatch((*caller)->role());
 }
 
+absl::Status CheckStillAdmitted(const Credential& caller,
+                                const google::protobuf::MessageLite& request) {
+  if (auto status = caller.CheckValid(); !status.ok()) return status;
+  return CheckSize(caller, request);
+}
+
 absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request) {
   if (!caller.tenant()->limits_messages()) return absl::OkStatus();
   return caller.tenant()->CheckMessage(request.ByteSizeLong());

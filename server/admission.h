@@ -24,6 +24,11 @@ absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
 absl::Status MayWatch(const Authenticator& authenticator, absl::string_view path,
                       absl::string_view header);
 
+// For a request on a stream whose caller was admitted: whether the token still holds, and
+// CheckSize.
+absl::Status CheckStillAdmitted(const Credential& caller,
+                                const google::protobuf::MessageLite& request);
+
 // RESOURCE_EXHAUSTED where the request is longer than the tenant may send.
 absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request);
 

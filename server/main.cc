@@ -34,6 +34,8 @@ ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_aft
           "Sessions that nobody used for this long give back what their next decision can rebuild");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
           "Sessions open at a time");
+ABSL_FLAG(std::string, record_dir, spikeserve::ServerOptions().record_dir,
+          "Directory in which sessions that ask for it are recorded; empty for none");
 ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
           "How long calls in flight may take to end when the server stops");
 
@@ -65,6 +67,7 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
   options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
+  options.record_dir = absl::GetFlag(FLAGS_record_dir);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
 
   options.tls = {.certificate = absl::GetFlag(FLAGS_tls_certificate),

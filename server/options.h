@@ -19,6 +19,7 @@ struct ServerOptions {
   absl::Duration session_ttl = absl::Minutes(10);
   absl::Duration compact_after = absl::Seconds(10);  // idle sessions shrink to their history
   int64_t max_sessions = 100'000;
+  std::string record_dir;  // where sessions that ask for it are recorded; empty: nowhere
   absl::Duration drain_timeout = absl::Seconds(30);
 
   TlsFiles tls;  // for gRPC

@@ -1,8 +1,13 @@
 #include "server/policy_service.h"
 
+#include <memory>
+#include <utility>
+
+#include "server/admission.h"
 #include "server/unary_call.h"
 
 namespace spikeserve {
+
 grpc::ServerUnaryReactor* PolicyService::ListPolicies(grpc::CallbackServerContext* context,
                                                       const v1::ListPoliciesRequest* request,
                                                       v1::ListPoliciesResponse* response) {
@@ -41,7 +46,10 @@ grpc::ServerUnaryReactor* PolicyService::ActBatch(grpc::CallbackServerContext* c
 
 grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>* PolicyService::ActStream(
     grpc::CallbackServerContext* context) {
-  return spikeserve::ActStream::Start(parts_, *context);
+  auto caller = Admit(*parts_.authenticator, *context, Method::kActStream);
+  const absl::Status admitted = caller.status();
+  return AnswerStream<v1::ActRequest, v1::ActResponse>::Begin(
+      std::make_shared<spikeserve::ActStream>(parts_, std::move(caller)), parts_.calls, admitted);
 }
 
 grpc::ServerUnaryReactor* PolicyService::EndEpisode(grpc::CallbackServerContext* context,

@@ -32,6 +32,13 @@ absl::Status CheckMayCall(Role role, Method method) {
   if (role == Role::kOperator) return absl::OkStatus();
   switch (method) {
     case Method::kListPolicies:
+    case Method::kServerLive:
+    case Method::kServerReady:
+    case Method::kModelReady:
+    case Method::kServerMetadata:
+    case Method::kModelMetadata:
+    case Method::kModelConfig:
+    case Method::kRepositoryIndex:
       return absl::OkStatus();
     case Method::kOpenSession:
     case Method::kAct:
@@ -40,9 +47,12 @@ absl::Status CheckMayCall(Role role, Method method) {
     case Method::kEndEpisode:
     case Method::kGetSession:
     case Method::kCloseSession:
+    case Method::kModelInfer:
+    case Method::kModelStreamInfer:
       return role == Role::kAgent ? absl::OkStatus() : Denied(role, "agent or operator");
     case Method::kListSessions:
     case Method::kGetHead:
+    case Method::kModelStatistics:
       return role == Role::kViewer ? absl::OkStatus() : Denied(role, "viewer or operator");
     default:  // whatever is new stays the operator's until it is listed above
       return Denied(role, "operator");

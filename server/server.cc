@@ -63,8 +63,15 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
   }
 
-  auto server = std::unique_ptr<Server>(
-      new Server(options, *std::move(authenticator), *std::move(registry), std::move(metrics)));
+  std::unique_ptr<Recordings> recordings;
+  if (!options.record_dir.empty()) {
+    auto created = Recordings::Create(options.record_dir, metrics.get());
+    if (!created.ok()) return created.status();
+    recordings = *std::move(created);
+  }
+  auto server =
+      std::unique_ptr<Server>(new Server(options, *std::move(authenticator), *std::move(registry),
+                                         std::move(metrics), std::move(recordings)));
   if (auto status = server->StartGrpc(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
@@ -79,21 +86,29 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
 }
 
 Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
-               std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics)
+               std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
+               std::unique_ptr<Recordings> recordings)
     : options_(options),
       authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
       registry_(std::move(registry)),
+      recordings_(std::move(recordings)),
       shadows_(metrics_->registry()),
       store_(options.max_sessions, &clock_),
       reaper_(&store_,
               {.compact_after = options.compact_after, .time_to_live = options.session_ttl},
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
-      handler_(registry_.get(), &store_, &shadows_, &clock_),
+      handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get()),
       admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
       service_(Parts()),
       head_admin_(registry_.get(), &store_),
-      admin_service_(Parts(), &admin_handler_, &head_admin_) {}
+      admin_service_(Parts(), &admin_handler_, &head_admin_),
+      inference_handler_({.registry = registry_.get(),
+                          .store = &store_,
+                          .requests = &handler_,
+                          .clock = &clock_,
+                          .session_ttl = options.session_ttl}),
+      inference_service_(Parts(), &inference_handler_) {}
 
 ServiceParts Server::Parts() {
   return {.handler = &handler_,
@@ -118,6 +133,7 @@ absl::Status Server::StartGrpc() {
   if (!credentials.ok()) return credentials.status();
   builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
   builder.RegisterService(&service_);
+  builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);
   grpc_ = BuildQuietly(builder);
   if (grpc_ == nullptr || grpc_address_.port == 0) {
@@ -131,6 +147,7 @@ void Server::PublishHealth() {
   auto* health = grpc_->GetHealthCheckService();
   health->SetServingStatus("", serving());
   health->SetServingStatus(v1::PolicyService::service_full_name(), serving());
+  health->SetServingStatus(inference::GRPCInferenceService::service_full_name(), serving());
   health->SetServingStatus(v1::PolicyAdmin::service_full_name(), !stopping_);
 }
 

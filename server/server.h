@@ -18,6 +18,8 @@
 #include "server/call_tracker.h"
 #include "server/head_admin.h"
 #include "server/http_server.h"
+#include "server/inference_handler.h"
+#include "server/inference_service.h"
 #include "server/metrics.h"
 #include "server/options.h"
 #include "server/periodic.h"
@@ -26,6 +28,7 @@
 #include "server/policy_poller.h"
 #include "server/policy_registry.h"
 #include "server/policy_service.h"
+#include "server/recordings.h"
 #include "server/request_handler.h"
 #include "server/shadow_runner.h"
 
@@ -51,7 +54,8 @@ class Server {
 
  private:
   Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
-         std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics);
+         std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
+         std::unique_ptr<Recordings> recordings);
 
   ServiceParts Parts();
   void ReloadTokens();
@@ -65,6 +69,7 @@ class Server {
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
   const std::unique_ptr<PolicyRegistry> registry_;
+  const std::unique_ptr<Recordings> recordings_;  // null: nothing is recorded. Outlives the store
   ShadowRunner shadows_;
   SessionStore store_;
   SessionReaper reaper_;
@@ -74,6 +79,8 @@ class Server {
   PolicyService service_;
   const HeadAdmin head_admin_;
   PolicyAdminService admin_service_;
+  InferenceHandler inference_handler_;
+  InferenceService inference_service_;
   std::atomic<bool> stopping_ = false;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;

@@ -22,6 +22,7 @@ constexpr char kUsage[] =
     "from\n"
     "  spiketrain dataset --out=FILE [--env --seed --steps]      record expert and random "
     "episodes\n"
+    "  spiketrain dataset --out=FILE --recordings=DIR            or take what a server recorded\n"
     "  spiketrain train --out=DIR [--data=FILE] [--mode] [...]   train a policy\n"
     "  spiketrain eval --policy=FILE [--episodes --seed]         play a policy in closed loop\n";
 

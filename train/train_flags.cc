@@ -1,5 +1,6 @@
 #include "train/train_flags.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 #include <utility>
@@ -37,6 +38,11 @@ ABSL_FLAG(absl::optional<std::string>, phase_clock, absl::nullopt,
           "train: timestep (default) or window");
 ABSL_FLAG(absl::optional<std::string>, merge, absl::nullopt, "train: sum (default) or concat");
 ABSL_FLAG(absl::optional<std::string>, gate, absl::nullopt, "train: softmax (default) or sigmoid");
+
+// Unset: what suits the environment. Small numbers tell returns near the end of an episode apart.
+ABSL_FLAG(absl::optional<double>, return_offset, absl::nullopt,
+          "train: the return token's input is (G - return_offset) / return_scale");
+ABSL_FLAG(absl::optional<double>, return_scale, absl::nullopt, "train: see --return_offset");
 
 ABSL_FLAG(int, iterations, TrainOptions{}.iterations, "train: iterations");
 ABSL_FLAG(int, batch, TrainOptions{}.batch, "train: clips an iteration");
@@ -124,20 +130,37 @@ std::pair<float, float> ReturnMoments(const Dataset& dataset) {
   return {static_cast<float>(mean), static_cast<float>(deviation)};
 }
 
+// That of the environment; for one that is not ours, what the data show.
+ReturnScaling ScalingOf(const Dataset& dataset, const std::pair<float, float>& moments) {
+  if (const auto scaling = ReturnScalingOf(dataset.environment); scaling.ok()) return *scaling;
+  float best = ReturnsToGo(dataset.episodes[0].rewards)[0];
+  for (const Episode& episode : dataset.episodes) {
+    best = std::max(best, ReturnsToGo(episode.rewards)[0]);
+  }
+  return {.offset = moments.first, .scale = moments.second, .target = best};
+}
+
 absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
+  const double scale = absl::GetFlag(FLAGS_return_scale).value_or(1.0);
+  if (!(scale > 0.0) || !std::isfinite(scale)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("return_scale: expected a number above 0, got ", scale));
+  }
   ModelConfig config;
   if (auto status = ShapeFlags(&config, /*fixed=*/false).Apply(); !status.ok()) return status;
-  const absl::StatusOr<ReturnScaling> returns = ReturnScalingOf(dataset.environment);
-  if (!returns.ok()) return returns.status();
+  const std::pair<float, float> return_moments = ReturnMoments(dataset);
+  const ReturnScaling returns = ScalingOf(dataset, return_moments);
   Policy policy = RandomPolicy(config, dataset.observation_size, dataset.action_space,
                                absl::GetFlag(FLAGS_seed).value_or(0));
   const Moments moments = ObservationMoments(dataset);
   policy.weights.observation_mean.values = moments.mean;
   policy.weights.observation_std.values = moments.std;
-  policy.return_offset = returns->offset;
-  policy.return_scale = returns->scale;
-  policy.target_return = returns->target;
-  std::tie(policy.modulator_mean, policy.modulator_std) = ReturnMoments(dataset);
+  policy.return_offset = static_cast<float>(
+      absl::GetFlag(FLAGS_return_offset).value_or(static_cast<double>(returns.offset)));
+  policy.return_scale = static_cast<float>(
+      absl::GetFlag(FLAGS_return_scale).value_or(static_cast<double>(returns.scale)));
+  policy.target_return = returns.target;
+  std::tie(policy.modulator_mean, policy.modulator_std) = return_moments;
   policy.environment = dataset.environment;
   return policy;
 }

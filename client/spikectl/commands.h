@@ -21,6 +21,9 @@ absl::Status RunCommand();
 // Plays a perturbed environment with learning on, then greedily with the learned head.
 absl::Status AdaptCommand();
 
+// Plays a recorded session again and fails at the first decision that differs.
+absl::Status ReplayCommand();
+
 }  // namespace spikeserve
 
 #endif  // CLIENT_SPIKECTL_COMMANDS_H_

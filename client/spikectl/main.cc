@@ -27,6 +27,8 @@ constexpr Command kCommands[] = {
     {"adapt",
      "play a task whose physics have changed with learning on, then judge the learned head",
      AdaptCommand},
+    {"replay", "play a recorded session again and compare every decision, bit for bit",
+     ReplayCommand},
 };
 
 std::string Usage() {

@@ -19,11 +19,16 @@ ABSL_FLAG(std::string, env, "CartPole-v1", "Gymnasium's id of the environment to
 ABSL_FLAG(int32_t, episodes, 1, "Episodes to play");
 ABSL_FLAG(uint64_t, seed, 0,
           "Seed of the first episode's start; the next episodes count on from it");
-ABSL_FLAG(std::string, policy, "",
-          "Policy to ask for; empty: the first by name that was trained for --env");
-ABSL_FLAG(int64_t, version, 0, "Version of the policy; 0: its default one");
+ABSL_FLAG(
+    std::string, policy, "",
+    "Policy to ask for; empty: run: the first by name that was trained for --env; replay: the "
+    "recorded one");
+ABSL_FLAG(int64_t, version, 0,
+          "Version of the policy; 0: its default one; replay without --policy: the recorded one");
 ABSL_FLAG(absl::optional<double>, target_return, absl::nullopt,
           "Return to ask of the policy; unset: the policy's own");
+
+ABSL_FLAG(bool, record, false, "Has the server record the episodes below its --record_dir");
 
 namespace spikeserve {
 namespace {
@@ -54,8 +59,11 @@ absl::StatusOr<RemoteSession> OpenSession(Client& client, const v1::PolicyInfo& 
   if (const auto target_return = absl::GetFlag(FLAGS_target_return); target_return.has_value()) {
     request.set_target_return(*target_return);
   }
+  request.set_record(absl::GetFlag(FLAGS_record));
   const auto opened = client.OpenSession(request);
   if (!opened.ok()) return opened.status();
+  if (!opened->recording().empty())
+    std::cerr << "spikectl: recorded as " << opened->recording() << "\n";
   return RemoteSession(&client, opened->session_id(), 0);
 }
 

@@ -67,11 +67,23 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
                                                        NewSession(*id, std::move(options)), clock_),
                .last_used = clock_->Now()};
   slot.entry->shadow = std::move(extras.shadow);
-  slot.entry->quota = std::move(extras.quota);
+  const std::shared_ptr<SessionQuota> quota = std::move(extras.quota);
+  slot.entry->quota = quota;
+  if (extras.recorder != nullptr) {
+    absl::MutexLock lock(&slot.entry->mutex);
+    slot.entry->agent.RecordTo(std::move(extras.recorder));
+  }
   Shard& shard = ShardOf(*id);
+  bool is_new = false;
   {
     absl::MutexLock lock(&shard.mutex);
-    shard.slots.emplace(*id, std::move(slot));
+    is_new = shard.slots.try_emplace(*id, std::move(slot)).second;
+  }
+  if (!is_new) {
+    size_.fetch_sub(1);
+    if (quota != nullptr) quota->Return();
+    return absl::AlreadyExistsError(
+        absl::StrCat("session_id: expected one that is not open, received ", Quoted(*id)));
   }
   observer->OnOpen();
   return id;

@@ -48,9 +48,10 @@ struct SessionEntry {
 
 // What a session may be opened with, beside its policy and options.
 struct SessionExtras {
-  std::string id;                         // from NewSessionId(); empty: a new one
-  std::shared_ptr<ShadowSession> shadow;  // null: none
-  std::shared_ptr<SessionQuota> quota;    // that the session counts against; null: none
+  std::string id;                                       // from NewSessionId(); empty: a new one
+  std::shared_ptr<ShadowSession> shadow;                // null: none
+  std::shared_ptr<SessionQuota> quota;                  // that it counts against; null: none
+  std::unique_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
 };
 
 // 128 random bits in hexadecimal, from the kernel, so that nobody can guess another agent's
@@ -70,7 +71,7 @@ class SessionStore {
   SessionStore(int64_t max_sessions, const Clock* clock);
 
   // Opens a session and returns its id. RESOURCE_EXHAUSTED where max_sessions are open or the quota
-  // is used up; UNAVAILABLE while draining.
+  // is used up; ALREADY_EXISTS where one of its id is open; UNAVAILABLE while draining.
   absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
                                    SessionOptions options, SessionExtras extras = {});
 

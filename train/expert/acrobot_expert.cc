@@ -1,6 +1,7 @@
 // Acrobot: the number of steps to the goal, fitted on 72 x 72 x 57 x 57 points. So coarse a table
 // ranks states better than it values them: the beam search that uses it as a ranking is near the
 // optimum, depth-4 lookahead and one-step greedy follow.
+#include <algorithm>
 #include <memory>
 #include <numbers>
 #include <utility>
@@ -33,6 +34,13 @@ class BeamExpert final : public Expert {
     const Action& action = problem_.choices[plan_[next_++]].action;
     problem_.model->Advance(action, absl::MakeSpan(foreseen_));
     return action;
+  }
+
+  // By the table, which ranks well enough to tell where a choice matters.
+  double Stakes(absl::Span<const double> state) override {
+    Grid<4>::State start;
+    std::copy_n(state.begin(), start.size(), start.begin());
+    return table_->Stakes(problem_, start);
   }
 
   std::unique_ptr<Expert> Clone() const override {
