@@ -1,13 +1,21 @@
 #include "server/act_stream.h"
 
+#include "server/admission.h"
 #include "server/convert.h"
 
 namespace spikeserve {
 
+absl::Status ActStream::Handle(const v1::ActRequest& request, v1::ActResponse* response,
+                               DeferredWork* deferred) {
+  const Credential& caller = **caller_;
+  if (auto status = CheckStillAdmitted(caller, request); !status.ok()) return status;
+  return parts_.handler->Act(caller, request, response, deferred);
+}
+
 void ActStream::Answer(const v1::ActRequest& request, v1::ActResponse* response,
                        DeferredWork* deferred) {
   const absl::Duration start = parts_.clock->Now();
-  const absl::Status status = parts_.handler->Act(request, response, deferred);
+  const absl::Status status = Handle(request, response, deferred);
   if (!status.ok()) ErrorToProto(request, status, response);
   parts_.metrics->ObserveRpc(Method::kActStream, status.code(), parts_.clock->Now() - start);
 }

@@ -2,8 +2,12 @@
 #ifndef SERVER_ACT_STREAM_H_
 #define SERVER_ACT_STREAM_H_
 
+#include <utility>
+
+#include "absl/status/statusor.h"
 #include "core/session/clock.h"
 #include "server/answer_stream.h"
+#include "server/authenticator.h"
 #include "server/call_tracker.h"
 #include "server/metrics.h"
 #include "server/request_handler.h"
@@ -15,6 +19,7 @@ namespace spikeserve {
 struct ServiceParts {
   const RequestHandler* handler;
   CallTracker* calls;
+  const Authenticator* authenticator;
   Metrics* metrics;
   const Clock* clock;
 };
@@ -22,14 +27,21 @@ struct ServiceParts {
 // Thread-safe as AnswerStream is.
 class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {
  public:
-  explicit ActStream(const ServiceParts& parts) : parts_(parts) {}
+  // `caller` is what Admit() said. A token that expires later fails the requests that come then.
+  ActStream(const ServiceParts& parts, absl::StatusOr<const Credential*> caller)
+      : parts_(parts), caller_(std::move(caller)) {}
 
  protected:
   void Answer(const v1::ActRequest& request, v1::ActResponse* response,
               DeferredWork* deferred) override;
 
  private:
+  // REQUIRES: the caller was admitted, or the call would have ended.
+  absl::Status Handle(const v1::ActRequest& request, v1::ActResponse* response,
+                      DeferredWork* deferred);
+
   const ServiceParts parts_;
+  const absl::StatusOr<const Credential*> caller_;
 };
 
 }  // namespace spikeserve

@@ -21,9 +21,10 @@ namespace spikeserve {
 template <typename Request, typename Response>
 class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public CallTracker::Stream {
  public:
-  // Reads the first request of `stream`, or refuses the call where the server drains. `calls` must
-  // outlive the call.
-  static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream, CallTracker* calls);
+  // Reads the first request of `stream`, or refuses the call where the server drains or `admitted`
+  // is an error. `calls` must outlive the call.
+  static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream, CallTracker* calls,
+                             const absl::Status& admitted);
 
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
@@ -56,13 +57,15 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
 
 template <typename Request, typename Response>
 AnswerStream<Request, Response>* AnswerStream<Request, Response>::Begin(
-    std::shared_ptr<AnswerStream> stream, CallTracker* calls) {
+    std::shared_ptr<AnswerStream> stream, CallTracker* calls, const absl::Status& admitted) {
   stream->calls_ = calls;
   stream->self_ = stream;
   const bool accepted = calls->BeginStream(stream);
   absl::MutexLock lock(&stream->mutex_);
   if (!accepted) {
     stream->FinishLocked(DrainingError());
+  } else if (!admitted.ok()) {
+    stream->FinishLocked(admitted);
   } else if (stream->state_ == State::kReading) {  // else drained since
     stream->StartRead(&stream->request_);
   }

@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "server/address.h"
@@ -28,8 +29,13 @@ class HttpServer {
   // Answers a GET of `path`; called from many threads.
   using Page = std::function<HttpResponse(absl::string_view path)>;
 
+  // Whether the sender of an Authorization header, which may be empty, may see `path`; called from
+  // many threads. UNAUTHENTICATED becomes 401, any other error 403.
+  using Guard = std::function<absl::Status(absl::string_view path, absl::string_view header)>;
+
   // UNAVAILABLE if the address cannot be listened on.
-  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen, Page page);
+  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen, Page page,
+                                                           Guard guard);
 
   // Finishes the answers under way.
   ~HttpServer();
@@ -40,12 +46,14 @@ class HttpServer {
   const Address& address() const { return address_; }
 
  private:
-  explicit HttpServer(Page page) : page_(std::move(page)) {}
+  HttpServer(Page page, Guard guard) : page_(std::move(page)), guard_(std::move(guard)) {}
 
+  HttpResponse Answer(const mg_connection* connection, absl::string_view path) const;
   static int Handle(mg_connection* connection);
   static int Log(const mg_connection* connection, const char* message);
 
   const Page page_;
+  const Guard guard_;
   std::string start_error_;  // the first thing civetweb said before it was up
   Address address_;
   mg_context* context_ = nullptr;

@@ -195,24 +195,30 @@ absl::Status InferenceHandler::RepositoryModelUnload(
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::ModelInfer(const ModelInferRequest& request,
+absl::Status InferenceHandler::ModelInfer(const Credential& caller,
+                                          const ModelInferRequest& request,
                                           ModelInferResponse* response, DeferredWork* deferred) {
   const absl::Duration start = parts_.clock->Now();
-  const auto sequence = ReadSequence(request);
+  auto sequence = ReadSequence(request);
   if (!sequence.ok()) return sequence.status();
+  // Tenants pick their ids without knowing of each other.
+  if (const std::string& tenant = caller.tenant()->name(); !tenant.empty()) {
+    sequence->session_id = absl::StrCat(tenant, "/", sequence->session_id);
+  }
   const auto input = ReadInputs(request);
   if (!input.ok()) return input.status();
   if (sequence->start) {
-    if (auto status = Start(request, *sequence); !status.ok()) return status;
+    if (auto status = Start(caller, request, *sequence); !status.ok()) return status;
   }
-  const auto served = FindRunning(request, *sequence);
+  const auto served = FindRunning(caller, request, *sequence);
   if (!served.ok()) return served.status();
   const std::string& name = (*served)->name;
   const int64_t version = (*served)->version;
 
   v1::ActResponse answer;
-  if (auto status = Decide(request, *input, *sequence, **served, &answer, deferred); !status.ok()) {
-    if (sequence->start) status.Update(Close(*sequence));
+  if (auto status = Decide(caller, request, *input, *sequence, **served, &answer, deferred);
+      !status.ok()) {
+    if (sequence->start) status.Update(Close(caller, *sequence));
     statistics_.CountFailure(name, version, parts_.clock->Now() - start);
     return status;
   }
@@ -222,24 +228,26 @@ absl::Status InferenceHandler::ModelInfer(const ModelInferRequest& request,
   WriteOutputs(answer, request, *input, response);
   statistics_.CountSuccess(name, version, absl::Now(), parts_.clock->Now() - start,
                            absl::Seconds(answer.stats().compute_seconds()));
-  return sequence->end ? End(*sequence) : absl::OkStatus();
+  return sequence->end ? End(caller, *sequence) : absl::OkStatus();
 }
 
-absl::Status InferenceHandler::Start(const ModelInferRequest& request,
+absl::Status InferenceHandler::Start(const Credential& caller, const ModelInferRequest& request,
                                      const SequenceRequest& sequence) const {
   const auto opening = ReadOpening(request);
   if (!opening.ok()) return opening.status();
   // Whatever ran under this id before; its agent has forgotten it.
-  if (auto status = Close(sequence); !status.ok() && !absl::IsNotFound(status)) return status;
+  if (auto status = Close(caller, sequence); !status.ok() && !absl::IsNotFound(status))
+    return status;
   v1::OpenSessionResponse opened;
-  return parts_.requests->OpenSessionAs(sequence.session_id, *opening, &opened);
+  return parts_.requests->OpenSessionAs(caller, sequence.session_id, *opening, &opened);
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(
-    const ModelInferRequest& request, const SequenceRequest& sequence) const {
+    const Credential& caller, const ModelInferRequest& request,
+    const SequenceRequest& sequence) const {
   const auto version = ReadVersion(request.model_version());
   if (!version.ok()) return version.status();
-  const auto entry = parts_.store->Find(sequence.session_id);
+  const auto entry = parts_.store->Find(sequence.session_id, caller.tenant()->name());
   if (!entry.ok() || (*entry)->served->name != request.model_name()) {
     return absl::NotFoundError(absl::StrCat(
         "parameters.sequence_id: expected a running sequence of model ",
@@ -254,9 +262,10 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
                    ", with which the sequence started, or nothing, received ", *version));
 }
 
-absl::Status InferenceHandler::Decide(const ModelInferRequest& request, const InferenceInput& input,
-                                      const SequenceRequest& sequence, const ServedPolicy& served,
-                                      v1::ActResponse* answer, DeferredWork* deferred) const {
+absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInferRequest& request,
+                                      const InferenceInput& input, const SequenceRequest& sequence,
+                                      const ServedPolicy& served, v1::ActResponse* answer,
+                                      DeferredWork* deferred) const {
   if (auto status = CheckOutputs(request, OutputSpecs(served.policy())); !status.ok()) {
     return status;
   }
@@ -269,23 +278,25 @@ absl::Status InferenceHandler::Decide(const ModelInferRequest& request, const In
   act.set_session_id(sequence.session_id);
   act.mutable_observation()->Add(input.observation.begin(), input.observation.end());
   act.set_reward(static_cast<double>(input.reward.value_or(0.0f)));
-  return parts_.requests->ActNext(act, answer, deferred);
+  return parts_.requests->ActNext(caller, act, answer, deferred);
 }
 
-absl::Status InferenceHandler::End(const SequenceRequest& sequence) const {
+absl::Status InferenceHandler::End(const Credential& caller,
+                                   const SequenceRequest& sequence) const {
   v1::EndEpisodeRequest end;
   end.set_session_id(sequence.session_id);
   end.set_terminated(true);
   v1::EndEpisodeResponse ended;
-  if (auto status = parts_.requests->EndEpisode(end, &ended); !status.ok()) return status;
-  return Close(sequence);
+  if (auto status = parts_.requests->EndEpisode(caller, end, &ended); !status.ok()) return status;
+  return Close(caller, sequence);
 }
 
-absl::Status InferenceHandler::Close(const SequenceRequest& sequence) const {
+absl::Status InferenceHandler::Close(const Credential& caller,
+                                     const SequenceRequest& sequence) const {
   v1::CloseSessionRequest close;
   close.set_session_id(sequence.session_id);
   v1::CloseSessionResponse closed;
-  return parts_.requests->CloseSession(close, &closed);
+  return parts_.requests->CloseSession(caller, close, &closed);
 }
 
 }  // namespace spikeserve

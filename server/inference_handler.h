@@ -65,21 +65,23 @@ class InferenceHandler {
   // run, where the request does not start it. A start ends a sequence of the same id that still
   // runs, even if the request then fails. An end takes its observation and reward in, and ends the
   // sequence once the answer is made.
-  absl::Status ModelInfer(const inference::ModelInferRequest& request,
+  absl::Status ModelInfer(const Credential& caller, const inference::ModelInferRequest& request,
                           inference::ModelInferResponse* response, DeferredWork* deferred);
 
  private:
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindPolicy(const std::string& name,
                                                                  const std::string& version) const;
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindRunning(
-      const inference::ModelInferRequest& request, const SequenceRequest& sequence) const;
-  absl::Status Start(const inference::ModelInferRequest& request,
+      const Credential& caller, const inference::ModelInferRequest& request,
+      const SequenceRequest& sequence) const;
+  absl::Status Start(const Credential& caller, const inference::ModelInferRequest& request,
                      const SequenceRequest& sequence) const;
-  absl::Status Decide(const inference::ModelInferRequest& request, const InferenceInput& input,
-                      const SequenceRequest& sequence, const ServedPolicy& served,
-                      v1::ActResponse* answer, DeferredWork* deferred) const;
-  absl::Status End(const SequenceRequest& sequence) const;
-  absl::Status Close(const SequenceRequest& sequence) const;
+  absl::Status Decide(const Credential& caller, const inference::ModelInferRequest& request,
+                      const InferenceInput& input, const SequenceRequest& sequence,
+                      const ServedPolicy& served, v1::ActResponse* answer,
+                      DeferredWork* deferred) const;
+  absl::Status End(const Credential& caller, const SequenceRequest& sequence) const;
+  absl::Status Close(const Credential& caller, const SequenceRequest& sequence) const;
 
   const Parts parts_;
   InferenceStatistics statistics_;

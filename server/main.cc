@@ -39,6 +39,18 @@ ABSL_FLAG(std::string, record_dir, spikeserve::ServerOptions().record_dir,
 ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
           "How long calls in flight may take to end when the server stops");
 
+ABSL_FLAG(std::string, tls_certificate, "",
+          "PEM file of the server's certificate chain; empty for plain text");
+ABSL_FLAG(std::string, tls_key, "", "PEM file of the certificate's private key");
+ABSL_FLAG(std::string, tls_client_ca, "",
+          "PEM file of the authorities whose certificates clients must show; empty for none");
+ABSL_FLAG(std::string, tokens, "",
+          "JSON file of bearer tokens, their tenants, roles and limits; empty: everybody may do "
+          "everything");
+ABSL_FLAG(bool, insecure_network, false,
+          "Serve addresses that others can reach without TLS or without tokens: whoever reaches "
+          "them can read, steer and administer everything");
+
 namespace spikeserve {
 namespace {
 
@@ -57,6 +69,12 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
   options.record_dir = absl::GetFlag(FLAGS_record_dir);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
+
+  options.tls = {.certificate = absl::GetFlag(FLAGS_tls_certificate),
+                 .key = absl::GetFlag(FLAGS_tls_key),
+                 .client_ca = absl::GetFlag(FLAGS_tls_client_ca)};
+  options.tokens = absl::GetFlag(FLAGS_tokens);
+  options.insecure_network = absl::GetFlag(FLAGS_insecure_network);
 
   // Blocked before there are threads, so that every thread inherits it and sigwait alone takes
   // them.

@@ -40,6 +40,11 @@ enum class Method {
   kSetTraffic,
   kListSessions,
   kDrain,
+  kGetHead,
+  kPromoteHead,
+  kRollbackHead,
+  kPauseLearning,
+  kResumeLearning,
   kServerLive,
   kServerReady,
   kModelReady,
@@ -53,7 +58,7 @@ enum class Method {
   kRepositoryModelLoad,
   kRepositoryModelUnload,
 };
-inline constexpr int kMethods = 29;
+inline constexpr int kMethods = 34;
 
 // What became of an episode that was to be recorded.
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };

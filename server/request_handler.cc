@@ -109,12 +109,13 @@ absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*reque
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
+absl::Status RequestHandler::OpenSession(const Credential& caller,
+                                         const v1::OpenSessionRequest& request,
                                          v1::OpenSessionResponse* response) const {
-  return OpenSessionAs("", request, response);
+  return OpenSessionAs(caller, "", request, response);
 }
 
-absl::Status RequestHandler::OpenSessionAs(std::string session_id,
+absl::Status RequestHandler::OpenSessionAs(const Credential& caller, std::string session_id,
                                            const v1::OpenSessionRequest& request,
                                            v1::OpenSessionResponse* response) const {
   absl::StatusOr<std::string> id = std::move(session_id);
@@ -125,9 +126,11 @@ absl::Status RequestHandler::OpenSessionAs(std::string session_id,
   const ServedPolicy& served = *route->served;
   auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
+  options->tenant = caller.tenant()->name();
   const double target_return = options->target_return;
   SessionExtras extras;
   extras.id = *std::move(id);
+  extras.quota = caller.tenant();
   if (route->shadow != nullptr) {
     extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
   }
@@ -160,19 +163,21 @@ absl::StatusOr<std::unique_ptr<EpisodeRecorder>> RequestHandler::NewRecorder(
   return recordings_->Record(served, *name);
 }
 
-absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse* response,
-                                 DeferredWork* deferred) const {
-  return ActAt(request.step(), request, response, deferred);
+absl::Status RequestHandler::Act(const Credential& caller, const v1::ActRequest& request,
+                                 v1::ActResponse* response, DeferredWork* deferred) const {
+  return ActAt(caller, request.step(), request, response, deferred);
 }
 
-absl::Status RequestHandler::ActNext(const v1::ActRequest& request, v1::ActResponse* response,
-                                     DeferredWork* deferred) const {
-  return ActAt(std::nullopt, request, response, deferred);
+absl::Status RequestHandler::ActNext(const Credential& caller, const v1::ActRequest& request,
+                                     v1::ActResponse* response, DeferredWork* deferred) const {
+  return ActAt(caller, std::nullopt, request, response, deferred);
 }
 
-absl::Status RequestHandler::ActAt(std::optional<int64_t> step, const v1::ActRequest& request,
-                                   v1::ActResponse* response, DeferredWork* deferred) const {
-  auto entry = store_->Find(request.session_id());
+absl::Status RequestHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
+                                   const v1::ActRequest& request, v1::ActResponse* response,
+                                   DeferredWork* deferred) const {
+  if (auto status = caller.tenant()->TakeDecision(clock_->Now()); !status.ok()) return status;
+  auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   {
     absl::MutexLock lock(&(*entry)->mutex);
@@ -192,23 +197,27 @@ absl::Status RequestHandler::ActAt(std::optional<int64_t> step, const v1::ActReq
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::ActBatch(const v1::ActBatchRequest& request,
+absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                                       v1::ActBatchResponse* response,
                                       DeferredWork* deferred) const {
   for (const v1::ActRequest& item : request.requests()) {
     v1::ActResult* result = response->add_results();
-    const absl::Status status = Act(item, result->mutable_response(), deferred);
+    const absl::Status status = Act(caller, item, result->mutable_response(), deferred);
     if (status.ok()) continue;
     result->clear_response();
     result->set_code(ToGrpcCode(status.code()));
     result->set_message(std::string(status.message()));
+    if (const auto delay = RetryDelay(status)) {
+      result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+    }
   }
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
+absl::Status RequestHandler::EndEpisode(const Credential& caller,
+                                        const v1::EndEpisodeRequest& request,
                                         v1::EndEpisodeResponse* response) const {
-  const auto entry = store_->Find(request.session_id());
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   EpisodeEnd end = {.reward = request.reward(),
                     .terminated = request.terminated(),
@@ -223,18 +232,20 @@ absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::GetSession(const v1::GetSessionRequest& request,
+absl::Status RequestHandler::GetSession(const Credential& caller,
+                                        const v1::GetSessionRequest& request,
                                         v1::GetSessionResponse* response) const {
-  const auto entry = store_->Find(request.session_id());
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::CloseSession(const v1::CloseSessionRequest& request,
+absl::Status RequestHandler::CloseSession(const Credential& caller,
+                                          const v1::CloseSessionRequest& request,
                                           v1::CloseSessionResponse* /*response*/) const {
-  return store_->Close(request.session_id());
+  return store_->Close(request.session_id(), caller.tenant()->name());
 }
 
 }  // namespace spikeserve

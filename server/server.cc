@@ -15,6 +15,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "grpc/health/v1/health.pb.h"
+#include "server/admission.h"
 #include "server/status_pages.h"
 
 namespace spikeserve {
@@ -24,6 +25,9 @@ namespace {
 // health watchers hear that it leaves. gRPC itself answers a call that comes after its shutdown
 // with CANCELLED, which no client expects.
 constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
+
+// How often the file of tokens is read again.
+constexpr absl::Duration kTokensInterval = absl::Seconds(1);
 
 // gRPC reports a port it cannot have in its log, at length; we report it in one line.
 std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
@@ -37,13 +41,15 @@ std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
   if (auto status = options.Validate(); !status.ok()) return status;
+  auto authenticator = Authenticator::Create(options.tokens);
+  if (!authenticator.ok()) return authenticator.status();
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
   std::vector<absl::Status> refused;
   auto registry = PolicyRegistry::Load(
       options.policies,
-      [&](const std::string& name, int64_t version, const Policy& policy) {
-        return metrics->NewPolicyObserver(name, version, policy);
+      [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
+        return kept->NewPolicyObserver(name, version, policy);
       },
       &refused);
   if (!registry.ok()) {
@@ -63,20 +69,27 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     if (!created.ok()) return created.status();
     recordings = *std::move(created);
   }
-  auto server = std::unique_ptr<Server>(
-      new Server(options, *std::move(registry), std::move(metrics), std::move(recordings)));
+  auto server =
+      std::unique_ptr<Server>(new Server(options, *std::move(authenticator), *std::move(registry),
+                                         std::move(metrics), std::move(recordings)));
   if (auto status = server->StartGrpc(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
     server->poller_ =
         std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies, refused);
   }
+  if (!options.tokens.empty()) {
+    server->token_reloader_ = std::make_unique<Periodic>(
+        kTokensInterval, [pointer = server.get()] { pointer->ReloadTokens(); });
+  }
   return server;
 }
 
-Server::Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> registry,
-               std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings)
+Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
+               std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
+               std::unique_ptr<Recordings> recordings)
     : options_(options),
+      authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
       registry_(std::move(registry)),
       recordings_(std::move(recordings)),
@@ -88,7 +101,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> reg
       handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get()),
       admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
       service_(Parts()),
-      admin_service_(Parts(), &admin_handler_),
+      head_admin_(registry_.get(), &store_),
+      admin_service_(Parts(), &admin_handler_, &head_admin_),
       inference_handler_({.registry = registry_.get(),
                           .store = &store_,
                           .requests = &handler_,
@@ -97,7 +111,11 @@ Server::Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> reg
       inference_service_(Parts(), &inference_handler_) {}
 
 ServiceParts Server::Parts() {
-  return {.handler = &handler_, .calls = &calls_, .metrics = metrics_.get(), .clock = &clock_};
+  return {.handler = &handler_,
+          .calls = &calls_,
+          .authenticator = authenticator_.get(),
+          .metrics = metrics_.get(),
+          .clock = &clock_};
 }
 
 absl::Status Server::StartGrpc() {
@@ -111,7 +129,9 @@ absl::Status Server::StartGrpc() {
   auto address = ParseAddress("--listen", options_.listen);
   if (!address.ok()) return address.status();
   grpc_address_ = *std::move(address);
-  builder.AddListeningPort(options_.listen, grpc::InsecureServerCredentials(), &grpc_address_.port);
+  const auto credentials = MakeServerCredentials(options_.tls);
+  if (!credentials.ok()) return credentials.status();
+  builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
   builder.RegisterService(&service_);
   builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);
@@ -131,12 +151,21 @@ void Server::PublishHealth() {
   health->SetServingStatus(v1::PolicyAdmin::service_full_name(), !stopping_);
 }
 
+void Server::ReloadTokens() {
+  if (auto status = authenticator_->Reload(); !status.ok()) {
+    std::cerr << absl::StrCat("spikeserve: tokens as before: ", status.message(), "\n");
+  }
+}
+
 absl::Status Server::StartHttp() {
   if (options_.http_listen.empty()) return absl::OkStatus();
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
   auto http = HttpServer::Start(
-      *address, [this](absl::string_view path) { return StatusPage(path, *metrics_, serving()); });
+      *address, [this](absl::string_view path) { return StatusPage(path, *metrics_, serving()); },
+      [this](absl::string_view path, absl::string_view header) {
+        return MayWatch(*authenticator_, path, header);
+      });
   if (!http.ok()) {
     return absl::Status(http.status().code(),
                         absl::StrCat("--http_listen: ", http.status().message()));
@@ -150,6 +179,7 @@ Server::~Server() { Stop(); }
 void Server::Stop() {
   if (grpc_ == nullptr) return;
   poller_.reset();
+  token_reloader_.reset();
   stopping_ = true;
   calls_.Drain();  // before the news spreads, so that nobody who has heard it is still served
   PublishHealth();

@@ -14,12 +14,15 @@
 #include "core/session/session_reaper.h"
 #include "core/session/session_store.h"
 #include "server/address.h"
+#include "server/authenticator.h"
 #include "server/call_tracker.h"
+#include "server/head_admin.h"
 #include "server/http_server.h"
 #include "server/inference_handler.h"
 #include "server/inference_service.h"
 #include "server/metrics.h"
 #include "server/options.h"
+#include "server/periodic.h"
 #include "server/policy_admin_handler.h"
 #include "server/policy_admin_service.h"
 #include "server/policy_poller.h"
@@ -50,10 +53,12 @@ class Server {
   void Stop();
 
  private:
-  Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> registry,
-         std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings);
+  Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
+         std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
+         std::unique_ptr<Recordings> recordings);
 
   ServiceParts Parts();
+  void ReloadTokens();
   absl::Status StartGrpc();
   absl::Status StartHttp();
   bool serving() const { return !stopping_ && !store_.draining(); }
@@ -61,6 +66,7 @@ class Server {
 
   const ServerOptions options_;
   const SteadyClock clock_;
+  const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
   const std::unique_ptr<PolicyRegistry> registry_;
   const std::unique_ptr<Recordings> recordings_;  // null: nothing is recorded. Outlives the store
@@ -71,6 +77,7 @@ class Server {
   const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
   PolicyService service_;
+  const HeadAdmin head_admin_;
   PolicyAdminService admin_service_;
   InferenceHandler inference_handler_;
   InferenceService inference_service_;
@@ -78,7 +85,9 @@ class Server {
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
   std::unique_ptr<HttpServer> http_;
-  std::unique_ptr<PolicyPoller> poller_;  // last: it uses what is above
+  // Last: they use what is above.
+  std::unique_ptr<PolicyPoller> poller_;
+  std::unique_ptr<Periodic> token_reloader_;
 };
 
 }  // namespace spikeserve

@@ -1,5 +1,6 @@
 #include "server/unary_call.h"
 
+#include "server/admission.h"
 #include "server/status_map.h"
 
 namespace spikeserve {
@@ -26,13 +27,27 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   DeferredWork deferred_;
 };
 
+using Handle = absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)>;
+
+absl::Status AdmitAndHandle(const ServiceParts& parts, const grpc::CallbackServerContext& context,
+                            Method method, const google::protobuf::MessageLite& request,
+                            Handle handle, DeferredWork* deferred) {
+  const auto caller = Admit(*parts.authenticator, context, method);
+  if (!caller.ok()) return caller.status();
+  if (auto status = CheckSize(**caller, request); !status.ok()) return status;
+  return handle(**caller, deferred);
+}
+
 }  // namespace
 
-grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts, Method method,
-                                      absl::FunctionRef<absl::Status(DeferredWork*)> handle) {
+grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts,
+                                      const grpc::CallbackServerContext& context, Method method,
+                                      const google::protobuf::MessageLite& request, Handle handle) {
   const absl::Duration start = parts.clock->Now();
   auto* call = new UnaryCall(parts.calls);
-  const absl::Status status = call->accepted() ? handle(call->deferred()) : DrainingError();
+  const absl::Status status =
+      call->accepted() ? AdmitAndHandle(parts, context, method, request, handle, call->deferred())
+                       : DrainingError();
   parts.metrics->ObserveRpc(method, status.code(), parts.clock->Now() - start);
   call->Finish(ToGrpcStatus(status));
   return call;

@@ -54,14 +54,22 @@ def running_server(policies=SHIPPED_POLICIES, flags=()):
         server.stdout.close()
 
 
-class Service:
-    """A service whose methods and messages come from the server's reflection."""
+def message_class(channel, name):
+    """The class of a message that the server's reflection describes."""
+    pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
-    def __init__(self, channel, name):
+
+class Service:
+    """A service whose methods and messages come from the server's reflection over `channel`; its
+    calls go over `calls`, if that is given.
+    """
+
+    def __init__(self, channel, name, calls=None):
         pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
         for method in pool.FindServiceByName(name).methods:
             if not method.client_streaming and not method.server_streaming:
-                setattr(self, method.name, self._unary(channel, name, method))
+                setattr(self, method.name, self._unary(calls or channel, name, method))
 
     @staticmethod
     def _unary(channel, service, method):

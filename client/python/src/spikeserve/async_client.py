@@ -122,7 +122,9 @@ class AsyncClient:
         deadline = self._options.timeout if timeout is None else timeout
         while True:
             try:
-                return await self._calls[name](request, timeout=deadline)
+                return await self._calls[name](
+                    request, timeout=deadline, metadata=self._options.metadata
+                )
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:

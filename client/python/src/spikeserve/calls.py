@@ -5,6 +5,7 @@ Nothing here waits or sends.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
@@ -36,14 +37,23 @@ DEFAULT_SERVER = "127.0.0.1:50051"
 
 @dataclass(frozen=True)
 class ClientOptions:
-    """How calls are made. `timeout` is the deadline of each attempt, in seconds."""
+    """How calls are made. `timeout` is the deadline of each attempt, in seconds.
+
+    `token` is sent with every call; it defaults to the environment variable SPIKESERVE_TOKEN.
+    """
 
     timeout: float = 5.0
     retry: RetryOptions = field(default_factory=RetryOptions)
+    token: str = field(default_factory=lambda: os.environ.get("SPIKESERVE_TOKEN", ""), repr=False)
 
     def __post_init__(self) -> None:
         if not self.timeout > 0:
             raise ValueError(f"timeout: expected more than 0, got {self.timeout}")
+
+    @property
+    def metadata(self) -> tuple[tuple[str, str], ...]:
+        """What every call carries beside its request."""
+        return (("authorization", f"Bearer {self.token}"),) if self.token else ()
 
 
 class Attempts:

@@ -130,7 +130,7 @@ class Client:
         deadline = self._options.timeout if timeout is None else timeout
         while True:
             try:
-                return self._calls[name](request, timeout=deadline)
+                return self._calls[name](request, timeout=deadline, metadata=self._options.metadata)
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:
