@@ -1,9 +1,6 @@
 #include "client/client.h"
 
 #include <grpcpp/client_context.h>
-#include <grpcpp/create_channel.h>
-#include <grpcpp/security/credentials.h>
-#include <grpcpp/support/channel_arguments.h>
 
 #include <utility>
 
@@ -23,14 +20,9 @@ absl::Status ClientOptions::Validate() const {
 
 absl::StatusOr<std::unique_ptr<Client>> Client::Create(const std::string& server,
                                                        ClientOptions options) {
-  grpc::ChannelArguments arguments;
-  // Otherwise all channels to one server share a connection.
-  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
-  // A server that was restarted is found again within a second, not gRPC's two minutes.
-  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
-  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);
-  return Create(grpc::CreateCustomChannel(server, grpc::InsecureChannelCredentials(), arguments),
-                std::move(options));
+  auto channel = MakeChannel(server, options.security);
+  if (!channel.ok()) return channel.status();
+  return Create(*std::move(channel), std::move(options));
 }
 
 absl::StatusOr<std::unique_ptr<Client>> Client::Create(std::shared_ptr<grpc::Channel> channel,
@@ -148,9 +140,11 @@ absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRe
   return response;
 }
 
-absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id) {
+absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id,
+                                                          bool include_head_delta) {
   v1::GetSessionRequest request;
   request.set_session_id(session_id);
+  request.set_include_head_delta(include_head_delta);
   return Call(&v1::PolicyService::Stub::GetSession, request, session_id);
 }
 

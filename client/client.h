@@ -17,6 +17,7 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
+#include "client/channel.h"
 #include "client/remote_stream.h"
 #include "client/retry.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
@@ -26,6 +27,7 @@ namespace spikeserve {
 struct ClientOptions {
   absl::Duration call_timeout = absl::Seconds(5);  // of each attempt
   RetryOptions retry;
+  SecurityOptions security;
 
   // INVALID_ARGUMENT names the field, what was expected and what came.
   absl::Status Validate() const;
@@ -33,9 +35,8 @@ struct ClientOptions {
 
 class Client {
  public:
-  // A client of the server at "HOST:PORT", without TLS, on a connection of its own, which is made
-  // when the first call needs it and made again when it breaks. INVALID_ARGUMENT if `options` are
-  // not valid.
+  // A client of the server at "HOST:PORT" on a connection of its own, as MakeChannel makes it.
+  // INVALID_ARGUMENT if `options` are not valid.
   static absl::StatusOr<std::unique_ptr<Client>> Create(const std::string& server,
                                                         ClientOptions options = {});
   static absl::StatusOr<std::unique_ptr<Client>> Create(std::shared_ptr<grpc::Channel> channel,
@@ -77,8 +78,9 @@ class Client {
   // DEADLINE_EXCEEDED the `episode` of GetSession tells whether the first was carried out.
   absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const v1::EndEpisodeRequest& request);
 
-  // Retried.
-  absl::StatusOr<v1::GetSessionResponse> GetSession(const std::string& session_id);
+  // Retried. `include_head_delta` asks for W - W_base of the head it plays on.
+  absl::StatusOr<v1::GetSessionResponse> GetSession(const std::string& session_id,
+                                                    bool include_head_delta = false);
 
   // Retried.
   absl::StatusOr<v1::ExplainResponse> Explain(const std::string& session_id);

@@ -39,6 +39,7 @@ absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOu
   request.set_terminated(outcome.terminated);
   request.set_truncated(outcome.truncated);
   if (outcome.target_return.has_value()) request.set_target_return(*outcome.target_return);
+  request.mutable_observation()->Add(outcome.observation.begin(), outcome.observation.end());
   absl::StatusOr<v1::EndEpisodeResponse> response = client_->EndEpisode(request);
   if (response.ok()) step_ = 0;
   return response;

@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -26,7 +27,8 @@ struct EpisodeOutcome {
   bool terminated = false;
   bool truncated = false;
   std::optional<double> target_return =
-      std::nullopt;  // for the next episode; unset: the session's own
+      std::nullopt;                     // for the next episode; unset: the session's own
+  std::vector<float> observation = {};  // what the last action led to, for recordings
 };
 
 class RemoteSession {

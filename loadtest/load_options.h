@@ -9,6 +9,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "client/channel.h"
 
 namespace spikeserve {
 
@@ -19,6 +20,7 @@ enum class LoadMode { kUnary, kStream, kBatch };
 absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name);
 
 struct LoadOptions {
+  SecurityOptions security;
   std::string server = "127.0.0.1:50051";  // HOST:PORT
   LoadMode mode = LoadMode::kUnary;
   int sessions = 64;

@@ -73,6 +73,7 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
   // One attempt a call, so that every failure is seen and counted.
   ClientOptions client_options;
   client_options.retry.max_attempts = 1;
+  client_options.security = options.security;
   std::vector<std::unique_ptr<Client>> clients;
   std::vector<Caller> callers;
   for (int i = 0; i < std::min(options.streams, options.sessions); ++i) {

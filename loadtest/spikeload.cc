@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "client/security_flags.h"
 #include "loadtest/load_test.h"
 
 namespace spikeserve {
@@ -58,7 +59,10 @@ namespace {
 absl::StatusOr<LoadOptions> OptionsFromFlags() {
   const auto mode = ParseLoadMode(absl::GetFlag(FLAGS_mode));
   if (!mode.ok()) return mode.status();
+  auto security = SecurityFromFlags();
+  if (!security.ok()) return security.status();
   LoadOptions options;
+  options.security = *std::move(security);
   options.server = absl::GetFlag(FLAGS_server);
   options.mode = *mode;
   options.sessions = absl::GetFlag(FLAGS_sessions);

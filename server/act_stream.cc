@@ -1,68 +1,23 @@
 #include "server/act_stream.h"
 
-#include <utility>
-
+#include "server/admission.h"
 #include "server/convert.h"
-#include "server/status_map.h"
 
 namespace spikeserve {
 
-ActStream* ActStream::Start(const ServiceParts& parts) {
-  const auto stream = std::shared_ptr<ActStream>(new ActStream(parts));
-  stream->self_ = stream;
-  const bool accepted = parts.calls->BeginStream(stream);
-  absl::MutexLock lock(&stream->mutex_);
-  if (!accepted) {
-    stream->FinishLocked(DrainingError());
-  } else if (stream->state_ == State::kReading) {  // else drained since
-    stream->StartRead(&stream->request_);
-  }
-  return stream.get();
+absl::Status ActStream::Handle(const v1::ActRequest& request, v1::ActResponse* response,
+                               DeferredWork* deferred) {
+  const Credential& caller = **caller_;
+  if (auto status = CheckStillAdmitted(caller, request); !status.ok()) return status;
+  return parts_.handler->Act(caller, request, response, deferred);
 }
 
-void ActStream::OnReadDone(bool ok) {
-  {
-    absl::MutexLock lock(&mutex_);
-    if (state_ == State::kFinished) return;
-    if (!ok) return FinishLocked(absl::OkStatus());  // the client has no more requests
-    state_ = State::kReplying;
-  }
-  DeferredWork deferred;
-  Answer(&deferred);
-  StartWrite(&response_);
-  deferred.Run();
-}
-
-void ActStream::Answer(DeferredWork* deferred) {
+void ActStream::Answer(const v1::ActRequest& request, v1::ActResponse* response,
+                       DeferredWork* deferred) {
   const absl::Duration start = parts_.clock->Now();
-  response_.Clear();
-  const absl::Status status = parts_.handler->Act(request_, &response_, deferred);
-  if (!status.ok()) ErrorToProto(request_, status, &response_);
+  const absl::Status status = Handle(request, response, deferred);
+  if (!status.ok()) ErrorToProto(request, status, response);
   parts_.metrics->ObserveRpc(Method::kActStream, status.code(), parts_.clock->Now() - start);
-}
-
-void ActStream::OnWriteDone(bool ok) {
-  absl::MutexLock lock(&mutex_);
-  if (!ok) return FinishLocked(absl::CancelledError("the client is gone"));
-  if (draining_) return FinishLocked(DrainingError());
-  state_ = State::kReading;
-  StartRead(&request_);
-}
-
-void ActStream::Drain() {
-  absl::MutexLock lock(&mutex_);
-  draining_ = true;
-  if (state_ == State::kReading) FinishLocked(DrainingError());
-}
-
-void ActStream::FinishLocked(const absl::Status& status) {
-  state_ = State::kFinished;
-  Finish(ToGrpcStatus(status));
-}
-
-void ActStream::OnDone() {
-  parts_.calls->EndStream(this);
-  const auto last = std::move(self_);  // destroyed on return, unless Drain() is just at work
 }
 
 }  // namespace spikeserve

@@ -1,15 +1,13 @@
-// One ActStream call: read a request, answer it, and so on, until the client or the server has had
-// enough.
+// One ActStream call.
 #ifndef SERVER_ACT_STREAM_H_
 #define SERVER_ACT_STREAM_H_
 
-#include <grpcpp/support/server_callback.h>
+#include <utility>
 
-#include <memory>
-
-#include "absl/base/thread_annotations.h"
-#include "absl/synchronization/mutex.h"
+#include "absl/status/statusor.h"
 #include "core/session/clock.h"
+#include "server/answer_stream.h"
+#include "server/authenticator.h"
 #include "server/background_worker.h"
 #include "server/call_tracker.h"
 #include "server/metrics.h"
@@ -22,42 +20,30 @@ namespace spikeserve {
 struct ServiceParts {
   const RequestHandler* handler;
   CallTracker* calls;
+  const Authenticator* authenticator;
   Metrics* metrics;
   const Clock* clock;
   BackgroundWorker* worker;
 };
 
-// Keeps itself alive from Start() until gRPC is done with it. One operation is under way at a time,
-// so the messages need no lock; Drain() may come from any thread in between.
-class ActStream final : public grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>,
-                        public CallTracker::Stream {
+// Thread-safe as AnswerStream is.
+class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {
  public:
-  // A stream that reads its first request, or is refused where the server drains.
-  static ActStream* Start(const ServiceParts& parts);
+  // `caller` is what Admit() said. A token that expires later fails the requests that come then.
+  ActStream(const ServiceParts& parts, absl::StatusOr<const Credential*> caller)
+      : parts_(parts), caller_(std::move(caller)) {}
 
-  void OnReadDone(bool ok) override;
-  void OnWriteDone(bool ok) override;
-  void OnDone() override;
-
-  // Ends the call with UNAVAILABLE, after the reply that is under way, if one is.
-  void Drain() override;
+ protected:
+  void Answer(const v1::ActRequest& request, v1::ActResponse* response,
+              DeferredWork* deferred) override;
 
  private:
-  enum class State { kReading, kReplying, kFinished };
-
-  explicit ActStream(const ServiceParts& parts) : parts_(parts) {}
-
-  void Answer(DeferredWork* deferred);
-  void FinishLocked(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // REQUIRES: the caller was admitted, or the call would have ended.
+  absl::Status Handle(const v1::ActRequest& request, v1::ActResponse* response,
+                      DeferredWork* deferred);
 
   const ServiceParts parts_;
-  std::shared_ptr<ActStream> self_;
-  v1::ActRequest request_;
-  v1::ActResponse response_;
-
-  absl::Mutex mutex_;  // held for a change of state only, never for a decision
-  State state_ ABSL_GUARDED_BY(mutex_) = State::kReading;
-  bool draining_ ABSL_GUARDED_BY(mutex_) = false;
+  const absl::StatusOr<const Credential*> caller_;
 };
 
 }  // namespace spikeserve

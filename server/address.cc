@@ -4,6 +4,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 
@@ -21,6 +22,11 @@ bool IsHost(absl::string_view host) {
 }  // namespace
 
 std::string Address::ToString() const { return absl::StrCat(host, ":", port); }
+
+bool Address::is_loopback() const {
+  return host == "localhost" || host == "[::1]" ||
+         (absl::StartsWith(host, "127.") && host.find_first_not_of("0123456789.") == host.npos);
+}
 
 absl::StatusOr<Address> ParseAddress(absl::string_view field, absl::string_view text) {
   const size_t colon = text.rfind(':');

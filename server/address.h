@@ -16,6 +16,9 @@ struct Address {
   int port = 0;      // 0 picks a free one
 
   std::string ToString() const;
+
+  // Whether only this machine can connect to it.
+  bool is_loopback() const;
 };
 
 // INVALID_ARGUMENT names `field`, what was expected and what came.

@@ -268,6 +268,9 @@ void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
   response->set_step(request.step());
   response->mutable_error()->set_code(ToGrpcCode(status.code()));
   response->mutable_error()->set_message(std::string(status.message()));
+  if (const auto delay = RetryDelay(status)) {
+    response->mutable_error()->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+  }
 }
 
 }  // namespace spikeserve

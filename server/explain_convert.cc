@@ -2,6 +2,7 @@
 
 #include <string>
 
+#include "absl/synchronization/mutex.h"
 #include "server/convert.h"
 
 namespace spikeserve {
@@ -78,6 +79,18 @@ v1::ExplainResponse ToProto(const ServedPolicy& served, const Session& session,
     ToProto(explanation.trace.layers[i], static_cast<int>(i), response.ticks(), &response);
   }
   return response;
+}
+
+absl::Status ExplainSession(SessionEntry& entry, v1::ExplainResponse* response) {
+  Session session;
+  {
+    absl::MutexLock lock(&entry.mutex);
+    session = entry.agent.session();
+  }
+  const auto explanation = Explain(entry.served->policy(), session);
+  if (!explanation.ok()) return explanation.status();
+  *response = ToProto(*entry.served, session, *explanation);
+  return absl::OkStatus();
 }
 
 }  // namespace spikeserve

@@ -32,8 +32,9 @@ void Knock(const Address& address) {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& listen, Page page) {
-  auto server = std::unique_ptr<HttpServer>(new HttpServer(std::move(page)));
+absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& listen, Page page,
+                                                              Guard guard) {
+  auto server = std::unique_ptr<HttpServer>(new HttpServer(std::move(page), std::move(guard)));
   const std::string port = listen.ToString();
   const char* options[] = {"listening_ports",    port.c_str(), "num_threads", "4",
                            "request_timeout_ms", "10000",      nullptr};
@@ -74,6 +75,14 @@ int HttpServer::Log(const mg_connection* connection, const char* message) {
   return 1;
 }
 
+HttpResponse HttpServer::Answer(const mg_connection* connection, const HttpRequest& request) const {
+  const char* header = mg_get_header(connection, "Authorization");
+  const absl::Status status = guard_(request.path, header == nullptr ? "" : header);
+  if (status.ok()) return page_(request);
+  return {.code = absl::IsUnauthenticated(status) ? 401 : 403,
+          .body = absl::StrCat(status.message(), "\n")};
+}
+
 int HttpServer::Handle(mg_connection* connection) {
   const mg_request_info* request = mg_get_request_info(connection);
   const auto* server = static_cast<const HttpServer*>(request->user_data);
@@ -81,11 +90,12 @@ int HttpServer::Handle(mg_connection* connection) {
   const bool head = method == "HEAD";
   const char* query = request->query_string;
   const HttpResponse response =
-      head || method == "GET"
-          ? server->page_({.path = request->local_uri, .query = query == nullptr ? "" : query})
-          : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+      head || method == "GET" ? server->Answer(connection, {.path = request->local_uri,
+                                                            .query = query == nullptr ? "" : query})
+                              : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
   const std::string header = absl::StrCat(
       "HTTP/1.1 ", response.code, " ", mg_get_response_code_text(connection, response.code),
+      response.code == 401 ? "\r\nWWW-Authenticate: Basic realm=\"spikeserve\"" : "",
       "\r\nContent-Type: ", response.content_type, "\r\nContent-Length: ", response.body.size(),
       "\r\nConnection: close\r\n", kHeaders, "\r\n");
   mg_write(connection, header.data(), header.size());

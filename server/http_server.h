@@ -8,7 +8,9 @@
 #include <memory>
 #include <string>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "server/address.h"
 
 struct mg_context;
@@ -33,8 +35,13 @@ class HttpServer {
   // Answers a request; called from many threads.
   using Page = std::function<HttpResponse(const HttpRequest& request)>;
 
+  // Whether the sender of an Authorization header, which may be empty, may see `path`; called from
+  // many threads. UNAUTHENTICATED becomes 401, any other error 403.
+  using Guard = std::function<absl::Status(absl::string_view path, absl::string_view header)>;
+
   // UNAVAILABLE if the address cannot be listened on.
-  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen, Page page);
+  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen, Page page,
+                                                           Guard guard);
 
   // Finishes the answers under way.
   ~HttpServer();
@@ -45,12 +52,14 @@ class HttpServer {
   const Address& address() const { return address_; }
 
  private:
-  explicit HttpServer(Page page) : page_(std::move(page)) {}
+  HttpServer(Page page, Guard guard) : page_(std::move(page)), guard_(std::move(guard)) {}
 
+  HttpResponse Answer(const mg_connection* connection, const HttpRequest& request) const;
   static int Handle(mg_connection* connection);
   static int Log(const mg_connection* connection, const char* message);
 
   const Page page_;
+  const Guard guard_;
   std::string start_error_;  // the first thing civetweb said before it was up
   Address address_;
   mg_context* context_ = nullptr;

@@ -35,8 +35,22 @@ ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_aft
           "Sessions that nobody used for this long give back what their next decision can rebuild");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
           "Sessions open at a time");
+ABSL_FLAG(std::string, record_dir, spikeserve::ServerOptions().record_dir,
+          "Directory in which sessions that ask for it are recorded; empty for none");
 ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
           "How long calls in flight may take to end when the server stops");
+
+ABSL_FLAG(std::string, tls_certificate, "",
+          "PEM file of the server's certificate chain; empty for plain text");
+ABSL_FLAG(std::string, tls_key, "", "PEM file of the certificate's private key");
+ABSL_FLAG(std::string, tls_client_ca, "",
+          "PEM file of the authorities whose certificates clients must show; empty for none");
+ABSL_FLAG(std::string, tokens, "",
+          "JSON file of bearer tokens, their tenants, roles and limits; empty: everybody may do "
+          "everything");
+ABSL_FLAG(bool, insecure_network, false,
+          "Serve addresses that others can reach without TLS or without tokens: whoever reaches "
+          "them can read, steer and administer everything");
 
 namespace spikeserve {
 namespace {
@@ -54,7 +68,14 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
   options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
+  options.record_dir = absl::GetFlag(FLAGS_record_dir);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
+
+  options.tls = {.certificate = absl::GetFlag(FLAGS_tls_certificate),
+                 .key = absl::GetFlag(FLAGS_tls_key),
+                 .client_ca = absl::GetFlag(FLAGS_tls_client_ca)};
+  options.tokens = absl::GetFlag(FLAGS_tokens);
+  options.insecure_network = absl::GetFlag(FLAGS_insecure_network);
 
   // Blocked before there are threads, so that every thread inherits it and sigwait alone takes
   // them.

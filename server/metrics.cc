@@ -37,12 +37,41 @@ Buckets Returns() {
 }
 
 std::string MethodName(Method method) {
-  static constexpr const char* kNames[kMethods] = {
-      "ListPolicies",      "OpenSession", "Act",          "ActBatch",
-      "ActStream",         "EndEpisode",  "GetSession",   "CloseSession",
-      "Explain",           "LoadPolicy",  "UnloadPolicy", "ReloadPolicies",
-      "SetDefaultVersion", "SetLabel",    "RemoveLabel",  "SetTraffic",
-      "ListSessions",      "Drain"};
+  static constexpr const char* kNames[kMethods] = {"ListPolicies",
+                                                   "OpenSession",
+                                                   "Act",
+                                                   "ActBatch",
+                                                   "ActStream",
+                                                   "EndEpisode",
+                                                   "GetSession",
+                                                   "CloseSession",
+                                                   "Explain",
+                                                   "LoadPolicy",
+                                                   "UnloadPolicy",
+                                                   "ReloadPolicies",
+                                                   "SetDefaultVersion",
+                                                   "SetLabel",
+                                                   "RemoveLabel",
+                                                   "SetTraffic",
+                                                   "ListSessions",
+                                                   "Drain",
+                                                   "GetHead",
+                                                   "PromoteHead",
+                                                   "RollbackHead",
+                                                   "PauseLearning",
+                                                   "ResumeLearning",
+                                                   "ServerLive",
+                                                   "ServerReady",
+                                                   "ModelReady",
+                                                   "ServerMetadata",
+                                                   "ModelMetadata",
+                                                   "ModelInfer",
+                                                   "ModelStreamInfer",
+                                                   "ModelConfig",
+                                                   "ModelStatistics",
+                                                   "RepositoryIndex",
+                                                   "RepositoryModelLoad",
+                                                   "RepositoryModelUnload"};
   return kNames[static_cast<size_t>(method)];
 }
 
@@ -104,6 +133,14 @@ Metrics::Metrics()
       sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
                                 "Sessions that may be open at a time, all policies together.")
                            .Add({})) {
+  auto& recorded = Register(BuildCounter(), "spikeserve_recorded_episodes_total",
+                            "Episodes of recorded sessions, by what became of them: written, or "
+                            "lost because the queue was full or the disk refused.");
+  static constexpr const char* kOutcomes[kRecordingOutcomes] = {"written", "queue_full",
+                                                                "write_failed"};
+  for (size_t i = 0; i < kRecordingOutcomes; ++i) {
+    recorded_episodes_[i] = &recorded.Add({{"outcome", kOutcomes[i]}});
+  }
   Register(BuildGauge(), "spikeserve_build_info", "1 for the version that runs.")
       .Add({{"version", SPIKESERVE_VERSION}})
       .Set(1);

@@ -23,7 +23,7 @@
 
 namespace spikeserve {
 
-// The calls of PolicyService, then those of PolicyAdmin.
+// The calls of PolicyService, PolicyAdmin and GRPCInferenceService, in this order.
 enum class Method {
   kListPolicies,
   kOpenSession,
@@ -43,8 +43,29 @@ enum class Method {
   kSetTraffic,
   kListSessions,
   kDrain,
+  kGetHead,
+  kPromoteHead,
+  kRollbackHead,
+  kPauseLearning,
+  kResumeLearning,
+  kServerLive,
+  kServerReady,
+  kModelReady,
+  kServerMetadata,
+  kModelMetadata,
+  kModelInfer,
+  kModelStreamInfer,
+  kModelConfig,
+  kModelStatistics,
+  kRepositoryIndex,
+  kRepositoryModelLoad,
+  kRepositoryModelUnload,
 };
-inline constexpr int kMethods = 18;
+inline constexpr int kMethods = 35;
+
+// What became of an episode that was to be recorded.
+enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
+inline constexpr int kRecordingOutcomes = 3;
 
 class Metrics {
  public:
@@ -61,6 +82,10 @@ class Metrics {
 
   // Sessions that were idle for their time-to-live.
   void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
+
+  void CountRecordedEpisode(RecordingOutcome outcome) {
+    recorded_episodes_[static_cast<size_t>(outcome)]->Increment();
+  }
 
   // How many sessions may be open at a time.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
@@ -102,6 +127,7 @@ class Metrics {
   prometheus::Family<prometheus::Histogram>& rpc_duration_;
   prometheus::Counter* reaped_idle_;
   prometheus::Gauge* sessions_limit_;
+  std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
   // Made when a method first answers with a code, since most pairs never occur.
   std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
 };

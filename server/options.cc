@@ -4,15 +4,37 @@
 #include "server/address.h"
 
 namespace spikeserve {
+namespace {
+
+// Refuses to serve a network by accident.
+absl::Status CheckReach(absl::string_view flag, const std::string& listen, bool encrypted,
+                        const ServerOptions& options) {
+  const auto address = ParseAddress(flag, listen);
+  if (!address.ok()) return address.status();
+  if (address->is_loopback() || options.insecure_network) return absl::OkStatus();
+  const auto refuse = [&](absl::string_view expected) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(flag, ": expected ", expected, " for ", listen,
+                     ", which others can reach, or a loopback address, or --insecure_network"));
+  };
+  if (options.tokens.empty()) return refuse("--tokens");
+  return encrypted ? absl::OkStatus() : refuse("encryption");
+}
+
+}  // namespace
 
 absl::Status ServerOptions::Validate() const {
   if (policies.empty()) {
     return absl::InvalidArgumentError("--policies: expected a directory, received none");
   }
-  if (auto address = ParseAddress("--listen", listen); !address.ok()) return address.status();
+  if (auto status = tls.Validate(); !status.ok()) return status;
+  if (auto status = CheckReach("--listen", listen, tls.enabled(), *this); !status.ok()) {
+    return status;
+  }
   if (!http_listen.empty()) {
-    if (auto address = ParseAddress("--http_listen", http_listen); !address.ok()) {
-      return address.status();
+    if (auto status = CheckReach("--http_listen", http_listen, /*encrypted=*/false, *this);
+        !status.ok()) {
+      return status;
     }
   }
   if (session_ttl < absl::Milliseconds(1)) {

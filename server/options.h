@@ -7,6 +7,7 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
+#include "server/tls.h"
 
 namespace spikeserve {
 
@@ -19,7 +20,13 @@ struct ServerOptions {
   absl::Duration session_ttl = absl::Minutes(10);
   absl::Duration compact_after = absl::Seconds(10);  // idle sessions shrink to their history
   int64_t max_sessions = 100'000;
+  std::string record_dir;  // where sessions that ask for it are recorded; empty: nowhere
   absl::Duration drain_timeout = absl::Seconds(30);
+
+  TlsFiles tls;  // for gRPC
+  std::string
+      tokens;  // file of bearer tokens, see token_file.h; empty: everybody may do everything
+  bool insecure_network = false;  // serve others than this machine without the two above
 
   // INVALID_ARGUMENT names the flag, what was expected and what came.
   absl::Status Validate() const;

@@ -4,6 +4,7 @@
 #define SERVER_POLICY_ADMIN_SERVICE_H_
 
 #include "server/act_stream.h"
+#include "server/head_admin.h"
 #include "server/policy_admin_handler.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
@@ -12,9 +13,10 @@ namespace spikeserve {
 // Thread-safe.
 class PolicyAdminService final : public v1::PolicyAdmin::CallbackService {
  public:
-  // `admin` must outlive the service.
-  PolicyAdminService(const ServiceParts& parts, const PolicyAdminHandler* admin)
-      : parts_(parts), admin_(admin) {}
+  // `admin` and `heads` must outlive the service.
+  PolicyAdminService(const ServiceParts& parts, const PolicyAdminHandler* admin,
+                     const HeadAdmin* heads)
+      : parts_(parts), admin_(admin), heads_(heads) {}
 
   grpc::ServerUnaryReactor* LoadPolicy(grpc::CallbackServerContext* context,
                                        const v1::LoadPolicyRequest* request,
@@ -43,10 +45,26 @@ class PolicyAdminService final : public v1::PolicyAdmin::CallbackService {
   grpc::ServerUnaryReactor* Drain(grpc::CallbackServerContext* context,
                                   const v1::DrainRequest* request,
                                   v1::DrainResponse* response) override;
+  grpc::ServerUnaryReactor* GetHead(grpc::CallbackServerContext* context,
+                                    const v1::GetHeadRequest* request,
+                                    v1::GetHeadResponse* response) override;
+  grpc::ServerUnaryReactor* PromoteHead(grpc::CallbackServerContext* context,
+                                        const v1::PromoteHeadRequest* request,
+                                        v1::PromoteHeadResponse* response) override;
+  grpc::ServerUnaryReactor* RollbackHead(grpc::CallbackServerContext* context,
+                                         const v1::RollbackHeadRequest* request,
+                                         v1::RollbackHeadResponse* response) override;
+  grpc::ServerUnaryReactor* PauseLearning(grpc::CallbackServerContext* context,
+                                          const v1::PauseLearningRequest* request,
+                                          v1::PauseLearningResponse* response) override;
+  grpc::ServerUnaryReactor* ResumeLearning(grpc::CallbackServerContext* context,
+                                           const v1::ResumeLearningRequest* request,
+                                           v1::ResumeLearningResponse* response) override;
 
  private:
   const ServiceParts parts_;
   const PolicyAdminHandler* const admin_;
+  const HeadAdmin* const heads_;
 };
 
 }  // namespace spikeserve

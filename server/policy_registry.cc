@@ -86,6 +86,12 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
   file.stamp = StampOf(PolicyFilePath(directory_, version));
   auto served = LoadPolicyVersion(directory_, version, new_observer_);
   file.status = served.status();
+  // What an operator has paused is paused in every version.
+  const auto served_now = catalog();
+  const auto others = served_now->FindPolicy(version.policy);
+  if (served.ok() && others.ok()) {
+    (*served)->learning->set_paused((*others)->versions.begin()->second->learning->paused());
+  }
   return served;
 }
 

@@ -1,73 +1,91 @@
 #include "server/policy_service.h"
 
+#include <memory>
+#include <utility>
+
+#include "server/admission.h"
 #include "server/unary_call.h"
 
 namespace spikeserve {
-grpc::ServerUnaryReactor* PolicyService::Unary(Method method, Handle handle) {
-  return AnswerUnary(parts_, method, handle);
-}
 
-grpc::ServerUnaryReactor* PolicyService::ListPolicies(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::ListPolicies(grpc::CallbackServerContext* context,
                                                       const v1::ListPoliciesRequest* request,
                                                       v1::ListPoliciesResponse* response) {
-  return Unary(Method::kListPolicies,
-               [&](DeferredWork*) { return parts_.handler->ListPolicies(*request, response); });
+  return AnswerUnary(parts_, *context, Method::kListPolicies, *request,
+                     [&](const Credential&, DeferredWork*) {
+                       return parts_.handler->ListPolicies(*request, response);
+                     });
 }
 
-grpc::ServerUnaryReactor* PolicyService::OpenSession(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::OpenSession(grpc::CallbackServerContext* context,
                                                      const v1::OpenSessionRequest* request,
                                                      v1::OpenSessionResponse* response) {
-  return Unary(Method::kOpenSession,
-               [&](DeferredWork*) { return parts_.handler->OpenSession(*request, response); });
+  return AnswerUnary(parts_, *context, Method::kOpenSession, *request,
+                     [&](const Credential& caller, DeferredWork*) {
+                       return parts_.handler->OpenSession(caller, *request, response);
+                     });
 }
 
-grpc::ServerUnaryReactor* PolicyService::Act(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::Act(grpc::CallbackServerContext* context,
                                              const v1::ActRequest* request,
                                              v1::ActResponse* response) {
-  return Unary(Method::kAct, [&](DeferredWork* deferred) {
-    return parts_.handler->Act(*request, response, deferred);
-  });
+  return AnswerUnary(parts_, *context, Method::kAct, *request,
+                     [&](const Credential& caller, DeferredWork* deferred) {
+                       return parts_.handler->Act(caller, *request, response, deferred);
+                     });
 }
 
-grpc::ServerUnaryReactor* PolicyService::ActBatch(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::ActBatch(grpc::CallbackServerContext* context,
                                                   const v1::ActBatchRequest* request,
                                                   v1::ActBatchResponse* response) {
-  return Unary(Method::kActBatch, [&](DeferredWork* deferred) {
-    return parts_.handler->ActBatch(*request, response, deferred);
-  });
+  return AnswerUnary(parts_, *context, Method::kActBatch, *request,
+                     [&](const Credential& caller, DeferredWork* deferred) {
+                       return parts_.handler->ActBatch(caller, *request, response, deferred);
+                     });
 }
 
 grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>* PolicyService::ActStream(
-    grpc::CallbackServerContext*) {
-  return spikeserve::ActStream::Start(parts_);
+    grpc::CallbackServerContext* context) {
+  auto caller = Admit(*parts_.authenticator, *context, Method::kActStream);
+  const absl::Status admitted = caller.status();
+  return AnswerStream<v1::ActRequest, v1::ActResponse>::Begin(
+      std::make_shared<spikeserve::ActStream>(parts_, std::move(caller)), parts_.calls, admitted);
 }
 
-grpc::ServerUnaryReactor* PolicyService::EndEpisode(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::EndEpisode(grpc::CallbackServerContext* context,
                                                     const v1::EndEpisodeRequest* request,
                                                     v1::EndEpisodeResponse* response) {
-  return Unary(Method::kEndEpisode,
-               [&](DeferredWork*) { return parts_.handler->EndEpisode(*request, response); });
+  return AnswerUnary(parts_, *context, Method::kEndEpisode, *request,
+                     [&](const Credential& caller, DeferredWork*) {
+                       return parts_.handler->EndEpisode(caller, *request, response);
+                     });
 }
 
-grpc::ServerUnaryReactor* PolicyService::GetSession(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::GetSession(grpc::CallbackServerContext* context,
                                                     const v1::GetSessionRequest* request,
                                                     v1::GetSessionResponse* response) {
-  return Unary(Method::kGetSession,
-               [&](DeferredWork*) { return parts_.handler->GetSession(*request, response); });
+  return AnswerUnary(parts_, *context, Method::kGetSession, *request,
+                     [&](const Credential& caller, DeferredWork*) {
+                       return parts_.handler->GetSession(caller, *request, response);
+                     });
 }
 
-grpc::ServerUnaryReactor* PolicyService::Explain(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::Explain(grpc::CallbackServerContext* context,
                                                  const v1::ExplainRequest* request,
                                                  v1::ExplainResponse* response) {
-  return AnswerUnaryInBackground(parts_, Method::kExplain,
-                                 [=, this] { return parts_.handler->Explain(*request, response); });
+  return AnswerUnaryInBackground(parts_, *context, Method::kExplain, *request,
+                                 [=, this](const Credential& caller) {
+                                   return parts_.handler->Explain(caller, *request, response);
+                                 });
 }
 
-grpc::ServerUnaryReactor* PolicyService::CloseSession(grpc::CallbackServerContext*,
+grpc::ServerUnaryReactor* PolicyService::CloseSession(grpc::CallbackServerContext* context,
                                                       const v1::CloseSessionRequest* request,
                                                       v1::CloseSessionResponse* response) {
-  return Unary(Method::kCloseSession,
-               [&](DeferredWork*) { return parts_.handler->CloseSession(*request, response); });
+  return AnswerUnary(parts_, *context, Method::kCloseSession, *request,
+                     [&](const Credential& caller, DeferredWork*) {
+                       return parts_.handler->CloseSession(caller, *request, response);
+                     });
 }
 
 }  // namespace spikeserve

@@ -3,7 +3,6 @@
 #ifndef SERVER_POLICY_SERVICE_H_
 #define SERVER_POLICY_SERVICE_H_
 
-#include "absl/functional/function_ref.h"
 #include "server/act_stream.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 
@@ -41,10 +40,6 @@ class PolicyService final : public v1::PolicyService::CallbackService {
                                          v1::CloseSessionResponse* response) override;
 
  private:
-  using Handle = absl::FunctionRef<absl::Status(DeferredWork* deferred)>;
-
-  grpc::ServerUnaryReactor* Unary(Method method, Handle handle);
-
   const ServiceParts parts_;
 };
 

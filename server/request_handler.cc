@@ -5,7 +5,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
-#include "core/session/explanation.h"
 #include "server/convert.h"
 #include "server/explain_convert.h"
 #include "server/status_map.h"
@@ -73,7 +72,7 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
 // What the shadow of a session is to see of the decision that was just made.
 ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
   return {.episode = session.episode,
-          .step = request.step(),
+          .step = session.last_answer->step,
           .observation = {request.observation().begin(), request.observation().end()},
           .reward = request.reward(),
           .target_return = session.target_return,
@@ -93,8 +92,12 @@ void DeferredWork::Run() {
 }
 
 RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store,
-                               ShadowRunner* shadows, const Clock* clock)
-    : registry_(registry), store_(store), shadows_(shadows), clock_(clock) {}
+                               ShadowRunner* shadows, const Clock* clock, Recordings* recordings)
+    : registry_(registry),
+      store_(store),
+      shadows_(shadows),
+      clock_(clock),
+      recordings_(recordings) {}
 
 absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
                                           v1::ListPoliciesResponse* response) const {
@@ -107,19 +110,35 @@ absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*reque
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
+absl::Status RequestHandler::OpenSession(const Credential& caller,
+                                         const v1::OpenSessionRequest& request,
                                          v1::OpenSessionResponse* response) const {
-  auto id = NewSessionId();
+  return OpenSessionAs(caller, "", request, response);
+}
+
+absl::Status RequestHandler::OpenSessionAs(const Credential& caller, std::string session_id,
+                                           const v1::OpenSessionRequest& request,
+                                           v1::OpenSessionResponse* response) const {
+  absl::StatusOr<std::string> id = std::move(session_id);
+  if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();
   const auto route = ChooseRoute(request, *id, *registry_->catalog());
   if (!route.ok()) return route.status();
   const ServedPolicy& served = *route->served;
   auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
+  options->tenant = caller.tenant()->name();
   const double target_return = options->target_return;
-  SessionExtras extras = {.id = *std::move(id), .shadow = nullptr};
+  SessionExtras extras;
+  extras.id = *std::move(id);
+  extras.quota = caller.tenant();
   if (route->shadow != nullptr) {
     extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
+  }
+  if (request.record()) {
+    auto recorder = NewRecorder(route->served, response->mutable_recording());
+    if (!recorder.ok()) return recorder.status();
+    extras.recorder = *std::move(recorder);
   }
   id = store_->Open(route->served, *std::move(options), std::move(extras));
   if (!id.ok()) return id.status();
@@ -135,16 +154,39 @@ absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse* response,
-                                 DeferredWork* deferred) const {
-  auto entry = store_->Find(request.session_id());
+absl::StatusOr<std::unique_ptr<EpisodeRecorder>> RequestHandler::NewRecorder(
+    const std::shared_ptr<const ServedPolicy>& served, std::string* name) const {
+  if (recordings_ == nullptr) {
+    return absl::FailedPreconditionError(
+        "record: expected false, because the server runs without --record_dir, received true");
+  }
+  *name = Recordings::NewName(*served);
+  return recordings_->Record(served, *name);
+}
+
+absl::Status RequestHandler::Act(const Credential& caller, const v1::ActRequest& request,
+                                 v1::ActResponse* response, DeferredWork* deferred) const {
+  return ActAt(caller, request.step(), request, response, deferred);
+}
+
+absl::Status RequestHandler::ActNext(const Credential& caller, const v1::ActRequest& request,
+                                     v1::ActResponse* response, DeferredWork* deferred) const {
+  return ActAt(caller, std::nullopt, request, response, deferred);
+}
+
+absl::Status RequestHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
+                                   const v1::ActRequest& request, v1::ActResponse* response,
+                                   DeferredWork* deferred) const {
+  if (auto status = caller.tenant()->TakeDecision(clock_->Now()); !status.ok()) return status;
+  auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   {
     absl::MutexLock lock(&(*entry)->mutex);
-    const Session& session = (*entry)->agent.session();
+    AgentSession& agent = (*entry)->agent;
+    const Session& session = agent.session();
     const uint64_t decisions = session.decisions;
     const auto answer =
-        (*entry)->agent.Act(request.step(), request.observation(), request.reward());
+        agent.Act(step.value_or(session.step), request.observation(), request.reward());
     if (!answer.ok()) return answer.status();
     const bool is_retry = session.decisions == decisions;
     if ((*entry)->shadow != nullptr && !is_retry) {
@@ -156,27 +198,33 @@ absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse*
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::ActBatch(const v1::ActBatchRequest& request,
+absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                                       v1::ActBatchResponse* response,
                                       DeferredWork* deferred) const {
   for (const v1::ActRequest& item : request.requests()) {
     v1::ActResult* result = response->add_results();
-    const absl::Status status = Act(item, result->mutable_response(), deferred);
+    const absl::Status status = Act(caller, item, result->mutable_response(), deferred);
     if (status.ok()) continue;
     result->clear_response();
     result->set_code(ToGrpcCode(status.code()));
     result->set_message(std::string(status.message()));
+    if (const auto delay = RetryDelay(status)) {
+      result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+    }
   }
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
+absl::Status RequestHandler::EndEpisode(const Credential& caller,
+                                        const v1::EndEpisodeRequest& request,
                                         v1::EndEpisodeResponse* response) const {
-  const auto entry = store_->Find(request.session_id());
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   EpisodeEnd end = {.reward = request.reward(),
                     .terminated = request.terminated(),
-                    .target_return = std::nullopt};
+                    .target_return = std::nullopt,
+                    .truncated = request.truncated(),
+                    .observation = {request.observation().begin(), request.observation().end()}};
   if (request.has_target_return()) end.target_return = request.target_return();
   absl::MutexLock lock(&(*entry)->mutex);
   const auto summary = (*entry)->agent.EndEpisode(end);
@@ -185,34 +233,27 @@ absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::GetSession(const v1::GetSessionRequest& request,
+absl::Status RequestHandler::GetSession(const Credential& caller,
+                                        const v1::GetSessionRequest& request,
                                         v1::GetSessionResponse* response) const {
-  const auto entry = store_->Find(request.session_id());
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::Explain(const v1::ExplainRequest& request,
+absl::Status RequestHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
                                      v1::ExplainResponse* response) const {
-  const auto entry = store_->Find(request.session_id());
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
-  const ServedPolicy& served = *(*entry)->served;
-  Session session;
-  {
-    absl::MutexLock lock(&(*entry)->mutex);
-    session = (*entry)->agent.session();
-  }
-  const auto explanation = spikeserve::Explain(served.policy(), session);
-  if (!explanation.ok()) return explanation.status();
-  *response = ToProto(served, session, *explanation);
-  return absl::OkStatus();
+  return ExplainSession(**entry, response);
 }
 
-absl::Status RequestHandler::CloseSession(const v1::CloseSessionRequest& request,
+absl::Status RequestHandler::CloseSession(const Credential& caller,
+                                          const v1::CloseSessionRequest& request,
                                           v1::CloseSessionResponse* /*response*/) const {
-  return store_->Close(request.session_id());
+  return store_->Close(request.session_id(), caller.tenant()->name());
 }
 
 }  // namespace spikeserve

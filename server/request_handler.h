@@ -6,12 +6,15 @@
 #define SERVER_REQUEST_HANDLER_H_
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
+#include "server/authenticator.h"
 #include "server/policy_registry.h"
+#include "server/recordings.h"
 #include "server/shadow_runner.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -41,34 +44,54 @@ struct LabelLimits {
 
 class RequestHandler {
  public:
-  // All must outlive the handler.
+  // All must outlive the handler. Without `recordings` no session is recorded.
   RequestHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
-                 const Clock* clock);
+                 const Clock* clock, Recordings* recordings = nullptr);
 
+  // A session belongs to the tenant that opened it and is NOT_FOUND for every other caller.
+  //
   // Each fills in `response` and returns OK, or returns the error that api.md names and leaves the
   // session as it was.
   absl::Status ListPolicies(const v1::ListPoliciesRequest& request,
                             v1::ListPoliciesResponse* response) const;
-  absl::Status OpenSession(const v1::OpenSessionRequest& request,
+  absl::Status OpenSession(const Credential& caller, const v1::OpenSessionRequest& request,
                            v1::OpenSessionResponse* response) const;
-  absl::Status Act(const v1::ActRequest& request, v1::ActResponse* response,
-                   DeferredWork* deferred) const;
-  absl::Status ActBatch(const v1::ActBatchRequest& request, v1::ActBatchResponse* response,
-                        DeferredWork* deferred) const;
-  absl::Status EndEpisode(const v1::EndEpisodeRequest& request,
+  // Under an id that the caller picks; ALREADY_EXISTS where it is taken.
+  absl::Status OpenSessionAs(const Credential& caller, std::string id,
+                             const v1::OpenSessionRequest& request,
+                             v1::OpenSessionResponse* response) const;
+  absl::Status Act(const Credential& caller, const v1::ActRequest& request,
+                   v1::ActResponse* response, DeferredWork* deferred) const;
+  // At the step that the session expects, whatever `request` says, so nothing is ever a retry.
+  absl::Status ActNext(const Credential& caller, const v1::ActRequest& request,
+                       v1::ActResponse* response, DeferredWork* deferred) const;
+  absl::Status ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
+                        v1::ActBatchResponse* response, DeferredWork* deferred) const;
+  absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
-  absl::Status GetSession(const v1::GetSessionRequest& request,
+  absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
   // Takes long; holds the session's lock for a moment only.
-  absl::Status Explain(const v1::ExplainRequest& request, v1::ExplainResponse* response) const;
-  absl::Status CloseSession(const v1::CloseSessionRequest& request,
+  absl::Status Explain(const Credential& caller, const v1::ExplainRequest& request,
+                       v1::ExplainResponse* response) const;
+  absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response) const;
 
  private:
+  // Records a session of `served` under a new `name`.
+  absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
+      const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;
+
+  // At the step that the session expects where `step` is nothing.
+  absl::Status ActAt(const Credential& caller, std::optional<int64_t> step,
+                     const v1::ActRequest& request, v1::ActResponse* response,
+                     DeferredWork* deferred) const;
+
   const PolicyRegistry* const registry_;
   SessionStore* const store_;
   ShadowRunner* const shadows_;
   const Clock* const clock_;
+  Recordings* const recordings_;
 };
 
 }  // namespace spikeserve

@@ -15,6 +15,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "grpc/health/v1/health.pb.h"
+#include "server/admission.h"
 
 namespace spikeserve {
 namespace {
@@ -26,6 +27,9 @@ constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
 
 // Calls that take long, such as Explain, run one at a time; so many may wait.
 constexpr size_t kLongCallsWaiting = 16;
+
+// How often the file of tokens is read again.
+constexpr absl::Duration kTokensInterval = absl::Seconds(1);
 
 // gRPC reports a port it cannot have in its log, at length; we report it in one line.
 std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
@@ -39,13 +43,15 @@ std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
   if (auto status = options.Validate(); !status.ok()) return status;
+  auto authenticator = Authenticator::Create(options.tokens);
+  if (!authenticator.ok()) return authenticator.status();
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
   std::vector<absl::Status> refused;
   auto registry = PolicyRegistry::Load(
       options.policies,
-      [&](const std::string& name, int64_t version, const Policy& policy) {
-        return metrics->NewPolicyObserver(name, version, policy);
+      [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
+        return kept->NewPolicyObserver(name, version, policy);
       },
       &refused);
   if (!registry.ok()) {
@@ -59,32 +65,53 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
   }
 
+  std::unique_ptr<Recordings> recordings;
+  if (!options.record_dir.empty()) {
+    auto created = Recordings::Create(options.record_dir, metrics.get());
+    if (!created.ok()) return created.status();
+    recordings = *std::move(created);
+  }
   auto server =
-      std::unique_ptr<Server>(new Server(options, *std::move(registry), std::move(metrics)));
+      std::unique_ptr<Server>(new Server(options, *std::move(authenticator), *std::move(registry),
+                                         std::move(metrics), std::move(recordings)));
   if (auto status = server->StartGrpc(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
     server->poller_ =
         std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies, refused);
   }
+  if (!options.tokens.empty()) {
+    server->token_reloader_ = std::make_unique<Periodic>(
+        kTokensInterval, [pointer = server.get()] { pointer->ReloadTokens(); });
+  }
   return server;
 }
 
-Server::Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> registry,
-               std::unique_ptr<Metrics> metrics)
+Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
+               std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
+               std::unique_ptr<Recordings> recordings)
     : options_(options),
+      authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
       registry_(std::move(registry)),
+      recordings_(std::move(recordings)),
       shadows_(metrics_->registry()),
       store_(options.max_sessions, &clock_),
       reaper_(&store_,
               {.compact_after = options.compact_after, .time_to_live = options.session_ttl},
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
-      handler_(registry_.get(), &store_, &shadows_, &clock_),
+      handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get()),
       admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
       worker_(kLongCallsWaiting),
       service_(Parts()),
-      admin_service_(Parts(), &admin_handler_),
+      head_admin_(registry_.get(), &store_),
+      admin_service_(Parts(), &admin_handler_, &head_admin_),
+      inference_handler_({.registry = registry_.get(),
+                          .store = &store_,
+                          .requests = &handler_,
+                          .clock = &clock_,
+                          .session_ttl = options.session_ttl}),
+      inference_service_(Parts(), &inference_handler_),
       pages_({.handler = &handler_,
               .store = &store_,
               .metrics = metrics_.get(),
@@ -95,6 +122,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> reg
 ServiceParts Server::Parts() {
   return {.handler = &handler_,
           .calls = &calls_,
+          .authenticator = authenticator_.get(),
           .metrics = metrics_.get(),
           .clock = &clock_,
           .worker = &worker_};
@@ -111,8 +139,11 @@ absl::Status Server::StartGrpc() {
   auto address = ParseAddress("--listen", options_.listen);
   if (!address.ok()) return address.status();
   grpc_address_ = *std::move(address);
-  builder.AddListeningPort(options_.listen, grpc::InsecureServerCredentials(), &grpc_address_.port);
+  const auto credentials = MakeServerCredentials(options_.tls);
+  if (!credentials.ok()) return credentials.status();
+  builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
   builder.RegisterService(&service_);
+  builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);
   grpc_ = BuildQuietly(builder);
   if (grpc_ == nullptr || grpc_address_.port == 0) {
@@ -126,7 +157,14 @@ void Server::PublishHealth() {
   auto* health = grpc_->GetHealthCheckService();
   health->SetServingStatus("", serving());
   health->SetServingStatus(v1::PolicyService::service_full_name(), serving());
+  health->SetServingStatus(inference::GRPCInferenceService::service_full_name(), serving());
   health->SetServingStatus(v1::PolicyAdmin::service_full_name(), !stopping_);
+}
+
+void Server::ReloadTokens() {
+  if (auto status = authenticator_->Reload(); !status.ok()) {
+    std::cerr << absl::StrCat("spikeserve: tokens as before: ", status.message(), "\n");
+  }
 }
 
 absl::Status Server::StartHttp() {
@@ -134,7 +172,10 @@ absl::Status Server::StartHttp() {
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
   auto http = HttpServer::Start(
-      *address, [this](const HttpRequest& request) { return pages_.Answer(request); });
+      *address, [this](const HttpRequest& request) { return pages_.Answer(request); },
+      [this](absl::string_view path, absl::string_view header) {
+        return MayWatch(*authenticator_, path, header);
+      });
   if (!http.ok()) {
     return absl::Status(http.status().code(),
                         absl::StrCat("--http_listen: ", http.status().message()));
@@ -148,6 +189,7 @@ Server::~Server() { Stop(); }
 void Server::Stop() {
   if (grpc_ == nullptr) return;
   poller_.reset();
+  token_reloader_.reset();
   stopping_ = true;
   calls_.Drain();  // before the news spreads, so that nobody who has heard it is still served
   PublishHealth();

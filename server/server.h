@@ -14,16 +14,22 @@
 #include "core/session/session_reaper.h"
 #include "core/session/session_store.h"
 #include "server/address.h"
+#include "server/authenticator.h"
 #include "server/background_worker.h"
 #include "server/call_tracker.h"
+#include "server/head_admin.h"
 #include "server/http_server.h"
+#include "server/inference_handler.h"
+#include "server/inference_service.h"
 #include "server/metrics.h"
 #include "server/options.h"
+#include "server/periodic.h"
 #include "server/policy_admin_handler.h"
 #include "server/policy_admin_service.h"
 #include "server/policy_poller.h"
 #include "server/policy_registry.h"
 #include "server/policy_service.h"
+#include "server/recordings.h"
 #include "server/request_handler.h"
 #include "server/shadow_runner.h"
 #include "server/status_pages.h"
@@ -49,10 +55,12 @@ class Server {
   void Stop();
 
  private:
-  Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> registry,
-         std::unique_ptr<Metrics> metrics);
+  Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
+         std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
+         std::unique_ptr<Recordings> recordings);
 
   ServiceParts Parts();
+  void ReloadTokens();
   absl::Status StartGrpc();
   absl::Status StartHttp();
   bool serving() const { return !stopping_ && !store_.draining(); }
@@ -60,8 +68,10 @@ class Server {
 
   const ServerOptions options_;
   const SteadyClock clock_;
+  const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
   const std::unique_ptr<PolicyRegistry> registry_;
+  const std::unique_ptr<Recordings> recordings_;  // null: nothing is recorded. Outlives the store
   ShadowRunner shadows_;
   SessionStore store_;
   SessionReaper reaper_;
@@ -70,13 +80,18 @@ class Server {
   CallTracker calls_;
   BackgroundWorker worker_;
   PolicyService service_;
+  const HeadAdmin head_admin_;
   PolicyAdminService admin_service_;
+  InferenceHandler inference_handler_;
+  InferenceService inference_service_;
   std::atomic<bool> stopping_ = false;
   const StatusPages pages_;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
   std::unique_ptr<HttpServer> http_;
-  std::unique_ptr<PolicyPoller> poller_;  // last: it uses what is above
+  // Last: they use what is above.
+  std::unique_ptr<PolicyPoller> poller_;
+  std::unique_ptr<Periodic> token_reloader_;
 };
 
 }  // namespace spikeserve

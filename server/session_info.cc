@@ -11,6 +11,7 @@ void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
   info->set_session_id(listed.id);
   info->set_policy(session.options.policy);
   info->set_version(session.options.version);
+  info->set_tenant(session.options.tenant);
   info->set_episode(session.episode);
   info->set_step(session.step);
   info->set_episode_return(session.episode_return);

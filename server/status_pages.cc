@@ -1,13 +1,17 @@
 #include "server/status_pages.h"
 
+#include <memory>
 #include <utility>
 
 #include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "absl/synchronization/notification.h"
 #include "absl/time/time.h"
+#include "core/model/json.h"
 #include "proto/json.h"
 #include "server/embedded_files.h"
+#include "server/explain_convert.h"
 #include "server/http_query.h"
 #include "server/status_json.h"
 
@@ -59,6 +63,16 @@ HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
           .body = json.ok() ? *std::move(json) : ErrorJson(json.status())};
 }
 
+// Of any tenant. Unlike SessionStore::Find this does not count as a use of the session.
+absl::StatusOr<std::shared_ptr<SessionEntry>> FindSession(SessionStore& store,
+                                                          const std::string& id) {
+  for (const ListedSession& listed : store.List([](const ServedPolicy&) { return true; })) {
+    if (listed.id == id) return listed.entry;
+  }
+  return absl::NotFoundError(
+      absl::StrCat("session: expected an open session, received ", Quoted(id)));
+}
+
 }  // namespace
 
 HttpResponse StatusPages::Answer(const HttpRequest& request) const {
@@ -94,13 +108,13 @@ absl::StatusOr<std::string> StatusPages::Sessions(absl::string_view query) const
 absl::StatusOr<std::string> StatusPages::Explain(absl::string_view query) const {
   const auto parsed = HttpQuery::Parse(query, {"session"});
   if (!parsed.ok()) return parsed.status();
-  v1::ExplainRequest request;
-  request.set_session_id(parsed->Get("session"));
+  const auto entry = FindSession(*parts_.store, parsed->Get("session"));
+  if (!entry.ok()) return entry.status();
   v1::ExplainResponse response;
   absl::Status explained;
   absl::Notification done;
   const absl::Status accepted = parts_.worker->Submit([&] {
-    explained = parts_.handler->Explain(request, &response);
+    explained = ExplainSession(**entry, &response);
     done.Notify();
   });
   if (!accepted.ok()) return accepted;

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "server/admission.h"
 #include "server/status_map.h"
 
 namespace spikeserve {
@@ -34,25 +35,45 @@ void FinishCall(const ServiceParts& parts, Method method, absl::Duration start,
   call->Finish(ToGrpcStatus(status));
 }
 
+using Handle = absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)>;
+
+absl::Status AdmitAndHandle(const ServiceParts& parts, const grpc::CallbackServerContext& context,
+                            Method method, const google::protobuf::MessageLite& request,
+                            Handle handle, DeferredWork* deferred) {
+  const auto caller = Admit(*parts.authenticator, context, method);
+  if (!caller.ok()) return caller.status();
+  if (auto status = CheckSize(**caller, request); !status.ok()) return status;
+  return handle(**caller, deferred);
+}
+
 }  // namespace
 
-grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts, Method method,
-                                      absl::FunctionRef<absl::Status(DeferredWork*)> handle) {
+grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts,
+                                      const grpc::CallbackServerContext& context, Method method,
+                                      const google::protobuf::MessageLite& request, Handle handle) {
   const absl::Duration start = parts.clock->Now();
   auto* call = new UnaryCall(parts.calls);
-  const absl::Status status = call->accepted() ? handle(call->deferred()) : DrainingError();
+  const absl::Status status =
+      call->accepted() ? AdmitAndHandle(parts, context, method, request, handle, call->deferred())
+                       : DrainingError();
   FinishCall(parts, method, start, status, call);
   return call;
 }
 
-grpc::ServerUnaryReactor* AnswerUnaryInBackground(const ServiceParts& parts, Method method,
-                                                  std::function<absl::Status()> handle) {
+grpc::ServerUnaryReactor* AnswerUnaryInBackground(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    std::function<absl::Status(const Credential& caller)> handle) {
   const absl::Duration start = parts.clock->Now();
   auto* call = new UnaryCall(parts.calls);
+  const auto submit = [&](const Credential& caller, DeferredWork*) {
+    return parts.worker->Submit([=, &caller, handle = std::move(handle)] {
+      FinishCall(parts, method, start, handle(caller), call);
+    });
+  };
   const absl::Status accepted =
-      !call->accepted() ? DrainingError() : parts.worker->Submit([=, handle = std::move(handle)] {
-        FinishCall(parts, method, start, handle(), call);
-      });
+      call->accepted() ? AdmitAndHandle(parts, context, method, request, submit, call->deferred())
+                       : DrainingError();
   if (!accepted.ok()) FinishCall(parts, method, start, accepted, call);
   return call;
 }

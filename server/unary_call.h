@@ -2,6 +2,8 @@
 #ifndef SERVER_UNARY_CALL_H_
 #define SERVER_UNARY_CALL_H_
 
+#include <google/protobuf/message_lite.h>
+#include <grpcpp/server_context.h>
 #include <grpcpp/support/server_callback.h>
 
 #include <functional>
@@ -9,18 +11,24 @@
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "server/act_stream.h"
+#include "server/authenticator.h"
 
 namespace spikeserve {
 
 // Answers a call with the status of `handle`, which fills in the response, or refuses it where the
-// server drains; records it. What `handle` defers is done once the answer has been sent.
-grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts, Method method,
-                                      absl::FunctionRef<absl::Status(DeferredWork*)> handle);
+// server drains or the caller may not make it; records it. What `handle` defers is done once the
+// answer has been sent.
+grpc::ServerUnaryReactor* AnswerUnary(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)> handle);
 
 // The same for a call that takes long: `handle` runs on the background worker, or the call is
 // refused with RESOURCE_EXHAUSTED.
-grpc::ServerUnaryReactor* AnswerUnaryInBackground(const ServiceParts& parts, Method method,
-                                                  std::function<absl::Status()> handle);
+grpc::ServerUnaryReactor* AnswerUnaryInBackground(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    std::function<absl::Status(const Credential& caller)> handle);
 
 }  // namespace spikeserve
 

@@ -48,7 +48,7 @@ ABSL_FLAG(double, wide_start_fraction, spikeserve::RecordOptions{}.wide_start_fr
 ABSL_FLAG(std::string, expert, "",
           "expert, dataset, train without --data: which expert; the first is the default. "
           "CartPole-v1: feedback, dial. MountainCar-v0: value_iteration, dial. Pendulum-v1: "
-          "value_iteration, robust. Acrobot-v1: beam, lookahead, greedy");
+          "value_iteration, robust, cautious. Acrobot-v1: beam, lookahead, greedy");
 ABSL_FLAG(int, beam_width, spikeserve::ExpertOptions{}.beam_width,
           "expert, dataset, train without --data: partial plans that --expert=beam keeps");
 ABSL_FLAG(std::string, tables, "",

@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "core/environment/environment.h"
 #include "core/model/atomic_file.h"
 #include "train/hdf5_file.h"
 
@@ -23,17 +24,21 @@ constexpr char kMetadata[] = "/data/metadata.json";
 constexpr char kData[] = "/data/main_data.hdf5";
 constexpr char kOwn[] = "spikeserve";  // key of our own metadata
 
-// Gymnasium's entry point for the environments it knows.
-std::string EntryPoint(const std::string& environment) {
+// What Gymnasium makes the environment from; null where the environment is not one of its own.
+Json EnvironmentSpec(const std::string& id) {
   static constexpr std::pair<const char*, const char*> kClasses[] = {
       {"CartPole-v1", "CartPoleEnv"},
       {"MountainCar-v0", "MountainCarEnv"},
       {"Acrobot-v1", "AcrobotEnv"},
       {"Pendulum-v1", "PendulumEnv"}};
-  for (const auto& [id, name] : kClasses) {
-    if (environment == id) return absl::StrCat("gymnasium.envs.classic_control:", name);
+  for (const auto& [own, name] : kClasses) {
+    if (id != own) continue;
+    return {{"id", id},
+            {"entry_point", absl::StrCat("gymnasium.envs.classic_control:", name)},
+            {"max_episode_steps", (*MakeEnvironment(id))->max_episode_steps()},
+            {"additional_wrappers", Json::array()}};
   }
-  return "";
+  return nullptr;
 }
 
 // "name-v0" is a dataset's id.
@@ -81,12 +86,8 @@ Json Metadata(const Dataset& dataset, const std::string& id) {
                    {"observation_space", UnboundedBox(dataset.observation_size)},
                    {"action_space", SpaceToJson(dataset.action_space)},
                    {kOwn, {{"environment", dataset.environment}, {"recipe", dataset.recipe}}}};
-  if (const std::string entry_point = EntryPoint(dataset.environment); !entry_point.empty()) {
-    metadata["env_spec"] = Json{
-        {"id", dataset.environment},
-        {"entry_point", entry_point},
-        {"additional_wrappers",
-         Json::array()}}.dump();
+  if (const Json spec = EnvironmentSpec(dataset.environment); !spec.is_null()) {
+    metadata["env_spec"] = spec.dump();
   }
   return metadata;
 }
@@ -111,6 +112,10 @@ class Writer {
     status_.Update(file_.WriteAttribute(group, "total_steps", steps));
     status_.Update(file_.WriteAttribute(group, "seed", static_cast<int64_t>(episode.seed)));
     status_.Update(file_.WriteAttribute(group, "actor", episode.actor));
+    if (const auto& served = episode.served) {
+      status_.Update(file_.WriteAttribute(group, "policy", served->policy));
+      status_.Update(file_.WriteAttribute(group, "policy_version", served->version));
+    }
     status_.Update(file_.Write<float>(
         group + "/observations", {steps + 1, dataset_.observation_size}, episode.observations));
     WriteActions(group + "/actions", episode.actions);
@@ -144,7 +149,7 @@ class Writer {
 
   // Infos are of every observation, and the last one has no action: it repeats the one before.
   void WriteInfos(const std::string& group, const Episode& episode) {
-    if (episode.labels.empty() && episode.weights.empty()) return;
+    if (episode.labels.empty() && episode.weights.empty() && !episode.served.has_value()) return;
     status_.Update(file_.CreateGroup(group));
     if (!episode.labels.empty()) {
       std::vector<Action> labels = episode.labels;
@@ -156,6 +161,15 @@ class Writer {
       weights.push_back(weights.back());
       status_.Update(file_.Write<float>(group + "/weight", {episode.steps() + 1, {}}, weights));
     }
+    if (episode.served.has_value()) WriteReturnsToGo(group + "/return_to_go", episode);
+  }
+
+  // What each decision was conditioned on; after the last action G_T = G_{T-1} - r_{T-1}.
+  void WriteReturnsToGo(const std::string& name, const Episode& episode) {
+    std::vector<float> returns = episode.served->returns_to_go;
+    returns.push_back(
+        static_cast<float>(static_cast<double>(returns.back()) - episode.rewards.back()));
+    status_.Update(file_.Write<float>(name, {episode.steps() + 1, {}}, returns));
   }
 
   const Dataset& dataset_;

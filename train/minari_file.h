@@ -2,8 +2,9 @@
 // is <Minari's root>/<dataset id>.
 //
 // Written and read are episodes of one Box observation (flattened) and a Discrete or Box action.
-// What Minari does not know is kept where it lets others keep things: who acted as an attribute of
-// an episode, labels and weights as infos, environment and recipe as metadata. Not thread-safe.
+// What Minari does not know is kept where it lets others keep things: who acted as attributes of
+// an episode, labels, weights and return-to-go as infos, environment and recipe as metadata. Not
+// thread-safe.
 #ifndef TRAIN_MINARI_FILE_H_
 #define TRAIN_MINARI_FILE_H_
 

@@ -8,6 +8,8 @@
 #include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/types/optional.h"
+#include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "train/commands.h"
 #include "train/common_flags.h"
@@ -56,15 +58,24 @@ absl::StatusOr<double> TrainToEnd(const std::string& checkpoint, Trainer* traine
   return validation;
 }
 
+// Plays the policy where its environment is ours; nothing otherwise.
+absl::StatusOr<absl::optional<Evaluation>> EvaluateIfPossible(const Policy& policy,
+                                                              const EvaluationOptions& options) {
+  if (!MakeEnvironment(policy.environment).ok()) return absl::optional<Evaluation>();
+  absl::StatusOr<Evaluation> evaluation = Evaluate(std::make_shared<const Policy>(policy), options);
+  if (!evaluation.ok()) return evaluation.status();
+  return absl::optional<Evaluation>(*std::move(evaluation));
+}
+
 // The record of how a policy came to be. `earlier` is that of the policy it started from, "{}" if
 // from none.
 std::string TrainingRecord(const std::string& command_line, const TrainOptions& options,
-                           const Dataset& dataset, double validation, const Evaluation& evaluation,
-                           const ModelConfig& config, const std::string& earlier) {
-  nlohmann::ordered_json record = {{"command", command_line},
-                                   {"seed", options.seed},
-                                   {"data", dataset.recipe},
-                                   {"evaluation", ToJson(evaluation, config)}};
+                           const Dataset& dataset, double validation,
+                           const absl::optional<Evaluation>& evaluation, const ModelConfig& config,
+                           const std::string& earlier) {
+  nlohmann::ordered_json record = {
+      {"command", command_line}, {"seed", options.seed}, {"data", dataset.recipe}};
+  if (evaluation.has_value()) record["evaluation"] = ToJson(*evaluation, config);
   if (validation >= 0.0) record["validation_loss"] = validation;
   auto before = nlohmann::ordered_json::parse(earlier, nullptr, /*allow_exceptions=*/false);
   if (before.is_object() && !before.empty()) {
@@ -112,8 +123,8 @@ absl::Status TrainCommand(const std::string& command_line) {
   if (!validation.ok()) return validation.status();
 
   Policy policy = trainer.CurrentPolicy();
-  const absl::StatusOr<Evaluation> evaluation =
-      Evaluate(std::make_shared<const Policy>(policy), evaluation_options);
+  const absl::StatusOr<absl::optional<Evaluation>> evaluation =
+      EvaluateIfPossible(policy, evaluation_options);
   if (!evaluation.ok()) return evaluation.status();
   policy.training = TrainingRecord(command_line, *options, *dataset, *validation, *evaluation,
                                    policy.config, initial->training);
@@ -121,7 +132,7 @@ absl::Status TrainCommand(const std::string& command_line) {
       !status.ok()) {
     return status;
   }
-  PrintEvaluation(*evaluation, policy.config);
+  if (evaluation->has_value()) PrintEvaluation(**evaluation, policy.config);
   return absl::OkStatus();
 }
 

@@ -10,8 +10,8 @@
 #include "absl/types/optional.h"
 #include "core/model/policy_file.h"
 #include "train/common_flags.h"
+#include "train/initial_policy.h"
 #include "train/minari_file.h"
-#include "train/task.h"
 
 using spikeserve::ModelConfig;
 using spikeserve::TrainOptions;
@@ -37,6 +37,11 @@ ABSL_FLAG(absl::optional<std::string>, phase_clock, absl::nullopt,
           "train: timestep (default) or window");
 ABSL_FLAG(absl::optional<std::string>, merge, absl::nullopt, "train: sum (default) or concat");
 ABSL_FLAG(absl::optional<std::string>, gate, absl::nullopt, "train: softmax (default) or sigmoid");
+
+// Unset: what suits the environment. Small numbers tell returns near the end of an episode apart.
+ABSL_FLAG(absl::optional<double>, return_offset, absl::nullopt,
+          "train: the return token's input is (G - return_offset) / return_scale");
+ABSL_FLAG(absl::optional<double>, return_scale, absl::nullopt, "train: see --return_offset");
 
 ABSL_FLAG(int, iterations, TrainOptions{}.iterations, "train: iterations");
 ABSL_FLAG(int, batch, TrainOptions{}.batch, "train: clips an iteration");
@@ -109,36 +114,20 @@ class ShapeFlags {
   absl::Status status_;
 };
 
-// Mean and deviation of the returns-to-go: mu and sigma of eq. 4.2.
-std::pair<float, float> ReturnMoments(const Dataset& dataset) {
-  double sum = 0.0, squares = 0.0, count = 0.0;
-  for (const Episode& episode : dataset.episodes) {
-    for (const float g : ReturnsToGo(episode.rewards)) {
-      sum += static_cast<double>(g);
-      squares += static_cast<double>(g) * static_cast<double>(g);
-      count += 1.0;
-    }
-  }
-  const double mean = sum / count;
-  const double deviation = std::sqrt(std::max(1e-6, squares / count - mean * mean));
-  return {static_cast<float>(mean), static_cast<float>(deviation)};
-}
-
 absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
   ModelConfig config;
   if (auto status = ShapeFlags(&config, /*fixed=*/false).Apply(); !status.ok()) return status;
-  const absl::StatusOr<ReturnScaling> returns = ReturnScalingOf(dataset.environment);
-  if (!returns.ok()) return returns.status();
-  Policy policy = RandomPolicy(config, dataset.observation_size, dataset.action_space,
-                               absl::GetFlag(FLAGS_seed).value_or(0));
-  const Moments moments = ObservationMoments(dataset);
-  policy.weights.observation_mean.values = moments.mean;
-  policy.weights.observation_std.values = moments.std;
-  policy.return_offset = returns->offset;
-  policy.return_scale = returns->scale;
-  policy.target_return = returns->target;
-  std::tie(policy.modulator_mean, policy.modulator_std) = ReturnMoments(dataset);
-  policy.environment = dataset.environment;
+  Policy policy = InitialPolicy(config, dataset, absl::GetFlag(FLAGS_seed).value_or(0));
+  if (const auto offset = absl::GetFlag(FLAGS_return_offset); offset.has_value()) {
+    policy.return_offset = static_cast<float>(*offset);
+  }
+  if (const auto scale = absl::GetFlag(FLAGS_return_scale); scale.has_value()) {
+    if (!(*scale > 0.0) || !std::isfinite(*scale)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("return_scale: expected a number above 0, got ", *scale));
+    }
+    policy.return_scale = static_cast<float>(*scale);
+  }
   return policy;
 }
 

@@ -61,8 +61,10 @@ absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSessio
     result = environment.Step(*action);
     record.episode_return += result.reward;
   }
-  const auto end = session.EndEpisode(
-      {.reward = result.reward, .terminated = result.terminated, .truncated = result.truncated});
+  const auto end = session.EndEpisode({.reward = result.reward,
+                                       .terminated = result.terminated,
+                                       .truncated = result.truncated,
+                                       .observation = result.observation});
   if (!end.ok()) return end.status();
   return record;
 }

@@ -11,8 +11,10 @@ ABSL_FLAG(std::string, env, "CartPole-v1", "Gymnasium's id of the environment to
 ABSL_FLAG(uint64_t, seed, 0,
           "Seed of the first episode's start; the next episodes count on from it");
 ABSL_FLAG(std::string, policy, "",
-          "Policy to ask for; empty: the first by name that was trained for --env");
-ABSL_FLAG(int64_t, version, 0, "Version of the policy; 0: its default one");
+          "Policy to ask for; empty: the first by name that was trained for --env; replay: the "
+          "recorded one");
+ABSL_FLAG(int64_t, version, 0,
+          "Version of the policy; 0: its default one; replay without --policy: the recorded one");
 ABSL_FLAG(absl::optional<double>, target_return, absl::nullopt,
           "Return to ask of the policy; unset: the policy's own");
 
@@ -36,7 +38,8 @@ absl::StatusOr<std::unique_ptr<Environment>> EnvironmentFromFlags() {
   return environment;
 }
 
-absl::StatusOr<OpenedSession> OpenSessionFromFlags(const Environment& environment, Client& client) {
+absl::StatusOr<OpenedSession> OpenSessionFromFlags(const Environment& environment, Client& client,
+                                                   bool record) {
   const auto served = client.ListPolicies();
   if (!served.ok()) return served.status();
   const auto policy = ChoosePolicy(*served, absl::GetFlag(FLAGS_env), absl::GetFlag(FLAGS_policy),
@@ -51,10 +54,12 @@ absl::StatusOr<OpenedSession> OpenSessionFromFlags(const Environment& environmen
   if (const auto target_return = absl::GetFlag(FLAGS_target_return); target_return.has_value()) {
     request.set_target_return(*target_return);
   }
+  request.set_record(record);
   const auto opened = client.OpenSession(request);
   if (!opened.ok()) return opened.status();
   return OpenedSession{.policy = *policy,
-                       .session = RemoteSession(&client, opened->session_id(), 0)};
+                       .session = RemoteSession(&client, opened->session_id(), 0),
+                       .recording = opened->recording()};
 }
 
 }  // namespace spikeserve

@@ -24,11 +24,14 @@ absl::StatusOr<std::unique_ptr<Environment>> EnvironmentFromFlags();
 struct OpenedSession {
   v1::PolicyInfo policy;
   RemoteSession session;
+  std::string recording;  // where the server keeps its episodes; empty where it does not
 };
 
-// A session with the policy that the flags ask for. `client` must outlive it. NOT_FOUND if there is
-// no such policy, INVALID_ARGUMENT if it does not fit `environment`; errors of the calls.
-absl::StatusOr<OpenedSession> OpenSessionFromFlags(const Environment& environment, Client& client);
+// A session with the policy that the flags ask for, recorded if `record`. `client` must outlive it.
+// NOT_FOUND if there is no such policy, INVALID_ARGUMENT if it does not fit `environment`; errors
+// of the calls.
+absl::StatusOr<OpenedSession> OpenSessionFromFlags(const Environment& environment, Client& client,
+                                                   bool record = false);
 
 }  // namespace spikeserve
 

@@ -21,6 +21,12 @@ absl::Status RunCommand();
 // Shows a decision from the inside.
 absl::Status ExplainCommand();
 
+// Plays a perturbed environment with learning on, then greedily with the learned head.
+absl::Status AdaptCommand();
+
+// Plays a recorded session again and fails at the first decision that differs.
+absl::Status ReplayCommand();
+
 }  // namespace spikeserve
 
 #endif  // CLIENT_SPIKECTL_COMMANDS_H_

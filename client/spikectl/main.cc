@@ -25,6 +25,11 @@ constexpr Command kCommands[] = {
     {"policies", "list every policy version served", PoliciesCommand},
     {"run", "play episodes of an environment stepped here, acting over gRPC", RunCommand},
     {"explain", "show a session's last decision from the inside", ExplainCommand},
+    {"adapt",
+     "play a task whose physics have changed with learning on, then judge the learned head",
+     AdaptCommand},
+    {"replay", "play a recorded session again and compare every decision, bit for bit",
+     ReplayCommand},
 };
 
 std::string Usage() {
@@ -67,7 +72,7 @@ int main(int argc, char** argv) {
   absl::SetProgramUsageMessage(spikeserve::Usage());
   absl::FlagsUsageConfig usage;
   usage.contains_help_flags = [](absl::string_view file) {
-    return absl::StrContains(file, "client/spikectl/");
+    return absl::StrContains(file, "client/");
   };
   absl::SetFlagsUsageConfig(usage);
   const absl::Status status = spikeserve::Dispatch(absl::ParseCommandLine(argc, argv));

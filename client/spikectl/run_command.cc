@@ -13,6 +13,7 @@
 #include "client/spikectl/run_report.h"
 
 ABSL_FLAG(int32_t, episodes, 1, "Episodes to play");
+ABSL_FLAG(bool, record, false, "Has the server record the episodes below its --record_dir");
 
 namespace spikeserve {
 namespace {
@@ -41,8 +42,11 @@ absl::Status RunCommand() {
   if (!environment.ok()) return environment.status();
   const auto client = ConnectToServer();
   if (!client.ok()) return client.status();
-  auto opened = OpenSessionFromFlags(**environment, **client);
+  auto opened = OpenSessionFromFlags(**environment, **client, absl::GetFlag(FLAGS_record));
   if (!opened.ok()) return opened.status();
+  if (!opened->recording.empty()) {
+    std::cerr << "spikectl: recorded as " << opened->recording << "\n";
+  }
 
   // What the server reports as energy_joules, see DecisionStats.
   const std::string energy_model = opened->policy.mode() == "dense" ? "horowitz_45nm" : "spike_5pj";

@@ -40,7 +40,7 @@ bool ReturnGuard::OnEpisode(double episode_return, double margin, std::vector<fl
   last = InterquartileMean(returns);
   returns.clear();
   const double allowance =
-      margin * std::abs(reference.mean) + 2.0 * std::hypot(last.error, reference.error);
+      margin * std::abs(reference.mean) + kErrors * std::hypot(last.error, reference.error);
   const bool bad = has_reference && last.mean < reference.mean - allowance;
   if (bad) {
     RollBack(delta);

@@ -6,7 +6,7 @@
 // reference is the level of the best window so far; the first one, played by heads that have barely
 // moved, is the frozen baseline. A window is bad when
 //
-//   level < reference - margin |reference| - 2 sqrt(error^2 + reference_error^2)
+//   level < reference - margin |reference| - 3 sqrt(error^2 + reference_error^2)
 //
 // The head that a good window began with is a good one: all that came of it was good. After a bad
 // window the last good head comes back. Where that one has a bad window too, the world has changed:
@@ -34,6 +34,8 @@ struct WindowLevel {
 
 struct ReturnGuard {
   static constexpr size_t kWindow = 20;
+  static constexpr double kErrors =
+      3.0;  // the reference is the best of many windows, so a lucky one
 
   std::vector<double> returns;   // of the running window
   std::vector<float> beginning;  // W - W_base as the running window began

@@ -162,6 +162,7 @@ void AgentSession::Record(Answer answer, absl::Span<const float> observation, do
   ++session_.step;
   ++session_.decisions;
   session_.last_answer = std::move(answer);
+  if (recorder_ != nullptr) recorder_->OnDecision(session_, observation, reward);
 }
 
 void AgentSession::AppendPendingAction() {
@@ -199,9 +200,18 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   if (auto status = CheckReward(end.reward, NextReturnToGo(end.reward)); !status.ok()) {
     return status;
   }
+  if (!end.observation.empty()) {
+    if (auto status = CheckObservation(end.observation, served_->policy().observation_size());
+        !status.ok()) {
+      return status;
+    }
+  }
   const double target_return = end.target_return.value_or(session_.options.target_return);
   if (auto status = CheckTargetReturn(target_return); !status.ok()) return status;
 
+  if (recorder_ != nullptr) {
+    recorder_->OnEnd(end.reward, end.observation, end.terminated, end.truncated);
+  }
   const double episode_return = session_.episode_return + end.reward;
   const EpisodeSummary summary = {.episode_return = episode_return,
                                   .steps = session_.step,

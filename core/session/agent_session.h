@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -19,6 +20,7 @@
 #include "absl/types/span.h"
 #include "core/engine/engine.h"
 #include "core/session/clock.h"
+#include "core/session/episode_recorder.h"
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
 
@@ -26,9 +28,12 @@ namespace spikeserve {
 
 // How an episode ends.
 struct EpisodeEnd {
-  double reward = 0.0;                  // for the last action
-  bool terminated = false;              // unless the episode was cut off; see learner.h
-  std::optional<double> target_return;  // G_0 of the next episode; absent: the session's own
+  double reward = 0.0;      // for the last action
+  bool terminated = false;  // unless the episode was cut off; see learner.h
+  std::optional<double> target_return = std::nullopt;  // G_0 of the next; absent: the session's own
+  // For recordings alone.
+  bool truncated = false;
+  std::vector<float> observation = {};  // [obs], what the last action led to; empty: unknown
 };
 
 struct EpisodeSummary {
@@ -67,9 +72,12 @@ class AgentSession {
 
   // Ends the running episode and makes the session ready for the next, whose first step is 0.
   // FAILED_PRECONDITION if no decision was made since the last end (so an end that is repeated
-  // counts once); INVALID_ARGUMENT for a number that is not finite. Errors leave the session as it
-  // was.
+  // counts once); INVALID_ARGUMENT for a number that is not finite, or an observation of another
+  // length. Errors leave the session as it was.
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
+
+  // Has the episodes from the next one on recorded.
+  void RecordTo(std::unique_ptr<EpisodeRecorder> recorder) { recorder_ = std::move(recorder); }
 
   // Gives the cache back; the next decision rebuilds it.
   void DropContext();
@@ -106,8 +114,9 @@ class AgentSession {
   const Clock* clock_;
   Session session_;
   std::unique_ptr<Engine::Context> context_;  // null: to be rebuilt
-  std::optional<Linear> head_;   // its own; absent where the policy's or fleet's serves
-  bool action_pending_ = false;  // the context still lacks the last timestep's action
+  std::optional<Linear> head_;  // its own; absent where the policy's or fleet's serves
+  std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded
+  bool action_pending_ = false;                // the context still lacks the last timestep's action
 };
 
 // A new session's value, at step 0 of its first episode.

@@ -140,6 +140,7 @@ void VisitFields(T& options, Visitor&& visit) {
   visit("seed", options.seed);
   visit("action_selection", options.action_selection);
   visit("labels", options.labels);
+  visit("tenant", options.tenant);
   visit("learning", options.learning);
   visit("head_delta", options.head_delta);
 }

@@ -42,6 +42,7 @@ struct SessionOptions {
   uint64_t seed = 0;
   ActionSelection action_selection;
   std::map<std::string, std::string> labels;
+  std::string tenant;  // whose session it is; empty where the server has no tenants
   std::optional<LearningOptions> learning;  // absent: the head stays as it is
   std::vector<float> head_delta;  // [act, d]: what the head starts as beyond W_base; empty: W_base
 };

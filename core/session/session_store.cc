@@ -21,6 +21,12 @@ absl::Status NoSuchSession(absl::string_view id) {
       absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
 }
 
+// Tells those who count that a session has left the store.
+void Ended(const SessionEntry& entry) {
+  entry.served->observer->OnClose();
+  if (entry.quota != nullptr) entry.quota->Return();
+}
+
 }  // namespace
 
 absl::StatusOr<std::string> NewSessionId() {
@@ -50,43 +56,63 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
         absl::StrCat("max_sessions: expected fewer than ", max_sessions_,
                      " open sessions; close one, or wait until one is idle for its time-to-live"));
   }
+  if (extras.quota != nullptr) {
+    if (auto status = extras.quota->Take(); !status.ok()) {
+      size_.fetch_sub(1);
+      return status;
+    }
+  }
   const std::shared_ptr<SessionObserver> observer = served->observer;
   Slot slot = {.entry = std::make_shared<SessionEntry>(std::move(served),
                                                        NewSession(*id, std::move(options)), clock_),
                .last_used = clock_->Now()};
   slot.entry->shadow = std::move(extras.shadow);
+  const std::shared_ptr<SessionQuota> quota = std::move(extras.quota);
+  slot.entry->quota = quota;
+  if (extras.recorder != nullptr) {
+    absl::MutexLock lock(&slot.entry->mutex);
+    slot.entry->agent.RecordTo(std::move(extras.recorder));
+  }
   Shard& shard = ShardOf(*id);
+  bool is_new = false;
   {
     absl::MutexLock lock(&shard.mutex);
-    shard.slots.emplace(*id, std::move(slot));
+    is_new = shard.slots.try_emplace(*id, std::move(slot)).second;
+  }
+  if (!is_new) {
+    size_.fetch_sub(1);
+    if (quota != nullptr) quota->Return();
+    return absl::AlreadyExistsError(
+        absl::StrCat("session_id: expected one that is not open, received ", Quoted(*id)));
   }
   observer->OnOpen();
   return id;
 }
 
-absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_view id) {
+absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_view id,
+                                                                 absl::string_view tenant) {
   const absl::Duration now = clock_->Now();
   Shard& shard = ShardOf(id);
   absl::MutexLock lock(&shard.mutex);
   const auto it = shard.slots.find(id);
-  if (it == shard.slots.end()) return NoSuchSession(id);
+  if (it == shard.slots.end() || it->second.entry->tenant != tenant) return NoSuchSession(id);
   it->second.last_used = now;
   it->second.compacted = false;
   return it->second.entry;
 }
 
-absl::Status SessionStore::Close(absl::string_view id) {
+absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant) {
   std::shared_ptr<SessionEntry> entry;  // released outside the lock
   Shard& shard = ShardOf(id);
   {
     absl::MutexLock lock(&shard.mutex);
     const auto it = shard.slots.find(id);
-    if (it == shard.slots.end()) return NoSuchSession(id);
+    if (it == shard.slots.end() || it->second.entry->tenant != tenant) return NoSuchSession(id);
     entry = std::move(it->second.entry);
     shard.slots.erase(it);
   }
   size_.fetch_sub(1);
-  entry->served->observer->OnClose();
+  Ended(*entry);
   return absl::OkStatus();
 }
 
@@ -119,7 +145,7 @@ int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
     });
   }
   size_.fetch_sub(static_cast<int64_t>(idle.size()));
-  for (const auto& entry : idle) entry->served->observer->OnClose();
+  for (const auto& entry : idle) Ended(*entry);
   return static_cast<int64_t>(idle.size());
 }
 

@@ -23,6 +23,7 @@
 #include "core/session/agent_session.h"
 #include "core/session/clock.h"
 #include "core/session/served_policy.h"
+#include "core/session/session_quota.h"
 #include "core/session/shadow_session.h"
 
 namespace spikeserve {
@@ -31,10 +32,15 @@ namespace spikeserve {
 // for as long as a request holds on to it.
 struct SessionEntry {
   SessionEntry(std::shared_ptr<const ServedPolicy> policy, Session session, const Clock* clock)
-      : served(policy), agent(std::move(policy), std::move(session), clock) {}
+      : served(policy),
+        tenant(session.options.tenant),
+        agent(std::move(policy), std::move(session), clock) {}
 
   const std::shared_ptr<const ServedPolicy> served;
-  std::shared_ptr<ShadowSession> shadow;  // null: none; set before anyone else sees the entry
+  const std::string tenant;  // whose it is
+  // Null: none. Set before anyone else sees the entry.
+  std::shared_ptr<ShadowSession> shadow;
+  std::shared_ptr<SessionQuota> quota;
   absl::Mutex mutex;
   AgentSession agent ABSL_GUARDED_BY(mutex);
   std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);  // that the shadow is still to see
@@ -42,8 +48,10 @@ struct SessionEntry {
 
 // What a session may be opened with, beside its policy and options.
 struct SessionExtras {
-  std::string id;                         // from NewSessionId(); empty: a new one
-  std::shared_ptr<ShadowSession> shadow;  // null: none
+  std::string id;                                       // from NewSessionId(); empty: a new one
+  std::shared_ptr<ShadowSession> shadow;                // null: none
+  std::shared_ptr<SessionQuota> quota;                  // that it counts against; null: none
+  std::unique_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
 };
 
 // 128 random bits in hexadecimal, from the kernel, so that nobody can guess another agent's
@@ -62,8 +70,8 @@ class SessionStore {
   // `clock` must outlive the store and every entry.
   SessionStore(int64_t max_sessions, const Clock* clock);
 
-  // Opens a session and returns its id. RESOURCE_EXHAUSTED where max_sessions are open;
-  // UNAVAILABLE while draining.
+  // Opens a session and returns its id. RESOURCE_EXHAUSTED where max_sessions are open or the quota
+  // is used up; ALREADY_EXISTS where one of its id is open; UNAVAILABLE while draining.
   absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
                                    SessionOptions options, SessionExtras extras = {});
 
@@ -71,11 +79,12 @@ class SessionStore {
   void SetDraining(bool draining) { draining_.store(draining, std::memory_order_relaxed); }
   bool draining() const { return draining_.load(std::memory_order_relaxed); }
 
-  // The session, marked as used now. NOT_FOUND where there is none of this id.
-  absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id);
+  // The session, marked as used now. NOT_FOUND where `tenant` has none of this id.
+  absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id,
+                                                     absl::string_view tenant = "");
 
-  // Takes the session out. NOT_FOUND where there is none of this id.
-  absl::Status Close(absl::string_view id);
+  // Takes the session out. NOT_FOUND where `tenant` has none of this id.
+  absl::Status Close(absl::string_view id, absl::string_view tenant = "");
 
   // The open sessions whose policy `wanted` says yes to, by id. Leaves when they were used last as
   // it is. `wanted` is called under a lock and must be quick.

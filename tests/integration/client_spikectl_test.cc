@@ -134,8 +134,9 @@ TEST_F(SpikectlTest, ExplainsASessionOfSomebodyElse) {
 }
 
 TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
-  ExpectOneLineError(Spikectl("fly"),
-                     "command: expected one of policies, run, explain, admin, got \"fly\"");
+  ExpectOneLineError(
+      Spikectl("fly"),
+      "command: expected one of policies, run, explain, adapt, replay, admin, got \"fly\"");
   ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, got \"land\"");
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
   ExpectOneLineError(Spikectl("run", {"--episodes=0"}), "--episodes: expected at least 1, got 0");

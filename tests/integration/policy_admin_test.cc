@@ -106,7 +106,8 @@ class PolicyAdminTest : public ServerTest {
 
   std::vector<int64_t> Versions() {
     v1::ListPoliciesResponse list;
-    EXPECT_TRUE(client_->stub().ListPolicies(NewContext().get(), {}, &list).ok());
+    const auto status = client_->stub().ListPolicies(NewContext().get(), {}, &list);
+    EXPECT_TRUE(status.ok()) << status.error_message();
     std::vector<int64_t> versions;
     for (const auto& policy : list.policies()) {
       if (policy.name() == "discrete") versions.push_back(policy.version());
@@ -182,7 +183,9 @@ TEST_F(PolicyAdminTest, ABadFileNeverTakesAGoodOneDown) {
 
 TEST_F(PolicyAdminTest, APolledDirectoryNeedsNoOperator) {
   StartServer({"--poll_policies=10ms"});
-  std::ofstream(FileOf(1), std::ios::binary) << "garbage";
+  const auto garbage = policies_.path() / "garbage";
+  std::ofstream(garbage, std::ios::binary) << "garbage";
+  std::filesystem::rename(garbage, FileOf(1));  // else half of it may be refused, too
   AddVersion(4);
   while (Versions() != std::vector<int64_t>{1, 2, 4}) {
   }
@@ -243,7 +246,8 @@ TEST_F(PolicyAdminTest, TrafficIsDividedByKey) {
     const std::string key = absl::StrCat("robot-", robot);
     const int64_t version = Open("", key).version();
     ++sessions[version];
-    if (robot < 20) EXPECT_EQ(Open("", key).version(), version) << key;
+    if (robot >= 20) continue;
+    EXPECT_EQ(Open("", key).version(), version) << key;
   }
   // Fixed by the hash: far enough from 400 and 100 to be suspicious only if the shares are wrong.
   EXPECT_NEAR(sessions[1], 400, 40);

@@ -30,13 +30,14 @@ TEST_F(ReflectionTest, ServicesAreListed) {
   for (const auto& service : response.list_services_response().service()) {
     names.push_back(service.name());
   }
-  EXPECT_THAT(names,
-              ::testing::IsSupersetOf({"spikeserve.v1.PolicyService", "grpc.health.v1.Health",
-                                       "grpc.reflection.v1alpha.ServerReflection"}));
+  EXPECT_THAT(names, ::testing::IsSupersetOf(
+                         {"spikeserve.v1.PolicyService", "inference.GRPCInferenceService",
+                          "grpc.health.v1.Health", "grpc.reflection.v1alpha.ServerReflection"}));
 }
 
 TEST_F(ReflectionTest, EveryServiceIsDescribed) {
-  for (const std::string service : {"spikeserve.v1.PolicyService", "grpc.health.v1.Health"}) {
+  for (const std::string service :
+       {"spikeserve.v1.PolicyService", "inference.GRPCInferenceService", "grpc.health.v1.Health"}) {
     v1alpha::ServerReflectionRequest request;
     request.set_file_containing_symbol(service);
     EXPECT_TRUE(Ask(request).has_file_descriptor_response()) << service;

@@ -46,7 +46,8 @@ class StatusPagesTest : public ServerTest {
 
   std::vector<std::string> SessionIds(const std::string& query) {
     std::vector<std::string> ids;
-    for (const json& session : GetJson("/sessions.json" + query)["sessions"]) {
+    const json page = GetJson("/sessions.json" + query);
+    for (const json& session : page["sessions"]) {
       ids.push_back(session["session_id"]);
     }
     return ids;
@@ -149,7 +150,7 @@ TEST_F(StatusPagesTest, MistakesAreNamed) {
     EXPECT_THAT(error["message"].get<std::string>(), HasSubstr(message)) << path;
   };
   expect_error("/explain.json?session=nobody", 404, "NOT_FOUND", "nobody");
-  expect_error("/explain.json", 404, "NOT_FOUND", "session_id");
+  expect_error("/explain.json", 404, "NOT_FOUND", "session: expected");
   expect_error("/explain.json?session=" + client_->Open(), 409, "FAILED_PRECONDITION", "step 0");
   expect_error("/sessions.json?limit=0", 400, "INVALID_ARGUMENT", "limit: expected");
   expect_error("/sessions.json?limit=1001", 400, "INVALID_ARGUMENT", "limit: expected");

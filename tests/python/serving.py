@@ -24,7 +24,7 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server(policies=SHIPPED_POLICIES):
+def running_server(policies=SHIPPED_POLICIES, flags=()):
     """Yields the Addresses of a server with the policies in a folder; SIGTERM must end it well."""
     server = subprocess.Popen(
         [
@@ -32,6 +32,7 @@ def running_server(policies=SHIPPED_POLICIES):
             f"--policies={policies}",
             "--listen=127.0.0.1:0",
             "--http_listen=127.0.0.1:0",
+            *flags,
         ],
         stdout=subprocess.PIPE,
         text=True,
@@ -53,14 +54,22 @@ def running_server(policies=SHIPPED_POLICIES):
         server.stdout.close()
 
 
-class Service:
-    """A service whose methods and messages come from the server's reflection."""
+def message_class(channel, name):
+    """The class of a message that the server's reflection describes."""
+    pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
-    def __init__(self, channel, name):
+
+class Service:
+    """A service whose methods and messages come from the server's reflection over `channel`; its
+    calls go over `calls`, if that is given.
+    """
+
+    def __init__(self, channel, name, calls=None):
         pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
         for method in pool.FindServiceByName(name).methods:
             if not method.client_streaming and not method.server_streaming:
-                setattr(self, method.name, self._unary(channel, name, method))
+                setattr(self, method.name, self._unary(calls or channel, name, method))
 
     @staticmethod
     def _unary(channel, service, method):

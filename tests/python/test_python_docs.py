@@ -1,24 +1,14 @@
 """Every Python example of docs/python.md runs, in order, as a reader would run it."""
 
-import pathlib
-import re
-
 import numpy as np
 import spikeserve
+from documentation import run_examples
 from serving import running_server
-
-PAGE = pathlib.Path(__file__).parents[2] / "docs" / "python.md"
-PAGES_SERVER = "127.0.0.1:50051"
 
 
 def test_the_examples_run(address, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    page = PAGE.read_text()
-    examples = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    assert examples
-    names = {}
-    for example in examples:
-        exec(compile(example.replace(PAGES_SERVER, address), PAGE, "exec"), names)
+    run_examples("python.md", address)
     printed = capsys.readouterr().out
     assert "cartpole/1 plays CartPole-v1: return 500.0 " in printed
     assert "Act: INVALID_ARGUMENT: observation: expected 4 numbers, received 3" in printed

@@ -6,6 +6,8 @@ equal, spikes and all, to those a Session plays alone. One action too many, one 
 observation of the wrong episode, and they are not.
 """
 
+import asyncio
+
 import gymnasium
 import numpy as np
 import pytest
@@ -102,6 +104,38 @@ def test_every_row_plays_as_if_alone(client, policy, env_id, mode):
         alone, actions_alone = play_alone(client, policy, env_id, SEED + row, len(summaries[row]))
         assert summaries[row] == alone
         np.testing.assert_array_equal(actions[row][: len(actions_alone)], actions_alone)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_the_async_rows_play_the_same(client, address, mode):
+    def play(step):
+        """What `step`, which takes arguments of act, is told."""
+        envs = make_rows("CartPole-v1", mode)
+        observations, _ = envs.reset(seed=SEED)
+        outcome, told = (), []
+        for _ in range(STEPS):
+            chosen, ended = step(observations, *outcome)
+            told.append((chosen.tolist(), ended))
+            observations, *outcome, _ = envs.step(chosen)
+        return told
+
+    envs = make_rows("CartPole-v1", mode)
+    with spikeserve.VectorSession(client, "random_cartpole", envs) as agents:
+        expected = play(lambda *outcome: (agents.act(*outcome), agents.ended))
+    with asyncio.Runner() as runner:
+        other = spikeserve.AsyncClient(address)
+        rows = runner.run(open_rows(other, envs))
+        told = play(lambda *outcome: (runner.run(rows.act(*outcome)), rows.ended))
+        runner.run(rows.reset())
+        assert [session.step for session in rows.sessions] == [0] * ROWS
+        runner.run(rows.close())
+        runner.run(other.close())
+    assert told == expected
+    assert any(ended for _, ended in told)
+
+
+async def open_rows(client, envs):
+    return await spikeserve.AsyncVectorSession.open(client, "random_cartpole", envs)
 
 
 def test_an_ended_row_waits_for_its_reset(client):

@@ -28,7 +28,7 @@ def policy_service(channel):
 
 def test_health(channel):
     health = Service(channel, "grpc.health.v1.Health")
-    for name in ("", "spikeserve.v1.PolicyService"):
+    for name in ("", "spikeserve.v1.PolicyService", "inference.GRPCInferenceService"):
         assert health.Check(service=name).status == 1  # SERVING
     with pytest.raises(grpc.RpcError) as error:
         health.Check(service="nothing.of.the.kind")

@@ -39,6 +39,9 @@ class DialExpert final : public Expert {
   // Finishes if that takes all the steps that are left, or more.
   Action Act(absl::Span<const double> state) override;
 
+  // An episode is finished in a few of its steps, which decide how long it was.
+  double Stakes(absl::Span<const double> state) override { return MustFinish(state) ? 3.0 : 1.0; }
+
   std::unique_ptr<Expert> Clone() const override;
 
  private:

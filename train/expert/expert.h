@@ -35,7 +35,8 @@ class Expert {
 struct ExpertOptions {
   std::string environment = "CartPole-v1";
   // CartPole-v1: feedback, dial. MountainCar-v0: value_iteration, dial. Pendulum-v1:
-  // value_iteration, robust. Acrobot-v1: beam, lookahead, greedy. Empty for the first of these.
+  // value_iteration, robust, cautious. Acrobot-v1: beam, lookahead, greedy. Empty for the first of
+  // these.
   std::string name = {};
   // Value tables are kept here and read when they are there; empty: solved anew, and not kept.
   std::string tables_directory = {};

@@ -3,7 +3,6 @@
 #define TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
 
 #include <algorithm>
-#include <limits>
 #include <memory>
 #include <utility>
 
@@ -24,13 +23,7 @@ class LookaheadExpert final : public Expert {
   }
 
   double Stakes(absl::Span<const double> state) override {
-    double best = -std::numeric_limits<double>::infinity(), worst = -best;
-    for (const Choice& choice : problem_.choices) {
-      const double value = table_->Backup(problem_, Start(state), choice, depth_);
-      best = std::max(best, value);
-      worst = std::min(worst, value);
-    }
-    return best - worst;
+    return table_->Stakes(problem_, Start(state), depth_);
   }
 
   std::unique_ptr<Expert> Clone() const override {

@@ -1,12 +1,13 @@
 // Pendulum: the undiscounted return on 1440 angles x 1281 velocities x 41 torques, and one step of
 // lookahead.
 //
-// `robust` expects every torque to be disturbed by -2, 0 or 2 N m (720 x 641 x 21): the optimal
-// swing-up has no margin, and who imitates it imperfectly pays for one more swing. Nothing can be
-// held still under a disturbance, so its return is discounted.
+// `robust` expects every torque to be disturbed by -2, 0 or 2 N m (720 x 641 x 21), `cautious`
+// every second by -1 or 1: the optimal swing-up has no margin, and who imitates it imperfectly pays
+// for one more swing. Nothing can be held still under a disturbance, so their return is discounted.
 #include <algorithm>
 #include <memory>
 #include <numbers>
+#include <string>
 #include <utility>
 
 #include "core/environment/pendulum.h"
@@ -42,18 +43,26 @@ std::vector<Choice> Torques(int count, const std::vector<float>& disturbances) {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Expert>> MakePendulumExpert(const ExpertOptions& options) {
-  const bool robust = options.name == "robust";
-  if (!robust && !options.name.empty() && options.name != "value_iteration") {
-    return UnknownExpert(options, "value_iteration or robust");
+  const std::string name = options.name.empty() ? "value_iteration" : options.name;
+  const bool robust = name == "robust", cautious = name == "cautious";
+  if (!robust && !cautious && name != "value_iteration") {
+    return UnknownExpert(options, "value_iteration, robust or cautious");
   }
-  const int angles = robust ? 720 : 1440;
-  const int velocities = robust ? 641 : 1281;
-  Problem problem = {.model = std::make_shared<Pendulum>(),
-                     .choices = robust ? Torques(21, {-2.0f, 0.0f, 2.0f}) : Torques(41, {0.0f}),
-                     .discount = robust ? 0.99 : 1.0};
+  Problem problem = {.model = std::make_shared<Pendulum>(), .choices = {}};
+  Axes<2> axes = {{{-pi, pi, 720, true}, {-8.0, 8.0, 641}}};
+  if (robust) {
+    problem.choices = Torques(21, {-2.0f, 0.0f, 2.0f});
+    problem.discount = 0.99;
+  } else if (cautious) {
+    problem.choices = Torques(21, {-1.0f, 0.0f, 0.0f, 1.0f});
+    problem.discount = 0.99;
+  } else {
+    problem.choices = Torques(41, {0.0f});
+    axes = {{{-pi, pi, 1440, true}, {-8.0, 8.0, 1281}}};
+  }
   absl::StatusOr<ValueTable<2>> table =
-      LoadOrSolve<2>(options, robust ? "pendulum_robust" : "pendulum", problem,
-                     {{{-pi, pi, angles, true}, {-8.0, 8.0, velocities}}}, {.tolerance = 1e-2});
+      LoadOrSolve<2>(options, name == "value_iteration" ? "pendulum" : "pendulum_" + name, problem,
+                     axes, {.tolerance = 1e-2});
   if (!table.ok()) return table.status();
   return std::make_unique<LookaheadExpert<2>>(
       std::move(problem), std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);

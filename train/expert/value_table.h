@@ -55,6 +55,17 @@ struct ValueTable {
     return sum / static_cast<double>(choice.executed.size());
   }
 
+  // What the worst choice loses against the best one.
+  double Stakes(const Problem& problem, const State& state, int depth = 1) const {
+    double best = -std::numeric_limits<double>::infinity(), worst = -best;
+    for (const Choice& choice : problem.choices) {
+      const double value = Backup(problem, state, choice, depth);
+      best = std::max(best, value);
+      worst = std::min(worst, value);
+    }
+    return best - worst;
+  }
+
   struct Decision {
     int choice = 0;
     double value = -std::numeric_limits<double>::infinity();

@@ -17,13 +17,13 @@ data() {
   fi
 }
 
-# stage NAME DATA FLAGS...: trains on OUT_DIR/DATA.cbor into OUT_DIR/NAME unless that is finished, going on from the
-# stage before, if there is one. Leaves its policy in `policy`.
+# stage NAME DATA,... FLAGS...: trains on OUT_DIR/DATA.cbor and so on into OUT_DIR/NAME unless that is finished, going on
+# from the stage before, if there is one. Leaves its policy in `policy`.
 stage() {
-  local name=$1 data=$2
+  local name=$1 data=$out/${2//,/.cbor,$out/}.cbor
   shift 2
   if [[ ! -f $out/$name/policy.safetensors ]]; then
-    "$spiketrain" train --data="$out/$data.cbor" --out="$out/$name" --resume ${policy:+--init="$policy"} "$@"
+    "$spiketrain" train --data="$data" --out="$out/$name" --resume ${policy:+--init="$policy"} "$@"
   fi
   policy=$out/$name/policy.safetensors
 }

@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "core/model/policy_file.h"
+#include "server/authenticator.h"
 #include "server/metrics.h"
 #include "server/policy_registry.h"
 #include "tests/integration/temporary_directory.h"
@@ -39,7 +40,7 @@ class RequestHandlerTest : public ::testing::Test {
     v1::OpenSessionRequest request;
     request.set_policy("small");
     v1::OpenSessionResponse response;
-    const auto status = handler_->OpenSession(request, &response);
+    const auto status = handler_->OpenSession(*caller_, request, &response);
     EXPECT_TRUE(status.ok()) << status;
     return response.session_id();
   }
@@ -54,6 +55,8 @@ class RequestHandlerTest : public ::testing::Test {
 
   TemporaryDirectory directory_;
   FakeClock clock_;
+  std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
+  const Credential* caller_ = *authenticator_->Authenticate("");
   Metrics metrics_;
   ShadowRunner shadows_{metrics_.registry()};
   std::unique_ptr<PolicyRegistry> registry_;
@@ -69,9 +72,9 @@ TEST_F(RequestHandlerTest, AnswersDoNotDependOnDeferredWork) {
     v1::ActResponse actual;
     DeferredWork done;
     DeferredWork dropped;
-    ASSERT_TRUE(handler_->Act(MakeRequest(prompt, step), &expected, &done).ok());
+    ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(prompt, step), &expected, &done).ok());
     done.Run();
-    ASSERT_TRUE(handler_->Act(MakeRequest(lazy, step), &actual, &dropped).ok());
+    ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(lazy, step), &actual, &dropped).ok());
     actual.set_session_id(prompt);
     EXPECT_EQ(actual.SerializeAsString(), expected.SerializeAsString()) << step;
   }
@@ -82,16 +85,16 @@ TEST_F(RequestHandlerTest, DeferredWorkMayComeLate) {
   DeferredWork first;
   DeferredWork second;
   v1::ActResponse response;
-  ASSERT_TRUE(handler_->Act(MakeRequest(session, 0), &response, &first).ok());
-  ASSERT_TRUE(handler_->Act(MakeRequest(session, 1), &response, &second).ok());
+  ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
+  ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(session, 1), &response, &second).ok());
   first.Run();
   v1::EndEpisodeRequest end;
   end.set_session_id(session);
   v1::EndEpisodeResponse ended;
-  ASSERT_TRUE(handler_->EndEpisode(end, &ended).ok());
+  ASSERT_TRUE(handler_->EndEpisode(*caller_, end, &ended).ok());
   second.Run();
   response.Clear();
-  EXPECT_TRUE(handler_->Act(MakeRequest(session, 0), &response, &first).ok());
+  EXPECT_TRUE(handler_->Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
 }
 
 TEST_F(RequestHandlerTest, ASessionWithWorkLeftIsNotReaped) {
@@ -99,7 +102,7 @@ TEST_F(RequestHandlerTest, ASessionWithWorkLeftIsNotReaped) {
   v1::ActResponse response;
   {
     DeferredWork deferred;
-    ASSERT_TRUE(handler_->Act(MakeRequest(session, 0), &response, &deferred).ok());
+    ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(session, 0), &response, &deferred).ok());
     clock_.Advance(absl::Hours(1));
     EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 0);
     deferred.Run();
@@ -115,7 +118,7 @@ TEST_F(RequestHandlerTest, OpenSessionsAreCountedByPolicy) {
   v1::CloseSessionRequest close;
   close.set_session_id(session);
   v1::CloseSessionResponse closed;
-  ASSERT_TRUE(handler_->CloseSession(close, &closed).ok());
+  ASSERT_TRUE(handler_->CloseSession(*caller_, close, &closed).ok());
   EXPECT_THAT(metrics_.ToText(), ::testing::HasSubstr(gauge + "1\n"));
 }
 
@@ -123,7 +126,7 @@ TEST_F(RequestHandlerTest, LongNamesAreCutInMessages) {
   v1::ActResponse response;
   DeferredWork deferred;
   const auto status =
-      handler_->Act(MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
+      handler_->Act(*caller_, MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
   EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
   EXPECT_LT(status.message().size(), 200u);
 }

@@ -29,12 +29,16 @@ std::vector<LearningCase> LearningCases() {
   std::vector<LearningCase> cases;
   for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian}) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
-      const LearningOptions learning = {
-          .rule = rule, .modulator = modulator, .learning_rate = 0.05};
-      const std::string name = std::string(rule == Rule::kHebbian ? "Hebbian" : "PolicyGradient") +
-                               (modulator == Modulator::kTarget ? "Target" : "Realized");
-      cases.push_back({name + "Discrete", discrete, learning});
-      cases.push_back({name + "Box", box, learning});
+      for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
+        const LearningOptions learning = {
+            .scope = scope, .rule = rule, .modulator = modulator, .learning_rate = 0.05};
+        const std::string name =
+            std::string(rule == Rule::kHebbian ? "Hebbian" : "PolicyGradient") +
+            (modulator == Modulator::kTarget ? "Target" : "Realized") +
+            (scope == Scope::kFleet ? "Fleet" : "Session");
+        cases.push_back({name + "Discrete", discrete, learning});
+        cases.push_back({name + "Box", box, learning});
+      }
     }
   }
   return cases;
@@ -42,6 +46,12 @@ std::vector<LearningCase> LearningCases() {
 
 class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
  protected:
+  // On a policy, and so with a fleet, of its own.
+  AgentSession NewAgentElsewhere() {
+    served_ = Serve(SmallConfig(), GetParam().action_space);
+    return NewAgent();
+  }
+
   AgentSession NewAgent(bool learns = true) {
     SessionOptions options = SmallOptions();
     options.action_selection = {.sample = true, .temperature = 0.7f};
@@ -57,7 +67,7 @@ class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
   }
 
   void End(AgentSession& agent) {
-    ASSERT_TRUE(agent.EndEpisode({.reward = 2.0, .target_return = {}}).ok());
+    ASSERT_TRUE(agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}}).ok());
   }
 
   FakeClock clock_;
@@ -66,7 +76,7 @@ class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
 
 TEST_P(LearningSessionTest, RestoredMidEpisodeItGoesOnBitForBit) {
   AgentSession steady = NewAgent();
-  AgentSession moved = NewAgent();
+  AgentSession moved = NewAgentElsewhere();
   for (int episode = 0; episode < 3; ++episode) {
     for (int64_t t = 0; t < 15; ++t) {
       if (t % 4 == episode) {
@@ -96,19 +106,19 @@ TEST_P(LearningSessionTest, RetriesNeverLearn) {
   }
   End(agent);
   const std::string before = SerializeSession(agent.session());
-  EXPECT_FALSE(agent.EndEpisode({.reward = 2.0, .target_return = {}}).ok());
+  EXPECT_FALSE(agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}}).ok());
   EXPECT_EQ(SerializeSession(agent.session()), before);
 }
 
 TEST_P(LearningSessionTest, TheHeadMovesWhenItsModulatorIsKnown) {
   AgentSession agent = NewAgent();
   Play(agent, 0, 10);
-  const bool at_once = GetParam().learning.modulator == Modulator::kTarget;
-  EXPECT_EQ(agent.HeadDrift() > 0.0, at_once);
+  const bool each_decision = GetParam().learning.modulator == Modulator::kTarget;
+  EXPECT_EQ(agent.HeadDrift() > 0.0, each_decision && GetParam().learning.scope == Scope::kSession);
   EXPECT_GT(agent.session().learner->trace.Norm(), 0.0);
-  const auto summary = agent.EndEpisode({.reward = 2.0, .target_return = {}});
+  const auto summary = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
   ASSERT_TRUE(summary.ok() && summary->learning.has_value());
-  EXPECT_EQ(summary->learning->updates, at_once ? 10 : 1);
+  EXPECT_EQ(summary->learning->updates, each_decision ? 10 : 1);
   EXPECT_EQ(summary->learning->rejected, 0);
   EXPECT_GT(summary->learning->head_drift, 0.0);
   EXPECT_EQ(summary->learning->head_drift, agent.HeadDrift());
@@ -134,6 +144,34 @@ TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {
   EXPECT_FALSE(frozen.session().learner.has_value());
 }
 
+TEST_P(LearningSessionTest, AnEpisodeInWhichLearningWasPausedTeachesNothingMore) {
+  AgentSession agent = NewAgent();
+  served_->learning->set_paused(true);
+  Play(agent, 0, 5);
+  served_->learning->set_paused(false);
+  Play(agent, 5, 10);
+  const auto summary = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
+  ASSERT_TRUE(summary.ok());
+  EXPECT_EQ(summary->learning->updates, 0);
+  EXPECT_EQ(agent.HeadDrift(), 0.0);
+  Play(agent, 0, 10);
+  End(agent);
+  EXPECT_GT(agent.HeadDrift(), 0.0);
+}
+
+TEST_P(LearningSessionTest, AFrozenSessionGoesOnFromWhatWasLearned) {
+  AgentSession agent = NewAgent();
+  Play(agent, 0, 10);
+  End(agent);
+  SessionOptions options = SmallOptions();
+  options.head_delta = agent.HeadDelta();
+  AgentSession frozen(served_, NewSession("id", options), &clock_);
+  EXPECT_EQ(frozen.HeadDrift(), agent.HeadDrift());
+  Play(frozen, 0, 10);
+  End(frozen);
+  EXPECT_EQ(frozen.HeadDelta(), agent.HeadDelta());
+}
+
 INSTANTIATE_TEST_SUITE_P(Rules, LearningSessionTest, ::testing::ValuesIn(LearningCases()),
                          [](const auto& test) { return test.param.name; });
 
@@ -157,11 +195,15 @@ TEST(ParseLearningSessionTest, WrongFieldsAreNamed) {
     EXPECT_EQ(parsed.status().code(), absl::StatusCode::kInvalidArgument);
     EXPECT_THAT(std::string(parsed.status().message()), HasSubstr(message));
   };
-  refuse("/1/6/0", "sarsa", "session.options.learning.rule: expected a name of its values");
+  refuse("/1/6/0", "universe", "session.options.learning.scope: expected a name of its values");
+  refuse("/1/6/1", "sarsa", "session.options.learning.rule: expected a name of its values");
   refuse("/1/6", nullptr, "session.learner: expected one if and only if");
   refuse("/14/1/1", -1.0, "session.learner.returns.variance: expected at least 0");
-  refuse("/14/2", Json::array(), "session.learner.trace: expected 32 numbers, received 0");
-  refuse("/14/4", Json::array(), "session.learner.trace_sum: expected 32 numbers, received 0");
+  refuse("/14/2/2", Json::array(), "session.learner.guard.good: expected 32 numbers, received 0");
+  refuse("/14/2/0", std::vector<double>(20, 1.5),
+         "session.learner.guard.returns: expected fewer than 20, received 20");
+  refuse("/14/3", Json::array(), "session.learner.trace: expected 32 numbers, received 0");
+  refuse("/14/5", Json::array(), "session.learner.trace_sum: expected 32 numbers, received 0");
   refuse("/14/0/5", "x", "session.learner.head_delta[5]: expected a finite");
 }
 

@@ -141,6 +141,51 @@ TEST(RecordTest, DisturbedEpisodesAreLabelledByTheExpert) {
   EXPECT_GT(longest, 2);
 }
 
+TEST(RecordTest, AStudentActsAndTheExpertLabels) {
+  auto student = std::make_shared<Policy>(
+      RandomPolicy({.hidden_size = 16, .heads = 2, .context = 3, .ffn_size = 32}, 4,
+                   ActionSpace::Discrete(2), 1));
+  const Dataset dataset =
+      *RecordDataset({.steps = 200, .expert_fraction = 0.0, .student = student, .weigh = true});
+  const std::unique_ptr<Expert> expert = *MakeExpert({});
+  int differ = 0;
+  for (const Episode& episode : dataset.episodes) {
+    ASSERT_EQ(episode.actor, "student");
+    EXPECT_THAT(episode.weights, Each(1.0f));  // this expert does not know what is at stake
+    for (int t = 0; t < episode.steps(); ++t) {
+      const auto observation = episode.observations.begin() + 4 * t;
+      ASSERT_EQ(episode.labels[t], expert->Act(std::vector<double>(observation, observation + 4)));
+      differ += episode.labels[t] != episode.actions[t];
+    }
+  }
+  EXPECT_GT(differ, 20);
+  EXPECT_EQ(RecordDataset({.expert = {.environment = "Acrobot-v1"}, .student = student})
+                .status()
+                .message(),
+            "policy: expected the observations and actions of Acrobot-v1");
+}
+
+TEST(DatasetTest, PartsAreOfOneEnvironment) {
+  const Dataset all = *Concatenate({DatasetOf({Counting(2)}), DatasetOf({Counting(3)})});
+  EXPECT_EQ(all.episodes.size(), 2u);
+  EXPECT_EQ(all.recipe["parts"].size(), 2u);
+  Dataset other = DatasetOf({Counting(2)});
+  other.environment = "Acrobot-v1";
+  EXPECT_EQ(Concatenate({DatasetOf({Counting(2)}), other}).status().message(),
+            "data: expected all of CartPole-v1, got one of Acrobot-v1");
+}
+
+TEST(ClipSamplerTest, WeightsAreOfTheSteps) {
+  Episode episode = Counting(3);
+  episode.weights = {0.5f, 1.0f, 2.0f};
+  const Dataset dataset = DatasetOf({episode});
+  const Clips clips = ClipSampler(dataset, {0}, 2).Sample(/*key=*/1, /*count=*/20, 0.0);
+  for (size_t slot = 0; slot < clips.mask.size(); ++slot) {
+    const int64_t t = clips.timesteps[slot];
+    EXPECT_EQ(clips.weights[slot], t < 3 ? episode.weights[t] : 0.0f);
+  }
+}
+
 TEST(RecordTest, AQuarterOfPendulumsStartsAreWide) {
   const Dataset dataset = *RecordDataset({.expert = {.environment = "Pendulum-v1", .coarsening = 8},
                                           .steps = 20000,

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 
@@ -43,6 +44,40 @@ TEST(ExpertTest, AcrobotSwingsUpOnACoarseTableAndABeamIsBest) {
   EXPECT_GT(beam, greedy);
 }
 
+TEST(ExpertTest, CautiousPendulumSwingsUpOnACoarseTable) {
+  EXPECT_GT(MeanReturn({.environment = "Pendulum-v1", .name = "cautious", .coarsening = 8}, 50),
+            -220.0);
+}
+
+// Every episode lasts as many steps as its skill, which the seed draws.
+TEST(ExpertTest, DialsLastAsLongAsTheyAreAsked) {
+  const std::unique_ptr<Expert> cart_pole = *MakeExpert({.name = "dial"});
+  const std::vector<double> returns = *EvaluateExpert(*cart_pole, "CartPole-v1", 50, 0);
+  const auto [least, most] = std::minmax_element(returns.begin(), returns.end());
+  EXPECT_LT(*least, 100.0);
+  EXPECT_GT(*most, 400.0);
+  EXPECT_NEAR(StatisticsOf(returns).mean, 255.0, 70.0);
+
+  const std::unique_ptr<Expert> car =
+      *MakeExpert({.environment = "MountainCar-v0", .name = "dial", .coarsening = 8});
+  const std::vector<double> climbs = *EvaluateExpert(*car, "MountainCar-v0", 50, 0);
+  EXPECT_NEAR(StatisticsOf(climbs).mean, -150.0, 15.0);
+}
+
+TEST(ExpertTest, WhatNobodySeesDoesNotHinderAnExpert) {
+  EXPECT_EQ(MeanReturn({.environment = "PositionOnlyCartPole-v1"}, 5), 500.0);
+}
+
+TEST(ExpertTest, StakesAreHighWhereAChoiceMatters) {
+  const std::unique_ptr<Expert> pendulum =
+      *MakeExpert({.environment = "Pendulum-v1", .coarsening = 8});
+  const double upright = pendulum->Stakes(std::vector<double>{0.2, 0.0});
+  const double fast = pendulum->Stakes(std::vector<double>{3.1, 8.0});
+  EXPECT_GT(upright, 0.0);
+  EXPECT_GT(upright, fast);
+  EXPECT_EQ((*MakeExpert({}))->Stakes(std::vector<double>(4)), 1.0);
+}
+
 TEST(ExpertTest, TablesAreSolvedOnceAndReadAgain) {
   const std::string directory =
       (std::filesystem::path(testing::TempDir()) / "expert_tables").string();
@@ -67,7 +102,7 @@ TEST(ExpertTest, TablesAreSolvedOnceAndReadAgain) {
 
 TEST(ExpertTest, UnknownOnesAreNamed) {
   EXPECT_EQ(MakeExpert({.environment = "Pendulum-v1", .name = "beam"}).status().message(),
-            "expert: expected value_iteration or robust for Pendulum-v1, got 'beam'");
+            "expert: expected value_iteration, robust or cautious for Pendulum-v1, got 'beam'");
   EXPECT_THAT(std::string(MakeExpert({.environment = "Pong"}).status().message()),
               HasSubstr("none for 'Pong'"));
   EXPECT_EQ(MakeExpert({.beam_width = 0}).status().message(),

@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "absl/strings/str_replace.h"
+#include "train/hdf5_file.h"
 #include "train/minari_file.h"
 #include "train/record.h"
 
@@ -72,6 +73,30 @@ TEST(MinariTest, BoxActionsLabelsAndWeightsRoundTrip) {
   ASSERT_TRUE(read.ok()) << read.status();
   ASSERT_FALSE(read->episodes[0].weights.empty());
   ExpectSame(*read, written);
+}
+
+TEST(MinariTest, ServedEpisodesSayWhoDecidedAndOnWhat) {
+  const std::string directory = TemporaryDirectory("served-v0");
+  Dataset written = *RecordDataset({.steps = 50});
+  written.episodes.resize(1);
+  Episode& episode = written.episodes[0];
+  const auto steps = static_cast<size_t>(episode.steps());
+  episode.served.emplace();
+  episode.served->policy = "cartpole";
+  episode.served->version = 3;
+  for (size_t i = 0; i < steps; ++i) {
+    episode.served->returns_to_go.push_back(500.0f - static_cast<float>(i));
+  }
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  const auto file = Hdf5File::Open(directory + "/data/main_data.hdf5");
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_EQ(file->ReadString("episode_0", "policy").value_or(""), "cartpole");
+  EXPECT_EQ(file->ReadInteger("episode_0", "policy_version").value_or(0), 3);
+  const auto returns = file->Read<float>("episode_0/infos/return_to_go");
+  ASSERT_TRUE(returns.ok()) << returns.status();
+  ASSERT_EQ(returns->values.size(), steps + 1);
+  EXPECT_EQ(returns->values.front(), 500.0f);
+  EXPECT_EQ(returns->values.back(), 500.0f - static_cast<float>(steps));
 }
 
 TEST(MinariTest, ADatasetFromElsewhereHasTheEnvironmentOfItsSpec) {

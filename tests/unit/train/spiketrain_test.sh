@@ -20,10 +20,14 @@ refuses() {
 
 "$spiketrain" dataset --env=CartPole-v1 --steps=1500 --seed=3 --out=data.cbor --json | grep -q '"expert_steps": 1000'
 "$spiketrain" expert --env=CartPole-v1 --episodes=3 --json | grep -q '"mean_return": 500.0'
-refuses "expert: expected feedback for CartPole-v1, got 'beam'" expert --expert=beam
+refuses "expert: expected feedback or dial for CartPole-v1, got 'beam'" expert --expert=beam
 refuses 'wide_start_fraction: expected 0 for CartPole-v1, got 0.25' dataset --out=x --wide_start_fraction=0.25
 "$spiketrain" dataset --steps=300 --expert_fraction=0.2 --disturbed_fraction=0.5 --out=disturbed.cbor |
   grep -q '"disturbed_steps":'
+
+"$spiketrain" dataset --steps=200 --expert_fraction=0.2 --out=cartpole-mixed-v0 >/dev/null
+"$spiketrain" train --data=data.cbor,cartpole-mixed-v0 --out=both "${tiny[@]}" --iterations=2 --clip_steps=3 \
+  >/dev/null 2>&1
 
 "$spiketrain" train --data=data.cbor --out=whole "${tiny[@]}" --iterations=6 --json 2>/dev/null > whole.json
 grep -q '"spikes_per_decision"' whole.json
@@ -40,7 +44,24 @@ cmp whole.json resumed.json
 grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=1 --seed=2000000 --json | grep -q '"first_seed": 2000000'
 
-refuses 'command: expected one of expert, dataset, train, eval'
+# What a student gets into, labelled by the expert.
+"$spiketrain" dataset --steps=100 --expert_fraction=0 --student=whole/policy.safetensors --weigh --out=student-v0 |
+  grep -q '"student_steps":'
+"$spiketrain" eval --policy=tuned/policy.safetensors --episodes=2 --target_returns=50,500 --ablate=context,return |
+  grep -q 'rank correlation 0.000'
+refuses "ablate: expected context, attention, phase, routing or return, got 'head'" \
+  eval --policy=tuned/policy.safetensors --ablate=head
+
+# The paper's experiments in little, then again from what is there.
+"$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 >/dev/null 2>&1
+grep -q '| Pendulum-v1 | full | ' report/report.md || fail "report.md"
+grep -q '<svg' report/report.html || fail "report.html"
+rm report/CartPole-v1-full-T4-N4-seed1/result.json  # interrupted after training
+"$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 2>&1 |
+  grep -c 'training' | grep -qx 1 || fail "report trains what is there"
+refuses "out: expected the directory to write into" report
+
+refuses 'command: expected one of expert, dataset, train, eval, report'
 refuses 'out: expected the directory to write into' train
 refuses 'heads: expected what --init has, or no such flag, got 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8

@@ -5,6 +5,8 @@ Start with `Client` and `Session`; `VectorSession` serves Gymnasium's vector env
 """
 
 from spikeserve.async_client import AsyncClient, AsyncSession
+from spikeserve.async_stream import AsyncActStream
+from spikeserve.async_vector_session import AsyncVectorSession
 from spikeserve.calls import ClientOptions
 from spikeserve.client import Client, Session
 from spikeserve.errors import (
@@ -22,6 +24,7 @@ from spikeserve.errors import (
 from spikeserve.evaluation import Evaluation, evaluate
 from spikeserve.retry import RetryOptions
 from spikeserve.spaces import ActionSpace, Box, Discrete
+from spikeserve.stream import ActStream
 from spikeserve.values import (
     Action,
     Decision,
@@ -36,10 +39,13 @@ from spikeserve.values import (
 from spikeserve.vector_session import VectorSession
 
 __all__ = [
+    "ActStream",
     "Action",
     "ActionSpace",
+    "AsyncActStream",
     "AsyncClient",
     "AsyncSession",
+    "AsyncVectorSession",
     "Box",
     "Client",
     "ClientOptions",

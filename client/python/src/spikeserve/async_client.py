@@ -8,12 +8,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import grpc
 import grpc.aio
 from numpy.typing import ArrayLike
 
+from spikeserve.async_stream import AsyncActStream
 from spikeserve.calls import (
     CHANNEL_OPTIONS,
     DEFAULT_SERVER,
@@ -32,7 +33,7 @@ from spikeserve.values import (
     SessionOptions,
     SessionState,
 )
-from spikeserve.wire import METHODS, Message
+from spikeserve.wire import ACT_STREAM, METHODS, Message
 
 
 class AsyncClient:
@@ -50,6 +51,7 @@ class AsyncClient:
         else:
             self._channel = grpc.aio.secure_channel(server, credentials, CHANNEL_OPTIONS)
         self._calls = {name: method.bind(self._channel) for name, method in METHODS.items()}
+        self._open_stream = ACT_STREAM.bind(self._channel)
 
     async def __aenter__(self) -> Self:
         return self
@@ -87,12 +89,26 @@ class AsyncClient:
     ) -> list[Decision | SpikeserveError]:
         """Client.act_batch."""
         cursors = [session.cursor for session in sessions]
-        request = batch_request(cursors, observations, rewards)
-        results = batch_results(await self.call("ActBatch", request, timeout), len(cursors))
+        results = await self.act_batch_messages(cursors, observations, rewards, timeout)
         return [
             result if isinstance(result, SpikeserveError) else cursor.accept(result)
             for cursor, result in zip(cursors, results, strict=True)
         ]
+
+    async def act_batch_messages(
+        self,
+        cursors: Sequence[SessionCursor],
+        observations: Sequence[ArrayLike],
+        rewards: Sequence[float],
+        timeout: float | None = None,
+    ) -> list[Any]:
+        """Client.act_batch_messages."""
+        request = batch_request(cursors, observations, rewards)
+        return batch_results(await self.call("ActBatch", request, timeout), len(cursors))
+
+    def act_stream(self) -> AsyncActStream:
+        """Client.act_stream."""
+        return AsyncActStream(self._open_stream())
 
     async def call(
         self,
@@ -106,7 +122,9 @@ class AsyncClient:
         deadline = self._options.timeout if timeout is None else timeout
         while True:
             try:
-                return await self._calls[name](request, timeout=deadline)
+                return await self._calls[name](
+                    request, timeout=deadline, metadata=self._options.metadata
+                )
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:
@@ -162,9 +180,10 @@ class AsyncSession:
         terminated: bool = False,
         truncated: bool = False,
         target_return: float | None = None,
+        observation: ArrayLike | None = None,
     ) -> EpisodeSummary:
         """Session.end_episode."""
-        request = self.cursor.end_request(reward, terminated, truncated, target_return)
+        request = self.cursor.end_request(reward, terminated, truncated, target_return, observation)
         return self.cursor.end(
             await self._client.call("EndEpisode", request, repeated=FailedPreconditionError)
         )

@@ -5,9 +5,10 @@ Nothing here waits or sends.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import grpc
 from numpy.typing import ArrayLike
@@ -36,14 +37,23 @@ DEFAULT_SERVER = "127.0.0.1:50051"
 
 @dataclass(frozen=True)
 class ClientOptions:
-    """How calls are made. `timeout` is the deadline of each attempt, in seconds."""
+    """How calls are made. `timeout` is the deadline of each attempt, in seconds.
+
+    `token` is sent with every call; it defaults to the environment variable SPIKESERVE_TOKEN.
+    """
 
     timeout: float = 5.0
     retry: RetryOptions = field(default_factory=RetryOptions)
+    token: str = field(default_factory=lambda: os.environ.get("SPIKESERVE_TOKEN", ""), repr=False)
 
     def __post_init__(self) -> None:
         if not self.timeout > 0:
             raise ValueError(f"timeout: expected more than 0, got {self.timeout}")
+
+    @property
+    def metadata(self) -> tuple[tuple[str, str], ...]:
+        """What every call carries beside its request."""
+        return (("authorization", f"Bearer {self.token}"),) if self.token else ()
 
 
 class Attempts:
@@ -121,7 +131,12 @@ class SessionCursor:
         return Decision.from_wire(message)
 
     def end_request(
-        self, reward: float, terminated: bool, truncated: bool, target_return: float | None
+        self,
+        reward: float,
+        terminated: bool,
+        truncated: bool,
+        target_return: float | None,
+        observation: ArrayLike | None,
     ) -> Message:
         """The request that ends this episode."""
         self._end_reward = float(reward)
@@ -131,6 +146,7 @@ class SessionCursor:
             terminated=bool(terminated),
             truncated=bool(truncated),
             target_return=target_return,
+            observation=() if observation is None else observation_array(observation),
         )
 
     def end(self, message: Message | None) -> EpisodeSummary:
@@ -173,3 +189,51 @@ def batch_results(message: Message, expected: int) -> list[Any]:
         result.response if result.code == 0 else error_of_item("Act", result.code, result.message)
         for result in message.results
     ]
+
+
+class HasCursor(Protocol):
+    """A session of either client."""
+
+    cursor: SessionCursor
+
+
+AnySession = TypeVar("AnySession", bound=HasCursor)
+
+
+class OpenRequests(Generic[AnySession]):
+    """The sessions that have a request under way on a stream, one each."""
+
+    def __init__(self) -> None:
+        self._sessions: dict[str, AnySession] = {}
+
+    def add(self, session: AnySession, observation: ArrayLike, reward: float) -> Message:
+        """The request to send."""
+        cursor = session.cursor
+        if cursor.session_id in self._sessions:
+            raise ValueError(f"session {cursor.session_id}: expected no request under way, got one")
+        request = cursor.act_request(observation, reward)
+        self._sessions[cursor.session_id] = session
+        return request
+
+    def check_empty(self) -> None:
+        """ValueError if a request is under way."""
+        if self._sessions:
+            raise ValueError(f"expected no request under way, got {len(self._sessions)}")
+
+    def accept(self, reply: Message) -> tuple[AnySession, Decision | SpikeserveError]:
+        """Whose answer it is; the session moves on with it, but not with an error."""
+        session = self._sessions.pop(reply.session_id, None)
+        if session is None:
+            raise make_error(
+                "ActStream",
+                grpc.StatusCode.INTERNAL,
+                f"expected an answer to a request under way, got one for {reply.session_id}",
+            )
+        if reply.HasField("error"):
+            return session, error_of_item("ActStream", reply.error.code, reply.error.message)
+        return session, session.cursor.accept(reply)
+
+
+def stream_ended() -> SpikeserveError:
+    """What a stream raises that the server ended."""
+    return make_error("ActStream", grpc.StatusCode.UNAVAILABLE, "the server ended the stream")

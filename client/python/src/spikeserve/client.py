@@ -20,6 +20,7 @@ from spikeserve.calls import (
     batch_results,
 )
 from spikeserve.errors import FailedPreconditionError, NotFoundError, SpikeserveError
+from spikeserve.stream import ActStream
 from spikeserve.values import (
     Decision,
     EpisodeSummary,
@@ -28,7 +29,7 @@ from spikeserve.values import (
     SessionOptions,
     SessionState,
 )
-from spikeserve.wire import METHODS, Message
+from spikeserve.wire import ACT_STREAM, METHODS, Message
 
 
 class Client:
@@ -54,6 +55,7 @@ class Client:
         else:
             self._channel = grpc.secure_channel(server, credentials, CHANNEL_OPTIONS)
         self._calls = {name: method.bind(self._channel) for name, method in METHODS.items()}
+        self._open_stream = ACT_STREAM.bind(self._channel)
 
     def __enter__(self) -> Self:
         return self
@@ -109,6 +111,10 @@ class Client:
         request = batch_request(cursors, observations, rewards)
         return batch_results(self.call("ActBatch", request, timeout), len(cursors))
 
+    def act_stream(self) -> ActStream:
+        """A stream of decisions for any number of sessions."""
+        return ActStream(self._open_stream)
+
     def call(
         self,
         name: str,
@@ -124,7 +130,7 @@ class Client:
         deadline = self._options.timeout if timeout is None else timeout
         while True:
             try:
-                return self._calls[name](request, timeout=deadline)
+                return self._calls[name](request, timeout=deadline, metadata=self._options.metadata)
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:
@@ -189,13 +195,15 @@ class Session:
         terminated: bool = False,
         truncated: bool = False,
         target_return: float | None = None,
+        observation: ArrayLike | None = None,
     ) -> EpisodeSummary:
         """Hands in the last reward; the next step is step 0.
 
-        `target_return` is for the next episode; None: the session's own. Repeated safely: an end
+        `target_return` is for the next episode; None: the session's own. `observation` is what the
+        last action led to; only recordings have a use for it. Repeated safely: an end
         counts once, and if its answer was lost the summary is this session's own count.
         """
-        request = self.cursor.end_request(reward, terminated, truncated, target_return)
+        request = self.cursor.end_request(reward, terminated, truncated, target_return, observation)
         return self.cursor.end(
             self._client.call("EndEpisode", request, repeated=FailedPreconditionError)
         )

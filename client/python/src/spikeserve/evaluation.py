@@ -110,7 +110,7 @@ def play_episode(environment: Any, session: Session, seed: int) -> EpisodeSummar
     while not (terminated or truncated):
         action = session.act(observation, reward).action
         observation, reward, terminated, truncated, _ = environment.step(action)
-    return session.end_episode(float(reward), terminated, truncated)
+    return session.end_episode(float(reward), terminated, truncated, observation=observation)
 
 
 def _check_action_space(opening: Opening, environment: Any) -> None:

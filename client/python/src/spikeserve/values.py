@@ -70,6 +70,7 @@ class SessionOptions:
     temperature: float | None = None  # with `sample` only
     learning: Learning | None = None  # None: frozen
     labels: dict[str, str] = field(default_factory=dict)
+    record: bool = False  # keep the episodes below the server's --record_dir
 
     def to_wire(self, policy: str) -> Message:
         """As an OpenSessionRequest for `policy`."""
@@ -82,6 +83,7 @@ class SessionOptions:
             temperature=self.temperature,
             learning=None if self.learning is None else vars(self.learning),
             labels=self.labels,
+            record=self.record,
         )
 
 
@@ -95,6 +97,7 @@ class Opening:
     action_space: ActionSpace
     context_length: int
     target_return: float
+    recording: str  # below the server's --record_dir; empty: not recorded
 
     @classmethod
     def from_wire(cls, message: Message) -> Opening:
@@ -106,6 +109,7 @@ class Opening:
             action_space=action_space_from_wire(message.action_space),
             context_length=message.context_length,
             target_return=message.target_return,
+            recording=message.recording,
         )
 
 

@@ -47,15 +47,17 @@ def message_class(name: str) -> Message:
 
 @dataclass(frozen=True)
 class Method:
-    """A unary call of the service."""
+    """A call of the service: unary, or a stream in both directions."""
 
     name: str
     request: Message
     response: Message
+    streams: bool
 
     def bind(self, channel: Any) -> Callable[..., Any]:
         """What calls the method on `channel`, a channel of grpc or grpc.aio."""
-        call: Callable[..., Any] = channel.unary_unary(
+        make = channel.stream_stream if self.streams else channel.unary_unary
+        call: Callable[..., Any] = make(
             f"/{SERVICE}/{self.name}",
             request_serializer=self.request.SerializeToString,
             response_deserializer=self.response.FromString,
@@ -63,20 +65,21 @@ class Method:
         return call
 
 
-def _unary_methods() -> dict[str, Method]:
+def _methods() -> dict[str, Method]:
     # From the files, since an older protobuf's descriptors do not tell what streams.
     return {
         method.name: Method(
             name=method.name,
             request=message_class(method.input_type.rpartition(".")[2]),
             response=message_class(method.output_type.rpartition(".")[2]),
+            streams=method.client_streaming,
         )
         for file in _FILES.file
         for service in file.service
         if f"{file.package}.{service.name}" == SERVICE
         for method in service.method
-        if not method.client_streaming and not method.server_streaming
     }
 
 
-METHODS = _unary_methods()
+METHODS = _methods()
+ACT_STREAM = METHODS["ActStream"]

@@ -1,0 +1,166 @@
+#include "client/spikectl/adaptation.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <thread>
+#include <utility>
+
+#include "absl/strings/str_format.h"
+#include "absl/synchronization/mutex.h"
+#include "client/spikectl/agent.h"
+
+namespace spikeserve {
+namespace {
+
+absl::StatusOr<RemoteSession> Open(Client& client, const AdaptationOptions& options,
+                                   v1::OpenSessionRequest request) {
+  request.set_policy(options.policy.name());
+  request.set_version(options.policy.version());
+  const auto opened = client.OpenSession(request);
+  if (!opened.ok()) return opened.status();
+  return RemoteSession(&client, opened->session_id(), 0);
+}
+
+absl::StatusOr<RemoteSession> OpenLearner(Client& client, const AdaptationOptions& options,
+                                          int session) {
+  v1::OpenSessionRequest request;
+  request.set_seed(options.seed + static_cast<uint64_t>(session));
+  request.set_action_selection(v1::SAMPLE);
+  request.set_temperature(options.temperature);
+  *request.mutable_learning() = options.learning;
+  return Open(client, options, std::move(request));
+}
+
+// Mean return of a frozen, greedy session over the unseen starts.
+absl::StatusOr<double> Evaluate(Client& client, const AdaptationOptions& options,
+                                Environment& environment, const v1::OpenSessionRequest& request) {
+  auto session = Open(client, options, request);
+  if (!session.ok()) return session.status();
+  double sum = 0.0;
+  for (int i = 0; i < options.evaluation_episodes; ++i) {
+    const uint64_t seed = options.seed + options.evaluation_seed + static_cast<uint64_t>(i);
+    const auto episode = PlayEpisode(environment, *session, seed);
+    if (!episode.ok()) return episode.status();
+    sum += episode->episode_return;
+  }
+  if (auto status = session->Close(); !status.ok()) return status;
+  return sum / options.evaluation_episodes;
+}
+
+// Gathers the returns of all sessions, and tells of each episode once all have played it.
+class Curve {
+ public:
+  Curve(const AdaptationOptions& options, const std::function<void(int, double)>& on_episode)
+      : sessions_(options.sessions),
+        on_episode_(on_episode),
+        sums_(static_cast<size_t>(options.episodes), 0.0),
+        counts_(static_cast<size_t>(options.episodes), 0) {}
+
+  void Add(int episode, double episode_return) {
+    absl::MutexLock lock(&mutex_);
+    sums_[static_cast<size_t>(episode)] += episode_return;
+    ++counts_[static_cast<size_t>(episode)];
+    while (told_ < counts_.size() && counts_[told_] == sessions_) {
+      on_episode_(static_cast<int>(told_), sums_[told_] / sessions_);
+      ++told_;
+    }
+  }
+
+  std::vector<double> Means() {
+    absl::MutexLock lock(&mutex_);
+    std::vector<double> means = sums_;
+    for (double& mean : means) mean /= sessions_;
+    return means;
+  }
+
+ private:
+  const int sessions_;
+  const std::function<void(int, double)>& on_episode_;
+  absl::Mutex mutex_;
+  std::vector<double> sums_ ABSL_GUARDED_BY(mutex_);
+  std::vector<int> counts_ ABSL_GUARDED_BY(mutex_);
+  size_t told_ ABSL_GUARDED_BY(mutex_) = 0;
+};
+
+absl::Status LearnAlone(const AdaptationOptions& options, int session, RemoteSession& learner,
+                        Curve* curve) {
+  const auto environment = MakePerturbedEnvironment(options.environment, options.perturbation);
+  if (!environment.ok()) return environment.status();
+  for (int e = 0; e < options.episodes; ++e) {
+    const auto start = static_cast<uint64_t>(e * options.sessions + session);
+    const auto episode = PlayEpisode(**environment, learner, options.seed + start);
+    if (!episode.ok()) return episode.status();
+    curve->Add(e, episode->episode_return);
+  }
+  return absl::OkStatus();
+}
+
+// Plays all sessions at once; the head that came of it is in `learned`.
+absl::Status Learn(Client& client, const AdaptationOptions& options, Curve* curve,
+                   v1::GetSessionResponse* learned) {
+  std::vector<RemoteSession> learners;
+  for (int i = 0; i < options.sessions; ++i) {
+    auto learner = OpenLearner(client, options, i);
+    if (!learner.ok()) return learner.status();
+    learners.push_back(*std::move(learner));
+  }
+  std::vector<absl::Status> statuses(learners.size());
+  std::vector<std::thread> threads;
+  for (size_t i = 0; i < learners.size(); ++i) {
+    threads.emplace_back(
+        [&, i] { statuses[i] = LearnAlone(options, static_cast<int>(i), learners[i], curve); });
+  }
+  for (std::thread& thread : threads) thread.join();
+  for (const absl::Status& status : statuses) {
+    if (!status.ok()) return status;
+  }
+  auto session = client.GetSession(learners[0].session_id(), /*include_head_delta=*/true);
+  if (!session.ok()) return session.status();
+  *learned = *std::move(session);
+  for (RemoteSession& learner : learners) {
+    if (auto status = learner.Close(); !status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<Adaptation> Adapt(Client& client, const AdaptationOptions& options,
+                                 const std::function<void(int, double)>& on_episode) {
+  const auto unperturbed = MakeEnvironment(options.environment);
+  if (!unperturbed.ok()) return unperturbed.status();
+  const auto perturbed = MakePerturbedEnvironment(options.environment, options.perturbation);
+  if (!perturbed.ok()) return perturbed.status();
+
+  Adaptation result;
+  const auto unperturbed_return = Evaluate(client, options, **unperturbed, {});
+  if (!unperturbed_return.ok()) return unperturbed_return.status();
+  const auto frozen_return = Evaluate(client, options, **perturbed, {});
+  if (!frozen_return.ok()) return frozen_return.status();
+
+  Curve curve(options, on_episode);
+  v1::GetSessionResponse learned;
+  if (auto status = Learn(client, options, &curve, &learned); !status.ok()) return status;
+  v1::OpenSessionRequest with_head;
+  *with_head.mutable_head_delta() = learned.head_delta();
+  const auto adapted_return = Evaluate(client, options, **perturbed, with_head);
+  if (!adapted_return.ok()) return adapted_return.status();
+
+  return Adaptation{.unperturbed_return = *unperturbed_return,
+                    .frozen_return = *frozen_return,
+                    .adapted_return = *adapted_return,
+                    .curve = curve.Means(),
+                    .head_drift = learned.head_drift(),
+                    .rollbacks = learned.rollbacks()};
+}
+
+std::string CurveLine(int episode, double value, double low, double high) {
+  constexpr int kWidth = 50;
+  const double part = high > low ? (value - low) / (high - low) : 0.0;
+  const int length = static_cast<int>(std::lround(kWidth * std::clamp(part, 0.0, 1.0)));
+  return absl::StrFormat("%7d %10.1f |%s\n", episode, value,
+                         std::string(static_cast<size_t>(length), '#'));
+}
+
+}  // namespace spikeserve

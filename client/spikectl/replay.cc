@@ -1,0 +1,180 @@
+#include "client/spikectl/replay.h"
+
+#include <bit>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/types/span.h"
+#include "client/remote_session.h"
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+
+const ServedEpisode& ServedOf(const Dataset& dataset) { return *dataset.episodes[0].served; }
+
+// Equal bit for bit, so that 0 and -0 differ.
+bool SameBits(absl::Span<const float> a, absl::Span<const float> b) {
+  if (a.size() != b.size()) return false;
+  for (size_t i = 0; i < a.size(); ++i) {
+    if (std::bit_cast<uint32_t>(a[i]) != std::bit_cast<uint32_t>(b[i])) return false;
+  }
+  return true;
+}
+
+v1::OpenSessionRequest Opening(const ServedEpisode& served, const std::string& policy,
+                               int64_t version) {
+  v1::OpenSessionRequest request;
+  request.set_policy(policy.empty() ? served.policy : policy);
+  request.set_version(policy.empty() && version == 0 ? served.version : version);
+  request.set_target_return(served.target_return);
+  request.set_seed(served.seed);
+  if (served.temperature.has_value()) {
+    request.set_action_selection(v1::SAMPLE);
+    request.set_temperature(static_cast<double>(*served.temperature));
+  }
+  return request;
+}
+
+// Compares one decision with what was recorded at `step`.
+class Comparison {
+ public:
+  Comparison(const Dataset& dataset, int step)
+      : dataset_(dataset),
+        episode_(dataset.episodes[0]),
+        served_(*episode_.served),
+        step_(static_cast<size_t>(step)) {}
+
+  std::optional<ReplayDifference> Find(const v1::ActResponse& response) {
+    CompareAction(response.action());
+    const size_t n = served_.probabilities.size() / episode_.actions.size();
+    CompareFloats("action_probabilities",
+                  absl::MakeConstSpan(served_.probabilities).subspan(step_ * n, n),
+                  response.action_probabilities());
+    const auto return_to_go = static_cast<float>(response.return_to_go());  // it was a float
+    CompareFloats("return_to_go", absl::MakeConstSpan(served_.returns_to_go).subspan(step_, 1),
+                  absl::MakeConstSpan(&return_to_go, 1));
+    Compare("spikes", served_.spikes[step_], response.stats().spikes());
+    return std::move(difference_);
+  }
+
+ private:
+  void CompareAction(const v1::Action& action) {
+    const Action& recorded = episode_.actions[step_];
+    if (dataset_.action_space.is_discrete()) {
+      Compare("action", int64_t{recorded.discrete}, action.discrete());
+    } else {
+      CompareFloats("action", recorded.continuous, action.continuous().values());
+    }
+  }
+
+  void CompareFloats(const char* field, absl::Span<const float> recorded,
+                     absl::Span<const float> replayed) {
+    if (SameBits(recorded, replayed)) return;
+    Differ(field, Json(std::vector<float>(recorded.begin(), recorded.end())),
+           Json(std::vector<float>(replayed.begin(), replayed.end())));
+  }
+
+  template <typename T>
+  void Compare(const char* field, T recorded, T replayed) {
+    if (recorded != replayed) Differ(field, recorded, replayed);
+  }
+
+  // The first field counts.
+  void Differ(const char* field, Json recorded, Json replayed) {
+    if (difference_.has_value()) return;
+    difference_ = {.episode = served_.episode,
+                   .step = static_cast<int64_t>(step_),
+                   .field = field,
+                   .recorded = std::move(recorded),
+                   .replayed = std::move(replayed)};
+  }
+
+  const Dataset& dataset_;
+  const Episode& episode_;
+  const ServedEpisode& served_;
+  const size_t step_;
+  std::optional<ReplayDifference> difference_;
+};
+
+// Plays one episode; stops at a difference.
+absl::Status ReplayEpisode(const Dataset& dataset, RemoteSession& session, ReplayResult* result) {
+  const Episode& episode = dataset.episodes[0];
+  const auto size = static_cast<size_t>(dataset.observation_size);
+  for (int step = 0; step < episode.steps(); ++step) {
+    const auto observation =
+        absl::MakeConstSpan(episode.observations).subspan(static_cast<size_t>(step) * size, size);
+    const auto response = session.Act(observation, step == 0 ? 0.0 : episode.rewards[step - 1]);
+    if (!response.ok()) return response.status();
+    result->difference = Comparison(dataset, step).Find(*response);
+    if (result->difference.has_value()) return absl::OkStatus();
+    ++result->decisions;
+  }
+  ++result->episodes;
+  return absl::OkStatus();
+}
+
+absl::Status ReplayEpisodes(const std::vector<Dataset>& recording, RemoteSession& session,
+                            ReplayResult* result) {
+  for (size_t i = 0; i < recording.size(); ++i) {
+    if (i > 0) {
+      const Episode& before = recording[i - 1].episodes[0];
+      const auto ended =
+          session.EndEpisode({.reward = before.rewards.back(),
+                              .terminated = before.terminated,
+                              .truncated = before.truncated,
+                              .target_return = ServedOf(recording[i]).target_return});
+      if (!ended.ok()) return ended.status();
+    }
+    absl::Status status = ReplayEpisode(recording[i], session, result);
+    if (!status.ok() || result->difference.has_value()) return status;
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status CheckReplayable(const std::vector<Dataset>& recording) {
+  for (size_t i = 0; i < recording.size(); ++i) {
+    const std::vector<Episode>& episodes = recording[i].episodes;
+    if (episodes.size() != 1 || !episodes[0].served.has_value()) {
+      return absl::InvalidArgumentError(
+          "recording: expected episodes that a server recorded, got a dataset of another kind");
+    }
+    const ServedEpisode& served = *episodes[0].served;
+    const ServedEpisode& first = ServedOf(recording[0]);
+    if (served.learning) {
+      return absl::InvalidArgumentError(
+          "recording: expected a session with the policy's head, got one that learned");
+    }
+    if (served.policy != first.policy || served.version != first.version ||
+        served.seed != first.seed ||
+        (i > 0 && served.episode <= ServedOf(recording[i - 1]).episode)) {
+      return absl::InvalidArgumentError(
+          "recording: expected one session, got several; name the directory of one");
+    }
+    if (served.temperature.has_value() && served.episode != static_cast<int64_t>(i)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("recording: expected episode ", i, ", got episode ", served.episode,
+                       "; a session that draws its actions is replayed from its first episode"));
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<ReplayResult> Replay(const std::vector<Dataset>& recording,
+                                    const std::string& policy, int64_t version, Client& client) {
+  const auto opened = client.OpenSession(Opening(ServedOf(recording[0]), policy, version));
+  if (!opened.ok()) return opened.status();
+  ReplayResult result;
+  result.policy = opened->policy();
+  result.version = opened->version();
+  RemoteSession session(&client, opened->session_id(), 0);
+  absl::Status status = ReplayEpisodes(recording, session, &result);
+  status.Update(session.Close());
+  if (!status.ok()) return status;
+  return result;
+}
+
+}  // namespace spikeserve

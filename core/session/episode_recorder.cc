@@ -1,0 +1,96 @@
+#include "core/session/episode_recorder.h"
+
+#include <limits>
+#include <utility>
+
+namespace spikeserve {
+
+EpisodeRecorder::EpisodeRecorder(std::shared_ptr<const ServedPolicy> served, Sink sink)
+    : served_(std::move(served)), sink_(std::move(sink)) {}
+
+EpisodeRecorder::~EpisodeRecorder() { CutOff(); }
+
+void EpisodeRecorder::OnDecision(const Session& session, absl::Span<const float> observation,
+                                 double reward) {
+  const Answer& answer = *session.last_answer;
+  if (answer.step == 0) {
+    Start(session);
+  } else if (running_.has_value()) {
+    running_->episodes[0].rewards.push_back(reward);
+  }
+  if (!running_.has_value()) return;
+  Episode& episode = running_->episodes[0];
+  episode.observations.insert(episode.observations.end(), observation.begin(), observation.end());
+  episode.actions.push_back(answer.action);
+  ServedEpisode& served = *episode.served;
+  served.returns_to_go.push_back(answer.return_to_go);
+  served.probabilities.insert(served.probabilities.end(), answer.probabilities.begin(),
+                              answer.probabilities.end());
+  served.spikes.push_back(answer.counts.total_spikes());
+  if (episode.steps() > kLongestEpisode) CutOff();
+}
+
+void EpisodeRecorder::Start(const Session& session) {
+  const Policy& policy = served_->policy();
+  const SessionOptions& options = session.options;
+  Episode episode;
+  episode.actor = "served";
+  episode.served = {.policy = options.policy,
+                    .version = options.version,
+                    .episode = session.episode,
+                    .target_return = session.target_return,
+                    .seed = options.seed,
+                    .temperature = std::nullopt,
+                    .learning = options.learning.has_value() || !options.head_delta.empty(),
+                    .labels = options.labels,
+                    .returns_to_go = {},
+                    .probabilities = {},
+                    .spikes = {}};
+  if (options.action_selection.sample) {
+    episode.served->temperature = options.action_selection.temperature;
+  }
+  running_ = Dataset{.environment = policy.environment,
+                     .observation_size = policy.observation_size(),
+                     .action_space = policy.action_space,
+                     .recipe = {{"policy", options.policy}, {"version", options.version}},
+                     .episodes = {}};
+  running_->episodes.push_back(std::move(episode));
+}
+
+void EpisodeRecorder::OnEnd(double reward, absl::Span<const float> observation, bool terminated,
+                            bool truncated) {
+  if (!running_.has_value()) return;
+  Episode& episode = running_->episodes[0];
+  episode.rewards.push_back(reward);
+  if (observation.empty()) {
+    episode.observations.resize(
+        episode.observations.size() + static_cast<size_t>(running_->observation_size),
+        std::numeric_limits<float>::quiet_NaN());
+  } else {
+    episode.observations.insert(episode.observations.end(), observation.begin(), observation.end());
+  }
+  episode.terminated = terminated;
+  episode.truncated = truncated || !terminated;
+  HandIn();
+}
+
+void EpisodeRecorder::CutOff() {
+  if (!running_.has_value()) return;
+  Episode& episode = running_->episodes[0];
+  ServedEpisode& served = *episode.served;
+  const size_t steps = episode.rewards.size();
+  episode.actions.pop_back();
+  served.returns_to_go.pop_back();
+  served.probabilities.resize(served.probabilities.size() / (steps + 1) * steps);
+  served.spikes.pop_back();
+  episode.truncated = true;
+  HandIn();
+}
+
+void EpisodeRecorder::HandIn() {
+  Dataset dataset = *std::move(running_);
+  running_.reset();
+  if (dataset.episodes[0].steps() > 0) sink_(std::move(dataset));
+}
+
+}  // namespace spikeserve

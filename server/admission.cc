@@ -1,0 +1,43 @@
+#include "server/admission.h"
+
+#include <string>
+
+namespace spikeserve {
+
+absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
+                                        const grpc::CallbackServerContext& context, Method method) {
+  const auto& metadata = context.client_metadata();
+  const auto header = metadata.find("authorization");
+  std::string_view token;
+  std::string buffer;
+  if (header != metadata.end()) {
+    token = TokenOf({header->second.data(), header->second.size()}, &buffer);
+  }
+  auto caller = authenticator.Authenticate({token.data(), token.size()});
+  if (!caller.ok()) return caller;
+  if (auto status = CheckMayCall((*caller)->role(), method); !status.ok()) return status;
+  return caller;
+}
+
+absl::Status MayWatch(const Authenticator& authenticator, absl::string_view path,
+                      absl::string_view header) {
+  if (path == "/healthz") return absl::OkStatus();
+  std::string buffer;
+  const std::string_view token = TokenOf(header, &buffer);
+  const auto caller = authenticator.Authenticate({token.data(), token.size()});
+  if (!caller.ok()) return caller.status();
+  return CheckMayWatch((*caller)->role());
+}
+
+absl::Status CheckStillAdmitted(const Credential& caller,
+                                const google::protobuf::MessageLite& request) {
+  if (auto status = caller.CheckValid(); !status.ok()) return status;
+  return CheckSize(caller, request);
+}
+
+absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request) {
+  if (!caller.tenant()->limits_messages()) return absl::OkStatus();
+  return caller.tenant()->CheckMessage(request.ByteSizeLong());
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,37 @@
+// Whether a call is let in: its token, what its role may do, and how long its request is.
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef SERVER_ADMISSION_H_
+#define SERVER_ADMISSION_H_
+
+#include <google/protobuf/message_lite.h>
+#include <grpcpp/server_context.h>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "server/authenticator.h"
+#include "server/metrics.h"
+
+namespace spikeserve {
+
+// Who calls. UNAUTHENTICATED or PERMISSION_DENIED where they may not.
+absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
+                                        const grpc::CallbackServerContext& context, Method method);
+
+// Whether the sender of an HTTP Authorization header may see a page: /healthz is everybody's, the
+// rest takes a viewer or an operator.
+absl::Status MayWatch(const Authenticator& authenticator, absl::string_view path,
+                      absl::string_view header);
+
+// For a request on a stream whose caller was admitted: whether the token still holds, and
+// CheckSize.
+absl::Status CheckStillAdmitted(const Credential& caller,
+                                const google::protobuf::MessageLite& request);
+
+// RESOURCE_EXHAUSTED where the request is longer than the tenant may send.
+absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_ADMISSION_H_

@@ -1,0 +1,114 @@
+// One bidirectional call that reads a request, answers it, and so on, until the client or the
+// server has had enough.
+#ifndef SERVER_ANSWER_STREAM_H_
+#define SERVER_ANSWER_STREAM_H_
+
+#include <grpcpp/support/server_callback.h>
+
+#include <memory>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "server/call_tracker.h"
+#include "server/request_handler.h"
+#include "server/status_map.h"
+
+namespace spikeserve {
+
+// Keeps itself alive from Begin() until gRPC is done with it. One operation is under way at a time,
+// so the messages need no lock; Drain() may come from any thread in between.
+template <typename Request, typename Response>
+class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public CallTracker::Stream {
+ public:
+  // Reads the first request of `stream`, or refuses the call where the server drains or `admitted`
+  // is an error. `calls` must outlive the call.
+  static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream, CallTracker* calls,
+                             const absl::Status& admitted);
+
+  void OnReadDone(bool ok) override;
+  void OnWriteDone(bool ok) override;
+  void OnDone() override;
+
+  // Ends the call with UNAVAILABLE, after the reply that is under way, if one is.
+  void Drain() override;
+
+ protected:
+  // Fills in `response`, which is empty, also for a request that fails.
+  virtual void Answer(const Request& request, Response* response, DeferredWork* deferred) = 0;
+
+ private:
+  enum class State { kReading, kReplying, kFinished };
+
+  void FinishLocked(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    state_ = State::kFinished;
+    this->Finish(ToGrpcStatus(status));
+  }
+
+  CallTracker* calls_ = nullptr;
+  std::shared_ptr<AnswerStream> self_;
+  Request request_;
+  Response response_;
+
+  absl::Mutex mutex_;  // held for a change of state only, never for a decision
+  State state_ ABSL_GUARDED_BY(mutex_) = State::kReading;
+  bool draining_ ABSL_GUARDED_BY(mutex_) = false;
+};
+
+template <typename Request, typename Response>
+AnswerStream<Request, Response>* AnswerStream<Request, Response>::Begin(
+    std::shared_ptr<AnswerStream> stream, CallTracker* calls, const absl::Status& admitted) {
+  stream->calls_ = calls;
+  stream->self_ = stream;
+  const bool accepted = calls->BeginStream(stream);
+  absl::MutexLock lock(&stream->mutex_);
+  if (!accepted) {
+    stream->FinishLocked(DrainingError());
+  } else if (!admitted.ok()) {
+    stream->FinishLocked(admitted);
+  } else if (stream->state_ == State::kReading) {  // else drained since
+    stream->StartRead(&stream->request_);
+  }
+  return stream.get();
+}
+
+template <typename Request, typename Response>
+void AnswerStream<Request, Response>::OnReadDone(bool ok) {
+  {
+    absl::MutexLock lock(&mutex_);
+    if (state_ == State::kFinished) return;
+    if (!ok) return FinishLocked(absl::OkStatus());  // the client has no more requests
+    state_ = State::kReplying;
+  }
+  DeferredWork deferred;
+  response_.Clear();
+  Answer(request_, &response_, &deferred);
+  this->StartWrite(&response_);
+  deferred.Run();
+}
+
+template <typename Request, typename Response>
+void AnswerStream<Request, Response>::OnWriteDone(bool ok) {
+  absl::MutexLock lock(&mutex_);
+  if (!ok) return FinishLocked(absl::CancelledError("the client is gone"));
+  if (draining_) return FinishLocked(DrainingError());
+  state_ = State::kReading;
+  this->StartRead(&request_);
+}
+
+template <typename Request, typename Response>
+void AnswerStream<Request, Response>::Drain() {
+  absl::MutexLock lock(&mutex_);
+  draining_ = true;
+  if (state_ == State::kReading) FinishLocked(DrainingError());
+}
+
+template <typename Request, typename Response>
+void AnswerStream<Request, Response>::OnDone() {
+  calls_->EndStream(this);
+  const auto last = std::move(self_);  // destroyed on return, unless Drain() is just at work
+}
+
+}  // namespace spikeserve
+
+#endif  // SERVER_ANSWER_STREAM_H_

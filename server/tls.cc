@@ -1,0 +1,92 @@
+#include "server/tls.h"
+
+#include <openssl/bio.h>
+#include <openssl/err.h>
+#include <openssl/pem.h>
+#include <openssl/x509.h>
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+// gRPC reads the files again this often.
+constexpr unsigned kRefreshSeconds = 2;
+
+template <auto kFree>
+struct Free {
+  template <typename T>
+  void operator()(T* object) const {
+    kFree(object);
+  }
+};
+using Bio = std::unique_ptr<BIO, Free<BIO_free>>;
+using Certificate = std::unique_ptr<X509, Free<X509_free>>;
+using Key = std::unique_ptr<EVP_PKEY, Free<EVP_PKEY_free>>;
+
+absl::Status NotOf(const char* flag, const std::string& path, const char* expected) {
+  ERR_clear_error();
+  return absl::InvalidArgumentError(
+      absl::StrCat(flag, ": expected ", expected, " in PEM form, received ", path));
+}
+
+absl::StatusOr<Certificate> ReadCertificate(const char* flag, const std::string& path) {
+  const Bio file(BIO_new_file(path.c_str(), "r"));
+  if (file != nullptr) {
+    Certificate certificate(PEM_read_bio_X509(file.get(), nullptr, nullptr, nullptr));
+    if (certificate != nullptr) return certificate;
+  }
+  return NotOf(flag, path, "a certificate");
+}
+
+absl::StatusOr<Key> ReadKey(const std::string& path) {
+  const Bio file(BIO_new_file(path.c_str(), "r"));
+  char no_password[] = "";
+  if (file != nullptr) {
+    Key key(PEM_read_bio_PrivateKey(file.get(), nullptr, nullptr, no_password));
+    if (key != nullptr) return key;
+  }
+  return NotOf("--tls_key", path, "a private key without a password");
+}
+
+}  // namespace
+
+absl::Status TlsFiles::Validate() const {
+  if (certificate.empty() != key.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        certificate.empty() ? "--tls_certificate" : "--tls_key", ": expected a file beside ",
+        certificate.empty() ? "--tls_key" : "--tls_certificate", ", received none"));
+  }
+  if (!client_ca.empty() && !enabled()) {
+    return absl::InvalidArgumentError(
+        "--tls_client_ca: expected --tls_certificate and --tls_key beside it, received neither");
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
+    const TlsFiles& files) {
+  if (!files.enabled()) return grpc::InsecureServerCredentials();
+  const auto certificate = ReadCertificate("--tls_certificate", files.certificate);
+  if (!certificate.ok()) return certificate.status();
+  const auto key = ReadKey(files.key);
+  if (!key.ok()) return key.status();
+  if (X509_check_private_key(certificate->get(), key->get()) != 1) {
+    ERR_clear_error();
+    return absl::InvalidArgumentError(absl::StrCat("--tls_key: expected the key of ",
+                                                   files.certificate, ", received ", files.key));
+  }
+  grpc::experimental::TlsServerCredentialsOptions options(
+      std::make_shared<grpc::experimental::FileWatcherCertificateProvider>(
+          files.key, files.certificate, files.client_ca, kRefreshSeconds));
+  options.watch_identity_key_cert_pairs();
+  if (!files.client_ca.empty()) {
+    const auto authority = ReadCertificate("--tls_client_ca", files.client_ca);
+    if (!authority.ok()) return authority.status();
+    options.watch_root_certs();
+    options.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
+  }
+  return grpc::experimental::TlsServerCredentials(options);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,135 @@
+#include "core/learning/fleet_head.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include "core/learning/eligibility_trace.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kSize = 6;
+
+std::shared_ptr<const Policy> TestPolicy() {
+  Policy policy;
+  policy.action_space = ActionSpace::Discrete(2);
+  policy.weights.head.weight = {.shape = {2, 3}, .values = {3.0f, -2.0f, 1.0f, 0.1f, 5.0f, -4.0f}};
+  policy.weights.head.bias = {.shape = {2}, .values = {0.1f, -0.1f}};
+  return std::make_shared<const Policy>(std::move(policy));
+}
+
+// What session `i` gives, of some hundredths.
+std::vector<float> Contribution(int i) {
+  std::vector<float> contribution(kSize);
+  for (size_t j = 0; j < kSize; ++j) {
+    contribution[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
+  }
+  return contribution;
+}
+
+void ExpectNear(const std::vector<float>& actual, const std::vector<float>& expected) {
+  ASSERT_EQ(actual.size(), expected.size());
+  for (size_t j = 0; j < actual.size(); ++j) {
+    EXPECT_NEAR(actual[j], expected[j], FleetHead::kMergeTolerance) << j;
+  }
+}
+
+TEST(FleetHeadTest, StartsAsThePolicys) {
+  const auto policy = TestPolicy();
+  const FleetHead fleet(policy);
+  EXPECT_EQ(fleet.Read()->head.weight.values, policy->weights.head.weight.values);
+  EXPECT_EQ(fleet.Read()->head.bias.values, policy->weights.head.bias.values);
+  EXPECT_EQ(fleet.Read()->drift, 0.0);
+}
+
+TEST(FleetHeadTest, ASnapshotNeverChanges) {
+  FleetHead fleet(TestPolicy());
+  const auto before = fleet.Read();
+  const auto merged = fleet.Merge(Contribution(1), 10.0);
+  EXPECT_EQ(merged.outcome, UpdateOutcome::kApplied);
+  EXPECT_EQ(before->delta, std::vector<float>(kSize, 0.0f));
+  EXPECT_EQ(merged.snapshot->delta, Contribution(1));
+  EXPECT_EQ(fleet.Read()->updates, 1);
+}
+
+// Sixty-four sessions, each on a thread, and readers beside them.
+TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
+  constexpr int kSessions = 64, kEpisodes = 10;
+  std::vector<double> sum(kSize, 0.0);
+  for (int i = 0; i < kSessions * kEpisodes; ++i) {
+    for (size_t j = 0; j < kSize; ++j) sum[j] += static_cast<double>(Contribution(i)[j]);
+  }
+  FleetHead fleet(TestPolicy());
+  std::vector<std::thread> sessions;
+  for (int session = 0; session < kSessions; ++session) {
+    sessions.emplace_back([&fleet, session] {
+      for (int i = 0; i < kEpisodes; ++i) {
+        EXPECT_LE(fleet.Read()->drift, FleetOptions().max_drift + 1e-6);
+        fleet.Merge(Contribution(session * kEpisodes + i), 10.0);
+      }
+    });
+  }
+  for (std::thread& session : sessions) session.join();
+  ExpectNear(fleet.Read()->delta, std::vector<float>(sum.begin(), sum.end()));
+  EXPECT_EQ(fleet.Read()->updates, kSessions * kEpisodes);
+}
+
+TEST(FleetHeadTest, NoContributionIsLongerThanTheClip) {
+  FleetHead fleet(TestPolicy(), {.clip = 0.25, .max_drift = 1.0, .guard_margin = 0.02});
+  fleet.Merge(std::vector<float>(kSize, 1e30f), 10.0);
+  EXPECT_NEAR(FrobeniusNorm(fleet.Read()->delta), 0.25, 1e-6);
+}
+
+TEST(FleetHeadTest, DriftStaysWithinItsBound) {
+  FleetHead fleet(TestPolicy(), {.clip = 0.5, .max_drift = 0.1, .guard_margin = 0.02});
+  for (int i = 0; i < 19; ++i) fleet.Merge(std::vector<float>(kSize, 1.0f), 10.0);
+  EXPECT_NEAR(fleet.Read()->drift, 0.1, 1e-6);
+}
+
+TEST(FleetHeadTest, NonFiniteContributionsAreRefused) {
+  FleetHead fleet(TestPolicy());
+  fleet.Merge(Contribution(1), 10.0);
+  std::vector<float> broken = Contribution(2);
+  broken[3] = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_EQ(fleet.Merge(broken, 10.0).outcome, UpdateOutcome::kNonFinite);
+  EXPECT_EQ(fleet.Read()->delta, Contribution(1));
+  EXPECT_EQ(fleet.Read()->rejected, 1);
+}
+
+TEST(FleetHeadTest, AnOperatorPutsThePolicysHeadBackBitForBit) {
+  const auto policy = TestPolicy();
+  FleetHead fleet(policy);
+  fleet.Merge(Contribution(1), 10.0);
+  EXPECT_GT(fleet.Rollback()->drift, 0.0);
+  EXPECT_EQ(fleet.Read()->head.weight.values, policy->weights.head.weight.values);
+  EXPECT_EQ(fleet.Read()->drift, 0.0);
+  EXPECT_EQ(fleet.Read()->updates, 0);
+  EXPECT_EQ(fleet.Read()->rollbacks, 1);
+}
+
+TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {
+  FleetHead fleet(TestPolicy());
+  const auto window = [&](double level) {
+    bool rolled_back = false;
+    for (size_t i = 0; i < ReturnGuard::kWindow; ++i) {
+      rolled_back = fleet.Merge(Contribution(1), level).rolled_back;
+    }
+    return rolled_back;
+  };
+  EXPECT_FALSE(window(100.0));
+  const std::vector<float> good = fleet.Read()->delta;
+  EXPECT_FALSE(window(200.0));
+  EXPECT_TRUE(window(100.0));
+  EXPECT_EQ(fleet.Read()->delta, good);
+  EXPECT_EQ(fleet.Read()->rollbacks, 1);
+  EXPECT_EQ(fleet.Read()->level.mean, 100.0);
+}
+
+}  // namespace
+}  // namespace spikeserve
