@@ -11,10 +11,10 @@ packages=(
   # toolchain
   g++ make cmake ninja-build ccache git clang clang-format pkg-config
   # server, client, core
-  libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev libeigen3-dev
+  libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
   prometheus-cpp-dev libcivetweb-dev libhwy-dev nlohmann-json3-dev zlib1g-dev
   # training only
-  libtorch-dev libopenblas-dev
+  libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo
   libgtest-dev libgmock-dev prometheus ca-certificates curl python3 python3-venv
 )

@@ -136,12 +136,12 @@ v1::ActionSpace ToProto(const ActionSpace& space) {
   return proto;
 }
 
-v1::PolicyInfo ToProto(const ServedPolicy& served, bool is_default) {
+v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
   const Policy& policy = served.policy();
   v1::PolicyInfo proto;
   proto.set_name(served.name);
   proto.set_version(served.version);
-  proto.set_is_default(is_default);
+  proto.set_is_default(served.version == entry.DefaultVersion());
   proto.set_observation_size(policy.observation_size());
   *proto.mutable_action_space() = ToProto(policy.action_space);
   proto.set_context_length(policy.config.context);
@@ -151,6 +151,11 @@ v1::PolicyInfo ToProto(const ServedPolicy& served, bool is_default) {
   }
   proto.set_environment(policy.environment);
   proto.set_mode(std::string(ToString(policy.config.mode)));
+  for (const auto& [label, version] : entry.labels) {
+    if (version == served.version) proto.add_version_labels(label);
+  }
+  if (!entry.shares.empty()) proto.set_traffic_percent(entry.PercentOf(served.version));
+  proto.set_is_shadow(served.version == entry.shadow_version);
   return proto;
 }
 

@@ -12,6 +12,7 @@
 #include "core/session/agent_session.h"
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
+#include "server/policy_catalog.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -27,7 +28,8 @@ absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& conf
                                                   const ActionSelection& selection);
 
 v1::ActionSpace ToProto(const ActionSpace& space);
-v1::PolicyInfo ToProto(const ServedPolicy& served, bool is_default);
+// `entry` is that of the policy `served` is a version of.
+v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served);
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary);
 v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta);
 

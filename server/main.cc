@@ -25,6 +25,9 @@ ABSL_FLAG(std::string, listen, spikeserve::ServerOptions().listen,
           "HOST:PORT for gRPC; port 0 picks a free one");
 ABSL_FLAG(std::string, http_listen, spikeserve::ServerOptions().http_listen,
           "HOST:PORT for /metrics and /healthz; port 0 picks a free one; empty for none");
+ABSL_FLAG(absl::Duration, poll_policies, spikeserve::ServerOptions().poll_policies,
+          "How often to look for new, changed and removed files below --policies; 0 for only when "
+          "an operator asks");
 ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
 ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_after,
@@ -46,6 +49,7 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.policies = absl::GetFlag(FLAGS_policies);
   options.listen = absl::GetFlag(FLAGS_listen);
   options.http_listen = absl::GetFlag(FLAGS_http_listen);
+  options.poll_policies = absl::GetFlag(FLAGS_poll_policies);
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
   options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);

@@ -38,9 +38,13 @@ Buckets Returns() {
 }
 
 std::string MethodName(Method method) {
-  static constexpr const char* kNames[kMethods] = {"ListPolicies", "OpenSession", "Act",
-                                                   "ActBatch",     "ActStream",   "EndEpisode",
-                                                   "GetSession",   "CloseSession"};
+  static constexpr const char* kNames[kMethods] = {
+      "ListPolicies", "OpenSession",    "Act",
+      "ActBatch",     "ActStream",      "EndEpisode",
+      "GetSession",   "CloseSession",   "LoadPolicy",
+      "UnloadPolicy", "ReloadPolicies", "SetDefaultVersion",
+      "SetLabel",     "RemoveLabel",    "SetTraffic",
+      "ListSessions", "Drain"};
   return kNames[static_cast<size_t>(method)];
 }
 
@@ -79,8 +83,9 @@ Metrics::Metrics()
       head_drift_(Register(BuildGauge(), "spikeserve_head_drift_ratio",
                            "|W - W_base| / |W_base| of the action head, where the session that "
                            "learned last ended its episode.")),
-      policy_info_(
-          Register(BuildGauge(), "spikeserve_policy_info", "1 for every policy version served.")),
+      policy_info_(Register(BuildGauge(), "spikeserve_policy_info",
+                            "Copies of a policy version in memory: 1 from its load until it "
+                            "is unloaded and its last session has ended, then 0.")),
       rpc_duration_(Register(
           BuildHistogram(), "spikeserve_rpc_duration_seconds",
           "Time to handle one call as the server sees it, by method and gRPC status code; for "
@@ -107,9 +112,9 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   prometheus::Labels info = with("environment", policy.environment);
   const std::string_view mode = ToString(policy.config.mode);
   info.emplace("mode", mode);
-  policy_info_.Add(info).Set(1);
 
   PolicyMetrics::Handles handles;
+  handles.info = &policy_info_.Add(info);
   handles.decisions = &decisions_.Add(labels);
   handles.spikes_per_decision = &spikes_per_decision_.Add(labels, Spikes());
   for (int i = 0; i < kStages; ++i) {

@@ -21,7 +21,7 @@
 
 namespace spikeserve {
 
-// The calls of PolicyService.
+// The calls of PolicyService, then those of PolicyAdmin.
 enum class Method {
   kListPolicies,
   kOpenSession,
@@ -31,8 +31,17 @@ enum class Method {
   kEndEpisode,
   kGetSession,
   kCloseSession,
+  kLoadPolicy,
+  kUnloadPolicy,
+  kReloadPolicies,
+  kSetDefaultVersion,
+  kSetLabel,
+  kRemoveLabel,
+  kSetTraffic,
+  kListSessions,
+  kDrain,
 };
-inline constexpr int kMethods = 8;
+inline constexpr int kMethods = 17;
 
 class Metrics {
  public:
@@ -52,6 +61,9 @@ class Metrics {
 
   // How many sessions may be open at a time.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
+
+  // For figures that are kept elsewhere; what they belong to must not outlive these metrics.
+  prometheus::Registry& registry() { return registry_; }
 
   // Everything, this process's use of its machine included, in Prometheus's text format.
   std::string ToText() const;

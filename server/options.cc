@@ -19,6 +19,11 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(absl::StrCat(
         "--session_ttl: expected at least 1ms, received ", absl::FormatDuration(session_ttl)));
   }
+  if (poll_policies != absl::ZeroDuration() && poll_policies < absl::Milliseconds(1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--poll_policies: expected 0 or at least 1ms, received ",
+                     absl::FormatDuration(poll_policies)));
+  }
   if (compact_after < absl::Milliseconds(1)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--compact_after: expected at least 1ms, received ", absl::FormatDuration(compact_after)));

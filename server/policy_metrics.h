@@ -21,6 +21,7 @@ class PolicyMetrics final : public SessionObserver {
  public:
   // One time series each, all of this policy version.
   struct Handles {
+    prometheus::Gauge* info;
     prometheus::Counter* decisions;
     prometheus::Histogram* spikes_per_decision;
     std::array<prometheus::Counter*, kStages> spikes;
@@ -40,7 +41,10 @@ class PolicyMetrics final : public SessionObserver {
   };
 
   // `dense` as EstimateEnergy takes it. The handles must outlive this object.
-  PolicyMetrics(const Handles& handles, bool dense) : handles_(handles), dense_(dense) {}
+  PolicyMetrics(const Handles& handles, bool dense) : handles_(handles), dense_(dense) {
+    handles_.info->Increment();
+  }
+  ~PolicyMetrics() override { handles_.info->Decrement(); }
 
   void OnOpen() override { handles_.sessions->Increment(); }
   void OnClose() override { handles_.sessions->Decrement(); }

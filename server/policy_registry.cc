@@ -1,137 +1,247 @@
 #include "server/policy_registry.h"
 
-#include <algorithm>
-#include <filesystem>
-#include <system_error>
 #include <utility>
 
-#include "absl/strings/ascii.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
-#include "core/engine/engine.h"
 #include "core/model/json.h"
-#include "core/model/policy_file.h"
 
 namespace spikeserve {
 namespace {
 
-namespace fs = std::filesystem;
-
-// The folders in `directory` by name, hidden ones left out.
-absl::StatusOr<std::vector<fs::path>> ListFolders(const fs::path& directory) {
-  std::error_code error;
-  std::vector<fs::path> folders;
-  fs::directory_iterator it(directory, error);
-  for (; !error && it != fs::directory_iterator(); it.increment(error)) {
-    std::error_code ignored;  // a dangling link is no folder
-    const bool hidden = it->path().filename().native().starts_with('.');
-    if (!hidden && it->is_directory(ignored)) folders.push_back(it->path());
-  }
-  if (error) {
-    return absl::NotFoundError(absl::StrCat(directory.string(), ": ", error.message()));
-  }
-  std::sort(folders.begin(), folders.end());
-  return folders;
+// NOT_FOUND unless the policy has this version.
+absl::Status CheckVersion(const CatalogPolicy& policy, const std::string& name, int64_t version) {
+  if (policy.versions.contains(version)) return absl::OkStatus();
+  return absl::NotFoundError(absl::StrCat("version: expected one that is served of policy ", name,
+                                          ", received ", version));
 }
 
-// Names become metric labels and proto strings, so they stay plain.
-bool IsPolicyName(const std::string& name) {
-  return std::all_of(name.begin(), name.end(), [](char c) {
-    return absl::ascii_isalnum(c) || c == '.' || c == '-' || c == '_';
-  });
-}
-
-// Decimal digits without a leading zero, so that no two folders are one version.
-absl::StatusOr<int64_t> ParseVersion(const fs::path& folder) {
-  const std::string name = folder.filename().string();
-  int64_t version = 0;
-  if (!absl::SimpleAtoi(name, &version) || version < 1 || absl::StrCat(version) != name) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(folder.string(), ": expected a version, a positive integer, as its name"));
+absl::Status CheckShares(const CatalogPolicy& policy, const std::string& name,
+                         const std::vector<TrafficShare>& shares) {
+  int sum = 0;
+  std::set<int64_t> seen;
+  for (const TrafficShare& share : shares) {
+    if (auto status = CheckVersion(policy, name, share.version); !status.ok()) return status;
+    if (share.percent < 0 || share.percent > 100) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("shares: expected percents in [0, 100], received ", share.percent,
+                       " for version ", share.version));
+    }
+    if (!seen.insert(share.version).second) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("shares: expected each version once, received ", share.version, " twice"));
+    }
+    sum += share.percent;
   }
-  return version;
+  if (shares.empty() || sum == 100) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("shares: expected percents that add up to 100, received ", sum));
 }
 
-absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadVersion(
-    const fs::path& folder, const PolicyRegistry::NewObserver& new_observer) {
-  const auto version = ParseVersion(folder);
-  if (!version.ok()) return version.status();
-  auto policy = ReadPolicyFile((folder / "policy.safetensors").string());
-  if (!policy.ok()) return policy.status();
-
-  auto served = std::make_shared<ServedPolicy>();
-  served->name = folder.parent_path().filename().string();
-  served->version = *version;
-  served->observer = new_observer(served->name, served->version, *policy);
-  served->engine = MakeStreamingEngine(std::make_shared<const Policy>(*std::move(policy)));
-  return served;
+// The shadow must fit every version that gets sessions without naming one.
+absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name) {
+  if (policy.shadow_version == 0) return absl::OkStatus();
+  if (auto status = CheckVersion(policy, name, policy.shadow_version); !status.ok()) return status;
+  std::vector<TrafficShare> shadowed = policy.shares;
+  if (shadowed.empty()) shadowed = {{.version = policy.DefaultVersion(), .percent = 100}};
+  for (const TrafficShare& share : shadowed) {
+    if (SameSpaces(*policy.versions.at(share.version),
+                   *policy.versions.at(policy.shadow_version))) {
+      continue;
+    }
+    return absl::FailedPreconditionError(
+        absl::StrCat("shadow_version: expected the observations and actions of version ",
+                     share.version, ", received version ", policy.shadow_version));
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace
 
-absl::StatusOr<PolicyRegistry> PolicyRegistry::Load(const std::string& directory,
-                                                    const NewObserver& new_observer,
-                                                    std::vector<absl::Status>* refused) {
-  const auto policy_folders = ListFolders(directory);
-  if (!policy_folders.ok()) return policy_folders.status();
-
-  PolicyRegistry registry;
-  for (const fs::path& policy_folder : *policy_folders) {
-    const std::string name = policy_folder.filename().string();
-    if (!IsPolicyName(name)) {
-      refused->push_back(absl::InvalidArgumentError(absl::StrCat(
-          Quoted(policy_folder.string()), ": expected a name of letters, digits, '.', '-', '_'")));
-      continue;
-    }
-    const auto version_folders = ListFolders(policy_folder);
-    if (!version_folders.ok()) {
-      refused->push_back(version_folders.status());
-      continue;
-    }
-    for (const fs::path& folder : *version_folders) {
-      auto served = LoadVersion(folder, new_observer);
-      if (served.ok()) {
-        registry.policies_[name].emplace((*served)->version, *std::move(served));
-      } else {
-        refused->push_back(served.status());
-      }
-    }
-  }
+absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
+    const std::string& directory, NewObserver new_observer, std::vector<absl::Status>* refused) {
+  auto registry =
+      std::unique_ptr<PolicyRegistry>(new PolicyRegistry(directory, std::move(new_observer)));
+  auto report = registry->Reload();
+  if (!report.ok()) return report.status();
+  *refused = std::move(report->refused);
   return registry;
 }
 
-absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Find(const std::string& name,
-                                                                         int64_t version) const {
-  const auto policy = policies_.find(name);
-  if (policy == policies_.end()) {
-    const std::string names = absl::StrJoin(
-        policies_, ", ", [](std::string* out, const auto& item) { *out += item.first; });
+std::shared_ptr<const PolicyCatalog> PolicyRegistry::catalog() const {
+  absl::MutexLock lock(&mutex_);
+  return catalog_;
+}
+
+void PolicyRegistry::Publish(PolicyCatalog catalog) {
+  std::shared_ptr<const PolicyCatalog> next =
+      std::make_shared<const PolicyCatalog>(std::move(catalog));
+  absl::MutexLock lock(&mutex_);
+  catalog_.swap(next);
+}
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
+    const PolicyVersion& version) {
+  // The stamp first: a file that changes while it is read is read again.
+  KnownFile& file = files_[version];
+  file.stamp = StampOf(PolicyFilePath(directory_, version));
+  auto served = LoadPolicyVersion(directory_, version, new_observer_);
+  file.status = served.status();
+  return served;
+}
+
+absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
+  absl::MutexLock change(&change_mutex_);
+  auto folders = ListPolicyFolders(directory_);
+  if (!folders.ok()) return folders.status();
+  ReloadReport report;
+  report.refused = std::move(folders->refused);
+  PolicyCatalog catalog = *this->catalog();
+  LoadChanged(folders->versions, &catalog, &report);
+  DropGone(&catalog, &report);
+  if (!report.loaded.empty() || !report.unloaded.empty()) Publish(std::move(catalog));
+  return report;
+}
+
+void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, PolicyCatalog* catalog,
+                                 ReloadReport* report) {
+  std::map<PolicyVersion, KnownFile> still_there;
+  for (const PolicyVersion& version : versions) {
+    if (kept_out_.contains(version)) continue;
+    const auto known = files_.find(version);
+    const FileStamp stamp = StampOf(PolicyFilePath(directory_, version));
+    if (known == files_.end() || known->second.stamp != stamp) {
+      if (auto served = Read(version); served.ok()) {
+        catalog->policies()[version.policy].versions[version.version] = *std::move(served);
+        report->loaded.push_back(version);
+      }
+    }
+    still_there.emplace(version, files_[version]);
+    const absl::Status& status = files_[version].status;
+    if (!status.ok()) report->refused.push_back(status);
+  }
+  files_ = std::move(still_there);
+}
+
+void PolicyRegistry::DropGone(PolicyCatalog* catalog, ReloadReport* report) {
+  for (auto policy = catalog->policies().begin(); policy != catalog->policies().end();) {
+    auto& versions = policy->second.versions;
+    for (auto it = versions.begin(); it != versions.end();) {
+      const PolicyVersion version = {.policy = policy->first, .version = it->first};
+      const std::string path = PolicyFilePath(directory_, version);
+      const std::string use = policy->second.UseOf(version.version);
+      const bool gone = StampOf(path).size < 0;
+      if (gone && !use.empty()) {
+        report->refused.push_back(absl::FailedPreconditionError(
+            absl::StrCat(path, ": the file is gone; the version is served because it is ", use)));
+      }
+      if (gone && use.empty()) {
+        report->unloaded.push_back(version);
+        it = versions.erase(it);
+      } else {
+        ++it;
+      }
+    }
+    policy = versions.empty() ? catalog->policies().erase(policy) : std::next(policy);
+  }
+}
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
+    const PolicyVersion& version) {
+  if (!IsPlainName(version.policy)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("policy: expected a name of letters, digits, '.', '-', '_', received ",
+                     Quoted(version.policy)));
+  }
+  if (version.version < 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("version: expected at least 1, received ", version.version));
+  }
+  absl::MutexLock change(&change_mutex_);
+  auto served = Read(version);
+  if (!served.ok()) return served.status();
+  kept_out_.erase(version);
+  PolicyCatalog catalog = *this->catalog();
+  catalog.policies()[version.policy].versions[version.version] = *served;
+  Publish(std::move(catalog));
+  return served;
+}
+
+absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
+  absl::MutexLock change(&change_mutex_);
+  PolicyCatalog catalog = *this->catalog();
+  const auto found = catalog.FindPolicy(version.policy);
+  if (!found.ok()) return found.status();
+  CatalogPolicy& policy = catalog.policies()[version.policy];
+  if (auto status = CheckVersion(policy, version.policy, version.version); !status.ok()) {
+    return status;
+  }
+  if (const std::string use = policy.UseOf(version.version); !use.empty()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("version: expected one that nothing was set to, received ", version.version,
+                     ", which is ", use));
+  }
+  policy.versions.erase(version.version);
+  if (policy.versions.empty()) catalog.policies().erase(version.policy);
+  kept_out_.insert(version);
+  files_.erase(version);
+  Publish(std::move(catalog));
+  return absl::OkStatus();
+}
+
+absl::Status PolicyRegistry::Change(const std::string& policy,
+                                    absl::FunctionRef<absl::Status(CatalogPolicy& policy)> change) {
+  absl::MutexLock lock(&change_mutex_);
+  PolicyCatalog catalog = *this->catalog();
+  if (const auto found = catalog.FindPolicy(policy); !found.ok()) return found.status();
+  if (auto status = change(catalog.policies()[policy]); !status.ok()) return status;
+  Publish(std::move(catalog));
+  return absl::OkStatus();
+}
+
+absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, int64_t version) {
+  int64_t result = 0;
+  const absl::Status status = Change(policy, [&](CatalogPolicy& changed) {
+    if (version != 0) {
+      if (auto known = CheckVersion(changed, policy, version); !known.ok()) return known;
+    }
+    changed.chosen_default = version;
+    result = changed.DefaultVersion();
+    return absl::OkStatus();
+  });
+  if (!status.ok()) return status;
+  return result;
+}
+
+absl::Status PolicyRegistry::SetLabel(const PolicyVersion& version, const std::string& label) {
+  if (!IsPlainName(label)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("label: expected letters, digits, '.', '-', '_', received ", Quoted(label)));
+  }
+  return Change(version.policy, [&](CatalogPolicy& changed) {
+    if (auto status = CheckVersion(changed, version.policy, version.version); !status.ok()) {
+      return status;
+    }
+    changed.labels[label] = version.version;
+    return absl::OkStatus();
+  });
+}
+
+absl::Status PolicyRegistry::RemoveLabel(const std::string& policy, const std::string& label) {
+  return Change(policy, [&](CatalogPolicy& changed) {
+    if (changed.labels.erase(label) == 1) return absl::OkStatus();
     return absl::NotFoundError(
-        absl::StrCat("policy: expected one of [", names, "], received ", Quoted(name)));
-  }
-  if (version == 0) return policy->second.rbegin()->second;
-  const auto found = policy->second.find(version);
-  if (found == policy->second.end()) {
-    const std::string versions =
-        absl::StrJoin(policy->second, ", ",
-                      [](std::string* out, const auto& item) { absl::StrAppend(out, item.first); });
-    return absl::NotFoundError(absl::StrCat("version: expected 0 or one of [", versions,
-                                            "] of policy ", name, ", received ", version));
-  }
-  return found->second;
+        absl::StrCat("label: expected one of policy ", policy, ", received ", Quoted(label)));
+  });
 }
 
-int64_t PolicyRegistry::DefaultVersion(const std::string& name) const {
-  return policies_.at(name).rbegin()->first;
-}
-
-std::vector<std::shared_ptr<const ServedPolicy>> PolicyRegistry::List() const {
-  std::vector<std::shared_ptr<const ServedPolicy>> list;
-  for (const auto& [name, versions] : policies_) {
-    for (const auto& [version, served] : versions) list.push_back(served);
-  }
-  return list;
+absl::Status PolicyRegistry::SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
+                                        int64_t shadow_version) {
+  return Change(policy, [&](CatalogPolicy& changed) {
+    if (auto status = CheckShares(changed, policy, shares); !status.ok()) return status;
+    changed.shares = std::move(shares);
+    changed.shadow_version = shadow_version;
+    return CheckShadow(changed, policy);
+  });
 }
 
 }  // namespace spikeserve

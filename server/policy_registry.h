@@ -1,46 +1,111 @@
-// The policy versions a server has loaded from DIR/<policy>/<version>/policy.safetensors.
+// The policy versions a server serves, live: versions come and go while sessions run.
 //
-// Immutable once loaded; safe to use from many threads.
+// Thread-safe. Readers take a snapshot and keep it for as long as they like; changes are made one
+// at a time, files are read outside of the readers' lock, and a session keeps the version it was
+// opened on. What an operator sets holds until the server ends.
 #ifndef SERVER_POLICY_REGISTRY_H_
 #define SERVER_POLICY_REGISTRY_H_
 
 #include <cstdint>
-#include <functional>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
+#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/session/served_policy.h"
+#include "absl/synchronization/mutex.h"
+#include "server/policy_catalog.h"
+#include "server/policy_repository.h"
 
 namespace spikeserve {
 
+// What Reload did.
+struct ReloadReport {
+  std::vector<PolicyVersion> loaded;    // new, or read again because the file changed
+  std::vector<PolicyVersion> unloaded;  // their files are gone
+  std::vector<absl::Status> refused;    // everything that is amiss now; the path comes first
+};
+
 class PolicyRegistry {
  public:
-  // Makes the observer of one policy version.
-  using NewObserver = std::function<std::shared_ptr<SessionObserver>(
-      const std::string& name, int64_t version, const Policy& policy)>;
-
   // Loads what can be loaded. What cannot be goes to `refused`, one status each, whose message
   // starts with the path; the others are served. NOT_FOUND if there is no such directory.
-  static absl::StatusOr<PolicyRegistry> Load(const std::string& directory,
-                                             const NewObserver& new_observer,
-                                             std::vector<absl::Status>* refused);
+  static absl::StatusOr<std::unique_ptr<PolicyRegistry>> Load(const std::string& directory,
+                                                              NewObserver new_observer,
+                                                              std::vector<absl::Status>* refused);
 
-  // A version, or the default for 0. NOT_FOUND says which policies or versions there are.
-  absl::StatusOr<std::shared_ptr<const ServedPolicy>> Find(const std::string& name,
-                                                           int64_t version) const;
+  // What is served now. Never null.
+  std::shared_ptr<const PolicyCatalog> catalog() const;
 
-  // The default of a policy: its highest version. REQUIRES: List() has a policy of this name.
-  int64_t DefaultVersion(const std::string& name) const;
+  const std::string& directory() const { return directory_; }
 
-  // Every policy version, by name, then version.
-  std::vector<std::shared_ptr<const ServedPolicy>> List() const;
+  // Brings the catalog in line with the directory: reads new and changed files, and drops versions
+  // whose files are gone unless an operator set something to them. A file that is refused changes
+  // nothing: the version that was read before goes on. NOT_FOUND if the directory cannot be read;
+  // then nothing changes.
+  absl::StatusOr<ReloadReport> Reload();
+
+  // Reads this version now, whatever was served under its number. NOT_FOUND without a file,
+  // INVALID_ARGUMENT where it is refused; then nothing changes.
+  absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadVersion(const PolicyVersion& version);
+
+  // Each NOT_FOUND for a policy or version that is not served, and then nothing changes.
+
+  // Drops a version, and keeps it out of reloads until LoadVersion names it. FAILED_PRECONDITION
+  // while an operator's setting points at it.
+  absl::Status Unload(const PolicyVersion& version);
+
+  // The default; 0 makes it the highest version, now and later. Returns what it is now.
+  absl::StatusOr<int64_t> SetDefault(const std::string& policy, int64_t version);
+
+  // INVALID_ARGUMENT unless the label is plain.
+  absl::Status SetLabel(const PolicyVersion& version, const std::string& label);
+  absl::Status RemoveLabel(const std::string& policy, const std::string& label);
+
+  // How new sessions that name no version are divided (none: to the default), and which version
+  // shadows the others (0: none). INVALID_ARGUMENT unless every share is in [0, 100], no version
+  // comes twice and they add up to 100; FAILED_PRECONDITION for a shadow whose observations or
+  // actions are not those of the versions it would shadow.
+  absl::Status SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
+                          int64_t shadow_version);
 
  private:
-  std::map<std::string, std::map<int64_t, std::shared_ptr<const ServedPolicy>>> policies_;
+  // A version's file when it was last read.
+  struct KnownFile {
+    FileStamp stamp;
+    absl::Status status;  // why it was refused
+  };
+
+  PolicyRegistry(std::string directory, NewObserver new_observer)
+      : directory_(std::move(directory)), new_observer_(std::move(new_observer)) {}
+
+  void Publish(PolicyCatalog catalog) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // Applies `change` to a copy of the policy, and publishes it where that succeeds.
+  absl::Status Change(const std::string& policy,
+                      absl::FunctionRef<absl::Status(CatalogPolicy& policy)> change);
+
+  absl::StatusOr<std::shared_ptr<const ServedPolicy>> Read(const PolicyVersion& version)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  void LoadChanged(const std::vector<PolicyVersion>& versions, PolicyCatalog* catalog,
+                   ReloadReport* report) ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  void DropGone(PolicyCatalog* catalog, ReloadReport* report)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+
+  const std::string directory_;
+  const NewObserver new_observer_;
+
+  absl::Mutex change_mutex_;  // held for a whole change, taken before mutex_
+  std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
+  std::set<PolicyVersion> kept_out_ ABSL_GUARDED_BY(change_mutex_);
+
+  mutable absl::Mutex mutex_;  // held for a copy of the pointer
+  std::shared_ptr<const PolicyCatalog> catalog_ ABSL_GUARDED_BY(mutex_) =
+      std::make_shared<const PolicyCatalog>();
 };
 
 }  // namespace spikeserve

@@ -51,42 +51,78 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   return options;
 }
 
+// The version a new session gets. Without a routing key the session's id divides the traffic.
+absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const std::string& id,
+                                  const PolicyCatalog& catalog) {
+  const std::string& key = request.routing_key();
+  if (key.size() > LabelLimits::kBytes) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "routing_key: expected at most ", LabelLimits::kBytes, " bytes, received ", key.size()));
+  }
+  return catalog.Choose({.policy = request.policy(),
+                         .version = request.version(),
+                         .label = request.version_label(),
+                         .routing_key = key.empty() ? id : key});
+}
+
+// What the shadow of a session is to see of the decision that was just made.
+ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
+  return {.episode = session.episode,
+          .step = request.step(),
+          .observation = {request.observation().begin(), request.observation().end()},
+          .reward = request.reward(),
+          .target_return = session.target_return,
+          .served = *session.last_answer};
+}
+
 }  // namespace
 
 void DeferredWork::Run() {
   for (const auto& entry : entries_) {
     absl::MutexLock lock(&entry->mutex);
     entry->agent.AppendPendingAction();
+    if (entry->shadow == nullptr || entry->shadow_steps.empty()) continue;
+    shadows_->Submit(entry->shadow, entry->served->version, std::exchange(entry->shadow_steps, {}));
   }
   entries_.clear();
 }
 
-RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store)
-    : registry_(registry), store_(store) {}
+RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store,
+                               ShadowRunner* shadows, const Clock* clock)
+    : registry_(registry), store_(store), shadows_(shadows), clock_(clock) {}
 
 absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
                                           v1::ListPoliciesResponse* response) const {
-  for (const auto& served : registry_->List()) {
-    const bool is_default = registry_->DefaultVersion(served->name) == served->version;
-    *response->add_policies() = ToProto(*served, is_default);
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    for (const auto& [version, served] : policy.versions) {
+      *response->add_policies() = ToProto(policy, *served);
+    }
   }
   return absl::OkStatus();
 }
 
 absl::Status RequestHandler::OpenSession(const v1::OpenSessionRequest& request,
                                          v1::OpenSessionResponse* response) const {
-  auto served = registry_->Find(request.policy(), request.version());
-  if (!served.ok()) return served.status();
-  auto options = OptionsFromProto(request, **served);
+  auto id = NewSessionId();
+  if (!id.ok()) return id.status();
+  const auto route = ChooseRoute(request, *id, *registry_->catalog());
+  if (!route.ok()) return route.status();
+  const ServedPolicy& served = *route->served;
+  auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
   const double target_return = options->target_return;
-  auto id = store_->Open(*served, *std::move(options));
+  SessionExtras extras = {.id = *std::move(id), .shadow = nullptr};
+  if (route->shadow != nullptr) {
+    extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
+  }
+  id = store_->Open(route->served, *std::move(options), std::move(extras));
   if (!id.ok()) return id.status();
 
-  const Policy& policy = (*served)->policy();
+  const Policy& policy = served.policy();
   response->set_session_id(*std::move(id));
-  response->set_policy((*served)->name);
-  response->set_version((*served)->version);
+  response->set_policy(served.name);
+  response->set_version(served.version);
   response->set_observation_size(policy.observation_size());
   *response->mutable_action_space() = ToProto(policy.action_space);
   response->set_context_length(policy.config.context);
@@ -100,12 +136,18 @@ absl::Status RequestHandler::Act(const v1::ActRequest& request, v1::ActResponse*
   if (!entry.ok()) return entry.status();
   {
     absl::MutexLock lock(&(*entry)->mutex);
+    const Session& session = (*entry)->agent.session();
+    const uint64_t decisions = session.decisions;
     const auto answer =
         (*entry)->agent.Act(request.step(), request.observation(), request.reward());
     if (!answer.ok()) return answer.status();
+    const bool is_retry = session.decisions == decisions;
+    if ((*entry)->shadow != nullptr && !is_retry) {
+      (*entry)->shadow_steps.push_back(MakeShadowStep(request, session));
+    }
     ToProto(request.session_id(), **answer, (*entry)->served->policy(), response);
   }
-  deferred->Add(*std::move(entry));
+  deferred->Add(*std::move(entry), shadows_);
   return absl::OkStatus();
 }
 

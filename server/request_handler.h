@@ -12,30 +12,38 @@
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
 #include "server/policy_registry.h"
+#include "server/shadow_runner.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
-// What is left to do once an answer has been sent: the action tokens of the sessions that decided.
+// What is left to do once an answer has been sent: the action tokens of the sessions that decided,
+// and what their shadows are to see.
 class DeferredWork {
  public:
-  void Add(std::shared_ptr<SessionEntry> entry) { entries_.push_back(std::move(entry)); }
+  // `shadows` must outlive this object.
+  void Add(std::shared_ptr<SessionEntry> entry, ShadowRunner* shadows) {
+    entries_.push_back(std::move(entry));
+    shadows_ = shadows;
+  }
   void Run();
 
  private:
   std::vector<std::shared_ptr<SessionEntry>> entries_;
+  ShadowRunner* shadows_ = nullptr;
 };
 
-// Bounds on what one OpenSession can make the server keep.
+// Bounds on what one OpenSession can make the server keep or hash.
 struct LabelLimits {
   static constexpr int kLabels = 32;
-  static constexpr size_t kBytes = 256;  // of a key or a value
+  static constexpr size_t kBytes = 256;  // of a key, a value or a routing key
 };
 
 class RequestHandler {
  public:
-  // Both must outlive the handler.
-  RequestHandler(const PolicyRegistry* registry, SessionStore* store);
+  // All must outlive the handler.
+  RequestHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
+                 const Clock* clock);
 
   // Each fills in `response` and returns OK, or returns the error that api.md names and leaves the
   // session as it was.
@@ -57,6 +65,8 @@ class RequestHandler {
  private:
   const PolicyRegistry* const registry_;
   SessionStore* const store_;
+  ShadowRunner* const shadows_;
+  const Clock* const clock_;
 };
 
 }  // namespace spikeserve

@@ -25,12 +25,6 @@ namespace {
 // with CANCELLED, which no client expects.
 constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
 
-void SetHealth(grpc::Server& server, bool serving) {
-  auto* health = server.GetHealthCheckService();
-  health->SetServingStatus("", serving);
-  health->SetServingStatus(v1::PolicyService::service_full_name(), serving);
-}
-
 // gRPC reports a port it cannot have in its log, at length; we report it in one line.
 std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
   gpr_set_log_function([](gpr_log_func_args*) {});
@@ -59,7 +53,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   for (const absl::Status& status : refused) {
     std::cerr << "spikeserve: policy refused: " << status.message() << std::endl;
   }
-  if (registry->List().empty()) {
+  if ((*registry)->catalog()->policies().empty()) {
     std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
   }
 
@@ -67,21 +61,31 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
       std::unique_ptr<Server>(new Server(options, *std::move(registry), std::move(metrics)));
   if (auto status = server->StartGrpc(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
+  if (options.poll_policies > absl::ZeroDuration()) {
+    server->poller_ =
+        std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies, refused);
+  }
   return server;
 }
 
-Server::Server(const ServerOptions& options, PolicyRegistry registry,
+Server::Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> registry,
                std::unique_ptr<Metrics> metrics)
     : options_(options),
       metrics_(std::move(metrics)),
       registry_(std::move(registry)),
+      shadows_(metrics_->registry()),
       store_(options.max_sessions, &clock_),
       reaper_(&store_,
               {.compact_after = options.compact_after, .time_to_live = options.session_ttl},
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
-      handler_(&registry_, &store_),
-      service_(
-          {.handler = &handler_, .calls = &calls_, .metrics = metrics_.get(), .clock = &clock_}) {}
+      handler_(registry_.get(), &store_, &shadows_, &clock_),
+      admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
+      service_(Parts()),
+      admin_service_(Parts(), &admin_handler_) {}
+
+ServiceParts Server::Parts() {
+  return {.handler = &handler_, .calls = &calls_, .metrics = metrics_.get(), .clock = &clock_};
+}
 
 absl::Status Server::StartGrpc() {
   grpc::EnableDefaultHealthCheckService(true);
@@ -96,12 +100,20 @@ absl::Status Server::StartGrpc() {
   grpc_address_ = *std::move(address);
   builder.AddListeningPort(options_.listen, grpc::InsecureServerCredentials(), &grpc_address_.port);
   builder.RegisterService(&service_);
+  builder.RegisterService(&admin_service_);
   grpc_ = BuildQuietly(builder);
   if (grpc_ == nullptr || grpc_address_.port == 0) {
     return absl::UnavailableError(absl::StrCat("--listen: cannot listen on ", options_.listen));
   }
-  SetHealth(*grpc_, true);
+  PublishHealth();
   return absl::OkStatus();
+}
+
+void Server::PublishHealth() {
+  auto* health = grpc_->GetHealthCheckService();
+  health->SetServingStatus("", serving());
+  health->SetServingStatus(v1::PolicyService::service_full_name(), serving());
+  health->SetServingStatus(v1::PolicyAdmin::service_full_name(), !stopping_);
 }
 
 absl::Status Server::StartHttp() {
@@ -109,7 +121,7 @@ absl::Status Server::StartHttp() {
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
   auto http = HttpServer::Start(
-      *address, [this](absl::string_view path) { return StatusPage(path, *metrics_, serving_); });
+      *address, [this](absl::string_view path) { return StatusPage(path, *metrics_, serving()); });
   if (!http.ok()) {
     return absl::Status(http.status().code(),
                         absl::StrCat("--http_listen: ", http.status().message()));
@@ -122,9 +134,10 @@ Server::~Server() { Stop(); }
 
 void Server::Stop() {
   if (grpc_ == nullptr) return;
-  serving_ = false;
+  poller_.reset();
+  stopping_ = true;
   calls_.Drain();  // before the news spreads, so that nobody who has heard it is still served
-  SetHealth(*grpc_, false);
+  PublishHealth();
   absl::SleepFor(kGoodbye);
   if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
     std::cerr << "spikeserve: calls were still in flight after the drain timeout of "

@@ -18,9 +18,13 @@
 #include "server/http_server.h"
 #include "server/metrics.h"
 #include "server/options.h"
+#include "server/policy_admin_handler.h"
+#include "server/policy_admin_service.h"
+#include "server/policy_poller.h"
 #include "server/policy_registry.h"
 #include "server/policy_service.h"
 #include "server/request_handler.h"
+#include "server/shadow_runner.h"
 
 namespace spikeserve {
 
@@ -43,24 +47,32 @@ class Server {
   void Stop();
 
  private:
-  Server(const ServerOptions& options, PolicyRegistry registry, std::unique_ptr<Metrics> metrics);
+  Server(const ServerOptions& options, std::unique_ptr<PolicyRegistry> registry,
+         std::unique_ptr<Metrics> metrics);
 
+  ServiceParts Parts();
   absl::Status StartGrpc();
   absl::Status StartHttp();
+  bool serving() const { return !stopping_ && !store_.draining(); }
+  void PublishHealth();
 
   const ServerOptions options_;
   const SteadyClock clock_;
   const std::unique_ptr<Metrics> metrics_;
-  const PolicyRegistry registry_;
+  const std::unique_ptr<PolicyRegistry> registry_;
+  ShadowRunner shadows_;
   SessionStore store_;
   SessionReaper reaper_;
   const RequestHandler handler_;
+  const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
   PolicyService service_;
-  std::atomic<bool> serving_ = true;
+  PolicyAdminService admin_service_;
+  std::atomic<bool> stopping_ = false;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
   std::unique_ptr<HttpServer> http_;
+  std::unique_ptr<PolicyPoller> poller_;  // last: it uses what is above
 };
 
 }  // namespace spikeserve

@@ -37,7 +37,8 @@ Clips ClipSampler::Sample(uint64_t key, int count, double action_noise) const {
                  .actions = std::vector<float>(slots * dataset_.action_space.size()),
                  .targets = std::vector<float>(slots * dataset_.action_space.size()),
                  .timesteps = std::vector<int64_t>(slots),
-                 .mask = std::vector<float>(slots)};
+                 .mask = std::vector<float>(slots),
+                 .weights = std::vector<float>(slots)};
   for (int clip = 0; clip < count; ++clip) {
     Fill(Draw(RandomBits({key, static_cast<uint64_t>(clip)})), clip, &clips);
   }
@@ -66,6 +67,7 @@ void ClipSampler::Fill(const Place& place, int clip, Clips* clips) const {
     clips->timesteps[slot] = step;
     if (step >= episode.steps()) continue;
     clips->mask[slot] = 1.0f;
+    clips->weights[slot] = episode.weight(step);
     clips->return_to_go[slot] = returns_to_go_[place.episode][step];
     std::copy_n(episode.observations.begin() + static_cast<int64_t>(step * obs), obs,
                 clips->observations.begin() + static_cast<int64_t>(slot * obs));

@@ -21,6 +21,7 @@ struct Clips {
   std::vector<float> targets;       // [B, n, act], the same: what to imitate
   std::vector<int64_t> timesteps;   // [B, n], within the episode
   std::vector<float> mask;          // [B, n], 1 where there is a step
+  std::vector<float> weights;       // [B, n], of the targets in the loss; 0 where there is no step
 };
 
 class ClipSampler {

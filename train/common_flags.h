@@ -23,7 +23,7 @@ namespace spikeserve {
 ExpertOptions ExpertOptionsFromFlags();
 
 // The recipe that the flags of the expert, --seed, --steps, the fractions and the bursts ask for.
-RecordOptions RecordOptionsFromFlags();
+absl::StatusOr<RecordOptions> RecordOptionsFromFlags();
 
 // INVALID_ARGUMENT if --out is missing; `what` says what it should name.
 absl::StatusOr<std::string> RequiredOut(absl::string_view what);

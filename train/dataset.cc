@@ -31,6 +31,7 @@ Json EpisodeToJson(const Episode& episode, bool discrete) {
                {"terminated", episode.terminated},
                {"truncated", episode.truncated}};
   if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
+  if (!episode.weights.empty()) json["weights"] = episode.weights;
   return json;
 }
 
@@ -56,34 +57,11 @@ Episode EpisodeFromJson(const Json& json, bool discrete) {
   json.at("observations").get_to(episode.observations);
   episode.actions = ActionsFromJson(json.at("actions"), discrete);
   if (json.contains("labels")) episode.labels = ActionsFromJson(json["labels"], discrete);
+  if (json.contains("weights")) json["weights"].get_to(episode.weights);
   json.at("rewards").get_to(episode.rewards);
   json.at("terminated").get_to(episode.terminated);
   json.at("truncated").get_to(episode.truncated);
   return episode;
-}
-
-absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
-  const size_t steps = episode.actions.size();
-  if (steps == 0) return absl::InvalidArgumentError("actions: expected at least one, got none");
-  if (episode.rewards.size() != steps) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("rewards: expected ", steps, ", got ", episode.rewards.size()));
-  }
-  const size_t numbers = (steps + 1) * dataset.observation_size;
-  if (episode.observations.size() != numbers) {
-    return absl::InvalidArgumentError(absl::StrCat("observations: expected ", numbers,
-                                                   " numbers, got ", episode.observations.size()));
-  }
-  if (!episode.labels.empty() && episode.labels.size() != steps) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("labels: expected ", steps, " or none, got ", episode.labels.size()));
-  }
-  for (const auto* actions : {&episode.actions, &episode.labels}) {
-    for (const Action& action : *actions) {
-      if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
-    }
-  }
-  return absl::OkStatus();
 }
 
 absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
@@ -110,6 +88,34 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
 }
 
 }  // namespace
+
+absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
+  const size_t steps = episode.actions.size();
+  if (steps == 0) return absl::InvalidArgumentError("actions: expected at least one, got none");
+  if (episode.rewards.size() != steps) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("rewards: expected ", steps, ", got ", episode.rewards.size()));
+  }
+  const size_t numbers = (steps + 1) * dataset.observation_size;
+  if (episode.observations.size() != numbers) {
+    return absl::InvalidArgumentError(absl::StrCat("observations: expected ", numbers,
+                                                   " numbers, got ", episode.observations.size()));
+  }
+  if (!episode.labels.empty() && episode.labels.size() != steps) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("labels: expected ", steps, " or none, got ", episode.labels.size()));
+  }
+  if (!episode.weights.empty() && episode.weights.size() != steps) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("weights: expected ", steps, " or none, got ", episode.weights.size()));
+  }
+  for (const auto* actions : {&episode.actions, &episode.labels}) {
+    for (const Action& action : *actions) {
+      if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
+    }
+  }
+  return absl::OkStatus();
+}
 
 std::vector<float> ReturnsToGo(absl::Span<const double> rewards) {
   std::vector<float> returns(rewards.size());
@@ -142,6 +148,22 @@ Moments ObservationMoments(const Dataset& dataset) {
     moments.std.push_back(static_cast<float>(std::sqrt(variance) + kSmallestDeviation));
   }
   return moments;
+}
+
+absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
+  Dataset all = std::move(datasets[0]);
+  if (datasets.size() == 1) return all;
+  Json recipes = Json::array({std::move(all.recipe)});
+  for (Dataset& dataset : absl::MakeSpan(datasets).subspan(1)) {
+    if (dataset.environment != all.environment) {
+      return absl::InvalidArgumentError(absl::StrCat("data: expected all of ", all.environment,
+                                                     ", got one of ", dataset.environment));
+    }
+    recipes.push_back(std::move(dataset.recipe));
+    std::move(dataset.episodes.begin(), dataset.episodes.end(), std::back_inserter(all.episodes));
+  }
+  all.recipe = Json{{"parts", std::move(recipes)}};
+  return all;
 }
 
 absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {

@@ -17,17 +17,19 @@
 namespace spikeserve {
 
 struct Episode {
-  std::string actor;                // who acted: "expert", "random" or "disturbed"
+  std::string actor;                // who acted: "expert", "disturbed", "student" or "random"
   uint64_t seed = 0;                // of Environment::Reset
   std::vector<float> observations;  // [steps + 1, obs], environment units
   std::vector<Action> actions;      // [steps], as executed
   std::vector<Action> labels = {};  // [steps], what to imitate; empty where that is `actions`
+  std::vector<float> weights = {};  // [steps], of the labels in the loss; empty where all are 1
   std::vector<double> rewards;      // [steps]
   bool terminated = false;
   bool truncated = false;
 
   // What to imitate at a step.
   const Action& label(int step) const { return labels.empty() ? actions[step] : labels[step]; }
+  float weight(int step) const { return weights.empty() ? 1.0f : weights[step]; }
   int steps() const { return static_cast<int>(actions.size()); }
 };
 
@@ -39,6 +41,10 @@ struct Dataset {
   std::vector<Episode> episodes;
 };
 
+// INVALID_ARGUMENT if an array of the episode is not of the length that the others and the
+// dataset's observations ask for, or an action is not of its action space.
+absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode);
+
 // G_t = r_t + r_{t+1} + ... to the end of the episode.
 std::vector<float> ReturnsToGo(absl::Span<const double> rewards);
 
@@ -48,6 +54,9 @@ struct Moments {
   std::vector<float> std;  // > 0
 };
 Moments ObservationMoments(const Dataset& dataset);
+
+// The episodes of all, which are of the same environment, in their order. REQUIRES: at least one.
+absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets);
 
 // A dataset file is CBOR, one object with the fields above. Errors start with the path.
 absl::Status WriteDataset(const Dataset& dataset, const std::string& path);

@@ -7,9 +7,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "core/engine/action_head.h"
 #include "core/engine/engine.h"
 #include "core/environment/environment.h"
+#include "train/policy_player.h"
 
 namespace spikeserve {
 namespace {
@@ -24,25 +24,15 @@ double NewTokens(const Evaluation& evaluation) {
 // Plays one episode and returns its return.
 double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed,
                    Evaluation* evaluation) {
-  const Policy& policy = engine.policy();
-  const std::unique_ptr<Engine::Context> context = engine.NewContext(seed);
-  std::vector<float> encoded(policy.action_space.size());
-  Engine::Output output;
+  PolicyPlayer player(engine, seed, static_cast<double>(engine.policy().target_return));
   StepResult result;
   result.observation = environment.Reset(seed);
-  double return_to_go = static_cast<double>(policy.target_return);
   double episode_return = 0.0;
   while (!result.done()) {
-    engine.Decide(*context, static_cast<float>(return_to_go), result.observation, &output);
-    const ActionChoice choice =
-        ChooseAction(policy.weights.head, policy.action_space, output.readout, {}, 0);
-    evaluation->counts += output.counts;
+    result = environment.Step(player.Act(result.observation, result.reward));
+    evaluation->counts += player.counts();
     ++evaluation->decisions;
-    result = environment.Step(choice.action);
-    return_to_go -= result.reward;
     episode_return += result.reward;
-    policy.action_space.Encode(choice.action, absl::MakeSpan(encoded));
-    engine.AppendAction(*context, encoded);
   }
   return episode_return;
 }
@@ -74,11 +64,7 @@ absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
   if (auto status = options.Validate(); !status.ok()) return status;
   absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy->environment);
   if (!environment.ok()) return environment.status();
-  if ((*environment)->observation_size() != policy->observation_size() ||
-      (*environment)->action_space() != policy->action_space) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("policy: expected the observations and actions of ", policy->environment));
-  }
+  if (auto status = CheckFits(*policy, **environment); !status.ok()) return status;
   Evaluation evaluation = {.options = options,
                            .environment = policy->environment,
                            .returns = {},

@@ -15,11 +15,11 @@ torch::Tensor Rate(const torch::Tensor& spikes, const torch::Tensor& mask) {
 }  // namespace
 
 torch::Tensor ImitationLoss(const ActionSpace& space, const torch::Tensor& logits,
-                            const torch::Tensor& targets, const torch::Tensor& mask) {
+                            const torch::Tensor& targets, const torch::Tensor& weights) {
   const torch::Tensor losses = space.is_discrete()
                                    ? -(torch::log_softmax(logits, -1) * targets).sum(-1)
                                    : (torch::tanh(logits) - targets).square().mean(-1);
-  return (losses * mask).sum() / mask.sum();
+  return (losses * weights).sum() / weights.sum();
 }
 
 torch::Tensor RateHinge(const std::vector<Population>& populations, const RateTargets& targets,

@@ -11,11 +11,11 @@
 
 namespace spikeserve {
 
-// Mean over the steps with mask [B, n] 1 of: the cross-entropy of softmax(z) against the one-hot
-// `targets` (Discrete), or the mean squared distance of tanh(z) from `targets` in [-1, 1] (Box).
-// Logits and targets are [B, n, act].
+// Mean over the steps, weighted by `weights` [B, n], 0 where there is no step, of: the
+// cross-entropy of softmax(z) against the one-hot `targets` (Discrete), or the mean squared
+// distance of tanh(z) from `targets` in [-1, 1] (Box). Logits and targets are [B, n, act].
 torch::Tensor ImitationLoss(const ActionSpace& space, const torch::Tensor& logits,
-                            const torch::Tensor& targets, const torch::Tensor& mask);
+                            const torch::Tensor& targets, const torch::Tensor& weights);
 
 // Above which firing rate (spikes per neuron and tick) a population is pushed down. 1 leaves it
 // alone.

@@ -8,10 +8,12 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/types/optional.h"
 #include "core/environment/environment.h"
 #include "core/environment/pendulum.h"
+#include "core/environment/position_only.h"
 #include "core/math/counter_random.h"
+#include "train/actors.h"
+#include "train/policy_player.h"
 
 namespace spikeserve {
 namespace {
@@ -23,38 +25,22 @@ enum Stream : uint64_t {
   kRandomActions = 3,
   kDisturbedSeeds = 4,
   kBursts = 5,
-  kWideStarts = 6
+  kWideStarts = 6,
+  kSkills = 7,
+  kStudentSeeds = 8
 };
 
-// What is done in a state, and what would have been right.
-struct Decision {
-  Action action;
-  absl::optional<Action> label;  // nothing where that is the action
-};
-using Actor = std::function<Decision(absl::Span<const double> state)>;
-
-Action RandomAction(const ActionSpace& space, uint64_t bits) {
-  Action action;
-  if (space.is_discrete()) {
-    action.discrete = static_cast<int>(bits % static_cast<uint64_t>(space.n));
-    return action;
-  }
-  std::vector<float> unit(space.size());
-  for (size_t i = 0; i < unit.size(); ++i) {
-    unit[i] = 2.0f * UniformFloat(RandomBits({bits, i})) - 1.0f;
-  }
-  action.continuous = space.FromUnit(unit);
-  return action;
-}
-
-// From where `environment` was reset to.
-Episode RecordEpisode(Environment& environment, std::vector<float> observation,
-                      const Actor& actor) {
+// From where `environment` was reset to. `weigh` gives a label's weight, or is null where all
+// are 1.
+Episode RecordEpisode(Environment& environment, std::vector<float> observation, const Actor& actor,
+                      const std::function<double(absl::Span<const double>)>& weigh) {
   Episode episode;
-  episode.observations = std::move(observation);
+  episode.observations = observation;
   StepResult result;
+  result.observation = std::move(observation);
   while (!result.done()) {
-    Decision decision = actor(environment.state());
+    if (weigh) episode.weights.push_back(static_cast<float>(weigh(environment.state())));
+    Decision decision = actor({environment.state(), result.observation, result.reward});
     result = environment.Step(decision.action);
     episode.actions.push_back(std::move(decision.action));
     if (decision.label) episode.labels.push_back(*std::move(decision.label));
@@ -70,51 +56,12 @@ Episode RecordEpisode(Environment& environment, std::vector<float> observation,
 // Episodes of one kind: who acts in them and how they start.
 struct Source {
   std::string actor;
-  uint64_t seeds;  // the stream of their seeds
+  Stream seeds;  // the stream of their seeds
   int steps;
   std::function<Actor(uint64_t episode)> make_actor;
   // From the initial state of the episode's seed to the one it starts from.
   std::function<void(uint64_t episode, std::vector<double>& state)> move_start = nullptr;
 };
-
-// Adds episodes until they hold the source's steps; returns how many they hold.
-int RecordSteps(Environment& environment, const Source& source, uint64_t seed, Dataset* dataset) {
-  int recorded = 0;
-  for (uint64_t i = 0; recorded < source.steps; ++i) {
-    const uint64_t episode_seed = RandomBits({source.seeds, seed, i}) % kFirstEvaluationSeed;
-    std::vector<float> observation = environment.Reset(episode_seed);
-    if (source.move_start) {
-      std::vector<double> state(environment.state().begin(), environment.state().end());
-      source.move_start(i, state);
-      observation = environment.ResetTo(state);
-    }
-    Episode episode = RecordEpisode(environment, std::move(observation), source.make_actor(i));
-    episode.actor = source.actor;
-    episode.seed = episode_seed;
-    recorded += episode.steps();
-    dataset->episodes.push_back(std::move(episode));
-  }
-  return recorded;
-}
-
-// The expert, but for bursts of random actions.
-Actor Disturbed(Expert& expert, const ActionSpace& space, const RecordOptions& options,
-                uint64_t episode) {
-  const auto bits = [seed = options.seed, episode](uint64_t step, uint64_t draw) {
-    return RandomBits({kBursts, seed, episode, step, draw});
-  };
-  const double rate = options.burst_rate * UniformDouble(bits(0, 0));
-  const auto longest = static_cast<uint64_t>(options.longest_burst);
-  return [=, &expert, &space, step = uint64_t{0},
-          left = uint64_t{0}](absl::Span<const double> state) mutable {
-    ++step;
-    Action label = expert.Act(state);
-    if (left == 0 && UniformDouble(bits(step, 0)) < rate) left = 1 + bits(step, 1) % longest;
-    if (left == 0) return Decision{label, label};
-    --left;
-    return Decision{RandomAction(space, bits(step, 2)), std::move(label)};
-  };
-}
 
 // With the options' probability, replaces Pendulum's velocity by any it can have.
 void WidenStart(const RecordOptions& options, uint64_t episode, std::vector<double>& state) {
@@ -130,6 +77,111 @@ absl::Status CheckFraction(absl::string_view name, double fraction, double most 
   return absl::InvalidArgumentError(
       absl::StrCat(name, ": expected 0 to ", most, ", got ", fraction));
 }
+
+// Records all the sources of a dataset, one after the other.
+class Recorder {
+ public:
+  Recorder(const RecordOptions& options, std::unique_ptr<Environment> environment,
+           std::unique_ptr<Expert> expert)
+      : options_(options),
+        environment_(std::move(environment)),
+        expert_(std::move(expert)),
+        engine_(options.student == nullptr ? nullptr : MakeStreamingEngine(options.student)) {}
+
+  Dataset Run() {
+    Dataset dataset = {.environment = options_.expert.environment,
+                       .observation_size = environment_->observation_size(),
+                       .action_space = environment_->action_space(),
+                       .recipe = {{"seed", options_.seed}},
+                       .episodes = {}};
+    for (const Source& source : Sources()) {
+      if (source.steps == 0) continue;
+      dataset.recipe[source.actor + "_steps"] = RecordSteps(source, &dataset);
+    }
+    dataset.recipe["episodes"] = dataset.episodes.size();
+    if (!options_.expert.name.empty()) dataset.recipe["expert"] = options_.expert.name;
+    if (options_.weigh) dataset.recipe["weigh"] = true;
+    if (options_.disturbed_fraction > 0.0) {
+      dataset.recipe["burst_rate"] = options_.burst_rate;
+      dataset.recipe["longest_burst"] = options_.longest_burst;
+      dataset.recipe["wide_start_fraction"] = options_.wide_start_fraction;
+    }
+    return dataset;
+  }
+
+ private:
+  std::vector<Source> Sources() {
+    const ActionSpace& space = environment_->action_space();
+    const auto share = [&](double fraction) {
+      return static_cast<int>(std::lround(fraction * options_.steps));
+    };
+    const int expert = share(options_.expert_fraction);
+    const int disturbed = share(options_.disturbed_fraction);
+    const int rest = options_.steps - expert - disturbed;
+    const auto draws = [&](Stream stream, uint64_t episode) {
+      return [=, seed = options_.seed](uint64_t step, uint64_t draw) {
+        return RandomBits({stream, seed, episode, step, draw});
+      };
+    };
+    const Bursts bursts = {options_.burst_rate, options_.longest_burst};
+    std::vector<Source> sources = {
+        {"expert", kExpertSeeds, expert, [&](uint64_t) { return ExpertActor(*expert_); }},
+        {"disturbed", kDisturbedSeeds, disturbed,
+         [=, this, &space](uint64_t episode) {
+           return DisturbedActor(*expert_, space, bursts, draws(kBursts, episode));
+         },
+         [&](uint64_t episode, std::vector<double>& state) {
+           WidenStart(options_, episode, state);
+         }}};
+    if (engine_ != nullptr) {
+      sources.push_back({"student", kStudentSeeds, rest, [&](uint64_t episode) {
+                           return StudentActor(*expert_, *engine_, episode);
+                         }});
+    } else {
+      // One sequence of draws for all random episodes.
+      sources.push_back({"random", kRandomSeeds, rest, [this, &space](uint64_t) {
+                           return RandomActor(space, [this](uint64_t, uint64_t) {
+                             return RandomBits({kRandomActions, options_.seed, random_draws_++});
+                           });
+                         }});
+    }
+    return sources;
+  }
+
+  // Adds episodes until they hold the source's steps; returns how many they hold.
+  int RecordSteps(const Source& source, Dataset* dataset) {
+    std::function<double(absl::Span<const double>)> weigh;
+    if (options_.weigh) {
+      weigh = [&](absl::Span<const double> state) {
+        return std::clamp(expert_->Stakes(state), kLeastWeight, kMostWeight);
+      };
+    }
+    int recorded = 0;
+    for (uint64_t i = 0; recorded < source.steps; ++i) {
+      const uint64_t seed = RandomBits({source.seeds, options_.seed, i}) % kFirstEvaluationSeed;
+      std::vector<float> observation = environment_->Reset(seed);
+      if (source.move_start) {
+        std::vector<double> state(environment_->state().begin(), environment_->state().end());
+        source.move_start(i, state);
+        observation = environment_->ResetTo(state);
+      }
+      expert_->BeginEpisode(RandomBits({kSkills, source.seeds, options_.seed, i}));
+      Episode episode =
+          RecordEpisode(*environment_, std::move(observation), source.make_actor(i), weigh);
+      episode.actor = source.actor;
+      episode.seed = seed;
+      recorded += episode.steps();
+      dataset->episodes.push_back(std::move(episode));
+    }
+    return recorded;
+  }
+
+  const RecordOptions& options_;
+  const std::unique_ptr<Environment> environment_;
+  const std::unique_ptr<Expert> expert_;
+  const std::unique_ptr<Engine> engine_;  // of the student; null without one
+  uint64_t random_draws_ = 0;
+};
 
 }  // namespace
 
@@ -148,7 +200,7 @@ absl::Status RecordOptions::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("longest_burst: expected at least 1, got ", longest_burst));
   }
-  if (wide_start_fraction > 0.0 && expert.environment != Pendulum::kId) {
+  if (wide_start_fraction > 0.0 && PositionOnly::InsideId(expert.environment) != Pendulum::kId) {
     return absl::InvalidArgumentError(absl::StrCat(
         "wide_start_fraction: expected 0 for ", expert.environment, ", got ", wide_start_fraction));
   }
@@ -160,49 +212,12 @@ absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options) {
   absl::StatusOr<std::unique_ptr<Environment>> environment =
       MakeEnvironment(options.expert.environment);
   if (!environment.ok()) return environment.status();
+  if (options.student != nullptr) {
+    if (auto status = CheckFits(*options.student, **environment); !status.ok()) return status;
+  }
   absl::StatusOr<std::unique_ptr<Expert>> expert = MakeExpert(options.expert);
   if (!expert.ok()) return expert.status();
-
-  Environment& task = **environment;
-  const ActionSpace& space = task.action_space();
-  const auto share = [&](double fraction) {
-    return static_cast<int>(std::lround(fraction * options.steps));
-  };
-  const int expert_steps = share(options.expert_fraction);
-  const int disturbed_steps = share(options.disturbed_fraction);
-  const Actor by_expert = [&](absl::Span<const double> state) {
-    return Decision{(*expert)->Act(state), {}};
-  };
-  uint64_t draw = 0;
-  const Actor by_chance = [&](absl::Span<const double>) {
-    return Decision{RandomAction(space, RandomBits({kRandomActions, options.seed, draw++})), {}};
-  };
-  const Source sources[] = {
-      {"expert", kExpertSeeds, expert_steps, [&](uint64_t) { return by_expert; }},
-      {"disturbed", kDisturbedSeeds, disturbed_steps,
-       [&](uint64_t episode) { return Disturbed(**expert, space, options, episode); },
-       [&](uint64_t episode, std::vector<double>& state) { WidenStart(options, episode, state); }},
-      {"random", kRandomSeeds, options.steps - expert_steps - disturbed_steps,
-       [&](uint64_t) { return by_chance; }}};
-
-  Dataset dataset = {.environment = options.expert.environment,
-                     .observation_size = task.observation_size(),
-                     .action_space = space,
-                     .recipe = {{"seed", options.seed}},
-                     .episodes = {}};
-  for (const Source& source : sources) {
-    const int steps = RecordSteps(task, source, options.seed, &dataset);
-    if (source.actor == "disturbed" && steps == 0) continue;
-    dataset.recipe[source.actor + "_steps"] = steps;
-  }
-  dataset.recipe["episodes"] = dataset.episodes.size();
-  if (!options.expert.name.empty()) dataset.recipe["expert"] = options.expert.name;
-  if (disturbed_steps > 0) {
-    dataset.recipe["burst_rate"] = options.burst_rate;
-    dataset.recipe["longest_burst"] = options.longest_burst;
-    dataset.recipe["wide_start_fraction"] = options.wide_start_fraction;
-  }
-  return dataset;
+  return Recorder(options, *std::move(environment), *std::move(expert)).Run();
 }
 
 }  // namespace spikeserve

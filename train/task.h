@@ -16,7 +16,7 @@ struct ReturnScaling {
 };
 
 // NOT_FOUND names the environments there are.
-absl::StatusOr<ReturnScaling> ReturnScalingOf(absl::string_view environment);
+absl::StatusOr<ReturnScaling> ReturnScalingOf(absl::string_view id);
 
 }  // namespace spikeserve
 

@@ -3,18 +3,23 @@
 #include <cmath>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "absl/types/optional.h"
 #include "core/model/policy_file.h"
 #include "train/common_flags.h"
+#include "train/minari_file.h"
 #include "train/task.h"
 
 using spikeserve::ModelConfig;
 using spikeserve::TrainOptions;
 
-ABSL_FLAG(std::string, data, "", "train: a dataset file (default: record one as `dataset` would)");
+ABSL_FLAG(std::vector<std::string>, data, {},
+          "train: datasets, comma-separated: directories in Minari's layout or .cbor files "
+          "(default: record "
+          "one as `dataset` would)");
 ABSL_FLAG(std::string, init, "", "train: a policy file to go on from (default: random weights)");
 
 // The shape. Unset: that of --init, or of the paper.
@@ -35,6 +40,9 @@ ABSL_FLAG(absl::optional<std::string>, gate, absl::nullopt, "train: softmax (def
 
 ABSL_FLAG(int, iterations, TrainOptions{}.iterations, "train: iterations");
 ABSL_FLAG(int, batch, TrainOptions{}.batch, "train: clips an iteration");
+ABSL_FLAG(int, clip_steps, TrainOptions{}.clip_steps,
+          "train: timesteps of a clip; 0 for the policy's context. Where the present state tells "
+          "everything, short clips teach the same in less time");
 ABSL_FLAG(double, learning_rate, TrainOptions{}.learning_rate, "train: AdamW's peak learning rate");
 ABSL_FLAG(double, weight_decay, TrainOptions{}.weight_decay, "train: AdamW's weight decay");
 ABSL_FLAG(int, warmup, TrainOptions{}.warmup, "train: iterations of linear warm-up");
@@ -158,6 +166,7 @@ absl::StatusOr<TrainOptions> TrainOptionsFromFlags() {
       .seed = absl::GetFlag(FLAGS_seed).value_or(0),
       .iterations = absl::GetFlag(FLAGS_iterations),
       .batch = absl::GetFlag(FLAGS_batch),
+      .clip_steps = absl::GetFlag(FLAGS_clip_steps),
       .learning_rate = absl::GetFlag(FLAGS_learning_rate),
       .weight_decay = absl::GetFlag(FLAGS_weight_decay),
       .warmup = absl::GetFlag(FLAGS_warmup),
@@ -173,9 +182,20 @@ absl::StatusOr<TrainOptions> TrainOptionsFromFlags() {
 }
 
 absl::StatusOr<Dataset> DatasetFromFlags() {
-  const std::string path = absl::GetFlag(FLAGS_data);
-  if (path.empty()) return RecordDataset(RecordOptionsFromFlags());
-  absl::StatusOr<Dataset> dataset = ReadDataset(path);
+  const std::vector<std::string> paths = absl::GetFlag(FLAGS_data);
+  if (paths.empty()) {
+    const absl::StatusOr<RecordOptions> options = RecordOptionsFromFlags();
+    if (!options.ok()) return options.status();
+    return RecordDataset(*options);
+  }
+  std::vector<Dataset> parts;
+  for (const std::string& path : paths) {
+    absl::StatusOr<Dataset> part =
+        IsMinariDataset(path) ? ReadMinariDataset(path) : ReadDataset(path);
+    if (!part.ok()) return part;
+    parts.push_back(*std::move(part));
+  }
+  absl::StatusOr<Dataset> dataset = Concatenate(std::move(parts));
   if (!dataset.ok()) return dataset;
   const std::string environment = absl::GetFlag(FLAGS_env).value_or(dataset->environment);
   if (environment != dataset->environment) {

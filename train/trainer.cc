@@ -42,6 +42,10 @@ torch::Tensor Copy(const std::vector<T>& values, std::vector<int64_t> shape,
 // Archives take names without dots.
 std::string ArchiveName(const std::string& name) { return absl::StrReplaceAll(name, {{".", "/"}}); }
 
+int ClipSteps(const TrainOptions& options, const ModelConfig& config) {
+  return options.clip_steps == 0 ? config.context : options.clip_steps;
+}
+
 std::unique_ptr<ClipSampler> ValidationSampler(const Dataset& dataset, const Split& split,
                                                int timesteps) {
   if (split.validation.empty()) return nullptr;
@@ -58,6 +62,7 @@ absl::Status TrainOptions::Validate() const {
   };
   check(iterations >= 1, "iterations", "at least 1", iterations);
   check(batch >= 1, "batch", "at least 1", batch);
+  check(clip_steps >= 0, "clip_steps", "0 or more", clip_steps);
   check(learning_rate > 0.0, "learning_rate", "a number above 0", learning_rate);
   check(weight_decay >= 0.0, "weight_decay", "0 or more", weight_decay);
   check(warmup >= 0, "warmup", "0 or more", warmup);
@@ -75,11 +80,12 @@ absl::Status TrainOptions::Validate() const {
 
 std::string TrainOptions::ToString() const {
   return absl::StrFormat(
-      "seed=%d iterations=%d batch=%d learning_rate=%g weight_decay=%g warmup=%d clip_norm=%g "
+      "seed=%d iterations=%d batch=%d clip_steps=%d learning_rate=%g weight_decay=%g warmup=%d "
+      "clip_norm=%g "
       "action_noise=%g validation=%g target_rate=%g readout_rate=%g spike_penalty=%g surrogate=%d "
       "slope=%g",
-      seed, iterations, batch, learning_rate, weight_decay, warmup, clip_norm, action_noise,
-      validation, rate_targets.hidden, rate_targets.readout, spike_penalty,
+      seed, iterations, batch, clip_steps, learning_rate, weight_decay, warmup, clip_norm,
+      action_noise, validation, rate_targets.hidden, rate_targets.readout, spike_penalty,
       static_cast<int>(surrogate.kind), surrogate.slope);
 }
 
@@ -120,9 +126,9 @@ Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& opt
       observation_size_(dataset.observation_size),
       model_(initial, options.surrogate),
       training_(dataset, SplitEpisodes(dataset, options.validation).training,
-                initial.config.context),
+                ClipSteps(options, initial.config)),
       validation_(ValidationSampler(dataset, SplitEpisodes(dataset, options.validation),
-                                    initial.config.context)),
+                                    ClipSteps(options, initial.config))),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {}
 
 Trainer::~Trainer() = default;
@@ -142,11 +148,12 @@ Trainer::Batch Trainer::MakeBatch(const ClipSampler& sampler, uint64_t key,
                     .timesteps = Copy(clips.timesteps, {count, n}, torch::kLong),
                     .seeds = Copy(seeds, {count}, torch::kLong)},
           .targets = Copy(clips.targets, {count, n, act}, torch::kFloat),
-          .mask = Copy(clips.mask, {count, n}, torch::kFloat)};
+          .mask = Copy(clips.mask, {count, n}, torch::kFloat),
+          .weights = Copy(clips.weights, {count, n}, torch::kFloat)};
 }
 
 torch::Tensor Trainer::Loss(const Batch& batch, const ModelOutput& output) const {
-  return ImitationLoss(action_space_, output.logits, batch.targets, batch.mask);
+  return ImitationLoss(action_space_, output.logits, batch.targets, batch.weights);
 }
 
 void Trainer::SetLearningRate() {

@@ -24,6 +24,7 @@ struct TrainOptions {
   uint64_t seed = 0;
   int iterations = 400;
   int batch = 32;               // clips an iteration
+  int clip_steps = 0;           // timesteps of a clip; 0 for the policy's context
   double learning_rate = 1e-3;  // peak; omega and phi get 0.3 of it
   double weight_decay = 1e-4;   // not on omega and phi
   int warmup = 50;              // iterations of linear warm-up, then a cosine to 2 % at the end
@@ -73,11 +74,13 @@ class Trainer {
  private:
   struct Optimizer;
 
-  // Clips as tensors, with what to imitate [B, n, act] and where there is a step [B, n].
+  // Clips as tensors, with what to imitate [B, n, act], where there is a step [B, n] and what it
+  // weighs [B, n].
   struct Batch {
     ClipTensors clips;
     torch::Tensor targets;
     torch::Tensor mask;
+    torch::Tensor weights;
   };
   Batch MakeBatch(const ClipSampler& sampler, uint64_t key, double action_noise) const;
   torch::Tensor Loss(const Batch& batch, const ModelOutput& output) const;

@@ -10,6 +10,7 @@
 #include "core/environment/cart_pole.h"
 #include "core/environment/mountain_car.h"
 #include "core/environment/pendulum.h"
+#include "core/environment/position_only.h"
 
 namespace spikeserve {
 namespace {
@@ -29,6 +30,8 @@ constexpr Entry kEnvironments[] = {
     {MountainCar::kId, Make<MountainCar>},
     {Acrobot::kId, Make<Acrobot>},
     {Pendulum::kId, Make<Pendulum>},
+    {PositionOnly::kCartPoleId, PositionOnly::MakeCartPole},
+    {PositionOnly::kPendulumId, PositionOnly::MakePendulum},
 };
 
 }  // namespace

@@ -50,8 +50,8 @@ class Environment {
   virtual absl::Span<const double> state() const = 0;
 };
 
-// "CartPole-v1", "MountainCar-v0", "Acrobot-v1" or "Pendulum-v1"; NOT_FOUND names the ids there
-// are.
+// "CartPole-v1", "MountainCar-v0", "Acrobot-v1", "Pendulum-v1", "PositionOnlyCartPole-v1" or
+// "PositionOnlyPendulum-v1"; NOT_FOUND names the ids there are.
 absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironment(std::string_view id);
 
 }  // namespace spikeserve

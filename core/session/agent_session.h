@@ -66,6 +66,10 @@ class AgentSession {
   // this once the answer has been sent keeps it out of the next answer's latency.
   void AppendPendingAction();
 
+  // Replaces the action of the last answer in the history: the window then sees what was really
+  // done. The answer itself stays as it was, for retries. REQUIRES: Act was the last call.
+  void TakeInstead(const Action& action) { session_.history.back().action = action; }
+
   // Ends the running episode and makes the session ready for the next, whose first step is 0.
   // FAILED_PRECONDITION if no decision was made since the last end (so an end that is repeated
   // counts once); INVALID_ARGUMENT for a number that is not finite. Errors leave the session as it

@@ -2,6 +2,7 @@
 
 #include <sys/random.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <utility>
 #include <vector>
@@ -15,19 +16,18 @@
 namespace spikeserve {
 namespace {
 
-// From the kernel, so that nobody can guess another agent's session.
-absl::StatusOr<std::string> NewSessionId() {
-  char bytes[16];
-  if (getentropy(bytes, sizeof(bytes)) != 0) return absl::ErrnoToStatus(errno, "getentropy");
-  return absl::BytesToHexString(absl::string_view(bytes, sizeof(bytes)));
-}
-
 absl::Status NoSuchSession(absl::string_view id) {
   return absl::NotFoundError(
       absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
 }
 
 }  // namespace
+
+absl::StatusOr<std::string> NewSessionId() {
+  char bytes[16];
+  if (getentropy(bytes, sizeof(bytes)) != 0) return absl::ErrnoToStatus(errno, "getentropy");
+  return absl::BytesToHexString(absl::string_view(bytes, sizeof(bytes)));
+}
 
 SessionStore::SessionStore(int64_t max_sessions, const Clock* clock)
     : max_sessions_(max_sessions), clock_(clock) {}
@@ -37,8 +37,12 @@ SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
 }
 
 absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolicy> served,
-                                               SessionOptions options) {
-  auto id = NewSessionId();
+                                               SessionOptions options, SessionExtras extras) {
+  if (draining()) {
+    return absl::UnavailableError("draining: the server takes no new sessions; try another");
+  }
+  absl::StatusOr<std::string> id = std::move(extras.id);
+  if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id;
   if (size_.fetch_add(1) >= max_sessions_) {
     size_.fetch_sub(1);
@@ -50,6 +54,7 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
   Slot slot = {.entry = std::make_shared<SessionEntry>(std::move(served),
                                                        NewSession(*id, std::move(options)), clock_),
                .last_used = clock_->Now()};
+  slot.entry->shadow = std::move(extras.shadow);
   Shard& shard = ShardOf(*id);
   {
     absl::MutexLock lock(&shard.mutex);
@@ -83,6 +88,20 @@ absl::Status SessionStore::Close(absl::string_view id) {
   size_.fetch_sub(1);
   entry->served->observer->OnClose();
   return absl::OkStatus();
+}
+
+std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const ServedPolicy&)> wanted) {
+  const absl::Duration now = clock_->Now();
+  std::vector<ListedSession> list;
+  for (Shard& shard : shards_) {
+    absl::MutexLock lock(&shard.mutex);
+    for (const auto& [id, slot] : shard.slots) {
+      if (!wanted(*slot.entry->served)) continue;
+      list.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});
+    }
+  }
+  std::sort(list.begin(), list.end(), [](const auto& a, const auto& b) { return a.id < b.id; });
+  return list;
 }
 
 int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {

@@ -11,9 +11,11 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/flat_hash_map.h"
+#include "absl/functional/function_ref.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
@@ -21,6 +23,7 @@
 #include "core/session/agent_session.h"
 #include "core/session/clock.h"
 #include "core/session/served_policy.h"
+#include "core/session/shadow_session.h"
 
 namespace spikeserve {
 
@@ -31,8 +34,27 @@ struct SessionEntry {
       : served(policy), agent(std::move(policy), std::move(session), clock) {}
 
   const std::shared_ptr<const ServedPolicy> served;
+  std::shared_ptr<ShadowSession> shadow;  // null: none; set before anyone else sees the entry
   absl::Mutex mutex;
   AgentSession agent ABSL_GUARDED_BY(mutex);
+  std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);  // that the shadow is still to see
+};
+
+// What a session may be opened with, beside its policy and options.
+struct SessionExtras {
+  std::string id;                         // from NewSessionId(); empty: a new one
+  std::shared_ptr<ShadowSession> shadow;  // null: none
+};
+
+// 128 random bits in hexadecimal, from the kernel, so that nobody can guess another agent's
+// session.
+absl::StatusOr<std::string> NewSessionId();
+
+// One line of SessionStore::List.
+struct ListedSession {
+  std::string id;
+  std::shared_ptr<SessionEntry> entry;
+  absl::Duration idle;  // since the last Find
 };
 
 class SessionStore {
@@ -40,16 +62,24 @@ class SessionStore {
   // `clock` must outlive the store and every entry.
   SessionStore(int64_t max_sessions, const Clock* clock);
 
-  // Opens a session under a new random id of 128 bits in hexadecimal, and returns the id.
-  // RESOURCE_EXHAUSTED where max_sessions are open.
+  // Opens a session and returns its id. RESOURCE_EXHAUSTED where max_sessions are open;
+  // UNAVAILABLE while draining.
   absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
-                                   SessionOptions options);
+                                   SessionOptions options, SessionExtras extras = {});
+
+  // Whether sessions can be opened; those that are open go on either way.
+  void SetDraining(bool draining) { draining_.store(draining, std::memory_order_relaxed); }
+  bool draining() const { return draining_.load(std::memory_order_relaxed); }
 
   // The session, marked as used now. NOT_FOUND where there is none of this id.
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id);
 
   // Takes the session out. NOT_FOUND where there is none of this id.
   absl::Status Close(absl::string_view id);
+
+  // The open sessions whose policy `wanted` says yes to, by id. Leaves when they were used last as
+  // it is. `wanted` is called under a lock and must be quick.
+  std::vector<ListedSession> List(absl::FunctionRef<bool(const ServedPolicy&)> wanted);
 
   // Takes out every session that nobody holds and nobody has used for `time_to_live`; returns how
   // many.
@@ -78,6 +108,7 @@ class SessionStore {
   const int64_t max_sessions_;
   const Clock* const clock_;
   std::atomic<int64_t> size_ = 0;
+  std::atomic<bool> draining_ = false;
   std::array<Shard, kShards> shards_;
 };
 

@@ -3,6 +3,8 @@
 // draws.
 #include <memory>
 
+#include "core/environment/cart_pole.h"
+#include "train/expert/dial_expert.h"
 #include "train/expert/experts.h"
 
 namespace spikeserve {
@@ -23,10 +25,11 @@ class FeedbackExpert final : public Expert {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeCartPoleExpert(const ExpertOptions& options) {
-  if (!options.name.empty() && options.name != "feedback") {
-    return UnknownExpert(options, "feedback");
-  }
-  return std::make_unique<FeedbackExpert>();
+  if (options.name.empty() || options.name == "feedback") return std::make_unique<FeedbackExpert>();
+  if (options.name != "dial") return UnknownExpert(options, "feedback or dial");
+  return std::make_unique<DialExpert>(
+      std::make_shared<CartPole>(), std::make_unique<FeedbackExpert>(),
+      std::make_unique<FallExpert>(), EpisodeLengths{.least = 10, .most = 500});
 }
 
 }  // namespace spikeserve

@@ -1,6 +1,7 @@
 #include "train/expert/expert.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/environment/position_only.h"
 #include "train/expert/experts.h"
 
 namespace spikeserve {
@@ -24,10 +25,12 @@ absl::Status UnknownExpert(const ExpertOptions& options, absl::string_view expec
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options) {
   if (auto status = options.Validate(); !status.ok()) return status;
-  if (options.environment == "CartPole-v1") return MakeCartPoleExpert(options);
-  if (options.environment == "MountainCar-v0") return MakeMountainCarExpert(options);
-  if (options.environment == "Pendulum-v1") return MakePendulumExpert(options);
-  if (options.environment == "Acrobot-v1") return MakeAcrobotExpert(options);
+  // An expert acts by the state, whatever of it an agent sees.
+  const std::string_view environment = PositionOnly::InsideId(options.environment);
+  if (environment == "CartPole-v1") return MakeCartPoleExpert(options);
+  if (environment == "MountainCar-v0") return MakeMountainCarExpert(options);
+  if (environment == "Pendulum-v1") return MakePendulumExpert(options);
+  if (environment == "Acrobot-v1") return MakeAcrobotExpert(options);
   return absl::NotFoundError(
       absl::StrCat("env: there are experts for CartPole-v1, MountainCar-v0, Pendulum-v1 and "
                    "Acrobot-v1, none for '",

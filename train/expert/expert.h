@@ -2,6 +2,7 @@
 #ifndef TRAIN_EXPERT_EXPERT_H_
 #define TRAIN_EXPERT_EXPERT_H_
 
+#include <cstdint>
 #include <memory>
 #include <string>
 
@@ -16,17 +17,25 @@ class Expert {
  public:
   virtual ~Expert() = default;
 
+  // To be called before the first action of an episode. `key` decides what there is to draw.
+  virtual void BeginEpisode(uint64_t /*key*/) {}
+
   // The action in an environment's internal `state` (Environment::state()); a pure function of it
-  // for all but the planner, which keeps to its plan while the states are those it foresaw.
+  // for all but the planner, which keeps to its plan while the states are those it foresaw, and
+  // the dial, which counts its steps.
   virtual Action Act(absl::Span<const double> state) = 0;
+
+  // What the worst action in `state` loses against the best one, where the expert knows: how much
+  // the choice matters. 1 where it does not.
+  virtual double Stakes(absl::Span<const double> /*state*/) { return 1.0; }
 
   virtual std::unique_ptr<Expert> Clone() const = 0;
 };
 
 struct ExpertOptions {
   std::string environment = "CartPole-v1";
-  // CartPole-v1: feedback. MountainCar-v0: value_iteration. Pendulum-v1: value_iteration, robust.
-  // Acrobot-v1: beam, lookahead, greedy. Empty for the first of these.
+  // CartPole-v1: feedback, dial. MountainCar-v0: value_iteration, dial. Pendulum-v1:
+  // value_iteration, robust. Acrobot-v1: beam, lookahead, greedy. Empty for the first of these.
   std::string name = {};
   // Value tables are kept here and read when they are there; empty: solved anew, and not kept.
   std::string tables_directory = {};

@@ -15,6 +15,7 @@ namespace {
 
 double PlayEpisode(Environment& environment, uint64_t seed, Expert& expert) {
   environment.Reset(seed);
+  expert.BeginEpisode(seed);
   double episode_return = 0.0;
   for (StepResult result; !result.done(); episode_return += result.reward) {
     result = environment.Step(expert.Act(environment.state()));

@@ -3,6 +3,7 @@
 #define TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
 
 #include <algorithm>
+#include <limits>
 #include <memory>
 #include <utility>
 
@@ -19,9 +20,17 @@ class LookaheadExpert final : public Expert {
       : problem_(std::move(problem)), table_(std::move(table)), depth_(depth) {}
 
   Action Act(absl::Span<const double> state) override {
-    typename ValueTable<D>::State from;
-    std::copy_n(state.begin(), D, from.begin());
-    return problem_.choices[table_->Best(problem_, from, depth_).choice].action;
+    return problem_.choices[table_->Best(problem_, Start(state), depth_).choice].action;
+  }
+
+  double Stakes(absl::Span<const double> state) override {
+    double best = -std::numeric_limits<double>::infinity(), worst = -best;
+    for (const Choice& choice : problem_.choices) {
+      const double value = table_->Backup(problem_, Start(state), choice, depth_);
+      best = std::max(best, value);
+      worst = std::min(worst, value);
+    }
+    return best - worst;
   }
 
   std::unique_ptr<Expert> Clone() const override {
@@ -29,6 +38,12 @@ class LookaheadExpert final : public Expert {
   }
 
  private:
+  static typename ValueTable<D>::State Start(absl::Span<const double> state) {
+    typename ValueTable<D>::State start;
+    std::copy_n(state.begin(), D, start.begin());
+    return start;
+  }
+
   Problem problem_;
   std::shared_ptr<const ValueTable<D>> table_;
   int depth_;

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "core/environment/mountain_car.h"
+#include "train/expert/dial_expert.h"
 #include "train/expert/experts.h"
 #include "train/expert/lookahead_expert.h"
 #include "train/expert/table_file.h"
@@ -10,8 +11,9 @@
 namespace spikeserve {
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOptions& options) {
-  if (!options.name.empty() && options.name != "value_iteration") {
-    return UnknownExpert(options, "value_iteration");
+  const bool dial = options.name == "dial";
+  if (!dial && !options.name.empty() && options.name != "value_iteration") {
+    return UnknownExpert(options, "value_iteration or dial");
   }
   Problem problem = {.model = std::make_shared<MountainCar>(), .choices = {}};
   for (int push = 0; push < 3; ++push) {
@@ -21,8 +23,12 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOption
       LoadOrSolve<2>(options, "mountain_car", problem, {{{-1.2, 0.6, 1801}, {-0.07, 0.07, 1401}}},
                      {.tolerance = 1e-3});
   if (!table.ok()) return table.status();
-  return std::make_unique<LookaheadExpert<2>>(
-      std::move(problem), std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);
+  auto shortest = std::make_unique<LookaheadExpert<2>>(
+      problem, std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);
+  if (!dial) return shortest;
+  auto coast = std::make_unique<ConstantExpert>(Action{.discrete = 1, .continuous = {}});
+  return std::make_unique<DialExpert>(problem.model, std::move(coast), std::move(shortest),
+                                      EpisodeLengths{.least = 90, .most = 200});
 }
 
 }  // namespace spikeserve

@@ -6,6 +6,7 @@
 
 #include <memory>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -37,7 +38,7 @@ TEST(MakeEnvironmentTest, UnknownIdIsNotFoundAndNamesTheIdsThereAre) {
   ASSERT_EQ(environment.status().code(), absl::StatusCode::kNotFound);
   EXPECT_EQ(environment.status().message(),
             "environment: expected one of CartPole-v1, MountainCar-v0, Acrobot-v1, Pendulum-v1, "
-            "got \"LunarLander-v3\"");
+            "PositionOnlyCartPole-v1, PositionOnlyPendulum-v1, got \"LunarLander-v3\"");
 }
 
 struct Facts {
@@ -54,7 +55,9 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(Facts{"CartPole-v1", 4, ActionSpace::Discrete(2), 500},
                       Facts{"MountainCar-v0", 2, ActionSpace::Discrete(3), 200},
                       Facts{"Acrobot-v1", 6, ActionSpace::Discrete(3), 500},
-                      Facts{"Pendulum-v1", 3, ActionSpace::Box({-2.0F}, {2.0F}), 200}),
+                      Facts{"Pendulum-v1", 3, ActionSpace::Box({-2.0F}, {2.0F}), 200},
+                      Facts{"PositionOnlyCartPole-v1", 2, ActionSpace::Discrete(2), 500},
+                      Facts{"PositionOnlyPendulum-v1", 2, ActionSpace::Box({-2.0F}, {2.0F}), 200}),
     [](const auto& test) { return test.param.id.substr(0, test.param.id.find('-')); });
 
 TEST_P(EveryEnvironmentTest, DescribesItself) {
@@ -187,6 +190,27 @@ TEST(PendulumTest, RewardIsTheCostOfTheStateBeforeTheStep) {
   Pendulum pendulum;
   pendulum.ResetTo({0.5, -2.0});
   EXPECT_NEAR(pendulum.Step(Continuous(-2.0F)).reward, -(0.25 + 0.4 + 0.004), 1e-9);
+}
+
+TEST(PositionOnlyTest, HidesTheVelocitiesAndChangesNothingElse) {
+  for (const auto& [id, hidden, kept] :
+       {std::tuple{"CartPole-v1", "PositionOnlyCartPole-v1", std::vector<int>{0, 2}},
+        {"Pendulum-v1", "PositionOnlyPendulum-v1", std::vector<int>{0, 1}}}) {
+    const auto whole = Make(id), part = Make(hidden);
+    const Action action = whole->action_space().is_discrete() ? Discrete(1) : Continuous(0.5F);
+    whole->Reset(3);
+    part->Reset(3);
+    for (StepResult seen; !seen.done();) {
+      seen = whole->Step(action);
+      const StepResult shown = part->Step(action);
+      EXPECT_EQ(shown.observation,
+                (std::vector<float>{seen.observation[kept[0]], seen.observation[kept[1]]}));
+      EXPECT_EQ(shown.reward, seen.reward);
+      EXPECT_EQ(shown.terminated, seen.terminated);
+      EXPECT_EQ(shown.truncated, seen.truncated);
+    }
+    EXPECT_EQ(whole->state(), part->state());
+  }
 }
 
 TEST(ParametersTest, ChangeTheDynamics) {

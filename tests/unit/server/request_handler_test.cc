@@ -31,8 +31,8 @@ class RequestHandlerTest : public ::testing::Test {
         },
         &refused);
     ASSERT_TRUE(registry.ok()) << registry.status();
-    registry_ = std::make_unique<PolicyRegistry>(*std::move(registry));
-    handler_ = std::make_unique<RequestHandler>(registry_.get(), &store_);
+    registry_ = *std::move(registry);
+    handler_ = std::make_unique<RequestHandler>(registry_.get(), &store_, &shadows_, &clock_);
   }
 
   std::string MustOpen() {
@@ -55,6 +55,7 @@ class RequestHandlerTest : public ::testing::Test {
   TemporaryDirectory directory_;
   FakeClock clock_;
   Metrics metrics_;
+  ShadowRunner shadows_{metrics_.registry()};
   std::unique_ptr<PolicyRegistry> registry_;
   SessionStore store_{10, &clock_};
   std::unique_ptr<RequestHandler> handler_;

@@ -1,0 +1,48 @@
+#include "core/environment/position_only.h"
+
+#include <utility>
+
+#include "core/environment/cart_pole.h"
+#include "core/environment/pendulum.h"
+
+namespace spikeserve {
+
+std::string_view PositionOnly::InsideId(std::string_view id) {
+  if (id == kCartPoleId) return CartPole::kId;
+  if (id == kPendulumId) return Pendulum::kId;
+  return id;
+}
+
+std::unique_ptr<Environment> PositionOnly::MakeCartPole() {
+  return std::make_unique<PositionOnly>(kCartPoleId, std::make_unique<CartPole>(),
+                                        std::vector<int>{0, 2});
+}
+
+std::unique_ptr<Environment> PositionOnly::MakePendulum() {
+  return std::make_unique<PositionOnly>(kPendulumId, std::make_unique<Pendulum>(),
+                                        std::vector<int>{0, 1});
+}
+
+PositionOnly::PositionOnly(std::string_view id, std::unique_ptr<Environment> inside,
+                           std::vector<int> kept)
+    : id_(id), inside_(std::move(inside)), kept_(std::move(kept)) {}
+
+std::vector<float> PositionOnly::Reset(uint64_t seed) { return Shown(inside_->Reset(seed)); }
+
+std::vector<float> PositionOnly::ResetTo(absl::Span<const double> state) {
+  return Shown(inside_->ResetTo(state));
+}
+
+StepResult PositionOnly::Step(const Action& action) {
+  StepResult result = inside_->Step(action);
+  result.observation = Shown(result.observation);
+  return result;
+}
+
+std::vector<float> PositionOnly::Shown(const std::vector<float>& observation) const {
+  std::vector<float> shown;
+  for (const int index : kept_) shown.push_back(observation[index]);
+  return shown;
+}
+
+}  // namespace spikeserve
