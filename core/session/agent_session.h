@@ -68,7 +68,7 @@ class AgentSession {
 
   // Replaces the action of the last answer in the history: the window then sees what was really
   // done. The answer itself stays as it was, for retries. REQUIRES: Act was the last call.
-  void TakeInstead(const Action& action) { session_.history.back().action = action; }
+  void TakeInstead(const Action& action) { session_.history.ReplaceLastAction(action); }
 
   // Ends the running episode and makes the session ready for the next, whose first step is 0.
   // FAILED_PRECONDITION if no decision was made since the last end (so an end that is repeated
