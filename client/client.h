@@ -46,6 +46,9 @@ class Client {
       const std::string& server, ClientOptions options = {},
       absl::Duration patience = absl::Seconds(3));
 
+  // For services beside PolicyService.
+  const std::shared_ptr<grpc::Channel>& channel() const { return channel_; }
+
   // Errors of every call: the server's code and message; after the last attempt UNAVAILABLE if the
   // server could not be reached, DEADLINE_EXCEEDED if it did not answer in call_timeout.
 

@@ -1,5 +1,6 @@
 #include "server/convert.h"
 
+#include <cmath>
 #include <limits>
 #include <optional>
 #include <string>
@@ -61,6 +62,27 @@ absl::Status UnknownName(absl::string_view field, absl::string_view expected,
       absl::StrCat("learning.", field, ": expected ", expected, ", received ", Quoted(received)));
 }
 
+// Fields that would do nothing are refused.
+absl::Status CheckApplies(const v1::LearningConfig& config, const LearningOptions& options) {
+  const auto unset = [](const char* field, absl::string_view unless, double received) {
+    return absl::InvalidArgumentError(absl::StrCat("learning.", field, ": expected unset unless ",
+                                                   unless, ", received ", received));
+  };
+  if (config.has_discount() && options.modulator != Modulator::kRealized) {
+    return unset("discount", "modulator is realized", config.discount());
+  }
+  if (options.scope == Scope::kSession) return absl::OkStatus();
+  if (config.has_max_drift()) {
+    return unset("max_drift", "scope is SESSION, since the server bounds what is shared",
+                 config.max_drift());
+  }
+  if (config.has_guard_margin()) {
+    return unset("guard_margin", "scope is SESSION, since the server guards what is shared",
+                 config.guard_margin());
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request) {
@@ -92,30 +114,51 @@ absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest&
 absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& config,
                                                   const ActionSpace& space,
                                                   const ActionSelection& selection) {
-  if (config.scope() == v1::LearningConfig::FLEET) {
-    return absl::UnimplementedError(
-        "learning.scope: expected SESSION, received FLEET; this server has no heads that sessions "
-        "share");
-  }
-  if (config.scope() != v1::LearningConfig::SESSION) {
+  if (!v1::LearningConfig::Scope_IsValid(config.scope())) {
     return absl::InvalidArgumentError(absl::StrCat(
         "learning.scope: expected SESSION or FLEET, received ", static_cast<int>(config.scope())));
   }
   LearningOptions options;
+  options.scope = config.scope() == v1::LearningConfig::FLEET ? Scope::kFleet : Scope::kSession;
   if (!config.rule().empty() && !FromString(config.rule(), &options.rule)) {
     return UnknownName("rule", "policy_gradient or hebbian", config.rule());
   }
   if (!config.modulator().empty() && !FromString(config.modulator(), &options.modulator)) {
     return UnknownName("modulator", "target or realized", config.modulator());
   }
-  if (config.has_learning_rate()) {
-    options.learning_rate = config.learning_rate();
-  }
+  if (auto status = CheckApplies(config, options); !status.ok()) return status;
+  options.learning_rate = config.has_learning_rate()
+                              ? config.learning_rate()
+                              : LearningOptions::DefaultLearningRate(options.modulator);
   if (config.has_trace_decay()) options.trace_decay = config.trace_decay();
+  if (config.has_discount()) options.discount = config.discount();
   if (config.has_clip()) options.clip = config.clip();
   if (config.has_max_drift()) options.max_drift = config.max_drift();
+  if (config.has_guard_margin()) options.guard_margin = config.guard_margin();
   if (auto status = options.Validate(space, selection); !status.ok()) return status;
   return options;
+}
+
+absl::StatusOr<std::vector<float>> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
+                                                      const Policy& policy) {
+  std::vector<float> delta(request.head_delta().begin(), request.head_delta().end());
+  if (delta.empty()) return delta;
+  const size_t size = policy.weights.head.weight.values.size();
+  if (request.has_learning() && request.learning().scope() == v1::LearningConfig::FLEET) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected none where learning.scope is FLEET, received ",
+                     delta.size(), " numbers"));
+  }
+  if (delta.size() != size) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected ", size, " numbers, received ", delta.size()));
+  }
+  for (size_t i = 0; i < size; ++i) {
+    if (std::isfinite(delta[i])) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta[", i, "]: expected a finite number, received ", delta[i]));
+  }
+  return delta;
 }
 
 v1::ActionSpace ToProto(const ActionSpace& space) {
@@ -165,6 +208,8 @@ v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
     learning->set_head_drift(summary.learning->head_drift);
     learning->set_modulator_mean(summary.learning->returns.mean);
     learning->set_modulator_std(summary.learning->returns.deviation());
+    learning->set_rolled_back(summary.learning->rolled_back);
+    learning->set_watched_return(summary.learning->watched_return);
   }
   return proto;
 }
@@ -184,10 +229,15 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
   proto.set_energy_joules(session.energy_joules);
   proto.set_decisions(session.decisions);
   proto.set_head_drift(agent.HeadDrift());
+  if (include_head_delta) {
+    const std::vector<float> delta = agent.HeadDelta();
+    proto.mutable_head_delta()->Add(delta.begin(), delta.end());
+  }
   if (session.learner.has_value()) {
     proto.set_trace_norm(session.learner->trace.Norm());
-    const std::vector<float>& delta = session.learner->head_delta;
-    if (include_head_delta) proto.mutable_head_delta()->Add(delta.begin(), delta.end());
+    proto.set_modulator_mean(session.learner->returns.mean);
+    proto.set_modulator_std(session.learner->returns.deviation());
+    proto.set_rollbacks(agent.Rollbacks());
   }
   proto.mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
   return proto;

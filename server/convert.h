@@ -4,6 +4,8 @@
 #ifndef SERVER_CONVERT_H_
 #define SERVER_CONVERT_H_
 
+#include <vector>
+
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/engine/action_head.h"
@@ -21,11 +23,15 @@ namespace spikeserve {
 // SAMPLE.
 absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request);
 
-// Unset fields get the defaults of LearningOptions. UNIMPLEMENTED for fleet learning;
-// INVALID_ARGUMENT for an unknown name, and whatever LearningOptions::Validate refuses.
+// Unset fields get the defaults of LearningOptions. INVALID_ARGUMENT for an unknown name, a field
+// that would do nothing, and whatever LearningOptions::Validate refuses.
 absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& config,
                                                   const ActionSpace& space,
                                                   const ActionSelection& selection);
+
+// The head's start beyond W_base, [act, d] or empty. INVALID_ARGUMENT names the field.
+absl::StatusOr<std::vector<float>> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
+                                                      const Policy& policy);
 
 v1::ActionSpace ToProto(const ActionSpace& space);
 // `entry` is that of the policy `served` is a version of.

@@ -82,7 +82,17 @@ Metrics::Metrics()
                                   "Updates of action heads refused, the head left as it was.")),
       head_drift_(Register(BuildGauge(), "spikeserve_head_drift_ratio",
                            "|W - W_base| / |W_base| of the action head, where the session that "
-                           "learned last ended its episode.")),
+                           "learned last ended its episode; scope fleet: of the shared head.")),
+      modulator_mean_(Register(BuildGauge(), "spikeserve_modulator_mean",
+                               "mu of eq. 4.2: running mean of the returns that follow a decision, "
+                               "of the session that learned last.")),
+      modulator_std_(Register(BuildGauge(), "spikeserve_modulator_std",
+                              "sigma of eq. 4.2, the deviation of those returns.")),
+      watched_return_(Register(BuildGauge(), "spikeserve_learning_return",
+                               "Interquartile mean of the episode returns in the last whole window "
+                               "that a guard judged.")),
+      rollbacks_(Register(BuildCounter(), "spikeserve_learning_rollbacks_total",
+                          "Times that a guard put back the last good action head.")),
       policy_info_(Register(BuildGauge(), "spikeserve_policy_info",
                             "Copies of a policy version in memory: 1 from its load until it "
                             "is unloaded and its last session has ended, then 0.")),
@@ -136,8 +146,17 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   const std::string_view reason = ToString(UpdateOutcome::kNonFinite);
   handles.learning_rejected_non_finite =
       &learning_rejected_.Add(with("reason", {reason.data(), reason.size()}));
-  handles.head_drift = &head_drift_.Add(labels);
-  return std::make_shared<PolicyMetrics>(handles, policy.config.is_dense());
+  for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
+    const std::string_view word = ToString(scope);
+    const prometheus::Labels of = with("scope", {word.data(), word.size()});
+    handles.learning[static_cast<size_t>(scope)] = {.head_drift = &head_drift_.Add(of),
+                                                    .modulator_mean = &modulator_mean_.Add(of),
+                                                    .modulator_std = &modulator_std_.Add(of),
+                                                    .watched_return = &watched_return_.Add(of),
+                                                    .rollbacks = &rollbacks_.Add(of)};
+  }
+  return std::make_shared<PolicyMetrics>(absl::StrCat(name, "/", version), handles,
+                                         policy.config.is_dense());
 }
 
 void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {

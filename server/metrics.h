@@ -89,6 +89,10 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& learning_updates_;
   prometheus::Family<prometheus::Counter>& learning_rejected_;
   prometheus::Family<prometheus::Gauge>& head_drift_;
+  prometheus::Family<prometheus::Gauge>& modulator_mean_;
+  prometheus::Family<prometheus::Gauge>& modulator_std_;
+  prometheus::Family<prometheus::Gauge>& watched_return_;
+  prometheus::Family<prometheus::Counter>& rollbacks_;
   prometheus::Family<prometheus::Gauge>& policy_info_;
   prometheus::Family<prometheus::Histogram>& rpc_duration_;
   prometheus::Counter* reaped_idle_;

@@ -1,5 +1,9 @@
 #include "server/policy_metrics.h"
 
+#include <iostream>
+
+#include "absl/strings/str_cat.h"
+
 namespace spikeserve {
 
 void PolicyMetrics::OnDecision(const Answer& answer) {
@@ -32,6 +36,19 @@ void PolicyMetrics::OnEpisodeEnd(double episode_return) {
 void PolicyMetrics::OnHeadUpdate(UpdateOutcome outcome) {
   const bool applied = outcome == UpdateOutcome::kApplied;
   (applied ? handles_.learning_updates : handles_.learning_rejected_non_finite)->Increment();
+}
+
+void PolicyMetrics::OnLearned(const LearningSummary& summary) {
+  const LearningHandles& handles = handles_.learning[static_cast<size_t>(summary.scope)];
+  handles.head_drift->Set(summary.head_drift);
+  handles.modulator_mean->Set(summary.returns.mean);
+  handles.modulator_std->Set(summary.returns.deviation());
+  handles.watched_return->Set(summary.watched_return);
+  if (!summary.rolled_back) return;
+  handles.rollbacks->Increment();
+  std::cerr << absl::StrCat(
+      "spikeserve: policy ", name_, ": a ", std::string(ToString(summary.scope)),
+      " head was rolled back, its episodes had come to return ", summary.watched_return, "\n");
 }
 
 }  // namespace spikeserve

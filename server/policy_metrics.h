@@ -1,4 +1,4 @@
-// Counts what the sessions of one policy version do.
+// Counts what the sessions of one policy version do, and logs each rollback of a guard.
 //
 // Thread-safe.
 #ifndef SERVER_POLICY_METRICS_H_
@@ -6,6 +6,8 @@
 
 #include <array>
 #include <cstdint>
+#include <string>
+#include <utility>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
@@ -20,6 +22,13 @@ namespace spikeserve {
 class PolicyMetrics final : public SessionObserver {
  public:
   // One time series each, all of this policy version.
+  struct LearningHandles {  // of one Scope
+    prometheus::Gauge* head_drift;
+    prometheus::Gauge* modulator_mean;
+    prometheus::Gauge* modulator_std;
+    prometheus::Gauge* watched_return;
+    prometheus::Counter* rollbacks;
+  };
   struct Handles {
     prometheus::Gauge* info;
     prometheus::Counter* decisions;
@@ -37,11 +46,13 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Gauge* episode_return_mean;
     prometheus::Counter* learning_updates;
     prometheus::Counter* learning_rejected_non_finite;
-    prometheus::Gauge* head_drift;
+    std::array<LearningHandles, 2> learning;  // by Scope
   };
 
-  // `dense` as EstimateEnergy takes it. The handles must outlive this object.
-  PolicyMetrics(const Handles& handles, bool dense) : handles_(handles), dense_(dense) {
+  // `name` is what the log calls the policy version. `dense` as EstimateEnergy takes it. The
+  // handles must outlive this object.
+  PolicyMetrics(std::string name, const Handles& handles, bool dense)
+      : name_(std::move(name)), handles_(handles), dense_(dense) {
     handles_.info->Increment();
   }
   ~PolicyMetrics() override { handles_.info->Decrement(); }
@@ -51,9 +62,10 @@ class PolicyMetrics final : public SessionObserver {
   void OnDecision(const Answer& answer) override;
   void OnEpisodeEnd(double episode_return) override;
   void OnHeadUpdate(UpdateOutcome outcome) override;
-  void OnHeadDrift(double ratio) override { handles_.head_drift->Set(ratio); }
+  void OnLearned(const LearningSummary& summary) override;
 
  private:
+  const std::string name_;
   const Handles handles_;
   const bool dense_;
   absl::Mutex mutex_;

@@ -12,6 +12,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/engine/engine.h"
+#include "core/learning/fleet_head.h"
 #include "core/model/json.h"
 #include "core/model/policy_file.h"
 
@@ -119,7 +120,9 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   auto served = std::make_shared<ServedPolicy>();
   served->name = version.policy;
   served->version = version.version;
-  served->engine = MakeStreamingEngine(std::make_shared<const Policy>(*std::move(policy)));
+  const auto shared = std::make_shared<const Policy>(*std::move(policy));
+  served->engine = MakeStreamingEngine(shared);
+  served->fleet = std::make_shared<FleetHead>(shared);
   if (auto status = WarmUp(*served->engine, path); !status.ok()) return status;
   served->observer = new_observer(served->name, served->version, served->policy());
   return served;

@@ -46,6 +46,9 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
     if (!learning.ok()) return learning.status();
     options.learning = *learning;
   }
+  auto head_delta = HeadDeltaFromProto(request, served.policy());
+  if (!head_delta.ok()) return head_delta.status();
+  options.head_delta = *std::move(head_delta);
   if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
   options.labels.insert(request.labels().begin(), request.labels().end());
   return options;
@@ -169,9 +172,9 @@ absl::Status RequestHandler::EndEpisode(const v1::EndEpisodeRequest& request,
                                         v1::EndEpisodeResponse* response) const {
   const auto entry = store_->Find(request.session_id());
   if (!entry.ok()) return entry.status();
-  // How the episode ended, terminated or truncated, changes nothing: what is learned is judged by
-  // the rewards that came.
-  EpisodeEnd end = {.reward = request.reward(), .target_return = std::nullopt};
+  EpisodeEnd end = {.reward = request.reward(),
+                    .terminated = request.terminated(),
+                    .target_return = std::nullopt};
   if (request.has_target_return()) end.target_return = request.target_return();
   absl::MutexLock lock(&(*entry)->mutex);
   const auto summary = (*entry)->agent.EndEpisode(end);

@@ -4,8 +4,13 @@
 #define CLIENT_SPIKECTL_COMMANDS_H_
 
 #include "absl/status/status.h"
+#include "absl/strings/string_view.h"
 
 namespace spikeserve {
+
+// What an operator does: `action` is load, unload, default, label, unlabel, traffic, reload,
+// sessions or drain.
+absl::Status AdminCommand(absl::string_view action);
 
 // Lists every policy version served.
 absl::Status PoliciesCommand();

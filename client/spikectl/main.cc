@@ -31,14 +31,21 @@ std::string Usage() {
   for (const Command& command : kCommands) {
     absl::StrAppend(&usage, "  ", command.name, ": ", command.summary, "\n");
   }
+  absl::StrAppend(&usage, "  admin ACTION: what an operator does: load, unload, default, label, ",
+                  "unlabel, traffic, reload, sessions, drain\n");
   return usage;
 }
 
 absl::Status Dispatch(const std::vector<char*>& arguments) {
-  const std::string names = absl::StrJoin(
-      kCommands, ", ", [](std::string* out, const Command& c) { out->append(c.name); });
+  const std::string names =
+      absl::StrJoin(kCommands, ", ",
+                    [](std::string* out, const Command& c) { out->append(c.name); }) +
+      ", admin";
   if (arguments.size() < 2) {
     return absl::InvalidArgumentError(absl::StrCat("command: expected one of ", names));
+  }
+  if (arguments[1] == absl::string_view("admin") && arguments.size() <= 3) {
+    return AdminCommand(arguments.size() == 3 ? arguments[2] : "");
   }
   for (const Command& command : kCommands) {
     if (arguments[1] != absl::string_view(command.name)) continue;

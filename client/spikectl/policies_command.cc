@@ -30,6 +30,9 @@ ordered_json ToJson(const v1::PolicyInfo& policy) {
                        {"context_length", policy.context_length()},
                        {"target_return", policy.target_return()}};
   if (policy.has_training_return()) json["training_return"] = policy.training_return();
+  if (policy.has_traffic_percent()) json["traffic_percent"] = policy.traffic_percent();
+  if (policy.version_labels_size() > 0) json["version_labels"] = policy.version_labels();
+  if (policy.is_shadow()) json["is_shadow"] = true;
   return json;
 }
 

@@ -27,10 +27,10 @@ std::vector<double> CartPole::DrawInitialState(NumpyRandom& random) const {
 }
 
 double CartPole::Advance(const Action& action, absl::Span<double> state) const {
-  const auto& [gravity, cart_mass, pole_mass, half_length, push] = parameters_;
+  const auto& [gravity, cart_mass, pole_mass, half_length, push, wind] = parameters_;
   const double total_mass = pole_mass + cart_mass;
   const double pole_mass_length = pole_mass * half_length;
-  const double force = action.discrete == 1 ? push : -push;
+  const double force = (action.discrete == 1 ? push : -push) + wind;
 
   double &x = state[0], &x_dot = state[1], &theta = state[2], &theta_dot = state[3];
   const double cosine = std::cos(theta);

@@ -24,6 +24,7 @@ struct CartPoleParameters {
   double pole_mass = 0.1;    // kg
   double half_length = 0.5;  // m, from the hinge to the pole's centre of mass
   double force = 10.0;       // N, of a push
+  double wind = 0.0;         // N, on the cart at every step, to the right
 };
 
 class CartPole final : public ClassicControl {

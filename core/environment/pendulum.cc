@@ -37,7 +37,7 @@ std::vector<double> Pendulum::DrawInitialState(NumpyRandom& random) const {
 }
 
 double Pendulum::Advance(const Action& action, absl::Span<double> state) const {
-  const auto& [g, m, l] = parameters_;
+  const auto& [g, m, l, force] = parameters_;
   double &theta = state[0], &velocity = state[1];
   const float torque = std::clamp(action.continuous[0], -kMaxTorque, kMaxTorque);
 
@@ -48,7 +48,7 @@ double Pendulum::Advance(const Action& action, absl::Span<double> state) const {
   const float torque_cost = 0.001F * std::pow(torque, two);
   const double cost = angle * angle + 0.1 * (velocity * velocity) + torque_cost;
 
-  const float torque_acceleration = static_cast<float>(3.0 / (m * (l * l))) * torque;
+  const float torque_acceleration = static_cast<float>(3.0 * force / (m * (l * l))) * torque;
   velocity += (3 * g / (2 * l) * std::sin(theta) + torque_acceleration) * kTimeStep;
   velocity = std::clamp(velocity, -kMaxSpeed, kMaxSpeed);
   theta += velocity * kTimeStep;

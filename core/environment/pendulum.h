@@ -23,6 +23,7 @@ struct PendulumParameters {
   double gravity = 10.0;  // m/s^2
   double mass = 1.0;      // kg
   double length = 1.0;    // m
+  double force = 1.0;     // torque on the pendulum for a torque of 1 asked for
 };
 
 class Pendulum final : public ClassicControl {

@@ -14,6 +14,12 @@ absl::Status CheckPositive(const char* field, double value) {
       absl::StrCat("learning.", field, ": expected a finite number above 0, received ", value));
 }
 
+absl::Status CheckFraction(const char* field, double value) {
+  if (value >= 0.0 && value <= 1.0) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("learning.", field, ": expected a number from 0 to 1, received ", value));
+}
+
 template <typename Enum>
 bool FindByName(std::string_view name, std::initializer_list<Enum> all, Enum* found) {
   for (const Enum each : all) {
@@ -29,12 +35,14 @@ bool FindByName(std::string_view name, std::initializer_list<Enum> all, Enum* fo
 absl::Status LearningOptions::Validate(const ActionSpace& space,
                                        const ActionSelection& selection) const {
   if (auto status = CheckPositive("learning_rate", learning_rate); !status.ok()) return status;
-  if (!(trace_decay >= 0.0 && trace_decay <= 1.0)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "learning.trace_decay: expected a number from 0 to 1, received ", trace_decay));
-  }
+  if (auto status = CheckFraction("trace_decay", trace_decay); !status.ok()) return status;
+  if (auto status = CheckFraction("discount", discount); !status.ok()) return status;
   if (auto status = CheckPositive("clip", clip); !status.ok()) return status;
   if (auto status = CheckPositive("max_drift", max_drift); !status.ok()) return status;
+  if (!(std::isfinite(guard_margin) && guard_margin >= 0.0)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "learning.guard_margin: expected a finite number of at least 0, received ", guard_margin));
+  }
   if (rule == Rule::kPolicyGradient && !space.is_discrete() && !selection.sample) {
     return absl::InvalidArgumentError(
         "learning.rule: expected hebbian, or action_selection SAMPLE, since a greedy continuous "
@@ -43,12 +51,18 @@ absl::Status LearningOptions::Validate(const ActionSpace& space,
   return absl::OkStatus();
 }
 
+std::string_view ToString(Scope scope) { return scope == Scope::kFleet ? "fleet" : "session"; }
+
 std::string_view ToString(Rule rule) {
   return rule == Rule::kHebbian ? "hebbian" : "policy_gradient";
 }
 
 std::string_view ToString(Modulator modulator) {
   return modulator == Modulator::kRealized ? "realized" : "target";
+}
+
+bool FromString(std::string_view name, Scope* scope) {
+  return FindByName(name, {Scope::kSession, Scope::kFleet}, scope);
 }
 
 bool FromString(std::string_view name, Rule* rule) {

@@ -19,13 +19,24 @@ enum class Rule { kPolicyGradient, kHebbian };
 // see learner.h.
 enum class Modulator { kTarget, kRealized };
 
+// Whose head learns: a private one, or the one that all such sessions of a policy version share.
+enum class Scope { kSession, kFleet };
+
 struct LearningOptions {
+  Scope scope = Scope::kSession;
   Rule rule = Rule::kPolicyGradient;
-  Modulator modulator = Modulator::kTarget;
-  double learning_rate = 1e-3;  // eta of eq. 4.3, > 0
-  double trace_decay = 0.9;     // lambda of eq. 4.1, in [0, 1]
-  double clip = 0.5;            // largest Frobenius norm of one update of the head, > 0
-  double max_drift = 1.0;       // largest |W - W_base| / |W_base| the head may reach, > 0
+  Modulator modulator = Modulator::kRealized;
+  double learning_rate = DefaultLearningRate(Modulator::kRealized);  // eta of eq. 4.3, > 0
+  double trace_decay = 0.9;                                          // lambda of eq. 4.1, in [0, 1]
+  double discount = 0.97;      // gamma of the realized return-to-go, in [0, 1]; see learner.h
+  double clip = 0.5;           // largest Frobenius norm of one update of the head, > 0
+  double max_drift = 1.0;      // largest |W - W_base| / |W_base| a private head may reach, > 0
+  double guard_margin = 0.02;  // of a private head's guard, >= 0; see return_guard.h
+
+  // An update a decision, or an update an episode whose deltas are relative to its own returns.
+  static constexpr double DefaultLearningRate(Modulator modulator) {
+    return modulator == Modulator::kTarget ? 1e-3 : 0.3;
+  }
 
   // INVALID_ARGUMENT names the field, as `learning.FIELD`, what was expected and what came. A
   // policy gradient needs the noise of a sampled action where the space is a Box: the score of a
@@ -33,10 +44,12 @@ struct LearningOptions {
   absl::Status Validate(const ActionSpace& space, const ActionSelection& selection) const;
 };
 
-// The names of the wire: "policy_gradient", "hebbian"; "target", "realized".
+// The names of the wire: "session", "fleet"; "policy_gradient", "hebbian"; "target", "realized".
+std::string_view ToString(Scope scope);
 std::string_view ToString(Rule rule);
 std::string_view ToString(Modulator modulator);
 // False, and nothing changes, for any other name.
+bool FromString(std::string_view name, Scope* scope);
 bool FromString(std::string_view name, Rule* rule);
 bool FromString(std::string_view name, Modulator* modulator);
 

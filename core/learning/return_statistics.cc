@@ -5,23 +5,34 @@
 
 namespace spikeserve {
 
-void RewardsBefore::Add(double rewards) {
-  ++count;
-  const double difference = rewards - mean;
-  mean += difference / static_cast<double>(count);
-  squares += difference * (rewards - mean);
-  least = std::min(least, rewards);
-  most = std::max(most, rewards);
+void EpisodeReturns::AddDecision(double discount) {
+  ++decisions;
+  weights = discount * weights + 1.0;
+  weights2 = discount * discount * weights2 + 1.0;
+  projected *= discount;
 }
 
-void ReturnStatistics::Merge(const RewardsBefore& rewards, double episode_return) {
-  if (rewards.count == 0) return;
-  const auto count = static_cast<double>(rewards.count);
-  const double weight = count / (count + kMemory);
-  const double difference = (episode_return - rewards.mean) - mean;
-  variance = (1.0 - weight) * variance + weight * (rewards.squares / count) +
+void EpisodeReturns::AddReward(double reward) {
+  rewards += reward;
+  returns += reward * weights;
+  squares += 2.0 * reward * projected + reward * reward * weights2;
+  projected += reward * weights2;
+}
+
+double EpisodeReturns::SquaresAbout(double centre) const {
+  const double about_zero = squares / static_cast<double>(decisions);
+  return std::max(0.0, about_zero - centre * (2.0 * mean() - centre));
+}
+
+void ReturnStatistics::Merge(const EpisodeReturns& episode) {
+  if (episode.decisions == 0) return;
+  const auto count = static_cast<double>(episode.decisions);
+  const double weight = count / (count + decisions);
+  const double difference = episode.mean() - mean;
+  variance = (1.0 - weight) * variance + weight * episode.SquaresAbout(episode.mean()) +
              weight * (1.0 - weight) * difference * difference;
   mean += weight * difference;
+  decisions = std::min(decisions + count, kMemory);
 }
 
 double ReturnStatistics::deviation() const {

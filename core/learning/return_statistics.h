@@ -1,5 +1,5 @@
-// mu and sigma of eq. 4.2: mean and deviation of the returns-to-go that really followed, begun
-// with those of the training data and carried on online.
+// mu and sigma of eq. 4.2: mean and deviation of the returns that really followed, carried on
+// online.
 //
 // Plain values; constant in size whatever the episode's length. Not thread-safe.
 #ifndef CORE_LEARNING_RETURN_STATISTICS_H_
@@ -9,27 +9,41 @@
 
 namespace spikeserve {
 
-// The rewards before each decision of one episode, c_t = r_0 + ... + r_{t-1}. Once the return R is
-// known, so are the returns-to-go: G_t = R - c_t.
-struct RewardsBefore {
-  int64_t count = 0;     // decisions
-  double mean = 0.0;     // of c_t
-  double squares = 0.0;  // sum of (c_t - mean)^2, by Welford's recurrence
-  double least = 0.0;    // smallest c_t; c_0 = 0
-  double most = 0.0;     // largest c_t
+// Sums over the returns that followed each decision t of one episode, discounted by gamma:
+//   G_t = sum_{k >= t} gamma^{k-t} r_k
+// A reward adds gamma^{k-t} r_k to every G_t at once, so the sums of G_t and of G_t^2 follow from
+// four numbers, and no G_t is kept.
+struct EpisodeReturns {
+  int64_t decisions = 0;
+  double rewards = 0.0;    // sum_k r_k
+  double returns = 0.0;    // sum_t G_t of the rewards so far
+  double squares = 0.0;    // sum_t G_t^2
+  double weights = 0.0;    // sum_t gamma^{k-t}, k the last decision
+  double weights2 = 0.0;   // sum_t gamma^{2(k-t)}
+  double projected = 0.0;  // sum_t gamma^{k-t} G_t
 
-  void Add(double rewards);
+  // Another decision.
+  void AddDecision(double discount);
+  // A reward for the last decision; several add up.
+  void AddReward(double reward);
 
-  friend bool operator==(const RewardsBefore&, const RewardsBefore&) = default;
+  // Over the decisions. REQUIRES: there were some.
+  double mean() const { return returns / static_cast<double>(decisions); }
+  // Mean of (G_t - centre)^2, at least 0.
+  double SquaresAbout(double centre) const;
+  double mean_reward() const { return rewards / static_cast<double>(decisions); }
+
+  friend bool operator==(const EpisodeReturns&, const EpisodeReturns&) = default;
 };
 
 struct ReturnStatistics {
   double mean = 0.0;
   double variance = 1.0;
+  double decisions = 0.0;  // how many these stand for, at most kMemory; 0: nothing is known yet
 
-  // Takes in G_t = episode_return - c_t for every decision of an episode. The past weighs as much
-  // as kMemory decisions, so old episodes fade and no count needs to be kept.
-  void Merge(const RewardsBefore& rewards, double episode_return);
+  // Takes in G_t for every decision of an episode. The past never weighs more than kMemory
+  // decisions, so old episodes fade.
+  void Merge(const EpisodeReturns& episode);
 
   // sigma, at least kSmallestDeviation, so that dividing by it is safe where every return is equal.
   double deviation() const;

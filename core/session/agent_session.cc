@@ -49,11 +49,15 @@ absl::Status CheckReward(double reward, double next_return_to_go) {
 AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session session,
                            const Clock* clock)
     : served_(std::move(served)), clock_(clock), session_(std::move(session)) {
-  if (!session_.options.learning.has_value()) return;
-  if (!session_.learner.has_value()) {
-    session_.learner = Learner::New(*session_.options.learning, served_->policy());
+  const Policy& policy = served_->policy();
+  if (session_.options.learning.has_value() && !session_.learner.has_value()) {
+    std::vector<float> delta = session_.options.head_delta;
+    if (delta.empty()) delta.assign(policy.weights.head.weight.values.size(), 0.0f);
+    session_.learner = Learner::New(*session_.options.learning, policy, std::move(delta));
   }
-  head_ = session_.learner->Head(served_->policy());
+  if (InFleet()) return;
+  const std::vector<float> delta = HeadDelta();
+  if (!delta.empty()) head_ = HeadWith(policy, delta);
 }
 
 absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const float> observation,
@@ -107,21 +111,38 @@ Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observa
   answer.counts = output.counts;
 
   const Policy& policy = served_->policy();
-  ChooseAction(Head(), policy.action_space, output.readout, session_.options.action_selection,
-               RandomBits({session_.options.seed, session_.decisions}), &choice);
+  Choose(output.readout, &choice);
   if (session_.learner.has_value()) {
-    TakeOutcome(session_.learner->OnDecision(
-        *session_.options.learning, policy, choice, output.readout,
-        static_cast<double>(answer.return_to_go), session_.episode_return + reward));
+    if (served_->learning->paused()) session_.learner->suspended = true;
+    TakeOutcome(session_.learner->OnDecision(*session_.options.learning, policy, choice,
+                                             output.readout,
+                                             static_cast<double>(answer.return_to_go), reward));
   }
   std::swap(answer.action, choice.action);
   std::swap(answer.probabilities, choice.probabilities);
   return answer;
 }
 
+bool AgentSession::InFleet() const {
+  return session_.options.learning.has_value() && session_.options.learning->scope == Scope::kFleet;
+}
+
+void AgentSession::Choose(absl::Span<const float> readout, ActionChoice* choice) const {
+  const auto choose = [&](const Linear& head) {
+    ChooseAction(head, served_->policy().action_space, readout, session_.options.action_selection,
+                 RandomBits({session_.options.seed, session_.decisions}), choice);
+  };
+  if (InFleet()) return choose(served_->fleet->Read()->head);
+  choose(head_ ? *head_ : served_->policy().weights.head);
+}
+
+// A fleet session's updates are gathered; only what becomes of their sum concerns the head.
 void AgentSession::TakeOutcome(std::optional<UpdateOutcome> outcome) {
   if (!outcome.has_value()) return;
-  if (*outcome == UpdateOutcome::kApplied) head_ = session_.learner->Head(served_->policy());
+  if (*outcome == UpdateOutcome::kApplied) {
+    if (InFleet()) return;
+    head_ = HeadWith(served_->policy(), session_.learner->head_delta);
+  }
   served_->observer->OnHeadUpdate(*outcome);
 }
 
@@ -189,7 +210,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
                                   .steps = session_.step,
                                   .spikes = session_.episode_spikes,
                                   .energy_joules = session_.episode_energy_joules,
-                                  .learning = LearnFromEpisode(episode_return)};
+                                  .learning = LearnFromEpisode(end, episode_return)};
   ++session_.episode;
   session_.step = 0;
   session_.target_return = target_return;
@@ -204,21 +225,59 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   return summary;
 }
 
-std::optional<LearningSummary> AgentSession::LearnFromEpisode(double episode_return) {
+std::optional<LearningSummary> AgentSession::LearnFromEpisode(const EpisodeEnd& end,
+                                                              double episode_return) {
   if (!session_.learner.has_value()) return std::nullopt;
+  const LearningOptions& options = *session_.options.learning;
   Learner& learner = *session_.learner;
-  TakeOutcome(learner.OnEpisodeEnd(*session_.options.learning, served_->policy(), episode_return));
-  const LearningSummary summary = {.updates = learner.updates,
-                                   .rejected = learner.rejected,
-                                   .head_drift = HeadDrift(),
-                                   .returns = learner.returns};
-  learner.StartEpisode(*session_.options.learning);
-  served_->observer->OnHeadDrift(summary.head_drift);
+  if (served_->learning->paused()) learner.suspended = true;
+  TakeOutcome(learner.OnEpisodeEnd(options, served_->policy(), end.reward, end.terminated));
+  LearningSummary summary = {.scope = options.scope,
+                             .updates = learner.updates,
+                             .rejected = learner.rejected,
+                             .returns = learner.returns};
+  InFleet() ? GiveToFleet(episode_return, &summary) : KeepToItself(episode_return, &summary);
+  learner.StartEpisode(options);
+  served_->observer->OnLearned(summary);
   return summary;
 }
 
+void AgentSession::GiveToFleet(double episode_return, LearningSummary* summary) {
+  FleetHead& fleet = *served_->fleet;
+  auto snapshot = fleet.Read();
+  if (!session_.learner->suspended) {
+    const FleetHead::Merged merged = fleet.Merge(session_.learner->head_delta, episode_return);
+    served_->observer->OnHeadUpdate(merged.outcome);
+    summary->rolled_back = merged.rolled_back;
+    snapshot = merged.snapshot;
+  }
+  summary->head_drift = snapshot->drift;
+  summary->watched_return = snapshot->level.mean;
+}
+
+void AgentSession::KeepToItself(double episode_return, LearningSummary* summary) {
+  Learner& learner = *session_.learner;
+  if (!learner.suspended) {
+    summary->rolled_back = learner.Watch(*session_.options.learning, episode_return);
+  }
+  if (summary->rolled_back) head_ = HeadWith(served_->policy(), learner.head_delta);
+  summary->head_drift = HeadDrift();
+  summary->watched_return = learner.guard.last.mean;
+}
+
+std::vector<float> AgentSession::HeadDelta() const {
+  if (InFleet()) return served_->fleet->Read()->delta;
+  return session_.learner.has_value() ? session_.learner->head_delta : session_.options.head_delta;
+}
+
 double AgentSession::HeadDrift() const {
-  return session_.learner.has_value() ? session_.learner->Drift(served_->policy()) : 0.0;
+  if (InFleet()) return served_->fleet->Read()->drift;
+  return FrobeniusNorm(HeadDelta()) / BaseNorm(served_->policy());
+}
+
+int64_t AgentSession::Rollbacks() const {
+  if (InFleet()) return served_->fleet->Read()->rollbacks;
+  return session_.learner.has_value() ? session_.learner->guard.rollbacks : 0;
 }
 
 void AgentSession::DropContext() {

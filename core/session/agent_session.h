@@ -1,8 +1,9 @@
 // What an agent's requests do to its session, with no network in sight.
 //
 // Beside the session's value stand caches: the engine's context, rebuilt from the history whenever
-// it is absent, and the private head of a learning session, rebuilt from its delta. No answer
-// depends on whether they were.
+// it is absent, and a head of its own, rebuilt from its delta. No answer depends on whether they
+// were. A fleet session's head is not its own: each decision is made with the fleet's as it stands,
+// and the session holds no more than what its running episode has to give to it.
 //
 // Not thread-safe: one caller at a time.
 #ifndef CORE_SESSION_AGENT_SESSION_H_
@@ -11,6 +12,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -25,15 +27,8 @@ namespace spikeserve {
 // How an episode ends.
 struct EpisodeEnd {
   double reward = 0.0;                  // for the last action
+  bool terminated = false;              // unless the episode was cut off; see learner.h
   std::optional<double> target_return;  // G_0 of the next episode; absent: the session's own
-};
-
-// What a learning session took from an episode.
-struct LearningSummary {
-  int64_t updates = 0;   // of the head
-  int64_t rejected = 0;  // updates refused as not finite
-  double head_drift = 0.0;
-  ReturnStatistics returns;  // mu and sigma^2, the episode taken in
 };
 
 struct EpisodeSummary {
@@ -84,8 +79,13 @@ class AgentSession {
 
   const Session& session() const { return session_; }
 
-  // |W - W_base| / |W_base|; 0 for a frozen session.
+  // W - W_base of the head the next decision is made with, [act, d]; empty where it is the
+  // policy's.
+  std::vector<float> HeadDelta() const;
+  // |W - W_base| / |W_base|.
   double HeadDrift() const;
+  // Of the head it learns, by a guard or an operator; 0 for a frozen session.
+  int64_t Rollbacks() const;
 
  private:
   absl::Status CheckRequest(int64_t step, absl::Span<const float> observation, double reward) const;
@@ -93,9 +93,12 @@ class AgentSession {
   void RebuildContext();
   void AppendAction(const Action& action);
   Answer Decide(double return_to_go, absl::Span<const float> observation, double reward);
-  const Linear& Head() const { return head_ ? *head_ : served_->policy().weights.head; }
+  bool InFleet() const;
+  void Choose(absl::Span<const float> readout, ActionChoice* choice) const;
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
-  std::optional<LearningSummary> LearnFromEpisode(double episode_return);
+  std::optional<LearningSummary> LearnFromEpisode(const EpisodeEnd& end, double episode_return);
+  void GiveToFleet(double episode_return, LearningSummary* summary);
+  void KeepToItself(double episode_return, LearningSummary* summary);
   void Record(Answer answer, absl::Span<const float> observation, double return_to_go,
               double reward);
 
@@ -103,8 +106,8 @@ class AgentSession {
   const Clock* clock_;
   Session session_;
   std::unique_ptr<Engine::Context> context_;  // null: to be rebuilt
-  std::optional<Linear> head_;                // the learner's; absent where the policy's serves
-  bool action_pending_ = false;               // the context still lacks the last timestep's action
+  std::optional<Linear> head_;   // its own; absent where the policy's or fleet's serves
+  bool action_pending_ = false;  // the context still lacks the last timestep's action
 };
 
 // A new session's value, at step 0 of its first episode.

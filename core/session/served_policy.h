@@ -2,15 +2,30 @@
 #ifndef CORE_SESSION_SERVED_POLICY_H_
 #define CORE_SESSION_SERVED_POLICY_H_
 
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <string>
 
 #include "core/engine/engine.h"
+#include "core/learning/fleet_head.h"
 #include "core/learning/head_update.h"
+#include "core/learning/learning_options.h"
+#include "core/learning/return_statistics.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
+
+// What a learning session took from an episode.
+struct LearningSummary {
+  Scope scope = Scope::kSession;
+  int64_t updates = 0;          // of the head; scope fleet: gathered for it
+  int64_t rejected = 0;         // updates refused as not finite
+  double head_drift = 0.0;      // of the head the session plays on
+  ReturnStatistics returns;     // mu and sigma^2, the episode taken in
+  bool rolled_back = false;     // the guard put back the last good head
+  double watched_return = 0.0;  // level of the guard's last window; see return_guard.h
+};
 
 // Told once of everything that counts: retries, failed requests and rebuilt caches are not heard
 // of. Implementations are safe to call from many threads, quick, and never call back into a
@@ -23,16 +38,29 @@ class SessionObserver {
   virtual void OnDecision(const Answer& /*answer*/) {}
   virtual void OnEpisodeEnd(double /*episode_return*/) {}
   virtual void OnHeadUpdate(UpdateOutcome /*outcome*/) {}
-  virtual void OnHeadDrift(double /*ratio*/) {}  // where a learning session's episode has ended
+  virtual void OnLearned(const LearningSummary& /*summary*/) {}  // a learning episode has ended
   virtual void OnClose() {}
 };
 
-// Immutable and shared; a session holds on to the version it was opened with.
+// Whether the sessions of a policy learn. Thread-safe.
+class LearningSwitch {
+ public:
+  bool paused() const { return paused_.load(std::memory_order_relaxed); }
+  void set_paused(bool paused) { paused_.store(paused, std::memory_order_relaxed); }
+
+ private:
+  std::atomic<bool> paused_ = false;
+};
+
+// Immutable and shared, but for what its sessions learn together; a session holds on to the version
+// it was opened with.
 struct ServedPolicy {
   std::string name;
   int64_t version = 0;  // >= 1
   std::shared_ptr<const Engine> engine;
   std::shared_ptr<SessionObserver> observer;
+  std::shared_ptr<FleetHead> fleet;
+  std::shared_ptr<LearningSwitch> learning = std::make_shared<LearningSwitch>();
 
   const Policy& policy() const { return engine->policy(); }
 };

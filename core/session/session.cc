@@ -69,39 +69,66 @@ void VisitFields(T& selection, Visitor&& visit) {
 
 template <Is<LearningOptions> T, typename Visitor>
 void VisitFields(T& options, Visitor&& visit) {
+  visit("scope", options.scope);
   visit("rule", options.rule);
   visit("modulator", options.modulator);
   visit("learning_rate", options.learning_rate);
   visit("trace_decay", options.trace_decay);
+  visit("discount", options.discount);
   visit("clip", options.clip);
   visit("max_drift", options.max_drift);
+  visit("guard_margin", options.guard_margin);
 }
 
 template <Is<ReturnStatistics> T, typename Visitor>
 void VisitFields(T& statistics, Visitor&& visit) {
   visit("mean", statistics.mean);
   visit("variance", statistics.variance);
+  visit("decisions", statistics.decisions);
 }
 
-template <Is<RewardsBefore> T, typename Visitor>
-void VisitFields(T& rewards, Visitor&& visit) {
-  visit("count", rewards.count);
-  visit("mean", rewards.mean);
-  visit("squares", rewards.squares);
-  visit("least", rewards.least);
-  visit("most", rewards.most);
+template <Is<EpisodeReturns> T, typename Visitor>
+void VisitFields(T& episode, Visitor&& visit) {
+  visit("decisions", episode.decisions);
+  visit("rewards", episode.rewards);
+  visit("returns", episode.returns);
+  visit("squares", episode.squares);
+  visit("weights", episode.weights);
+  visit("weights2", episode.weights2);
+  visit("projected", episode.projected);
+}
+
+template <Is<WindowLevel> T, typename Visitor>
+void VisitFields(T& level, Visitor&& visit) {
+  visit("mean", level.mean);
+  visit("error", level.error);
+}
+
+template <Is<ReturnGuard> T, typename Visitor>
+void VisitFields(T& guard, Visitor&& visit) {
+  visit("returns", guard.returns);
+  visit("beginning", guard.beginning);
+  visit("good", guard.good);
+  visit("has_reference", guard.has_reference);
+  visit("reference", guard.reference);
+  visit("last", guard.last);
+  visit("on_probation", guard.on_probation);
+  visit("rollbacks", guard.rollbacks);
 }
 
 template <Is<Learner> T, typename Visitor>
 void VisitFields(T& learner, Visitor&& visit) {
   visit("head_delta", learner.head_delta);
   visit("returns", learner.returns);
+  visit("guard", learner.guard);
   visit("trace", learner.trace.values);
-  visit("rewards_before", learner.rewards_before);
+  visit("episode", learner.episode);
   visit("trace_sum", learner.trace_sum);
-  visit("weighted_sum", learner.weighted_sum);
+  visit("discounted_trace", learner.discounted_trace);
+  visit("credit", learner.credit);
   visit("updates", learner.updates);
   visit("rejected", learner.rejected);
+  visit("suspended", learner.suspended);
 }
 
 template <Is<SessionOptions> T, typename Visitor>
@@ -113,6 +140,7 @@ void VisitFields(T& options, Visitor&& visit) {
   visit("action_selection", options.action_selection);
   visit("labels", options.labels);
   visit("learning", options.learning);
+  visit("head_delta", options.head_delta);
 }
 
 template <Is<Session> T, typename Visitor>
@@ -306,13 +334,21 @@ absl::Status Inconsistent(absl::string_view field, absl::string_view expected, i
 absl::Status CheckLearner(const LearningOptions& options, const Learner& learner) {
   const auto size = static_cast<int64_t>(learner.head_delta.size());
   const int64_t sums = options.modulator == Modulator::kRealized ? size : 0;
+  const int64_t kept = options.scope == Scope::kSession ? size : 0;
   const std::tuple<const char*, size_t, int64_t> lengths[] = {
       {"learner.trace", learner.trace.values.size(), size},
       {"learner.trace_sum", learner.trace_sum.size(), sums},
-      {"learner.weighted_sum", learner.weighted_sum.size(), sums}};
+      {"learner.discounted_trace", learner.discounted_trace.size(), sums},
+      {"learner.credit", learner.credit.size(), sums},
+      {"learner.guard.beginning", learner.guard.beginning.size(), kept},
+      {"learner.guard.good", learner.guard.good.size(), kept}};
   for (const auto& [field, length, expected] : lengths) {
     if (static_cast<int64_t>(length) == expected) continue;
     return Inconsistent(field, absl::StrCat(expected, " numbers"), static_cast<int64_t>(length));
+  }
+  if (learner.guard.returns.size() >= ReturnGuard::kWindow) {
+    return Inconsistent("learner.guard.returns", absl::StrCat("fewer than ", ReturnGuard::kWindow),
+                        static_cast<int64_t>(learner.guard.returns.size()));
   }
   if (learner.returns.variance < 0.0) {
     return absl::InvalidArgumentError(

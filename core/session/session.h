@@ -41,7 +41,8 @@ struct SessionOptions {
   uint64_t seed = 0;
   ActionSelection action_selection;
   std::map<std::string, std::string> labels;
-  std::optional<LearningOptions> learning;  // absent: the policy's head stays frozen
+  std::optional<LearningOptions> learning;  // absent: the head stays as it is
+  std::vector<float> head_delta;  // [act, d]: what the head starts as beyond W_base; empty: W_base
 };
 
 struct Session {
@@ -64,7 +65,7 @@ struct Session {
       0;  // also the counter of its random draws, keyed by (options.seed, decisions)
   uint64_t spikes = 0;
   double energy_joules = 0.0;
-  std::optional<Learner> learner;  // the private head; present where options.learning is
+  std::optional<Learner> learner;  // present where options.learning is
 };
 
 // A compact binary form (CBOR) and back, equal bit for bit. INVALID_ARGUMENT if `bytes` is not such

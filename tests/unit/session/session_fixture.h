@@ -40,6 +40,7 @@ inline std::shared_ptr<const ServedPolicy> Serve(
   auto served = std::make_shared<ServedPolicy>();
   served->name = "small";
   served->version = 1;
+  served->fleet = std::make_shared<FleetHead>(policy);
   served->engine = MakeStreamingEngine(std::move(policy));
   served->observer = std::move(observer);
   return served;

@@ -1,0 +1,118 @@
+#include "core/environment/perturbation.h"
+
+#include <cmath>
+#include <functional>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "core/environment/acrobot.h"
+#include "core/environment/cart_pole.h"
+#include "core/environment/mountain_car.h"
+#include "core/environment/pendulum.h"
+
+namespace spikeserve {
+namespace {
+
+// How a perturbation changes the constants of one task.
+template <typename Parameters>
+struct Change {
+  const char* name;
+  std::function<void(Parameters&, double)> apply;
+};
+
+template <typename Task, typename Parameters>
+absl::StatusOr<std::unique_ptr<Environment>> Make(const Perturbation& perturbation,
+                                                  const std::vector<Change<Parameters>>& changes) {
+  for (const Change<Parameters>& change : changes) {
+    if (change.name != perturbation.name) continue;
+    Parameters parameters;
+    change.apply(parameters, perturbation.value);
+    return std::make_unique<Task>(parameters);
+  }
+  const std::string names = absl::StrJoin(
+      changes, ", ", [](std::string* out, const auto& change) { out->append(change.name); });
+  return absl::InvalidArgumentError(absl::StrCat("perturb: expected one of ", names, " for ",
+                                                 std::string(Task::kId), ", got \"",
+                                                 perturbation.name, "\""));
+}
+
+const std::vector<Change<CartPoleParameters>>& CartPoleChanges() {
+  using P = CartPoleParameters;
+  static const auto& changes = *new std::vector<Change<P>>{
+      {"wind", [](P& p, double newtons) { p.wind = newtons; }},
+      {"length", [](P& p, double factor) { p.half_length *= factor; }},
+      {"mass", [](P& p, double factor) { p.cart_mass *= factor, p.pole_mass *= factor; }},
+      {"force", [](P& p, double factor) { p.force *= factor; }},
+      {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
+  return changes;
+}
+
+const std::vector<Change<MountainCarParameters>>& MountainCarChanges() {
+  using P = MountainCarParameters;
+  static const auto& changes =
+      *new std::vector<Change<P>>{{"force", [](P& p, double factor) { p.force *= factor; }},
+                                  {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
+  return changes;
+}
+
+const std::vector<Change<AcrobotParameters>>& AcrobotChanges() {
+  using P = AcrobotParameters;
+  static const auto& changes =
+      *new std::vector<Change<P>>{{"length",
+                                   [](P& p, double factor) {
+                                     for (double* length : {&p.l1, &p.lc1, &p.lc2})
+                                       *length *= factor;
+                                     for (double* inertia : {&p.i1, &p.i2})
+                                       *inertia *= factor * factor;
+                                   }},
+                                  {"mass",
+                                   [](P& p, double factor) {
+                                     for (double* mass : {&p.m1, &p.m2, &p.i1, &p.i2})
+                                       *mass *= factor;
+                                   }},
+                                  {"force", [](P& p, double factor) { p.torque *= factor; }},
+                                  {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
+  return changes;
+}
+
+const std::vector<Change<PendulumParameters>>& PendulumChanges() {
+  using P = PendulumParameters;
+  static const auto& changes =
+      *new std::vector<Change<P>>{{"length", [](P& p, double factor) { p.length *= factor; }},
+                                  {"mass", [](P& p, double factor) { p.mass *= factor; }},
+                                  {"force", [](P& p, double factor) { p.force *= factor; }},
+                                  {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
+  return changes;
+}
+
+}  // namespace
+
+absl::StatusOr<Perturbation> ParsePerturbation(std::string_view text) {
+  const size_t equals = text.find('=');
+  Perturbation perturbation = {.name = std::string(text.substr(0, equals))};
+  const std::string value(equals == text.npos ? "" : text.substr(equals + 1));
+  if (!absl::SimpleAtod(value, &perturbation.value) || !std::isfinite(perturbation.value)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "perturb: expected NAME=VALUE with a finite number, got \"", std::string(text), "\""));
+  }
+  return perturbation;
+}
+
+absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
+    std::string_view id, const Perturbation& perturbation) {
+  const bool is_size = perturbation.name == "length" || perturbation.name == "mass";
+  if (is_size && perturbation.value <= 0.0) {
+    return absl::InvalidArgumentError(absl::StrCat("perturb: expected a ", perturbation.name,
+                                                   " above 0, got ", perturbation.value));
+  }
+  if (id == CartPole::kId) return Make<CartPole>(perturbation, CartPoleChanges());
+  if (id == MountainCar::kId) return Make<MountainCar>(perturbation, MountainCarChanges());
+  if (id == Acrobot::kId) return Make<Acrobot>(perturbation, AcrobotChanges());
+  if (id == Pendulum::kId) return Make<Pendulum>(perturbation, PendulumChanges());
+  return MakeEnvironment(id).status();  // which names the ids there are
+}
+
+}  // namespace spikeserve

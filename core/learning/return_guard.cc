@@ -1,0 +1,67 @@
+#include "core/learning/return_guard.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace spikeserve {
+
+WindowLevel InterquartileMean(absl::Span<const double> values) {
+  std::vector<double> sorted(values.begin(), values.end());
+  std::sort(sorted.begin(), sorted.end());
+  const size_t quarter = sorted.size() / 4;
+  const size_t end = sorted.size() - quarter;
+  const auto middle = static_cast<double>(end - quarter);
+  const auto count = static_cast<double>(sorted.size());
+
+  WindowLevel level;
+  for (size_t i = quarter; i < end; ++i) level.mean += sorted[i] / middle;
+  // The deviation of the winsorised values: the outer quarters moved to the quartiles.
+  double mean = 0.0;
+  for (double& value : sorted) {
+    value = std::clamp(value, sorted[quarter], sorted[end - 1]);
+    mean += value / count;
+  }
+  double squares = 0.0;
+  for (const double value : sorted) squares += (value - mean) * (value - mean);
+  level.error = std::sqrt(squares / (count - 1.0)) / (middle / count * std::sqrt(count));
+  return level;
+}
+
+ReturnGuard ReturnGuard::New(const std::vector<float>& delta) {
+  ReturnGuard guard;
+  guard.beginning = delta;
+  guard.good = delta;
+  return guard;
+}
+
+bool ReturnGuard::OnEpisode(double episode_return, double margin, std::vector<float>* delta) {
+  returns.push_back(episode_return);
+  if (returns.size() < kWindow) return false;
+  last = InterquartileMean(returns);
+  returns.clear();
+  const double allowance =
+      margin * std::abs(reference.mean) + 2.0 * std::hypot(last.error, reference.error);
+  const bool bad = has_reference && last.mean < reference.mean - allowance;
+  if (bad) {
+    RollBack(delta);
+  } else {
+    good = beginning;
+    on_probation = false;
+    if (!has_reference || last.mean > reference.mean) reference = last;
+    has_reference = true;
+  }
+  beginning = *delta;
+  return bad;
+}
+
+void ReturnGuard::RollBack(std::vector<float>* delta) {
+  if (on_probation) {
+    good.assign(good.size(), 0.0f);
+    has_reference = false;
+  }
+  on_probation = !on_probation;
+  *delta = good;
+  ++rollbacks;
+}
+
+}  // namespace spikeserve

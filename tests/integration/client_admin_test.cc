@@ -1,0 +1,70 @@
+// `spikectl admin`, as an operator runs it.
+#include <filesystem>
+
+#include "tests/integration/client_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+class SpikectlAdminTest : public ClientProgramTest {
+ protected:
+  Finished Admin(const std::string& action, std::vector<std::string> flags) {
+    flags.insert(flags.begin(), action);
+    return Spikectl("admin", flags);
+  }
+  nlohmann::json AdminJson(const std::string& action, std::vector<std::string> flags) {
+    flags.push_back("--json");
+    return ParseOutput(Admin(action, flags));
+  }
+
+  void AddVersion2() {
+    const auto folder = policies_.path() / "pendulum-v1";
+    std::filesystem::copy(folder / "1", folder / "2");
+  }
+};
+
+TEST_F(SpikectlAdminTest, AVersionFromLoadToUnload) {
+  AddVersion2();
+  const std::string policy = "--policy=pendulum-v1";
+  EXPECT_EQ(AdminJson("load", {policy, "--version=2"})["is_default"], true);
+  EXPECT_EQ(AdminJson("default", {policy, "--version=1"})["version"], 1);
+  EXPECT_EQ(AdminJson("label", {policy, "--version=2", "--label=canary"})["label"], "canary");
+  const auto traffic = AdminJson("traffic", {policy, "--shares=1:90,2:10", "--shadow=2"});
+  EXPECT_EQ(traffic["shares"][1]["percent"], 10);
+
+  const auto listed = ParseOutput(Spikectl("policies", {"--json"}))["policies"];
+  const auto& second = listed.back();
+  EXPECT_EQ(second["version_labels"][0], "canary");
+  EXPECT_EQ(second["traffic_percent"], 10);
+  EXPECT_EQ(second["is_shadow"], true);
+
+  ExpectOneLineError(Admin("unload", {policy, "--version=2"}), "FailedPrecondition");
+  AdminJson("traffic", {policy});
+  AdminJson("unlabel", {policy, "--label=canary"});
+  AdminJson("unload", {policy, "--version=2"});
+  EXPECT_EQ(AdminJson("reload", {})["loaded"].size(), 0u);
+}
+
+TEST_F(SpikectlAdminTest, SessionsAndDrain) {
+  const std::string session = client_->Open("pendulum-v1");
+  const auto sessions = AdminJson("sessions", {})["sessions"];
+  ASSERT_EQ(sessions.size(), 1u);
+  EXPECT_EQ(sessions[0]["session_id"], session);
+  EXPECT_THAT(Admin("sessions", {}).output, HasSubstr(session));
+  EXPECT_EQ(AdminJson("drain", {})["open_sessions"], 1);
+  ExpectOneLineError(Spikectl("run", {"--env=Pendulum-v1"}), "draining");
+  EXPECT_EQ(AdminJson("drain", {"--cancel"})["draining"], false);
+}
+
+TEST_F(SpikectlAdminTest, MistakesAreNamed) {
+  ExpectOneLineError(Admin("fly", {}), "expected one of load, unload");
+  ExpectOneLineError(Admin("load", {}), "--policy: expected a name");
+  ExpectOneLineError(Admin("traffic", {"--policy=pendulum-v1", "--shares=1"}),
+                     "--shares: expected VERSION:PERCENT");
+  ExpectOneLineError(Admin("load", {"--policy=pendulum-v1", "--version=9"}), "NotFound");
+}
+
+}  // namespace
+}  // namespace spikeserve
