@@ -4,26 +4,9 @@
 
 #include <gtest/gtest.h>
 
-#include <cstdlib>
-#include <new>
-
+#include "tests/unit/session/allocation_counter.h"
 #include "tests/unit/session/fake_clock.h"
 #include "tests/unit/session/session_fixture.h"
-
-namespace {
-
-thread_local bool counting = false;
-thread_local int64_t allocations = 0;
-
-}  // namespace
-
-void* operator new(size_t size) {
-  if (counting) ++allocations;
-  if (void* memory = std::malloc(size)) return memory;
-  throw std::bad_alloc();
-}
-void operator delete(void* memory) noexcept { std::free(memory); }
-void operator delete(void* memory, size_t /*size*/) noexcept { std::free(memory); }
 
 namespace spikeserve {
 namespace {
@@ -46,14 +29,14 @@ TEST_P(AllocationTest, AWarmDecisionAllocatesNothing) {
   AgentSession agent(served, NewSession("id", std::move(options)), &clock);
   const std::vector<float> observation = ObservationAt(0);
   for (int64_t step = 0; step < kWarm + kCounted; ++step) {
-    counting = step >= kWarm;
+    const int64_t before = Allocations();
     const bool answered = agent.Act(step, observation, 0.1).ok();
     agent.AppendPendingAction();
-    counting = false;
+    const int64_t allocated = Allocations() - before;
     ASSERT_TRUE(answered);
+    if (step < kWarm) continue;
+    ASSERT_EQ(allocated, 0) << "step " << step;
   }
-  EXPECT_EQ(allocations, 0);
-  allocations = 0;
 }
 
 constexpr ActionSelection kSampled = {.sample = true, .temperature = 1.0f};
