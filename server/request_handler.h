@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/container/inlined_vector.h"
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
 #include "server/authenticator.h"
@@ -32,7 +33,7 @@ class DeferredWork {
   void Run();
 
  private:
-  std::vector<std::shared_ptr<SessionEntry>> entries_;
+  absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries_;
   ShadowRunner* shadows_ = nullptr;
 };
 

@@ -8,6 +8,16 @@
 
 namespace spikeserve {
 
+void Engine::DecideTogether(absl::Span<const Decision> decisions) const {
+  for (const Decision& d : decisions) {
+    Decide(*d.context, d.return_to_go, d.observation, d.output);
+  }
+}
+
+void Engine::AppendActionsTogether(absl::Span<const TakenAction> actions) const {
+  for (const TakenAction& action : actions) AppendAction(*action.context, action.encoded_action);
+}
+
 int HistorySize(const ModelConfig& config) {
   return std::max(2, config.layers * (config.context - 1) + 1);
 }
