@@ -1,10 +1,12 @@
 #include "train/dataset.h"
 
+#include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <iterator>
 
 #include "absl/strings/str_cat.h"
+#include "absl/types/span.h"
 #include "core/model/atomic_file.h"
 
 namespace spikeserve {
@@ -32,6 +34,7 @@ Json EpisodeToJson(const Episode& episode, bool discrete) {
                {"truncated", episode.truncated}};
   if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
   if (!episode.weights.empty()) json["weights"] = episode.weights;
+  if (episode.asked_return.has_value()) json["asked_return"] = *episode.asked_return;
   return json;
 }
 
@@ -58,6 +61,7 @@ Episode EpisodeFromJson(const Json& json, bool discrete) {
   episode.actions = ActionsFromJson(json.at("actions"), discrete);
   if (json.contains("labels")) episode.labels = ActionsFromJson(json["labels"], discrete);
   if (json.contains("weights")) json["weights"].get_to(episode.weights);
+  if (json.contains("asked_return")) episode.asked_return = json["asked_return"].get<double>();
   json.at("rewards").get_to(episode.rewards);
   json.at("terminated").get_to(episode.terminated);
   json.at("truncated").get_to(episode.truncated);
@@ -117,13 +121,18 @@ absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
   return absl::OkStatus();
 }
 
-std::vector<float> ReturnsToGo(absl::Span<const double> rewards) {
+std::vector<float> ReturnsToGo(const Episode& episode) {
+  const std::vector<double>& rewards = episode.rewards;
   std::vector<float> returns(rewards.size());
   double sum = 0.0;
   for (size_t i = rewards.size(); i-- > 0;) {
     sum += rewards[i];
     returns[i] = static_cast<float>(sum);
   }
+  if (!episode.asked_return.has_value()) return returns;
+  double left = *episode.asked_return;
+  for (size_t i = 0; i < rewards.size(); left -= rewards[i++])
+    returns[i] = static_cast<float>(left);
   return returns;
 }
 

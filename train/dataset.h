@@ -10,7 +10,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/types/span.h"
+#include "absl/types/optional.h"
 #include "core/model/action_space.h"
 #include "nlohmann/json.hpp"
 
@@ -26,6 +26,9 @@ struct Episode {
   std::vector<double> rewards;      // [steps]
   bool terminated = false;
   bool truncated = false;
+  // What the actor was asked for, where it was; returns-to-go count down from it then, else from
+  // what the episode returned.
+  absl::optional<double> asked_return = absl::nullopt;
 
   // What to imitate at a step.
   const Action& label(int step) const { return labels.empty() ? actions[step] : labels[step]; }
@@ -45,8 +48,9 @@ struct Dataset {
 // dataset's observations ask for, or an action is not of its action space.
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode);
 
-// G_t = r_t + r_{t+1} + ... to the end of the episode.
-std::vector<float> ReturnsToGo(absl::Span<const double> rewards);
+// [steps]: G_t = r_t + r_{t+1} + ... to the end of the episode; or, where a return was asked for,
+// what is left of that.
+std::vector<float> ReturnsToGo(const Episode& episode);
 
 // Mean and deviation of every observation entry over all steps, both [obs].
 struct Moments {
