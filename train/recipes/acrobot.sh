@@ -17,5 +17,8 @@ data round1 --seed=1 --steps=40000 --expert_fraction=0 --student="$policy" "${ex
 stage 2-quiet base,round1 --seed=2 --iterations=400 --target_rate=1.8 --readout_rate=10 "${short[@]}"
 data round2 --seed=2 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
 stage 3-quieter base,round1,round2 --seed=3 --iterations=500 --target_rate=1 --readout_rate=8 "${short[@]}"
+data round3 --seed=3 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 4-whole base,round1,round2,round3 --seed=4 --iterations=350 --target_rate=1 --readout_rate=8 --slope=4 --batch=16 \
+  --learning_rate=1.5e-3
 
 unseen
