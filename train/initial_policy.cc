@@ -14,7 +14,7 @@ namespace {
 std::pair<float, float> ReturnMoments(const Dataset& dataset) {
   double sum = 0.0, squares = 0.0, count = 0.0;
   for (const Episode& episode : dataset.episodes) {
-    for (const float g : ReturnsToGo(episode.rewards)) {
+    for (const float g : ReturnsToGo(episode)) {
       sum += static_cast<double>(g);
       squares += static_cast<double>(g) * static_cast<double>(g);
       count += 1.0;
@@ -28,9 +28,9 @@ std::pair<float, float> ReturnMoments(const Dataset& dataset) {
 // That of the environment; for one that is not ours, what the data show.
 ReturnScaling ScalingOf(const Dataset& dataset, const std::pair<float, float>& moments) {
   if (const auto scaling = ReturnScalingOf(dataset.environment); scaling.ok()) return *scaling;
-  float best = ReturnsToGo(dataset.episodes[0].rewards)[0];
+  float best = ReturnsToGo(dataset.episodes[0])[0];
   for (const Episode& episode : dataset.episodes) {
-    best = std::max(best, ReturnsToGo(episode.rewards)[0]);
+    best = std::max(best, ReturnsToGo(episode)[0]);
   }
   return {.offset = moments.first, .scale = moments.second, .target = best};
 }
