@@ -42,8 +42,8 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   std::vector<absl::Status> refused;
   auto registry = PolicyRegistry::Load(
       options.policies,
-      [&](const std::string& name, int64_t version, const Policy& policy) {
-        return metrics->NewPolicyObserver(name, version, policy);
+      [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
+        return kept->NewPolicyObserver(name, version, policy);
       },
       &refused);
   if (!registry.ok()) {
