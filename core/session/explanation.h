@@ -16,9 +16,9 @@ struct Explanation {
   Trace trace;                 // its spikes add up, stage by stage, to the answer's counts
 };
 
-// Explains `session.last_answer`, which `policy` gave. Takes a hundred times as long as the
-// decision did. Thread-safe. FAILED_PRECONDITION where the running episode has no decision yet;
-// INTERNAL if the decision comes out otherwise than it was answered.
+// Explains `session.last_answer`, which `policy` gave. Takes about a thousand times as long
+// as the decision did. Thread-safe. FAILED_PRECONDITION where the running episode has no decision
+// yet; INTERNAL if the decision comes out otherwise than it was answered.
 absl::StatusOr<Explanation> Explain(const Policy& policy, const Session& session);
 
 }  // namespace spikeserve
