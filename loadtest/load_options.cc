@@ -29,6 +29,10 @@ absl::Status LoadOptions::Validate() const {
     return status;
   }
   if (auto status = CheckRange("batch_size", batch_size, 0, kMany); !status.ok()) return status;
+  if (!(observation_bound >= 0.0 && observation_bound <= 1e6)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--observation_bound: expected 0 to 1e6, got ", observation_bound));
+  }
   if (!(rate >= 0.0 && rate <= 1e7)) {
     return absl::InvalidArgumentError(absl::StrCat("--rate: expected 0 to 1e7, got ", rate));
   }

@@ -30,6 +30,7 @@ struct LoadOptions {
   int episode_steps = 200;                      // steps after which a session ends its episode
   int batch_size = 0;                           // most requests in a batch; 0: all of a caller's
   double rate = 0.0;                            // requests a second of all callers; 0: closed loop
+  double observation_bound = 1.0;               // of the random observations' absolute values
   uint64_t seed = 0;                            // of the observations
 
   // INVALID_ARGUMENT names the flag, what was expected and what came.

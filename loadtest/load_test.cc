@@ -36,7 +36,7 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
     const int first_episode_steps = 1 + i % options.episode_steps;
     agents.emplace_back(RemoteSession(client, opened->session_id(), 0),
                         static_cast<int>(opened->observation_size()), first_episode_steps,
-                        options.episode_steps, seed);
+                        options.episode_steps, seed, options.observation_bound);
   }
   return agents;
 }

@@ -10,10 +10,11 @@ constexpr double kReward = 1.0;
 }  // namespace
 
 SimulatedAgent::SimulatedAgent(RemoteSession session, int observation_size, int first_episode_steps,
-                               int episode_steps, uint64_t seed)
+                               int episode_steps, uint64_t seed, double observation_bound)
     : session_(std::move(session)),
       steps_left_(first_episode_steps),
       episode_steps_(episode_steps),
+      observation_bound_(observation_bound),
       random_(static_cast<std::minstd_rand::result_type>(seed)),
       observation_(observation_size) {
   MakeRequest();
@@ -34,7 +35,8 @@ void SimulatedAgent::MakeRequest() {
   // Not a standard distribution: those differ between libraries.
   constexpr double kHalf = (std::minstd_rand::max() - std::minstd_rand::min()) / 2.0;
   for (float& value : observation_) {
-    value = static_cast<float>((random_() - std::minstd_rand::min()) / kHalf - 1.0);
+    const double unit = (random_() - std::minstd_rand::min()) / kHalf - 1.0;
+    value = static_cast<float>(observation_bound_ * unit);
   }
   request_ = session_.MakeRequest(observation_, kReward);
 }

@@ -1,5 +1,5 @@
-// An agent without an environment: random observations in [-1, 1], reward 1 a step, episodes of a
-// fixed length.
+// An agent without an environment: random observations within a bound, reward 1 a step, episodes of
+// a fixed length.
 //
 // Not thread-safe. The same seed makes the same observations on every machine.
 #ifndef LOADTEST_SIMULATED_AGENT_H_
@@ -20,7 +20,7 @@ class SimulatedAgent {
   // `session` is at step 0. The first episode has `first_episode_steps`, so that agents which start
   // together need not end together; later ones have `episode_steps`.
   SimulatedAgent(RemoteSession session, int observation_size, int first_episode_steps,
-                 int episode_steps, uint64_t seed);
+                 int episode_steps, uint64_t seed, double observation_bound = 1.0);
 
   const std::string& session_id() const { return session_.session_id(); }
 
@@ -42,6 +42,7 @@ class SimulatedAgent {
   RemoteSession session_;
   int steps_left_;  // in this episode
   int episode_steps_;
+  double observation_bound_;  // of their absolute values
   std::minstd_rand random_;
   std::vector<float> observation_;
   v1::ActRequest request_;

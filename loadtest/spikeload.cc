@@ -50,6 +50,8 @@ ABSL_FLAG(
     double, rate, 0.0,
     "Requests a second, on a fixed schedule, latencies counted from when a request was due; 0: "
     "closed loop, every session sends its next request when it has the answer");
+ABSL_FLAG(double, observation_bound, spikeserve::LoadOptions().observation_bound,
+          "Random observations are within plus and minus this, in environment units");
 ABSL_FLAG(uint64_t, seed, 0, "Seed of the random observations");
 ABSL_FLAG(bool, json, false, "Print one JSON object instead of text");
 
@@ -72,6 +74,7 @@ absl::StatusOr<LoadOptions> OptionsFromFlags() {
   options.episode_steps = absl::GetFlag(FLAGS_episode_steps);
   options.batch_size = absl::GetFlag(FLAGS_batch_size);
   options.rate = absl::GetFlag(FLAGS_rate);
+  options.observation_bound = absl::GetFlag(FLAGS_observation_bound);
   options.seed = absl::GetFlag(FLAGS_seed);
   return options;
 }

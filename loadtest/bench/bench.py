@@ -25,6 +25,7 @@ SHIPPED = POLICIES / "cartpole/1/policy.safetensors"
 
 SESSIONS = [1, 8, 64, 512]
 BATCH = 64  # requests
+OBSERVATION_BOUND = 0.05  # where CartPole starts: what the shipped policy was trained to be silent on
 
 
 def parse_arguments():
@@ -114,7 +115,8 @@ def measure_sessions(arguments):
 def load_flags(mode, sessions):
     """The flags of spikeload for a mode; batches are of BATCH requests, or of all sessions where there are fewer."""
     streams = -(-sessions // BATCH) if mode == "batch" else min(8, sessions)
-    return {"mode": mode, "sessions": sessions, "streams": streams}
+    flags = {"mode": mode, "sessions": sessions, "streams": streams}
+    return {**flags, "policy": SHIPPED.parts[-3], "observation_bound": OBSERVATION_BOUND}
 
 
 @contextlib.contextmanager

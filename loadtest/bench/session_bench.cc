@@ -89,13 +89,10 @@ class Measurement {
   }
 
   // Fills every session's history, and one timestep more.
-  void Play(int64_t compact_every) {
+  void Play() {
     const int steps = HistorySize(served_->policy().config) + 1;
     const std::vector<float> observation(static_cast<size_t>(served_->policy().observation_size()));
-    for (size_t i = 0; i < ids_.size(); ++i) {
-      PlaySession(ids_[i], steps, observation);
-      if (compact_every > 0 && (i + 1) % static_cast<size_t>(compact_every) == 0) Compact();
-    }
+    for (const std::string& id : ids_) PlaySession(id, steps, observation);
   }
 
   void Compact() { store_->CompactIdle(absl::ZeroDuration()); }
@@ -128,7 +125,7 @@ absl::Status Run() {
   Measurement measurement(sessions, can_be_active ? Serve(MakeStreamingEngine(shared))
                                                   : Serve(std::make_shared<SilentEngine>(shared)));
   result["opened_bytes"] = measurement.Opened();
-  measurement.Play(can_be_active ? 0 : 10'000);
+  measurement.Play();
   if (can_be_active) result["active_bytes"] = measurement.BytesPerSession();
   measurement.Compact();
   result["idle_bytes"] = measurement.BytesPerSession();

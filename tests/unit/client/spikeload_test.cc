@@ -110,12 +110,13 @@ TEST_P(BrokenStreamTest, CountsEveryRequestUnderWay) {
 INSTANTIATE_TEST_SUITE_P(Modes, BrokenStreamTest, ::testing::Values(LoadMode::kStream));
 
 TEST(SimulatedAgentTest, ObservationsAreSeededAndWithinBounds) {
+  static constexpr float kBound = 0.25f;
   const auto observations = [](uint64_t seed) {
-    SimulatedAgent agent(RemoteSession(nullptr, "s", 0), 1000, 9, 9, seed);
+    SimulatedAgent agent(RemoteSession(nullptr, "s", 0), 1000, 9, 9, seed, kBound);
     const auto& values = agent.request().observation();
     for (const float value : values) {
-      EXPECT_GE(value, -1.0f);
-      EXPECT_LE(value, 1.0f);
+      EXPECT_GE(value, -kBound);
+      EXPECT_LE(value, kBound);
     }
     return std::vector<float>(values.begin(), values.end());
   };
@@ -161,6 +162,8 @@ TEST(LoadOptionsTest, ValidateNamesTheFlag) {
   EXPECT_THAT(message([](LoadOptions& o) { o.batch_size = -1; }), HasSubstr("--batch_size"));
   EXPECT_THAT(message([](LoadOptions& o) { o.duration = absl::InfiniteDuration(); }),
               HasSubstr("--duration"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.observation_bound = -1.0; }),
+              HasSubstr("--observation_bound"));
   EXPECT_THAT(message([](LoadOptions& o) { o.rate = -1.0; }), HasSubstr("--rate"));
   EXPECT_EQ(*ParseLoadMode("stream"), LoadMode::kStream);
   EXPECT_TRUE(absl::IsInvalidArgument(ParseLoadMode("Stream").status()));
