@@ -20,5 +20,8 @@ stage 3-quieter base,round1,round2 --seed=3 --iterations=500 --target_rate=1 --r
 data round3 --seed=3 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
 stage 4-whole base,round1,round2,round3 --seed=4 --iterations=350 --target_rate=1 --readout_rate=8 --slope=4 --batch=16 \
   --learning_rate=1.5e-3
+data round4 --seed=4 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 5-whole base,round1,round2,round3,round4 --seed=5 --iterations=400 --target_rate=1.2 --readout_rate=8 --slope=4 \
+  --batch=16 --learning_rate=2e-3
 
 unseen
