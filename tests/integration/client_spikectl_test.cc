@@ -101,8 +101,7 @@ TEST_F(SpikectlTest, APolicyVersionAndTargetReturnMayBeNamed) {
 }
 
 TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
-  ExpectOneLineError(Spikectl("fly"),
-                     "command: expected one of policies, run, adapt, admin, got \"fly\"");
+  ExpectOneLineError(Spikectl("fly"), "command: expected one of policies, run, admin, got \"fly\"");
   ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, got \"land\"");
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
   ExpectOneLineError(Spikectl("run", {"--episodes=0"}), "--episodes: expected at least 1, got 0");
