@@ -64,10 +64,11 @@ TEST_F(OpenErrorsTest, UnknownActionSelection) {
               "action_selection: expected GREEDY or SAMPLE, received 7");
 }
 
-TEST_F(OpenErrorsTest, FleetLearningIsNotServed) {
+TEST_F(OpenErrorsTest, AFleetsHeadHasTheServersBounds) {
   request_.mutable_learning()->set_scope(v1::LearningConfig::FLEET);
-  ExpectError(client_->TryOpen(request_), StatusCode::UNIMPLEMENTED,
-              "learning.scope: expected SESSION, received FLEET");
+  request_.mutable_learning()->set_max_drift(5.0);
+  ExpectError(client_->TryOpen(request_), StatusCode::INVALID_ARGUMENT,
+              "learning.max_drift: expected unset unless scope is SESSION");
 }
 
 TEST_F(OpenErrorsTest, Learning) {

@@ -67,6 +67,7 @@ TEST_F(MetricsTest, EpisodesAndTheirReturns) {
 TEST_F(MetricsTest, LearningIsCounted) {
   v1::OpenSessionRequest open;
   open.set_policy("discrete");
+  open.mutable_learning()->set_modulator("target");
   open.mutable_learning()->set_learning_rate(0.1);
   open.mutable_learning()->set_max_drift(0.001);
   v1::OpenSessionResponse opened;
@@ -79,10 +80,11 @@ TEST_F(MetricsTest, LearningIsCounted) {
   EXPECT_EQ(learned.updates(), 9);
   EXPECT_EQ(learned.rejected_updates(), 0);
   EXPECT_NEAR(learned.head_drift(), 0.001, 1e-9);
-  const std::string version = "policy=\"discrete\",version=\"2\"";
   EXPECT_EQ(Metric("spikeserve_learning_updates_total"), 9.0);
   EXPECT_EQ(Metric("spikeserve_learning_rejected_total", {"reason=\"non_finite\""}), 0.0);
-  EXPECT_NEAR(Metric("spikeserve_head_drift_ratio", {version}), learned.head_drift(), 1e-9);
+  EXPECT_NEAR(Metric("spikeserve_head_drift_ratio",
+                     {"policy=\"discrete\"", "scope=\"session\"", "version=\"2\""}),
+              learned.head_drift(), 1e-9);
 }
 
 TEST_F(MetricsTest, CallsAreTimedByMethodAndCode) {
