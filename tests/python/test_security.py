@@ -384,7 +384,7 @@ def test_an_open_door_is_not_served_by_accident(tmp_path, tokens, flags, message
         timeout=DEADLINE_SECONDS,
     )
     assert finished.returncode == 1
-    assert finished.stderr.startswith(f"spikeserve: {message}"), finished.stderr
+    assert f"spikeserve: {message}" in finished.stderr
 
 
 def test_an_open_door_is_served_where_it_was_asked_for():
