@@ -148,6 +148,12 @@ absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& ses
   return Call(&v1::PolicyService::Stub::GetSession, request, session_id);
 }
 
+absl::StatusOr<v1::ExplainResponse> Client::Explain(const std::string& session_id) {
+  v1::ExplainRequest request;
+  request.set_session_id(session_id);
+  return Call(&v1::PolicyService::Stub::Explain, request, session_id);
+}
+
 absl::Status Client::CloseSession(const std::string& session_id) {
   v1::CloseSessionRequest request;
   request.set_session_id(session_id);

@@ -82,6 +82,9 @@ class Client {
   absl::StatusOr<v1::GetSessionResponse> GetSession(const std::string& session_id,
                                                     bool include_head_delta = false);
 
+  // Retried.
+  absl::StatusOr<v1::ExplainResponse> Explain(const std::string& session_id);
+
   // Retried; OK if a repeated attempt finds the session gone.
   absl::Status CloseSession(const std::string& session_id);
 

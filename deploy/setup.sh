@@ -16,7 +16,7 @@ packages=(
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo
-  libgtest-dev libgmock-dev prometheus ca-certificates curl python3 python3-venv
+  libgtest-dev libgmock-dev prometheus ca-certificates curl python3 python3-venv chromium chromium-driver
 )
 
 missing=()

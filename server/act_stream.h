@@ -8,6 +8,7 @@
 #include "core/session/clock.h"
 #include "server/answer_stream.h"
 #include "server/authenticator.h"
+#include "server/background_worker.h"
 #include "server/call_tracker.h"
 #include "server/metrics.h"
 #include "server/request_handler.h"
@@ -22,6 +23,7 @@ struct ServiceParts {
   const Authenticator* authenticator;
   Metrics* metrics;
   const Clock* clock;
+  BackgroundWorker* worker;
 };
 
 // Thread-safe as AnswerStream is.

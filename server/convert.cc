@@ -24,43 +24,36 @@ std::optional<double> TrainingReturn(const std::string& training) {
   return mean->get<double>();
 }
 
-v1::Action ToProto(const Action& action, bool discrete) {
-  v1::Action proto;
-  if (discrete) {
-    proto.set_discrete(action.discrete);
-  } else {
-    proto.mutable_continuous()->mutable_values()->Add(action.continuous.begin(),
-                                                      action.continuous.end());
-  }
-  return proto;
+// What an answer consists of is written in place, where the response's arena serves it.
+
+void ToProto(const Action& action, bool discrete, v1::Action* proto) {
+  if (discrete) return proto->set_discrete(action.discrete);
+  proto->mutable_continuous()->mutable_values()->Add(action.continuous.begin(),
+                                                     action.continuous.end());
 }
 
-v1::SpikesByStage SpikesToProto(const Counts& counts) {
-  v1::SpikesByStage proto;
-  proto.set_coder(counts.spikes(Stage::kCoder));
-  proto.set_phase(counts.spikes(Stage::kPhase));
-  proto.set_query(counts.spikes(Stage::kQuery));
-  proto.set_key(counts.spikes(Stage::kKey));
-  proto.set_value(counts.spikes(Stage::kValue));
-  proto.set_ffn_in(counts.spikes(Stage::kFfnIn));
-  proto.set_ffn_hidden(counts.spikes(Stage::kFfnHidden));
-  proto.set_readout(counts.spikes(Stage::kReadout));
-  return proto;
+void ToProto(const Counts& counts, v1::SpikesByStage* proto) {
+  proto->set_coder(counts.spikes(Stage::kCoder));
+  proto->set_phase(counts.spikes(Stage::kPhase));
+  proto->set_query(counts.spikes(Stage::kQuery));
+  proto->set_key(counts.spikes(Stage::kKey));
+  proto->set_value(counts.spikes(Stage::kValue));
+  proto->set_ffn_in(counts.spikes(Stage::kFfnIn));
+  proto->set_ffn_hidden(counts.spikes(Stage::kFfnHidden));
+  proto->set_readout(counts.spikes(Stage::kReadout));
 }
 
-v1::DecisionStats StatsToProto(const Answer& answer, bool dense) {
+void ToProto(const Answer& answer, bool dense, v1::DecisionStats* proto) {
   const Counts& counts = answer.counts;
-  v1::DecisionStats proto;
-  proto.set_spikes(counts.total_spikes());
-  proto.set_synaptic_operations(counts.synaptic_operations());
-  proto.set_energy_joules(PrimaryEnergy(counts, dense));
-  proto.set_compute_seconds(answer.compute_seconds);
-  *proto.mutable_spikes_by_stage() = SpikesToProto(counts);
-  proto.set_accumulates(counts.accumulates);
-  proto.set_multiply_accumulates(counts.multiply_accumulates);
-  proto.set_attention_products(counts.attention_products);
-  proto.set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
-  return proto;
+  proto->set_spikes(counts.total_spikes());
+  proto->set_synaptic_operations(counts.synaptic_operations());
+  proto->set_energy_joules(PrimaryEnergy(counts, dense));
+  proto->set_compute_seconds(answer.compute_seconds);
+  ToProto(counts, proto->mutable_spikes_by_stage());
+  proto->set_accumulates(counts.accumulates);
+  proto->set_multiply_accumulates(counts.multiply_accumulates);
+  proto->set_attention_products(counts.attention_products);
+  proto->set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
 }
 
 absl::Status UnknownName(absl::string_view field, absl::string_view expected,
@@ -254,11 +247,11 @@ void ToProto(const std::string& session_id, const Answer& answer, const Policy& 
              v1::ActResponse* response) {
   response->set_session_id(session_id);
   response->set_step(answer.step);
-  *response->mutable_action() = ToProto(answer.action, policy.action_space.is_discrete());
+  ToProto(answer.action, policy.action_space.is_discrete(), response->mutable_action());
   response->mutable_action_probabilities()->Add(answer.probabilities.begin(),
                                                 answer.probabilities.end());
   response->set_return_to_go(static_cast<double>(answer.return_to_go));
-  *response->mutable_stats() = StatsToProto(answer, policy.config.is_dense());
+  ToProto(answer, policy.config.is_dense(), response->mutable_stats());
 }
 
 void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,

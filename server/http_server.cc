@@ -2,12 +2,35 @@
 
 #include <civetweb.h>
 
+#include <thread>
 #include <utility>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "absl/synchronization/notification.h"
+#include "absl/time/time.h"
 
 namespace spikeserve {
+namespace {
+
+// A page may load nothing but what this server sends, be framed by nobody, and is always fetched
+// anew.
+constexpr absl::string_view kHeaders =
+    "Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; connect-src "
+    "'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n"
+    "X-Content-Type-Options: nosniff\r\n"
+    "Referrer-Policy: no-referrer\r\n"
+    "Cache-Control: no-store\r\n";
+
+// civetweb looks whether it is to stop when a connection comes, or every two seconds.
+void Knock(const Address& address) {
+  char error[1];
+  mg_close_connection(
+      mg_connect_client(address.host.c_str(), address.port, /*use_ssl=*/0, error, sizeof(error)));
+}
+
+}  // namespace
 
 absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& listen, Page page,
                                                               Guard guard) {
@@ -29,7 +52,16 @@ absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& lis
 }
 
 HttpServer::~HttpServer() {
-  if (context_ != nullptr) mg_stop(context_);
+  if (context_ == nullptr) return;
+  absl::Notification stopped;
+  std::thread stop([&] {
+    mg_stop(context_);
+    stopped.Notify();
+  });
+  do {
+    Knock(address_);
+  } while (!stopped.WaitForNotificationWithTimeout(absl::Milliseconds(10)));
+  stop.join();
 }
 
 int HttpServer::Log(const mg_connection* connection, const char* message) {
@@ -43,10 +75,10 @@ int HttpServer::Log(const mg_connection* connection, const char* message) {
   return 1;
 }
 
-HttpResponse HttpServer::Answer(const mg_connection* connection, absl::string_view path) const {
+HttpResponse HttpServer::Answer(const mg_connection* connection, const HttpRequest& request) const {
   const char* header = mg_get_header(connection, "Authorization");
-  const absl::Status status = guard_(path, header == nullptr ? "" : header);
-  if (status.ok()) return page_(path);
+  const absl::Status status = guard_(request.path, header == nullptr ? "" : header);
+  if (status.ok()) return page_(request);
   return {.code = absl::IsUnauthenticated(status) ? 401 : 403,
           .body = absl::StrCat(status.message(), "\n")};
 }
@@ -56,14 +88,16 @@ int HttpServer::Handle(mg_connection* connection) {
   const auto* server = static_cast<const HttpServer*>(request->user_data);
   const absl::string_view method = request->request_method;
   const bool head = method == "HEAD";
-  const HttpResponse response = head || method == "GET"
-                                    ? server->Answer(connection, request->local_uri)
-                                    : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+  const char* query = request->query_string;
+  const HttpResponse response =
+      head || method == "GET" ? server->Answer(connection, {.path = request->local_uri,
+                                                            .query = query == nullptr ? "" : query})
+                              : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
   const std::string header = absl::StrCat(
       "HTTP/1.1 ", response.code, " ", mg_get_response_code_text(connection, response.code),
       response.code == 401 ? "\r\nWWW-Authenticate: Basic realm=\"spikeserve\"" : "",
       "\r\nContent-Type: ", response.content_type, "\r\nContent-Length: ", response.body.size(),
-      "\r\nConnection: close\r\n\r\n");
+      "\r\nConnection: close\r\n", kHeaders, "\r\n");
   mg_write(connection, header.data(), header.size());
   if (!head) mg_write(connection, response.body.data(), response.body.size());
   return response.code;  // handled

@@ -18,6 +18,12 @@ struct mg_connection;
 
 namespace spikeserve {
 
+// A GET; a HEAD is answered alike, its body left out.
+struct HttpRequest {
+  std::string path;   // decoded
+  std::string query;  // behind the question mark, as it came
+};
+
 struct HttpResponse {
   int code = 200;
   std::string content_type = "text/plain; charset=utf-8";
@@ -26,8 +32,8 @@ struct HttpResponse {
 
 class HttpServer {
  public:
-  // Answers a GET of `path`; called from many threads.
-  using Page = std::function<HttpResponse(absl::string_view path)>;
+  // Answers a request; called from many threads.
+  using Page = std::function<HttpResponse(const HttpRequest& request)>;
 
   // Whether the sender of an Authorization header, which may be empty, may see `path`; called from
   // many threads. UNAUTHENTICATED becomes 401, any other error 403.
@@ -48,7 +54,7 @@ class HttpServer {
  private:
   HttpServer(Page page, Guard guard) : page_(std::move(page)), guard_(std::move(guard)) {}
 
-  HttpResponse Answer(const mg_connection* connection, absl::string_view path) const;
+  HttpResponse Answer(const mg_connection* connection, const HttpRequest& request) const;
   static int Handle(mg_connection* connection);
   static int Log(const mg_connection* connection, const char* message);
 

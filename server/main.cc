@@ -15,6 +15,7 @@
 #include "absl/flags/usage.h"
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "server/options.h"
 #include "server/server.h"
@@ -24,7 +25,8 @@ ABSL_FLAG(std::string, policies, "",
 ABSL_FLAG(std::string, listen, spikeserve::ServerOptions().listen,
           "HOST:PORT for gRPC; port 0 picks a free one");
 ABSL_FLAG(std::string, http_listen, spikeserve::ServerOptions().http_listen,
-          "HOST:PORT for /metrics and /healthz; port 0 picks a free one; empty for none");
+          "HOST:PORT for the status page, /metrics and /healthz; port 0 picks a free one; empty "
+          "for none");
 ABSL_FLAG(absl::Duration, poll_policies, spikeserve::ServerOptions().poll_policies,
           "How often to look for new, changed and removed files below --policies; 0 for only when "
           "an operator asks");
@@ -75,6 +77,9 @@ absl::Status Run(const std::vector<char*>& arguments) {
                  .client_ca = absl::GetFlag(FLAGS_tls_client_ca)};
   options.tokens = absl::GetFlag(FLAGS_tokens);
   options.insecure_network = absl::GetFlag(FLAGS_insecure_network);
+  // Debian builds Abseil with its debug checks, of which this one costs every lock a walk through a
+  // graph behind a global lock. The tests keep it.
+  absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
 
   // Blocked before there are threads, so that every thread inherits it and sigwait alone takes
   // them.

@@ -3,7 +3,6 @@
 #include <iterator>
 #include <sstream>
 #include <utility>
-#include <vector>
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
@@ -46,6 +45,7 @@ std::string MethodName(Method method) {
                                                    "EndEpisode",
                                                    "GetSession",
                                                    "CloseSession",
+                                                   "Explain",
                                                    "LoadPolicy",
                                                    "UnloadPolicy",
                                                    "ReloadPolicies",
@@ -207,11 +207,15 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
   histogram->Observe(absl::ToDoubleSeconds(duration));
 }
 
-std::string Metrics::ToText() const {
+std::vector<prometheus::MetricFamily> Metrics::Collect() const {
   std::vector<prometheus::MetricFamily> families = registry_.Collect();
   absl::c_move(CollectProcessMetrics(), std::back_inserter(families));
+  return families;
+}
+
+std::string Metrics::ToText() const {
   std::ostringstream text;
-  prometheus::TextSerializer().Serialize(text, families);
+  prometheus::TextSerializer().Serialize(text, Collect());
   return std::move(text).str();
 }
 

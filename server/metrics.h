@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
@@ -17,6 +18,7 @@
 #include "prometheus/family.h"
 #include "prometheus/gauge.h"
 #include "prometheus/histogram.h"
+#include "prometheus/metric_family.h"
 #include "prometheus/registry.h"
 
 namespace spikeserve {
@@ -31,6 +33,7 @@ enum class Method {
   kEndEpisode,
   kGetSession,
   kCloseSession,
+  kExplain,
   kLoadPolicy,
   kUnloadPolicy,
   kReloadPolicies,
@@ -58,7 +61,7 @@ enum class Method {
   kRepositoryModelLoad,
   kRepositoryModelUnload,
 };
-inline constexpr int kMethods = 34;
+inline constexpr int kMethods = 35;
 
 // What became of an episode that was to be recorded.
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
@@ -90,7 +93,9 @@ class Metrics {
   // For figures that are kept elsewhere; what they belong to must not outlive these metrics.
   prometheus::Registry& registry() { return registry_; }
 
-  // Everything, this process's use of its machine included, in Prometheus's text format.
+  // Everything, this process's use of its machine included; and the same in Prometheus's text
+  // format.
+  std::vector<prometheus::MetricFamily> Collect() const;
   std::string ToText() const;
 
  private:

@@ -12,9 +12,10 @@
 namespace spikeserve {
 
 struct ServerOptions {
-  std::string policies;                        // DIR of DIR/<policy>/<version>/policy.safetensors
-  std::string listen = "127.0.0.1:50051";      // gRPC; port 0 picks one
-  std::string http_listen = "127.0.0.1:9464";  // metrics and health; port 0 picks one; empty: none
+  std::string policies;                    // DIR of DIR/<policy>/<version>/policy.safetensors
+  std::string listen = "127.0.0.1:50051";  // gRPC; port 0 picks one
+  std::string http_listen =
+      "127.0.0.1:9464";          // metrics, status page; port 0 picks one; empty: none
   absl::Duration poll_policies;  // how often to look for changed policies; 0: only when asked to
   absl::Duration session_ttl = absl::Minutes(10);
   absl::Duration compact_after = absl::Seconds(10);  // idle sessions shrink to their history

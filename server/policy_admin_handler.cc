@@ -7,33 +7,14 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/synchronization/mutex.h"
-#include "absl/time/time.h"
 #include "server/convert.h"
+#include "server/session_info.h"
 
 namespace spikeserve {
 namespace {
 
 constexpr int32_t kDefaultPageSize = 100;
 constexpr int32_t kLargestPageSize = 1000;
-
-void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
-  absl::MutexLock lock(&listed.entry->mutex);
-  const Session& session = listed.entry->agent.session();
-  info->set_session_id(listed.id);
-  info->set_policy(session.options.policy);
-  info->set_version(session.options.version);
-  info->set_tenant(session.options.tenant);
-  info->set_episode(session.episode);
-  info->set_step(session.step);
-  info->set_episode_return(session.episode_return);
-  info->set_decisions(session.decisions);
-  info->set_spikes(session.spikes);
-  info->set_energy_joules(session.energy_joules);
-  info->set_idle_seconds(absl::ToDoubleSeconds(listed.idle));
-  info->set_learning(session.options.learning.has_value());
-  info->mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
-}
 
 template <typename Proto>
 void ToProto(const std::vector<PolicyVersion>& versions, Proto* list) {

@@ -70,6 +70,15 @@ grpc::ServerUnaryReactor* PolicyService::GetSession(grpc::CallbackServerContext*
                      });
 }
 
+grpc::ServerUnaryReactor* PolicyService::Explain(grpc::CallbackServerContext* context,
+                                                 const v1::ExplainRequest* request,
+                                                 v1::ExplainResponse* response) {
+  return AnswerUnaryInBackground(parts_, *context, Method::kExplain, *request,
+                                 [=, this](const Credential& caller) {
+                                   return parts_.handler->Explain(caller, *request, response);
+                                 });
+}
+
 grpc::ServerUnaryReactor* PolicyService::CloseSession(grpc::CallbackServerContext* context,
                                                       const v1::CloseSessionRequest* request,
                                                       v1::CloseSessionResponse* response) {

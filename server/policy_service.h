@@ -4,6 +4,7 @@
 #define SERVER_POLICY_SERVICE_H_
 
 #include "server/act_stream.h"
+#include "server/arena_messages.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 
 namespace spikeserve {
@@ -11,7 +12,10 @@ namespace spikeserve {
 // Thread-safe.
 class PolicyService final : public v1::PolicyService::CallbackService {
  public:
-  explicit PolicyService(const ServiceParts& parts) : parts_(parts) {}
+  explicit PolicyService(const ServiceParts& parts) : parts_(parts) {
+    SetMessageAllocatorFor_Act(&act_messages_);
+    SetMessageAllocatorFor_ActBatch(&act_batch_messages_);
+  }
 
   grpc::ServerUnaryReactor* ListPolicies(grpc::CallbackServerContext* context,
                                          const v1::ListPoliciesRequest* request,
@@ -32,12 +36,17 @@ class PolicyService final : public v1::PolicyService::CallbackService {
   grpc::ServerUnaryReactor* GetSession(grpc::CallbackServerContext* context,
                                        const v1::GetSessionRequest* request,
                                        v1::GetSessionResponse* response) override;
+  grpc::ServerUnaryReactor* Explain(grpc::CallbackServerContext* context,
+                                    const v1::ExplainRequest* request,
+                                    v1::ExplainResponse* response) override;
   grpc::ServerUnaryReactor* CloseSession(grpc::CallbackServerContext* context,
                                          const v1::CloseSessionRequest* request,
                                          v1::CloseSessionResponse* response) override;
 
  private:
   const ServiceParts parts_;
+  ArenaMessages<v1::ActRequest, v1::ActResponse> act_messages_;
+  ArenaMessages<v1::ActBatchRequest, v1::ActBatchResponse> act_batch_messages_;
 };
 
 }  // namespace spikeserve

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "server/convert.h"
+#include "server/explain_convert.h"
 #include "server/status_map.h"
 
 namespace spikeserve {
@@ -240,6 +241,13 @@ absl::Status RequestHandler::GetSession(const Credential& caller,
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
   return absl::OkStatus();
+}
+
+absl::Status RequestHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
+                                     v1::ExplainResponse* response) const {
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  if (!entry.ok()) return entry.status();
+  return ExplainSession(**entry, response);
 }
 
 absl::Status RequestHandler::CloseSession(const Credential& caller,

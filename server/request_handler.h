@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/container/inlined_vector.h"
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
 #include "server/authenticator.h"
@@ -32,7 +33,7 @@ class DeferredWork {
   void Run();
 
  private:
-  std::vector<std::shared_ptr<SessionEntry>> entries_;
+  absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries_;
   ShadowRunner* shadows_ = nullptr;
 };
 
@@ -71,6 +72,9 @@ class RequestHandler {
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
+  // Takes long; holds the session's lock for a moment only.
+  absl::Status Explain(const Credential& caller, const v1::ExplainRequest& request,
+                       v1::ExplainResponse* response) const;
   absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response) const;
 

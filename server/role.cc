@@ -46,6 +46,7 @@ absl::Status CheckMayCall(Role role, Method method) {
     case Method::kActStream:
     case Method::kEndEpisode:
     case Method::kGetSession:
+    case Method::kExplain:
     case Method::kCloseSession:
     case Method::kModelInfer:
     case Method::kModelStreamInfer:

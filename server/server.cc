@@ -16,7 +16,6 @@
 #include "absl/time/time.h"
 #include "grpc/health/v1/health.pb.h"
 #include "server/admission.h"
-#include "server/status_pages.h"
 
 namespace spikeserve {
 namespace {
@@ -25,6 +24,9 @@ namespace {
 // health watchers hear that it leaves. gRPC itself answers a call that comes after its shutdown
 // with CANCELLED, which no client expects.
 constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
+
+// Calls that take long, such as Explain, run one at a time; so many may wait.
+constexpr size_t kLongCallsWaiting = 16;
 
 // How often the file of tokens is read again.
 constexpr absl::Duration kTokensInterval = absl::Seconds(1);
@@ -100,6 +102,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
       handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get()),
       admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
+      worker_(kLongCallsWaiting),
       service_(Parts()),
       head_admin_(registry_.get(), &store_),
       admin_service_(Parts(), &admin_handler_, &head_admin_),
@@ -108,14 +111,21 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                           .requests = &handler_,
                           .clock = &clock_,
                           .session_ttl = options.session_ttl}),
-      inference_service_(Parts(), &inference_handler_) {}
+      inference_service_(Parts(), &inference_handler_),
+      pages_({.handler = &handler_,
+              .store = &store_,
+              .metrics = metrics_.get(),
+              .clock = &clock_,
+              .worker = &worker_,
+              .serving = [this] { return serving(); }}) {}
 
 ServiceParts Server::Parts() {
   return {.handler = &handler_,
           .calls = &calls_,
           .authenticator = authenticator_.get(),
           .metrics = metrics_.get(),
-          .clock = &clock_};
+          .clock = &clock_,
+          .worker = &worker_};
 }
 
 absl::Status Server::StartGrpc() {
@@ -162,7 +172,7 @@ absl::Status Server::StartHttp() {
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
   auto http = HttpServer::Start(
-      *address, [this](absl::string_view path) { return StatusPage(path, *metrics_, serving()); },
+      *address, [this](const HttpRequest& request) { return pages_.Answer(request); },
       [this](absl::string_view path, absl::string_view header) {
         return MayWatch(*authenticator_, path, header);
       });

@@ -15,6 +15,7 @@
 #include "core/session/session_store.h"
 #include "server/address.h"
 #include "server/authenticator.h"
+#include "server/background_worker.h"
 #include "server/call_tracker.h"
 #include "server/head_admin.h"
 #include "server/http_server.h"
@@ -31,6 +32,7 @@
 #include "server/recordings.h"
 #include "server/request_handler.h"
 #include "server/shadow_runner.h"
+#include "server/status_pages.h"
 
 namespace spikeserve {
 
@@ -76,12 +78,14 @@ class Server {
   const RequestHandler handler_;
   const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
+  BackgroundWorker worker_;
   PolicyService service_;
   const HeadAdmin head_admin_;
   PolicyAdminService admin_service_;
   InferenceHandler inference_handler_;
   InferenceService inference_service_;
   std::atomic<bool> stopping_ = false;
+  const StatusPages pages_;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
   std::unique_ptr<HttpServer> http_;

@@ -1,24 +1,126 @@
 #include "server/status_pages.h"
 
-namespace spikeserve {
+#include <memory>
+#include <utility>
 
-HttpResponse StatusPage(absl::string_view path, const Metrics& metrics, bool serving) {
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+#include "absl/synchronization/notification.h"
+#include "absl/time/time.h"
+#include "core/model/json.h"
+#include "proto/json.h"
+#include "server/embedded_files.h"
+#include "server/explain_convert.h"
+#include "server/http_query.h"
+#include "server/status_json.h"
+
+namespace spikeserve {
+namespace {
+
+absl::string_view ContentTypeOf(absl::string_view file) {
+  if (absl::EndsWith(file, ".html")) return "text/html; charset=utf-8";
+  if (absl::EndsWith(file, ".css")) return "text/css; charset=utf-8";
+  if (absl::EndsWith(file, ".js")) return "text/javascript; charset=utf-8";
+  return "text/plain; charset=utf-8";
+}
+
+// The file of the status page at `path`.
+HttpResponse FileResponse(absl::string_view path) {
+  const absl::string_view name = path == "/" ? "index.html" : absl::StripPrefix(path, "/");
+  const auto file = EmbeddedFiles().find(name);
+  if (file == EmbeddedFiles().end()) {
+    return {.code = 404,
+            .body =
+                "expected /, /metrics, /healthz, /status.json, /sessions.json or "
+                "/explain.json\n"};
+  }
+  return {.code = 200,
+          .content_type = std::string(ContentTypeOf(name)),
+          .body = std::string(file->second)};
+}
+
+int HttpCode(absl::StatusCode code) {
+  switch (code) {
+    case absl::StatusCode::kInvalidArgument:
+      return 400;
+    case absl::StatusCode::kNotFound:
+      return 404;
+    case absl::StatusCode::kFailedPrecondition:
+      return 409;
+    case absl::StatusCode::kResourceExhausted:
+      return 429;
+    case absl::StatusCode::kUnavailable:
+      return 503;
+    default:
+      return 500;
+  }
+}
+
+HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
+  return {.code = json.ok() ? 200 : HttpCode(json.status().code()),
+          .content_type = "application/json",
+          .body = json.ok() ? *std::move(json) : ErrorJson(json.status())};
+}
+
+// Of any tenant. Unlike SessionStore::Find this does not count as a use of the session.
+absl::StatusOr<std::shared_ptr<SessionEntry>> FindSession(SessionStore& store,
+                                                          const std::string& id) {
+  for (const ListedSession& listed : store.List([](const ServedPolicy&) { return true; })) {
+    if (listed.id == id) return listed.entry;
+  }
+  return absl::NotFoundError(
+      absl::StrCat("session: expected an open session, received ", Quoted(id)));
+}
+
+}  // namespace
+
+HttpResponse StatusPages::Answer(const HttpRequest& request) const {
+  const absl::string_view path = request.path;
   if (path == "/metrics") {
     return {.code = 200,
             .content_type = "text/plain; version=0.0.4; charset=utf-8",
-            .body = metrics.ToText()};
+            .body = parts_.metrics->ToText()};
   }
   if (path == "/healthz") {
+    const bool serving = parts_.serving();
     return {.code = serving ? 200 : 503, .body = serving ? "SERVING\n" : "NOT_SERVING\n"};
   }
-  if (path == "/") {
-    return {.code = 200,
-            .content_type = "text/html; charset=utf-8",
-            .body = "<!DOCTYPE html><title>spikeserve</title><h1>spikeserve " SPIKESERVE_VERSION
-                    "</h1><ul><li><a href=\"/metrics\">metrics</a></li>"
-                    "<li><a href=\"/healthz\">health</a></li></ul>\n"};
-  }
-  return {.code = 404, .body = "expected /metrics or /healthz\n"};
+  if (path == "/status.json") return JsonResponse(Status());
+  if (path == "/sessions.json") return JsonResponse(Sessions(request.query));
+  if (path == "/explain.json") return JsonResponse(Explain(request.query));
+  return FileResponse(path);
+}
+
+absl::StatusOr<std::string> StatusPages::Status() const {
+  v1::ListPoliciesResponse policies;
+  if (auto status = parts_.handler->ListPolicies({}, &policies); !status.ok()) return status;
+  return StatusJson(parts_.metrics->Collect(), policies, absl::ToDoubleSeconds(parts_.clock->Now()),
+                    parts_.serving());
+}
+
+absl::StatusOr<std::string> StatusPages::Sessions(absl::string_view query) const {
+  const auto parsed = HttpQuery::Parse(query, {"filter", "sort", "order", "offset", "limit"});
+  if (!parsed.ok()) return parsed.status();
+  return SessionsJson(*parts_.store, *parsed);
+}
+
+absl::StatusOr<std::string> StatusPages::Explain(absl::string_view query) const {
+  const auto parsed = HttpQuery::Parse(query, {"session"});
+  if (!parsed.ok()) return parsed.status();
+  const auto entry = FindSession(*parts_.store, parsed->Get("session"));
+  if (!entry.ok()) return entry.status();
+  v1::ExplainResponse response;
+  absl::Status explained;
+  absl::Notification done;
+  const absl::Status accepted = parts_.worker->Submit([&] {
+    explained = ExplainSession(**entry, &response);
+    done.Notify();
+  });
+  if (!accepted.ok()) return accepted;
+  done.WaitForNotification();
+  if (!explained.ok()) return explained;
+  return MessageToJson(response);
 }
 
 }  // namespace spikeserve

@@ -1,16 +1,49 @@
-// The pages an operator looks at: /metrics, /healthz and an index.
+// What a server shows over HTTP: /metrics, /healthz, and the status page with the JSON it reads.
 #ifndef SERVER_STATUS_PAGES_H_
 #define SERVER_STATUS_PAGES_H_
 
+#include <functional>
+#include <string>
+#include <utility>
+
+#include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "core/session/clock.h"
+#include "core/session/session_store.h"
+#include "server/background_worker.h"
 #include "server/http_server.h"
 #include "server/metrics.h"
+#include "server/request_handler.h"
 
 namespace spikeserve {
 
-// The page at `path`; 404 where there is none. /healthz is 503 unless `serving`. Safe to call from
-// many threads.
-HttpResponse StatusPage(absl::string_view path, const Metrics& metrics, bool serving);
+// Thread-safe.
+class StatusPages {
+ public:
+  // What is shown; all must outlive the pages.
+  struct Parts {
+    const RequestHandler* handler;
+    SessionStore* store;
+    const Metrics* metrics;
+    const Clock* clock;
+    BackgroundWorker* worker;
+    std::function<bool()> serving;
+  };
+
+  explicit StatusPages(Parts parts) : parts_(std::move(parts)) {}
+
+  // The one entry: every request over HTTP comes through here. 404 where there is no such page.
+  // /healthz is 503 unless the server serves.
+  HttpResponse Answer(const HttpRequest& request) const;
+
+ private:
+  absl::StatusOr<std::string> Status() const;
+  absl::StatusOr<std::string> Sessions(absl::string_view query) const;
+  // Waits for the background worker.
+  absl::StatusOr<std::string> Explain(absl::string_view query) const;
+
+  const Parts parts_;
+};
 
 }  // namespace spikeserve
 

@@ -1,5 +1,7 @@
 #include "server/unary_call.h"
 
+#include <utility>
+
 #include "server/admission.h"
 #include "server/status_map.h"
 
@@ -27,6 +29,12 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   DeferredWork deferred_;
 };
 
+void FinishCall(const ServiceParts& parts, Method method, absl::Duration start,
+                const absl::Status& status, UnaryCall* call) {
+  parts.metrics->ObserveRpc(method, status.code(), parts.clock->Now() - start);
+  call->Finish(ToGrpcStatus(status));
+}
+
 using Handle = absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)>;
 
 absl::Status AdmitAndHandle(const ServiceParts& parts, const grpc::CallbackServerContext& context,
@@ -48,8 +56,25 @@ grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts,
   const absl::Status status =
       call->accepted() ? AdmitAndHandle(parts, context, method, request, handle, call->deferred())
                        : DrainingError();
-  parts.metrics->ObserveRpc(method, status.code(), parts.clock->Now() - start);
-  call->Finish(ToGrpcStatus(status));
+  FinishCall(parts, method, start, status, call);
+  return call;
+}
+
+grpc::ServerUnaryReactor* AnswerUnaryInBackground(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    std::function<absl::Status(const Credential& caller)> handle) {
+  const absl::Duration start = parts.clock->Now();
+  auto* call = new UnaryCall(parts.calls);
+  const auto submit = [&](const Credential& caller, DeferredWork*) {
+    return parts.worker->Submit([=, &caller, handle = std::move(handle)] {
+      FinishCall(parts, method, start, handle(caller), call);
+    });
+  };
+  const absl::Status accepted =
+      call->accepted() ? AdmitAndHandle(parts, context, method, request, submit, call->deferred())
+                       : DrainingError();
+  if (!accepted.ok()) FinishCall(parts, method, start, accepted, call);
   return call;
 }
 

@@ -6,6 +6,8 @@
 #include <grpcpp/server_context.h>
 #include <grpcpp/support/server_callback.h>
 
+#include <functional>
+
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "server/act_stream.h"
@@ -20,6 +22,13 @@ grpc::ServerUnaryReactor* AnswerUnary(
     const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
     const google::protobuf::MessageLite& request,
     absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)> handle);
+
+// The same for a call that takes long: `handle` runs on the background worker, or the call is
+// refused with RESOURCE_EXHAUSTED.
+grpc::ServerUnaryReactor* AnswerUnaryInBackground(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    std::function<absl::Status(const Credential& caller)> handle);
 
 }  // namespace spikeserve
 

@@ -42,8 +42,8 @@ Actor ExpertActor(Expert& expert);
 // The expert, but for bursts of random actions; labelled by the expert.
 Actor DisturbedActor(Expert& expert, const ActionSpace& space, const Bursts& bursts, Draws draws);
 
-// The engine's policy, greedily, from its own target return; labelled by the expert.
-Actor StudentActor(Expert& expert, const Engine& engine, uint64_t seed);
+// The engine's policy, greedily, asked for `target_return`; labelled by the expert.
+Actor StudentActor(Expert& expert, const Engine& engine, uint64_t seed, double target_return);
 
 // Uniformly random actions.
 Actor RandomActor(const ActionSpace& space, Draws draws);

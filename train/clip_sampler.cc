@@ -23,7 +23,7 @@ ClipSampler::ClipSampler(const Dataset& dataset, std::vector<int> episodes, int 
   for (const int index : episodes_) {
     steps_before_.push_back(steps);
     steps += dataset_.episodes[index].steps();
-    returns_to_go_.push_back(ReturnsToGo(dataset_.episodes[index].rewards));
+    returns_to_go_.push_back(ReturnsToGo(dataset_.episodes[index]));
   }
   steps_before_.push_back(steps);
 }

@@ -22,6 +22,10 @@ absl::Status TrainCommand(const std::string& command_line);
 // Plays --policy in closed loop.
 absl::Status EvalCommand();
 
+// Trains what is missing of the paper's experiments in --out and writes report.md and report.html
+// there. `command_line` goes into the report.
+absl::Status ReportCommand(const std::string& command_line);
+
 }  // namespace spikeserve
 
 #endif  // TRAIN_COMMANDS_H_

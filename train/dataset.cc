@@ -6,13 +6,18 @@
 
 namespace spikeserve {
 
-std::vector<float> ReturnsToGo(absl::Span<const double> rewards) {
+std::vector<float> ReturnsToGo(const Episode& episode) {
+  const std::vector<double>& rewards = episode.rewards;
   std::vector<float> returns(rewards.size());
   double sum = 0.0;
   for (size_t i = rewards.size(); i-- > 0;) {
     sum += rewards[i];
     returns[i] = static_cast<float>(sum);
   }
+  if (!episode.asked_return.has_value()) return returns;
+  double left = *episode.asked_return;
+  for (size_t i = 0; i < rewards.size(); left -= rewards[i++])
+    returns[i] = static_cast<float>(left);
   return returns;
 }
 

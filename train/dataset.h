@@ -6,13 +6,13 @@
 
 #include <vector>
 
-#include "absl/types/span.h"
 #include "core/dataset/dataset.h"
 
 namespace spikeserve {
 
-// G_t = r_t + r_{t+1} + ... to the end of the episode.
-std::vector<float> ReturnsToGo(absl::Span<const double> rewards);
+// [steps]: G_t = r_t + r_{t+1} + ... to the end of the episode; or, where a return was asked for,
+// what is left of that.
+std::vector<float> ReturnsToGo(const Episode& episode);
 
 // Mean and deviation of every observation entry over all steps, both [obs].
 struct Moments {

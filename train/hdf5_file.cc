@@ -117,14 +117,24 @@ bool Hdf5File::Exists(const std::string& name) const {
   return H5Lexists(id_, name.c_str(), H5P_DEFAULT) > 0;
 }
 
+absl::Status Hdf5File::WriteNumber(const std::string& object, const std::string& name, int64_t type,
+                                   const void* value) {
+  const Handle space(H5Screate(H5S_SCALAR), H5Sclose);
+  const Handle attribute(H5Acreate_by_name(id_, object.c_str(), name.c_str(), type, space,
+                                           H5P_DEFAULT, H5P_DEFAULT, H5P_DEFAULT),
+                         H5Aclose);
+  const bool written = attribute >= 0 && H5Awrite(attribute, type, value) >= 0;
+  return written ? absl::OkStatus() : Failed("write", absl::StrCat(object, "@", name));
+}
+
 absl::Status Hdf5File::WriteAttribute(const std::string& object, const std::string& name,
                                       int64_t value) {
-  const Handle space(H5Screate(H5S_SCALAR), H5Sclose);
-  const Handle attribute(H5Acreate_by_name(id_, object.c_str(), name.c_str(), H5T_NATIVE_INT64,
-                                           space, H5P_DEFAULT, H5P_DEFAULT, H5P_DEFAULT),
-                         H5Aclose);
-  const bool written = attribute >= 0 && H5Awrite(attribute, H5T_NATIVE_INT64, &value) >= 0;
-  return written ? absl::OkStatus() : Failed("write", absl::StrCat(object, "@", name));
+  return WriteNumber(object, name, H5T_NATIVE_INT64, &value);
+}
+
+absl::Status Hdf5File::WriteAttribute(const std::string& object, const std::string& name,
+                                      double value) {
+  return WriteNumber(object, name, H5T_NATIVE_DOUBLE, &value);
 }
 
 absl::Status Hdf5File::WriteAttribute(const std::string& object, const std::string& name,
@@ -139,16 +149,30 @@ absl::Status Hdf5File::WriteAttribute(const std::string& object, const std::stri
   return written ? absl::OkStatus() : Failed("write", absl::StrCat(object, "@", name));
 }
 
-absl::StatusOr<int64_t> Hdf5File::ReadInteger(const std::string& object,
-                                              const std::string& name) const {
+absl::Status Hdf5File::ReadNumber(const std::string& object, const std::string& name, int64_t type,
+                                  void* value) const {
   const Handle attribute(
       H5Aopen_by_name(id_, object.c_str(), name.c_str(), H5P_DEFAULT, H5P_DEFAULT), H5Aclose);
   if (attribute < 0) {
     return absl::NotFoundError(absl::StrCat(path_, ": no attribute ", object, "@", name));
   }
-  int64_t value = 0;
-  if (H5Aread(attribute, H5T_NATIVE_INT64, &value) >= 0) return value;
+  if (H5Aread(attribute, type, value) >= 0) return absl::OkStatus();
   return Failed("read", absl::StrCat(object, "@", name));
+}
+
+absl::StatusOr<int64_t> Hdf5File::ReadInteger(const std::string& object,
+                                              const std::string& name) const {
+  int64_t value = 0;
+  if (auto status = ReadNumber(object, name, H5T_NATIVE_INT64, &value); !status.ok()) return status;
+  return value;
+}
+
+absl::StatusOr<double> Hdf5File::ReadDouble(const std::string& object,
+                                            const std::string& name) const {
+  double value = 0.0;
+  if (auto status = ReadNumber(object, name, H5T_NATIVE_DOUBLE, &value); !status.ok())
+    return status;
+  return value;
 }
 
 absl::StatusOr<std::string> Hdf5File::ReadString(const std::string& object,

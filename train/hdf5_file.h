@@ -46,10 +46,12 @@ class Hdf5File {
   bool Exists(const std::string& name) const;
 
   absl::Status WriteAttribute(const std::string& object, const std::string& name, int64_t value);
+  absl::Status WriteAttribute(const std::string& object, const std::string& name, double value);
   absl::Status WriteAttribute(const std::string& object, const std::string& name,
                               const std::string& value);
   // NOT_FOUND if there is none of that name; INVALID_ARGUMENT if it is of another type.
   absl::StatusOr<int64_t> ReadInteger(const std::string& object, const std::string& name) const;
+  absl::StatusOr<double> ReadDouble(const std::string& object, const std::string& name) const;
   absl::StatusOr<std::string> ReadString(const std::string& object, const std::string& name) const;
 
   // T: float, double, int64_t, or uint8_t for NumPy's bool. REQUIRES: values is [shape.size()].
@@ -67,6 +69,11 @@ class Hdf5File {
 
  private:
   Hdf5File(std::string path, int64_t id) : path_(std::move(path)), id_(id) {}
+  // `type` is a native number's, `value` points to one.
+  absl::Status WriteNumber(const std::string& object, const std::string& name, int64_t type,
+                           const void* value);
+  absl::Status ReadNumber(const std::string& object, const std::string& name, int64_t type,
+                          void* value) const;
   absl::Status Failed(absl::string_view action, const std::string& name) const;
 
   std::string path_;

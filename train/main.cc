@@ -24,7 +24,8 @@ constexpr char kUsage[] =
     "episodes\n"
     "  spiketrain dataset --out=FILE --recordings=DIR            or take what a server recorded\n"
     "  spiketrain train --out=DIR [--data=FILE] [--mode] [...]   train a policy\n"
-    "  spiketrain eval --policy=FILE [--episodes --seed]         play a policy in closed loop\n";
+    "  spiketrain eval --policy=FILE [--episodes --seed]         play a policy in closed loop\n"
+    "  spiketrain report --out=DIR [--smoke]                     the paper's tables, measured\n";
 
 // Keeps freed memory instead of giving it back to the kernel: every iteration allocates the same
 // large tensors, and faulting their pages in anew costs a fifth of its time.
@@ -36,15 +37,17 @@ void KeepFreedMemory() {
 
 absl::Status Run(const std::vector<char*>& positional, const std::string& command_line) {
   if (positional.size() != 2) {
-    return absl::InvalidArgumentError("command: expected one of expert, dataset, train, eval");
+    return absl::InvalidArgumentError(
+        "command: expected one of expert, dataset, train, eval, report");
   }
   const std::string command = positional[1];
   if (command == "expert") return ExpertCommand();
   if (command == "dataset") return DatasetCommand();
   if (command == "train") return TrainCommand(command_line);
   if (command == "eval") return EvalCommand();
-  return absl::InvalidArgumentError(
-      absl::StrCat("command: expected expert, dataset, train or eval, got '", command, "'"));
+  if (command == "report") return ReportCommand(command_line);
+  return absl::InvalidArgumentError(absl::StrCat(
+      "command: expected expert, dataset, train, eval or report, got '", command, "'"));
 }
 
 }  // namespace

@@ -116,6 +116,9 @@ class Writer {
       status_.Update(file_.WriteAttribute(group, "policy", served->policy));
       status_.Update(file_.WriteAttribute(group, "policy_version", served->version));
     }
+    if (episode.asked_return.has_value()) {
+      status_.Update(file_.WriteAttribute(group, "asked_return", *episode.asked_return));
+    }
     status_.Update(file_.Write<float>(
         group + "/observations", {steps + 1, dataset_.observation_size}, episode.observations));
     WriteActions(group + "/actions", episode.actions);
@@ -293,6 +296,9 @@ class Reader {
     }
     episode.actor = file_.ReadString(group, "actor").value_or("unknown");
     episode.seed = static_cast<uint64_t>(file_.ReadInteger(group, "seed").value_or(0));
+    if (const auto asked = file_.ReadDouble(group, "asked_return"); asked.ok()) {
+      episode.asked_return = *asked;
+    }
     if (auto status = CheckEpisode(dataset_, episode); !status.ok()) {
       return absl::InvalidArgumentError(absl::StrCat(group, ": ", status.message()));
     }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/types/optional.h"
 #include "core/environment/environment.h"
 #include "core/environment/pendulum.h"
 #include "core/environment/position_only.h"
@@ -58,7 +59,8 @@ struct Source {
   std::string actor;
   Stream seeds;  // the stream of their seeds
   int steps;
-  std::function<Actor(uint64_t episode)> make_actor;
+  // `asked` is the return that the expert is asked for, if it is asked.
+  std::function<Actor(uint64_t episode, absl::optional<double> asked)> make_actor;
   // From the initial state of the episode's seed to the one it starts from.
   std::function<void(uint64_t episode, std::vector<double>& state)> move_start = nullptr;
 };
@@ -125,25 +127,30 @@ class Recorder {
     };
     const Bursts bursts = {options_.burst_rate, options_.longest_burst};
     std::vector<Source> sources = {
-        {"expert", kExpertSeeds, expert, [&](uint64_t) { return ExpertActor(*expert_); }},
+        {"expert", kExpertSeeds, expert,
+         [&](uint64_t, absl::optional<double>) { return ExpertActor(*expert_); }},
         {"disturbed", kDisturbedSeeds, disturbed,
-         [=, this, &space](uint64_t episode) {
+         [=, this, &space](uint64_t episode, absl::optional<double>) {
            return DisturbedActor(*expert_, space, bursts, draws(kBursts, episode));
          },
          [&](uint64_t episode, std::vector<double>& state) {
            WidenStart(options_, episode, state);
          }}};
     if (engine_ != nullptr) {
-      sources.push_back({"student", kStudentSeeds, rest, [&](uint64_t episode) {
-                           return StudentActor(*expert_, *engine_, episode);
-                         }});
+      sources.push_back(
+          {"student", kStudentSeeds, rest, [&](uint64_t episode, absl::optional<double> asked) {
+             return StudentActor(
+                 *expert_, *engine_, episode,
+                 asked.value_or(static_cast<double>(engine_->policy().target_return)));
+           }});
     } else {
       // One sequence of draws for all random episodes.
-      sources.push_back({"random", kRandomSeeds, rest, [this, &space](uint64_t) {
-                           return RandomActor(space, [this](uint64_t, uint64_t) {
-                             return RandomBits({kRandomActions, options_.seed, random_draws_++});
-                           });
-                         }});
+      sources.push_back(
+          {"random", kRandomSeeds, rest, [this, &space](uint64_t, absl::optional<double>) {
+             return RandomActor(space, [this](uint64_t, uint64_t) {
+               return RandomBits({kRandomActions, options_.seed, random_draws_++});
+             });
+           }});
     }
     return sources;
   }
@@ -165,9 +172,11 @@ class Recorder {
         source.move_start(i, state);
         observation = environment_->ResetTo(state);
       }
-      expert_->BeginEpisode(RandomBits({kSkills, source.seeds, options_.seed, i}));
+      const absl::optional<double> asked =
+          expert_->BeginEpisode(RandomBits({kSkills, source.seeds, options_.seed, i}));
       Episode episode =
-          RecordEpisode(*environment_, std::move(observation), source.make_actor(i), weigh);
+          RecordEpisode(*environment_, std::move(observation), source.make_actor(i, asked), weigh);
+      if (source.actor != "random") episode.asked_return = asked;
       episode.actor = source.actor;
       episode.seed = seed;
       recorded += episode.steps();

@@ -1,6 +1,5 @@
 #include "train/train_flags.h"
 
-#include <algorithm>
 #include <cmath>
 #include <string>
 #include <utility>
@@ -11,8 +10,8 @@
 #include "absl/types/optional.h"
 #include "core/model/policy_file.h"
 #include "train/common_flags.h"
+#include "train/initial_policy.h"
 #include "train/minari_file.h"
-#include "train/task.h"
 
 using spikeserve::ModelConfig;
 using spikeserve::TrainOptions;
@@ -115,53 +114,20 @@ class ShapeFlags {
   absl::Status status_;
 };
 
-// Mean and deviation of the returns-to-go: mu and sigma of eq. 4.2.
-std::pair<float, float> ReturnMoments(const Dataset& dataset) {
-  double sum = 0.0, squares = 0.0, count = 0.0;
-  for (const Episode& episode : dataset.episodes) {
-    for (const float g : ReturnsToGo(episode.rewards)) {
-      sum += static_cast<double>(g);
-      squares += static_cast<double>(g) * static_cast<double>(g);
-      count += 1.0;
-    }
-  }
-  const double mean = sum / count;
-  const double deviation = std::sqrt(std::max(1e-6, squares / count - mean * mean));
-  return {static_cast<float>(mean), static_cast<float>(deviation)};
-}
-
-// That of the environment; for one that is not ours, what the data show.
-ReturnScaling ScalingOf(const Dataset& dataset, const std::pair<float, float>& moments) {
-  if (const auto scaling = ReturnScalingOf(dataset.environment); scaling.ok()) return *scaling;
-  float best = ReturnsToGo(dataset.episodes[0].rewards)[0];
-  for (const Episode& episode : dataset.episodes) {
-    best = std::max(best, ReturnsToGo(episode.rewards)[0]);
-  }
-  return {.offset = moments.first, .scale = moments.second, .target = best};
-}
-
 absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
-  const double scale = absl::GetFlag(FLAGS_return_scale).value_or(1.0);
-  if (!(scale > 0.0) || !std::isfinite(scale)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("return_scale: expected a number above 0, got ", scale));
-  }
   ModelConfig config;
   if (auto status = ShapeFlags(&config, /*fixed=*/false).Apply(); !status.ok()) return status;
-  const std::pair<float, float> return_moments = ReturnMoments(dataset);
-  const ReturnScaling returns = ScalingOf(dataset, return_moments);
-  Policy policy = RandomPolicy(config, dataset.observation_size, dataset.action_space,
-                               absl::GetFlag(FLAGS_seed).value_or(0));
-  const Moments moments = ObservationMoments(dataset);
-  policy.weights.observation_mean.values = moments.mean;
-  policy.weights.observation_std.values = moments.std;
-  policy.return_offset = static_cast<float>(
-      absl::GetFlag(FLAGS_return_offset).value_or(static_cast<double>(returns.offset)));
-  policy.return_scale = static_cast<float>(
-      absl::GetFlag(FLAGS_return_scale).value_or(static_cast<double>(returns.scale)));
-  policy.target_return = returns.target;
-  std::tie(policy.modulator_mean, policy.modulator_std) = return_moments;
-  policy.environment = dataset.environment;
+  Policy policy = InitialPolicy(config, dataset, absl::GetFlag(FLAGS_seed).value_or(0));
+  if (const auto offset = absl::GetFlag(FLAGS_return_offset); offset.has_value()) {
+    policy.return_offset = static_cast<float>(*offset);
+  }
+  if (const auto scale = absl::GetFlag(FLAGS_return_scale); scale.has_value()) {
+    if (!(*scale > 0.0) || !std::isfinite(*scale)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("return_scale: expected a number above 0, got ", *scale));
+    }
+    policy.return_scale = static_cast<float>(*scale);
+  }
   return policy;
 }
 

@@ -69,4 +69,16 @@ absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSessio
   return record;
 }
 
+absl::Status PlaySteps(Environment& environment, RemoteSession& session, uint64_t seed, int steps) {
+  StepResult result{.observation = environment.Reset(seed)};
+  for (int step = 0; step < steps && !result.done(); ++step) {
+    const auto response = session.Act(result.observation, result.reward);
+    if (!response.ok()) return response.status();
+    const auto action = ActionFromProto(response->action(), environment.action_space());
+    if (!action.ok()) return action.status();
+    result = environment.Step(*action);
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace spikeserve

@@ -29,6 +29,10 @@ struct EpisodeRecord {
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
                                           uint64_t seed);
 
+// Makes the first `steps` decisions of an episode, fewer where it ends before, and leaves it
+// unended. Errors as above.
+absl::Status PlaySteps(Environment& environment, RemoteSession& session, uint64_t seed, int steps);
+
 }  // namespace spikeserve
 
 #endif  // CLIENT_SPIKECTL_AGENT_H_

@@ -18,6 +18,9 @@ absl::Status PoliciesCommand();
 // Plays episodes of an environment that is stepped here, with the decisions of the server.
 absl::Status RunCommand();
 
+// Shows a decision from the inside.
+absl::Status ExplainCommand();
+
 // Plays a perturbed environment with learning on, then greedily with the learned head.
 absl::Status AdaptCommand();
 

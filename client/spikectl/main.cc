@@ -24,6 +24,7 @@ struct Command {
 constexpr Command kCommands[] = {
     {"policies", "list every policy version served", PoliciesCommand},
     {"run", "play episodes of an environment stepped here, acting over gRPC", RunCommand},
+    {"explain", "show a session's last decision from the inside", ExplainCommand},
     {"adapt",
      "play a task whose physics have changed with learning on, then judge the learned head",
      AdaptCommand},

@@ -67,6 +67,7 @@ Json EpisodeToJson(const Episode& episode, bool discrete) {
                {"truncated", episode.truncated}};
   if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
   if (!episode.weights.empty()) json["weights"] = episode.weights;
+  if (episode.asked_return.has_value()) json["asked_return"] = *episode.asked_return;
   if (episode.served.has_value()) json["served"] = ServedToJson(*episode.served);
   return json;
 }
@@ -94,6 +95,7 @@ Episode EpisodeFromJson(const Json& json, bool discrete) {
   episode.actions = ActionsFromJson(json.at("actions"), discrete);
   if (json.contains("labels")) episode.labels = ActionsFromJson(json["labels"], discrete);
   if (json.contains("weights")) json["weights"].get_to(episode.weights);
+  if (json.contains("asked_return")) episode.asked_return = json["asked_return"].get<double>();
   if (json.contains("served")) episode.served = ServedFromJson(json["served"]);
   json.at("rewards").get_to(episode.rewards);
   json.at("terminated").get_to(episode.terminated);

@@ -44,6 +44,9 @@ struct Episode {
   std::vector<double> rewards;      // [steps]
   bool terminated = false;
   bool truncated = false;
+  // What the actor was asked for, where it was; returns-to-go count down from it then, else from
+  // what the episode returned.
+  std::optional<double> asked_return = std::nullopt;
   std::optional<ServedEpisode> served = std::nullopt;
 
   // What to imitate at a step.

@@ -10,25 +10,24 @@
 namespace spikeserve {
 namespace {
 
-std::vector<float> Logits(const Linear& head, absl::Span<const float> readout) {
-  std::vector<float> logits = head.bias.values;
-  for (size_t i = 0; i < logits.size(); ++i) {
+void Logits(const Linear& head, absl::Span<const float> readout, std::vector<float>* logits) {
+  *logits = head.bias.values;
+  for (size_t i = 0; i < logits->size(); ++i) {
     const float* row = head.weight.values.data() + i * readout.size();
-    for (size_t j = 0; j < readout.size(); ++j) logits[i] += row[j] * readout[j];
+    for (size_t j = 0; j < readout.size(); ++j) (*logits)[i] += row[j] * readout[j];
   }
-  return logits;
 }
 
-std::vector<float> Softmax(const std::vector<float>& logits, float temperature) {
+void Softmax(const std::vector<float>& logits, float temperature,
+             std::vector<float>* probabilities) {
   const float best = *std::max_element(logits.begin(), logits.end());
-  std::vector<float> probabilities(logits.size());
+  probabilities->resize(logits.size());
   float sum = 0.0f;
   for (size_t i = 0; i < logits.size(); ++i) {
-    probabilities[i] = Exp((logits[i] - best) / temperature);
-    sum += probabilities[i];
+    (*probabilities)[i] = Exp((logits[i] - best) / temperature);
+    sum += (*probabilities)[i];
   }
-  for (float& p : probabilities) p /= sum;
-  return probabilities;
+  for (float& p : *probabilities) p /= sum;
 }
 
 int SampleIndex(const std::vector<float>& probabilities, uint64_t random) {
@@ -54,25 +53,33 @@ ActionChoice ChooseAction(const Linear& head, const ActionSpace& space,
                           absl::Span<const float> readout, const ActionSelection& selection,
                           uint64_t random) {
   ActionChoice choice;
-  choice.logits = Logits(head, readout);
-  if (space.is_discrete()) {
-    choice.probabilities = Softmax(choice.logits, selection.sample ? selection.temperature : 1.0f);
-    const auto& z = choice.logits;
-    choice.action.discrete =
-        selection.sample ? SampleIndex(choice.probabilities, random)
-                         : static_cast<int>(std::max_element(z.begin(), z.end()) - z.begin());
-    return choice;
-  }
-  std::vector<float> unit = choice.logits;
-  for (size_t i = 0; i < unit.size(); ++i) {
-    if (selection.sample) {
-      choice.noise.push_back(Normal(random, i));
-      unit[i] += selection.temperature * choice.noise[i];
-    }
-    unit[i] = Tanh(unit[i]);
-  }
-  choice.action.continuous = space.FromUnit(unit);
+  ChooseAction(head, space, readout, selection, random, &choice);
   return choice;
+}
+
+void ChooseAction(const Linear& head, const ActionSpace& space, absl::Span<const float> readout,
+                  const ActionSelection& selection, uint64_t random, ActionChoice* choice) {
+  Logits(head, readout, &choice->logits);
+  const std::vector<float>& z = choice->logits;
+  choice->probabilities.clear();
+  choice->noise.clear();
+  choice->action.discrete = 0;
+  choice->action.continuous.clear();
+  if (space.is_discrete()) {
+    Softmax(z, selection.sample ? selection.temperature : 1.0f, &choice->probabilities);
+    choice->action.discrete =
+        selection.sample ? SampleIndex(choice->probabilities, random)
+                         : static_cast<int>(std::max_element(z.begin(), z.end()) - z.begin());
+    return;
+  }
+  for (size_t i = 0; i < z.size(); ++i) {
+    float unit = z[i];
+    if (selection.sample) {
+      choice->noise.push_back(Normal(random, i));
+      unit += selection.temperature * choice->noise[i];
+    }
+    choice->action.continuous.push_back(space.FromUnit(Tanh(unit), i));
+  }
 }
 
 }  // namespace spikeserve

@@ -36,6 +36,10 @@ ActionChoice ChooseAction(const Linear& head, const ActionSpace& space,
                           absl::Span<const float> readout, const ActionSelection& selection,
                           uint64_t random);
 
+// The same, into a choice whose memory is used again.
+void ChooseAction(const Linear& head, const ActionSpace& space, absl::Span<const float> readout,
+                  const ActionSelection& selection, uint64_t random, ActionChoice* choice);
+
 }  // namespace spikeserve
 
 #endif  // CORE_ENGINE_ACTION_HEAD_H_

@@ -16,7 +16,7 @@ namespace {
 using Vector = std::vector<float>;
 
 struct KeyValue {
-  int64_t timestep = 0;
+  TokenName token;
   Vector key;    // [d]
   Vector value;  // [d]
 };
@@ -38,14 +38,16 @@ class DensePass {
   const Counts& counts() const { return counts_; }
   void ResetCounts() { counts_ = Counts(); }
 
-  // The token's output of the last layer [d]; empty where nobody reads it.
-  Vector Run(const Token& token) {
+  // The token's output of the last layer [d]; empty where nobody reads it. Its attention is
+  // recorded in `trace`, unless null.
+  Vector Run(const Token& token, Trace* trace = nullptr) {
     Vector x = Embed(token);
     for (int layer = 0; layer < policy_.config.layers; ++layer) {
       const LayerWeights& weights = policy_.weights.layers[layer];
-      Remember(layers_[layer], token.timestep, Affine(weights.key, x), Affine(weights.value, x));
+      Remember(layers_[layer], token, Affine(weights.key, x), Affine(weights.value, x));
       if (layer + 1 == policy_.config.layers && token.kind != TokenKind::kState) return {};
-      const Vector merged = Attend(Affine(weights.query, x), layers_[layer]);
+      const Vector merged = Attend(Affine(weights.query, x), layers_[layer],
+                                   trace == nullptr ? nullptr : &trace->layers[layer]);
       AddResidual(weights.attention_norm, Affine(weights.attention_output, merged), x);
       Vector hidden = Affine(weights.ffn_hidden, x);
       for (float& h : hidden) h = Gelu(h);
@@ -89,13 +91,16 @@ class DensePass {
     return x;
   }
 
-  void Remember(KeyValues& tokens, int64_t timestep, Vector key, Vector value) {
-    while (!tokens.empty() && tokens.front().timestep <= timestep - policy_.config.context)
-      tokens.pop_front();
-    tokens.push_back({timestep, std::move(key), std::move(value)});
+  void Remember(KeyValues& tokens, const Token& token, Vector key, Vector value) {
+    const int64_t forgotten = token.timestep - policy_.config.context;
+    while (!tokens.empty() && tokens.front().token.timestep <= forgotten) tokens.pop_front();
+    tokens.push_back({{token.kind, token.timestep}, std::move(key), std::move(value)});
   }
 
-  Vector Attend(const Vector& query, const KeyValues& tokens) {
+  Vector Attend(const Vector& query, const KeyValues& tokens, LayerTrace* trace) {
+    if (trace != nullptr) {
+      for (const KeyValue& seen : tokens) trace->keys.push_back(seen.token);
+    }
     const int size = policy_.config.head_size();
     const float scale = 1.0f / std::sqrt(static_cast<float>(size));
     Vector merged(query.size(), 0.0f);
@@ -113,6 +118,7 @@ class DensePass {
         sum += weight;
       }
       for (size_t j = 0; j < tokens.size(); ++j) {
+        if (trace != nullptr) trace->attention.push_back(weights[j] / sum);
         for (int k = first; k < first + size; ++k)
           merged[k] += weights[j] / sum * tokens[j].value[k];
       }
@@ -142,14 +148,7 @@ class DenseReferenceEngine final : public PrefixEngine {
 
  private:
   void Compute(const PrefixContext& prefix, Output* output) const override {
-    std::vector<KeyValues> layers(policy().config.layers);
-    DensePass pass(policy(), layers);
-    for (size_t i = 0; i < prefix.tokens().size(); ++i) {
-      if (i == prefix.first_new_token()) pass.ResetCounts();
-      output->readout = pass.Run(prefix.tokens()[i]);
-    }
-    pass.CountHead(output->readout);
-    output->counts = pass.counts();
+    ComputeDenseReference(policy(), prefix, output, /*trace=*/nullptr);
   }
 };
 
@@ -188,6 +187,19 @@ class DenseStreamingEngine final : public Engine {
 };
 
 }  // namespace
+
+void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
+                           Engine::Output* output, Trace* trace) {
+  std::vector<KeyValues> layers(policy.config.layers);
+  DensePass pass(policy, layers);
+  const std::vector<Token>& tokens = prefix.tokens();
+  for (size_t i = 0; i < tokens.size(); ++i) {
+    if (i == prefix.first_new_token()) pass.ResetCounts();
+    output->readout = pass.Run(tokens[i], i + 1 == tokens.size() ? trace : nullptr);
+  }
+  pass.CountHead(output->readout);
+  output->counts = pass.counts();
+}
 
 std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> policy) {
   return std::make_unique<DenseReferenceEngine>(std::move(policy));

@@ -11,6 +11,8 @@
 #include <memory>
 
 #include "core/engine/engine.h"
+#include "core/engine/prefix_engine.h"
+#include "core/engine/trace.h"
 
 namespace spikeserve {
 
@@ -21,6 +23,11 @@ std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> p
 // Keeps keys and values of the last N timesteps and computes only the new tokens.
 // REQUIRES: a valid policy of dense mode.
 std::unique_ptr<Engine> MakeDenseStreamingEngine(std::shared_ptr<const Policy> policy);
+
+// The decision at the last token of `prefix`, a state token; its attention is recorded in `trace`,
+// unless null, whose `layers` has L elements. Thread-safe.
+void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
+                           Engine::Output* output, Trace* trace);
 
 }  // namespace spikeserve
 

@@ -36,6 +36,20 @@ class Engine {
     Counts counts;  // of this decision, the policy's own action head included; see counts.h
   };
 
+  // One of several decisions made together.
+  struct Decision {
+    Context* context = nullptr;
+    float return_to_go = 0.0f;
+    absl::Span<const float> observation;
+    Output* output = nullptr;
+  };
+
+  // One of several actions taken in together.
+  struct TakenAction {
+    Context* context = nullptr;
+    absl::Span<const float> encoded_action;
+  };
+
   virtual ~Engine() = default;
 
   virtual const Policy& policy() const = 0;
@@ -54,10 +68,15 @@ class Engine {
   // t + 1. What it spends is counted in the next decision. Nobody waits for it: it may run after
   // the answer was sent. REQUIRES: Decide was the last call on `context`.
   virtual void AppendAction(Context& context, absl::Span<const float> encoded_action) const = 0;
+
+  // The same for many contexts, all distinct, with equal bits; an engine may fetch its weights once
+  // for all of them.
+  virtual void DecideTogether(absl::Span<const Decision> decisions) const;
+  virtual void AppendActionsTogether(absl::Span<const TakenAction> actions) const;
 };
 
 // Timesteps that the decision at t depends on: L bands of N timesteps, overlapping by one, so L (N
-// - 1) + 1.
+// - 1) + 1; at least 2, since it pays for a_{t-1} too.
 int HistorySize(const ModelConfig& config);
 
 // The equations as naive loops that recompute the whole episode at every decision: the definition

@@ -15,9 +15,6 @@
 namespace spikeserve {
 namespace {
 
-// Spikes of a population over the ticks of one token: [T][neurons] of 0 and 1.
-using SpikeTrain = std::vector<std::vector<uint8_t>>;
-
 uint64_t CountSpikes(const SpikeTrain& train) {
   uint64_t count = 0;
   for (const auto& tick : train) count += std::count(tick.begin(), tick.end(), 1);
@@ -50,26 +47,27 @@ void Normalize(const Norm& norm, std::vector<float>& x) {
   LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
 }
 
-// What a coder says about one token. A rate coder's neuron is its period; Bernoulli draws have
-// none, and all of a tick's spikes form one group.
+// What a coder says about one token. A rate coder's neurons form groups by their period; Bernoulli
+// draws have none, and all of a tick's spikes form one group.
 struct CodedToken {
-  std::vector<int> periods;  // [d], rate coder only
-  SpikeTrain spikes;         // [T][d]
-
-  bool periodic() const { return !periods.empty(); }
+  bool periodic = false;
+  std::vector<std::vector<int>> groups;  // [T]: neurons of period 1 ... T, or that fire at tick 1
+                                         // ... T; ascending
+  SpikeTrain spikes;                     // [T][d]
 };
 
 // The computation of one decision over the whole episode. Rows of [d] per token; symbols as in
 // model.md.
 class ReferencePass {
  public:
-  ReferencePass(const Policy& policy, const PrefixContext& context)
+  ReferencePass(const Policy& policy, const PrefixContext& context, Trace* trace)
       : policy_(policy),
         config_(policy.config),
         lif_{config_.membrane_decay, config_.threshold},
         tokens_(context.tokens()),
         first_new_token_(context.first_new_token()),
-        seed_(context.seed()) {}
+        seed_(context.seed()),
+        trace_(trace) {}
 
   void Run(Engine::Output* output) {
     for (size_t i = 0; i < tokens_.size(); ++i) Embed(i);
@@ -78,7 +76,7 @@ class ReferencePass {
     const size_t last = tokens_.size() - 1;
     const CodedToken coded =
         Code(policy_.weights.readout_coder, x_[last], last, 2 * config_.layers);
-    AddSpikes(last, Stage::kReadout, coded.spikes);
+    AddSpikes(last, Stage::kReadout, kNoLayer, coded.spikes);
     output->readout.assign(config_.hidden_size, 0.0f);
     for (int j = 0; j < config_.hidden_size; ++j) output->readout[j] = Rate(coded.spikes, j);
     counts_.multiply_accumulates += CountProducts(policy_.weights.head, output->readout);
@@ -88,8 +86,19 @@ class ReferencePass {
  private:
   bool IsNew(size_t token) const { return token >= first_new_token_; }
 
-  void AddSpikes(size_t token, Stage stage, const SpikeTrain& train) {
-    if (IsNew(token)) counts_.spikes(stage) += CountSpikes(train);
+  TokenName Name(size_t token) const { return {tokens_[token].kind, tokens_[token].timestep}; }
+
+  void AddSpikes(size_t token, Stage stage, int layer, const SpikeTrain& train) {
+    if (!IsNew(token)) return;
+    counts_.spikes(stage) += CountSpikes(train);
+    if (trace_ != nullptr) trace_->populations.push_back({stage, layer, Name(token), train});
+  }
+
+  // Whether the decision depends on this token through the layer's output: each later layer looks
+  // back N - 1 timesteps.
+  bool IsRead(size_t token, int layer) const {
+    const int64_t reach = int64_t{config_.layers - 1 - layer} * (config_.context - 1);
+    return tokens_[token].timestep >= tokens_.back().timestep - reach;
   }
 
   void AddMultiplies(size_t token, const Linear& linear, const std::vector<float>& input) {
@@ -128,11 +137,14 @@ class ReferencePass {
 
   // Emitted once a timestep, whoever hears them.
   void CountPhase() {
-    counts_.spikes(Stage::kPhase) += CountSpikes(PhaseSpikes(tokens_.back().timestep));
+    if (!config_.has_phase()) return;
+    AddSpikes(tokens_.size() - 1, Stage::kPhase, kNoLayer, PhaseSpikes(tokens_.back().timestep));
   }
 
   CodedToken Code(const Coder& coder, const std::vector<float>& x, size_t token, int site) const {
     CodedToken coded;
+    coded.periodic = config_.coder == CoderKind::kLif;
+    coded.groups.resize(config_.ticks);
     coded.spikes.assign(config_.ticks, std::vector<uint8_t>(x.size(), 0));
     const BernoulliKey key = {.seed = seed_,
                               .timestep = tokens_[token].timestep,
@@ -141,14 +153,18 @@ class ReferencePass {
     for (size_t j = 0; j < x.size(); ++j) {
       const float gain = coder.gain.values[j];
       const float bias = coder.bias.values[j];
-      if (config_.coder == CoderKind::kLif) {
-        coded.periods.push_back(lif_.Period(x[j] * gain + bias, config_.ticks));
-        for (int tick = 1; tick <= config_.ticks; ++tick) {
-          coded.spikes[tick - 1][j] = coded.periods[j] > 0 && tick % coded.periods[j] == 0;
-        }
+      const int neuron = static_cast<int>(j);
+      if (coded.periodic) {
+        const int period = lif_.Period(x[j] * gain + bias, config_.ticks);
+        if (period == 0) continue;  // silent
+        coded.groups[period - 1].push_back(neuron);
+        for (int tick = period; tick <= config_.ticks; tick += period)
+          coded.spikes[tick - 1][j] = 1;
       } else {
         for (int tick = 0; tick < config_.ticks; ++tick) {
-          coded.spikes[tick][j] = BernoulliSpike(key, static_cast<int>(j), tick, x[j], gain, bias);
+          if (!BernoulliSpike(key, neuron, tick, x[j], gain, bias)) continue;
+          coded.groups[tick].push_back(neuron);
+          coded.spikes[tick][j] = 1;
         }
       }
     }
@@ -160,26 +176,17 @@ class ReferencePass {
   // phase spikes by head.
   float Current(const Linear& linear, int i, const CodedToken& coded, const SpikeTrain& phase,
                 int tick) const {
-    const int inputs = config_.hidden_size;
     float current = linear.bias.values[i];
-    if (coded.periodic()) {
-      for (int n = 1; n <= tick; ++n) {
-        if (tick % n != 0) continue;
-        float group = 0.0f;
-        for (int j = 0; j < inputs; ++j) {
-          if (coded.periods[j] == n) group += linear.weight.at(i, j);
-        }
-        current += group;
-      }
-    } else {
+    for (int n = coded.periodic ? 1 : tick; n <= tick; ++n) {
+      if (tick % n != 0) continue;
       float group = 0.0f;
-      for (int j = 0; j < inputs; ++j) {
-        if (coded.spikes[tick - 1][j]) group += linear.weight.at(i, j);
-      }
+      for (const int j : coded.groups[n - 1]) group += linear.weight.at(i, j);
       current += group;
     }
     for (size_t k = 0; k < phase[tick - 1].size(); ++k) {
-      if (phase[tick - 1][k]) current += linear.weight.at(i, inputs + static_cast<int>(k));
+      if (phase[tick - 1][k]) {
+        current += linear.weight.at(i, config_.hidden_size + static_cast<int>(k));
+      }
     }
     return current;
   }
@@ -215,27 +222,32 @@ class ReferencePass {
       const SpikeTrain phase = PhaseSpikes(tokens_[i].timestep);
       keys_.push_back(Project(weights.key, coded, phase, i));
       values_.push_back(Project(weights.value, coded, phase, i));
-      AddSpikes(i, Stage::kCoder, coded.spikes);
-      AddSpikes(i, Stage::kKey, keys_[i]);
-      AddSpikes(i, Stage::kValue, values_[i]);
+      AddSpikes(i, Stage::kCoder, layer, coded.spikes);
+      AddSpikes(i, Stage::kKey, layer, keys_[i]);
+      AddSpikes(i, Stage::kValue, layer, values_[i]);
       // Nobody reads the other tokens' output of the last layer.
       if (last_layer && tokens_[i].kind != TokenKind::kState) continue;
       const SpikeTrain query = Project(weights.query, coded, phase, i);
-      AddSpikes(i, Stage::kQuery, query);
-      Attention(weights, query, i);
-      FeedForward(weights, i, 2 * layer + 1);
+      AddSpikes(i, Stage::kQuery, layer, query);
+      Attention(layer, query, i);
+      FeedForward(layer, i);
     }
+  }
+
+  // Whether token i may attend to token j, which stands before it or is it.
+  bool IsInBand(size_t i, size_t j) const {
+    return tokens_[j].timestep > tokens_[i].timestep - config_.context;
   }
 
   // y_h(t) of one token at one tick and head: [d_h]. Scores are integers, so weights depend only on
   // how far a key's overlap is from the best one; each distance is summed as a count before it
   // meets its weight.
-  std::vector<float> AttendHead(float scale, const SpikeTrain& query, size_t i, int tick,
-                                int head) {
+  std::vector<float> AttendHead(int layer, const SpikeTrain& query, size_t i, int tick, int head) {
+    const float scale = policy_.weights.layers[layer].scale.values[head];
     const int size = config_.head_size();
     std::vector<std::pair<int, size_t>> keys;  // overlap, token
     for (size_t j = 0; j <= i; ++j) {
-      if (tokens_[j].timestep <= tokens_[i].timestep - config_.context) continue;
+      if (!IsInBand(i, j)) continue;
       int overlap = 0;
       for (int k = head * size; k < (head + 1) * size; ++k) {
         overlap += query[tick][k] & keys_[j][tick][k];
@@ -262,6 +274,12 @@ class ReferencePass {
     }
     const float inverse = 1.0f / sum;
     for (float& value : y) value *= inverse;
+    if (trace_ != nullptr && i + 1 == tokens_.size()) {
+      for (const auto& [overlap, j] : keys) {
+        const auto distance = static_cast<float>(std::abs(overlap - best));
+        trace_->layers[layer].attention.push_back(Exp(-std::abs(scale) * distance) * inverse);
+      }
+    }
     return y;
   }
 
@@ -294,18 +312,37 @@ class ReferencePass {
     return gates;
   }
 
+  // Called for the token whose heads are about to attend.
+  void RecordKeys(int layer, size_t i) {
+    if (trace_ == nullptr || i + 1 != tokens_.size()) return;
+    for (size_t j = 0; j <= i; ++j) {
+      if (IsInBand(i, j)) trace_->layers[layer].keys.push_back(Name(j));
+    }
+  }
+
+  // Called at every tick of a token.
+  void RecordGates(int layer, size_t i, const std::vector<float>& gates) {
+    if (trace_ == nullptr || !config_.has_routing() || !IsRead(i, layer)) return;
+    LayerTrace& trace = trace_->layers[layer];
+    if (trace.gated.empty() || trace.gated.back() != Name(i)) trace.gated.push_back(Name(i));
+    trace.gates.insert(trace.gates.end(), gates.begin(), gates.end());
+  }
+
   // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O), yhat(t) the gated heads (eq. 4.11), summed or
   // side by side.
-  void Attention(const LayerWeights& weights, const SpikeTrain& query, size_t i) {
+  void Attention(int layer, const SpikeTrain& query, size_t i) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    RecordKeys(layer, i);
     const int size = config_.head_size();
     std::vector<float> merged(config_.merged_size(), 0.0f);
     for (int tick = 0; tick < config_.ticks; ++tick) {
       std::vector<float> u;
       for (int head = 0; head < config_.heads; ++head) {
-        const std::vector<float> y = AttendHead(weights.scale.values[head], query, i, tick, head);
+        const std::vector<float> y = AttendHead(layer, query, i, tick, head);
         u.insert(u.end(), y.begin(), y.end());
       }
       const std::vector<float> gates = Gates(weights, u, i);
+      RecordGates(layer, i, gates);
       std::vector<float> routed(merged.size(), 0.0f);
       for (int k = 0; k < config_.hidden_size; ++k) {
         routed[config_.merge == Merge::kConcat ? k : k % size] += gates[k / size] * u[k];
@@ -318,11 +355,12 @@ class ReferencePass {
   }
 
   // x <- LayerNorm(x + W2 (spike count / T) + b2).
-  void FeedForward(const LayerWeights& weights, size_t i, int site) {
-    const CodedToken coded = Code(weights.ffn_coder, x_[i], i, site);
+  void FeedForward(int layer, size_t i) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const CodedToken coded = Code(weights.ffn_coder, x_[i], i, 2 * layer + 1);
     const SpikeTrain hidden = Project(weights.ffn_hidden, coded, SpikeTrain(config_.ticks), i);
-    AddSpikes(i, Stage::kFfnIn, coded.spikes);
-    AddSpikes(i, Stage::kFfnHidden, hidden);
+    AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
+    AddSpikes(i, Stage::kFfnHidden, layer, hidden);
     std::vector<float> rates;
     for (int j = 0; j < config_.ffn_size; ++j) rates.push_back(Rate(hidden, j));
     AddMultiplies(i, weights.ffn_output, rates);
@@ -340,6 +378,7 @@ class ReferencePass {
   const std::vector<Token>& tokens_;
   const size_t first_new_token_;
   const uint64_t seed_;
+  Trace* const trace_;                 // may be null
   std::vector<std::vector<float>> x_;  // [tokens][d]
   std::vector<SpikeTrain> keys_;       // of the running layer, [tokens][T][d]
   std::vector<SpikeTrain> values_;
@@ -352,11 +391,16 @@ class ReferenceEngine final : public PrefixEngine {
 
  private:
   void Compute(const PrefixContext& prefix, Output* output) const override {
-    ReferencePass(policy(), prefix).Run(output);
+    ComputeSpikingReference(policy(), prefix, output, /*trace=*/nullptr);
   }
 };
 
 }  // namespace
+
+void ComputeSpikingReference(const Policy& policy, const PrefixContext& prefix,
+                             Engine::Output* output, Trace* trace) {
+  ReferencePass(policy, prefix, trace).Run(output);
+}
 
 std::unique_ptr<Engine> MakeSpikingReferenceEngine(std::shared_ptr<const Policy> policy) {
   return std::make_unique<ReferenceEngine>(std::move(policy));

@@ -5,6 +5,8 @@
 #include <memory>
 
 #include "core/engine/engine.h"
+#include "core/engine/prefix_engine.h"
+#include "core/engine/trace.h"
 
 namespace spikeserve {
 
@@ -12,6 +14,11 @@ namespace spikeserve {
 // engine beyond the neuron, LayerNorm and the exponential. Slow by design; for tests. REQUIRES: a
 // valid policy of a spiking mode.
 std::unique_ptr<Engine> MakeSpikingReferenceEngine(std::shared_ptr<const Policy> policy);
+
+// The decision at the last token of `prefix`, a state token; recorded in `trace`, unless null,
+// whose `layers` has L elements. Thread-safe.
+void ComputeSpikingReference(const Policy& policy, const PrefixContext& prefix,
+                             Engine::Output* output, Trace* trace);
 
 }  // namespace spikeserve
 

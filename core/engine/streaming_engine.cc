@@ -33,9 +33,14 @@ class StreamingContext : public Engine::Context {
 
 // A token on its way through the layers.
 struct NewToken {
+  StreamingContext* context = nullptr;
+  Counts* counts = nullptr;  // of the decision that pays for it
   TokenKind kind = TokenKind::kReturn;
-  std::vector<float> x;  // [pad(d)]
-  AttentionBand band;    // what it may attend to: the band up to and with itself
+  std::vector<float> x;         // [pad(d)]
+  std::vector<uint32_t> query;  // [T][H][W], of the running layer
+  AttentionBand band;           // what it may attend to: the band up to and with itself
+
+  int slot() const { return band.Slot(context->timestep, kind); }
 };
 
 // Buffers of a running computation; nothing in them outlives a call.
@@ -46,7 +51,6 @@ struct Scratch {
   std::vector<uint32_t> bits;  // [T][3 pad(d) / 32]: keys, values, queries
   std::vector<uint32_t> keys;  // [T][H][W]
   std::vector<uint32_t> values;
-  std::vector<uint32_t> query;
   std::vector<float> y;        // [T][H][d_h]
   std::vector<float> routing;  // [pad(m)]
   std::vector<float> gates;    // [pad(H)]
@@ -60,57 +64,71 @@ Scratch& ThreadScratch() {
   return scratch;
 }
 
-// Computes tokens of one timestep.
+// Computes tokens of one timestep each, of any number of contexts.
 class TokenPass {
  public:
-  TokenPass(const Policy& policy, const PackedWeights& packed, StreamingContext& context,
-            Counts& counts)
+  TokenPass(const Policy& policy, const PackedWeights& packed)
       : policy_(policy),
         config_(policy.config),
         lif_{config_.membrane_decay, config_.threshold},
         packed_(packed),
-        context_(context),
-        counts_(counts),
         scratch_(ThreadScratch()) {}
 
-  // Emitted once a timestep, whoever hears them.
-  void CountPhase() { counts_.spikes(Stage::kPhase) += context_.phase.generators.size(); }
-
-  // Takes in the next token of the timestep; `input` is what its embedding takes.
-  void Add(TokenKind kind, absl::Span<const float> input) {
-    context_.band.Add(context_.band.Slot(context_.timestep, kind));
+  // Takes in the next token of a context's timestep, for which `counts` pays; `input` is what its
+  // embedding takes.
+  void Add(StreamingContext& context, Counts& counts, TokenKind kind,
+           absl::Span<const float> input) {
     if (scratch_.tokens.size() <= token_count_) scratch_.tokens.resize(token_count_ + 1);
     token_ = &scratch_.tokens[token_count_++];
+    token_->context = &context;
+    token_->counts = &counts;
     token_->kind = kind;
-    token_->band = context_.band;
+    context.band.Add(context.band.Slot(context.timestep, kind));
+    token_->band = context.band;
     Affine(PackedEmbedding(), input.data(), token_->x);
     Normalize(EmbeddingOf(policy_.weights, kind).norm);
   }
 
-  // Takes the tokens through all layers, layer by layer, so that a layer's weights are fetched once
-  // for all of them.
+  // Takes the tokens through all layers, matrix by matrix, so that one is fetched once for all of
+  // them. A token's keys and values are stored before its elders attend, whose bands are without
+  // it.
   void Run() {
     for (int layer = 0; layer < config_.layers; ++layer) {
-      for (size_t i = 0; i < token_count_; ++i) {
-        token_ = &scratch_.tokens[i];
-        // Nobody reads the other tokens' output of the last layer.
-        Layer(layer,
-              /*needs_output=*/layer + 1 < config_.layers || token_->kind == TokenKind::kState);
-      }
+      // Nobody reads the other tokens' output of the last layer.
+      const auto needs_output = [&](const NewToken& token) {
+        return layer + 1 < config_.layers || token.kind == TokenKind::kState;
+      };
+      const auto for_each_token = [&](auto visit) {
+        for (size_t i = 0; i < token_count_; ++i) {
+          token_ = &scratch_.tokens[i];
+          visit(needs_output(*token_));
+        }
+      };
+      for_each_token([&](bool has_output) { Remember(layer, has_output); });
+      for_each_token([&](bool has_output) {
+        if (has_output) Attend(layer);
+      });
+      for_each_token([&](bool has_output) {
+        if (has_output) FeedForward(layer);
+      });
     }
   }
 
-  // Firing rates of the last token: the presynaptic activity of the action head.
-  void Readout(std::vector<float>* readout) {
+  // Firing rates of the token that was added as number `index`: the presynaptic activity of the
+  // action head.
+  void Readout(size_t index, std::vector<float>* readout) {
+    token_ = &scratch_.tokens[index];
     Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout);
     scratch_.spikes.Rates(readout);
     for (int j = 0; j < config_.hidden_size; ++j) {
-      if ((*readout)[j] > 0.0f) counts_.multiply_accumulates += packed_.head_nonzero[j];
+      if ((*readout)[j] > 0.0f) counts().multiply_accumulates += packed_.head_nonzero[j];
     }
   }
 
  private:
   float* x() { return token_->x.data(); }
+  Counts& counts() { return *token_->counts; }
+  const PhaseSpikes& phase() const { return token_->context->phase; }
 
   const PackedLinear& PackedEmbedding() const {
     return token_->kind == TokenKind::kReturn  ? packed_.embed_return
@@ -120,7 +138,7 @@ class TokenPass {
 
   void Affine(const PackedLinear& linear, const float* input, std::vector<float>& output) {
     output.resize(linear.width);
-    counts_.multiply_accumulates += kernels::Affine(linear, input, output.data());
+    counts().multiply_accumulates += kernels::Affine(linear, input, output.data());
   }
 
   void Normalize(const Norm& norm) {
@@ -129,32 +147,35 @@ class TokenPass {
   }
 
   void Code(const Coder& coder, int site, Stage stage) {
-    const BernoulliKey key = {.seed = context_.seed,
-                              .timestep = context_.timestep,
+    const BernoulliKey key = {.seed = token_->context->seed,
+                              .timestep = token_->context->timestep,
                               .token = static_cast<int>(token_->kind),
                               .site = site};
     scratch_.spikes.Code(config_, packed_.periods, coder, x(), key);
-    counts_.spikes(stage) += scratch_.spikes.total();
+    counts().spikes(stage) += scratch_.spikes.total();
   }
 
-  void Layer(int layer, bool needs_output) {
+  // Leaves the token's keys and values, and its query where its output is read.
+  void Remember(int layer, bool needs_query) {
+    Code(policy_.weights.layers[layer].coder, 2 * layer, Stage::kCoder);
+    const uint64_t value_spikes = Project(packed_.layers[layer], needs_query);
+    token_->context->caches[layer].Store(scratch_.keys.data(), scratch_.values.data(), value_spikes,
+                                         token_->slot());
+  }
+
+  // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O).
+  void Attend(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const PackedLayer& packed = packed_.layers[layer];
-    AttentionCache& cache = context_.caches[layer];
-    Code(weights.coder, 2 * layer, Stage::kCoder);
-    const uint64_t value_spikes = Project(packed, needs_output);
-    cache.Store(scratch_.keys.data(), scratch_.values.data(), value_spikes,
-                token_->band.Slot(context_.timestep, token_->kind));
-    if (!needs_output) return;
+    const AttentionCache& cache = token_->context->caches[layer];
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
-    counts_.attention_products += cache.ValueSpikes(token_->band);
-    counts_.attention_products += kernels::Attend(cache.Window(token_->band), scratch_.query.data(),
-                                                  packed.attention_weight.data(),
-                                                  weights.scale.values.data(), scratch_.y.data());
+    counts().attention_products += cache.ValueSpikes(token_->band);
+    counts().attention_products += kernels::Attend(cache.Window(token_->band), token_->query.data(),
+                                                   packed.attention_weight.data(),
+                                                   weights.scale.values.data(), scratch_.y.data());
     Merge(packed);
     Affine(packed.attention_output, scratch_.merged.data(), scratch_.update);
     AddResidual(weights.attention_norm);
-    FeedForward(weights, packed, 2 * layer + 1);
   }
 
   // Keys, values and, where the token's output is read, queries: LIF(W [R || P] + b).
@@ -164,16 +185,16 @@ class TokenPass {
     const int section = PadToLanes(config_.hidden_size);
     const int width = needs_query ? 3 * section : 2 * section;
     scratch_.bits.resize(static_cast<size_t>(config_.ticks) * width / kLanes);
-    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, width, &context_.phase);
+    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, width, &phase());
     kernels::LifBits(lif_, linear.bias.data(), drive, width, scratch_.bits.data());
-    counts_.spikes(Stage::kKey) += TakeSection(width, 0, scratch_.keys);
+    counts().spikes(Stage::kKey) += TakeSection(width, 0, scratch_.keys);
     const uint64_t value_spikes = TakeSection(width, section, scratch_.values);
-    counts_.spikes(Stage::kValue) += value_spikes;
+    counts().spikes(Stage::kValue) += value_spikes;
     if (needs_query)
-      counts_.spikes(Stage::kQuery) += TakeSection(width, 2 * section, scratch_.query);
-    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, &context_.phase);
+      counts().spikes(Stage::kQuery) += TakeSection(width, 2 * section, token_->query);
+    counts().accumulates += scratch_.spikes.Products(linear.nonzero, &phase());
     if (!needs_query)
-      counts_.accumulates -= scratch_.spikes.Products(packed.nonzero_query, &context_.phase);
+      counts().accumulates -= scratch_.spikes.Products(packed.nonzero_query, &phase());
     return value_spikes;
   }
 
@@ -228,10 +249,10 @@ class TokenPass {
   void Route(const PackedLayer& packed, int stride) {
     const PackedLinear& hidden = packed.routing_hidden;
     scratch_.routing.resize(static_cast<size_t>(config_.ticks) * hidden.width);
-    counts_.multiply_accumulates += kernels::AffineTicks(
+    counts().multiply_accumulates += kernels::AffineTicks(
         hidden, scratch_.y.data(), config_.hidden_size, config_.ticks, scratch_.routing.data());
     for (float& h : scratch_.routing) h = h > 0.0f ? h : 0.0f;
-    counts_.multiply_accumulates +=
+    counts().multiply_accumulates +=
         kernels::AffineTicks(packed.routing_gate, scratch_.routing.data(), hidden.width,
                              config_.ticks, scratch_.gates.data());
     if (config_.gate == Gate::kSigmoid) {
@@ -245,14 +266,16 @@ class TokenPass {
   }
 
   // x <- LayerNorm(x + W2 (spike count / T) + b2).
-  void FeedForward(const LayerWeights& weights, const PackedLayer& packed, int site) {
-    Code(weights.ffn_coder, site, Stage::kFfnIn);
+  void FeedForward(int layer) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const PackedLayer& packed = packed_.layers[layer];
+    Code(weights.ffn_coder, 2 * layer + 1, Stage::kFfnIn);
     const PackedLinear& linear = packed.ffn_hidden;
     scratch_.hidden.resize(linear.width);
     const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, linear.width, nullptr);
-    counts_.spikes(Stage::kFfnHidden) +=
+    counts().spikes(Stage::kFfnHidden) +=
         kernels::LifRates(lif_, linear.bias.data(), drive, linear.width, scratch_.hidden.data());
-    counts_.accumulates += scratch_.spikes.Products(linear.nonzero, nullptr);
+    counts().accumulates += scratch_.spikes.Products(linear.nonzero, nullptr);
     Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
     AddResidual(weights.ffn_norm);
   }
@@ -266,8 +289,6 @@ class TokenPass {
   const ModelConfig& config_;
   const Lif lif_;
   const PackedWeights& packed_;
-  StreamingContext& context_;
-  Counts& counts_;
   Scratch& scratch_;
   size_t token_count_ = 0;
   NewToken* token_ = nullptr;  // the one at hand
@@ -286,27 +307,47 @@ class StreamingEngine final : public Engine {
 
   void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
               Output* output) const override {
-    auto& streaming = static_cast<StreamingContext&>(context);
-    output->counts = std::exchange(streaming.action_counts, Counts());
-    streaming.band.Advance(streaming.timestep);
-    streaming.phase.Set(*policy_, streaming.timestep);
-    TokenPass pass(*policy_, packed_, streaming, output->counts);
-    pass.CountPhase();
-    const float standard_return = StandardizeReturn(*policy_, return_to_go);
-    pass.Add(TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
-    std::vector<float>& input = ThreadScratch().input;
-    StandardizeObservation(*policy_, observation, &input);
-    pass.Add(TokenKind::kState, input);
-    pass.Run();
-    pass.Readout(&output->readout);
+    const Decision decision = {&context, return_to_go, observation, output};
+    DecideTogether(absl::MakeConstSpan(&decision, 1));
   }
 
   void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
-    auto& streaming = static_cast<StreamingContext&>(context);
-    TokenPass pass(*policy_, packed_, streaming, streaming.action_counts);
-    pass.Add(TokenKind::kAction, encoded_action);
+    const TakenAction action = {&context, encoded_action};
+    AppendActionsTogether(absl::MakeConstSpan(&action, 1));
+  }
+
+  void DecideTogether(absl::Span<const Decision> decisions) const override {
+    TokenPass pass(*policy_, packed_);
+    for (const Decision& decision : decisions) {
+      auto& context = static_cast<StreamingContext&>(*decision.context);
+      Counts& counts = decision.output->counts;
+      counts = std::exchange(context.action_counts, Counts());
+      context.band.Advance(context.timestep);
+      context.phase.Set(*policy_, context.timestep);
+      counts.spikes(Stage::kPhase) += context.phase.generators.size();  // whoever hears them
+      const float standard_return = StandardizeReturn(*policy_, decision.return_to_go);
+      pass.Add(context, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
+      std::vector<float>& input = ThreadScratch().input;
+      StandardizeObservation(*policy_, decision.observation, &input);
+      pass.Add(context, counts, TokenKind::kState, input);
+    }
     pass.Run();
-    ++streaming.timestep;
+    for (size_t i = 0; i < decisions.size(); ++i) {
+      pass.Readout(2 * i + 1, &decisions[i].output->readout);  // the second token is the state
+    }
+  }
+
+  void AppendActionsTogether(absl::Span<const TakenAction> actions) const override {
+    TokenPass pass(*policy_, packed_);
+    for (const TakenAction& action : actions) {
+      auto& context = static_cast<StreamingContext&>(*action.context);
+      context.action_counts = Counts();
+      pass.Add(context, context.action_counts, TokenKind::kAction, action.encoded_action);
+    }
+    pass.Run();
+    for (const TakenAction& action : actions) {
+      ++static_cast<StreamingContext&>(*action.context).timestep;
+    }
   }
 
  private:

@@ -27,7 +27,7 @@ namespace spikeserve {
 // Bounds no session can move.
 struct FleetOptions {
   double clip = 0.5;       // longest contribution of one episode, in Frobenius norm
-  double max_drift = 1.0;  // largest |W - W_base| / |W_base|
+  double max_drift = 2.0;  // largest |W - W_base| / |W_base|
   double guard_margin = 0.02;
 };
 

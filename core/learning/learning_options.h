@@ -30,7 +30,7 @@ struct LearningOptions {
   double trace_decay = 0.9;                                          // lambda of eq. 4.1, in [0, 1]
   double discount = 0.97;      // gamma of the realized return-to-go, in [0, 1]; see learner.h
   double clip = 0.5;           // largest Frobenius norm of one update of the head, > 0
-  double max_drift = 1.0;      // largest |W - W_base| / |W_base| a private head may reach, > 0
+  double max_drift = 2.0;      // largest |W - W_base| / |W_base| a private head may reach, > 0
   double guard_margin = 0.02;  // of a private head's guard, >= 0; see return_guard.h
 
   // An update a decision, or an update an episode whose deltas are relative to its own returns.

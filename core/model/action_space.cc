@@ -23,13 +23,15 @@ void ActionSpace::Encode(const Action& action, absl::Span<float> encoded) const 
 
 std::vector<float> ActionSpace::FromUnit(absl::Span<const float> unit) const {
   std::vector<float> values(low.size());
-  for (size_t i = 0; i < low.size(); ++i) {
-    const double range = static_cast<double>(high[i]) - low[i];
-    const double value = low[i] + 0.5 * (static_cast<double>(unit[i]) + 1.0) * range;
-    values[i] = static_cast<float>(
-        std::clamp(value, static_cast<double>(low[i]), static_cast<double>(high[i])));
-  }
+  for (size_t i = 0; i < low.size(); ++i) values[i] = FromUnit(unit[i], i);
   return values;
+}
+
+float ActionSpace::FromUnit(float unit, size_t i) const {
+  const double range = static_cast<double>(high[i]) - low[i];
+  const double value = low[i] + 0.5 * (static_cast<double>(unit) + 1.0) * range;
+  return static_cast<float>(
+      std::clamp(value, static_cast<double>(low[i]), static_cast<double>(high[i])));
 }
 
 absl::Status ActionSpace::Contains(const Action& action) const {

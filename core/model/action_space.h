@@ -40,6 +40,8 @@ struct ActionSpace {
   // The affine map of [-1, 1] to [low[i], high[i]] for every element, clamped to the bounds.
   // REQUIRES: a Box space; `unit` is [size()].
   std::vector<float> FromUnit(absl::Span<const float> unit) const;
+  // Of element i alone.
+  float FromUnit(float unit, size_t i) const;
 
   // OK if `action` is of this space: an index in [0, n), or finite values within the bounds.
   absl::Status Contains(const Action& action) const;

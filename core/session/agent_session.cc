@@ -100,24 +100,27 @@ Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observa
   if (context_ == nullptr) RebuildContext();
   AppendPendingAction();
 
-  Answer answer;
+  // The memory of the last answer, and of the thread's last decision, serves this one.
+  thread_local Engine::Output output;
+  thread_local ActionChoice choice;
+  Answer answer = session_.last_answer.has_value() ? *std::move(session_.last_answer) : Answer();
   answer.step = session_.step;
   answer.return_to_go = static_cast<float>(return_to_go);
-  Engine::Output output;
   served_->engine->Decide(*context_, answer.return_to_go, observation, &output);
   action_pending_ = true;
   answer.counts = output.counts;
 
   const Policy& policy = served_->policy();
-  ActionChoice choice = Choose(output.readout);
+  Choose(output.readout, &choice);
   if (session_.learner.has_value()) {
     if (served_->learning->paused()) session_.learner->suspended = true;
     TakeOutcome(session_.learner->OnDecision(*session_.options.learning, policy, choice,
                                              output.readout,
                                              static_cast<double>(answer.return_to_go), reward));
   }
-  answer.action = std::move(choice.action);
-  answer.probabilities = std::move(choice.probabilities);
+  std::swap(answer.action, choice.action);
+  std::swap(answer.logits, choice.logits);
+  std::swap(answer.probabilities, choice.probabilities);
   return answer;
 }
 
@@ -125,14 +128,13 @@ bool AgentSession::InFleet() const {
   return session_.options.learning.has_value() && session_.options.learning->scope == Scope::kFleet;
 }
 
-ActionChoice AgentSession::Choose(absl::Span<const float> readout) const {
+void AgentSession::Choose(absl::Span<const float> readout, ActionChoice* choice) const {
   const auto choose = [&](const Linear& head) {
-    return ChooseAction(head, served_->policy().action_space, readout,
-                        session_.options.action_selection,
-                        RandomBits({session_.options.seed, session_.decisions}));
+    ChooseAction(head, served_->policy().action_space, readout, session_.options.action_selection,
+                 RandomBits({session_.options.seed, session_.decisions}), choice);
   };
   if (InFleet()) return choose(served_->fleet->Read()->head);
-  return choose(head_ ? *head_ : served_->policy().weights.head);
+  choose(head_ ? *head_ : served_->policy().weights.head);
 }
 
 // A fleet session's updates are gathered; only what becomes of their sum concerns the head.
@@ -166,13 +168,16 @@ void AgentSession::Record(Answer answer, absl::Span<const float> observation, do
 
 void AgentSession::AppendPendingAction() {
   if (!action_pending_) return;
-  AppendAction(session_.history.action(session_.history.size() - 1));
+  thread_local Action action;
+  session_.history.action(session_.history.size() - 1, &action);
+  AppendAction(action);
   action_pending_ = false;
 }
 
 void AgentSession::AppendAction(const Action& action) {
   const ActionSpace& space = served_->policy().action_space;
-  std::vector<float> encoded(static_cast<size_t>(space.size()));
+  thread_local std::vector<float> encoded;
+  encoded.resize(static_cast<size_t>(space.size()));
   space.Encode(action, absl::MakeSpan(encoded));
   served_->engine->AppendAction(*context_, encoded);
 }

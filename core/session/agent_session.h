@@ -102,7 +102,7 @@ class AgentSession {
   void AppendAction(const Action& action);
   Answer Decide(double return_to_go, absl::Span<const float> observation, double reward);
   bool InFleet() const;
-  ActionChoice Choose(absl::Span<const float> readout) const;
+  void Choose(absl::Span<const float> readout, ActionChoice* choice) const;
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
   std::optional<LearningSummary> LearnFromEpisode(const EpisodeEnd& end, double episode_return);
   void GiveToFleet(double episode_return, LearningSummary* summary);

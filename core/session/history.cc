@@ -16,9 +16,15 @@ absl::Span<const float> History::observation(size_t i) const {
 }
 
 Action History::action(size_t i) const {
+  Action copy;
+  action(i, &copy);
+  return copy;
+}
+
+void History::action(size_t i, Action* action) const {
   const float* cells = row(i);
-  return {.discrete = std::bit_cast<int32_t>(cells[1]),
-          .continuous = {cells + kFirstObservation + observation_size_, cells + stride_}};
+  action->discrete = std::bit_cast<int32_t>(cells[1]);
+  action->continuous.assign(cells + kFirstObservation + observation_size_, cells + stride_);
 }
 
 Timestep History::at(size_t i) const {
@@ -47,9 +53,18 @@ void History::Append(float return_to_go, absl::Span<const float> observation, co
   }
   float* cells = cells_.data() + row * stride_;
   cells[0] = return_to_go;
-  cells[1] = std::bit_cast<float>(static_cast<int32_t>(action.discrete));
-  cells = std::copy(observation.begin(), observation.end(), cells + kFirstObservation);
-  std::copy(action.continuous.begin(), action.continuous.end(), cells);
+  std::copy(observation.begin(), observation.end(), cells + kFirstObservation);
+  WriteAction(action, cells);
+}
+
+void History::ReplaceLastAction(const Action& action) {
+  WriteAction(action, cells_.data() + begin_of(size() - 1));
+}
+
+void History::WriteAction(const Action& action, float* row) const {
+  row[1] = std::bit_cast<float>(static_cast<int32_t>(action.discrete));
+  std::copy(action.continuous.begin(), action.continuous.end(),
+            row + kFirstObservation + observation_size_);
 }
 
 void History::ReplaceLastAction(const Action& action) {

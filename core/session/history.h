@@ -31,6 +31,7 @@ class History {
   float return_to_go(size_t i) const { return row(i)[0]; }
   absl::Span<const float> observation(size_t i) const;  // valid until the history changes
   Action action(size_t i) const;
+  void action(size_t i, Action* action) const;  // into an action whose memory is used again
   Timestep at(size_t i) const;
 
   // Adds a timestep, in the place of the oldest where there are `limit` of them.
@@ -50,7 +51,9 @@ class History {
   friend bool operator==(const History& a, const History& b);
 
  private:
-  const float* row(size_t i) const { return cells_.data() + (oldest_ + i) % size() * stride_; }
+  size_t begin_of(size_t i) const { return (oldest_ + i) % size() * stride_; }
+  const float* row(size_t i) const { return cells_.data() + begin_of(i); }
+  void WriteAction(const Action& action, float* row) const;
 
   size_t observation_size_ = 0;
   size_t stride_ = 0;         // cells of a timestep

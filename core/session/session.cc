@@ -59,6 +59,7 @@ void VisitFields(T& answer, Visitor&& visit) {
   visit("return_to_go", answer.return_to_go);
   visit("counts", answer.counts);
   visit("compute_seconds", answer.compute_seconds);
+  visit("logits", answer.logits);
 }
 
 template <Is<ActionSelection> T, typename Visitor>

@@ -29,6 +29,7 @@ struct Answer {
   float return_to_go = 0.0f;         // what the decision was conditioned on
   Counts counts;
   double compute_seconds = 0.0;
+  std::vector<float> logits;  // of the head as it was when it decided
 
   friend bool operator==(const Answer&, const Answer&) = default;
 };

@@ -73,6 +73,8 @@ def engine_contestants(arguments):
     return {
         "spikeserve_silent": [engine, shipped],
         "spikeserve_loud": [engine],
+        "spikeserve_silent_together": [engine, shipped, f"--together={BATCH}"],
+        "spikeserve_loud_together": [engine, f"--together={BATCH}"],
         "reference": [engine, shipped, "--engine=reference", "--episode_steps=20"],
         "torch_snn_window": [torch, "--model=snn", shipped],
         "torch_dense_window": [torch, "--model=dense"],

@@ -26,6 +26,7 @@ ABSL_FLAG(std::string, engine, "streaming", "streaming or reference");
 ABSL_FLAG(int32_t, hidden_size, 128, "Of a random policy");
 ABSL_FLAG(int32_t, ticks, 10, "Of a random policy");
 ABSL_FLAG(int32_t, context, 20, "Of a random policy");
+ABSL_FLAG(int32_t, together, 1, "Decisions that are made together, each for an agent of its own");
 ABSL_FLAG(int32_t, episode_steps, 500, "Decisions after which the context starts anew");
 
 namespace spikeserve {
@@ -55,35 +56,35 @@ class Player {
     Reset();
   }
 
-  // One decision; returns its spikes.
-  uint64_t Play() {
+  // What the next decision takes; Act() is to follow it.
+  Engine::Decision Next() {
     if (steps_++ % absl::GetFlag(FLAGS_episode_steps) == 0) context_ = engine_->NewContext(0);
-    engine_->Decide(*context_, return_to_go_, observation_, &output_);
-    Act();
-    return output_.counts.total_spikes();
+    return {context_.get(), return_to_go_, observation_, &output_};
   }
 
- private:
-  void Act() {
+  // Does what was decided, and says so; AppendActionsTogether is to follow.
+  Engine::TakenAction Act() {
     const Policy& policy = engine_->policy();
-    const Action action = ChooseAction(policy.weights.head, policy.action_space, output_.readout,
-                                       ActionSelection(), 0)
-                              .action;
-    policy.action_space.Encode(action, absl::MakeSpan(encoded_));
-    engine_->AppendAction(*context_, encoded_);
-    const StepResult step = environment_->Step(action);
+    ChooseAction(policy.weights.head, policy.action_space, output_.readout, ActionSelection(), 0,
+                 &choice_);
+    policy.action_space.Encode(choice_.action, absl::MakeSpan(encoded_));
+    const StepResult step = environment_->Step(choice_.action);
     observation_ = step.observation;
     return_to_go_ -= static_cast<float>(step.reward);
     if (step.done()) Reset();
+    return {context_.get(), encoded_};
   }
 
+  uint64_t spikes() const { return output_.counts.total_spikes(); }
+
+ private:
   void Reset() {
     observation_ = environment_->Reset(seed_++);
     return_to_go_ = engine_->policy().target_return;
   }
 
   const Engine* const engine_;
-  const std::unique_ptr<Environment> environment_;
+  std::unique_ptr<Environment> environment_;
   uint64_t seed_;
   int64_t steps_ = 0;
   std::unique_ptr<Engine::Context> context_;
@@ -91,7 +92,23 @@ class Player {
   std::vector<float> observation_;
   std::vector<float> encoded_;
   Engine::Output output_;
+  ActionChoice choice_;
 };
+
+// One decision for each of `players`.
+Work PlayTogether(const Engine& engine, std::vector<Player>& players) {
+  thread_local std::vector<Engine::Decision> decisions;
+  thread_local std::vector<Engine::TakenAction> actions;
+  decisions.clear();
+  actions.clear();
+  for (Player& player : players) decisions.push_back(player.Next());
+  engine.DecideTogether(decisions);
+  for (Player& player : players) actions.push_back(player.Act());
+  engine.AppendActionsTogether(actions);
+  Work work = {.decisions = static_cast<int64_t>(players.size())};
+  for (const Player& player : players) work.spikes += player.spikes();
+  return work;
+}
 
 absl::Status Run() {
   auto loaded = LoadPolicy();
@@ -104,8 +121,11 @@ absl::Status Run() {
   }
   const std::unique_ptr<Engine> engine =
       name == "streaming" ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
-  Player player(engine.get(), /*seed=*/1);
-  RunContestant([&player] { return Work{.decisions = 1, .spikes = player.Play()}; });
+  std::vector<Player> players;
+  for (int i = 0; i < absl::GetFlag(FLAGS_together); ++i) {
+    players.emplace_back(engine.get(), /*seed=*/1000 * static_cast<uint64_t>(i));
+  }
+  RunContestant([&] { return PlayTogether(*engine, players); });
   return absl::OkStatus();
 }
 

@@ -5,6 +5,8 @@ import statistics
 ENGINE_NAMES = {
     "spikeserve_silent": "spikeserve, shipped CartPole policy",
     "spikeserve_loud": "spikeserve, unregularised (random weights)",
+    "spikeserve_silent_together": "spikeserve, shipped policy, 64 sessions together",
+    "spikeserve_loud_together": "spikeserve, unregularised, 64 sessions together",
     "reference": "reference engine, shipped policy, episodes of one window",
     "torch_snn_window": "the same model, libtorch eager, full window",
     "torch_dense_window": "dense decision transformer, libtorch, full window",

@@ -4,8 +4,8 @@
 #
 # usage: loadtest/bench/setup.sh VENV
 set -euo pipefail
+venv=$(realpath --canonicalize-missing "$1")
 cd "$(dirname "$0")"
-venv=$1
 
 if ! dpkg-query -W -f='${Status}' python3-torch 2>/dev/null | grep -q '^install ok installed$'; then
   echo "setup: installing python3-torch"

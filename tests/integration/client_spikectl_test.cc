@@ -100,8 +100,43 @@ TEST_F(SpikectlTest, APolicyVersionAndTargetReturnMayBeNamed) {
             0);
 }
 
+TEST_F(SpikectlTest, ExplainsADecisionOfASessionItPlays) {
+  const nlohmann::json explained =
+      ParseOutput(Spikectl("explain", {"--env=Acrobot-v1", "--steps=6", "--seed=3", "--json"}));
+  EXPECT_EQ(explained["answer"]["step"], "5");  // JSON's form of an int64 in proto3
+  uint64_t spikes = 0;
+  for (const nlohmann::json& raster : explained["rasters"]) {
+    ASSERT_EQ(raster["ticks"].size(), raster["neurons"].size());
+    spikes += raster["ticks"].size();
+  }
+  EXPECT_EQ(std::to_string(spikes), explained["answer"]["stats"]["spikes"]);
+  EXPECT_EQ(Metric("spikeserve_sessions"), 0.0);
+
+  const Finished text = Spikectl("explain", {"--env=Acrobot-v1", "--steps=6", "--seed=3"});
+  EXPECT_EQ(text.exit_code, 0) << text.errors;
+  EXPECT_THAT(text.output, HasSubstr("acrobot-v1/1 (full), session "));
+  EXPECT_THAT(text.output, HasSubstr("layer 0 coder of s_5: "));
+  EXPECT_THAT(text.output, HasSubstr("layer 1 gates of s_5, mean over ticks: "));
+  EXPECT_THAT(text.output, HasSubstr("layer 1 head 1 attends most to: "));
+}
+
+TEST_F(SpikectlTest, ExplainsASessionOfSomebodyElse) {
+  const std::string session = client_->Open("cartpole-v1");
+  ExpectOneLineError(Spikectl("explain", {"--session=" + session}),
+                     "expected a session that has decided");
+  client_->Act(session, 0);
+  const nlohmann::json explained =
+      ParseOutput(Spikectl("explain", {"--session=" + session, "--json"}));
+  EXPECT_EQ(explained["session_id"], session);
+  EXPECT_EQ(Metric("spikeserve_sessions"), 1.0);
+  ExpectOneLineError(Spikectl("explain", {"--session=nobody"}), "nobody");
+  ExpectOneLineError(Spikectl("explain", {"--steps=0"}), "--steps: expected at least 1, got 0");
+}
+
 TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
-  ExpectOneLineError(Spikectl("fly"), "command: expected one of policies, run, admin, got \"fly\"");
+  ExpectOneLineError(
+      Spikectl("fly"),
+      "command: expected one of policies, run, explain, adapt, replay, admin, got \"fly\"");
   ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, got \"land\"");
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
   ExpectOneLineError(Spikectl("run", {"--episodes=0"}), "--episodes: expected at least 1, got 0");

@@ -190,6 +190,36 @@ TEST_P(EngineParityTest, ContextRebuiltFromHistoryGoesOnAlike) {
   }
 }
 
+// Contexts that started at different timesteps, so that no two are alike.
+TEST_P(EngineParityTest, DecisionsMadeTogetherEqualThoseMadeAlone) {
+  constexpr int kContexts = 5;
+  const Shape& shape = GetParam();
+  const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 4));
+  const std::unique_ptr<Engine> engine = MakeStreamingEngine(policy);
+  const Episode episode(*policy, shape.spread);
+  std::vector<std::vector<Engine::Output>> expected;
+  std::vector<std::unique_ptr<Engine::Context>> contexts;
+  for (int i = 0; i < kContexts; ++i) {
+    expected.push_back(Play(*engine, shape, i));
+    contexts.push_back(engine->NewContext(/*seed=*/7, i));
+  }
+  for (int t = 0; t < shape.steps - kContexts; ++t) {
+    std::vector<std::vector<float>> inputs;
+    std::vector<Engine::Output> outputs(kContexts);
+    std::vector<Engine::Decision> decisions;
+    std::vector<Engine::TakenAction> actions;
+    for (int i = 0; i < kContexts; ++i) inputs.push_back(episode.Observation(i + t));
+    for (int i = 0; i < kContexts; ++i) inputs.push_back(episode.EncodedAction(i + t));
+    for (int i = 0; i < kContexts; ++i) {
+      decisions.push_back({contexts[i].get(), episode.ReturnToGo(i + t), inputs[i], &outputs[i]});
+      actions.push_back({contexts[i].get(), inputs[kContexts + i]});
+    }
+    engine->DecideTogether(decisions);
+    engine->AppendActionsTogether(actions);
+    for (int i = 0; i < kContexts; ++i) ExpectEqual(outputs[i], expected[i][t], i + t);
+  }
+}
+
 TEST_P(EngineParityTest, PopulationsAreAlive) {
   const Shape& shape = GetParam();
   if (shape.config.is_dense()) return;

@@ -61,7 +61,14 @@ def policies(tmp_path_factory):
 @pytest.fixture(scope="module")
 def policy_service(policies):
     with running_server(policies[0]) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        yield Service(channel, "spikeserve.v1.PolicyService")
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        service.channel = channel
+        yield service
+
+
+@pytest.fixture(scope="module")
+def admin(policies, policy_service):
+    yield Service(policy_service.channel, "spikeserve.v1.PolicyAdmin")
 
 
 def norm(matrix):
@@ -73,23 +80,31 @@ class Plasticity:
 
     def __init__(self, policy, temperature, config):
         self.base, self.bias = policy["weight"], policy["bias"]
-        self.mean, self.variance = policy["mean"], policy["std"] ** 2
         self.temperature = temperature
+        self.realized = config["modulator"] == "realized"
+        # A target modulator begins with the policy's mean and deviation, worth 1,000 decisions.
+        self.mean, self.variance, self.decisions = 0.0, 0.0, 0
+        if not self.realized:
+            self.mean, self.variance, self.decisions = policy["mean"], policy["std"] ** 2, 1000
         self.config = {
-            "learning_rate": 1e-3,
+            "learning_rate": 0.3 if self.realized else 1e-3,
             "trace_decay": 0.9,
+            "discount": 0.97,
             "clip": 0.5,
-            "max_drift": 1.0,
+            "max_drift": 2.0,
         } | config
         self.delta = np.zeros_like(self.base)
         self.start_episode()
 
     def start_episode(self):
         self.trace = np.zeros_like(self.base)
-        self.traces, self.rewards_before = [], []
+        self.traces = []
+
+    def head_delta(self):
+        return self.delta
 
     def logits(self, rates):
-        return (self.base + self.delta) @ rates + self.bias
+        return (self.base + self.head_delta()) @ rates + self.bias
 
     def probabilities(self, rates):
         z = self.logits(rates) / self.temperature
@@ -108,27 +123,39 @@ class Plasticity:
         unit = 2 * (np.array(action.continuous.values, "f8") - LOW) / (HIGH - LOW) - 1
         return (np.arctanh(unit) - z) / self.temperature
 
-    def decided(self, rates, action, return_to_go, rewards_before):
+    def decided(self, rates, action, return_to_go):
         y = self.postsynaptic(rates, action)
         self.trace = self.config["trace_decay"] * self.trace + np.outer(y, rates)
         self.traces.append(self.trace)
-        self.rewards_before.append(rewards_before)
-        if self.config["modulator"] == "target":
+        if not self.realized:
             modulator = np.clip((return_to_go - self.mean) / np.sqrt(self.variance), -1, 1)
             self.update(modulator * self.trace)
 
-    def ended(self, episode_return):
-        returns = episode_return - np.array(self.rewards_before)
-        if self.config["modulator"] == "realized":
-            modulators = (returns - self.mean) / np.sqrt(self.variance)
-            modulators /= max(1.0, np.abs(modulators).max())
+    def ended(self, rewards, terminated):
+        discount = self.config["discount"] if self.realized else 1.0
+        # An episode that was cut off would have gone on at its mean reward.
+        following = 0.0
+        if not terminated and discount < 1:
+            following = np.mean(rewards) / (1 - discount)
+        returns = []
+        for reward in reversed(rewards):
+            following = reward + discount * following
+            returns.insert(0, following)
+        self.remember(np.array(returns))
+        if self.realized:
+            differences = np.array(returns) - self.mean
+            scale = max(np.sqrt(self.variance), np.sqrt(np.mean(differences**2)))
+            modulators = differences / scale
             self.update(sum(m * trace for m, trace in zip(modulators, self.traces)))
-        # Merged as if the past were 1,000 decisions.
-        total = 1000 + len(returns)
-        squares = 1000 * (self.variance + self.mean**2) + np.sum(returns**2)
-        self.mean = (1000 * self.mean + np.sum(returns)) / total
-        self.variance = squares / total - self.mean**2
         self.start_episode()
+
+    def remember(self, returns):
+        """The past counts as at most 1,000 decisions."""
+        total = self.decisions + len(returns)
+        squares = self.decisions * (self.variance + self.mean**2) + np.sum(returns**2)
+        self.mean = (self.decisions * self.mean + np.sum(returns)) / total
+        self.variance = squares / total - self.mean**2
+        self.decisions = min(total, 1000)
 
     def update(self, direction):
         step = self.config["learning_rate"] * direction
@@ -138,20 +165,44 @@ class Plasticity:
         self.delta *= min(1.0, bound / max(norm(self.delta), 1e-300))
 
 
+class FleetMember(Plasticity):
+    """Gathers what an episode teaches and hands it over when it has ended."""
+
+    def __init__(self, policy, temperature, config, fleet):
+        self.fleet = fleet  # {"delta": W - W_base}, of all members
+        super().__init__(policy, temperature, config)
+
+    def head_delta(self):
+        return self.fleet["delta"]
+
+    def update(self, direction):
+        step = self.config["learning_rate"] * direction
+        step *= min(1.0, self.config["clip"] / max(norm(step), 1e-300))
+        self.delta = self.delta + step
+        self.delta *= min(1.0, self.config["clip"] / max(norm(self.delta), 1e-300))
+
+    def ended(self, rewards, terminated):
+        super().ended(rewards, terminated)
+        given = self.delta * min(1.0, 0.5 / max(norm(self.delta), 1e-300))
+        total = self.fleet["delta"] + given
+        total *= min(1.0, 2 * norm(self.base) / max(norm(total), 1e-300))
+        self.fleet["delta"] = total
+        self.delta = np.zeros_like(self.delta)
+
+
 def assert_head(policy_service, session_id, plasticity):
     session = policy_service.GetSession(session_id=session_id, include_head_delta=True)
     delta = np.array(session.head_delta).reshape(plasticity.base.shape)
-    assert np.abs(delta - plasticity.delta).max() <= TOLERANCE
-    assert session.head_drift == pytest.approx(
-        norm(plasticity.delta) / norm(plasticity.base), abs=TOLERANCE
-    )
+    expected = plasticity.head_delta()
+    assert np.abs(delta - expected).max() <= TOLERANCE
+    assert session.head_drift == pytest.approx(norm(expected) / norm(plasticity.base), abs=TOLERANCE)
     assert session.trace_norm == pytest.approx(norm(plasticity.trace), rel=1e-5, abs=TOLERANCE)
 
 
 def play_episode(environment, policy_service, session_id, probe_id, plasticity, seed):
     """Plays at most MOST_STEPS and compares after every answer."""
     observation, _ = environment.reset(seed=seed)
-    reward, rewards, step, over = 0.0, 0.0, 0, False
+    reward, rewards, step, over = 0.0, [], 0, False
     while not over:
         request = {"step": step, "observation": observation.tolist(), "reward": reward}
         unit = policy_service.Act(session_id=probe_id, **request).action.continuous.values
@@ -162,7 +213,7 @@ def play_episode(environment, policy_service, session_id, probe_id, plasticity, 
         if discrete:
             probabilities = plasticity.probabilities(rates)
             assert np.abs(np.array(answer.action_probabilities) - probabilities).max() <= TOLERANCE
-        plasticity.decided(rates, answer.action, answer.return_to_go, rewards)
+        plasticity.decided(rates, answer.action, answer.return_to_go)
         if step % 7 == 0:  # a retry, which must not learn again
             policy_service.Act(session_id=session_id, **request)
         assert_head(policy_service, session_id, plasticity)
@@ -170,12 +221,12 @@ def play_episode(environment, policy_service, session_id, probe_id, plasticity, 
         observation, _, terminated, truncated, _ = environment.step(int(right))
         # Rewards that tell steps apart, so that credit matters.
         reward = 1.0 - 2.0 * abs(float(observation[2]))
-        rewards += reward
+        rewards.append(reward)
         step += 1
         over = terminated or truncated or step == MOST_STEPS
     policy_service.EndEpisode(session_id=probe_id, reward=reward)
     end = policy_service.EndEpisode(session_id=session_id, reward=reward, terminated=terminated)
-    plasticity.ended(rewards)
+    plasticity.ended(rewards, terminated)
     assert end.learning.updates == (step if plasticity.config["modulator"] == "target" else 1)
     assert end.learning.rejected_updates == 0
     assert end.learning.modulator_mean == pytest.approx(plasticity.mean, rel=1e-9)
@@ -188,6 +239,7 @@ SETTINGS = {
     "own": {"learning_rate": 5e-3, "trace_decay": 0.7},
     "bounded": {"learning_rate": 0.05, "clip": 0.02, "max_drift": 0.03},
 }
+DISCOUNT = {"own": {"discount": 0.9}, "bounded": {"discount": 1.0}}  # of the realized modulator
 
 
 @pytest.mark.parametrize("settings", SETTINGS)
@@ -197,6 +249,8 @@ SETTINGS = {
 def test_the_head_follows_the_equations(policies, policy_service, policy, rule, modulator, settings):
     temperature = 0.5 if policy == "box" else 2.0
     config = {"rule": rule, "modulator": modulator} | SETTINGS[settings]
+    if modulator == "realized":
+        config |= DISCOUNT.get(settings, {})
     opening = {"action_selection": "SAMPLE", "temperature": temperature, "target_return": 200.0}
     session = policy_service.OpenSession(policy=policy, seed=3, learning=config, **opening)
     probe = policy_service.OpenSession(policy="probe", target_return=200.0)
@@ -209,6 +263,36 @@ def test_the_head_follows_the_equations(policies, policy_service, policy, rule, 
     assert np.abs(plasticity.delta).max() > 100 * TOLERANCE
     if settings == "bounded":
         assert norm(plasticity.delta) <= 0.03 * norm(plasticity.base) + 1e-9
+
+
+@pytest.mark.parametrize("modulator", ["target", "realized"])
+@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian"])
+@pytest.mark.parametrize("policy", ["discrete", "box"])
+def test_a_fleets_head_follows_the_equations(policies, policy_service, admin, policy, rule, modulator):
+    admin.RollbackHead(policy=policy)
+    temperature = 0.5 if policy == "box" else 2.0
+    config = {"rule": rule, "modulator": modulator}
+    if policy == "box":
+        config["learning_rate"] = 1e-3  # near its bounds an action no longer tells its noise
+    opening = {"action_selection": "SAMPLE", "temperature": temperature, "target_return": 200.0}
+    probe = policy_service.OpenSession(policy="probe", target_return=200.0).session_id
+    fleet = {"delta": np.zeros_like(policies[1][policy]["weight"])}
+    members = []
+    for seed in range(3):
+        learning = config | {"scope": "FLEET"}
+        session = policy_service.OpenSession(policy=policy, seed=seed, learning=learning, **opening)
+        member = FleetMember(policies[1][policy], temperature, config, fleet)
+        members.append((session.session_id, member))
+    environment = gymnasium.make("CartPole-v1")
+    for episode in range(2):
+        for i, (session_id, member) in enumerate(members):
+            play_episode(environment, policy_service, session_id, probe, member, 10 * episode + i)
+    environment.close()
+    head = admin.GetHead(policy=policy, include_weights=True)
+    delta = np.array(head.delta).reshape(fleet["delta"].shape)
+    assert np.abs(delta - fleet["delta"]).max() <= TOLERANCE
+    assert norm(delta) > 100 * TOLERANCE
+    assert head.updates == 6 and head.sessions >= 3 and not head.paused
 
 
 def test_a_frozen_session_shows_no_learning(policy_service):

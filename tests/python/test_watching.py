@@ -213,6 +213,29 @@ def test_a_panel_shows_data(title, target, prometheus, server):
             assert labels.get(label), f"{title} has no {label} for its legend"
 
 
+def test_the_dashboard_can_be_imported():
+    """What Grafana's import asks of a file, as far as it can be told without Grafana."""
+    assert DASHBOARD["schemaVersion"] >= 36  # Grafana 9: data sources by type and uid
+    assert DASHBOARD["uid"]
+    assert DASHBOARD["title"]
+    assert "__inputs" not in DASHBOARD  # that is for exports that ask for a data source
+    ids = [panel["id"] for panel in DASHBOARD["panels"]]
+    assert len(set(ids)) == len(ids)
+    taken = set()
+    for panel in DASHBOARD["panels"]:
+        place = panel["gridPos"]
+        assert place["x"] + place["w"] <= 24
+        for x in range(place["x"], place["x"] + place["w"]):
+            for y in range(place["y"], place["y"] + place["h"]):
+                assert (x, y) not in taken, f"{panel['title']} lies on another panel"
+                taken.add((x, y))
+    source = {"type": "prometheus", "uid": "${datasource}"}
+    for panel in PANELS:
+        assert panel["datasource"] == source
+        assert len({target["refId"] for target in panel["targets"]}) == len(panel["targets"])
+        assert all(target["datasource"] == source for target in panel["targets"])
+
+
 def test_energy_models_stay_apart():
     panels = [panel for panel in PANELS if "energy_joules" in json.dumps(panel)]
     assert panels

@@ -63,15 +63,20 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& o
   if (!beam && options.name != "lookahead" && options.name != "greedy") {
     return UnknownExpert(options, "beam, lookahead or greedy");
   }
-  // The discount bounds what a state costs from which a coarse grid shows no way to the goal.
-  Problem problem = {.model = std::make_shared<Acrobot>(), .choices = {}, .discount = 0.99};
+  Problem problem = {.model = std::make_shared<Acrobot>(), .choices = {}};
   for (int torque = 0; torque < 3; ++torque) {
     problem.choices.push_back(Choice::Of({.discrete = torque, .continuous = {}}));
   }
+  // Half the velocities that are possible: none beyond is met on the way up, and the grid is twice
+  // as fine.
   const Axes<4> axes = {
-      {{-pi, pi, 72, true}, {-pi, pi, 72, true}, {-4 * pi, 4 * pi, 57}, {-9 * pi, 9 * pi, 57}}};
-  absl::StatusOr<ValueTable<4>> solved = LoadOrSolve<4>(
-      options, "acrobot", problem, axes, {.tolerance = 0.5, .coarsest = 2, .evaluation_sweeps = 4});
+      {{-pi, pi, 72, true}, {-pi, pi, 72, true}, {-2 * pi, 2 * pi, 57}, {-4 * pi, 4 * pi, 57}}};
+  absl::StatusOr<ValueTable<4>> solved = LoadOrSolve<4>(options, "acrobot_swing_up", problem, axes,
+                                                        {.tolerance = 0.05,
+                                                         .coarsest = 2,
+                                                         .evaluation_sweeps = 4,
+                                                         .most_sweeps = 24,
+                                                         .keep_successors = true});
   if (!solved.ok()) return solved.status();
   auto table = std::make_shared<const ValueTable<4>>(*std::move(solved));
   if (beam) {

@@ -28,7 +28,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeCartPoleExpert(const ExpertOptions& 
   if (options.name.empty() || options.name == "feedback") return std::make_unique<FeedbackExpert>();
   if (options.name != "dial") return UnknownExpert(options, "feedback or dial");
   return std::make_unique<DialExpert>(
-      std::make_shared<CartPole>(), std::make_unique<FeedbackExpert>(),
+      std::make_shared<CartPole>(), /*reward=*/1.0, std::make_unique<FeedbackExpert>(),
       std::make_unique<FallExpert>(), EpisodeLengths{.least = 10, .most = 500});
 }
 

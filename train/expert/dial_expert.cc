@@ -7,9 +7,10 @@
 
 namespace spikeserve {
 
-void DialExpert::BeginEpisode(uint64_t key) {
+absl::optional<double> DialExpert::BeginEpisode(uint64_t key) {
   const auto choices = static_cast<uint64_t>(lengths_.most - lengths_.least + 1);
   left_ = lengths_.least + static_cast<int>(RandomBits({key}) % choices);
+  return reward_ * left_;
 }
 
 Action DialExpert::Act(absl::Span<const double> state) {
@@ -19,7 +20,8 @@ Action DialExpert::Act(absl::Span<const double> state) {
 }
 
 std::unique_ptr<Expert> DialExpert::Clone() const {
-  auto clone = std::make_unique<DialExpert>(model_, prolong_->Clone(), finish_->Clone(), lengths_);
+  auto clone =
+      std::make_unique<DialExpert>(model_, reward_, prolong_->Clone(), finish_->Clone(), lengths_);
   clone->left_ = left_;
   return clone;
 }

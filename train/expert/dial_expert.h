@@ -23,18 +23,20 @@ struct EpisodeLengths {
 
 class DialExpert final : public Expert {
  public:
-  // `prolong` never ends an episode of `model`, `finish` ends it as soon as it can. A step's reward
-  // is always the same.
-  DialExpert(std::shared_ptr<const ClassicControl> model, std::unique_ptr<Expert> prolong,
-             std::unique_ptr<Expert> finish, EpisodeLengths lengths)
+  // `prolong` never ends an episode of `model`, `finish` ends it as soon as it can. A step always
+  // pays `reward`.
+  DialExpert(std::shared_ptr<const ClassicControl> model, double reward,
+             std::unique_ptr<Expert> prolong, std::unique_ptr<Expert> finish,
+             EpisodeLengths lengths)
       : model_(std::move(model)),
+        reward_(reward),
         prolong_(std::move(prolong)),
         finish_(std::move(finish)),
         lengths_(lengths),
         left_(lengths.most) {}
 
-  // Draws how many steps it will last.
-  void BeginEpisode(uint64_t key) override;
+  // Draws how many steps it will last; what they pay is what is asked for.
+  absl::optional<double> BeginEpisode(uint64_t key) override;
 
   // Finishes if that takes all the steps that are left, or more.
   Action Act(absl::Span<const double> state) override;
@@ -49,6 +51,7 @@ class DialExpert final : public Expert {
   bool MustFinish(absl::Span<const double> state);
 
   std::shared_ptr<const ClassicControl> model_;
+  double reward_;
   std::unique_ptr<Expert> prolong_;
   std::unique_ptr<Expert> finish_;
   EpisodeLengths lengths_;

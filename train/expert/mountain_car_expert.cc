@@ -27,7 +27,8 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOption
       problem, std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);
   if (!dial) return shortest;
   auto coast = std::make_unique<ConstantExpert>(Action{.discrete = 1, .continuous = {}});
-  return std::make_unique<DialExpert>(problem.model, std::move(coast), std::move(shortest),
+  return std::make_unique<DialExpert>(problem.model, /*reward=*/-1.0, std::move(coast),
+                                      std::move(shortest),
                                       EpisodeLengths{.least = 90, .most = 200});
 }
 

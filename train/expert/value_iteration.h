@@ -10,8 +10,11 @@
 #ifndef TRAIN_EXPERT_VALUE_ITERATION_H_
 #define TRAIN_EXPERT_VALUE_ITERATION_H_
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -23,6 +26,12 @@ struct SolveOptions {
   double tolerance = 1e-3;    // stop when a full sweep changes no value by more
   int coarsest = 4;           // the first grid has this many times fewer intervals, the next half
   int evaluation_sweeps = 8;  // between full sweeps
+  // Full sweeps of a grid at most, which bounds the cost of states from where an undiscounted
+  // problem on that grid never ends.
+  int most_sweeps = std::numeric_limits<int>::max();
+  // Keep where every choice leads instead of asking the model at every sweep: quicker where that is
+  // slow, for 4 (D + 2) bytes a point and executed action.
+  bool keep_successors = false;
 };
 
 template <int D>
@@ -37,18 +46,13 @@ class ValueIteration {
         table_.values[point] = 0.0f;
       }
     }
+    if (options.keep_successors) KeepSuccessors();
   }
 
   void Run() {
-    while (Sweep([this](const State& state, uint8_t& best) {
-             const auto decision = table_.Best(problem_, state);
-             best = static_cast<uint8_t>(decision.choice);
-             return decision.value;
-           }) > options_.tolerance) {
+    for (int sweep = 1; FullSweep() > options_.tolerance && sweep < options_.most_sweeps; ++sweep) {
       for (int i = 0; i < options_.evaluation_sweeps; ++i) {
-        Sweep([this](const State& state, const uint8_t& best) {
-          return table_.Backup(problem_, state, problem_.choices[best]);
-        });
+        Sweep([this](size_t point) { return Backup(point, best_[point]); });
       }
     }
   }
@@ -57,7 +61,65 @@ class ValueIteration {
   using State = typename ValueTable<D>::State;
   static constexpr uint8_t kTerminal = 255;
 
-  // Sets every value to backup(state, best choice) and returns the largest change.
+  // Where one executed action leads from a point.
+  struct Successor {
+    std::array<float, D> state;
+    float reward;
+    float discount;  // 0 where the episode ends
+  };
+
+  void KeepSuccessors() {
+    for (const Choice& choice : problem_.choices) {
+      first_.push_back(actions_.size());
+      actions_.insert(actions_.end(), choice.executed.begin(), choice.executed.end());
+    }
+    first_.push_back(actions_.size());
+    successors_.reserve(best_.size() * actions_.size());
+    for (size_t point = 0; point < best_.size(); ++point) {
+      for (const Action& action : actions_) {
+        State state = table_.grid.StateAt(point);
+        Successor& next = successors_.emplace_back();
+        next.reward = static_cast<float>(problem_.model->Advance(action, absl::MakeSpan(state)));
+        next.discount =
+            problem_.model->IsTerminal(state) ? 0.0f : static_cast<float>(problem_.discount);
+        std::copy(state.begin(), state.end(), next.state.begin());
+      }
+    }
+  }
+
+  // As ValueTable::Backup, from what is kept if it is.
+  double Backup(size_t point, size_t choice) const {
+    if (successors_.empty()) {
+      return table_.Backup(problem_, table_.grid.StateAt(point), problem_.choices[choice]);
+    }
+    double sum = 0.0;
+    const Successor* of_point = &successors_[point * actions_.size()];
+    for (size_t i = first_[choice]; i < first_[choice + 1]; ++i) {
+      const Successor& next = of_point[i];
+      sum += static_cast<double>(next.reward);
+      if (next.discount == 0.0f) continue;
+      State state;
+      std::copy(next.state.begin(), next.state.end(), state.begin());
+      sum += static_cast<double>(next.discount) * table_(state);
+    }
+    return sum / static_cast<double>(first_[choice + 1] - first_[choice]);
+  }
+
+  // Chooses anew everywhere.
+  double FullSweep() {
+    return Sweep([this](size_t point) {
+      double most = -std::numeric_limits<double>::infinity();
+      for (size_t choice = 0; choice < problem_.choices.size(); ++choice) {
+        const double value = Backup(point, choice);
+        if (value <= most) continue;
+        most = value;
+        best_[point] = static_cast<uint8_t>(choice);
+      }
+      return most;
+    });
+  }
+
+  // Sets every value to backup(point) and returns the largest change.
   template <typename BackupFunction>
   double Sweep(const BackupFunction& backup) {
     double change = 0.0;
@@ -65,7 +127,7 @@ class ValueIteration {
     for (size_t i = 0; i < size; ++i) {
       const size_t point = forward_ ? i : size - 1 - i;
       if (best_[point] == kTerminal) continue;
-      const double value = backup(table_.grid.StateAt(point), best_[point]);
+      const double value = backup(point);
       change = std::max(change, std::abs(value - table_.values[point]));
       table_.values[point] = static_cast<float>(value);
     }
@@ -78,6 +140,11 @@ class ValueIteration {
   ValueTable<D>& table_;
   std::vector<uint8_t> best_;  // index of the best choice of each point, or kTerminal
   bool forward_ = true;
+  // With keep_successors: all choices' executed actions one after the other, where each choice's
+  // begin, and [points, actions] where they lead.
+  std::vector<Action> actions_;
+  std::vector<size_t> first_;
+  std::vector<Successor> successors_;
 };
 
 // REQUIRES: options.coarsest is a power of two.

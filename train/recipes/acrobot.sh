@@ -1,30 +1,24 @@
 #!/usr/bin/env bash
 # Trains the shipped Acrobot policy by DAgger: rounds of training, after each of which the policy plays and the expert
-# labels the states it got into; then, in steps, to play silently.
+# labels the states it got into; from the second round on it learns to be silent, too.
 #
 # usage: train/recipes/acrobot.sh SPIKETRAIN OUT_DIR
 environment=Acrobot-v1
 source "$(dirname "$0")/recipe.sh"
 
 # A clone's regret lies in the chaotic states before the finish, where most choices do not matter and some matter a lot.
-expert=(--expert=beam --beam_width=300 --weigh)
+expert=(--expert=lookahead --weigh)
 data base --steps=60000 --expert_fraction=0.1 --disturbed_fraction=0.9 "${expert[@]}"
 
-# The present state tells everything, so short clips teach the same in a third of the time; the last stage sees whole
-# windows.
-short=(--slope=4 --batch=64 --clip_steps=5)
-stage 1-play base --mode=full --seed=1 --iterations=600 --learning_rate=2e-3 "${short[@]}"
-data round1 --seed=1 --steps=20000 --expert_fraction=0 --student="$policy" "${expert[@]}"
-stage 2-play base,round1 --seed=2 --iterations=400 --learning_rate=2e-3 "${short[@]}"
-data round2 --seed=2 --steps=20000 --expert_fraction=0 --student="$policy" "${expert[@]}"
-stage 3-play base,round1,round2 --seed=3 --iterations=400 --learning_rate=2e-3 "${short[@]}"
-data round3 --seed=3 --steps=20000 --expert_fraction=0 --student="$policy" "${expert[@]}"
-stage 4-quiet base,round1,round2,round3 --seed=4 --iterations=400 --learning_rate=2e-3 --target_rate=1.8 \
-  --readout_rate=10 "${short[@]}"
-data round4 --seed=4 --steps=20000 --expert_fraction=0 --student="$policy" "${expert[@]}"
-stage 5-quieter base,round1,round2,round3,round4 --seed=5 --iterations=400 --learning_rate=2e-3 --target_rate=0.8 \
-  --readout_rate=7 "${short[@]}"
-stage 6-whole base,round1,round2,round3,round4 --seed=6 --iterations=300 --learning_rate=1e-3 --target_rate=0.8 \
-  --readout_rate=7 --slope=4 --batch=16
+# The present state tells everything, so short clips teach the same in a third of the time.
+short=(--slope=4 --batch=64 --clip_steps=5 --learning_rate=2e-3)
+stage 1-play base --mode=full --seed=1 --iterations=600 "${short[@]}"
+data round1 --seed=1 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 2-quiet base,round1 --seed=2 --iterations=400 --target_rate=1.8 --readout_rate=10 "${short[@]}"
+data round2 --seed=2 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 3-quieter base,round1,round2 --seed=3 --iterations=500 --target_rate=1 --readout_rate=8 "${short[@]}"
+data round3 --seed=3 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 4-whole base,round1,round2,round3 --seed=4 --iterations=350 --target_rate=1 --readout_rate=8 --slope=4 --batch=16 \
+  --learning_rate=1.5e-3
 
 unseen

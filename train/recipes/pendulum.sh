@@ -22,5 +22,9 @@ stage 3-quieter cautious --seed=3 --iterations=400 --learning_rate=2e-3 --target
 stage 4-silent cautious --seed=4 --iterations=400 --learning_rate=2e-3 --target_rate=0.5 --readout_rate=5 "${short[@]}"
 stage 5-whole cautious --seed=5 --iterations=300 --learning_rate=1e-3 --target_rate=0.4 --readout_rate=4.5 --batch=16 \
   "${common[@]}"
+# What the policy gets into by itself.
+data student --seed=1 --steps=60000 --expert_fraction=0 --expert=cautious --student="$policy"
+stage 6-own cautious,student --seed=6 --iterations=500 --learning_rate=1.5e-3 --target_rate=0.6 --readout_rate=6 \
+  --batch=16 "${common[@]}"
 
 unseen

@@ -70,7 +70,7 @@ TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
   for (int session = 0; session < kSessions; ++session) {
     sessions.emplace_back([&fleet, session] {
       for (int i = 0; i < kEpisodes; ++i) {
-        EXPECT_LE(fleet.Read()->drift, 1.0 + 1e-6);
+        EXPECT_LE(fleet.Read()->drift, FleetOptions().max_drift + 1e-6);
         fleet.Merge(Contribution(session * kEpisodes + i), 10.0);
       }
     });

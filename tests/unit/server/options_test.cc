@@ -5,7 +5,6 @@
 
 #include "server/address.h"
 #include "server/status_map.h"
-#include "server/status_pages.h"
 
 namespace spikeserve {
 namespace {
@@ -47,15 +46,6 @@ TEST(StatusMapTest, CodesAndMessagesAreKept) {
     EXPECT_EQ(status.error_message(), "why");
   }
   EXPECT_TRUE(ToGrpcStatus(absl::OkStatus()).ok());
-}
-
-TEST(StatusPagesTest, HealthFollowsTheServer) {
-  const Metrics metrics;
-  EXPECT_EQ(StatusPage("/healthz", metrics, true).code, 200);
-  EXPECT_EQ(StatusPage("/healthz", metrics, true).body, "SERVING\n");
-  EXPECT_EQ(StatusPage("/healthz", metrics, false).code, 503);
-  EXPECT_EQ(StatusPage("/healthz", metrics, false).body, "NOT_SERVING\n");
-  EXPECT_EQ(StatusPage("/metrics/", metrics, true).code, 404);
 }
 
 }  // namespace

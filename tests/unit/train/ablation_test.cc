@@ -16,10 +16,18 @@ Policy SmallPolicy(Mode mode = Mode::kFull) {
   config.mode = mode;
   config.hidden_size = 16;
   config.heads = 2;
-  config.ticks = 6;
+  config.ticks = 20;
   config.context = 5;
   config.ffn_size = 32;
-  return RandomPolicy(config, 1, ActionSpace::Discrete(2), 7);
+  Policy policy = RandomPolicy(config, 1, ActionSpace::Discrete(2), 7);
+  // Loud enough for everything to reach the readout.
+  for (LayerWeights& layer : policy.weights.layers) {
+    for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.attention_output}) {
+      for (float& weight : linear->weight.values) weight *= 8.0f;
+    }
+    for (float& weight : layer.routing_gate.weight.values) weight *= 8.0f;
+  }
+  return policy;
 }
 
 // Readouts of four steps; `first` and `shift` change the first observation and all returns-to-go.

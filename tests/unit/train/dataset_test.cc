@@ -48,7 +48,11 @@ std::string TemporaryFile(const std::string& name) {
 }
 
 TEST(DatasetTest, ReturnsToGoAreSumsOfTheRewardsAhead) {
-  EXPECT_THAT(ReturnsToGo({1.0, -2.0, 5.0}), ElementsAre(4.0f, 3.0f, 5.0f));
+  Episode episode = Counting(3);
+  episode.rewards = {1.0, -2.0, 5.0};
+  EXPECT_THAT(ReturnsToGo(episode), ElementsAre(4.0f, 3.0f, 5.0f));
+  episode.asked_return = 10.0;
+  EXPECT_THAT(ReturnsToGo(episode), ElementsAre(10.0f, 9.0f, 11.0f));
 }
 
 TEST(DatasetTest, MomentsAreOfTheStepsAlone) {

@@ -46,6 +46,7 @@ void ExpectSame(const Dataset& read, const Dataset& written) {
     EXPECT_EQ(read.episodes[i].labels, written.episodes[i].labels);
     EXPECT_EQ(read.episodes[i].weights, written.episodes[i].weights);
     EXPECT_EQ(read.episodes[i].rewards, written.episodes[i].rewards);
+    EXPECT_EQ(read.episodes[i].asked_return, written.episodes[i].asked_return);
     EXPECT_EQ(read.episodes[i].terminated, written.episodes[i].terminated);
     EXPECT_EQ(read.episodes[i].truncated, written.episodes[i].truncated);
   }
@@ -53,7 +54,8 @@ void ExpectSame(const Dataset& read, const Dataset& written) {
 
 TEST(MinariTest, DiscreteActionsRoundTrip) {
   const std::string directory = TemporaryDirectory("cartpole-test-v0");
-  const Dataset written = *RecordDataset({.steps = 300, .disturbed_fraction = 0.3});
+  const Dataset written =
+      *RecordDataset({.expert = {.name = "dial"}, .steps = 300, .disturbed_fraction = 0.3});
   ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
   EXPECT_TRUE(IsMinariDataset(directory));
   const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);

@@ -52,7 +52,16 @@ grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 refuses "ablate: expected context, attention, phase, routing or return, got 'head'" \
   eval --policy=tuned/policy.safetensors --ablate=head
 
-refuses 'command: expected one of expert, dataset, train, eval'
+# The paper's experiments in little, then again from what is there.
+"$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 >/dev/null 2>&1
+grep -q '| Pendulum-v1 | full | ' report/report.md || fail "report.md"
+grep -q '<svg' report/report.html || fail "report.html"
+rm report/CartPole-v1-full-T4-N4-seed1/result.json  # interrupted after training
+"$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 2>&1 |
+  grep -c 'training' | grep -qx 1 || fail "report trains what is there"
+refuses "out: expected the directory to write into" report
+
+refuses 'command: expected one of expert, dataset, train, eval, report'
 refuses 'out: expected the directory to write into' train
 refuses 'heads: expected what --init has, or no such flag, got 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8

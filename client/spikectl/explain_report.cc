@@ -1,0 +1,132 @@
+#include "client/spikectl/explain_report.h"
+
+#include <algorithm>
+#include <map>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kLineWidth = 100;
+constexpr size_t kKeysShown = 5;
+
+std::string ToText(const v1::Token& token) {
+  static constexpr const char* kKinds[] = {"G", "s", "a"};
+  return absl::StrCat(kKinds[token.kind()], "_", token.timestep());
+}
+
+std::string ToText(const google::protobuf::RepeatedField<float>& numbers) {
+  return absl::StrJoin(numbers, " ", [](std::string* out, float number) {
+    absl::StrAppendFormat(out, "%.4g", number);
+  });
+}
+
+std::string ToText(const v1::Action& action) {
+  return action.has_discrete() ? absl::StrCat(action.discrete())
+                               : ToText(action.continuous().values());
+}
+
+std::string Head(const v1::ExplainResponse& explained) {
+  const v1::ActResponse& answer = explained.answer();
+  const v1::SpikesByStage& spikes = answer.stats().spikes_by_stage();
+  std::string text = absl::StrFormat(
+      "%s/%d (%s), session %s, episode %d, step %d\nobservation %s\nreturn-to-go %.6g\naction %s\n"
+      "logits %s\n",
+      explained.policy(), explained.version(), explained.mode(), explained.session_id(),
+      explained.episode(), answer.step(), ToText(explained.observation()), answer.return_to_go(),
+      ToText(answer.action()), ToText(explained.logits()));
+  if (!answer.action_probabilities().empty()) {
+    absl::StrAppend(&text, "probabilities ", ToText(answer.action_probabilities()), "\n");
+  }
+  absl::StrAppendFormat(&text,
+                        "%d spikes: coder %d, phase %d, query %d, key %d, value %d, ffn_in %d, "
+                        "ffn_hidden %d, readout %d\n",
+                        answer.stats().spikes(), spikes.coder(), spikes.phase(), spikes.query(),
+                        spikes.key(), spikes.value(), spikes.ffn_in(), spikes.ffn_hidden(),
+                        spikes.readout());
+  return text;
+}
+
+std::string RasterToText(const v1::SpikeRaster& raster, int ticks) {
+  std::map<int, std::string> cells;  // of the neurons that fired
+  for (int i = 0; i < raster.ticks_size(); ++i) {
+    std::string& cell =
+        cells.try_emplace(raster.neurons(i), static_cast<size_t>(ticks), '.').first->second;
+    cell[static_cast<size_t>(raster.ticks(i))] = '|';
+  }
+  std::string text = absl::StrFormat(
+      "\n%s%s of %s: %d spikes, %d of %d neurons\n",
+      raster.has_layer() ? absl::StrFormat("layer %d ", raster.layer()) : "", raster.stage(),
+      ToText(raster.token()), raster.ticks_size(), cells.size(), raster.population());
+  size_t width = 0;
+  for (const auto& [neuron, cell] : cells) {
+    const std::string entry = absl::StrFormat("%6d %s", neuron, cell);
+    if (width > 0 && width + entry.size() > kLineWidth) {
+      text += '\n';
+      width = 0;
+    }
+    text += entry;
+    width += entry.size();
+  }
+  return text + "\n";
+}
+
+// The last token's gates, averaged over the ticks: one number a head.
+std::string RoutingToText(const v1::RoutingGates& routing, int ticks, int heads) {
+  std::vector<float> means(static_cast<size_t>(heads), 0.0f);
+  const int first = routing.gates_size() - ticks * heads;
+  for (int i = 0; i < ticks * heads; ++i) {
+    means[static_cast<size_t>(i % heads)] += routing.gates(first + i) / static_cast<float>(ticks);
+  }
+  return absl::StrFormat("layer %d gates of %s, mean over ticks: %s\n", routing.layer(),
+                         ToText(*routing.tokens().rbegin()),
+                         absl::StrJoin(means, " ", [](std::string* out, float x) {
+                           absl::StrAppendFormat(out, "%.3f", x);
+                         }));
+}
+
+// The keys a head attends to most, by their weight averaged over the ticks.
+std::string AttentionToText(const v1::Attention& attention, int head, int heads) {
+  const int keys = attention.keys_size();
+  std::vector<std::pair<float, int>> weights;  // minus the weight, so that sorting puts it first
+  for (int key = 0; key < keys; ++key) {
+    float sum = 0.0f;
+    for (int tick = 0; tick < attention.ticks(); ++tick) {
+      sum += attention.weights((tick * heads + head) * keys + key);
+    }
+    weights.emplace_back(-sum / static_cast<float>(attention.ticks()), key);
+  }
+  std::sort(weights.begin(), weights.end());
+  weights.resize(std::min(weights.size(), kKeysShown));
+  return absl::StrFormat(
+      "layer %d head %d attends most to: %s\n", attention.layer(), head,
+      absl::StrJoin(weights, ", ", [&](std::string* out, const std::pair<float, int>& weight) {
+        absl::StrAppendFormat(out, "%s %.3f", ToText(attention.keys(weight.second)), -weight.first);
+      }));
+}
+
+}  // namespace
+
+std::string ExplainToText(const v1::ExplainResponse& explained) {
+  std::string text = Head(explained);
+  for (const v1::SpikeRaster& raster : explained.rasters()) {
+    if (!raster.ticks().empty()) text += RasterToText(raster, explained.ticks());
+  }
+  text += '\n';
+  for (const v1::RoutingGates& routing : explained.routing()) {
+    text += RoutingToText(routing, explained.ticks(), explained.heads());
+  }
+  for (const v1::Attention& attention : explained.attention()) {
+    for (int head = 0; head < explained.heads(); ++head) {
+      text += AttentionToText(attention, head, explained.heads());
+    }
+  }
+  return text;
+}
+
+}  // namespace spikeserve

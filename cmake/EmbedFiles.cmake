@@ -1,0 +1,53 @@
+# Files that travel inside a program.
+#
+# spikeserve_embed(TARGET BASE folder FILES file...): gives TARGET a source that defines
+# spikeserve::EmbeddedFiles() of server/embedded_files.h with the bytes of these files, named as below BASE. Run as a
+# script (cmake -P) it writes that source, whenever one of the files has changed.
+if(CMAKE_SCRIPT_MODE_FILE)
+  set(arrays "")
+  set(entries "")
+  list(LENGTH FILES count)
+  math(EXPR last "${count} - 1")
+  foreach(i RANGE ${last})
+    list(GET FILES ${i} file)
+    file(READ ${BASE}/${file} bytes HEX)
+    string(REGEX REPLACE "(..)" "0x\\1," bytes "${bytes}")
+    string(APPEND arrays "constexpr unsigned char kFile${i}[] = {${bytes}};\n")
+    string(APPEND entries "    {\"${file}\", View(kFile${i})},\n")
+  endforeach()
+  file(WRITE ${OUTPUT} "#include \"server/embedded_files.h\"
+
+namespace spikeserve {
+namespace {
+
+template <size_t n>
+absl::string_view View(const unsigned char (&bytes)[n]) {
+  return {reinterpret_cast<const char*>(bytes), n};
+}
+
+${arrays}
+}  // namespace
+
+const std::map<absl::string_view, absl::string_view>& EmbeddedFiles() {
+  static const auto* const files = new std::map<absl::string_view, absl::string_view>{
+${entries}  };
+  return *files;
+}
+
+}  // namespace spikeserve
+")
+  return()
+endif()
+
+function(spikeserve_embed target)
+  cmake_parse_arguments(ARG "" "BASE" "FILES" ${ARGN})
+  set(output ${CMAKE_CURRENT_BINARY_DIR}/embedded_files.cc)
+  list(TRANSFORM ARG_FILES PREPEND ${ARG_BASE}/ OUTPUT_VARIABLE paths)
+  set(script ${PROJECT_SOURCE_DIR}/cmake/EmbedFiles.cmake)
+  add_custom_command(
+    OUTPUT ${output}
+    COMMAND ${CMAKE_COMMAND} -D "FILES=${ARG_FILES}" -D BASE=${ARG_BASE} -D OUTPUT=${output} -P ${script}
+    DEPENDS ${paths} ${script}
+    VERBATIM)
+  target_sources(${target} PRIVATE ${output})
+endfunction()

@@ -1,0 +1,149 @@
+// The tables of policies, stages and calls, the totals, and which policy costs the most energy.
+import {NOTHING, count, fixed, isNumber, seconds, si} from './format.js';
+import {quantile} from './samples.js';
+import {Table} from './table.js';
+
+export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
+const QUANTILES = [['p50', 0.5], ['p90', 0.9], ['p99', 0.99], ['p99.9', 0.999]];
+
+/** The figures of every policy version over a window. */
+export function policyRows(window, energyModel) {
+  const rows = window.to.status.policies.map((policy) => policyRow(policy, window, energyModel));
+  const power = rows.reduce((sum, row) => sum + (row.power || 0), 0);
+  for (const row of rows) row.powerShare = power > 0 ? row.power / power : 0;
+  return rows;
+}
+
+function policyRow(policy, window, energyModel) {
+  const labels = {policy: policy.name, version: policy.version};
+  const withModel = {...labels, energy_model: energyModel};
+  const decisions = window.increase('spikeserve_decisions_total', labels);
+  const perDecision = (x) => (decisions > 0 ? x / decisions : undefined);
+  const durations = window.histogram('spikeserve_decision_duration_seconds', labels);
+  const row = {
+    key: `${policy.name}/${policy.version}`,
+    name: policy.name,
+    version: Number(policy.version),
+    mode: policy.mode,
+    environment: policy.environment,
+    isDefault: policy.is_default,
+    sessions: window.gauge('spikeserve_sessions', labels) ?? 0,
+    decisionRate: window.rate('spikeserve_decisions_total', labels),
+    spikes: perDecision(window.increase('spikeserve_spikes_total', labels)),
+    energy: perDecision(window.increase('spikeserve_energy_joules_total', withModel)),
+    power: window.rate('spikeserve_energy_joules_total', withModel),
+    energyTotal: window.gauge('spikeserve_energy_joules_total', withModel) ?? 0,
+    episodes: window.gauge('spikeserve_episodes_total', labels) ?? 0,
+    drift: window.gauge('spikeserve_head_drift_ratio', labels),
+    updates: window.rate('spikeserve_learning_updates_total', labels),
+    stages: Object.fromEntries(STAGES.map(
+      (stage) => [stage, perDecision(window.increase('spikeserve_spikes_total', {...labels, stage}))])),
+  };
+  row.meanReturn = row.episodes > 0 ? window.gauge('spikeserve_episode_return_mean', labels) : undefined;
+  for (const [name, q] of QUANTILES) row[name] = quantile(durations, q);
+  return row;
+}
+
+function numberColumn(key, label, format) {
+  return {key, label, value: (row) => row[key], text: (row) => format(row[key])};
+}
+
+const quantileColumns = QUANTILES.map(([name]) => numberColumn(name, name, seconds));
+
+export class Policies {
+  constructor() {
+    const name = {key: 'key', label: 'Policy', value: (row) => row.key, text: (row) => row.key, isText: true};
+    const key = (row) => row.key;
+    this.table = new Table(document.getElementById('policies-table'), [
+      name,
+      {key: 'environment', label: 'Environment', value: (row) => row.environment, isText: true,
+       text: (row) => `${row.environment} ${row.mode}${row.isDefault ? ' (default)' : ''}`},
+      {key: 'power', label: 'Energy per second (estimate)', value: (row) => row.power,
+       text: (row) => si(row.power, 'J/s'), share: (row) => row.powerShare},
+      numberColumn('energy', 'Energy per decision (estimate)', (x) => si(x, 'J')),
+      numberColumn('energyTotal', 'Energy since start (estimate)', (x) => si(x, 'J')),
+      numberColumn('spikes', 'Spikes per decision', fixed),
+      numberColumn('decisionRate', 'Decisions per second', fixed),
+      numberColumn('sessions', 'Sessions', count),
+      ...quantileColumns,
+      numberColumn('meanReturn', 'Mean return', fixed),
+      numberColumn('episodes', 'Episodes', count),
+      numberColumn('drift', 'Head drift', (x) => fixed(x, 4)),
+      numberColumn('updates', 'Head updates per second', fixed),
+    ], {sort: 'power', descending: true, key});
+    this.stages = new Table(document.getElementById('stages-table'), [
+      name,
+      ...STAGES.map((stage) => ({
+        key: stage, label: stage, value: (row) => row.stages[stage], text: (row) => fixed(row.stages[stage]),
+        share: (row) => row.stages[stage] / row.spikes,
+      })),
+      numberColumn('spikes', 'all', fixed),
+    ], {sort: 'spikes', descending: true, key});
+    this.calls = new Table(document.getElementById('calls-table'), [
+      {key: 'method', label: 'Method', value: (row) => row.method, text: (row) => row.method, isText: true},
+      numberColumn('rate', 'Calls per second', fixed),
+      numberColumn('failures', 'Not answered OK per second', fixed),
+      ...quantileColumns,
+    ], {sort: 'rate', descending: true, key: (row) => row.method});
+  }
+
+  show(window, energyModel) {
+    const rows = policyRows(window, energyModel);
+    this.table.show(rows);
+    this.stages.show(rows);
+    this.calls.show(callRows(window));
+    showTotals(rows, window);
+    showMostEnergy(rows, energyModel);
+  }
+}
+
+function callRows(window) {
+  const name = 'spikeserve_rpc_duration_seconds';
+  const methods = new Set(window.matching(name).map(([, series]) => series.labels.method));
+  return [...methods].map((method) => {
+    const histogram = window.histogram(name, {method});
+    const answered = window.histogram(name, {method, code: 'OK'}).count;
+    const row = {
+      method,
+      rate: window.duration && histogram.count / window.duration,
+      failures: window.duration && (histogram.count - answered) / window.duration,
+    };
+    for (const [label, q] of QUANTILES) row[label] = quantile(histogram, q);
+    return row;
+  });
+}
+
+function showTotals(rows, window) {
+  const sum = (key) => rows.reduce((total, row) => total + (row[key] || 0), 0);
+  const durations = window.histogram('spikeserve_decision_duration_seconds');
+  const timed = window.duration !== undefined;
+  const totals = [
+    ['Sessions', count(sum('sessions'))],
+    ['Decisions per second', timed ? fixed(sum('decisionRate')) : NOTHING],
+    ['Time to decide, p50', seconds(quantile(durations, 0.5))],
+    ['Time to decide, p99', seconds(quantile(durations, 0.99))],
+    ['Energy per second (estimate)', timed ? si(sum('power'), 'J/s') : NOTHING],
+  ];
+  document.getElementById('totals').replaceChildren(...totals.map(([label, value]) => {
+    const item = document.createElement('div');
+    item.append(Object.assign(document.createElement('dt'), {textContent: label}),
+                Object.assign(document.createElement('dd'), {textContent: value}));
+    return item;
+  }));
+}
+
+function showMostEnergy(rows, energyModel) {
+  const line = document.getElementById('most-energy');
+  const running = rows.filter((row) => row.power > 0);
+  const top = (list, key) => list.reduce((best, row) => (row[key] > (best?.[key] ?? 0) ? row : best), undefined);
+  const most = top(running, 'power') ?? top(rows, 'energyTotal');
+  if (!most) {
+    line.textContent = 'No policy has spent energy yet.';
+    return;
+  }
+  const figure = isNumber(most.power) && most.power > 0
+    ? `${si(most.power, 'J/s')}, ${fixed(100 * most.powerShare, 0)} % of all`
+    : `${si(most.energyTotal, 'J')} since the server started; nothing in this window`;
+  line.replaceChildren('Most energy: ', Object.assign(document.createElement('strong'), {textContent: most.key}),
+                       ` (${figure}; estimated by ${energyModel}).`);
+}

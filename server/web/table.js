@@ -1,0 +1,117 @@
+// Tables that are sorted by the heads of their columns and redrawn in place, so that the keyboard's focus stays where
+// it is.
+
+/**
+ * columns: {key, label, value(row), text(row), share(row), isText, fill(cell, row)}. Where `value` is missing the
+ * column cannot be sorted by; `share` in [0, 1] draws a bar; `fill` fills in a cell that was just made.
+ * options: {sort, descending, key(row), onSort(sort, descending)}. With onSort somebody else sorts.
+ */
+export class Table {
+  constructor(element, columns, options) {
+    this.element = element;
+    this.columns = columns;
+    this.options = options;
+    this.sort = options.sort;
+    this.descending = options.descending ?? false;
+    this.rows = [];
+    this.rowElements = new Map();
+    this.heads = new Map();  // by column
+    this.body = document.createElement('tbody');
+    element.replaceChildren(this.makeHead(), this.body);
+    this.markSort();
+  }
+
+  makeHead() {
+    const head = document.createElement('thead');
+    const row = head.insertRow();
+    for (const column of this.columns) {
+      const cell = document.createElement('th');
+      cell.scope = 'col';
+      if (column.isText) cell.className = 'text';
+      if (column.value) {
+        const button = document.createElement('button');
+        button.type = 'button';
+        button.textContent = column.label;
+        button.addEventListener('click', () => this.sortBy(column));
+        cell.append(button);
+      } else {
+        cell.textContent = column.label;
+      }
+      row.append(cell);
+      this.heads.set(column, cell);
+    }
+    return head;
+  }
+
+  sortBy(column) {
+    // The first click on a column of numbers puts the largest on top.
+    this.descending = this.sort === column.key ? !this.descending : !column.isText;
+    this.sort = column.key;
+    this.markSort();
+    if (this.options.onSort) this.options.onSort(this.sort, this.descending);
+    else this.show(this.rows);
+  }
+
+  markSort() {
+    for (const [column, head] of this.heads) {
+      if (column.key === this.sort) {
+        head.setAttribute('aria-sort', this.descending ? 'descending' : 'ascending');
+      } else {
+        head.removeAttribute('aria-sort');
+      }
+    }
+  }
+
+  show(rows) {
+    this.rows = rows;
+    const sorted = this.options.onSort ? rows : this.sorted(rows);
+    const focused = document.activeElement;
+    const keys = sorted.map((row) => this.options.key(row));
+    for (const [key, element] of this.rowElements) {
+      if (keys.includes(key)) continue;
+      element.remove();
+      this.rowElements.delete(key);
+    }
+    sorted.forEach((row, i) => {
+      const element = this.rowElements.get(keys[i]) ?? this.makeRow(keys[i], row);
+      if (this.body.rows[i] !== element) this.body.insertBefore(element, this.body.rows[i] ?? null);
+      this.fillRow(element, row);
+    });
+    if (focused !== document.activeElement && focused?.isConnected) focused.focus({preventScroll: true});
+  }
+
+  sorted(rows) {
+    const column = this.columns.find(({key}) => key === this.sort);
+    const sign = this.descending ? -1 : 1;
+    // What has no value stands last, whichever way.
+    const missing = (x) => x === undefined || x === null || Number.isNaN(x);
+    return [...rows].sort((a, b) => {
+      const [x, y] = [column.value(a), column.value(b)];
+      if (missing(x) || missing(y)) return missing(x) - missing(y);
+      return sign * (typeof x === 'string' ? x.localeCompare(y) : x - y);
+    });
+  }
+
+  makeRow(key, row) {
+    const element = document.createElement('tr');
+    this.rowElements.set(key, element);
+    for (const column of this.columns) {
+      const cell = element.insertCell();
+      if (column.isText) cell.className = 'text';
+      if (column.share) cell.classList.add('bar');
+      column.fill?.(cell, row);
+    }
+    return element;
+  }
+
+  fillRow(element, row) {
+    this.columns.forEach((column, i) => {
+      const cell = element.cells[i];
+      if (column.text) {
+        const text = column.text(row);
+        if (cell.textContent !== text) cell.textContent = text;
+      }
+      if (column.share) cell.style.setProperty('--share', `${100 * (column.share(row) || 0)}%`);
+    });
+  }
+}

@@ -1,0 +1,173 @@
+// The status page and the JSON it reads, from a real server.
+#include <set>
+#include <string>
+#include <vector>
+
+#include "nlohmann/json.hpp"
+#include "tests/integration/http_client.h"
+#include "tests/integration/server_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::json;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+
+class StatusPagesTest : public ServerTest {
+ protected:
+  HttpReply Get(const std::string& path) {
+    const auto reply = HttpGet(server_->http_address(), path);
+    EXPECT_TRUE(reply.ok()) << reply.status();
+    return reply.ok() ? *reply : HttpReply();
+  }
+
+  // The JSON at `path`, which must be answered with `code`.
+  json GetJson(const std::string& path, int code = 200) {
+    const HttpReply reply = Get(path);
+    EXPECT_EQ(reply.code, code) << path << ": " << reply.body;
+    EXPECT_THAT(reply.headers, HasSubstr("Content-Type: application/json"));
+    json parsed = json::parse(reply.body, nullptr, /*allow_exceptions=*/false);
+    EXPECT_TRUE(parsed.is_object()) << reply.body;
+    return parsed;
+  }
+
+  // A session that has made so many decisions.
+  std::string Play(const std::string& policy, int64_t steps,
+                   const std::map<std::string, std::string>& labels = {}) {
+    v1::OpenSessionRequest request;
+    request.set_policy(policy);
+    request.mutable_labels()->insert(labels.begin(), labels.end());
+    v1::OpenSessionResponse response;
+    EXPECT_TRUE(client_->stub().OpenSession(NewContext().get(), request, &response).ok());
+    for (int64_t step = 0; step < steps; ++step) client_->Act(response.session_id(), step);
+    return response.session_id();
+  }
+
+  std::vector<std::string> SessionIds(const std::string& query) {
+    std::vector<std::string> ids;
+    const json page = GetJson("/sessions.json" + query);
+    for (const json& session : page["sessions"]) {
+      ids.push_back(session["session_id"]);
+    }
+    return ids;
+  }
+};
+
+TEST_F(StatusPagesTest, ThePageAndItsFilesComeFromTheProgramAlone) {
+  const HttpReply page = Get("/");
+  EXPECT_EQ(page.code, 200);
+  EXPECT_THAT(page.headers, HasSubstr("Content-Type: text/html; charset=utf-8"));
+  EXPECT_THAT(page.headers, HasSubstr("Content-Security-Policy: default-src 'none'"));
+  EXPECT_THAT(page.headers, HasSubstr("X-Content-Type-Options: nosniff"));
+  EXPECT_THAT(page.body, HasSubstr("<title>spikeserve</title>"));
+  EXPECT_THAT(page.body, ::testing::Not(HasSubstr("http://")));
+  EXPECT_THAT(page.body, ::testing::Not(HasSubstr("https://")));
+  EXPECT_THAT(Get("/main.js").headers, HasSubstr("Content-Type: text/javascript"));
+  EXPECT_THAT(Get("/style.css").headers, HasSubstr("Content-Type: text/css"));
+  EXPECT_THAT(Get("/vendor/uplot/LICENSE").body, HasSubstr("The MIT License"));
+  EXPECT_EQ(Get("/nothing").code, 404);
+  EXPECT_EQ(Get("/../CMakeLists.txt").code, 404);
+}
+
+TEST_F(StatusPagesTest, StatusHoldsPoliciesAndTheFiguresOfMetrics) {
+  Play("discrete", 7);
+  const json status = GetJson("/status.json");
+  EXPECT_TRUE(status["serving"]);
+  EXPECT_GT(status["time"], 0.0);
+  ASSERT_EQ(status["policies"].size(), 3u);
+  EXPECT_EQ(status["policies"][2]["name"], "discrete");
+  EXPECT_EQ(status["policies"][2]["version"], "2");
+  EXPECT_TRUE(status["policies"][2]["is_default"]);
+
+  double decisions = 0.0;
+  for (const json& series : status["metrics"]["spikeserve_decisions_total"]) {
+    if (series["labels"]["version"] == "2") decisions += series["value"].get<double>();
+  }
+  EXPECT_EQ(decisions, 7.0);
+  for (const json& series : status["metrics"]["spikeserve_decision_duration_seconds"]) {
+    const bool played = series["labels"] == json{{"policy", "discrete"}, {"version", "2"}};
+    EXPECT_EQ(series["count"], played ? 7 : 0);
+    EXPECT_EQ(series["buckets"].back()[0], nullptr);  // infinity
+    EXPECT_EQ(series["buckets"].back()[1], series["count"]);
+  }
+
+  // Every figure of /metrics is here, and nothing else.
+  std::set<std::string> families;
+  for (const auto& [name, series] : status["metrics"].items()) families.insert(name);
+  for (const std::string& name : families)
+    EXPECT_THAT(Page("/metrics"), HasSubstr("# TYPE " + name));
+}
+
+TEST_F(StatusPagesTest, SessionsAreFilteredSortedAndPaged) {
+  const std::string busy = Play("discrete", 9, {{"robot", "Marvin"}});
+  const std::string idle = Play("box", 1, {{"robot", "C-3PO"}});
+  const std::string middling = Play("discrete", 4);
+  EXPECT_THAT(SessionIds("?sort=decisions&order=descending"), ElementsAre(busy, middling, idle));
+  EXPECT_THAT(SessionIds("?sort=decisions"), ElementsAre(idle, middling, busy));
+  EXPECT_THAT(SessionIds("?sort=decisions&offset=1&limit=1"), ElementsAre(middling));
+  EXPECT_THAT(SessionIds("?filter=discrete%2F2&sort=step"), ElementsAre(middling, busy));
+  EXPECT_THAT(SessionIds("?filter=robot=marvin"), ElementsAre(busy));
+  EXPECT_THAT(SessionIds("?filter=" + idle), ElementsAre(idle));
+
+  const json page = GetJson("/sessions.json?filter=box&limit=5");
+  EXPECT_EQ(page["open"], 3);
+  EXPECT_EQ(page["matching"], 1);
+  const json session = page["sessions"][0];
+  EXPECT_EQ(session["policy"], "box");
+  EXPECT_EQ(session["version"], "1");
+  EXPECT_EQ(session["step"], "1");
+  EXPECT_EQ(session["labels"]["robot"], "C-3PO");
+  EXPECT_GT(session["energy_joules"], 0.0);
+  EXPECT_EQ(GetJson("/sessions.json?offset=1000000")["sessions"], json::array());
+}
+
+TEST_F(StatusPagesTest, EveryColumnCanBeSortedBy) {
+  Play("discrete", 2);
+  Play("box", 1);
+  for (const std::string column :
+       {"session_id", "policy", "episode", "step", "episode_return", "decisions",
+        "spikes_per_decision", "energy_joules", "head_drift", "idle_seconds"}) {
+    EXPECT_EQ(SessionIds("?sort=" + column).size(), 2u) << column;
+  }
+}
+
+TEST_F(StatusPagesTest, ExplainsASessionsLastDecision) {
+  const std::string session = Play("discrete", 6);
+  const json explained = GetJson("/explain.json?session=" + session);
+  EXPECT_EQ(explained["session_id"], session);
+  EXPECT_EQ(explained["answer"]["step"], "5");
+  size_t spikes = 0;
+  for (const json& raster : explained["rasters"]) spikes += raster["ticks"].size();
+  EXPECT_EQ(std::to_string(spikes), explained["answer"]["stats"]["spikes"]);
+}
+
+TEST_F(StatusPagesTest, MistakesAreNamed) {
+  const auto expect_error = [&](const std::string& path, int http, const std::string& code,
+                                const std::string& message) {
+    const json error = GetJson(path, http);
+    EXPECT_EQ(error["code"], code) << path;
+    EXPECT_THAT(error["message"].get<std::string>(), HasSubstr(message)) << path;
+  };
+  expect_error("/explain.json?session=nobody", 404, "NOT_FOUND", "nobody");
+  expect_error("/explain.json", 404, "NOT_FOUND", "session: expected");
+  expect_error("/explain.json?session=" + client_->Open(), 409, "FAILED_PRECONDITION", "step 0");
+  expect_error("/sessions.json?limit=0", 400, "INVALID_ARGUMENT", "limit: expected");
+  expect_error("/sessions.json?limit=1001", 400, "INVALID_ARGUMENT", "limit: expected");
+  expect_error("/sessions.json?offset=-1", 400, "INVALID_ARGUMENT", "offset: expected");
+  expect_error("/sessions.json?sort=mood", 400, "INVALID_ARGUMENT", "sort: expected one of");
+  expect_error("/sessions.json?order=up", 400, "INVALID_ARGUMENT", "order: expected");
+  expect_error("/sessions.json?colour=red", 400, "INVALID_ARGUMENT", "\"colour\"");
+  expect_error("/sessions.json?sort=%FF%FE", 400, "INVALID_ARGUMENT", "sort: expected one of");
+}
+
+// Looking at sessions does not keep them alive.
+TEST_F(StatusPagesTest, WatchingIsNoUse) {
+  StartServer({"--session_ttl=1s"});
+  Play("discrete", 1);
+  while (Metric("spikeserve_sessions_reaped_total") == 0.0) GetJson("/sessions.json");
+  EXPECT_EQ(GetJson("/sessions.json")["open"], 0);
+}
+
+}  // namespace
+}  // namespace spikeserve

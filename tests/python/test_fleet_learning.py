@@ -1,0 +1,175 @@
+"""What an operator does with a head that a fleet has learned, and what nobody can do to it."""
+
+import json
+import pathlib
+import shutil
+
+import grpc
+import numpy as np
+import pytest
+from policy_file import read_policy
+from serving import SHIPPED_POLICIES, Service, running_server
+
+FLEET = {"scope": "FLEET", "learning_rate": 0.3}
+SAMPLING = {"action_selection": "SAMPLE", "temperature": 4.0}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copytree(SHIPPED_POLICIES / "cartpole", tmp_path / "cartpole")
+    return tmp_path
+
+
+class Server:
+    def __init__(self, channel):
+        self.policy = Service(channel, "spikeserve.v1.PolicyService")
+        self.admin = Service(channel, "spikeserve.v1.PolicyAdmin")
+
+    def open(self, **fields):
+        return self.policy.OpenSession(policy="cartpole", **fields).session_id
+
+    def play(self, session_id, steps=12, reward=lambda step: 1.0, **end):
+        """An episode of a made-up environment; the answers' probabilities."""
+        answers = []
+        for step in range(steps):
+            angles = np.sin(0.3 * step + np.arange(4)) * 0.1
+            answer = self.policy.Act(
+                session_id=session_id, step=step, observation=angles, reward=reward(step)
+            )
+            answers.append(tuple(answer.action_probabilities))
+        ended = self.policy.EndEpisode(session_id=session_id, reward=reward(steps), **end)
+        return answers, ended
+
+    def teach(self, episodes=3):
+        session_id = self.open(seed=1, learning=FLEET, **SAMPLING)
+        for _ in range(episodes):
+            self.play(session_id, terminated=True)
+
+
+@pytest.fixture
+def serve(folder):
+    def run(act):
+        with running_server(folder) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+            return act(Server(channel))
+
+    return run
+
+
+def test_a_promoted_head_is_served_bit_for_bit_across_a_restart(folder, serve):
+    def promote(server):
+        server.teach()
+        head = server.admin.GetHead(policy="cartpole", include_weights=True)
+        promoted = server.admin.PromoteHead(policy="cartpole")
+        # A frozen session on what the fleet learned, and one on the new version.
+        learned = server.play(server.open(version=1, head_delta=head.delta))[0]
+        served = server.play(server.open(version=promoted.version))[0]
+        assert learned == served != server.play(server.open(version=1))[0]
+        fresh = server.admin.GetHead(policy="cartpole", version=promoted.version)
+        assert fresh.drift == 0 and fresh.base_norm != pytest.approx(head.base_norm, rel=1e-6)
+        return head, promoted, served
+
+    head, promoted, before = serve(promote)
+    assert promoted.version == 2
+    path = pathlib.Path(promoted.path)
+    assert path == folder / "cartpole/2/policy.safetensors"
+    tensors, metadata = read_policy(path)
+    parents, _ = read_policy(folder / "cartpole/1/policy.safetensors")
+    delta = np.array(head.delta, "f4").reshape(tensors["head.weight"].shape)
+    assert (tensors["head.weight"] == parents["head.weight"] + delta).all()
+    training = json.loads(metadata["training"])
+    lineage = training["promoted"]
+    assert lineage["parent_version"] == 1 and lineage["updates"] == 3
+    assert lineage["delta_norm"] == pytest.approx(head.delta_norm)
+    assert lineage["base_norm"] == pytest.approx(head.base_norm)
+    assert "evaluation" in training["parent_training"]
+    # Version 2 is the default now, and unchanged.
+    assert serve(lambda server: server.play(server.open())[0]) == before
+
+
+def test_after_a_rollback_the_old_answers_return_bit_for_bit(serve):
+    def roll_back(server):
+        watcher = server.open(learning=FLEET)  # greedy, on the fleet's head
+        server.admin.PauseLearning(policy="cartpole")
+        before = server.play(watcher)[0]
+        server.admin.ResumeLearning(policy="cartpole")
+        server.teach()
+        server.admin.PauseLearning(policy="cartpole")
+        assert server.play(watcher)[0] != before
+        drift = server.admin.GetHead(policy="cartpole").drift
+        assert server.admin.RollbackHead(policy="cartpole").drift == drift > 0
+        assert server.play(watcher)[0] == before
+        head = server.admin.GetHead(policy="cartpole")
+        assert head.drift == 0 and head.updates == 0 and head.rollbacks == 1
+
+    serve(roll_back)
+
+
+@pytest.mark.parametrize("scope", ["SESSION", "FLEET"])
+def test_a_paused_policy_learns_nothing_until_it_is_resumed(serve, scope):
+    def pause(server):
+        session_id = server.open(seed=1, learning={"scope": scope}, **SAMPLING)
+        server.admin.PauseLearning(policy="cartpole")
+        assert server.admin.GetHead(policy="cartpole").paused
+        _, ended = server.play(session_id, terminated=True)
+        assert ended.learning.updates == 0 and ended.learning.head_drift == 0
+        server.admin.ResumeLearning()
+        _, ended = server.play(session_id, terminated=True)
+        assert ended.learning.updates == 1 and ended.learning.head_drift > 0
+
+    serve(pause)
+
+
+def test_absurd_rewards_harm_neither_others_nor_the_fleet_beyond_its_bound(serve):
+    def poison(server):
+        frozen = server.open()
+        before = server.play(frozen)[0]
+        poisoner = server.open(learning=FLEET | {"learning_rate": 1e9, "clip": 1e9}, **SAMPLING)
+        for sign in [1, -1, 1, -1]:
+            rewards = [lambda step, s=sign: s * 1e30, lambda step, s=sign: s * 1e30 * (-1) ** step]
+            for reward in rewards:
+                _, ended = server.play(poisoner, reward=reward, terminated=True)
+                assert np.isfinite(ended.learning.modulator_mean)
+                head = server.admin.GetHead(policy="cartpole", include_weights=True)
+                assert np.isfinite(head.delta).all()
+                assert head.drift <= 2 + 1e-6
+        with pytest.raises(grpc.RpcError) as error:
+            server.play(poisoner, reward=lambda step: float("nan"))
+        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert server.play(frozen)[0] == before
+        member = server.open(learning=FLEET, **SAMPLING)
+        assert np.isfinite(server.play(member)[0]).all()
+
+    serve(poison)
+
+
+@pytest.mark.parametrize(
+    "fields, message",
+    [
+        ({"head_delta": [1.0]}, "head_delta: expected 256 numbers, received 1"),
+        ({"head_delta": [float("inf")] * 256}, "head_delta[0]: expected a finite number"),
+        ({"head_delta": [0.0] * 256, "learning": FLEET}, "where learning.scope is FLEET"),
+        ({"learning": FLEET | {"max_drift": 5}}, "learning.max_drift: expected unset unless scope"),
+        ({"learning": {"modulator": "target", "discount": 0.5}}, "learning.discount: expected unset"),
+    ],
+)
+def test_what_would_do_nothing_or_harm_is_refused(serve, fields, message):
+    def refuse(server):
+        with pytest.raises(grpc.RpcError) as error:
+            server.open(**fields)
+        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert message in error.value.details()
+
+    serve(refuse)
+
+
+def test_what_was_not_learned_is_not_promoted(serve):
+    def promote(server):
+        with pytest.raises(grpc.RpcError) as error:
+            server.admin.PromoteHead(policy="cartpole")
+        assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+        for call in [server.admin.GetHead, server.admin.RollbackHead, server.admin.PauseLearning]:
+            with pytest.raises(grpc.RpcError) as error:
+                call(policy="nobody")
+            assert error.value.code() == grpc.StatusCode.NOT_FOUND
+
+    serve(promote)

@@ -1,0 +1,53 @@
+// A decision allocates no memory once its session and thread are warm.
+//
+// A program of its own, since it replaces operator new.
+
+#include <gtest/gtest.h>
+
+#include "tests/unit/session/allocation_counter.h"
+#include "tests/unit/session/fake_clock.h"
+#include "tests/unit/session/session_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+struct Case {
+  std::string name;
+  ActionSpace action_space;
+  ActionSelection selection;
+};
+
+class AllocationTest : public ::testing::TestWithParam<Case> {};
+
+TEST_P(AllocationTest, AWarmDecisionAllocatesNothing) {
+  constexpr int64_t kWarm = 60;  // the history is full, and every buffer as large as it gets
+  constexpr int64_t kCounted = 60;
+  const auto served = Serve(ModelConfig(), GetParam().action_space);
+  FakeClock clock;
+  SessionOptions options = SmallOptions();
+  options.action_selection = GetParam().selection;
+  AgentSession agent(served, NewSession("id", std::move(options)), &clock);
+  const std::vector<float> observation = ObservationAt(0);
+  for (int64_t step = 0; step < kWarm + kCounted; ++step) {
+    const int64_t before = Allocations();
+    const bool answered = agent.Act(step, observation, 0.1).ok();
+    agent.AppendPendingAction();
+    const int64_t allocated = Allocations() - before;
+    ASSERT_TRUE(answered);
+    if (step < kWarm) continue;
+    ASSERT_EQ(allocated, 0) << "step " << step;
+  }
+}
+
+constexpr ActionSelection kSampled = {.sample = true, .temperature = 1.0f};
+
+INSTANTIATE_TEST_SUITE_P(
+    Cases, AllocationTest,
+    ::testing::Values(Case{"Greedy", ActionSpace::Discrete(3), {}},
+                      Case{"Sampled", ActionSpace::Discrete(3), kSampled},
+                      Case{"Box", ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f}), {}},
+                      Case{"SampledBox", ActionSpace::Box({-2.0f}, {2.0f}), kSampled}),
+    [](const auto& test) { return test.param.name; });
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,40 @@
+// Small charts as SVG text, for a page that needs nothing but itself.
+//
+// Pure functions of plain values.
+#ifndef TRAIN_SVG_CHART_H_
+#define TRAIN_SVG_CHART_H_
+
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace spikeserve {
+
+struct Series {
+  std::string name;
+  std::vector<std::pair<double, double>> points;  // x, y
+};
+
+struct ChartText {
+  std::string title;
+  std::string x;  // axis labels
+  std::string y;
+};
+
+// Lines through each series' points.
+std::string LineChart(const ChartText& text, const std::vector<Series>& series);
+
+// A dot for each point.
+std::string ScatterChart(const ChartText& text, const std::vector<Series>& series);
+
+// Groups of bars: a group for each category, in it a bar for each series, whose points' y are the
+// heights. REQUIRES: as many points as categories.
+std::string BarChart(const ChartText& text, const std::vector<std::string>& categories,
+                     const std::vector<Series>& series);
+
+// Row r has a mark at every x of rows[r].
+std::string RasterChart(const ChartText& text, const std::vector<std::vector<double>>& rows);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_SVG_CHART_H_
