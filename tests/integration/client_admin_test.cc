@@ -40,7 +40,7 @@ TEST_F(SpikectlAdminTest, AVersionFromLoadToUnload) {
   EXPECT_EQ(second["traffic_percent"], 10);
   EXPECT_EQ(second["is_shadow"], true);
 
-  ExpectOneLineError(Admin("unload", {policy, "--version=2"}), "FailedPrecondition");
+  ExpectOneLineError(Admin("unload", {policy, "--version=2"}), "FAILED_PRECONDITION");
   AdminJson("traffic", {policy});
   AdminJson("unlabel", {policy, "--label=canary"});
   AdminJson("unload", {policy, "--version=2"});
@@ -63,7 +63,7 @@ TEST_F(SpikectlAdminTest, MistakesAreNamed) {
   ExpectOneLineError(Admin("load", {}), "--policy: expected a name");
   ExpectOneLineError(Admin("traffic", {"--policy=pendulum-v1", "--shares=1"}),
                      "--shares: expected VERSION:PERCENT");
-  ExpectOneLineError(Admin("load", {"--policy=pendulum-v1", "--version=9"}), "NotFound");
+  ExpectOneLineError(Admin("load", {"--policy=pendulum-v1", "--version=9"}), "NOT_FOUND");
 }
 
 }  // namespace
