@@ -67,13 +67,6 @@ void History::WriteAction(const Action& action, float* row) const {
             row + kFirstObservation + observation_size_);
 }
 
-void History::ReplaceLastAction(const Action& action) {
-  float* cells = cells_.data() + (oldest_ + size() - 1) % size() * stride_;
-  cells[1] = std::bit_cast<float>(static_cast<int32_t>(action.discrete));
-  std::copy(action.continuous.begin(), action.continuous.end(),
-            cells + kFirstObservation + observation_size_);
-}
-
 void History::Clear() {
   cells_.clear();
   oldest_ = 0;

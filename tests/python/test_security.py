@@ -328,11 +328,13 @@ def test_the_programs_speak_tls_and_send_tokens(certificates, tokens):
                 timeout=DEADLINE_SECONDS,
             )
 
-        assert "Unauthenticated" in run("SPIKECTL_PROGRAM", "policies").stderr
+        assert "UNAUTHENTICATED" in run("SPIKECTL_PROGRAM", "policies").stderr
         assert run("SPIKECTL_PROGRAM", "policies", token="agent").returncode == 0
         played = run("SPIKECTL_PROGRAM", "run", "--env=CartPole-v1", token="agent")
         assert played.returncode == 0, played.stderr
-        assert "PermissionDenied" in run("SPIKECTL_PROGRAM", "admin", "drain", token="agent").stderr
+        assert (
+            "PERMISSION_DENIED" in run("SPIKECTL_PROGRAM", "admin", "drain", token="agent").stderr
+        )
         token_file = certificates / "token"
         token_file.write_text("operator\n")
         listed = run("SPIKECTL_PROGRAM", "admin", "sessions", f"--token_file={token_file}")
@@ -384,7 +386,7 @@ def test_an_open_door_is_not_served_by_accident(tmp_path, tokens, flags, message
         timeout=DEADLINE_SECONDS,
     )
     assert finished.returncode == 1
-    assert finished.stderr.startswith(f"spikeserve: {message}"), finished.stderr
+    assert f"spikeserve: {message}" in finished.stderr
 
 
 def test_an_open_door_is_served_where_it_was_asked_for():
