@@ -4,11 +4,11 @@
 #include <cmath>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/types/optional.h"
 #include "core/environment/environment.h"
 #include "core/environment/pendulum.h"
 #include "core/environment/position_only.h"
@@ -60,7 +60,7 @@ struct Source {
   Stream seeds;  // the stream of their seeds
   int steps;
   // `asked` is the return that the expert is asked for, if it is asked.
-  std::function<Actor(uint64_t episode, absl::optional<double> asked)> make_actor;
+  std::function<Actor(uint64_t episode, std::optional<double> asked)> make_actor;
   // From the initial state of the episode's seed to the one it starts from.
   std::function<void(uint64_t episode, std::vector<double>& state)> move_start = nullptr;
 };
@@ -128,9 +128,9 @@ class Recorder {
     const Bursts bursts = {options_.burst_rate, options_.longest_burst};
     std::vector<Source> sources = {
         {"expert", kExpertSeeds, expert,
-         [&](uint64_t, absl::optional<double>) { return ExpertActor(*expert_); }},
+         [&](uint64_t, std::optional<double>) { return ExpertActor(*expert_); }},
         {"disturbed", kDisturbedSeeds, disturbed,
-         [=, this, &space](uint64_t episode, absl::optional<double>) {
+         [=, this, &space](uint64_t episode, std::optional<double>) {
            return DisturbedActor(*expert_, space, bursts, draws(kBursts, episode));
          },
          [&](uint64_t episode, std::vector<double>& state) {
@@ -138,7 +138,7 @@ class Recorder {
          }}};
     if (engine_ != nullptr) {
       sources.push_back(
-          {"student", kStudentSeeds, rest, [&](uint64_t episode, absl::optional<double> asked) {
+          {"student", kStudentSeeds, rest, [&](uint64_t episode, std::optional<double> asked) {
              return StudentActor(
                  *expert_, *engine_, episode,
                  asked.value_or(static_cast<double>(engine_->policy().target_return)));
@@ -146,7 +146,7 @@ class Recorder {
     } else {
       // One sequence of draws for all random episodes.
       sources.push_back(
-          {"random", kRandomSeeds, rest, [this, &space](uint64_t, absl::optional<double>) {
+          {"random", kRandomSeeds, rest, [this, &space](uint64_t, std::optional<double>) {
              return RandomActor(space, [this](uint64_t, uint64_t) {
                return RandomBits({kRandomActions, options_.seed, random_draws_++});
              });
@@ -172,7 +172,7 @@ class Recorder {
         source.move_start(i, state);
         observation = environment_->ResetTo(state);
       }
-      const absl::optional<double> asked =
+      const std::optional<double> asked =
           expert_->BeginEpisode(RandomBits({kSkills, source.seeds, options_.seed, i}));
       Episode episode =
           RecordEpisode(*environment_, std::move(observation), source.make_actor(i, asked), weigh);

@@ -7,7 +7,7 @@
 
 namespace spikeserve {
 
-absl::optional<double> DialExpert::BeginEpisode(uint64_t key) {
+std::optional<double> DialExpert::BeginEpisode(uint64_t key) {
   const auto choices = static_cast<uint64_t>(lengths_.most - lengths_.least + 1);
   left_ = lengths_.least + static_cast<int>(RandomBits({key}) % choices);
   return reward_ * left_;

@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include "absl/types/span.h"
 #include "core/environment/classic_control.h"
@@ -36,7 +37,7 @@ class DialExpert final : public Expert {
         left_(lengths.most) {}
 
   // Draws how many steps it will last; what they pay is what is asked for.
-  absl::optional<double> BeginEpisode(uint64_t key) override;
+  std::optional<double> BeginEpisode(uint64_t key) override;
 
   // Finishes if that takes all the steps that are left, or more.
   Action Act(absl::Span<const double> state) override;

@@ -4,10 +4,10 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "absl/types/optional.h"
 #include "absl/types/span.h"
 #include "core/model/action_space.h"
 
@@ -20,7 +20,7 @@ class Expert {
 
   // To be called before the first action of an episode. `key` decides what there is to draw.
   // Returns the return the expert is asked for, if it is one that is asked.
-  virtual absl::optional<double> BeginEpisode(uint64_t /*key*/) { return absl::nullopt; }
+  virtual std::optional<double> BeginEpisode(uint64_t /*key*/) { return std::nullopt; }
 
   // The action in an environment's internal `state` (Environment::state()); a pure function of it
   // for all but the planner, which keeps to its plan while the states are those it foresaw, and
