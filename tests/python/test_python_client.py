@@ -162,9 +162,9 @@ def test_evaluate_plays_unseen_seeds(address):
 
 def test_evaluate_refuses_what_does_not_fit(address):
     with pytest.raises(
-        LookupError, match="no policy for Acrobot-v1 is served; the server has cart"
+        LookupError, match="no policy for MountainCarContinuous-v0 is served; the server has cart"
     ):
-        spikeserve.evaluate("Acrobot-v1", server=address)
+        spikeserve.evaluate("MountainCarContinuous-v0", server=address)
     with pytest.raises(ValueError, match=r"'cartpole' has Discrete\(n=2\)"):
         spikeserve.evaluate("Acrobot-v1", "cartpole", server=address)
     with pytest.raises(ValueError, match="episodes: expected at least 1, got 0"):
