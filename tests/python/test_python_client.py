@@ -162,7 +162,7 @@ def test_evaluate_plays_unseen_seeds(address):
 
 def test_evaluate_refuses_what_does_not_fit(address):
     with pytest.raises(
-        LookupError, match="no policy for MountainCarContinuous-v0 is served; the server has cart"
+        LookupError, match="no policy for MountainCarContinuous-v0 is served; the server has acro"
     ):
         spikeserve.evaluate("MountainCarContinuous-v0", server=address)
     with pytest.raises(ValueError, match=r"'cartpole' has Discrete\(n=2\)"):
