@@ -63,16 +63,6 @@ HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
           .body = json.ok() ? *std::move(json) : ErrorJson(json.status())};
 }
 
-// Of any tenant. Unlike SessionStore::Find this does not count as a use of the session.
-absl::StatusOr<std::shared_ptr<SessionEntry>> FindSession(SessionStore& store,
-                                                          const std::string& id) {
-  for (const ListedSession& listed : store.List([](const ServedPolicy&) { return true; })) {
-    if (listed.id == id) return listed.entry;
-  }
-  return absl::NotFoundError(
-      absl::StrCat("session: expected an open session, received ", Quoted(id)));
-}
-
 }  // namespace
 
 HttpResponse StatusPages::Answer(const HttpRequest& request) const {
@@ -108,13 +98,17 @@ absl::StatusOr<std::string> StatusPages::Sessions(absl::string_view query) const
 absl::StatusOr<std::string> StatusPages::Explain(absl::string_view query) const {
   const auto parsed = HttpQuery::Parse(query, {"session"});
   if (!parsed.ok()) return parsed.status();
-  const auto entry = FindSession(*parts_.store, parsed->Get("session"));
-  if (!entry.ok()) return entry.status();
+  const std::string id = parsed->Get("session");
+  const auto entry = parts_.store->Peek(id);
+  if (entry == nullptr) {
+    return absl::NotFoundError(
+        absl::StrCat("session: expected an open session, received ", Quoted(id)));
+  }
   v1::ExplainResponse response;
   absl::Status explained;
   absl::Notification done;
   const absl::Status accepted = parts_.worker->Submit([&] {
-    explained = ExplainSession(**entry, &response);
+    explained = ExplainSession(*entry, &response);
     done.Notify();
   });
   if (!accepted.ok()) return accepted;

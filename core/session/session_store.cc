@@ -101,6 +101,13 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_vi
   return it->second.entry;
 }
 
+std::shared_ptr<SessionEntry> SessionStore::Peek(absl::string_view id) {
+  Shard& shard = ShardOf(id);
+  absl::MutexLock lock(&shard.mutex);
+  const auto it = shard.slots.find(id);
+  return it == shard.slots.end() ? nullptr : it->second.entry;
+}
+
 absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant) {
   std::shared_ptr<SessionEntry> entry;  // released outside the lock
   Shard& shard = ShardOf(id);

@@ -83,6 +83,9 @@ class SessionStore {
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id,
                                                      absl::string_view tenant = "");
 
+  // The session, whoever's it is, without counting as a use; null where there is none of this id.
+  std::shared_ptr<SessionEntry> Peek(absl::string_view id);
+
   // Takes the session out. NOT_FOUND where `tenant` has none of this id.
   absl::Status Close(absl::string_view id, absl::string_view tenant = "");
 

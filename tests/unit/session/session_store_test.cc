@@ -87,6 +87,16 @@ TEST_F(SessionStoreTest, OnlyIdleSessionsAreRemoved) {
   EXPECT_EQ(observer_->closed, 1);
 }
 
+TEST_F(SessionStoreTest, PeekingIsNoUse) {
+  SessionStore store(10, &clock_);
+  const std::string id = MustOpen(store);
+  clock_.Advance(absl::Seconds(11));
+  EXPECT_NE(store.Peek(id), nullptr);
+  EXPECT_EQ(store.Peek("nobody's"), nullptr);
+  EXPECT_EQ(store.RemoveIdle(absl::Seconds(10)), 1);
+  EXPECT_EQ(store.Peek(id), nullptr);
+}
+
 TEST_F(SessionStoreTest, IdleSessionsAreCompactedOnceUntilTheyAreUsed) {
   SessionStore store(10, &clock_);
   const std::string id = MustOpen(store);
