@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "core/environment/environment.h"
 #include "core/environment/pendulum.h"
 #include "core/environment/position_only.h"
@@ -214,6 +215,17 @@ absl::Status RecordOptions::Validate() const {
         "wide_start_fraction: expected 0 for ", expert.environment, ", got ", wide_start_fraction));
   }
   return absl::OkStatus();
+}
+
+std::string RecordOptions::ToFlags() const {
+  std::string flags = absl::StrFormat(
+      "--env=%s --steps=%d --expert_fraction=%g --disturbed_fraction=%g --burst_rate=%g "
+      "--longest_burst=%d --wide_start_fraction=%g",
+      expert.environment, steps, expert_fraction, disturbed_fraction, burst_rate, longest_burst,
+      wide_start_fraction);
+  if (!expert.name.empty()) absl::StrAppend(&flags, " --expert=", expert.name);
+  if (weigh) absl::StrAppend(&flags, " --weigh");
+  return flags;
 }
 
 absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options) {

@@ -43,6 +43,10 @@ struct RecordOptions {
   double wide_start_fraction = 0.0;
 
   absl::Status Validate() const;
+
+  // The flags of `spiketrain dataset` that ask for these options; not the seed, where tables are
+  // kept, nor the student, which has no name here.
+  std::string ToFlags() const;
 };
 
 // Whole episodes of the expert, then disturbed ones, then the student's or else of uniformly random

@@ -10,6 +10,7 @@
 #include "train/common_flags.h"
 #include "train/report_page.h"
 #include "train/report_runs.h"
+#include "train/train_flags.h"
 
 ABSL_FLAG(
     bool, smoke, false,
@@ -25,8 +26,16 @@ namespace {
 absl::StatusOr<ReportOptions> OptionsFromFlags() {
   const absl::StatusOr<std::string> out = RequiredOut("the directory to write into");
   if (!out.ok()) return out.status();
+  const absl::StatusOr<TrainOptions> training = TrainOptionsFromFlags();
+  if (!training.ok()) return training.status();
+  absl::StatusOr<RecordOptions> data = RecordOptionsFromFlags();
+  if (!data.ok()) return data.status();
   ReportOptions options;
   options.directory = *out;
+  options.training = *training;
+  options.data = *std::move(data);
+  options.data.expert.tables_directory = *out;
+  if (auto status = SetShapeFromFlags(&options.config); !status.ok()) return status;
   options.environments = absl::GetFlag(FLAGS_environments);
   options.seeds = absl::GetFlag(FLAGS_seeds);
   if (options.seeds < 1 || options.environments.empty()) {
@@ -35,11 +44,11 @@ absl::StatusOr<ReportOptions> OptionsFromFlags() {
                      " and ", options.environments.size()));
   }
   if (absl::GetFlag(FLAGS_smoke)) {
-    options.steps = 400;
-    options.iterations = 20;
-    options.batch = 4;
+    options.data.steps = 400;
+    options.data.expert.coarsening = 8;
+    options.training.iterations = 20;
+    options.training.batch = 4;
     options.episodes = 3;
-    options.coarsening = 8;
     options.config.hidden_size = 16;
     options.config.heads = 2;
     options.config.ticks = 4;

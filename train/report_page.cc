@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "core/neuron/lif.h"
 #include "train/document.h"
 #include "train/svg_chart.h"
 
@@ -50,6 +51,22 @@ std::string Text(const Interval& interval, int digits) {
   return absl::StrFormat("%s ± %.*f", mean, digits, interval.half_width);
 }
 
+// Bars over equal intervals of the values' range, named by where they begin.
+std::string Histogram(const ChartText& text, const std::vector<int64_t>& values) {
+  constexpr int kBins = 8;
+  if (values.empty()) return "";
+  const auto [least, most] = std::minmax_element(values.begin(), values.end());
+  const int64_t width = (*most - *least) / kBins + 1;
+  std::vector<std::string> begins;
+  Series bars;
+  for (int i = 0; i < kBins; ++i) {
+    begins.push_back(absl::StrCat(*least + i * width));
+    bars.points.emplace_back(0.0, 0.0);
+  }
+  for (const int64_t value : values) bars.points[(value - *least) / width].second += 1.0;
+  return BarChart(text, begins, {bars});
+}
+
 class Writer {
  public:
   Writer(const ReportOptions& options, const std::vector<ReportResult>& modes,
@@ -67,6 +84,8 @@ class Writer {
     Spikes();
     Sweeps();
     Phases();
+    Gates();
+    Membrane();
     Commands();
     return {page_.Markdown(), page_.Html()};
   }
@@ -86,13 +105,15 @@ class Writer {
   void Introduction(const std::string& command) {
     page_.Title("The paper's experiments, measured");
     page_.Paragraph(absl::StrFormat(
-        "Every mode on every task, %d seed(s) each: %d steps of data, half the expert's and half "
-        "random, %d iterations of %d clips of N = %d timesteps, d = %d, T = %d, and no penalty on "
-        "spikes. Returns are over %d starts a seed that training never saw, from environment seed "
-        "2000000 on. ± is half a 95 %% confidence interval by Student's t over seeds.",
-        options_.seeds, options_.steps, options_.iterations, options_.batch,
-        options_.config.context, options_.config.hidden_size, options_.config.ticks,
-        options_.episodes));
+        "Every mode on every task, %d seed(s) each: %d steps of data, %g %% of them the expert's, "
+        "%g %% the expert's disturbed by bursts of random actions, the rest random; %d iterations "
+        "of %d clips, d = %d, T = %d, N = %d. Returns are over %d starts a seed that training "
+        "never saw, from environment seed 2000000 on. ± is half a 95 %% confidence interval by "
+        "Student's t over seeds.",
+        options_.seeds, options_.data.steps, 100.0 * options_.data.expert_fraction,
+        100.0 * options_.data.disturbed_fraction, options_.training.iterations,
+        options_.training.batch, options_.config.hidden_size, options_.config.ticks,
+        options_.config.context, options_.episodes));
     page_.Paragraph("Made by:");
     page_.Code(command);
   }
@@ -191,6 +212,11 @@ class Writer {
       page_.Figure(
           BarChart({environment + ", seed 1", "stage", "spikes per decision"}, stages, by_stage));
     }
+    for (const std::string& environment : options_.environments) {
+      page_.Figure(Histogram(
+          {environment + ", full, seed 1: decisions of one episode", "spikes", "decisions"},
+          groups_.at({environment, Mode::kFull})[0]->insight.spikes));
+    }
     page_.Table({"task", "mode", "spikes per decision", "spikes per window",
                  "the paper's spikes per inference", "milliseconds", "the paper's"},
                 rows);
@@ -236,6 +262,47 @@ class Writer {
     page_.Figure(RasterChart(
         {options_.environments[0] + ": phase spikes of a window, seed 1", "timestep", "head"},
         rows));
+  }
+
+  void Gates() {
+    page_.Heading("Routing gates");
+    page_.Paragraph(
+        "Means over ticks of the first layer's gates, full mode, seed 1, over the window of the "
+        "last decision of an episode (the paper's heatmap). Uniform gates would be 1/H.");
+    std::vector<std::vector<std::string>> rows;
+    for (const std::string& environment : options_.environments) {
+      const auto& gates = groups_.at({environment, Mode::kFull})[0]->insight.gates;
+      if (gates.empty()) continue;
+      page_.Figure(HeatChart({environment, "token", "head"}, gates));
+      double least = 1.0, most = 0.0, variation = 0.0;
+      for (const auto& head : gates) {
+        const auto [low, high] = std::minmax_element(head.begin(), head.end());
+        least = std::min(least, *low);
+        most = std::max(most, *high);
+        variation = std::max(variation, *high - *low);
+      }
+      rows.push_back({environment, absl::StrFormat("%.3f", least), absl::StrFormat("%.3f", most),
+                      absl::StrFormat("%.3f", variation)});
+    }
+    page_.Table({"task", "least gate", "largest gate", "most that one head's gate varies"}, rows);
+  }
+
+  // Of model.md's neuron itself; nothing here was trained.
+  void Membrane() {
+    page_.Heading("The neuron");
+    constexpr int kTicks = 40;
+    const Lif lif = {options_.config.membrane_decay, options_.config.threshold};
+    std::vector<Series> lines;
+    for (const float current : {0.04f, 0.1f, 0.3f}) {
+      Series& line = lines.emplace_back(Series{absl::StrFormat("I = %g", current), {{0.0, 0.0}}});
+      float membrane = 0.0f;
+      for (int tick = 1; tick <= kTicks; ++tick) {
+        lif.Step(current, membrane);
+        line.points.emplace_back(tick, membrane);
+      }
+    }
+    page_.Figure(LineChart(
+        {"Membrane potential under constant currents, after each tick", "tick", "V"}, lines));
   }
 
   void Commands() {

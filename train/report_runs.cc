@@ -27,10 +27,16 @@ constexpr int kValidations = 20;  // of a run
 Json ResultToJson(const ReportResult& result) {
   Json losses = Json::array();
   for (const LossPoint& point : result.losses) losses.push_back({point.iteration, point.loss});
-  return {{"run", result.run.name()},    {"command", result.command},
-          {"losses", std::move(losses)}, {"evaluation", result.evaluation},
-          {"returns", result.returns},   {"omega", result.omega},
-          {"phi", result.phi},           {"seconds_per_decision", result.seconds_per_decision}};
+  return {{"run", result.run.name()},
+          {"command", result.command},
+          {"losses", std::move(losses)},
+          {"evaluation", result.evaluation},
+          {"returns", result.returns},
+          {"omega", result.omega},
+          {"phi", result.phi},
+          {"spikes", result.insight.spikes},
+          {"gates", result.insight.gates},
+          {"seconds_per_decision", result.seconds_per_decision}};
 }
 
 // May throw Json::exception.
@@ -43,6 +49,8 @@ ReportResult FromJson(const Json& json, const ReportRun& run) {
   json.at("returns").get_to(result.returns);
   json.at("omega").get_to(result.omega);
   json.at("phi").get_to(result.phi);
+  json.at("spikes").get_to(result.insight.spikes);
+  json.at("gates").get_to(result.insight.gates);
   json.at("seconds_per_decision").get_to(result.seconds_per_decision);
   return result;
 }
@@ -59,14 +67,27 @@ absl::optional<ReportResult> ReadResult(const std::string& path, const ReportRun
   }
 }
 
+RecordOptions DataOptions(const ReportOptions& options, const ReportRun& run) {
+  RecordOptions data = options.data;
+  data.expert.environment = run.environment;
+  data.seed = run.seed;
+  return data;
+}
+
+TrainOptions TrainingOptions(const ReportOptions& options, const ReportRun& run) {
+  TrainOptions training = options.training;
+  training.seed = run.seed;
+  return training;
+}
+
 std::string Command(const ReportOptions& options, const ReportRun& run) {
   const ModelConfig& config = run.config;
   return absl::StrCat(
-      "spiketrain train --env=", run.environment, " --mode=", std::string(ToString(config.mode)),
-      " --seed=", run.seed, " --steps=", options.steps, " --iterations=", options.iterations,
-      " --batch=", options.batch, " --hidden_size=", config.hidden_size, " --heads=", config.heads,
-      " --layers=", config.layers, " --ticks=", config.ticks, " --context=", config.context,
-      " --ffn_size=", config.ffn_size, " --out=", run.name());
+      "spiketrain train --mode=", std::string(ToString(config.mode)), " ",
+      DataOptions(options, run).ToFlags(), " ", TrainingOptions(options, run).ToFlags(),
+      " --hidden_size=", config.hidden_size, " --heads=", config.heads, " --layers=", config.layers,
+      " --ticks=", config.ticks, " --context=", config.context, " --ffn_size=", config.ffn_size,
+      " --out=", run.name());
 }
 
 class Runner {
@@ -77,7 +98,11 @@ class Runner {
                                    const std::function<void(const std::string&)>& log) {
     const std::string directory = absl::StrCat(options_.directory, "/", run.name());
     const std::string path = directory + "/result.json";
-    if (auto result = ReadResult(path, run)) return *std::move(result);
+    if (auto result = ReadResult(path, run)) {
+      if (result->command == Command(options_, run)) return *std::move(result);
+      return absl::FailedPreconditionError(absl::StrCat(
+          path, ": expected a run of ", Command(options_, run), ", got one of ", result->command));
+    }
     log(run.name());
     std::error_code error;
     std::filesystem::create_directories(directory, error);
@@ -102,12 +127,7 @@ class Runner {
   absl::StatusOr<const Dataset*> Data(const ReportRun& run) {
     auto& dataset = datasets_[{run.environment, run.seed}];
     if (dataset == nullptr) {
-      absl::StatusOr<Dataset> recorded =
-          RecordDataset({.expert = {.environment = run.environment,
-                                    .tables_directory = options_.directory,
-                                    .coarsening = options_.coarsening},
-                         .seed = run.seed,
-                         .steps = options_.steps});
+      absl::StatusOr<Dataset> recorded = RecordDataset(DataOptions(options_, run));
       if (!recorded.ok()) return recorded.status();
       dataset = std::make_unique<const Dataset>(*std::move(recorded));
     }
@@ -118,10 +138,7 @@ class Runner {
                                std::vector<LossPoint>* losses) {
     const absl::StatusOr<const Dataset*> dataset = Data(run);
     if (!dataset.ok()) return dataset.status();
-    TrainOptions options;
-    options.seed = run.seed;
-    options.iterations = options_.iterations;
-    options.batch = options_.batch;
+    const TrainOptions options = TrainingOptions(options_, run);
     if (auto status = options.Validate(); !status.ok()) return status;
     Policy initial = InitialPolicy(run.config, **dataset, run.seed);
     Trainer trainer(std::move(initial), **dataset, options);
@@ -157,12 +174,15 @@ class Runner {
   }
 
   absl::Status Play(const Policy& policy, ReportResult* result) const {
+    auto shared = std::make_shared<const Policy>(policy);
+    absl::StatusOr<Insight> insight = LookInside(shared, kFirstUnseenSeed);
+    if (!insight.ok()) return insight.status();
     const auto begin = std::chrono::steady_clock::now();
-    const absl::StatusOr<Evaluation> evaluation =
-        Evaluate(std::make_shared<const Policy>(policy),
-                 {.episodes = options_.episodes, .first_seed = kFirstUnseenSeed});
+    const absl::StatusOr<Evaluation> evaluation = Evaluate(
+        std::move(shared), {.episodes = options_.episodes, .first_seed = kFirstUnseenSeed});
     if (!evaluation.ok()) return evaluation.status();
     const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
+    result->insight = *std::move(insight);
     result->evaluation = ToJson(*evaluation, policy.config);
     result->returns = evaluation->returns;
     result->seconds_per_decision = taken.count() / static_cast<double>(evaluation->decisions);

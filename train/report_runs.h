@@ -14,7 +14,9 @@
 #include "absl/status/statusor.h"
 #include "core/model/config.h"
 #include "nlohmann/json.hpp"
-#include "train/expert/expert.h"
+#include "train/insight.h"
+#include "train/record.h"
+#include "train/trainer.h"
 
 namespace spikeserve {
 
@@ -22,12 +24,10 @@ struct ReportOptions {
   std::string directory;
   std::vector<std::string> environments = {"CartPole-v1", "MountainCar-v0", "Acrobot-v1",
                                            "Pendulum-v1"};
-  int seeds = 3;                     // of training: 1, 2, ...
-  int steps = 10'000;                // of data, half the expert's, half random: the paper's recipe
-  int iterations = 400;              // of training
-  int batch = 32;                    // clips
+  int seeds = 3;                     // of data and training: 1, 2, ...
+  RecordOptions data;                // all but environment and seed; by default the paper's recipe
+  TrainOptions training;             // all but the seed
   int episodes = 200;                // unseen starts for each seed
-  int coarsening = 1;                // of the experts' value tables
   ModelConfig config;                // all but the mode
   std::vector<int> ticks = {5, 20};  // the sweep of T, beside config's own
   std::vector<int> contexts = {10, 50};  // the sweep of N, beside config's own
@@ -55,6 +55,7 @@ struct ReportResult {
   nlohmann::ordered_json evaluation;  // as `spiketrain eval --json` prints it
   std::vector<double> returns;        // per episode
   std::vector<float> omega, phi;      // [H] of a mode with phase spikes; else empty
+  Insight insight;                    // of the first start
   double seconds_per_decision = 0.0;  // of the streaming engine, with the environment's step
 };
 
@@ -64,6 +65,7 @@ std::vector<ReportRun> ModeRuns(const ReportOptions& options);
 std::vector<ReportRun> SweepRuns(const ReportOptions& options);
 
 // Trains and plays what is missing of `runs`. `log` gets a line for every run that is begun.
+// FAILED_PRECONDITION names a finished run that was made with other options.
 absl::StatusOr<std::vector<ReportResult>> RunAll(
     const ReportOptions& options, const std::vector<ReportRun>& runs,
     const std::function<void(const std::string&)>& log);

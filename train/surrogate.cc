@@ -12,4 +12,16 @@ absl::StatusOr<SurrogateKind> ParseSurrogateKind(absl::string_view name) {
       "surrogate: expected fast_sigmoid, sigmoid or piecewise_linear, got '", name, "'"));
 }
 
+std::string_view ToString(SurrogateKind kind) {
+  switch (kind) {
+    case SurrogateKind::kFastSigmoid:
+      return "fast_sigmoid";
+    case SurrogateKind::kSigmoid:
+      return "sigmoid";
+    case SurrogateKind::kPiecewiseLinear:
+      return "piecewise_linear";
+  }
+  return "";
+}
+
 }  // namespace spikeserve

@@ -6,6 +6,7 @@
 #define TRAIN_SURROGATE_H_
 
 #include <cmath>
+#include <string_view>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -54,8 +55,9 @@ inline __attribute__((always_inline)) void WithDerivative(const Surrogate& surro
   }
 }
 
-// "fast_sigmoid", "sigmoid", "piecewise_linear"; INVALID_ARGUMENT names the value received and
-// these.
+// "fast_sigmoid", "sigmoid", "piecewise_linear".
+std::string_view ToString(SurrogateKind kind);
+// INVALID_ARGUMENT names the value received and the three above.
 absl::StatusOr<SurrogateKind> ParseSurrogateKind(absl::string_view name);
 
 }  // namespace spikeserve

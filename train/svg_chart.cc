@@ -157,6 +157,30 @@ std::string BarChart(const ChartText& text, const std::vector<std::string>& cate
   return chart.Finish();
 }
 
+std::string HeatChart(const ChartText& text, const std::vector<std::vector<double>>& rows) {
+  Range x = {-0.5, 0.5}, y = {-0.5, static_cast<double>(rows.size()) - 0.5}, values;
+  for (const auto& row : rows) {
+    x.high = static_cast<double>(row.size()) - 0.5;
+    for (const double value : row) values.Include(value);
+  }
+  values.Widen();
+  Chart chart(text, x, y);
+  chart.XEnds();
+  for (size_t r = 0; r < rows.size(); ++r) {
+    for (size_t c = 0; c < rows[r].size(); ++c) {
+      const double left = chart.X(static_cast<double>(c) - 0.5);
+      const double top = chart.Y(static_cast<double>(r) + 0.5);
+      chart.Add(
+          absl::StrFormat("<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\" "
+                          "fill-opacity=\"%.3f\"><title>%.4g</title></rect>",
+                          left, top, chart.X(static_cast<double>(c) + 0.5) - left,
+                          chart.Y(static_cast<double>(r) - 0.5) - top, Colour(0),
+                          (rows[r][c] - values.low) / (values.high - values.low), rows[r][c]));
+    }
+  }
+  return chart.Finish();
+}
+
 std::string RasterChart(const ChartText& text, const std::vector<std::vector<double>>& rows) {
   Range x, y = {-0.5, static_cast<double>(rows.size()) - 0.5};
   for (const auto& row : rows) {

@@ -32,6 +32,10 @@ std::string ScatterChart(const ChartText& text, const std::vector<Series>& serie
 std::string BarChart(const ChartText& text, const std::vector<std::string>& categories,
                      const std::vector<Series>& series);
 
+// A square for each value, darker for larger ones; row 0 is at the bottom. Every value has a
+// tooltip. REQUIRES: rows of one length.
+std::string HeatChart(const ChartText& text, const std::vector<std::vector<double>>& rows);
+
 // Row r has a mark at every x of rows[r].
 std::string RasterChart(const ChartText& text, const std::vector<std::vector<double>>& rows);
 

@@ -116,7 +116,7 @@ class ShapeFlags {
 
 absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
   ModelConfig config;
-  if (auto status = ShapeFlags(&config, /*fixed=*/false).Apply(); !status.ok()) return status;
+  if (auto status = SetShapeFromFlags(&config); !status.ok()) return status;
   Policy policy = InitialPolicy(config, dataset, absl::GetFlag(FLAGS_seed).value_or(0));
   if (const auto offset = absl::GetFlag(FLAGS_return_offset); offset.has_value()) {
     policy.return_offset = static_cast<float>(*offset);
@@ -192,6 +192,10 @@ absl::StatusOr<Dataset> DatasetFromFlags() {
         absl::StrCat("env: expected ", dataset->environment, " as in --data, got ", environment));
   }
   return dataset;
+}
+
+absl::Status SetShapeFromFlags(ModelConfig* config) {
+  return ShapeFlags(config, /*fixed=*/false).Apply();
 }
 
 absl::StatusOr<Policy> InitialPolicyFromFlags(const Dataset& dataset) {

@@ -78,15 +78,15 @@ absl::Status TrainOptions::Validate() const {
   return status;
 }
 
-std::string TrainOptions::ToString() const {
+std::string TrainOptions::ToFlags() const {
+  const std::string surrogate_name(ToString(surrogate.kind));
   return absl::StrFormat(
-      "seed=%d iterations=%d batch=%d clip_steps=%d learning_rate=%g weight_decay=%g warmup=%d "
-      "clip_norm=%g "
-      "action_noise=%g validation=%g target_rate=%g readout_rate=%g spike_penalty=%g surrogate=%d "
-      "slope=%g",
+      "--seed=%d --iterations=%d --batch=%d --clip_steps=%d --learning_rate=%g --weight_decay=%g "
+      "--warmup=%d --clip_norm=%g --action_noise=%g --validation=%g --target_rate=%g "
+      "--readout_rate=%g --spike_penalty=%g --surrogate=%s --slope=%g",
       seed, iterations, batch, clip_steps, learning_rate, weight_decay, warmup, clip_norm,
-      action_noise, validation, rate_targets.hidden, rate_targets.readout, spike_penalty,
-      static_cast<int>(surrogate.kind), surrogate.slope);
+      action_noise, validation, 100.0 * rate_targets.hidden, 100.0 * rate_targets.readout,
+      spike_penalty, surrogate_name, surrogate.slope);
 }
 
 // AdamW over two groups: everything, and the phase generators at their own rate.
@@ -121,7 +121,7 @@ struct Trainer::Optimizer {
 
 Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& options)
     : options_(options),
-      run_(absl::StrCat(options.ToString(), " data=", dataset.recipe.dump())),
+      run_(absl::StrCat(options.ToFlags(), " data=", dataset.recipe.dump())),
       action_space_(dataset.action_space),
       observation_size_(dataset.observation_size),
       model_(initial, options.surrogate),

@@ -38,8 +38,8 @@ struct TrainOptions {
   // INVALID_ARGUMENT names the option, what was expected and what came.
   absl::Status Validate() const;
 
-  // One line with every value.
-  std::string ToString() const;
+  // The flags of `spiketrain train` that ask for these options, with every value.
+  std::string ToFlags() const;
 };
 
 class Trainer {

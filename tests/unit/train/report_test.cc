@@ -42,6 +42,8 @@ ReportResult Finished(const ReportRun& run, double value) {
                        {"spikes_per_decision_by_stage", {{"coder", 60.0}, {"phase", 40.0}}}};
   result.returns = {value, value};
   if (run.config.has_phase()) result.omega = result.phi = {1.0f, 2.0f};
+  if (run.config.has_routing()) result.insight.gates = {{0.25, 0.75}, {0.75, 0.25}};
+  result.insight.spikes = {90, 100, 110};
   return result;
 }
 
@@ -61,7 +63,9 @@ TEST(ReportTest, SaysWhatTheIntervalsAllow) {
       HasSubstr("pos returns 80.0 more than baseline, and the intervals are apart; route "
                 "returns 0.0 more than baseline, which these seeds cannot tell from chance"));
   EXPECT_THAT(report.markdown, HasSubstr("spiketrain train --out=CartPole-v1-dense-T10-N20-seed2"));
+  EXPECT_THAT(report.markdown, HasSubstr("| CartPole-v1 | 0.250 | 0.750 | 0.500 |"));
   EXPECT_THAT(report.html, HasSubstr("<polyline"));
+  EXPECT_THAT(report.html, HasSubstr("<title>0.75</title>"));
 }
 
 }  // namespace

@@ -59,6 +59,10 @@ grep -q '<svg' report/report.html || fail "report.html"
 rm report/CartPole-v1-full-T4-N4-seed1/result.json  # interrupted after training
 "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 2>&1 |
   grep -c 'training' | grep -qx 1 || fail "report trains what is there"
+if "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1 --learning_rate=1 2>message; then
+  fail "accepted: runs made with other options"
+fi
+grep -q 'expected a run of .* --learning_rate=1 .*, got one of ' message || fail "report: $(cat message)"
 refuses "out: expected the directory to write into" report
 
 refuses 'command: expected one of expert, dataset, train, eval, report'
