@@ -23,7 +23,7 @@ struct ServerOptions {
   std::string record_dir;  // where sessions that ask for it are recorded; empty: nowhere
   absl::Duration drain_timeout = absl::Seconds(30);
 
-  TlsFiles tls;  // for gRPC
+  TlsFiles tls;  // for gRPC and HTTP
   std::string
       tokens;  // file of bearer tokens, see token_file.h; empty: everybody may do everything
   bool insecure_network = false;  // serve others than this machine without the two above

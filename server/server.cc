@@ -15,7 +15,6 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "grpc/health/v1/health.pb.h"
-#include "server/admission.h"
 
 namespace spikeserve {
 namespace {
@@ -112,7 +111,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                           .clock = &clock_,
                           .session_ttl = options.session_ttl}),
       inference_service_(Parts(), &inference_handler_),
-      pages_({.handler = &handler_,
+      pages_({.authenticator = authenticator_.get(),
+              .handler = &handler_,
               .store = &store_,
               .metrics = metrics_.get(),
               .clock = &clock_,
@@ -171,11 +171,9 @@ absl::Status Server::StartHttp() {
   if (options_.http_listen.empty()) return absl::OkStatus();
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
-  auto http = HttpServer::Start(
-      *address, [this](const HttpRequest& request) { return pages_.Answer(request); },
-      [this](absl::string_view path, absl::string_view header) {
-        return MayWatch(*authenticator_, path, header);
-      });
+  auto http = HttpServer::Start(*address, options_.tls, [this](const HttpRequest& request) {
+    return pages_.Answer(request);
+  });
   if (!http.ok()) {
     return absl::Status(http.status().code(),
                         absl::StrCat("--http_listen: ", http.status().message()));
