@@ -36,6 +36,8 @@ ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_aft
           "Sessions that nobody used for this long give back what their next decision can rebuild");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
           "Sessions open at a time");
+ABSL_FLAG(int64_t, max_message_bytes, spikeserve::ServerOptions().max_message_bytes,
+          "Length of one request over gRPC; a longer one is RESOURCE_EXHAUSTED");
 ABSL_FLAG(std::string, record_dir, spikeserve::ServerOptions().record_dir,
           "Directory in which sessions that ask for it are recorded; empty for none");
 ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
@@ -69,6 +71,7 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
   options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
+  options.max_message_bytes = absl::GetFlag(FLAGS_max_message_bytes);
   options.record_dir = absl::GetFlag(FLAGS_record_dir);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
 

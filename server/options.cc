@@ -1,5 +1,7 @@
 #include "server/options.h"
 
+#include <climits>
+
 #include "absl/strings/str_cat.h"
 #include "server/address.h"
 
@@ -52,6 +54,10 @@ absl::Status ServerOptions::Validate() const {
   if (max_sessions < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("--max_sessions: expected at least 1, received ", max_sessions));
+  }
+  if (max_message_bytes < 1 || max_message_bytes > INT_MAX) {
+    return absl::InvalidArgumentError(absl::StrCat("--max_message_bytes: expected 1 to ", INT_MAX,
+                                                   ", received ", max_message_bytes));
   }
   if (drain_timeout < absl::ZeroDuration()) {
     return absl::InvalidArgumentError(

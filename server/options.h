@@ -20,6 +20,7 @@ struct ServerOptions {
   absl::Duration session_ttl = absl::Minutes(10);
   absl::Duration compact_after = absl::Seconds(10);  // idle sessions shrink to their history
   int64_t max_sessions = 100'000;
+  int64_t max_message_bytes = 4 << 20;  // of one request over gRPC, whoever sends it
   std::string record_dir;  // where sessions that ask for it are recorded; empty: nowhere
   absl::Duration drain_timeout = absl::Seconds(30);
 

@@ -142,6 +142,7 @@ absl::Status Server::StartGrpc() {
   const auto credentials = MakeServerCredentials(options_.tls);
   if (!credentials.ok()) return credentials.status();
   builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
+  builder.SetMaxReceiveMessageSize(static_cast<int>(options_.max_message_bytes));
   builder.RegisterService(&service_);
   builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);

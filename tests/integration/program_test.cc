@@ -33,6 +33,7 @@ TEST_F(ProgramTest, BadFlags) {
   ExpectFailure({policies(), "--session_ttl=0s"}, "--session_ttl: expected at least 1ms");
   ExpectFailure({policies(), "--compact_after=0s"}, "--compact_after: expected at least 1ms");
   ExpectFailure({policies(), "--max_sessions=0"}, "--max_sessions: expected at least 1");
+  ExpectFailure({policies(), "--max_message_bytes=0"}, "--max_message_bytes: expected 1 to");
   ExpectFailure({policies(), "--drain_timeout=-1s"}, "--drain_timeout: expected");
   ExpectFailure({policies(), "extra"}, "expected flags alone, received \"extra\"");
   ExpectFailure({policies(), "--unknown=1"}, "unknown");
