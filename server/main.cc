@@ -30,6 +30,9 @@ ABSL_FLAG(std::string, http_listen, spikeserve::ServerOptions().http_listen,
 ABSL_FLAG(absl::Duration, poll_policies, spikeserve::ServerOptions().poll_policies,
           "How often to look for new, changed and removed files below --policies; 0 for only when "
           "an operator asks");
+ABSL_FLAG(std::string, policy_settings, "",
+          "JSON file that keeps default versions, labels, traffic and unloaded versions over a "
+          "restart; empty: they hold until the server ends");
 ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
 ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_after,
@@ -68,6 +71,7 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.listen = absl::GetFlag(FLAGS_listen);
   options.http_listen = absl::GetFlag(FLAGS_http_listen);
   options.poll_policies = absl::GetFlag(FLAGS_poll_policies);
+  options.policy_settings = absl::GetFlag(FLAGS_policy_settings);
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
   options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);

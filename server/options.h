@@ -17,6 +17,7 @@ struct ServerOptions {
   std::string http_listen =
       "127.0.0.1:9464";          // metrics, status page; port 0 picks one; empty: none
   absl::Duration poll_policies;  // how often to look for changed policies; 0: only when asked to
+  std::string policy_settings;   // file that keeps what operators set; empty: until the end
   absl::Duration session_ttl = absl::Minutes(10);
   absl::Duration compact_after = absl::Seconds(10);  // idle sessions shrink to their history
   int64_t max_sessions = 100'000;

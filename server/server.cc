@@ -48,15 +48,12 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   metrics->SetSessionsLimit(options.max_sessions);
   std::vector<absl::Status> refused;
   auto registry = PolicyRegistry::Load(
-      options.policies,
+      options.policies, options.policy_settings,
       [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy);
       },
       &refused);
-  if (!registry.ok()) {
-    return absl::Status(registry.status().code(),
-                        absl::StrCat("--policies: ", registry.status().message()));
-  }
+  if (!registry.ok()) return registry.status();
   for (const absl::Status& status : refused) {
     std::cerr << "spikeserve: policy refused: " << status.message() << std::endl;
   }
