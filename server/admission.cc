@@ -19,14 +19,14 @@ absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
   return caller;
 }
 
-absl::Status MayWatch(const Authenticator& authenticator, absl::string_view path,
-                      absl::string_view header) {
-  if (path == "/healthz") return absl::OkStatus();
+absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticator,
+                                               absl::string_view header) {
   std::string buffer;
   const std::string_view token = TokenOf(header, &buffer);
   const auto caller = authenticator.Authenticate({token.data(), token.size()});
-  if (!caller.ok()) return caller.status();
-  return CheckMayWatch((*caller)->role());
+  if (!caller.ok()) return caller;
+  if (auto status = CheckMayWatch((*caller)->role()); !status.ok()) return status;
+  return caller;
 }
 
 absl::Status CheckStillAdmitted(const Credential& caller,

@@ -19,10 +19,10 @@ namespace spikeserve {
 absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
                                         const grpc::CallbackServerContext& context, Method method);
 
-// Whether the sender of an HTTP Authorization header may see a page: /healthz is everybody's, the
-// rest takes a viewer or an operator.
-absl::Status MayWatch(const Authenticator& authenticator, absl::string_view path,
-                      absl::string_view header);
+// Who sent an HTTP Authorization header, which may be empty. UNAUTHENTICATED or PERMISSION_DENIED
+// unless they are a viewer or an operator, who may see the status page.
+absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticator,
+                                               absl::string_view header);
 
 // For a request on a stream whose caller was admitted: whether the token still holds, and
 // CheckSize.

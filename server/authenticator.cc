@@ -30,7 +30,7 @@ absl::Status Credential::CheckValid() const {
   if (revoked_.load(std::memory_order_relaxed)) {
     return absl::UnauthenticatedError("authorization: the token was revoked");
   }
-  if (expires_ != absl::InfiniteFuture() && absl::Now() >= expires_) {
+  if (entry_.expires != absl::InfiniteFuture() && absl::Now() >= entry_.expires) {
     return absl::UnauthenticatedError("authorization: the token has expired");
   }
   return absl::OkStatus();
@@ -49,8 +49,8 @@ bool Authenticator::DigestEqual::operator()(const Digest& a, const Digest& b) co
 absl::StatusOr<std::unique_ptr<Authenticator>> Authenticator::Create(const std::string& path) {
   auto authenticator = std::unique_ptr<Authenticator>(new Authenticator(path));
   if (path.empty()) {
-    authenticator->everybody_ = std::make_unique<Credential>(
-        std::make_shared<Tenant>(""), Role::kOperator, absl::InfiniteFuture());
+    authenticator->everybody_ = std::make_unique<Credential>(std::make_shared<Tenant>(""),
+                                                             TokenEntry{.role = Role::kOperator});
     return authenticator;
   }
   if (auto status = authenticator->Reload(); !status.ok()) return status;
@@ -100,13 +100,10 @@ void Authenticator::Publish(const TokenFile& file) {
   auto table = std::make_unique<Table>();
   for (const TokenEntry& entry : file.tokens) {
     const auto known = old.find(entry.sha256);
-    const bool unchanged = known != old.end() && known->second->role() == entry.role &&
-                           known->second->tenant()->name() == entry.tenant &&
-                           known->second->expires_ == entry.expires;
+    const bool unchanged = known != old.end() && known->second->entry_ == entry;
     table->emplace(entry.sha256, unchanged
                                      ? known->second
-                                     : std::make_shared<Credential>(TenantOf(entry.tenant),
-                                                                    entry.role, entry.expires));
+                                     : std::make_shared<Credential>(TenantOf(entry.tenant), entry));
   }
   for (const auto& [digest, credential] : old) {
     const auto kept = table->find(digest);

@@ -30,11 +30,17 @@ namespace spikeserve {
 // Whose a token is and what it allows; lives as long as the authenticator.
 class Credential {
  public:
-  Credential(std::shared_ptr<Tenant> tenant, Role role, absl::Time expires)
-      : tenant_(std::move(tenant)), role_(role), expires_(expires) {}
+  // `tenant` is the one that `entry` names.
+  Credential(std::shared_ptr<Tenant> tenant, TokenEntry entry)
+      : tenant_(std::move(tenant)), entry_(std::move(entry)) {}
 
   const std::shared_ptr<Tenant>& tenant() const { return tenant_; }
-  Role role() const { return role_; }
+  Role role() const { return entry_.role; }
+
+  // Whether sessions of this tenant may be looked at: listed, shown, explained.
+  bool MaySee(absl::string_view tenant) const {
+    return entry_.sees_all || tenant == tenant_->name();
+  }
 
   // UNAUTHENTICATED once it has expired or the file has it no more.
   absl::Status CheckValid() const;
@@ -43,8 +49,7 @@ class Credential {
   friend class Authenticator;
 
   const std::shared_ptr<Tenant> tenant_;
-  const Role role_;
-  const absl::Time expires_;
+  const TokenEntry entry_;
   std::atomic<bool> revoked_ = false;
 };
 

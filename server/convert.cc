@@ -187,11 +187,11 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
   }
   proto.set_environment(policy.environment);
   proto.set_mode(std::string(ToString(policy.config.mode)));
-  for (const auto& [label, version] : entry.labels) {
+  for (const auto& [label, version] : entry.settings.labels) {
     if (version == served.version) proto.add_version_labels(label);
   }
-  if (!entry.shares.empty()) proto.set_traffic_percent(entry.PercentOf(served.version));
-  proto.set_is_shadow(served.version == entry.shadow_version);
+  if (!entry.settings.shares.empty()) proto.set_traffic_percent(entry.PercentOf(served.version));
+  proto.set_is_shadow(served.version == entry.settings.shadow_version);
   return proto;
 }
 

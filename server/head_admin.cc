@@ -71,7 +71,7 @@ absl::Status HeadAdmin::GetHead(const v1::GetHeadRequest& request,
   response->set_watched_return(snapshot->level.mean);
   response->set_paused((*served)->learning->paused());
   const auto on_it =
-      store_->List([&](const ServedPolicy& candidate) { return &candidate == served->get(); });
+      store_->List([&](const SessionEntry& entry) { return entry.served == *served; });
   for (const ListedSession& session : on_it) {
     absl::MutexLock lock(&session.entry->mutex);
     const auto& learning = session.entry->agent.session().options.learning;

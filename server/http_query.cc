@@ -1,7 +1,5 @@
 #include "server/http_query.h"
 
-#include <civetweb.h>
-
 #include <algorithm>
 #include <utility>
 
@@ -9,35 +7,20 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
 #include "core/model/json.h"
 
 namespace spikeserve {
-namespace {
-
-std::string Decode(absl::string_view text) {
-  std::string decoded(text.size() + 1, '\0');  // decoding never makes it longer
-  const int length = mg_url_decode(text.data(), static_cast<int>(text.size()), decoded.data(),
-                                   static_cast<int>(decoded.size()), /*is_form_url_encoded=*/1);
-  decoded.resize(static_cast<size_t>(std::max(length, 0)));
-  return decoded;
-}
-
-}  // namespace
-
-absl::StatusOr<HttpQuery> HttpQuery::Parse(absl::string_view query,
-                                           std::initializer_list<absl::string_view> known) {
+absl::StatusOr<HttpQuery> HttpQuery::Parse(
+    const std::multimap<std::string, std::string>& parameters,
+    std::initializer_list<absl::string_view> known) {
   HttpQuery parsed;
-  for (const absl::string_view parameter : absl::StrSplit(query, '&', absl::SkipEmpty())) {
-    const std::pair<absl::string_view, absl::string_view> pair =
-        absl::StrSplit(parameter, absl::MaxSplits('=', 1));
-    std::string name = Decode(pair.first);
+  for (const auto& [name, value] : parameters) {
     if (std::find(known.begin(), known.end(), name) == known.end()) {
       return absl::InvalidArgumentError(absl::StrCat("query: expected parameters among ",
                                                      absl::StrJoin(known, ", "), ", received ",
                                                      Quoted(name)));
     }
-    if (!parsed.parameters_.emplace(name, Decode(pair.second)).second) {
+    if (!parsed.parameters_.emplace(name, value).second) {
       return absl::InvalidArgumentError(absl::StrCat(name, ": expected once, received twice"));
     }
   }

@@ -11,14 +11,13 @@
 
 namespace spikeserve {
 
-// Decoded parameters by name, each at most once. A plain value.
+// Parameters by name, each at most once. A plain value.
 class HttpQuery {
  public:
   HttpQuery() = default;
 
-  // Of "name=value&name=value". INVALID_ARGUMENT names a parameter that comes twice or is not one
-  // of `known`.
-  static absl::StatusOr<HttpQuery> Parse(absl::string_view query,
+  // INVALID_ARGUMENT names a parameter that comes twice or is not one of `known`.
+  static absl::StatusOr<HttpQuery> Parse(const std::multimap<std::string, std::string>& parameters,
                                          std::initializer_list<absl::string_view> known);
 
   // The parameter, or `otherwise` where there is none.

@@ -1,31 +1,34 @@
-// A small HTTP server for pages that a function writes.
+// A small HTTP or HTTPS server for pages that a function writes.
 //
 // Thread-safe.
 #ifndef SERVER_HTTP_SERVER_H_
 #define SERVER_HTTP_SERVER_H_
 
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
+#include <thread>
 
-#include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
 #include "server/address.h"
+#include "server/tls.h"
 
-struct mg_context;
-struct mg_connection;
+namespace httplib {
+class Server;
+}  // namespace httplib
 
 namespace spikeserve {
 
 // A GET; a HEAD is answered alike, its body left out.
 struct HttpRequest {
-  std::string path;   // decoded
-  std::string query;  // behind the question mark, as it came
+  std::string path;                                    // decoded
+  std::multimap<std::string, std::string> parameters;  // behind the question mark, decoded
+  std::string authorization;                           // the header, empty where none came
 };
 
 struct HttpResponse {
-  int code = 200;
+  int code = 200;  // 401 makes a browser ask for name and password
   std::string content_type = "text/plain; charset=utf-8";
   std::string body;
 };
@@ -35,13 +38,10 @@ class HttpServer {
   // Answers a request; called from many threads.
   using Page = std::function<HttpResponse(const HttpRequest& request)>;
 
-  // Whether the sender of an Authorization header, which may be empty, may see `path`; called from
-  // many threads. UNAUTHENTICATED becomes 401, any other error 403.
-  using Guard = std::function<absl::Status(absl::string_view path, absl::string_view header)>;
-
-  // UNAVAILABLE if the address cannot be listened on.
-  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen, Page page,
-                                                           Guard guard);
+  // Speaks TLS where `tls` is enabled, whose files must have been found good. UNAVAILABLE if the
+  // address cannot be listened on.
+  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen,
+                                                           const TlsFiles& tls, Page page);
 
   // Finishes the answers under way.
   ~HttpServer();
@@ -52,17 +52,13 @@ class HttpServer {
   const Address& address() const { return address_; }
 
  private:
-  HttpServer(Page page, Guard guard) : page_(std::move(page)), guard_(std::move(guard)) {}
+  HttpServer(const TlsFiles& tls, Page page);
 
-  HttpResponse Answer(const mg_connection* connection, const HttpRequest& request) const;
-  static int Handle(mg_connection* connection);
-  static int Log(const mg_connection* connection, const char* message);
-
+  const TlsFiles tls_;
   const Page page_;
-  const Guard guard_;
-  std::string start_error_;  // the first thing civetweb said before it was up
+  const std::unique_ptr<httplib::Server> server_;
   Address address_;
-  mg_context* context_ = nullptr;
+  std::thread listener_;
 };
 
 }  // namespace spikeserve

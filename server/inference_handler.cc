@@ -208,7 +208,9 @@ absl::Status InferenceHandler::ModelInfer(const Credential& caller,
   const auto input = ReadInputs(request);
   if (!input.ok()) return input.status();
   if (sequence->start) {
-    if (auto status = Start(caller, request, *sequence); !status.ok()) return status;
+    if (auto status = Start(caller, request, *sequence, response); !status.ok()) {
+      return status;
+    }
   }
   const auto served = FindRunning(caller, request, *sequence);
   if (!served.ok()) return served.status();
@@ -232,14 +234,22 @@ absl::Status InferenceHandler::ModelInfer(const Credential& caller,
 }
 
 absl::Status InferenceHandler::Start(const Credential& caller, const ModelInferRequest& request,
-                                     const SequenceRequest& sequence) const {
+                                     const SequenceRequest& sequence,
+                                     ModelInferResponse* response) const {
   const auto opening = ReadOpening(request);
   if (!opening.ok()) return opening.status();
   // Whatever ran under this id before; its agent has forgotten it.
   if (auto status = Close(caller, sequence); !status.ok() && !absl::IsNotFound(status))
     return status;
   v1::OpenSessionResponse opened;
-  return parts_.requests->OpenSessionAs(caller, sequence.session_id, *opening, &opened);
+  if (auto status = parts_.requests->OpenSessionAs(caller, sequence.session_id, *opening, &opened);
+      !status.ok()) {
+    return status;
+  }
+  if (!opened.recording().empty()) {
+    (*response->mutable_parameters())["recording"].set_string_param(opened.recording());
+  }
+  return absl::OkStatus();
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(
@@ -283,6 +293,12 @@ absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInfer
 
 absl::Status InferenceHandler::End(const Credential& caller,
                                    const SequenceRequest& sequence) const {
+  // Nobody acts on the last decision, so a recording ends with its observation.
+  if (const auto entry = parts_.store->Find(sequence.session_id, caller.tenant()->name());
+      entry.ok()) {
+    absl::MutexLock lock(&(*entry)->mutex);
+    (*entry)->agent.RecordTo(nullptr);
+  }
   v1::EndEpisodeRequest end;
   end.set_session_id(sequence.session_id);
   end.set_terminated(true);

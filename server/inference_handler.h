@@ -75,7 +75,8 @@ class InferenceHandler {
       const Credential& caller, const inference::ModelInferRequest& request,
       const SequenceRequest& sequence) const;
   absl::Status Start(const Credential& caller, const inference::ModelInferRequest& request,
-                     const SequenceRequest& sequence) const;
+                     const SequenceRequest& sequence,
+                     inference::ModelInferResponse* response) const;
   absl::Status Decide(const Credential& caller, const inference::ModelInferRequest& request,
                       const InferenceInput& input, const SequenceRequest& sequence,
                       const ServedPolicy& served, v1::ActResponse* answer,

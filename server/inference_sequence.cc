@@ -81,6 +81,9 @@ absl::StatusOr<v1::OpenSessionRequest> ReadOpening(const ModelInferRequest& requ
     opening.set_seed(seed->has_uint64_param() ? seed->uint64_param()
                                               : static_cast<uint64_t>(seed->int64_param()));
   }
+  bool record = false;
+  if (auto status = ReadFlag(request, "record", &record); !status.ok()) return status;
+  opening.set_record(record);
   return opening;
 }
 

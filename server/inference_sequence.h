@@ -1,6 +1,6 @@
 // What the parameters of a ModelInfer request say about its sequence: sequence_id (a string, or an
-// integer other than 0), sequence_start and sequence_end; and, where one starts, target_return and
-// seed, as OpenSession has them.
+// integer other than 0), sequence_start and sequence_end; and, where one starts, target_return,
+// seed and record, as OpenSession has them.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_INFERENCE_SEQUENCE_H_

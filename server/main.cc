@@ -30,12 +30,17 @@ ABSL_FLAG(std::string, http_listen, spikeserve::ServerOptions().http_listen,
 ABSL_FLAG(absl::Duration, poll_policies, spikeserve::ServerOptions().poll_policies,
           "How often to look for new, changed and removed files below --policies; 0 for only when "
           "an operator asks");
+ABSL_FLAG(std::string, policy_settings, "",
+          "JSON file that keeps default versions, labels, traffic and unloaded versions over a "
+          "restart; empty: they hold until the server ends");
 ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
 ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_after,
           "Sessions that nobody used for this long give back what their next decision can rebuild");
 ABSL_FLAG(int64_t, max_sessions, spikeserve::ServerOptions().max_sessions,
           "Sessions open at a time");
+ABSL_FLAG(int64_t, max_message_bytes, spikeserve::ServerOptions().max_message_bytes,
+          "Length of one request over gRPC; a longer one is RESOURCE_EXHAUSTED");
 ABSL_FLAG(std::string, record_dir, spikeserve::ServerOptions().record_dir,
           "Directory in which sessions that ask for it are recorded; empty for none");
 ABSL_FLAG(absl::Duration, drain_timeout, spikeserve::ServerOptions().drain_timeout,
@@ -66,9 +71,11 @@ absl::Status Run(const std::vector<char*>& arguments) {
   options.listen = absl::GetFlag(FLAGS_listen);
   options.http_listen = absl::GetFlag(FLAGS_http_listen);
   options.poll_policies = absl::GetFlag(FLAGS_poll_policies);
+  options.policy_settings = absl::GetFlag(FLAGS_policy_settings);
   options.session_ttl = absl::GetFlag(FLAGS_session_ttl);
   options.compact_after = absl::GetFlag(FLAGS_compact_after);
   options.max_sessions = absl::GetFlag(FLAGS_max_sessions);
+  options.max_message_bytes = absl::GetFlag(FLAGS_max_message_bytes);
   options.record_dir = absl::GetFlag(FLAGS_record_dir);
   options.drain_timeout = absl::GetFlag(FLAGS_drain_timeout);
 

@@ -1,5 +1,7 @@
 #include "server/options.h"
 
+#include <climits>
+
 #include "absl/strings/str_cat.h"
 #include "server/address.h"
 
@@ -7,7 +9,7 @@ namespace spikeserve {
 namespace {
 
 // Refuses to serve a network by accident.
-absl::Status CheckReach(absl::string_view flag, const std::string& listen, bool encrypted,
+absl::Status CheckReach(absl::string_view flag, const std::string& listen,
                         const ServerOptions& options) {
   const auto address = ParseAddress(flag, listen);
   if (!address.ok()) return address.status();
@@ -18,7 +20,7 @@ absl::Status CheckReach(absl::string_view flag, const std::string& listen, bool 
                      ", which others can reach, or a loopback address, or --insecure_network"));
   };
   if (options.tokens.empty()) return refuse("--tokens");
-  return encrypted ? absl::OkStatus() : refuse("encryption");
+  return options.tls.enabled() ? absl::OkStatus() : refuse("--tls_certificate");
 }
 
 }  // namespace
@@ -28,12 +30,11 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError("--policies: expected a directory, received none");
   }
   if (auto status = tls.Validate(); !status.ok()) return status;
-  if (auto status = CheckReach("--listen", listen, tls.enabled(), *this); !status.ok()) {
+  if (auto status = CheckReach("--listen", listen, *this); !status.ok()) {
     return status;
   }
   if (!http_listen.empty()) {
-    if (auto status = CheckReach("--http_listen", http_listen, /*encrypted=*/false, *this);
-        !status.ok()) {
+    if (auto status = CheckReach("--http_listen", http_listen, *this); !status.ok()) {
       return status;
     }
   }
@@ -53,6 +54,10 @@ absl::Status ServerOptions::Validate() const {
   if (max_sessions < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("--max_sessions: expected at least 1, received ", max_sessions));
+  }
+  if (max_message_bytes < 1 || max_message_bytes > INT_MAX) {
+    return absl::InvalidArgumentError(absl::StrCat("--max_message_bytes: expected 1 to ", INT_MAX,
+                                                   ", received ", max_message_bytes));
   }
   if (drain_timeout < absl::ZeroDuration()) {
     return absl::InvalidArgumentError(

@@ -92,15 +92,19 @@ absl::Status PolicyAdminHandler::Drain(const v1::DrainRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status PolicyAdminHandler::ListSessions(const v1::ListSessionsRequest& request,
+absl::Status PolicyAdminHandler::ListSessions(const Credential& caller,
+                                              const v1::ListSessionsRequest& request,
                                               v1::ListSessionsResponse* response) const {
   if (request.page_size() < 0 || request.page_size() > kLargestPageSize) {
     return absl::InvalidArgumentError(absl::StrCat("page_size: expected 0 to ", kLargestPageSize,
                                                    ", received ", request.page_size()));
   }
-  const std::vector<ListedSession> sessions = store_->List([&](const ServedPolicy& served) {
-    return (request.policy().empty() || request.policy() == served.name) &&
-           (request.version() == 0 || request.version() == served.version);
+  int64_t open = 0;
+  const std::vector<ListedSession> sessions = store_->List([&](const SessionEntry& entry) {
+    if (!caller.MaySee(entry.tenant)) return false;
+    ++open;
+    return (request.policy().empty() || request.policy() == entry.served->name) &&
+           (request.version() == 0 || request.version() == entry.served->version);
   });
   // A page's token is the id of its last session, so pages stay in order while sessions come and
   // go.
@@ -111,7 +115,7 @@ absl::Status PolicyAdminHandler::ListSessions(const v1::ListSessionsRequest& req
   const auto last = first + std::min<std::ptrdiff_t>(size, sessions.end() - first);
   for (auto it = first; it != last; ++it) ToProto(*it, response->add_sessions());
   if (last != sessions.end()) response->set_next_page_token((last - 1)->id);
-  response->set_open_sessions(store_->size());
+  response->set_open_sessions(open);
   return absl::OkStatus();
 }
 

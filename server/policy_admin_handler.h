@@ -10,6 +10,7 @@
 
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
+#include "server/authenticator.h"
 #include "server/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -38,7 +39,8 @@ class PolicyAdminHandler {
                            v1::RemoveLabelResponse* response) const;
   absl::Status SetTraffic(const v1::SetTrafficRequest& request,
                           v1::SetTrafficResponse* response) const;
-  absl::Status ListSessions(const v1::ListSessionsRequest& request,
+  // Of the sessions that `caller` may see.
+  absl::Status ListSessions(const Credential& caller, const v1::ListSessionsRequest& request,
                             v1::ListSessionsResponse* response) const;
   absl::Status Drain(const v1::DrainRequest& request, v1::DrainResponse* response) const;
 

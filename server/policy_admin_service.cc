@@ -64,9 +64,10 @@ grpc::ServerUnaryReactor* PolicyAdminService::SetTraffic(grpc::CallbackServerCon
 grpc::ServerUnaryReactor* PolicyAdminService::ListSessions(grpc::CallbackServerContext* context,
                                                            const v1::ListSessionsRequest* request,
                                                            v1::ListSessionsResponse* response) {
-  return AnswerUnary(
-      parts_, *context, Method::kListSessions, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->ListSessions(*request, response); });
+  return AnswerUnary(parts_, *context, Method::kListSessions, *request,
+                     [&](const Credential& caller, DeferredWork*) {
+                       return admin_->ListSessions(caller, *request, response);
+                     });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::Drain(grpc::CallbackServerContext* context,

@@ -36,25 +36,25 @@ int64_t ShareOf(const std::vector<TrafficShare>& shares, const VersionChoice& ch
 }  // namespace
 
 int64_t CatalogPolicy::DefaultVersion() const {
-  return chosen_default != 0 ? chosen_default : versions.rbegin()->first;
+  return settings.default_version != 0 ? settings.default_version : versions.rbegin()->first;
 }
 
 int CatalogPolicy::PercentOf(int64_t version) const {
-  for (const TrafficShare& share : shares) {
+  for (const TrafficShare& share : settings.shares) {
     if (share.version == version) return share.percent;
   }
   return 0;
 }
 
 std::string CatalogPolicy::UseOf(int64_t version) const {
-  if (version == chosen_default) return "the default";
-  for (const auto& [label, labelled] : labels) {
+  if (version == settings.default_version) return "the default";
+  for (const auto& [label, labelled] : settings.labels) {
     if (labelled == version) return absl::StrCat("label ", label);
   }
-  for (const TrafficShare& share : shares) {
+  for (const TrafficShare& share : settings.shares) {
     if (share.version == version) return absl::StrCat(share.percent, "% of the traffic");
   }
-  return version == shadow_version ? "the shadow" : "";
+  return version == settings.shadow_version ? "the shadow" : "";
 }
 
 absl::StatusOr<const CatalogPolicy*> PolicyCatalog::FindPolicy(const std::string& name) const {
@@ -85,21 +85,22 @@ absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
       return absl::InvalidArgumentError(absl::StrCat("version_label: expected none beside version ",
                                                      version, ", received ", Quoted(choice.label)));
     }
-    const auto label = policy.labels.find(choice.label);
-    if (label == policy.labels.end()) {
+    const auto label = policy.settings.labels.find(choice.label);
+    if (label == policy.settings.labels.end()) {
       return absl::NotFoundError(absl::StrCat("version_label: expected one of [",
-                                              Keys(policy.labels), "] of policy ", choice.policy,
-                                              ", received ", Quoted(choice.label)));
+                                              Keys(policy.settings.labels), "] of policy ",
+                                              choice.policy, ", received ", Quoted(choice.label)));
     }
     version = label->second;
-  } else if (version == 0 && !policy.shares.empty()) {
-    version = ShareOf(policy.shares, choice);
+  } else if (version == 0 && !policy.settings.shares.empty()) {
+    version = ShareOf(policy.settings.shares, choice);
   }
   auto served = Find(choice.policy, version);
   if (!served.ok()) return served.status();
   Route route = {.served = *std::move(served), .shadow = nullptr};
-  if (policy.shadow_version != 0 && policy.shadow_version != route.served->version) {
-    const auto& shadow = policy.versions.at(policy.shadow_version);
+  if (policy.settings.shadow_version != 0 &&
+      policy.settings.shadow_version != route.served->version) {
+    const auto& shadow = policy.versions.at(policy.settings.shadow_version);
     if (SameSpaces(*shadow, *route.served)) route.shadow = shadow;
   }
   return route;

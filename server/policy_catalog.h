@@ -8,19 +8,13 @@
 #include <map>
 #include <memory>
 #include <string>
-#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/session/served_policy.h"
+#include "server/policy_settings.h"
 
 namespace spikeserve {
-
-// A version's part of the new sessions.
-struct TrafficShare {
-  int64_t version = 0;
-  int percent = 0;
-};
 
 // What a new session asks for.
 struct VersionChoice {
@@ -36,14 +30,11 @@ struct Route {
   std::shared_ptr<const ServedPolicy> shadow;  // null: none, or `served` itself
 };
 
-// The versions of one policy, and what an operator has set. Every version that is named anywhere
-// below is in `versions`.
+// The versions of one policy, and what an operator has set. Every version that the settings name is
+// in `versions`.
 struct CatalogPolicy {
   std::map<int64_t, std::shared_ptr<const ServedPolicy>> versions;  // never empty
-  int64_t chosen_default = 0;                                       // 0: the highest
-  std::map<std::string, int64_t> labels;
-  std::vector<TrafficShare> shares;  // add up to 100; empty: all to the default
-  int64_t shadow_version = 0;        // 0: none
+  PolicySettings settings;
 
   int64_t DefaultVersion() const;
 

@@ -39,32 +39,81 @@ absl::Status CheckShares(const CatalogPolicy& policy, const std::string& name,
 
 // The shadow must fit every version that gets sessions without naming one.
 absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name) {
-  if (policy.shadow_version == 0) return absl::OkStatus();
-  if (auto status = CheckVersion(policy, name, policy.shadow_version); !status.ok()) return status;
-  std::vector<TrafficShare> shadowed = policy.shares;
+  if (policy.settings.shadow_version == 0) return absl::OkStatus();
+  if (auto status = CheckVersion(policy, name, policy.settings.shadow_version); !status.ok())
+    return status;
+  std::vector<TrafficShare> shadowed = policy.settings.shares;
   if (shadowed.empty()) shadowed = {{.version = policy.DefaultVersion(), .percent = 100}};
   for (const TrafficShare& share : shadowed) {
     if (SameSpaces(*policy.versions.at(share.version),
-                   *policy.versions.at(policy.shadow_version))) {
+                   *policy.versions.at(policy.settings.shadow_version))) {
       continue;
     }
     return absl::FailedPreconditionError(
         absl::StrCat("shadow_version: expected the observations and actions of version ",
-                     share.version, ", received version ", policy.shadow_version));
+                     share.version, ", received version ", policy.settings.shadow_version));
   }
   return absl::OkStatus();
+}
+
+absl::Status Prefixed(absl::string_view prefix, const absl::Status& status) {
+  return absl::Status(status.code(), absl::StrCat(prefix, ": ", status.message()));
 }
 
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
-    const std::string& directory, NewObserver new_observer, std::vector<absl::Status>* refused) {
+    const std::string& directory, const std::string& settings_path, NewObserver new_observer,
+    std::vector<absl::Status>* refused) {
   auto registry =
       std::unique_ptr<PolicyRegistry>(new PolicyRegistry(directory, std::move(new_observer)));
+  Settings settings;
+  if (!settings_path.empty()) {
+    auto read = ReadSettings(settings_path);
+    if (!read.ok()) return Prefixed("--policy_settings", read.status());
+    settings = *std::move(read);
+  }
+  {
+    absl::MutexLock change(&registry->change_mutex_);
+    registry->kept_out_ = settings.unloaded;
+  }
   auto report = registry->Reload();
-  if (!report.ok()) return report.status();
+  if (!report.ok()) return Prefixed("--policies", report.status());
   *refused = std::move(report->refused);
+  for (const auto& [policy, set] : settings.policies) {
+    for (const absl::Status& status : registry->Restore(policy, set)) {
+      refused->push_back(Prefixed(settings_path, status));
+    }
+  }
+  absl::MutexLock change(&registry->change_mutex_);
+  registry->settings_path_ = settings_path;
   return registry;
+}
+
+std::vector<absl::Status> PolicyRegistry::Restore(const std::string& policy,
+                                                  const PolicySettings& settings) {
+  std::vector<absl::Status> refused;
+  const auto keep = [&](const std::string& setting, const absl::Status& status) {
+    if (status.ok()) return;
+    refused.push_back(Prefixed(absl::StrCat("policies.", policy, ".", setting), status));
+  };
+  if (settings.default_version != 0) {
+    keep("default_version", SetDefault(policy, settings.default_version).status());
+  }
+  for (const auto& [label, version] : settings.labels) {
+    keep(absl::StrCat("labels.", label), SetLabel({.policy = policy, .version = version}, label));
+  }
+  if (!settings.shares.empty() || settings.shadow_version != 0) {
+    keep("shares", SetTraffic(policy, settings.shares, settings.shadow_version));
+  }
+  return refused;
+}
+
+absl::Status PolicyRegistry::Save(const PolicyCatalog& catalog) const {
+  if (settings_path_.empty()) return absl::OkStatus();
+  Settings settings = {.policies = {}, .unloaded = kept_out_};
+  for (const auto& [name, policy] : catalog.policies()) settings.policies[name] = policy.settings;
+  return WriteSettings(settings, settings_path_);
 }
 
 std::shared_ptr<const PolicyCatalog> PolicyRegistry::catalog() const {
@@ -165,9 +214,13 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
   absl::MutexLock change(&change_mutex_);
   auto served = Read(version);
   if (!served.ok()) return served.status();
-  kept_out_.erase(version);
+  const bool was_kept_out = kept_out_.erase(version) == 1;
   PolicyCatalog catalog = *this->catalog();
   catalog.policies()[version.policy].versions[version.version] = *served;
+  if (auto status = was_kept_out ? Save(catalog) : absl::OkStatus(); !status.ok()) {
+    kept_out_.insert(version);
+    return status;
+  }
   Publish(std::move(catalog));
   return served;
 }
@@ -189,6 +242,10 @@ absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
   policy.versions.erase(version.version);
   if (policy.versions.empty()) catalog.policies().erase(version.policy);
   kept_out_.insert(version);
+  if (auto status = Save(catalog); !status.ok()) {
+    kept_out_.erase(version);
+    return status;
+  }
   files_.erase(version);
   Publish(std::move(catalog));
   return absl::OkStatus();
@@ -200,6 +257,7 @@ absl::Status PolicyRegistry::Change(const std::string& policy,
   PolicyCatalog catalog = *this->catalog();
   if (const auto found = catalog.FindPolicy(policy); !found.ok()) return found.status();
   if (auto status = change(catalog.policies()[policy]); !status.ok()) return status;
+  if (auto status = Save(catalog); !status.ok()) return status;
   Publish(std::move(catalog));
   return absl::OkStatus();
 }
@@ -210,7 +268,7 @@ absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, in
     if (version != 0) {
       if (auto known = CheckVersion(changed, policy, version); !known.ok()) return known;
     }
-    changed.chosen_default = version;
+    changed.settings.default_version = version;
     result = changed.DefaultVersion();
     return absl::OkStatus();
   });
@@ -227,14 +285,14 @@ absl::Status PolicyRegistry::SetLabel(const PolicyVersion& version, const std::s
     if (auto status = CheckVersion(changed, version.policy, version.version); !status.ok()) {
       return status;
     }
-    changed.labels[label] = version.version;
+    changed.settings.labels[label] = version.version;
     return absl::OkStatus();
   });
 }
 
 absl::Status PolicyRegistry::RemoveLabel(const std::string& policy, const std::string& label) {
   return Change(policy, [&](CatalogPolicy& changed) {
-    if (changed.labels.erase(label) == 1) return absl::OkStatus();
+    if (changed.settings.labels.erase(label) == 1) return absl::OkStatus();
     return absl::NotFoundError(
         absl::StrCat("label: expected one of policy ", policy, ", received ", Quoted(label)));
   });
@@ -244,8 +302,8 @@ absl::Status PolicyRegistry::SetTraffic(const std::string& policy, std::vector<T
                                         int64_t shadow_version) {
   return Change(policy, [&](CatalogPolicy& changed) {
     if (auto status = CheckShares(changed, policy, shares); !status.ok()) return status;
-    changed.shares = std::move(shares);
-    changed.shadow_version = shadow_version;
+    changed.settings.shares = std::move(shares);
+    changed.settings.shadow_version = shadow_version;
     return CheckShadow(changed, policy);
   });
 }

@@ -2,7 +2,8 @@
 //
 // Thread-safe. Readers take a snapshot and keep it for as long as they like; changes are made one
 // at a time, files are read outside of the readers' lock, and a session keeps the version it was
-// opened on. What an operator sets holds until the server ends.
+// opened on. What an operator sets is written to a file before it holds, where there is one, so
+// that it outlives the server.
 #ifndef SERVER_POLICY_REGISTRY_H_
 #define SERVER_POLICY_REGISTRY_H_
 
@@ -32,9 +33,12 @@ struct ReloadReport {
 
 class PolicyRegistry {
  public:
-  // Loads what can be loaded. What cannot be goes to `refused`, one status each, whose message
-  // starts with the path; the others are served. NOT_FOUND if there is no such directory.
+  // Loads what can be loaded, and puts back what operators have set as `settings_path` tells, if it
+  // is not empty. What cannot be goes to `refused`, one status each, whose message starts with the
+  // path; everything else is served. NOT_FOUND if there is no such directory, INVALID_ARGUMENT for
+  // settings that cannot be read.
   static absl::StatusOr<std::unique_ptr<PolicyRegistry>> Load(const std::string& directory,
+                                                              const std::string& settings_path,
                                                               NewObserver new_observer,
                                                               std::vector<absl::Status>* refused);
 
@@ -85,6 +89,13 @@ class PolicyRegistry {
 
   void Publish(PolicyCatalog catalog) ABSL_LOCKS_EXCLUDED(mutex_);
 
+  // Sets what can be set; returns why the rest cannot.
+  std::vector<absl::Status> Restore(const std::string& policy, const PolicySettings& settings);
+
+  // Writes the settings down, where there is a file for them.
+  absl::Status Save(const PolicyCatalog& catalog) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+
   // Applies `change` to a copy of the policy, and publishes it where that succeeds.
   absl::Status Change(const std::string& policy,
                       absl::FunctionRef<absl::Status(CatalogPolicy& policy)> change);
@@ -102,6 +113,7 @@ class PolicyRegistry {
   absl::Mutex change_mutex_;  // held for a whole change, taken before mutex_
   std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
   std::set<PolicyVersion> kept_out_ ABSL_GUARDED_BY(change_mutex_);
+  std::string settings_path_ ABSL_GUARDED_BY(change_mutex_);  // empty: nothing is written
 
   mutable absl::Mutex mutex_;  // held for a copy of the pointer
   std::shared_ptr<const PolicyCatalog> catalog_ ABSL_GUARDED_BY(mutex_) =

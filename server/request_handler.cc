@@ -233,10 +233,17 @@ absl::Status RequestHandler::EndEpisode(const Credential& caller,
   return absl::OkStatus();
 }
 
+absl::StatusOr<std::shared_ptr<SessionEntry>> RequestHandler::Look(const Credential& caller,
+                                                                   const std::string& id) const {
+  auto entry = store_->Peek(id);
+  if (entry != nullptr && caller.MaySee(entry->tenant)) return entry;
+  return NoSuchSession(id);
+}
+
 absl::Status RequestHandler::GetSession(const Credential& caller,
                                         const v1::GetSessionRequest& request,
                                         v1::GetSessionResponse* response) const {
-  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  const auto entry = Look(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
@@ -245,7 +252,7 @@ absl::Status RequestHandler::GetSession(const Credential& caller,
 
 absl::Status RequestHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
                                      v1::ExplainResponse* response) const {
-  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  const auto entry = Look(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
 }

@@ -49,7 +49,9 @@ class RequestHandler {
   RequestHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
                  const Clock* clock, Recordings* recordings = nullptr);
 
-  // A session belongs to the tenant that opened it and is NOT_FOUND for every other caller.
+  // A session belongs to the tenant that opened it and is NOT_FOUND for every other caller, but for
+  // those who may see it, in the calls that only look: GetSession and Explain, which do not count
+  // as a use of it.
   //
   // Each fills in `response` and returns OK, or returns the error that api.md names and leaves the
   // session as it was.
@@ -79,6 +81,10 @@ class RequestHandler {
                             v1::CloseSessionResponse* response) const;
 
  private:
+  // A session that `caller` may see, not marked as used.
+  absl::StatusOr<std::shared_ptr<SessionEntry>> Look(const Credential& caller,
+                                                     const std::string& id) const;
+
   // Records a session of `served` under a new `name`.
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
       const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;

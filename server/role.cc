@@ -39,14 +39,14 @@ absl::Status CheckMayCall(Role role, Method method) {
     case Method::kModelMetadata:
     case Method::kModelConfig:
     case Method::kRepositoryIndex:
+    case Method::kGetSession:  // of a session that the caller may see
+    case Method::kExplain:
       return absl::OkStatus();
     case Method::kOpenSession:
     case Method::kAct:
     case Method::kActBatch:
     case Method::kActStream:
     case Method::kEndEpisode:
-    case Method::kGetSession:
-    case Method::kExplain:
     case Method::kCloseSession:
     case Method::kModelInfer:
     case Method::kModelStreamInfer:

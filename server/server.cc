@@ -15,7 +15,6 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "grpc/health/v1/health.pb.h"
-#include "server/admission.h"
 
 namespace spikeserve {
 namespace {
@@ -49,15 +48,12 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   metrics->SetSessionsLimit(options.max_sessions);
   std::vector<absl::Status> refused;
   auto registry = PolicyRegistry::Load(
-      options.policies,
+      options.policies, options.policy_settings,
       [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy);
       },
       &refused);
-  if (!registry.ok()) {
-    return absl::Status(registry.status().code(),
-                        absl::StrCat("--policies: ", registry.status().message()));
-  }
+  if (!registry.ok()) return registry.status();
   for (const absl::Status& status : refused) {
     std::cerr << "spikeserve: policy refused: " << status.message() << std::endl;
   }
@@ -112,7 +108,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                           .clock = &clock_,
                           .session_ttl = options.session_ttl}),
       inference_service_(Parts(), &inference_handler_),
-      pages_({.handler = &handler_,
+      pages_({.authenticator = authenticator_.get(),
+              .handler = &handler_,
               .store = &store_,
               .metrics = metrics_.get(),
               .clock = &clock_,
@@ -142,6 +139,7 @@ absl::Status Server::StartGrpc() {
   const auto credentials = MakeServerCredentials(options_.tls);
   if (!credentials.ok()) return credentials.status();
   builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
+  builder.SetMaxReceiveMessageSize(static_cast<int>(options_.max_message_bytes));
   builder.RegisterService(&service_);
   builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);
@@ -171,11 +169,9 @@ absl::Status Server::StartHttp() {
   if (options_.http_listen.empty()) return absl::OkStatus();
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
-  auto http = HttpServer::Start(
-      *address, [this](const HttpRequest& request) { return pages_.Answer(request); },
-      [this](absl::string_view path, absl::string_view header) {
-        return MayWatch(*authenticator_, path, header);
-      });
+  auto http = HttpServer::Start(*address, options_.tls, [this](const HttpRequest& request) {
+    return pages_.Answer(request);
+  });
   if (!http.ok()) {
     return absl::Status(http.status().code(),
                         absl::StrCat("--http_listen: ", http.status().message()));

@@ -134,7 +134,8 @@ absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamil
   return status.dump();
 }
 
-absl::StatusOr<std::string> SessionsJson(SessionStore& store, const HttpQuery& query) {
+absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& caller,
+                                         const HttpQuery& query) {
   const auto less = OrderOf(query);
   if (!less.ok()) return less.status();
   const auto offset = query.GetInteger("offset", 0, 0, INT64_MAX);
@@ -143,8 +144,10 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const HttpQuery& q
   if (!limit.ok()) return limit.status();
 
   const std::string filter = absl::AsciiStrToLower(query.Get("filter"));
+  const std::vector<ListedSession> visible =
+      store.List([&](const SessionEntry& entry) { return caller.MaySee(entry.tenant); });
   std::vector<SessionInfo> matching;
-  for (const ListedSession& listed : store.List([](const ServedPolicy&) { return true; })) {
+  for (const ListedSession& listed : visible) {
     SessionInfo info;
     ToProto(listed, &info);
     if (Matches(info, filter)) matching.push_back(std::move(info));
@@ -157,7 +160,7 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const HttpQuery& q
   for (int64_t i = first; i < last; ++i) *page.add_sessions() = matching[static_cast<size_t>(i)];
   const auto page_json = MessageToJson(page);
   if (!page_json.ok()) return page_json.status();
-  return Json{{"open", store.size()},
+  return Json{{"open", visible.size()},
               {"matching", matching.size()},
               {"sessions", Json::parse(*page_json)["sessions"]}}
       .dump();

@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "core/session/session_store.h"
 #include "prometheus/metric_family.h"
+#include "server/authenticator.h"
 #include "server/http_query.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -23,10 +24,11 @@ absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamil
                                        const v1::ListPoliciesResponse& policies, double time,
                                        bool serving);
 
-// `{"open", "matching", "sessions"}`: of the open sessions those that match `filter`, sorted, and
-// of them `limit` from `offset` on, as SessionInfo. INVALID_ARGUMENT names the parameter that is
-// wrong.
-absl::StatusOr<std::string> SessionsJson(SessionStore& store, const HttpQuery& query);
+// `{"open", "matching", "sessions"}`: of the open sessions that `caller` may see those that match
+// `filter`, sorted, and of them `limit` from `offset` on, as SessionInfo. INVALID_ARGUMENT names
+// the parameter that is wrong.
+absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& caller,
+                                         const HttpQuery& query);
 
 // `{"code", "message"}`: the code's name.
 std::string ErrorJson(const absl::Status& status);

@@ -8,10 +8,9 @@
 #include "absl/strings/strip.h"
 #include "absl/synchronization/notification.h"
 #include "absl/time/time.h"
-#include "core/model/json.h"
 #include "proto/json.h"
+#include "server/admission.h"
 #include "server/embedded_files.h"
-#include "server/explain_convert.h"
 #include "server/http_query.h"
 #include "server/status_json.h"
 
@@ -67,19 +66,26 @@ HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
 
 HttpResponse StatusPages::Answer(const HttpRequest& request) const {
   const absl::string_view path = request.path;
+  if (path == "/healthz") return Health();
+  const auto caller = AdmitToPages(*parts_.authenticator, request.authorization);
+  if (!caller.ok()) {
+    return {.code = absl::IsUnauthenticated(caller.status()) ? 401 : 403,
+            .body = absl::StrCat(caller.status().message(), "\n")};
+  }
   if (path == "/metrics") {
     return {.code = 200,
             .content_type = "text/plain; version=0.0.4; charset=utf-8",
             .body = parts_.metrics->ToText()};
   }
-  if (path == "/healthz") {
-    const bool serving = parts_.serving();
-    return {.code = serving ? 200 : 503, .body = serving ? "SERVING\n" : "NOT_SERVING\n"};
-  }
   if (path == "/status.json") return JsonResponse(Status());
-  if (path == "/sessions.json") return JsonResponse(Sessions(request.query));
-  if (path == "/explain.json") return JsonResponse(Explain(request.query));
+  if (path == "/sessions.json") return JsonResponse(Sessions(**caller, request));
+  if (path == "/explain.json") return JsonResponse(Explain(**caller, request));
   return FileResponse(path);
+}
+
+HttpResponse StatusPages::Health() const {
+  const bool serving = parts_.serving();
+  return {.code = serving ? 200 : 503, .body = serving ? "SERVING\n" : "NOT_SERVING\n"};
 }
 
 absl::StatusOr<std::string> StatusPages::Status() const {
@@ -89,26 +95,25 @@ absl::StatusOr<std::string> StatusPages::Status() const {
                     parts_.serving());
 }
 
-absl::StatusOr<std::string> StatusPages::Sessions(absl::string_view query) const {
-  const auto parsed = HttpQuery::Parse(query, {"filter", "sort", "order", "offset", "limit"});
+absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,
+                                                  const HttpRequest& request) const {
+  const auto parsed =
+      HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "offset", "limit"});
   if (!parsed.ok()) return parsed.status();
-  return SessionsJson(*parts_.store, *parsed);
+  return SessionsJson(*parts_.store, caller, *parsed);
 }
 
-absl::StatusOr<std::string> StatusPages::Explain(absl::string_view query) const {
-  const auto parsed = HttpQuery::Parse(query, {"session"});
+absl::StatusOr<std::string> StatusPages::Explain(const Credential& caller,
+                                                 const HttpRequest& request) const {
+  const auto parsed = HttpQuery::Parse(request.parameters, {"session"});
   if (!parsed.ok()) return parsed.status();
-  const std::string id = parsed->Get("session");
-  const auto entry = parts_.store->Peek(id);
-  if (entry == nullptr) {
-    return absl::NotFoundError(
-        absl::StrCat("session: expected an open session, received ", Quoted(id)));
-  }
+  v1::ExplainRequest explain;
+  explain.set_session_id(parsed->Get("session"));
   v1::ExplainResponse response;
   absl::Status explained;
   absl::Notification done;
   const absl::Status accepted = parts_.worker->Submit([&] {
-    explained = ExplainSession(*entry, &response);
+    explained = parts_.handler->Explain(caller, explain, &response);
     done.Notify();
   });
   if (!accepted.ok()) return accepted;

@@ -7,9 +7,9 @@
 #include <utility>
 
 #include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
 #include "core/session/clock.h"
 #include "core/session/session_store.h"
+#include "server/authenticator.h"
 #include "server/background_worker.h"
 #include "server/http_server.h"
 #include "server/metrics.h"
@@ -22,6 +22,7 @@ class StatusPages {
  public:
   // What is shown; all must outlive the pages.
   struct Parts {
+    const Authenticator* authenticator;
     const RequestHandler* handler;
     SessionStore* store;
     const Metrics* metrics;
@@ -32,15 +33,17 @@ class StatusPages {
 
   explicit StatusPages(Parts parts) : parts_(std::move(parts)) {}
 
-  // The one entry: every request over HTTP comes through here. 404 where there is no such page.
-  // /healthz is 503 unless the server serves.
+  // The one entry: every request over HTTP comes through here. 401 without a good token, 403 with
+  // an agent's, 404 where there is no such page. /healthz is everybody's, and 503 unless the server
+  // serves.
   HttpResponse Answer(const HttpRequest& request) const;
 
  private:
+  HttpResponse Health() const;
   absl::StatusOr<std::string> Status() const;
-  absl::StatusOr<std::string> Sessions(absl::string_view query) const;
+  absl::StatusOr<std::string> Sessions(const Credential& caller, const HttpRequest& request) const;
   // Waits for the background worker.
-  absl::StatusOr<std::string> Explain(absl::string_view query) const;
+  absl::StatusOr<std::string> Explain(const Credential& caller, const HttpRequest& request) const;
 
   const Parts parts_;
 };

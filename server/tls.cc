@@ -3,6 +3,7 @@
 #include <openssl/bio.h>
 #include <openssl/err.h>
 #include <openssl/pem.h>
+#include <openssl/ssl.h>
 #include <openssl/x509.h>
 
 #include "absl/strings/str_cat.h"
@@ -23,6 +24,7 @@ struct Free {
 using Bio = std::unique_ptr<BIO, Free<BIO_free>>;
 using Certificate = std::unique_ptr<X509, Free<X509_free>>;
 using Key = std::unique_ptr<EVP_PKEY, Free<EVP_PKEY_free>>;
+using Store = std::unique_ptr<X509_STORE, Free<X509_STORE_free>>;
 
 absl::Status NotOf(const char* flag, const std::string& path, const char* expected) {
   ERR_clear_error();
@@ -47,6 +49,28 @@ absl::StatusOr<Key> ReadKey(const std::string& path) {
     if (key != nullptr) return key;
   }
   return NotOf("--tls_key", path, "a private key without a password");
+}
+
+bool AskForClientCertificate(SSL* connection, const std::string& authorities) {
+  const Store store(X509_STORE_new());
+  auto* names = SSL_load_client_CA_file(authorities.c_str());
+  if (names == nullptr || X509_STORE_load_file(store.get(), authorities.c_str()) != 1) return false;
+  SSL_set_client_CA_list(connection, names);  // which takes them
+  SSL_set1_verify_cert_store(connection, store.get());
+  SSL_set_verify(connection, SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, nullptr);
+  return true;
+}
+
+// OpenSSL asks before each handshake; 1 goes on with it, 0 ends it.
+int UseFiles(SSL* connection, void* tls_files) {
+  const auto& files = *static_cast<const TlsFiles*>(tls_files);
+  const bool good =
+      SSL_use_certificate_chain_file(connection, files.certificate.c_str()) == 1 &&
+      SSL_use_PrivateKey_file(connection, files.key.c_str(), SSL_FILETYPE_PEM) == 1 &&
+      SSL_check_private_key(connection) == 1 &&
+      (files.client_ca.empty() || AskForClientCertificate(connection, files.client_ca));
+  if (!good) ERR_clear_error();
+  return good ? 1 : 0;
 }
 
 }  // namespace
@@ -87,6 +111,15 @@ absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
     options.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
   }
   return grpc::experimental::TlsServerCredentials(options);
+}
+
+void SetUpTls(const TlsFiles* files, ssl_ctx_st* context) {
+  SSL_CTX_set_min_proto_version(context, TLS1_2_VERSION);
+  SSL_CTX_set_default_passwd_cb(context, [](char*, int, int, void*) { return 0; });
+  // A session that was agreed on under old files is not taken up again under new ones.
+  SSL_CTX_set_session_cache_mode(context, SSL_SESS_CACHE_OFF);
+  SSL_CTX_set_options(context, SSL_OP_NO_TICKET);
+  SSL_CTX_set_cert_cb(context, &UseFiles, const_cast<TlsFiles*>(files));
 }
 
 }  // namespace spikeserve

@@ -1,4 +1,4 @@
-// TLS for the gRPC port.
+// TLS for the gRPC port and the HTTP port.
 #ifndef SERVER_TLS_H_
 #define SERVER_TLS_H_
 
@@ -9,6 +9,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+
+struct ssl_ctx_st;  // OpenSSL's SSL_CTX
 
 namespace spikeserve {
 
@@ -29,6 +31,11 @@ struct TlsFiles {
 // certificate and key do not belong together: gRPC itself would fail every handshake in silence.
 absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
     const TlsFiles& files);
+
+// Serves HTTPS with the same files, which are read for each connection, and the same demand for
+// client certificates. A file that has gone bad fails the connections until it is good again.
+// `files` must outlive `context`.
+void SetUpTls(const TlsFiles* files, ssl_ctx_st* context);
 
 }  // namespace spikeserve
 

@@ -81,14 +81,16 @@ absl::StatusOr<Digest> ParseDigest(const std::string& field, const std::string& 
 
 absl::StatusOr<TokenEntry> ParseToken(const std::string& field, const Json& json,
                                       const std::map<std::string, TenantLimits>& tenants) {
-  if (auto status = CheckKeys(field, json, {"sha256", "tenant", "role", "expires"}); !status.ok()) {
+  if (auto status = CheckKeys(field, json, {"sha256", "tenant", "role", "expires", "sees"});
+      !status.ok()) {
     return status;
   }
   const auto hash = Text(field, json, "sha256", /*required=*/true);
   const auto tenant = Text(field, json, "tenant", /*required=*/true);
   const auto role = Text(field, json, "role", /*required=*/true);
   const auto expires = Text(field, json, "expires", /*required=*/false);
-  for (const auto* text : {&hash, &tenant, &role, &expires}) {
+  const auto sees = Text(field, json, "sees", /*required=*/false);
+  for (const auto* text : {&hash, &tenant, &role, &expires, &sees}) {
     if (!text->ok()) return text->status();
   }
   const auto digest = ParseDigest(field, *hash);
@@ -108,6 +110,15 @@ absl::StatusOr<TokenEntry> ParseToken(const std::string& field, const Json& json
     return absl::InvalidArgumentError(
         absl::StrCat(field, ".expires: expected a time such as 2027-01-31T00:00:00Z, received ",
                      Quoted(*expires)));
+  }
+  entry.sees_all = *sees == "all";
+  if (!entry.sees_all && *sees != "tenant" && json.contains("sees")) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ".sees: expected tenant or all, received ", Quoted(*sees)));
+  }
+  if (entry.sees_all && entry.role == Role::kAgent) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ".sees: expected tenant for an agent, received \"all\""));
   }
   return entry;
 }

@@ -3,10 +3,12 @@
 //   {"tenants": {"fleet-a": {"max_sessions": 100, "decisions_per_second": 5000,
 //                            "max_message_bytes": 65536}},
 //    "tokens": [{"sha256": "<64 hexadecimal digits>", "tenant": "fleet-a", "role": "agent",
-//                "expires": "2027-01-31T00:00:00Z"}]}
+//                "expires": "2027-01-31T00:00:00Z"},
+//               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all"}]}
 //
-// Limits that are left out do not apply; a token without `expires` is good until it is removed. The
-// file holds hashes, so that whoever reads it cannot call.
+// Limits that are left out do not apply; a token without `expires` is good until it is removed; one
+// without `sees` sees the sessions of its "tenant" alone. The file holds hashes, so that whoever
+// reads it cannot call.
 #ifndef SERVER_TOKEN_FILE_H_
 #define SERVER_TOKEN_FILE_H_
 
@@ -31,9 +33,12 @@ Digest Sha256(absl::string_view bytes);
 
 struct TokenEntry {
   Digest sha256 = {};
-  std::string tenant;
+  std::string tenant = "";
   Role role = Role::kAgent;
   absl::Time expires = absl::InfiniteFuture();
+  bool sees_all = false;  // the sessions of every tenant, to look at
+
+  bool operator==(const TokenEntry&) const = default;
 };
 
 struct TokenFile {

@@ -16,11 +16,6 @@
 namespace spikeserve {
 namespace {
 
-absl::Status NoSuchSession(absl::string_view id) {
-  return absl::NotFoundError(
-      absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
-}
-
 // Tells those who count that a session has left the store.
 void Ended(const SessionEntry& entry) {
   entry.served->observer->OnClose();
@@ -28,6 +23,11 @@ void Ended(const SessionEntry& entry) {
 }
 
 }  // namespace
+
+absl::Status NoSuchSession(absl::string_view id) {
+  return absl::NotFoundError(
+      absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
+}
 
 absl::StatusOr<std::string> NewSessionId() {
   char bytes[16];
@@ -123,13 +123,13 @@ absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant)
   return absl::OkStatus();
 }
 
-std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const ServedPolicy&)> wanted) {
+std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const SessionEntry&)> wanted) {
   const absl::Duration now = clock_->Now();
   std::vector<ListedSession> list;
   for (Shard& shard : shards_) {
     absl::MutexLock lock(&shard.mutex);
     for (const auto& [id, slot] : shard.slots) {
-      if (!wanted(*slot.entry->served)) continue;
+      if (!wanted(*slot.entry)) continue;
       list.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});
     }
   }

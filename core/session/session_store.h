@@ -16,6 +16,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/container/flat_hash_map.h"
 #include "absl/functional/function_ref.h"
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
@@ -54,6 +55,9 @@ struct SessionExtras {
   std::unique_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
 };
 
+// NOT_FOUND: nobody the caller may know of has this id.
+absl::Status NoSuchSession(absl::string_view id);
+
 // 128 random bits in hexadecimal, from the kernel, so that nobody can guess another agent's
 // session.
 absl::StatusOr<std::string> NewSessionId();
@@ -89,9 +93,9 @@ class SessionStore {
   // Takes the session out. NOT_FOUND where `tenant` has none of this id.
   absl::Status Close(absl::string_view id, absl::string_view tenant = "");
 
-  // The open sessions whose policy `wanted` says yes to, by id. Leaves when they were used last as
-  // it is. `wanted` is called under a lock and must be quick.
-  std::vector<ListedSession> List(absl::FunctionRef<bool(const ServedPolicy&)> wanted);
+  // The open sessions that `wanted` says yes to, by id. Leaves when they were used last as it is.
+  // `wanted` is called under a lock, must be quick, and leaves the session's own lock alone.
+  std::vector<ListedSession> List(absl::FunctionRef<bool(const SessionEntry&)> wanted);
 
   // Takes out every session that nobody holds and nobody has used for `time_to_live`; returns how
   // many.

@@ -26,6 +26,14 @@ TEST_F(OpenErrorsTest, UnknownPolicy) {
               "policy: expected one of [box, discrete], received \"walker\"");
 }
 
+TEST_F(OpenErrorsTest, TooLongAMessage) {
+  StartServer({"--max_message_bytes=1000"});
+  request_.set_policy(std::string(900, 'x'));
+  ExpectError(client_->TryOpen(request_), StatusCode::NOT_FOUND, "policy: expected");
+  request_.set_policy(std::string(1000, 'x'));
+  ExpectError(client_->TryOpen(request_), StatusCode::RESOURCE_EXHAUSTED, "1000");
+}
+
 TEST_F(OpenErrorsTest, UnknownVersion) {
   for (const int64_t version : {3, -1}) {
     request_.set_version(version);

@@ -262,6 +262,78 @@ TEST_F(PolicyAdminTest, TrafficIsDividedByKey) {
   EXPECT_EQ(DefaultVersion(), 2);
 }
 
+// What ListPolicies says of a version, without what its file says.
+std::string SettingsOf(const v1::PolicyInfo& policy) {
+  std::string labels;
+  for (const std::string& label : policy.version_labels()) absl::StrAppend(&labels, " ", label);
+  return absl::StrCat(policy.version(), policy.is_default() ? " default" : "", labels, " ",
+                      policy.traffic_percent(), "%", policy.is_shadow() ? " shadow" : "");
+}
+
+TEST_F(PolicyAdminTest, SettingsOutliveTheServer) {
+  const TemporaryDirectory kept;
+  const std::string flag = "--policy_settings=" + (kept.path() / "settings.json").string();
+  const auto restart = [&] {
+    ASSERT_EQ(server_->Stop(), 0);
+    StartServer({flag});
+    Connect();
+  };
+  const auto settings = [&] {
+    v1::ListPoliciesResponse list;
+    EXPECT_TRUE(client_->stub().ListPolicies(NewContext().get(), {}, &list).ok());
+    std::vector<std::string> lines;
+    for (const auto& policy : list.policies()) {
+      if (policy.name() == "discrete") lines.push_back(SettingsOf(policy));
+    }
+    return lines;
+  };
+  for (const int version : {3, 4}) AddVersion(version);
+  restart();
+  SetDefault(1);
+  SetLabel("stable", 1);
+  SetLabel("canary", 2);
+  Must(&v1::PolicyAdmin::Stub::SetTraffic, Traffic({{1, 80}, {2, 20}}, /*shadow=*/3));
+  ASSERT_TRUE(TryUnload(4).ok());
+  const auto before = settings();
+  EXPECT_THAT(before, ElementsAre("1 default stable 80%", "2 canary 20%", "3 0% shadow"));
+  std::map<std::string, int64_t> routes;
+  for (int robot = 0; robot < 20; ++robot) {
+    const std::string key = absl::StrCat("robot-", robot);
+    routes[key] = Open("", key).version();
+  }
+
+  restart();
+  EXPECT_EQ(settings(), before);
+  for (const auto& [key, version] : routes) EXPECT_EQ(Open("", key).version(), version) << key;
+  ASSERT_TRUE(TryLoad(4).ok());  // which lets it in for good
+  restart();
+  EXPECT_EQ(settings().size(), 4u);
+
+  // What names a version that has gone is said and left out; the rest holds.
+  std::filesystem::remove_all(FileOf(2).parent_path());
+  restart();
+  EXPECT_THAT(settings(), ElementsAre("1 default stable 0%", "3 0%", "4 0%"));
+  ASSERT_EQ(server_->Stop(), 0);
+  EXPECT_THAT(server_->Log(), HasSubstr("settings.json: policies.discrete.labels.canary: version: "
+                                        "expected one that is served of policy discrete, "
+                                        "received 2"));
+}
+
+TEST_F(PolicyAdminTest, WhatCannotBeWrittenDownIsNotSet) {
+  StartServer({"--policy_settings=/nonexistent/settings.json"});
+  Connect();
+  v1::SetDefaultVersionRequest request;
+  request.set_policy("discrete");
+  request.set_version(1);
+  v1::SetDefaultVersionResponse response;
+  const auto status = admin_->SetDefaultVersion(NewContext().get(), request, &response);
+  EXPECT_FALSE(status.ok());
+  EXPECT_THAT(status.error_message(), HasSubstr("/nonexistent/settings.json"));
+  EXPECT_FALSE(TryUnload(1).ok());
+  EXPECT_THAT(Versions(), ElementsAre(1, 2));
+  EXPECT_EQ(DefaultVersion(), 2);
+}
+
 TEST_F(PolicyAdminTest, AShadowSeesTheTrafficAndAnswersNobody) {
   // Version 3 is version 2 by another number; version 1 is another policy.
   std::filesystem::create_directories(FileOf(3).parent_path());

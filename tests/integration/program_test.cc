@@ -1,4 +1,6 @@
 // The program itself: what it prints, and how it fails.
+#include <fstream>
+
 #include "tests/integration/server_fixture.h"
 #include "tests/integration/subprocess.h"
 
@@ -33,9 +35,31 @@ TEST_F(ProgramTest, BadFlags) {
   ExpectFailure({policies(), "--session_ttl=0s"}, "--session_ttl: expected at least 1ms");
   ExpectFailure({policies(), "--compact_after=0s"}, "--compact_after: expected at least 1ms");
   ExpectFailure({policies(), "--max_sessions=0"}, "--max_sessions: expected at least 1");
+  ExpectFailure({policies(), "--max_message_bytes=0"}, "--max_message_bytes: expected 1 to");
   ExpectFailure({policies(), "--drain_timeout=-1s"}, "--drain_timeout: expected");
   ExpectFailure({policies(), "extra"}, "expected flags alone, received \"extra\"");
   ExpectFailure({policies(), "--unknown=1"}, "unknown");
+}
+
+TEST_F(ProgramTest, BadSettings) {
+  const TemporaryDirectory folder;
+  const std::string path = (folder.path() / "settings.json").string();
+  const std::pair<std::string, std::string> cases[] = {
+      {"{", "settings: "},
+      {R"({"labels": {}})", "expected no key \"labels\""},
+      {R"({"policies": {"box": {"default_version": "1"}}})", "policies.box.default_version"},
+      {R"({"policies": {"box": {"labels": {"stable": 0}}}})", "policies.box.labels.stable"},
+      {R"({"policies": {"box": {"shares": [{"version": 1, "percent": 101}]}}})",
+       "policies.box.shares[0].percent: expected an integer in [0, 100], received 101"},
+      {R"({"policies": {"box": {"shadow": 1}}})", "policies.box: expected no key"},
+      {R"({"unloaded": {"box": 1}})", "unloaded.box: expected an array"},
+  };
+  for (const auto& [text, message] : cases) {
+    std::ofstream(path) << text;
+    ExpectFailure({policies(), "--policy_settings=" + path},
+                  "spikeserve: --policy_settings: " + path + ": ");
+    ExpectFailure({policies(), "--policy_settings=" + path}, message);
+  }
 }
 
 TEST_F(ProgramTest, TakenPorts) {

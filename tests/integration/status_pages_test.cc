@@ -150,7 +150,7 @@ TEST_F(StatusPagesTest, MistakesAreNamed) {
     EXPECT_THAT(error["message"].get<std::string>(), HasSubstr(message)) << path;
   };
   expect_error("/explain.json?session=nobody", 404, "NOT_FOUND", "nobody");
-  expect_error("/explain.json", 404, "NOT_FOUND", "session: expected");
+  expect_error("/explain.json", 404, "NOT_FOUND", "session_id: expected");
   expect_error("/explain.json?session=" + client_->Open(), 409, "FAILED_PRECONDITION", "step 0");
   expect_error("/sessions.json?limit=0", 400, "INVALID_ARGUMENT", "limit: expected");
   expect_error("/sessions.json?limit=1001", 400, "INVALID_ARGUMENT", "limit: expected");

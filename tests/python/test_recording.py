@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import spikeserve
 from serving import running_server
+from tritonclient import grpc as triton
 
 SEED = 1_000_000
 EPISODES = 2
@@ -35,6 +36,61 @@ def played(tmp_path_factory):
             assert session.opening.recording.startswith("cartpole-")
             episodes = [play(environment, session, SEED + i) for i in range(EPISODES)]
     return folder, episodes
+
+
+def play_sequence(client, environment, sequence_id, seed):
+    """Plays an episode as a sequence; returns its recording's name, observations and actions."""
+    observation, _ = environment.reset(seed=seed)
+    observations, actions, recording = [observation], [], None
+    reward, start, over = 0.0, True, False
+    while True:
+        inputs = []
+        for name, values in (("observation", observation), ("reward", [reward])):
+            array = np.asarray(values, np.float32)
+            tensor = triton.InferInput(name, array.shape, "FP32")
+            inputs.append(tensor.set_data_from_numpy(array))
+        result = client.infer(
+            "cartpole",
+            inputs,
+            sequence_id=sequence_id,
+            sequence_start=start,
+            sequence_end=over,
+            parameters={"record": True} if start else None,
+        )
+        if start:
+            recording = result.get_response().parameters["recording"].string_param
+        if over:
+            return recording, observations, actions
+        actions.append(int(result.as_numpy("action")[0]))
+        observation, reward, terminated, truncated, _ = environment.step(actions[-1])
+        observations.append(observation)
+        start, over = False, terminated or truncated
+
+
+def test_sequences_of_tritons_client_are_recorded(tmp_path, monkeypatch):
+    folder = tmp_path / "recordings"
+    with (
+        running_server(flags=[f"--record_dir={folder}"]) as server,
+        gymnasium.make("CartPole-v1") as environment,
+    ):
+        client = triton.InferenceServerClient(server.grpc)
+        recording, observations, actions = play_sequence(client, environment, 7, SEED)
+        client.close()
+    with running_server() as server:
+        arguments = (f"--recording={folder / recording}", f"--server={server.grpc}", "--json")
+        replay = json.loads(run("SPIKECTL_PROGRAM", "replay", *arguments))
+    assert replay["identical"]
+    assert replay["decisions"] == len(actions)
+
+    out = tmp_path / "sequence-v0"
+    run("SPIKETRAIN_PROGRAM", "dataset", f"--recordings={folder}", f"--out={out}")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    (read,) = minari.load_dataset("sequence-v0").iterate_episodes()
+    # The observation that came with sequence_end is the last, and what was answered to it is not.
+    np.testing.assert_array_equal(read.observations, np.stack(observations))
+    np.testing.assert_array_equal(read.actions, actions)
+    np.testing.assert_array_equal(read.rewards, np.ones(len(actions)))
+    assert bool(read.truncations[-1])
 
 
 def play(environment, session, seed):

@@ -3,8 +3,10 @@
 import base64
 import contextlib
 import hashlib
+import http.client
 import json
 import os
+import ssl
 import subprocess
 import time
 import urllib.error
@@ -37,7 +39,11 @@ TOKENS = {
         entry("agent", "agent"),
         entry("viewer", "viewer"),
         entry("operator", "operator"),
+        entry("watchman", "viewer", sees="all"),
+        entry("machine", "operator", sees="all"),
         entry("rival", "agent", "rival"),
+        entry("rival-viewer", "viewer", "rival", sees="tenant"),
+        entry("rival-operator", "operator", "rival"),
         entry("small", "agent", "small"),
         entry("expired", "agent", expires="2001-01-01T00:00:00Z"),
     ],
@@ -105,9 +111,65 @@ def test_health_needs_no_token(addresses):
 def test_another_tenants_session_is_not_found(addresses):
     with service_with(addresses, "agent") as ours, service_with(addresses, "rival") as theirs:
         session = ours.OpenSession(policy="cartpole").session_id
+        not_found = grpc.StatusCode.NOT_FOUND
         for call in (theirs.Act, theirs.GetSession, theirs.EndEpisode, theirs.CloseSession):
-            assert code_of(call, session_id=session) == grpc.StatusCode.NOT_FOUND
+            assert code_of(call, session_id=session) == not_found
+        assert code_of(theirs.Explain, session_id=session) == not_found
         assert ours.Act(session_id=session, observation=OBSERVATION).step == 0
+
+
+def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
+    with service_with(addresses, "agent") as ours:
+        session = ours.OpenSession(policy="cartpole").session_id
+        ours.Act(session_id=session, observation=OBSERVATION)
+
+    def seen_by(token):
+        with service_with(addresses, token) as policies:
+            looks = [
+                code_of(policies.GetSession, session_id=session),
+                code_of(policies.Explain, session_id=session),
+            ]
+        explained = http_code(addresses.http, f"/explain.json?session={session}", f"Bearer {token}")
+        with service_with(addresses, token, ADMIN) as admin:
+            listed = admin.ListSessions(page_size=1000)
+        page = json.loads(http_body(addresses.http, "/sessions.json?limit=1000", f"Bearer {token}"))
+        assert listed.open_sessions == len(listed.sessions) == page["open"] == page["matching"]
+        for ids in (
+            [entry.session_id for entry in listed.sessions],
+            [entry["session_id"] for entry in page["sessions"]],
+        ):
+            assert (session in ids) == (explained == 200)
+        return looks, explained
+
+    ok, not_found = grpc.StatusCode.OK, grpc.StatusCode.NOT_FOUND
+    for token in ("viewer", "operator", "watchman", "machine"):
+        assert seen_by(token) == ([ok, ok], 200), token
+    for token in ("rival-viewer", "rival-operator"):
+        assert seen_by(token) == ([not_found, not_found], 404), token
+    # To look is not to touch.
+    with service_with(addresses, "rival-operator") as other:
+        assert code_of(other.CloseSession, session_id=session) == not_found
+        assert code_of(other.Act, session_id=session, observation=OBSERVATION) == not_found
+
+
+def test_tenants_may_use_equal_sequence_ids(addresses):
+    def start(token):
+        with grpc.insecure_channel(addresses.grpc) as channel:
+            request = message_class(channel, "inference.ModelInferRequest")(model_name="cartpole")
+            request.parameters["sequence_id"].int64_param = 7
+            request.parameters["sequence_start"].bool_param = True
+            tensor = request.inputs.add(name="observation", datatype="FP32", shape=[4])
+            tensor.contents.fp32_contents.extend(OBSERVATION)
+            calls = grpc.intercept_channel(channel, Bearer(token))
+            call = calls.unary_unary(
+                "/inference.GRPCInferenceService/ModelInfer",
+                request_serializer=type(request).SerializeToString,
+                response_deserializer=message_class(channel, "inference.ModelInferResponse").FromString,
+            )
+            return code_of(call, request=request, timeout=DEADLINE_SECONDS)
+
+    for token in ("agent", "rival", "agent"):
+        assert start(token) == grpc.StatusCode.OK, token
 
 
 def test_roles_decide_what_may_be_called(addresses):
@@ -122,8 +184,7 @@ def test_roles_decide_what_may_be_called(addresses):
         assert code_of(policies.OpenSession, policy="cartpole") == denied
     with service_with(addresses, "operator", ADMIN) as admin:
         assert code_of(admin.ReloadPolicies) == grpc.StatusCode.OK
-        tenants = {session.tenant for session in admin.ListSessions().sessions}
-        assert "fleet" in tenants
+        assert {session.tenant for session in admin.ListSessions().sessions} <= {"fleet"}
 
 
 def retry_delay(addresses, error):
@@ -168,26 +229,45 @@ def test_an_oversized_message_is_resource_exhausted(addresses):
         assert code_of(other.OpenSession, policy="x" * 5_000_000) == exhausted
 
 
-def http_code(address, path, header=None):
+def http_get(address, path, header=None):
     request = urllib.request.Request(f"http://{address}{path}")
     if header is not None:
         request.add_header("Authorization", header)
+    return urllib.request.urlopen(request, timeout=DEADLINE_SECONDS)
+
+
+def http_body(address, path, header):
+    with http_get(address, path, header) as page:
+        return page.read()
+
+
+def http_code(address, path, header=None):
     try:
-        with urllib.request.urlopen(request, timeout=DEADLINE_SECONDS) as page:
+        with http_get(address, path, header) as page:
             return page.status
     except urllib.error.HTTPError as error:
         return error.code
 
 
-def test_the_status_page_is_for_viewers_and_operators(addresses):
+PAGES = ("/", "/main.js", "/metrics", "/status.json", "/sessions.json")
+
+
+@pytest.mark.parametrize("path", [*PAGES, "/explain.json?session=nobody", "/nothing"])
+def test_the_status_page_is_for_viewers_and_operators(addresses, path):
+    found = 200 if path in PAGES else 404
+    assert http_code(addresses.http, path) == 401
+    for token in ("wrong", "expired"):
+        assert http_code(addresses.http, path, f"Bearer {token}") == 401
+    for token in ("agent", "rival", "small"):
+        assert http_code(addresses.http, path, f"Bearer {token}") == 403
+    for token in ("viewer", "operator", "rival-viewer", "watchman", "machine"):
+        assert http_code(addresses.http, path, f"Bearer {token}") == found
+    browser = base64.b64encode(b"anyone:operator").decode()
+    assert http_code(addresses.http, path, f"Basic {browser}") == found
+
+
+def test_load_balancers_need_no_token(addresses):
     assert http_code(addresses.http, "/healthz") == 200
-    for path in ("/", "/metrics"):
-        assert http_code(addresses.http, path) == 401
-        assert http_code(addresses.http, path, "Bearer wrong") == 401
-        assert http_code(addresses.http, path, "Bearer agent") == 403
-        assert http_code(addresses.http, path, "Bearer viewer") == 200
-        browser = base64.b64encode(b"anyone:operator").decode()
-        assert http_code(addresses.http, path, f"Basic {browser}") == 200
 
 
 def test_a_changed_file_takes_effect_and_a_broken_one_does_not(tmp_path):
@@ -304,6 +384,55 @@ def test_a_renewed_certificate_is_served_without_a_restart(certificates, tmp_pat
         until(lambda: reaches(addresses.grpc, credentials(tmp_path, authority="new")))
 
 
+def https_code(certificates, address, path="/healthz", client=False, authority="ca", header=None):
+    context = ssl.create_default_context(cafile=certificates / f"{authority}.pem")
+    if client:
+        context.load_cert_chain(certificates / "client.pem", certificates / "client.key")
+    request = urllib.request.Request(f"https://{address}{path}", headers=header or {})
+    try:
+        with urllib.request.urlopen(request, timeout=DEADLINE_SECONDS, context=context) as page:
+            return page.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_the_status_page_speaks_tls_too(certificates, tokens):
+    with running_server(flags=tls_flags(certificates, f"--tokens={tokens}")) as addresses:
+        viewer = {"Authorization": "Bearer viewer"}
+        assert https_code(certificates, addresses.http) == 200
+        assert https_code(certificates, addresses.http, "/status.json") == 401
+        assert https_code(certificates, addresses.http, "/status.json", header=viewer) == 200
+        with pytest.raises((urllib.error.URLError, http.client.HTTPException, OSError)):
+            http_code(addresses.http, "/healthz")
+        # What is left of a handshake that went wrong stands in nobody's way.
+        assert https_code(certificates, addresses.http) == 200
+
+
+def test_mutual_tls_is_the_status_pages_too(certificates):
+    flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem")
+    with running_server(flags=flags) as addresses:
+        assert https_code(certificates, addresses.http, client=True) == 200
+        with pytest.raises((urllib.error.URLError, OSError)):
+            https_code(certificates, addresses.http)
+
+
+def test_a_renewed_certificate_is_the_status_pages_too(certificates, tmp_path):
+    for name in ("server.pem", "server.key"):
+        (tmp_path / name).write_bytes((certificates / name).read_bytes())
+    with running_server(flags=tls_flags(tmp_path)) as addresses:
+        assert https_code(certificates, addresses.http) == 200
+        make_authority(tmp_path, "new")
+        make_certificate(tmp_path, "server", "new")
+        assert https_code(tmp_path, addresses.http, authority="new") == 200
+
+
+def test_encrypted_and_with_tokens_the_page_may_face_the_network(certificates, tokens):
+    flags = tls_flags(certificates, f"--tokens={tokens}", "--http_listen=0.0.0.0:0")
+    with running_server(flags=flags) as addresses:
+        port = addresses.http.rpartition(":")[2]
+        assert https_code(certificates, f"127.0.0.1:{port}", "/metrics") == 401
+
+
 def test_the_programs_speak_tls_and_send_tokens(certificates, tokens):
     flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem", f"--tokens={tokens}")
     with running_server(flags=flags) as addresses:
@@ -368,8 +497,12 @@ def test_the_python_client_speaks_tls_and_sends_tokens(certificates, tokens, mon
     ("flags", "message"),
     [
         (["--listen=0.0.0.0:0"], "--listen: expected --tokens for 0.0.0.0:0"),
-        (["--listen=0.0.0.0:0", "--tokens={tokens}"], "--listen: expected encryption"),
+        (["--listen=0.0.0.0:0", "--tokens={tokens}"], "--listen: expected --tls_certificate"),
         (["--http_listen=0.0.0.0:0"], "--http_listen: expected --tokens"),
+        (
+            ["--http_listen=0.0.0.0:0", "--tokens={tokens}"],
+            "--http_listen: expected --tls_certificate",
+        ),
         (["--tls_certificate=missing.pem"], "--tls_key: expected a file"),
         (["--tls_certificate=missing.pem", "--tls_key=missing.key"], "--tls_certificate: expected"),
         (["--tokens=missing.json"], "--tokens: cannot read missing.json"),

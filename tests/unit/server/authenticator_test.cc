@@ -66,6 +66,15 @@ TEST_F(AuthenticatorTest, KnowsItsTokens) {
   EXPECT_EQ(CodeOf(*authenticator, ""), absl::StatusCode::kUnauthenticated);
 }
 
+TEST_F(AuthenticatorTest, SeesItsTenantUnlessTheTokenSeesAll) {
+  Write(File(Entry("own", "operator") + "," + Entry("all", "viewer", R"(, "sees": "all")")));
+  const auto authenticator = Create();
+  const Credential* own = *authenticator->Authenticate("own");
+  EXPECT_TRUE(own->MaySee("fleet"));
+  EXPECT_FALSE(own->MaySee("rival"));
+  EXPECT_TRUE((*authenticator->Authenticate("all"))->MaySee("rival"));
+}
+
 TEST_F(AuthenticatorTest, TokensExpire) {
   Write(File(Entry("old", "agent", R"(, "expires": "2001-01-01T00:00:00Z")") + "," +
              Entry("new", "agent", R"(, "expires": "2999-01-01T00:00:00Z")")));
@@ -104,6 +113,8 @@ TEST_F(AuthenticatorTest, MistakesInTheFileAreNamed) {
       {File(Entry("a", "king")), "expected agent, viewer or operator"},
       {File(Entry("a", "agent") + "," + Entry("a", "agent")), "tokens[1].sha256"},
       {File(Entry("a", "agent", R"(, "expires": "soon")")), "tokens[0].expires"},
+      {File(Entry("v", "viewer", R"(, "sees": "everything")")), "tokens[0].sees"},
+      {File(Entry("a", "agent", R"(, "sees": "all")")), "tokens[0].sees: expected tenant"},
       {File("", R"({"max_sessions": -1})"), "tenants.fleet.max_sessions"},
       {File("", R"({"max_sessions": "many"})"), "expected an integer"},
       {R"({"tokens": [)" + Entry("a", "agent") + "]}", "tokens[0].tenant"},
@@ -142,6 +153,7 @@ TEST(TenantTest, SessionsAndMessagesAreLimited) {
 TEST(RoleTest, WhatIsNotListedIsTheOperators) {
   EXPECT_TRUE(CheckMayCall(Role::kAgent, Method::kAct).ok());
   EXPECT_FALSE(CheckMayCall(Role::kViewer, Method::kAct).ok());
+  EXPECT_TRUE(CheckMayCall(Role::kViewer, Method::kExplain).ok());
   EXPECT_TRUE(CheckMayCall(Role::kViewer, Method::kListSessions).ok());
   EXPECT_FALSE(CheckMayCall(Role::kAgent, Method::kListSessions).ok());
   for (const Role role : {Role::kAgent, Role::kViewer}) {

@@ -78,6 +78,13 @@ TEST(InferenceSequenceTest, AStartMayNameVersionTargetReturnAndSeed) {
   EXPECT_EQ(opening->version(), 3);
   EXPECT_EQ(opening->target_return(), 200.0);
   EXPECT_EQ(opening->seed(), 5u);
+  EXPECT_FALSE(opening->record());
+
+  (*request.mutable_parameters())["record"].set_bool_param(true);
+  EXPECT_TRUE(ReadOpening(request)->record());
+  (*request.mutable_parameters())["record"].set_int64_param(1);
+  EXPECT_THAT(std::string(ReadOpening(request).status().message()),
+              HasSubstr("parameters.record: expected a bool_param"));
 
   (*request.mutable_parameters())["seed"].set_double_param(0.5);
   EXPECT_THAT(std::string(ReadOpening(request).status().message()), HasSubstr("parameters.seed"));

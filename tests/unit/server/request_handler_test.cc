@@ -26,7 +26,7 @@ class RequestHandlerTest : public ::testing::Test {
     ASSERT_TRUE(WritePolicyFile(policy, (folder / "policy.safetensors").string()).ok());
     std::vector<absl::Status> refused;
     auto registry = PolicyRegistry::Load(
-        directory_.path().string(),
+        directory_.path().string(), /*settings_path=*/"",
         [&](const std::string& name, int64_t version, const Policy& loaded) {
           return metrics_.NewPolicyObserver(name, version, loaded);
         },
