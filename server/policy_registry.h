@@ -102,6 +102,8 @@ class PolicyRegistry {
   absl::Mutex change_mutex_;  // held for a whole change, taken before mutex_
   std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
   std::set<PolicyVersion> kept_out_ ABSL_GUARDED_BY(change_mutex_);
+  // By policy: one for all its versions, so that a pause misses none, whenever it is read.
+  std::map<std::string, std::shared_ptr<LearningSwitch>> learning_ ABSL_GUARDED_BY(change_mutex_);
 
   mutable absl::Mutex mutex_;  // held for a copy of the pointer
   std::shared_ptr<const PolicyCatalog> catalog_ ABSL_GUARDED_BY(mutex_) =

@@ -119,6 +119,19 @@ def test_a_paused_policy_learns_nothing_until_it_is_resumed(serve, scope):
     serve(pause)
 
 
+def test_a_pause_holds_for_every_version_until_it_is_ended(serve):
+    def pause(server):
+        server.teach()
+        server.admin.PauseLearning(policy="cartpole")
+        version = server.admin.PromoteHead(policy="cartpole").version
+        assert server.admin.GetHead(policy="cartpole", version=version).paused
+        server.admin.ResumeLearning(policy="cartpole")
+        for each in [1, version]:
+            assert not server.admin.GetHead(policy="cartpole", version=each).paused
+
+    serve(pause)
+
+
 def test_absurd_rewards_harm_neither_others_nor_the_fleet_beyond_its_bound(serve):
     def poison(server):
         frozen = server.open()
