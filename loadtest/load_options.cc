@@ -21,6 +21,15 @@ absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name) {
       absl::StrCat("--mode: expected unary, stream or batch, got \"", name, "\""));
 }
 
+absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
+    absl::string_view name) {
+  if (name.empty()) return std::nullopt;
+  if (name == "session") return v1::LearningConfig::SESSION;
+  if (name == "fleet") return v1::LearningConfig::FLEET;
+  return absl::InvalidArgumentError(
+      absl::StrCat("--learning_scope: expected session or fleet, got \"", name, "\""));
+}
+
 absl::Status LoadOptions::Validate() const {
   constexpr int kMany = 1'000'000;
   if (auto status = CheckRange("sessions", sessions, 1, kMany); !status.ok()) return status;

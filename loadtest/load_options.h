@@ -3,6 +3,7 @@
 #define LOADTEST_LOAD_OPTIONS_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "absl/status/status.h"
@@ -10,6 +11,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "client/channel.h"
+#include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
@@ -19,6 +21,10 @@ enum class LoadMode { kUnary, kStream, kBatch };
 // "unary", "stream" or "batch". INVALID_ARGUMENT names these and what came.
 absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name);
 
+// "session", "fleet", or "" for sessions that are frozen. INVALID_ARGUMENT names these and what
+// came.
+absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(absl::string_view name);
+
 struct LoadOptions {
   SecurityOptions security;
   std::string server = "127.0.0.1:50051";  // HOST:PORT
@@ -27,11 +33,13 @@ struct LoadOptions {
   int streams = 8;  // callers at a time, each with a thread and a connection; at most one a session
   absl::Duration duration = absl::Seconds(10);  // no request starts later
   std::string policy;                           // empty: the first one served
-  int episode_steps = 200;                      // steps after which a session ends its episode
-  int batch_size = 0;                           // most requests in a batch; 0: all of a caller's
-  double rate = 0.0;                            // requests a second of all callers; 0: closed loop
-  double observation_bound = 1.0;               // of the random observations' absolute values
-  uint64_t seed = 0;                            // of the observations
+  // Whose head every session learns, sampling its actions; absent: frozen and greedy.
+  std::optional<v1::LearningConfig::Scope> learning_scope;
+  int episode_steps = 200;         // steps after which a session ends its episode
+  int batch_size = 0;              // most requests in a batch; 0: all of a caller's
+  double rate = 0.0;               // requests a second of all callers; 0: closed loop
+  double observation_bound = 1.0;  // of the random observations' absolute values
+  uint64_t seed = 0;               // of the observations
 
   // INVALID_ARGUMENT names the flag, what was expected and what came.
   absl::Status Validate() const;

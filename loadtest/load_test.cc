@@ -31,6 +31,10 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
     v1::OpenSessionRequest request;
     request.set_policy(policy);
     request.set_seed(seed);
+    if (options.learning_scope.has_value()) {
+      request.set_action_selection(v1::SAMPLE);
+      request.mutable_learning()->set_scope(*options.learning_scope);
+    }
     const auto opened = client->OpenSession(request);
     if (!opened.ok()) return opened.status();
     const int first_episode_steps = 1 + i % options.episode_steps;

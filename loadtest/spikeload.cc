@@ -42,6 +42,9 @@ ABSL_FLAG(int32_t, streams, spikeserve::LoadOptions().streams,
 ABSL_FLAG(spikeserve::Seconds, duration, {spikeserve::LoadOptions().duration},
           "How long requests are sent, in seconds or with a unit: 60, 500ms, 2m");
 ABSL_FLAG(std::string, policy, "", "Policy to ask for; empty: the first one served");
+ABSL_FLAG(std::string, learning_scope, "",
+          "session or fleet: every session samples and learns, a head of its own or the fleet's; "
+          "empty: frozen");
 ABSL_FLAG(int32_t, episode_steps, spikeserve::LoadOptions().episode_steps,
           "Steps after which a session ends its episode");
 ABSL_FLAG(int32_t, batch_size, spikeserve::LoadOptions().batch_size,
@@ -61,6 +64,8 @@ namespace {
 absl::StatusOr<LoadOptions> OptionsFromFlags() {
   const auto mode = ParseLoadMode(absl::GetFlag(FLAGS_mode));
   if (!mode.ok()) return mode.status();
+  const auto learning_scope = ParseLearningScope(absl::GetFlag(FLAGS_learning_scope));
+  if (!learning_scope.ok()) return learning_scope.status();
   auto security = SecurityFromFlags();
   if (!security.ok()) return security.status();
   LoadOptions options;
@@ -71,6 +76,7 @@ absl::StatusOr<LoadOptions> OptionsFromFlags() {
   options.streams = absl::GetFlag(FLAGS_streams);
   options.duration = absl::GetFlag(FLAGS_duration).value;
   options.policy = absl::GetFlag(FLAGS_policy);
+  options.learning_scope = *learning_scope;
   options.episode_steps = absl::GetFlag(FLAGS_episode_steps);
   options.batch_size = absl::GetFlag(FLAGS_batch_size);
   options.rate = absl::GetFlag(FLAGS_rate);

@@ -135,7 +135,7 @@ absl::Status HeadAdmin::SetPaused(const std::string& policy, bool paused) const 
   }
   for (const auto& [name, served] : catalog->policies()) {
     if (!policy.empty() && name != policy) continue;
-    for (const auto& [number, version] : served.versions) version->learning->set_paused(paused);
+    served.versions.begin()->second->learning->set_paused(paused);  // that of all its versions
   }
   return absl::OkStatus();
 }

@@ -133,14 +133,10 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
   // The stamp first: a file that changes while it is read is read again.
   KnownFile& file = files_[version];
   file.stamp = StampOf(PolicyFilePath(directory_, version));
-  auto served = LoadPolicyVersion(directory_, version, new_observer_);
+  std::shared_ptr<LearningSwitch>& learning = learning_[version.policy];
+  if (learning == nullptr) learning = std::make_shared<LearningSwitch>();
+  auto served = LoadPolicyVersion(directory_, version, learning, new_observer_);
   file.status = served.status();
-  // What an operator has paused is paused in every version.
-  const auto served_now = catalog();
-  const auto others = served_now->FindPolicy(version.policy);
-  if (served.ok() && others.ok()) {
-    (*served)->learning->set_paused((*others)->versions.begin()->second->learning->paused());
-  }
   return served;
 }
 

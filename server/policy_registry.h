@@ -114,6 +114,8 @@ class PolicyRegistry {
   std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
   std::set<PolicyVersion> kept_out_ ABSL_GUARDED_BY(change_mutex_);
   std::string settings_path_ ABSL_GUARDED_BY(change_mutex_);  // empty: nothing is written
+  // By policy: one for all its versions, so that a pause misses none, whenever it is read.
+  std::map<std::string, std::shared_ptr<LearningSwitch>> learning_ ABSL_GUARDED_BY(change_mutex_);
 
   mutable absl::Mutex mutex_;  // held for a copy of the pointer
   std::shared_ptr<const PolicyCatalog> catalog_ ABSL_GUARDED_BY(mutex_) =

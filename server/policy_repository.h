@@ -57,9 +57,10 @@ using NewObserver = std::function<std::shared_ptr<SessionObserver>(
 
 // Reads a version and decides once with it, so that whatever a first decision touches is there and
 // a policy that cannot decide is refused here. Errors of ReadPolicyFile, whose message starts with
-// the path.
+// the path. `learning` is what pauses the version, with all others that have it.
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
-    const std::string& directory, const PolicyVersion& version, const NewObserver& new_observer);
+    const std::string& directory, const PolicyVersion& version,
+    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer);
 
 }  // namespace spikeserve
 

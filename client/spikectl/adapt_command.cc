@@ -19,12 +19,14 @@ ABSL_DECLARE_FLAG(uint64_t, seed);
 ABSL_DECLARE_FLAG(std::string, policy);
 ABSL_DECLARE_FLAG(int64_t, version);
 ABSL_FLAG(std::string, perturb, "",
-          "NAME=VALUE: wind (newtons), or a factor on length, mass, force or gravity (adapt)");
+          "NAME=VALUE: wind (newtons), or a factor on length, mass, force or gravity; empty: the "
+          "task as it is (adapt)");
 ABSL_FLAG(std::string, rule, "policy_gradient", "policy_gradient or hebbian (adapt)");
 ABSL_FLAG(std::string, modulator, "realized", "realized or target (adapt)");
 ABSL_FLAG(std::string, scope, "session", "session or fleet: whose head learns (adapt)");
 ABSL_FLAG(int32_t, fleet, 16, "Sessions that learn at once with --scope=fleet (adapt)");
-ABSL_FLAG(double, temperature, 4.0, "At which the learning sessions sample (adapt)");
+ABSL_FLAG(absl::optional<double>, temperature, absl::nullopt,
+          "At which the learning sessions sample; unset: 1 for continuous actions, else 4 (adapt)");
 ABSL_FLAG(absl::optional<double>, learning_rate, absl::nullopt,
           "Unset: the server's own for the modulator (adapt)");
 ABSL_FLAG(absl::optional<double>, discount, absl::nullopt,
@@ -35,21 +37,26 @@ namespace {
 
 using nlohmann::ordered_json;
 
+// Where learning was dependable: docs/learning.md.
+constexpr double kDiscreteTemperature = 4.0;
+constexpr double kContinuousTemperature = 1.0;
+
 absl::StatusOr<AdaptationOptions> OptionsFromFlags() {
   AdaptationOptions options;
   options.environment = absl::GetFlag(FLAGS_env);
-  options.temperature = absl::GetFlag(FLAGS_temperature);
   options.episodes = absl::GetFlag(FLAGS_episodes);
   options.seed = absl::GetFlag(FLAGS_seed);
   if (options.episodes < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("--episodes: expected at least 1, got ", options.episodes));
   }
-  auto perturbation = ParsePerturbation(absl::GetFlag(FLAGS_perturb));
-  if (!perturbation.ok()) {
-    return absl::InvalidArgumentError(absl::StrCat("--", perturbation.status().message()));
+  if (const std::string perturb = absl::GetFlag(FLAGS_perturb); !perturb.empty()) {
+    auto perturbation = ParsePerturbation(perturb);
+    if (!perturbation.ok()) {
+      return absl::InvalidArgumentError(absl::StrCat("--", perturbation.status().message()));
+    }
+    options.perturbation = *std::move(perturbation);
   }
-  options.perturbation = *std::move(perturbation);
   options.learning.set_rule(absl::GetFlag(FLAGS_rule));
   options.learning.set_modulator(absl::GetFlag(FLAGS_modulator));
   if (const auto rate = absl::GetFlag(FLAGS_learning_rate)) {
@@ -80,8 +87,9 @@ absl::StatusOr<v1::PolicyInfo> PolicyFromFlags(Client& client, const std::string
 
 void PrintText(const AdaptationOptions& options, const Adaptation& result) {
   const auto [low, high] = std::minmax_element(result.curve.begin(), result.curve.end());
-  absl::PrintF("%s with %s=%g, policy %s/%d, %d learning session(s)\n", options.environment,
-               options.perturbation.name, options.perturbation.value, options.policy.name(),
+  const std::string change = absl::GetFlag(FLAGS_perturb);
+  absl::PrintF("%s with %s, policy %s/%d, %d learning session(s)\n", options.environment,
+               change.empty() ? "nothing changed" : change, options.policy.name(),
                options.policy.version(), options.sessions);
   absl::PrintF("%7s %10s\n", "episode", "return");
   for (size_t e = 0; e < result.curve.size(); ++e) {
@@ -111,11 +119,14 @@ void PrintJson(const AdaptationOptions& options, const Adaptation& result) {
 absl::Status AdaptCommand() {
   auto options = OptionsFromFlags();
   if (!options.ok()) return options.status();
-  const auto environment = MakePerturbedEnvironment(options->environment, options->perturbation);
+  const auto environment = MakeTask(*options);
   if (!environment.ok()) {
     return absl::Status(environment.status().code(),
                         absl::StrCat("--", environment.status().message()));
   }
+  const bool discrete = (*environment)->action_space().is_discrete();
+  options->temperature = absl::GetFlag(FLAGS_temperature)
+                             .value_or(discrete ? kDiscreteTemperature : kContinuousTemperature);
   const auto client = ConnectToServer();
   if (!client.ok()) return client.status();
   auto policy = PolicyFromFlags(**client, options->environment);
@@ -123,10 +134,12 @@ absl::Status AdaptCommand() {
   if (absl::Status status = CheckFits(*policy, **environment); !status.ok()) return status;
   options->policy = *std::move(policy);
   const bool as_text = !absl::GetFlag(FLAGS_json);
+  bool in_line = false;
   const auto result = Adapt(**client, *options, [&](int e, double episode_return) {
     if (as_text) std::cerr << absl::StrFormat("\repisode %d: %.1f   ", e, episode_return);
+    in_line = as_text;
   });
-  if (as_text) std::cerr << "\n";
+  if (in_line) std::cerr << "\n";
   if (!result.ok()) return result.status();
   as_text ? PrintText(*options, *result) : PrintJson(*options, *result);
   return absl::OkStatus();

@@ -85,7 +85,7 @@ class Curve {
 
 absl::Status LearnAlone(const AdaptationOptions& options, int session, RemoteSession& learner,
                         Curve* curve) {
-  const auto environment = MakePerturbedEnvironment(options.environment, options.perturbation);
+  const auto environment = MakeTask(options);
   if (!environment.ok()) return environment.status();
   for (int e = 0; e < options.episodes; ++e) {
     const auto start = static_cast<uint64_t>(e * options.sessions + session);
@@ -126,11 +126,16 @@ absl::Status Learn(Client& client, const AdaptationOptions& options, Curve* curv
 
 }  // namespace
 
+absl::StatusOr<std::unique_ptr<Environment>> MakeTask(const AdaptationOptions& options) {
+  if (!options.perturbation.has_value()) return MakeEnvironment(options.environment);
+  return MakePerturbedEnvironment(options.environment, *options.perturbation);
+}
+
 absl::StatusOr<Adaptation> Adapt(Client& client, const AdaptationOptions& options,
                                  const std::function<void(int, double)>& on_episode) {
   const auto unperturbed = MakeEnvironment(options.environment);
   if (!unperturbed.ok()) return unperturbed.status();
-  const auto perturbed = MakePerturbedEnvironment(options.environment, options.perturbation);
+  const auto perturbed = MakeTask(options);
   if (!perturbed.ok()) return perturbed.status();
 
   Adaptation result;

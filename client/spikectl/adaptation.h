@@ -1,10 +1,12 @@
-// The experiment of `spikectl adapt`: a task whose physics have changed, played with learning on,
-// and what the learned head is worth afterwards.
+// The experiment of `spikectl adapt`: a task whose physics may have changed, played with learning
+// on, and what the learned head is worth afterwards.
 #ifndef CLIENT_SPIKECTL_ADAPTATION_H_
 #define CLIENT_SPIKECTL_ADAPTATION_H_
 
 #include <cstdint>
 #include <functional>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,13 +18,13 @@ namespace spikeserve {
 
 struct AdaptationOptions {
   std::string environment;
-  Perturbation perturbation;
-  v1::PolicyInfo policy;        // to open sessions on
-  v1::LearningConfig learning;  // of every learning session
-  double temperature = 1.0;     // at which they sample
-  int sessions = 1;             // that learn at once, each on a thread of its own
-  int episodes = 1;             // of each
-  uint64_t seed = 0;            // session i plays episode e from start seed + e * sessions + i
+  std::optional<Perturbation> perturbation;  // absent: the task as it is
+  v1::PolicyInfo policy;                     // to open sessions on
+  v1::LearningConfig learning;               // of every learning session
+  double temperature = 1.0;                  // at which they sample
+  int sessions = 1;                          // that learn at once, each on a thread of its own
+  int episodes = 1;                          // of each
+  uint64_t seed = 0;  // session i plays episode e from start seed + e * sessions + i
   int evaluation_episodes = 50;
   uint64_t evaluation_seed = 1'000'000;  // the first unseen start, beyond `seed`
 };
@@ -37,6 +39,9 @@ struct Adaptation {
   double head_drift = 0.0;    // of the learned head
   int64_t rollbacks = 0;      // of the guard
 };
+
+// The task that is learned. Errors as MakeEnvironment and MakePerturbedEnvironment.
+absl::StatusOr<std::unique_ptr<Environment>> MakeTask(const AdaptationOptions& options);
 
 // `on_episode(e, curve[e])` is called as each episode of the curve ends, in order. Errors of the
 // environments and of the calls.

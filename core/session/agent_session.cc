@@ -255,13 +255,15 @@ std::optional<LearningSummary> AgentSession::LearnFromEpisode(const EpisodeEnd& 
 
 void AgentSession::GiveToFleet(double episode_return, LearningSummary* summary) {
   FleetHead& fleet = *served_->fleet;
-  auto snapshot = fleet.Read();
-  if (!session_.learner->suspended) {
-    const FleetHead::Merged merged = fleet.Merge(session_.learner->head_delta, episode_return);
+  std::shared_ptr<const FleetHead::Snapshot> snapshot;
+  const auto merge = [&] {
+    FleetHead::Merged merged = fleet.Merge(session_.learner->head_delta, episode_return);
     served_->observer->OnHeadUpdate(merged.outcome);
     summary->rolled_back = merged.rolled_back;
-    snapshot = merged.snapshot;
-  }
+    snapshot = std::move(merged.snapshot);
+  };
+  const bool merged = !session_.learner->suspended && served_->learning->MergeUnlessPaused(merge);
+  if (!merged) snapshot = fleet.Read();
   summary->head_drift = snapshot->drift;
   summary->watched_return = snapshot->level.mean;
 }

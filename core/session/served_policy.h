@@ -7,6 +7,9 @@
 #include <memory>
 #include <string>
 
+#include "absl/base/thread_annotations.h"
+#include "absl/functional/function_ref.h"
+#include "absl/synchronization/mutex.h"
 #include "core/engine/engine.h"
 #include "core/learning/fleet_head.h"
 #include "core/learning/head_update.h"
@@ -46,9 +49,24 @@ class SessionObserver {
 class LearningSwitch {
  public:
   bool paused() const { return paused_.load(std::memory_order_relaxed); }
-  void set_paused(bool paused) { paused_.store(paused, std::memory_order_relaxed); }
+
+  // Waits for the merges under way: once it returns, a paused policy's shared heads stand still.
+  void set_paused(bool paused) ABSL_LOCKS_EXCLUDED(merging_) {
+    const absl::WriterMutexLock lock(&merging_);
+    paused_.store(paused, std::memory_order_relaxed);
+  }
+
+  // Calls `merge`, which changes a shared head, beside those of other threads. False, and it is not
+  // called, where learning is paused.
+  bool MergeUnlessPaused(absl::FunctionRef<void()> merge) ABSL_LOCKS_EXCLUDED(merging_) {
+    const absl::ReaderMutexLock lock(&merging_);
+    if (paused()) return false;
+    merge();
+    return true;
+  }
 
  private:
+  absl::Mutex merging_;  // shared by merges, so that a pause can wait for them
   std::atomic<bool> paused_ = false;
 };
 
@@ -60,6 +78,7 @@ struct ServedPolicy {
   std::shared_ptr<const Engine> engine;
   std::shared_ptr<SessionObserver> observer;
   std::shared_ptr<FleetHead> fleet;
+  // Of all versions of the policy that are served at a time.
   std::shared_ptr<LearningSwitch> learning = std::make_shared<LearningSwitch>();
 
   const Policy& policy() const { return engine->policy(); }

@@ -37,7 +37,7 @@ def parse_arguments():
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=1.0, help="of a round of a contestant")
     parser.add_argument("--max_sessions", type=int, default=1_000_000, help="the most sessions open at once")
-    sections = ["engine", "growth", "sessions", "server"]
+    sections = ["engine", "growth", "sessions", "server", "learning"]
     parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     return parser.parse_args()
 
@@ -119,16 +119,39 @@ def load_flags(mode, sessions):
     return {**flags, "policy": SHIPPED.parts[-3], "observation_bound": OBSERVATION_BOUND}
 
 
+def running_spikeserve(arguments):
+    command = [arguments.bin / "spikeserve", f"--policies={POLICIES}", "--listen=127.0.0.1:0", "--http_listen="]
+    return programs.running_server(command, "spikeserve: serving gRPC on ")
+
+
 @contextlib.contextmanager
 def running_servers(arguments):
     """spikeserve and the echo service."""
-    spikeserve = [arguments.bin / "spikeserve", f"--policies={POLICIES}", "--listen=127.0.0.1:0", "--http_listen="]
     echo = [arguments.bin / "echo_server"]
     with (
-        programs.running_server(spikeserve, "spikeserve: serving gRPC on ") as spikeserve_server,
+        running_spikeserve(arguments) as spikeserve_server,
         programs.running_server(echo, "listening on ") as echo_server,
     ):
         yield {"spikeserve": spikeserve_server, "echo": echo_server}
+
+
+def measure_learning(arguments):
+    """What it costs that 64 sessions learn, each against as many frozen ones in the same round."""
+    spikeload, sessions = arguments.bin / "spikeload", 64
+    cases = [(mode, scope) for mode in ("unary", "stream") for scope in ("fleet", "session")]
+    rounds = {case: [] for case in cases}
+    with running_spikeserve(arguments) as server:
+        for _ in range(arguments.rounds):
+            for mode, scope in cases:
+                flags = {**load_flags(mode, sessions), "duration": f"{arguments.seconds}s"}
+                frozen = programs.measure_load(spikeload, server, **flags)
+                learning = programs.measure_load(spikeload, server, learning_scope=scope, **flags)
+                keys = ("decisions_per_second", "processor_seconds_per_decision")
+                shares = {f"share_of_{key}": learning[key] / frozen[key] for key in keys}
+                rounds[mode, scope].append({**{key: learning[key] for key in keys}, **shares})
+    return [
+        {"mode": mode, "scope": scope, "sessions": sessions, **summarize(rounds[mode, scope])} for mode, scope in cases
+    ]
 
 
 @contextlib.contextmanager
@@ -231,6 +254,7 @@ def main():
     section("growth", lambda: run_contestants(growth_contestants(arguments), arguments.rounds, arguments.seconds / 2))
     section("sessions", lambda: measure_sessions(arguments))
     section("server", lambda: {**measure_servers(arguments), "torch_server": measure_torch_server(arguments)})
+    section("learning", lambda: measure_learning(arguments))
     result["duration_seconds"] = time.monotonic() - start
     arguments.json.write_text(json.dumps(result, indent=2) + "\n")
     arguments.markdown.write_text(report.to_markdown(result))

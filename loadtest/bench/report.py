@@ -61,6 +61,17 @@ def server_targets(server):
     return rows
 
 
+def learning_targets(learning):
+    return [
+        [
+            f"share of the frozen rate, fleet learning, {case['mode']}, {case['sessions']} sessions",
+            *verdict(case["share_of_decisions_per_second"], 0.9),
+        ]
+        for case in learning
+        if case["scope"] == "fleet"
+    ]
+
+
 def session_targets(sessions):
     active = max(s.get("active_bytes", 0) for s in sessions if s["sessions"] > 1)
     idle = max(s["idle_bytes"] for s in sessions if s["sessions"] > 1)
@@ -73,7 +84,13 @@ def session_targets(sessions):
 
 def targets_section(result):
     rows = []
-    for key, targets in (("engine", engine_targets), ("server", server_targets), ("sessions", session_targets)):
+    of = {
+        "engine": engine_targets,
+        "server": server_targets,
+        "learning": learning_targets,
+        "sessions": session_targets,
+    }
+    for key, targets in of.items():
         if key in result:
             rows += targets(result[key])
     return "## Against what was asked\n\n" + table(["figure", "measured", "asked", "met"], rows)
@@ -161,6 +178,22 @@ def server_section(server):
     return text + table(["sessions", "decisions/s", "p99, ms"], rows)
 
 
+def learning_section(learning):
+    rows = [
+        [
+            f"{case['mode']}, {case['scope']}",
+            number(case["decisions_per_second"]),
+            f"{case['share_of_decisions_per_second']:.3f}",
+            number(case["processor_seconds_per_decision"] * 1e6),
+            f"{case['share_of_processor_seconds_per_decision']:.3f}",
+        ]
+        for case in learning
+    ]
+    header = ["mode, whose head learns", "decisions/s", "share of frozen", "processor µs", "share of frozen"]
+    text = f"## Learning\n\n{learning[0]['sessions']} sessions that learn with the default settings, episodes of 200 steps, "
+    return text + "against as many frozen ones in the same round.\n\n" + table(header, rows)
+
+
 def to_markdown(result):
     machine = result["machine"]
     caches = ", ".join(" ".join(pair) for pair in zip(machine["caches"][::2], machine["caches"][1::2], strict=False))
@@ -173,6 +206,7 @@ def to_markdown(result):
     sections = {
         "engine": engine_section,
         "server": server_section,
+        "learning": learning_section,
         "growth": growth_section,
         "sessions": sessions_section,
     }

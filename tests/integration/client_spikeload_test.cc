@@ -38,6 +38,22 @@ TEST_F(SpikeloadTest, EveryEnvironmentsPolicyCanBeLoaded) {
   }
 }
 
+TEST_F(SpikeloadTest, SessionsMayLearn) {
+  double updates = 0.0;
+  for (const std::string scope : {"session", "fleet"}) {
+    for (const std::string policy : {"cartpole-v1", "pendulum-v1"}) {
+      SCOPED_TRACE(scope + " " + policy);
+      ParseOutput(Spikeload({"--mode=stream", "--policy=" + policy, "--learning_scope=" + scope,
+                             "--sessions=8", "--duration=500ms", "--episode_steps=10", "--json"}));
+      const double now = Metric("spikeserve_learning_updates_total");
+      EXPECT_GT(now, updates);
+      updates = now;
+    }
+  }
+  ExpectOneLineError(Spikeload({"--learning_scope=town"}),
+                     "--learning_scope: expected session or fleet, got \"town\"");
+}
+
 TEST_F(SpikeloadTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(Spikeload({"--mode=pigeon"}),
                      "expected unary, stream or batch, got \"pigeon\"");

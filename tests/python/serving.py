@@ -24,8 +24,10 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server(policies=SHIPPED_POLICIES, flags=()):
-    """Yields the Addresses of a server with the policies in a folder; SIGTERM must end it well."""
+def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
+    """Yields the Addresses of a server with the policies in a folder; SIGTERM must end it well. What it logs goes to
+    `log`, a file, if that is given.
+    """
     server = subprocess.Popen(
         [
             os.environ["SPIKESERVE_PROGRAM"],
@@ -35,6 +37,7 @@ def running_server(policies=SHIPPED_POLICIES, flags=()):
             *flags,
         ],
         stdout=subprocess.PIPE,
+        stderr=log,
         text=True,
     )
 

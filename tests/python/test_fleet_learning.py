@@ -1,8 +1,10 @@
 """What an operator does with a head that a fleet has learned, and what nobody can do to it."""
 
+import concurrent.futures
 import json
 import pathlib
 import shutil
+import urllib.request
 
 import grpc
 import numpy as np
@@ -119,6 +121,19 @@ def test_a_paused_policy_learns_nothing_until_it_is_resumed(serve, scope):
     serve(pause)
 
 
+def test_a_pause_holds_for_every_version_until_it_is_ended(serve):
+    def pause(server):
+        server.teach()
+        server.admin.PauseLearning(policy="cartpole")
+        version = server.admin.PromoteHead(policy="cartpole").version
+        assert server.admin.GetHead(policy="cartpole", version=version).paused
+        server.admin.ResumeLearning(policy="cartpole")
+        for each in [1, version]:
+            assert not server.admin.GetHead(policy="cartpole", version=each).paused
+
+    serve(pause)
+
+
 def test_absurd_rewards_harm_neither_others_nor_the_fleet_beyond_its_bound(serve):
     def poison(server):
         frozen = server.open()
@@ -140,6 +155,76 @@ def test_absurd_rewards_harm_neither_others_nor_the_fleet_beyond_its_bound(serve
         assert np.isfinite(server.play(member)[0]).all()
 
     serve(poison)
+
+
+MERGE_TOLERANCE = 1e-5  # a weight; FleetHead::kMergeTolerance
+
+
+def test_the_fleets_head_does_not_depend_on_who_ends_first(serve):
+    """64 sessions play an episode each on one head, then end together or one after the other."""
+
+    def learn(server, end_all):
+        server.admin.RollbackHead(policy="cartpole")
+        # So small a rate that neither the bound on drift nor a clip acts.
+        learning = FLEET | {"learning_rate": 0.003}
+        sessions = [server.open(seed=seed, learning=learning, **SAMPLING) for seed in range(64)]
+        for i, session_id in enumerate(sessions):
+            for step in range(4 + i % 3):
+                angles = np.sin(0.3 * step + i + np.arange(4)) * 0.1
+                server.policy.Act(session_id=session_id, step=step, observation=angles, reward=1.0 + i % 5)
+
+        def end(session_id):
+            server.policy.EndEpisode(session_id=session_id, reward=1.0, terminated=True)
+
+        end_all(end, sessions)
+        head = server.admin.GetHead(policy="cartpole", include_weights=True)
+        assert head.updates == 64 and 0 < head.drift < 1.9
+        return np.array(head.delta)
+
+    def together(end, sessions):
+        with concurrent.futures.ThreadPoolExecutor(len(sessions)) as executor:
+            list(executor.map(end, sessions))
+
+    def backwards(end, sessions):
+        for session_id in reversed(sessions):
+            end(session_id)
+
+    def compare(server):
+        heads = [learn(server, end_all) for end_all in (together, together, backwards)]
+        assert np.abs(heads[0]).max() > 100 * MERGE_TOLERANCE
+        for head in heads[1:]:
+            assert np.abs(head - heads[0]).max() <= MERGE_TOLERANCE
+
+    serve(compare)
+
+
+@pytest.mark.parametrize("scope", ["session", "fleet"])
+def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
+    def metric(addresses, name):
+        with urllib.request.urlopen(f"http://{addresses.http}/metrics") as page:
+            lines = page.read().decode().splitlines()
+        of = [line for line in lines if line.startswith(name + "{") and f'scope="{scope}"' in line]
+        assert len(of) == 1
+        return float(of[0].rsplit(" ", 1)[1])
+
+    path = tmp_path_factory.mktemp("log") / "stderr"
+    with path.open("w") as log, running_server(folder, log=log) as addresses:
+        with grpc.insecure_channel(addresses.grpc) as channel:
+            server = Server(channel)
+            session_id = server.open(seed=1, learning={"scope": scope.upper()}, **SAMPLING)
+            for episode in range(40):
+                reward = 1.0 if episode < 20 else 0.5  # the second window earns half
+                _, ended = server.play(session_id, reward=lambda step, r=reward: r, terminated=True)
+                assert ended.learning.rolled_back == (episode == 39)
+                assert (ended.learning.head_drift > 0) == (episode < 39)
+            assert ended.learning.watched_return == pytest.approx(6)
+            assert server.policy.GetSession(session_id=session_id).rollbacks == 1
+            assert server.admin.GetHead(policy="cartpole").rollbacks == (scope == "fleet")
+            assert metric(addresses, "spikeserve_learning_rollbacks_total") == 1
+            assert metric(addresses, "spikeserve_learning_return") == pytest.approx(6)
+            assert metric(addresses, "spikeserve_head_drift_ratio") == 0
+    said = f"policy cartpole/1: a {scope} head was rolled back, its episodes had come to return 6\n"
+    assert path.read_text().count(said) == 1
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,12 @@
 // Sessions that share a head: what the session adds to FleetHead, which has tests of its own.
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <thread>
 #include <vector>
 
+#include "absl/synchronization/notification.h"
+#include "absl/time/time.h"
 #include "core/session/agent_session.h"
 #include "tests/unit/session/fake_clock.h"
 #include "tests/unit/session/session_fixture.h"
@@ -87,6 +91,27 @@ TEST_F(FleetSessionTest, FrozenSessionsOfThePolicyAreUntouched) {
               **alone.Act(t, ObservationAt(t), RewardAt(t)));
   }
   EXPECT_GT(served_->fleet->Read()->drift, 0.0);
+}
+
+TEST(LearningSwitchTest, APauseWaitsForTheMergeUnderWayAndLetsNoneFollow) {
+  LearningSwitch learning;
+  absl::Notification merging, paused;
+  std::atomic<bool> merged = false;
+  std::thread session([&] {
+    EXPECT_TRUE(learning.MergeUnlessPaused([&] {
+      merging.Notify();
+      EXPECT_FALSE(paused.WaitForNotificationWithTimeout(absl::Milliseconds(50)));
+      merged = true;
+    }));
+  });
+  merging.WaitForNotification();
+  learning.set_paused(true);
+  EXPECT_TRUE(merged);
+  paused.Notify();
+  session.join();
+  EXPECT_FALSE(learning.MergeUnlessPaused([] { ADD_FAILURE() << "called"; }));
+  learning.set_paused(false);
+  EXPECT_TRUE(learning.MergeUnlessPaused([] {}));
 }
 
 }  // namespace
