@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/engine/aligned_vector.h"
 #include "core/engine/kernels/attention_kernels.h"
 #include "core/engine/token.h"
 #include "core/model/config.h"
@@ -54,8 +55,8 @@ class AttentionCache {
   int head_size_;
   int words_;
   int slots_;
-  std::vector<uint32_t> keys_;          // [T][H][W][S]
-  std::vector<uint32_t> values_;        // [T][H][S / 32][32 W]
+  AlignedVector<uint32_t> keys_;        // [T][H][W][S]
+  AlignedVector<uint32_t> values_;      // [T][H][S / 32][32 W]
   std::vector<uint64_t> value_spikes_;  // [S]
 };
 

@@ -9,6 +9,7 @@
 #include <initializer_list>
 #include <vector>
 
+#include "core/engine/aligned_vector.h"
 #include "core/model/policy.h"
 #include "core/neuron/period_table.h"
 
@@ -22,11 +23,11 @@ constexpr int PadToLanes(int n) { return (n + kLanes - 1) / kLanes * kLanes; }
 
 struct PackedLinear {
   int inputs = 0;
-  int outputs = 0;                // lanes up to the last one that is not padding
-  int width = 0;                  // all lanes
-  std::vector<float> rows;        // [inputs][width]
-  std::vector<float> bias;        // [width]
-  std::vector<uint32_t> nonzero;  // [inputs]: nonzero weights an input meets
+  int outputs = 0;                  // lanes up to the last one that is not padding
+  int width = 0;                    // all lanes
+  AlignedVector<float> rows;        // [inputs][width]
+  AlignedVector<float> bias;        // [width]
+  AlignedVector<uint32_t> nonzero;  // [inputs]: nonzero weights an input meets
 
   const float* row(int input) const { return rows.data() + static_cast<size_t>(input) * width; }
 };

@@ -116,8 +116,7 @@ const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
   return drive_;
 }
 
-uint64_t SpikeInput::Products(const std::vector<uint32_t>& nonzero,
-                              const PhaseSpikes* phase) const {
+uint64_t SpikeInput::Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const {
   uint64_t products = 0;
   for (const Group& group : groups_) {
     uint64_t synapses = 0;

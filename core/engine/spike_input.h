@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "absl/types/span.h"
 #include "core/engine/kernels/lif_kernels.h"
 #include "core/engine/packed_weights.h"
 #include "core/model/policy.h"
@@ -45,7 +46,7 @@ class SpikeInput {
   const kernels::Drive& DriveOf(const PackedLinear& linear, int width, const PhaseSpikes* phase);
 
   // Sum over all spikes of the nonzero weights [inputs] that their neuron meets.
-  uint64_t Products(const std::vector<uint32_t>& nonzero, const PhaseSpikes* phase) const;
+  uint64_t Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const;
 
  private:
   // Neurons whose rows are added together: those of one period, or those that fire at one tick.
@@ -70,7 +71,7 @@ class SpikeInput {
   std::vector<uint32_t> active_;  // [d / 32] bits: neurons that fire
   std::vector<int> next_;         // [T + 1]: members of each period, then where its next one goes
   // Of the currents:
-  std::vector<float> sums_;  // [groups][width]
+  AlignedVector<float> sums_;  // [groups][width]
   kernels::Drive drive_;
 };
 

@@ -36,9 +36,9 @@ struct NewToken {
   StreamingContext* context = nullptr;
   Counts* counts = nullptr;  // of the decision that pays for it
   TokenKind kind = TokenKind::kReturn;
-  std::vector<float> x;         // [pad(d)]
-  std::vector<uint32_t> query;  // [T][H][W], of the running layer
-  AttentionBand band;           // what it may attend to: the band up to and with itself
+  AlignedVector<float> x;         // [pad(d)]
+  AlignedVector<uint32_t> query;  // [T][H][W], of the running layer
+  AttentionBand band;             // what it may attend to: the band up to and with itself
 
   int slot() const { return band.Slot(context->timestep, kind); }
 };
@@ -46,17 +46,17 @@ struct NewToken {
 // Buffers of a running computation; nothing in them outlives a call.
 struct Scratch {
   std::vector<NewToken> tokens;
-  std::vector<float> input;    // a token's embedding input
-  SpikeInput spikes;           // into the population at hand
-  std::vector<uint32_t> bits;  // [T][3 pad(d) / 32]: keys, values, queries
-  std::vector<uint32_t> keys;  // [T][H][W]
-  std::vector<uint32_t> values;
-  std::vector<float> y;        // [T][H][d_h]
-  std::vector<float> routing;  // [pad(m)]
-  std::vector<float> gates;    // [pad(H)]
-  std::vector<float> merged;   // [d_h] or [d]
-  std::vector<float> update;   // [pad(d)]
-  std::vector<float> hidden;   // [pad(F)]
+  std::vector<float> input;      // a token's embedding input
+  SpikeInput spikes;             // into the population at hand
+  AlignedVector<uint32_t> bits;  // [T][3 pad(d) / 32]: keys, values, queries
+  AlignedVector<uint32_t> keys;  // [T][H][W]
+  AlignedVector<uint32_t> values;
+  AlignedVector<float> y;        // [T][H][d_h]
+  AlignedVector<float> routing;  // [pad(m)]
+  AlignedVector<float> gates;    // [pad(H)]
+  AlignedVector<float> merged;   // [d_h] or [d]
+  AlignedVector<float> update;   // [pad(d)]
+  AlignedVector<float> hidden;   // [pad(F)]
 };
 
 Scratch& ThreadScratch() {
@@ -136,7 +136,7 @@ class TokenPass {
                                                : packed_.embed_action;
   }
 
-  void Affine(const PackedLinear& linear, const float* input, std::vector<float>& output) {
+  void Affine(const PackedLinear& linear, const float* input, AlignedVector<float>& output) {
     output.resize(linear.width);
     counts().multiply_accumulates += kernels::Affine(linear, input, output.data());
   }
@@ -200,7 +200,7 @@ class TokenPass {
 
   // Cuts the d bits from `first` on of every tick into heads, [T][H][W]; returns the number of
   // spikes.
-  uint64_t TakeSection(int width, int first, std::vector<uint32_t>& heads) {
+  uint64_t TakeSection(int width, int first, AlignedVector<uint32_t>& heads) {
     const int size = config_.head_size();
     const int words = (size + 31) / 32;
     heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
