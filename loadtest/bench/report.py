@@ -154,8 +154,8 @@ def server_section(server):
         ]
         for case in server["half_peak"]
     ]
-    text += f"\nAt half of spikeserve's peak rate, {server['half_peak'][0]['sessions']} sessions, on a schedule; latency counts "
-    text += "from when a request was due. The echo, asked on the same schedule, shows what of it is gRPC's, the load "
+    text += f"\nAt half of spikeserve's peak rate, {server['half_peak'][0]['sessions']} sessions, on a schedule; latency "
+    text += "counts from when a request was due. The echo, asked on the same schedule, shows what of it is gRPC's, the load "
     text += "generator's and the machine's own.\n\n"
     text += table(["mode", "decisions/s", "p50, ms", "echo p50, ms", "p99, ms", "echo p99, ms"], rows)
     rows = [
@@ -164,6 +164,19 @@ def server_section(server):
     ]
     text += "\nA Python gRPC server around the same policy in eager PyTorch, which recomputes the window, unary.\n\n"
     return text + table(["sessions", "decisions/s", "p99, ms"], rows)
+
+
+def bound_section(server, engine):
+    decision = 1e6 / engine["spikeserve_silent"]["decisions_per_second"]
+    cases = {case["mode"]: case for case in server["closed_loop"] if case["sessions"] == 64}
+    rows = []
+    for mode in ("unary", "stream"):
+        echo = cases[mode]["echo"]["processor_seconds_per_decision"] * 1e6
+        shares = [echo / (echo + decision), cases[mode]["processor_share_of_echo"]]
+        rows.append([mode, number(echo), number(decision), *(f"{share:.2f}" for share in shares)])
+    text = "## What bounds the share\n\nA server that added nothing to gRPC and to the engine would spend on a decision what "
+    text += "an echo and the engine spend alone. Processor time, 64 sessions.\n\n"
+    return text + table(["mode", "echo, µs", "engine, µs", "share at best", "share reached"], rows)
 
 
 def to_markdown(result):
@@ -175,14 +188,15 @@ def to_markdown(result):
     text += f"before the run {machine['load_before']:.2f}. {result['rounds']} rounds, every contestant in each of them for "
     text += f"{result['seconds']:g} s; medians. The run took {result['duration_seconds'] / 60:.1f} minutes. Engines are "
     text += "timed in processor time.\n\n"
-    sections = {
-        "engine": engine_section,
-        "server": server_section,
-        "growth": growth_section,
-        "sessions": sessions_section,
-    }
+    sections = [
+        (engine_section, ["engine"]),
+        (server_section, ["server"]),
+        (bound_section, ["server", "engine"]),
+        (growth_section, ["growth"]),
+        (sessions_section, ["sessions"]),
+    ]
     text += targets_section(result)
-    for key, write in sections.items():
-        if key in result:
-            text += "\n" + write(result[key])
+    for write, keys in sections:
+        if all(key in result for key in keys):
+            text += "\n" + write(*(result[key] for key in keys))
     return text
