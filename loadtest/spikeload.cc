@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
 #include "client/security_flags.h"
 #include "loadtest/load_test.h"
 
@@ -110,6 +111,8 @@ absl::Status Run(const std::vector<char*>& arguments) {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
+  // As spikeserve does: the tests keep the check, and a load generator should cost little itself.
+  absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   absl::SetProgramUsageMessage(
       "spikeload [--flag=value ...]: a load test, in closed loop or at a rate");
   const absl::Status status = spikeserve::Run(absl::ParseCommandLine(argc, argv));

@@ -23,6 +23,10 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
     delete this;  // gRPC's reactors own themselves
   }
 
+  // Otherwise gRPC wakes another thread for OnDone. It means this for its own reactions, which
+  // never wait; ours may wait for a decision of the same session, for as long as that takes.
+  bool InternalInlineable() override { return true; }
+
  private:
   CallTracker* const calls_;
   const bool accepted_;

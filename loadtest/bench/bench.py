@@ -176,12 +176,13 @@ def share(measured, case, key):
 
 
 def measure_servers(arguments):
-    """Closed-loop rates by mode and sessions, then latencies at half the peak rate."""
+    """Closed-loop rates by mode and sessions, then latencies of both servers at half of spikeserve's peak rate."""
     rounds, spikeload = min(arguments.rounds, 3), arguments.bin / "spikeload"
     duration = f"{arguments.seconds}s"
     cases = [(mode, sessions) for mode in ("unary", "stream", "batch") for sessions in SESSIONS]
-    measured = {name: {case: [] for case in cases} for name in ("spikeserve", "echo")}
-    half = {mode: [] for mode in ("unary", "stream")}
+    names = ("spikeserve", "echo")
+    measured = {name: {case: [] for case in cases} for name in names}
+    half = {mode: {name: [] for name in names} for mode in ("unary", "stream")}
     with running_servers(arguments) as servers:
 
         def load(name, mode, sessions, **flags):
@@ -196,19 +197,23 @@ def measure_servers(arguments):
         for mode, results in half.items():
             peak = summarize(measured["spikeserve"][mode, sessions])["decisions_per_second"]
             for _ in range(rounds):
-                results.append(load("spikeserve", mode, sessions, rate=peak / 2))
+                for name in names:
+                    results[name].append(load(name, mode, sessions, rate=peak / 2))
     return {
         "closed_loop": [
             {
                 "mode": mode,
                 "sessions": sessions,
-                **{name: summarize(results[mode, sessions]) for name, results in measured.items()},
+                **{name: summarize(measured[name][mode, sessions]) for name in names},
                 "share_of_echo": share(measured, (mode, sessions), "decisions_per_second"),
                 "processor_share_of_echo": 1 / share(measured, (mode, sessions), "processor_seconds_per_decision"),
             }
             for mode, sessions in cases
         ],
-        "half_peak": [{"mode": mode, "sessions": SESSIONS[-1], **summarize(r)} for mode, r in half.items()],
+        "half_peak": [
+            {"mode": mode, "sessions": sessions, **{name: summarize(results[name]) for name in names}}
+            for mode, results in half.items()
+        ],
     }
 
 

@@ -57,7 +57,7 @@ def server_targets(server):
     rows.append(["`ActBatch` of 64, times unary", *verdict(batch / unary, 1.5)])
     for case in server["half_peak"]:
         name = f"p99 at half the peak rate, {case['mode']}, {case['sessions']} sessions, ms"
-        rows.append([name, *verdict(case["p99_seconds"] * 1e3, 1, at_least=False)])
+        rows.append([name, *verdict(case["spikeserve"]["p99_seconds"] * 1e3, 1, at_least=False)])
     return rows
 
 
@@ -162,14 +162,19 @@ def server_section(server):
     rows = [
         [
             case["mode"],
-            number(case["decisions_per_second"]),
-            number(case["p50_seconds"] * 1e3),
-            number(case["p99_seconds"] * 1e3),
+            number(case["spikeserve"]["decisions_per_second"]),
+            *(
+                number(case[name][f"{quantile}_seconds"] * 1e3)
+                for quantile in ("p50", "p99")
+                for name in ("spikeserve", "echo")
+            ),
         ]
         for case in server["half_peak"]
     ]
-    text += f"\nAt half the peak rate, {server['half_peak'][0]['sessions']} sessions, on a schedule; latency counts from "
-    text += "when a request was due.\n\n" + table(["mode", "decisions/s", "p50, ms", "p99, ms"], rows)
+    text += f"\nAt half of spikeserve's peak rate, {server['half_peak'][0]['sessions']} sessions, on a schedule; latency "
+    text += "counts from when a request was due. The echo, asked on the same schedule, shows what of it is gRPC's, the load "
+    text += "generator's and the machine's own.\n\n"
+    text += table(["mode", "decisions/s", "p50, ms", "echo p50, ms", "p99, ms", "echo p99, ms"], rows)
     rows = [
         [str(case["sessions"]), number(case["decisions_per_second"]), number(case["p99_seconds"] * 1e3)]
         for case in server["torch_server"]
@@ -194,6 +199,19 @@ def learning_section(learning):
     return text + "against as many frozen ones in the same round.\n\n" + table(header, rows)
 
 
+def bound_section(server, engine):
+    decision = 1e6 / engine["spikeserve_silent"]["decisions_per_second"]
+    cases = {case["mode"]: case for case in server["closed_loop"] if case["sessions"] == 64}
+    rows = []
+    for mode in ("unary", "stream"):
+        echo = cases[mode]["echo"]["processor_seconds_per_decision"] * 1e6
+        shares = [echo / (echo + decision), cases[mode]["processor_share_of_echo"]]
+        rows.append([mode, number(echo), number(decision), *(f"{share:.2f}" for share in shares)])
+    text = "## What bounds the share\n\nA server that added nothing to gRPC and to the engine would spend on a decision what "
+    text += "an echo and the engine spend alone. Processor time, 64 sessions.\n\n"
+    return text + table(["mode", "echo, µs", "engine, µs", "share at best", "share reached"], rows)
+
+
 def to_markdown(result):
     machine = result["machine"]
     caches = ", ".join(" ".join(pair) for pair in zip(machine["caches"][::2], machine["caches"][1::2], strict=False))
@@ -203,15 +221,16 @@ def to_markdown(result):
     text += f"before the run {machine['load_before']:.2f}. {result['rounds']} rounds, every contestant in each of them for "
     text += f"{result['seconds']:g} s; medians. The run took {result['duration_seconds'] / 60:.1f} minutes. Engines are "
     text += "timed in processor time.\n\n"
-    sections = {
-        "engine": engine_section,
-        "server": server_section,
-        "learning": learning_section,
-        "growth": growth_section,
-        "sessions": sessions_section,
-    }
+    sections = [
+        (engine_section, ["engine"]),
+        (server_section, ["server"]),
+        (bound_section, ["server", "engine"]),
+        (learning_section, ["learning"]),
+        (growth_section, ["growth"]),
+        (sessions_section, ["sessions"]),
+    ]
     text += targets_section(result)
-    for key, write in sections.items():
-        if key in result:
-            text += "\n" + write(result[key])
+    for write, keys in sections:
+        if all(key in result for key in keys):
+            text += "\n" + write(*(result[key] for key in keys))
     return text
