@@ -1,0 +1,18 @@
+#!/usr/bin/env bash
+# Trains a CartPole policy that spends fewer than ten spikes a decision, phase spikes and all: one small layer, three ticks.
+# Five minutes on one core.
+#
+# usage: train/recipes/cartpole-sparse.sh SPIKETRAIN OUT_DIR
+environment=CartPole-v1
+source "$(dirname "$0")/recipe.sh"
+
+data mixed --steps=100000 --expert_fraction=0.5 --disturbed_fraction=0.5
+
+# One phase generator alone spends one and a half spikes a decision; the rest is left to the readout.
+shape=(--mode=full --layers=1 --heads=1 --hidden_size=32 --ticks=3)
+short=(--batch=64 --clip_steps=5 --slope=4 --learning_rate=3e-3)
+stage 1-play mixed --seed=1 --iterations=1000 "${shape[@]}" "${short[@]}"
+stage 2-quiet mixed --seed=2 --iterations=1000 --target_rate=0.5 --readout_rate=5 "${short[@]}"
+stage 3-quieter mixed --seed=3 --iterations=1000 --target_rate=0.1 --readout_rate=4 "${short[@]}"
+
+unseen
