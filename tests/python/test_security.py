@@ -239,7 +239,9 @@ def test_a_stream_goes_on_after_a_refusal(addresses):
     assert stream.code() == grpc.StatusCode.OK
     assert len(answers) == 12
     refusals = [answer.error for answer in answers if answer.HasField("error")]
-    assert 0 < len(refusals) < 12
+    # 5 at once, then one for every 0.2 s; a refusal takes 0.1 s, so at most 2 of 3 are refused. Read on at once, all 7
+    # of the others would be.
+    assert 0 < len(refusals) <= 6
     for error in refusals:
         assert error.code == grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
         assert 0 < error.retry_after_seconds <= 0.2
