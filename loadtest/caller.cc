@@ -13,8 +13,10 @@ using std::chrono::steady_clock;
 // Longer than any call may take, so that only a server that has gone silent runs into it.
 constexpr absl::Duration kPatience = absl::Seconds(20);
 
-// Keeps a server that refuses everything from being flooded.
-constexpr absl::Duration kPauseAfterError = absl::Milliseconds(10);
+// A limit that was reached is none any more a little later.
+bool MayPass(const absl::Status& status) {
+  return IsRetryable(status) || absl::IsResourceExhausted(status);
+}
 
 double Seconds(steady_clock::duration duration) {
   return std::chrono::duration<double>(duration).count();
@@ -22,8 +24,9 @@ double Seconds(steady_clock::duration duration) {
 
 }  // namespace
 
-Caller::Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents)
-    : exchange_(std::move(exchange)) {
+Caller::Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents,
+               absl::Duration pause_after_error)
+    : exchange_(std::move(exchange)), pause_after_error_(pause_after_error) {
   for (SimulatedAgent& agent : agents) {
     std::string id = agent.session_id();
     agents_.emplace(std::move(id), std::move(agent));
@@ -91,8 +94,8 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
   SimulatedAgent& agent = agents_.at(reply.session_id);
   if (!reply.response.ok()) {
     report_.CountError(reply.response.status());
-    if (!IsRetryable(reply.response.status())) return nullptr;
-    absl::SleepFor(kPauseAfterError);
+    if (!MayPass(reply.response.status())) return nullptr;
+    if (pause_after_error_ > absl::ZeroDuration()) absl::SleepFor(pause_after_error_);
     return &agent;
   }
   report_.latency.Add(Seconds(reply.arrived - agent.due));

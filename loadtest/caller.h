@@ -20,6 +20,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "absl/time/time.h"
 #include "loadtest/exchange.h"
 #include "loadtest/load_report.h"
 #include "loadtest/simulated_agent.h"
@@ -34,7 +35,9 @@ struct Schedule {
 
 class Caller {
  public:
-  Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents);
+  // The pause keeps a server that refuses everything from being flooded.
+  Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents,
+         absl::Duration pause_after_error);
 
   // Each sends requests for `duration`, then waits for the answers under way.
   LoadReport RunClosedLoop(std::chrono::steady_clock::duration duration);
@@ -52,6 +55,7 @@ class Caller {
   void LoseRequestsUnderWay(const absl::Status& status);
 
   std::unique_ptr<Exchange> exchange_;
+  absl::Duration pause_after_error_;
   std::unordered_map<std::string, SimulatedAgent> agents_;  // by session id
   int under_way_ = 0;
   LoadReport report_;

@@ -45,6 +45,10 @@ absl::Status LoadOptions::Validate() const {
   if (!(rate >= 0.0 && rate <= 1e7)) {
     return absl::InvalidArgumentError(absl::StrCat("--rate: expected 0 to 1e7, got ", rate));
   }
+  if (pause_after_error < absl::ZeroDuration() || pause_after_error > absl::Hours(1)) {
+    return absl::InvalidArgumentError(absl::StrCat("--pause_after_error: expected 0 to 1h, got ",
+                                                   absl::FormatDuration(pause_after_error)));
+  }
   if (duration <= absl::ZeroDuration() || duration > absl::Hours(24)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--duration: expected more than 0 and at most 24h, got ", absl::FormatDuration(duration)));

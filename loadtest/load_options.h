@@ -35,8 +35,9 @@ struct LoadOptions {
   std::string policy;                           // empty: the first one served
   // Whose head every session learns, sampling its actions; absent: frozen and greedy.
   std::optional<v1::LearningConfig::Scope> learning_scope;
-  int episode_steps = 200;         // steps after which a session ends its episode
-  int batch_size = 0;              // most requests in a batch; 0: all of a caller's
+  int episode_steps = 200;  // steps after which a session ends its episode
+  int batch_size = 0;       // most requests in a batch; 0: all of a caller's
+  absl::Duration pause_after_error = absl::Milliseconds(10);  // of a caller; 0: it floods
   double rate = 0.0;               // requests a second of all callers; 0: closed loop
   double observation_bound = 1.0;  // of the random observations' absolute values
   uint64_t seed = 0;               // of the observations

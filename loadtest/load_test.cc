@@ -89,7 +89,7 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
     auto agents = OpenAgents(options, *policy, i, clients.back().get());
     if (!agents.ok()) return agents.status();
     callers.emplace_back(MakeExchange(options.mode, options.batch_size, clients.back().get()),
-                         *std::move(agents));
+                         *std::move(agents), options.pause_after_error);
   }
   LoadReport report = RunCallers(options, callers);
   absl::Status closed;

@@ -54,6 +54,9 @@ ABSL_FLAG(
     double, rate, 0.0,
     "Requests a second, on a fixed schedule, latencies counted from when a request was due; 0: "
     "closed loop, every session sends its next request when it has the answer");
+ABSL_FLAG(absl::Duration, pause_after_error, spikeserve::LoadOptions().pause_after_error,
+          "How long a caller rests after a request that failed for no lasting reason; 0 to flood a "
+          "server that refuses");
 ABSL_FLAG(double, observation_bound, spikeserve::LoadOptions().observation_bound,
           "Random observations are within plus and minus this, in environment units");
 ABSL_FLAG(uint64_t, seed, 0, "Seed of the random observations");
@@ -80,6 +83,7 @@ absl::StatusOr<LoadOptions> OptionsFromFlags() {
   options.learning_scope = *learning_scope;
   options.episode_steps = absl::GetFlag(FLAGS_episode_steps);
   options.batch_size = absl::GetFlag(FLAGS_batch_size);
+  options.pause_after_error = absl::GetFlag(FLAGS_pause_after_error);
   options.rate = absl::GetFlag(FLAGS_rate);
   options.observation_bound = absl::GetFlag(FLAGS_observation_bound);
   options.seed = absl::GetFlag(FLAGS_seed);

@@ -12,12 +12,13 @@ absl::Status ActStream::Handle(const v1::ActRequest& request, v1::ActResponse* r
   return parts_.handler->Act(caller, request, response, deferred);
 }
 
-void ActStream::Answer(const v1::ActRequest& request, v1::ActResponse* response,
-                       DeferredWork* deferred) {
+absl::Status ActStream::Answer(const v1::ActRequest& request, v1::ActResponse* response,
+                               DeferredWork* deferred) {
   const absl::Duration start = parts_.clock->Now();
   const absl::Status status = Handle(request, response, deferred);
   if (!status.ok()) ErrorToProto(request, status, response);
   parts_.metrics->ObserveRpc(Method::kActStream, status.code(), parts_.clock->Now() - start);
+  return status;
 }
 
 }  // namespace spikeserve

@@ -34,8 +34,8 @@ class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {
       : parts_(parts), caller_(std::move(caller)) {}
 
  protected:
-  void Answer(const v1::ActRequest& request, v1::ActResponse* response,
-              DeferredWork* deferred) override;
+  absl::Status Answer(const v1::ActRequest& request, v1::ActResponse* response,
+                      DeferredWork* deferred) override;
 
  private:
   // REQUIRES: the caller was admitted, or the call would have ended.

@@ -1,15 +1,20 @@
 // One bidirectional call that reads a request, answers it, and so on, until the client or the
-// server has had enough.
+// server has had enough. After a refusal it rests before it reads on.
 #ifndef SERVER_ANSWER_STREAM_H_
 #define SERVER_ANSWER_STREAM_H_
 
+#include <grpcpp/alarm.h>
 #include <grpcpp/support/server_callback.h>
 
+#include <chrono>
+#include <functional>
 #include <memory>
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
 #include "server/call_tracker.h"
 #include "server/request_handler.h"
 #include "server/status_map.h"
@@ -34,11 +39,21 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
   void Drain() override;
 
  protected:
-  // Fills in `response`, which is empty, also for a request that fails.
-  virtual void Answer(const Request& request, Response* response, DeferredWork* deferred) = 0;
+  // Fills in `response`, which is empty, also for a request that fails. Returns what became of the
+  // request.
+  virtual absl::Status Answer(const Request& request, Response* response,
+                              DeferredWork* deferred) = 0;
 
  private:
-  enum class State { kReading, kReplying, kFinished };
+  enum class State { kReading, kReplying, kResting, kFinished };
+
+  // Goes on with `next` after the rest, unless the call has ended by then.
+  void RestLocked(absl::Duration rest, std::function<void(AnswerStream&)> next)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void ReadLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    state_ = State::kReading;
+    this->StartRead(&request_);
+  }
 
   void FinishLocked(const absl::Status& status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     state_ = State::kFinished;
@@ -49,6 +64,8 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
   std::shared_ptr<AnswerStream> self_;
   Request request_;
   Response response_;
+  absl::Duration rest_;  // after the reply that is under way
+  grpc::Alarm alarm_;
 
   absl::Mutex mutex_;  // held for a change of state only, never for a decision
   State state_ ABSL_GUARDED_BY(mutex_) = State::kReading;
@@ -65,7 +82,10 @@ AnswerStream<Request, Response>* AnswerStream<Request, Response>::Begin(
   if (!accepted) {
     stream->FinishLocked(DrainingError());
   } else if (!admitted.ok()) {
-    stream->FinishLocked(admitted);
+    stream->RestLocked(RefusalRest(admitted), [admitted](AnswerStream& refused) {
+      absl::MutexLock again(&refused.mutex_);
+      if (refused.state_ == State::kResting) refused.FinishLocked(admitted);
+    });
   } else if (stream->state_ == State::kReading) {  // else drained since
     stream->StartRead(&stream->request_);
   }
@@ -82,7 +102,7 @@ void AnswerStream<Request, Response>::OnReadDone(bool ok) {
   }
   DeferredWork deferred;
   response_.Clear();
-  Answer(request_, &response_, &deferred);
+  rest_ = RefusalRest(Answer(request_, &response_, &deferred));
   this->StartWrite(&response_);
   deferred.Run();
 }
@@ -92,15 +112,28 @@ void AnswerStream<Request, Response>::OnWriteDone(bool ok) {
   absl::MutexLock lock(&mutex_);
   if (!ok) return FinishLocked(absl::CancelledError("the client is gone"));
   if (draining_) return FinishLocked(DrainingError());
-  state_ = State::kReading;
-  this->StartRead(&request_);
+  if (rest_ == absl::ZeroDuration()) return ReadLocked();
+  RestLocked(rest_, [](AnswerStream& rested) {
+    absl::MutexLock again(&rested.mutex_);
+    if (rested.state_ == State::kResting) rested.ReadLocked();
+  });
+}
+
+template <typename Request, typename Response>
+void AnswerStream<Request, Response>::RestLocked(absl::Duration rest,
+                                                 std::function<void(AnswerStream&)> next) {
+  state_ = State::kResting;
+  alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
+             [weak = std::weak_ptr<AnswerStream>(self_), next = std::move(next)](bool /*ok*/) {
+               if (const auto stream = weak.lock()) next(*stream);
+             });
 }
 
 template <typename Request, typename Response>
 void AnswerStream<Request, Response>::Drain() {
   absl::MutexLock lock(&mutex_);
   draining_ = true;
-  if (state_ == State::kReading) FinishLocked(DrainingError());
+  if (state_ == State::kReading || state_ == State::kResting) FinishLocked(DrainingError());
 }
 
 template <typename Request, typename Response>

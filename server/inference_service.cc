@@ -19,8 +19,9 @@ class ModelInferStream final : public InferenceStream {
       : parts_(parts), caller_(std::move(caller)), handler_(handler) {}
 
  protected:
-  void Answer(const inference::ModelInferRequest& request,
-              inference::ModelStreamInferResponse* response, DeferredWork* deferred) override {
+  absl::Status Answer(const inference::ModelInferRequest& request,
+                      inference::ModelStreamInferResponse* response,
+                      DeferredWork* deferred) override {
     const absl::Duration start = parts_.clock->Now();
     auto* answer = response->mutable_infer_response();
     const absl::Status status = Handle(request, answer, deferred);
@@ -31,6 +32,7 @@ class ModelInferStream final : public InferenceStream {
     }
     parts_.metrics->ObserveRpc(Method::kModelStreamInfer, status.code(),
                                parts_.clock->Now() - start);
+    return status;
   }
 
  private:

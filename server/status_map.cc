@@ -44,6 +44,17 @@ grpc::Status ToGrpcStatus(const absl::Status& status) {
   return grpc::Status(code, message, details.SerializeAsString());
 }
 
+absl::Duration RefusalRest(const absl::Status& status) {
+  switch (status.code()) {
+    case absl::StatusCode::kUnauthenticated:
+    case absl::StatusCode::kPermissionDenied:
+    case absl::StatusCode::kResourceExhausted:
+      return absl::Milliseconds(100);
+    default:
+      return absl::ZeroDuration();
+  }
+}
+
 absl::Status WithRetryDelay(absl::Status status, absl::Duration delay) {
   status.SetPayload(kRetryInfoUrl, absl::Cord(ToProto(delay).SerializeAsString()));
   return status;

@@ -16,6 +16,11 @@ grpc::StatusCode ToGrpcCode(absl::StatusCode code);
 // A retry delay becomes google.rpc.RetryInfo among the status's details.
 grpc::Status ToGrpcStatus(const absl::Status& status);
 
+// How long whoever was answered with `status` waits for what comes next, zero where it was no
+// refusal of a caller: a token that is not good, or more than the caller's share. One who goes on
+// regardless is slowed down to what costs the others nothing.
+absl::Duration RefusalRest(const absl::Status& status);
+
 // `status` with a hint of when the call may be tried again. REQUIRES: not OK.
 absl::Status WithRetryDelay(absl::Status status, absl::Duration delay);
 

@@ -1,7 +1,11 @@
 #include "server/unary_call.h"
 
+#include <grpcpp/alarm.h>
+
+#include <chrono>
 #include <utility>
 
+#include "absl/time/time.h"
 #include "server/admission.h"
 #include "server/status_map.h"
 
@@ -17,6 +21,14 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   bool accepted() const { return accepted_; }
   DeferredWork* deferred() { return &deferred_; }
 
+  // A refused caller waits for its answer, so that it cannot ask at once again.
+  void FinishAfterRest(const absl::Status& status) {
+    const absl::Duration rest = RefusalRest(status);
+    if (rest == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
+    alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
+               [this, status](bool /*ok*/) { Finish(ToGrpcStatus(status)); });
+  }
+
   void OnDone() override {
     deferred_.Run();
     calls_->End();
@@ -31,12 +43,13 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   CallTracker* const calls_;
   const bool accepted_;
   DeferredWork deferred_;
+  grpc::Alarm alarm_;
 };
 
 void FinishCall(const ServiceParts& parts, Method method, absl::Duration start,
                 const absl::Status& status, UnaryCall* call) {
   parts.metrics->ObserveRpc(method, status.code(), parts.clock->Now() - start);
-  call->Finish(ToGrpcStatus(status));
+  call->FinishAfterRest(status);
 }
 
 using Handle = absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)>;

@@ -33,6 +33,7 @@ TOKENS = {
     "tenants": {
         "fleet": {},
         "rival": {},
+        "slow": {"decisions_per_second": 5},
         "small": {"max_sessions": 2, "decisions_per_second": 5, "max_message_bytes": 200},
     },
     "tokens": [
@@ -45,6 +46,7 @@ TOKENS = {
         entry("rival-viewer", "viewer", "rival", sees="tenant"),
         entry("rival-operator", "operator", "rival"),
         entry("small", "agent", "small"),
+        entry("slow", "agent", "slow"),
         entry("expired", "agent", expires="2001-01-01T00:00:00Z"),
     ],
 }
@@ -217,6 +219,32 @@ def test_a_flood_and_too_many_sessions_are_resource_exhausted(addresses):
         assert refused.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
         assert 0 < retry_delay(addresses, refused) <= 0.2
         other.Act(session_id=neighbour, step=step + 1, observation=OBSERVATION)
+
+
+def test_a_stream_goes_on_after_a_refusal(addresses):
+    with (
+        service_with(addresses, "slow") as slow,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        session = slow.OpenSession(policy="cartpole").session_id
+        request = message_class(channel, "spikeserve.v1.ActRequest")(
+            session_id=session, observation=OBSERVATION
+        )
+        stream = channel.stream_stream(
+            f"/{POLICY}/ActStream",
+            request_serializer=type(request).SerializeToString,
+            response_deserializer=message_class(channel, "spikeserve.v1.ActResponse").FromString,
+        )(iter([request] * 12), metadata=[("authorization", "Bearer slow")], timeout=DEADLINE_SECONDS)
+        answers = list(stream)
+    assert stream.code() == grpc.StatusCode.OK
+    assert len(answers) == 12
+    refusals = [answer.error for answer in answers if answer.HasField("error")]
+    # 5 at once, then one for every 0.2 s; a refusal takes 0.1 s, so at most 2 of 3 are refused. Read on at once, all 7
+    # of the others would be.
+    assert 0 < len(refusals) <= 6
+    for error in refusals:
+        assert error.code == grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
+        assert 0 < error.retry_after_seconds <= 0.2
 
 
 def test_an_oversized_message_is_resource_exhausted(addresses):

@@ -29,7 +29,8 @@ class CallerTest : public ::testing::TestWithParam<LoadMode> {
       agents.emplace_back(session, /*observation_size=*/4, /*first_episode_steps=*/1 + i % 3,
                           kEpisodeSteps, /*seed=*/i);
     }
-    return Caller(MakeExchange(GetParam(), /*batch_size=*/2, client_.get()), std::move(agents));
+    return Caller(MakeExchange(GetParam(), /*batch_size=*/2, client_.get()), std::move(agents),
+                  /*pause_after_error=*/absl::Milliseconds(1));
   }
 
   FakePolicyService fake_;
@@ -92,6 +93,14 @@ TEST_P(CallTest, AFailureThatPassesIsCountedAndRepeated) {
   const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
   EXPECT_GE(report.errors, 1);
   EXPECT_EQ(report.first_error, absl::UnavailableError("overloaded"));
+  EXPECT_GE(report.decisions, 1);
+}
+
+TEST_P(CallTest, ALimitThatWasReachedRetiresNobody) {
+  Caller caller = MakeCaller();
+  fake_.RefuseNext(kAgents, {grpc::StatusCode::RESOURCE_EXHAUSTED, "decisions_per_second"});
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
+  EXPECT_GE(report.errors, kAgents);
   EXPECT_GE(report.decisions, 1);
 }
 
