@@ -63,6 +63,30 @@ TEST_F(FleetSessionTest, EpisodesPlayedOnOneHeadLeaveTheSameHeadInAnyOrder) {
   }
 }
 
+// What the thread sanitizer is to see: whole sessions on threads of their own, and an operator who
+// reads, pauses and rolls back meanwhile.
+TEST_F(FleetSessionTest, SixtyFourLearnAtOnce) {
+  constexpr int kSessions = 64, kEpisodes = 3;
+  std::vector<std::thread> threads;
+  for (uint64_t seed = 0; seed < kSessions; ++seed) {
+    threads.emplace_back([this, seed] {
+      AgentSession agent = NewAgent(seed);
+      for (int episode = 0; episode < kEpisodes; ++episode) {
+        Play(agent);
+        End(agent);
+      }
+    });
+  }
+  served_->learning->set_paused(true);
+  const auto standing = served_->fleet->Read();
+  EXPECT_EQ(served_->fleet->Read(), standing);
+  served_->learning->set_paused(false);
+  served_->fleet->Rollback();
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_LE(served_->fleet->Read()->updates, kSessions * kEpisodes);
+  EXPECT_LE(served_->fleet->Read()->drift, FleetOptions().max_drift + 1e-6);
+}
+
 TEST_F(FleetSessionTest, AfterARollbackTheOldAnswersReturn) {
   const auto answers = [&] {
     AgentSession agent = NewAgent(3);
