@@ -26,7 +26,7 @@ struct Drive {
 void CoderPeriods(const PeriodTable& table, const float* x, const float* gain, const float* bias,
                   int size, int32_t* periods, uint32_t* active);
 
-// sum[lane] = the rows of `members`, in that order, added to zero; lane < width.
+// sum[lane] = the rows of `members`, added up in that order; lane < width. REQUIRES: count > 0.
 void SumRows(const PackedLinear& linear, const int32_t* members, int count, int width, float* sum);
 
 // Runs LIF neurons from zero. bits: [ticks][width / 32], lane i is bit i % 32 of word i / 32.
