@@ -103,27 +103,27 @@ const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
       kernels::SumRows(linear, members, group.count, width, buffer);
       sum = buffer;
     }
-    afferents_.push_back({.sum = sum, .next = group.tick});
+    afferents_.push_back({.sum = sum, .next = group.tick, .period = periodic_ ? group.tick : 0});
   }
   drive_.ticks = ticks_;
-  drive_.offsets.assign(1, 0);
+  drive_.offsets.assign(ticks_ + 1, 0);
   const size_t terms =  // and room for one that does not fire
       ticks_ * groups_.size() + (phase == nullptr ? 0 : phase->generators.size()) + 1;
   if (drive_.terms.size() < terms) drive_.terms.resize(terms);
   const float** term = drive_.terms.data();
   for (int tick = 1; tick <= ticks_; ++tick) {
-    for (size_t g = 0; g < groups_.size(); ++g) {
-      const bool fires = afferents_[g].next == tick;
-      *term = afferents_[g].sum;
+    for (Afferent& afferent : afferents_) {
+      const bool fires = afferent.next == tick;
+      *term = afferent.sum;
       term += fires;  // without a branch, which could not be foretold
-      afferents_[g].next += fires && periodic_ ? groups_[g].tick : 0;
+      afferent.next += fires ? afferent.period : 0;
     }
     if (phase != nullptr) {
       for (int k = phase->offsets[tick - 1]; k < phase->offsets[tick]; ++k) {
         *term++ = linear.row(neurons_ + phase->generators[k]);
       }
     }
-    drive_.offsets.push_back(static_cast<int>(term - drive_.terms.data()));
+    drive_.offsets[tick] = static_cast<int>(term - drive_.terms.data());
   }
   return drive_;
 }

@@ -74,6 +74,7 @@ class SpikeInput {
   struct Afferent {
     const float* sum = nullptr;  // of the group's rows
     int next = 0;                // the tick at which the group fires next
+    int period = 0;              // after which it fires again; 0: never
   };
   std::vector<Afferent> afferents_;  // [groups]
   AlignedVector<float> sums_;        // [groups][width]

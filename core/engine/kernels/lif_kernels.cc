@@ -110,15 +110,16 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive& drive, in
   }
 }
 
-void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int width, uint32_t* bits) {
+void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int first, int width,
+                 uint32_t* bits) {
   const F32 d;
   uint8_t* const bytes = reinterpret_cast<uint8_t*>(bits);
   const size_t stride = width / 8;
   ForEachBlock<kLifVectors>(width, [&](int lane, auto vectors) HWY_ATTR {
-    uint8_t* const first = bytes + lane / 8;
-    RunLif<vectors>(lif, bias, drive, lane,
-                    [d, first, stride](int tick, int v, auto spike)
-                        HWY_ATTR { StoreMask(d, spike, first + tick * stride, v); });
+    uint8_t* const block = bytes + lane / 8;
+    RunLif<vectors>(lif, bias, drive, first + lane,
+                    [d, block, stride](int tick, int v, auto spike)
+                        HWY_ATTR { StoreMask(d, spike, block + tick * stride, v); });
   });
 }
 
@@ -176,8 +177,9 @@ void SumRows(const PackedLinear& linear, const int32_t* members, int count, int 
   HWY_DYNAMIC_DISPATCH(SumRowsImpl)(linear, members, count, width, sum);
 }
 
-void LifBits(const Lif& lif, const float* bias, const Drive& drive, int width, uint32_t* bits) {
-  HWY_DYNAMIC_DISPATCH(LifBitsImpl)(lif, bias, drive, width, bits);
+void LifBits(const Lif& lif, const float* bias, const Drive& drive, int first, int width,
+             uint32_t* bits) {
+  HWY_DYNAMIC_DISPATCH(LifBitsImpl)(lif, bias, drive, first, width, bits);
 }
 
 uint64_t LifRates(const Lif& lif, const float* bias, const Drive& drive, int width, float* rates) {
