@@ -24,6 +24,7 @@ AttentionCache::AttentionCache(const ModelConfig& config, int slots)
       slots_(slots),
       keys_(static_cast<size_t>(ticks_) * heads_ * words_ * slots, 0u),
       values_(static_cast<size_t>(ticks_) * heads_ * words_ * slots, 0u),
+      occupied_(static_cast<size_t>(ticks_) * heads_ * slots / 32, 0u),
       value_spikes_(slots, 0) {}
 
 void AttentionCache::Store(const uint32_t* keys, const uint32_t* values, uint64_t value_spikes,
@@ -33,7 +34,7 @@ void AttentionCache::Store(const uint32_t* keys, const uint32_t* values, uint64_
   value_spikes_[slot] = value_spikes;
   kernels::StoreValues(values, slot,
                        {.ticks = ticks_, .heads = heads_, .words = words_, .slots = slots_},
-                       values_.data());
+                       values_.data(), occupied_.data());
 }
 
 kernels::AttentionWindow AttentionCache::Window(const AttentionBand& band) const {
@@ -44,13 +45,14 @@ kernels::AttentionWindow AttentionCache::Window(const AttentionBand& band) const
           .slots = slots_,
           .keys = keys_.data(),
           .values = values_.data(),
+          .occupied = occupied_.data(),
           .valid = band.valid().data()};
 }
 
 uint64_t AttentionCache::ValueSpikes(const AttentionBand& band) const {
   uint64_t spikes = 0;
   for (int slot = 0; slot < slots_; ++slot) {
-    if (band.valid()[slot / 32] >> (slot % 32) & 1u) spikes += value_spikes_[slot];
+    spikes += value_spikes_[slot] * (band.valid()[slot / 32] >> (slot % 32) & 1u);
   }
   return spikes;
 }

@@ -57,6 +57,7 @@ class AttentionCache {
   int slots_;
   AlignedVector<uint32_t> keys_;        // [T][H][W][S]
   AlignedVector<uint32_t> values_;      // [T][H][S / 32][32 W]
+  std::vector<uint32_t> occupied_;      // [T][H][S / 32]
   std::vector<uint64_t> value_spikes_;  // [S]
 };
 

@@ -94,24 +94,36 @@ void SpikeInput::Rates(std::vector<float>* rates) const {
 const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
                                           const PhaseSpikes* phase) {
   if (sums_.size() < groups_.size() * width) sums_.resize(groups_.size() * width);
-  for (size_t g = 0; g < groups_.size(); ++g) {
-    kernels::SumRows(linear, members_.data() + groups_[g].first, groups_[g].count, width,
-                     sums_.data() + g * width);
+  afferents_.clear();
+  for (const Group& group : groups_) {
+    const int32_t* members = members_.data() + group.first;
+    const float* sum = linear.row(*members);
+    if (group.count > 1) {
+      float* buffer = sums_.data() + afferents_.size() * width;
+      kernels::SumRows(linear, members, group.count, width, buffer);
+      sum = buffer;
+    }
+    afferents_.push_back({.sum = sum, .next = group.tick, .period = periodic_ ? group.tick : 0});
   }
   drive_.ticks = ticks_;
-  drive_.terms.clear();
-  drive_.offsets.assign(1, 0);
+  drive_.offsets.assign(ticks_ + 1, 0);
+  const size_t terms =  // and room for one that does not fire
+      ticks_ * groups_.size() + (phase == nullptr ? 0 : phase->generators.size()) + 1;
+  if (drive_.terms.size() < terms) drive_.terms.resize(terms);
+  const float** term = drive_.terms.data();
   for (int tick = 1; tick <= ticks_; ++tick) {
-    for (size_t g = 0; g < groups_.size(); ++g) {
-      const bool fires = periodic_ ? tick % groups_[g].tick == 0 : tick == groups_[g].tick;
-      if (fires) drive_.terms.push_back(sums_.data() + g * width);
+    for (Afferent& afferent : afferents_) {
+      const bool fires = afferent.next == tick;
+      *term = afferent.sum;
+      term += fires;  // without a branch, which could not be foretold
+      afferent.next += fires ? afferent.period : 0;
     }
     if (phase != nullptr) {
       for (int k = phase->offsets[tick - 1]; k < phase->offsets[tick]; ++k) {
-        drive_.terms.push_back(linear.row(neurons_ + phase->generators[k]));
+        *term++ = linear.row(neurons_ + phase->generators[k]);
       }
     }
-    drive_.offsets.push_back(static_cast<int>(drive_.terms.size()));
+    drive_.offsets[tick] = static_cast<int>(term - drive_.terms.data());
   }
   return drive_;
 }

@@ -71,7 +71,13 @@ class SpikeInput {
   std::vector<uint32_t> active_;  // [d / 32] bits: neurons that fire
   std::vector<int> next_;         // [T + 1]: members of each period, then where its next one goes
   // Of the currents:
-  AlignedVector<float> sums_;  // [groups][width]
+  struct Afferent {
+    const float* sum = nullptr;  // of the group's rows
+    int next = 0;                // the tick at which the group fires next
+    int period = 0;              // after which it fires again; 0: never
+  };
+  std::vector<Afferent> afferents_;  // [groups]
+  AlignedVector<float> sums_;        // [groups][width]
   kernels::Drive drive_;
 };
 

@@ -48,7 +48,7 @@ struct Scratch {
   std::vector<NewToken> tokens;
   std::vector<float> input;      // a token's embedding input
   SpikeInput spikes;             // into the population at hand
-  AlignedVector<uint32_t> bits;  // [T][3 pad(d) / 32]: keys, values, queries
+  AlignedVector<uint32_t> bits;  // [T][pad(d) / 32]: keys, values or queries
   AlignedVector<uint32_t> keys;  // [T][H][W]
   AlignedVector<uint32_t> values;
   AlignedVector<float> y;        // [T][H][d_h]
@@ -183,37 +183,39 @@ class TokenPass {
   uint64_t Project(const PackedLayer& packed, bool needs_query) {
     const PackedLinear& linear = packed.key_value_query;
     const int section = PadToLanes(config_.hidden_size);
-    const int width = needs_query ? 3 * section : 2 * section;
-    scratch_.bits.resize(static_cast<size_t>(config_.ticks) * width / kLanes);
-    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, width, &phase());
-    kernels::LifBits(lif_, linear.bias.data(), drive, width, scratch_.bits.data());
-    counts().spikes(Stage::kKey) += TakeSection(width, 0, scratch_.keys);
-    const uint64_t value_spikes = TakeSection(width, section, scratch_.values);
+    const kernels::Drive& drive =
+        scratch_.spikes.DriveOf(linear, needs_query ? 3 * section : 2 * section, &phase());
+    const auto run = [&](int first, AlignedVector<uint32_t>& heads) {
+      return RunSection(linear, drive, first, section, heads);
+    };
+    counts().spikes(Stage::kKey) += run(0, scratch_.keys);
+    const uint64_t value_spikes = run(section, scratch_.values);
     counts().spikes(Stage::kValue) += value_spikes;
-    if (needs_query)
-      counts().spikes(Stage::kQuery) += TakeSection(width, 2 * section, token_->query);
+    if (needs_query) counts().spikes(Stage::kQuery) += run(2 * section, token_->query);
     counts().accumulates += scratch_.spikes.Products(linear.nonzero, &phase());
     if (!needs_query)
       counts().accumulates -= scratch_.spikes.Products(packed.nonzero_query, &phase());
     return value_spikes;
   }
 
-  // Cuts the d bits from `first` on of every tick into heads, [T][H][W]; returns the number of
-  // spikes.
-  uint64_t TakeSection(int width, int first, AlignedVector<uint32_t>& heads) {
+  // The spikes of the d neurons from lane `first` on, by heads, [T][H][W]; returns their number.
+  uint64_t RunSection(const PackedLinear& linear, const kernels::Drive& drive, int first,
+                      int section, AlignedVector<uint32_t>& heads) {
     const int size = config_.head_size();
     const int words = (size + 31) / 32;
     heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
-    uint32_t* out = heads.data();
-    for (int tick = 0; tick < config_.ticks; ++tick) {
-      const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * width / kLanes;
-      if (size % 32 == 0) {  // heads are whole words
-        out = std::copy_n(row + first / 32, config_.heads * words, out);
-        continue;
-      }
-      for (int head = 0; head < config_.heads; ++head) {
-        for (int k = 0; k < size; k += 32) {
-          *out++ = TakeBits(row, first + head * size + k, std::min(32, size - k));
+    if (size % 32 == 0) {  // a head is whole words, as it comes
+      kernels::LifBits(lif_, linear.bias.data(), drive, first, section, heads.data());
+    } else {
+      scratch_.bits.resize(static_cast<size_t>(config_.ticks) * section / kLanes);
+      kernels::LifBits(lif_, linear.bias.data(), drive, first, section, scratch_.bits.data());
+      uint32_t* out = heads.data();
+      for (int tick = 0; tick < config_.ticks; ++tick) {
+        const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * section / kLanes;
+        for (int head = 0; head < config_.heads; ++head) {
+          for (int k = 0; k < size; k += 32) {
+            *out++ = TakeBits(row, head * size + k, std::min(32, size - k));
+          }
         }
       }
     }

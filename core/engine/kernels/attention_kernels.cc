@@ -1,7 +1,5 @@
 #include "core/engine/kernels/attention_kernels.h"
 
-#include <algorithm>
-#include <utility>
 #include <vector>
 
 #define HWY_WANT_AVX3_DL 1
@@ -56,7 +54,21 @@ HWY_INLINE VecF CountValues(const uint32_t* values, const uint32_t* members, int
   return hn::ConvertTo(F32(), hn::BitCast(di, count));
 }
 
-// Attention of one tick and head after the other. `scratch` has room for S overlaps, then S / 32
+// Whether any of `count` words has a bit set.
+HWY_INLINE bool AnyBit(const uint32_t* words, int count) {
+  uint32_t any = 0;
+  for (int i = 0; i < count; ++i) any |= words[i];
+  return any != 0;
+}
+
+HWY_INLINE void Clear(float* values, int size) {
+  const F32 d;
+  int i = 0;
+  for (; i + kVector <= size; i += kVector) hn::StoreU(hn::Zero(d), d, values + i);
+  for (; i < size; ++i) values[i] = 0.0f;
+}
+
+// Attention at one tick and head after the other. `scratch` has room for S overlaps, then S / 32
 // words of members; `sums` for 32 W sums.
 class HeadAttention {
  public:
@@ -64,67 +76,89 @@ class HeadAttention {
       : window_(window),
         blocks_(window.slots / 32),
         lanes_(32 * window.words),
-        valid_count_(CountMembers(window.valid)),
+        valid_count_(Count(window.valid)),
         overlaps_(scratch),
         members_(scratch + window.slots),
         sums_(sums) {}
 
-  // Returns the sum of overlaps.
-  uint64_t Run(const uint32_t* keys, const uint32_t* values, const uint32_t* query,
-               const float* weight, bool largest_is_best, float* y) {
-    const F32 d;
-    const bool silent =
-        std::all_of(query, query + window_.words, [](uint32_t word) { return word == 0; });
-    float total = static_cast<float>(valid_count_);
-    uint64_t products = 0;
-    if (silent) {
-      for (int lane = 0; lane < lanes_; lane += kVector) {
-        hn::StoreU(CountValues(values, window_.valid, blocks_, lanes_, lane), d, sums_ + lane);
-      }
-    } else {
-      std::fill_n(sums_, lanes_, 0.0f);
-      products = AddGroups(keys, values, query, weight, largest_is_best, &total);
-    }
-    const float inverse = 1.0f / total;
-    int k = 0;
-    for (; k + kVector <= window_.head_size; k += kVector) {
-      hn::StoreU(hn::Mul(hn::LoadU(d, sums_ + k), hn::Set(d, inverse)), d, y + k);
-    }
-    for (; k < window_.head_size; ++k) y[k] = sums_[k] * inverse;
-    return products;
+  // Turns to the tick and head that stand as number `index` in the window.
+  void MoveTo(int index) {
+    keys_ = window_.keys + static_cast<size_t>(index) * window_.words * window_.slots;
+    values_ = window_.values + static_cast<size_t>(index) * blocks_ * lanes_;
+    occupied_ = window_.occupied + static_cast<size_t>(index) * blocks_;
   }
 
- private:
-  // Adds up the values of each group of slots with one overlap, times the group's weight, from the
-  // best overlap to the worst.
-  uint64_t AddGroups(const uint32_t* keys, const uint32_t* values, const uint32_t* query,
-                     const float* weight, bool largest_is_best, float* total) {
+  // Whether any valid slot has a value here. If none has, y is zero whatever the query.
+  bool IsHeard() const { return MeetsOccupied(window_.valid); }
+
+  // y for a query without a spike, to which all keys are equal.
+  void AttendSilently(float* y) {
     const F32 d;
-    Overlaps(keys, query, window_.words, window_.slots, overlaps_);
-    const auto [lowest, highest] = Range();
+    for (int lane = 0; lane < lanes_; lane += kVector) {
+      hn::StoreU(CountValues(values_, window_.valid, blocks_, lanes_, lane), d, sums_ + lane);
+    }
+    Scale(1.0f / static_cast<float>(valid_count_), y);
+  }
+
+  // The values of each group of slots with one overlap, times the group's weight, from the best
+  // overlap to the worst. Returns the sum of overlaps.
+  uint64_t Attend(const uint32_t* query, const float* weight, bool largest_is_best, float* y) {
+    const F32 d;
+    Overlaps(keys_, query, window_.words, window_.slots, overlaps_);
+    Clear(sums_, lanes_);
+    const uint32_t best = largest_is_best ? HighestOverlap() : LowestOverlap();
     uint64_t products = 0;
+    float total = 0.0f;
     int remaining = valid_count_;
-    *total = 0.0f;
     for (uint32_t distance = 0; remaining > 0; ++distance) {
-      const uint32_t overlap = largest_is_best ? highest - distance : lowest + distance;
+      const uint32_t overlap = largest_is_best ? best - distance : best + distance;
       const int count = Members(overlap);
       if (count == 0) continue;
       remaining -= count;
       products += static_cast<uint64_t>(overlap) * count;
-      *total += weight[distance] * static_cast<float>(count);
+      total += weight[distance] * static_cast<float>(count);
+      if (!MeetsOccupied(members_)) continue;
       for (int lane = 0; lane < lanes_; lane += kVector) {
         const auto share = hn::Mul(hn::Set(d, weight[distance]),
-                                   CountValues(values, members_, blocks_, lanes_, lane));
+                                   CountValues(values_, members_, blocks_, lanes_, lane));
         hn::StoreU(hn::Add(hn::LoadU(d, sums_ + lane), share), d, sums_ + lane);
       }
     }
+    Scale(1.0f / total, y);
     return products;
   }
 
-  int CountMembers(const uint32_t* members) const {
+  // The sum of overlaps alone.
+  uint64_t SumOverlaps(const uint32_t* query) {
+    Overlaps(keys_, query, window_.words, window_.slots, overlaps_);
+    const U32 du;
+    auto sum = hn::Zero(du);
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      sum = hn::Add(sum, hn::IfThenElseZero(Valid(slot), hn::LoadU(du, overlaps_ + slot)));
+    }
+    return hn::GetLane(hn::SumOfLanes(du, sum));
+  }
+
+ private:
+  void Scale(float factor, float* y) const {
+    const F32 d;
+    int k = 0;
+    for (; k + kVector <= window_.head_size; k += kVector) {
+      hn::StoreU(hn::Mul(hn::LoadU(d, sums_ + k), hn::Set(d, factor)), d, y + k);
+    }
+    for (; k < window_.head_size; ++k) y[k] = sums_[k] * factor;
+  }
+
+  int Count(const uint32_t* slots) const {
     int count = 0;
-    for (int b = 0; b < blocks_; ++b) count += __builtin_popcount(members[b]);
+    for (int b = 0; b < blocks_; ++b) count += __builtin_popcount(slots[b]);
     return count;
+  }
+
+  bool MeetsOccupied(const uint32_t* slots) const {
+    uint32_t any = 0;
+    for (int b = 0; b < blocks_; ++b) any |= slots[b] & occupied_[b];
+    return any != 0;
   }
 
   // Collects the valid slots at this overlap.
@@ -132,27 +166,40 @@ class HeadAttention {
     for (int b = 0; b < blocks_; ++b) {
       members_[b] = window_.valid[b] & SlotsAt(overlaps_ + 32 * b, overlap);
     }
-    return CountMembers(members_);
+    return Count(members_);
   }
 
-  // The lowest and the highest overlap among the valid slots.
-  std::pair<uint32_t, uint32_t> Range() const {
+  hn::Mask<U32> Valid(int slot) const {
+    return MaskFromBits(U32(), window_.valid[slot / 32] >> (slot % 32));
+  }
+
+  // Over the valid slots.
+  uint32_t LowestOverlap() const {
     const U32 du;
     auto low = hn::Set(du, ~0u);
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      const auto overlap = hn::LoadU(du, overlaps_ + slot);
+      low = hn::Min(low, hn::IfThenElse(Valid(slot), overlap, hn::Set(du, ~0u)));
+    }
+    return hn::GetLane(hn::MinOfLanes(du, low));
+  }
+
+  uint32_t HighestOverlap() const {
+    const U32 du;
     auto high = hn::Zero(du);
     for (int slot = 0; slot < window_.slots; slot += kVector) {
-      const auto valid = MaskFromBits(du, window_.valid[slot / 32] >> (slot % 32));
-      const auto overlap = hn::LoadU(du, overlaps_ + slot);
-      low = hn::Min(low, hn::IfThenElse(valid, overlap, hn::Set(du, ~0u)));
-      high = hn::Max(high, hn::IfThenElseZero(valid, overlap));
+      high = hn::Max(high, hn::IfThenElseZero(Valid(slot), hn::LoadU(du, overlaps_ + slot)));
     }
-    return {hn::GetLane(hn::MinOfLanes(du, low)), hn::GetLane(hn::MaxOfLanes(du, high))};
+    return hn::GetLane(hn::MaxOfLanes(du, high));
   }
 
   const AttentionWindow& window_;
   const int blocks_;
   const int lanes_;
   const int valid_count_;
+  const uint32_t* keys_ = nullptr;      // of the tick and head at hand
+  const uint32_t* values_ = nullptr;    // likewise
+  const uint32_t* occupied_ = nullptr;  // likewise
   uint32_t* overlaps_;
   uint32_t* members_;
   float* sums_;
@@ -162,37 +209,53 @@ uint64_t AttendImpl(const AttentionWindow& window, const uint32_t* query, const 
                     const float* scale, float* y) {
   thread_local std::vector<uint32_t> scratch;
   thread_local std::vector<float> sums;
-  const int blocks = window.slots / 32;
-  scratch.resize(window.slots + blocks);
+  scratch.resize(window.slots + window.slots / 32);
   sums.resize(32 * window.words);
-  HeadAttention head_attention(window, scratch.data(), sums.data());
+  HeadAttention attention(window, scratch.data(), sums.data());
   uint64_t products = 0;
-  for (int i = 0; i < window.ticks * window.heads; ++i) {
-    const int head = i % window.heads;
-    products +=
-        head_attention.Run(window.keys + static_cast<size_t>(i) * window.words * window.slots,
-                           window.values + static_cast<size_t>(i) * blocks * 32 * window.words,
-                           query + static_cast<size_t>(i) * window.words,
-                           weight + static_cast<size_t>(head) * (window.head_size + 1),
-                           scale[head] >= 0.0f, y + static_cast<size_t>(i) * window.head_size);
+  for (int index = 0; index < window.ticks * window.heads; ++index) {
+    attention.MoveTo(index);
+    const bool is_heard = attention.IsHeard();
+    const bool asks = AnyBit(query, window.words);
+    if (!is_heard) {
+      Clear(y, window.head_size);
+      if (asks) products += attention.SumOverlaps(query);
+    } else if (!asks) {
+      attention.AttendSilently(y);
+    } else {
+      const int head = index % window.heads;
+      products +=
+          attention.Attend(query, weight + static_cast<size_t>(head) * (window.head_size + 1),
+                           scale[head] >= 0.0f, y);
+    }
+    query += window.words;
+    y += window.head_size;
   }
   return products;
 }
 
 void StoreValuesImpl(const uint32_t* bits, int slot, const AttentionWindow& window,
-                     uint32_t* values) {
+                     uint32_t* values, uint32_t* occupied) {
   const U32 du;
   const int blocks = window.slots / 32;
   const int lanes = 32 * window.words;
-  const auto bit = hn::Set(du, 1u << (slot % 32));
+  const uint32_t slot_bit = 1u << (slot % 32);
+  const auto bit = hn::Set(du, slot_bit);
+  occupied += slot / 32;
+  values += static_cast<size_t>(slot / 32) * lanes;
   for (int i = 0; i < window.ticks * window.heads; ++i) {
-    uint32_t* block = values + (static_cast<size_t>(i) * blocks + slot / 32) * lanes;
-    for (int lane = 0; lane < lanes; lane += kVector) {
-      const uint32_t word = bits[static_cast<size_t>(i) * window.words + lane / 32] >> (lane % 32);
-      const auto others = hn::AndNot(bit, hn::LoadU(du, block + lane));
-      const auto own = hn::IfThenElseZero(MaskFromBits(du, word), bit);
-      hn::StoreU(hn::Or(others, own), du, block + lane);
+    const bool occupies = AnyBit(bits, window.words);
+    if (occupies || (*occupied & slot_bit) != 0) {  // else it was silent, and still is
+      *occupied = occupies ? *occupied | slot_bit : *occupied & ~slot_bit;
+      for (int lane = 0; lane < lanes; lane += kVector) {
+        const auto others = hn::AndNot(bit, hn::LoadU(du, values + lane));
+        const auto own = hn::IfThenElseZero(MaskFromBits(du, bits[lane / 32] >> (lane % 32)), bit);
+        hn::StoreU(hn::Or(others, own), du, values + lane);
+      }
     }
+    bits += window.words;
+    occupied += blocks;
+    values += static_cast<size_t>(blocks) * lanes;
   }
 }
 
@@ -211,8 +274,9 @@ uint64_t Attend(const AttentionWindow& window, const uint32_t* query, const floa
   return HWY_DYNAMIC_DISPATCH(AttendImpl)(window, query, weight, scale, y);
 }
 
-void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window, uint32_t* values) {
-  HWY_DYNAMIC_DISPATCH(StoreValuesImpl)(bits, slot, window, values);
+void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window, uint32_t* values,
+                 uint32_t* occupied) {
+  HWY_DYNAMIC_DISPATCH(StoreValuesImpl)(bits, slot, window, values, occupied);
 }
 
 }  // namespace spikeserve::kernels

@@ -17,12 +17,13 @@ namespace spikeserve::kernels {
 struct AttentionWindow {
   int ticks = 0;
   int heads = 0;
-  int head_size = 0;                 // d_h
-  int words = 0;                     // W
-  int slots = 0;                     // S, a multiple of 32
-  const uint32_t* keys = nullptr;    // [T][H][W][S]: bits are dimensions
-  const uint32_t* values = nullptr;  // [T][H][S / 32][32 W]: bits are slots
-  const uint32_t* valid = nullptr;   // [S / 32]: the slots the query may attend to, at least one
+  int head_size = 0;                   // d_h
+  int words = 0;                       // W
+  int slots = 0;                       // S, a multiple of 32
+  const uint32_t* keys = nullptr;      // [T][H][W][S]: bits are dimensions
+  const uint32_t* values = nullptr;    // [T][H][S / 32][32 W]: bits are slots
+  const uint32_t* occupied = nullptr;  // [T][H][S / 32]: the slots that have a value bit at all
+  const uint32_t* valid = nullptr;     // [S / 32]: the slots the query may attend to, at least one
 };
 
 // y [T][H][d_h], contiguous, for a query [T][H][W]: the softmax over valid slots of c_h popcount(q
@@ -32,9 +33,10 @@ struct AttentionWindow {
 uint64_t Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
                 const float* scale, float* y);
 
-// Writes one token's value bits [T][H][W] into slot `slot` of `values` (layout as in
+// Writes one token's value bits [T][H][W] into slot `slot` of `values` and `occupied` (layout as in
 // AttentionWindow).
-void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window, uint32_t* values);
+void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window, uint32_t* values,
+                 uint32_t* occupied);
 
 }  // namespace spikeserve::kernels
 

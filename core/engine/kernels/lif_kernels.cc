@@ -15,6 +15,10 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
+// Vectors of neurons that run together: enough for their chains to overlap, few enough for
+// membranes and currents to stay in the target's registers.
+constexpr int kLifVectors = std::max(kVectorsPerWord, HWY_TARGET <= HWY_AVX3 ? 8 : 4);
+
 // The period is one more than the number of thresholds the current fails to reach.
 HWY_INLINE hn::Vec<I32> Periods(VecF current, const std::vector<float>& thresholds) {
   const F32 d;
@@ -33,13 +37,18 @@ void CoderPeriodsImpl(const PeriodTable& table, const float* x, const float* gai
   const F32 d;
   const I32 di;
   std::fill_n(active, (size + 31) / 32, 0u);
+  const auto smallest = hn::Set(d, table.thresholds().back());
   int j = 0;
   for (; j + kVector <= size; j += kVector) {
     const auto current =
         hn::Add(hn::Mul(hn::LoadU(d, x + j), hn::LoadU(d, gain + j)), hn::LoadU(d, bias + j));
-    const auto period = Periods(current, table.thresholds());
-    hn::StoreU(period, di, periods + j);
-    active[j / 32] |= MaskBits(di, hn::Gt(period, hn::Zero(di))) << (j % 32);
+    const uint32_t fires = MaskBits(d, hn::Ge(current, smallest));
+    if (fires == 0) {
+      hn::StoreU(hn::Zero(di), di, periods + j);
+      continue;
+    }
+    active[j / 32] |= fires << (j % 32);
+    hn::StoreU(Periods(current, table.thresholds()), di, periods + j);
   }
   for (; j < size; ++j) {
     periods[j] = table.Period(x[j] * gain[j] + bias[j]);
@@ -47,20 +56,27 @@ void CoderPeriodsImpl(const PeriodTable& table, const float* x, const float* gai
   }
 }
 
+// Adds up kVectors vectors of each row from `lane` on.
+template <int kVectors>
+HWY_INLINE void SumBlock(const PackedLinear& linear, const int32_t* members, int count, int lane,
+                         float* sum) {
+  const F32 d;
+  VecF total[kVectors];
+  const float* first = linear.row(members[0]) + lane;
+  for (int v = 0; v < kVectors; ++v) total[v] = hn::LoadU(d, first + v * kVector);
+  for (int m = 1; m < count; ++m) {
+    const float* row = Opaque(linear.row(members[m]) + lane);
+    for (int v = 0; v < kVectors; ++v) {
+      total[v] = hn::Add(total[v], hn::LoadU(d, row + v * kVector));
+    }
+  }
+  for (int v = 0; v < kVectors; ++v) hn::StoreU(total[v], d, sum + lane + v * kVector);
+}
+
 void SumRowsImpl(const PackedLinear& linear, const int32_t* members, int count, int width,
                  float* sum) {
-  const F32 d;
-  ForEachBlock(width, [&](int lane, auto vectors) HWY_ATTR {
-    VecF total[vectors];
-    for (int v = 0; v < vectors; ++v) total[v] = hn::Zero(d);
-    for (int m = 0; m < count; ++m) {
-      const float* row = linear.row(members[m]) + lane;
-      for (int v = 0; v < vectors; ++v) {
-        total[v] = hn::Add(total[v], hn::LoadU(d, row + v * kVector));
-      }
-    }
-    for (int v = 0; v < vectors; ++v) hn::StoreU(total[v], d, sum + lane + v * kVector);
-  });
+  ForEachBlock<8>(width, [&](int lane, auto vectors)
+                             HWY_ATTR { SumBlock<vectors>(linear, members, count, lane, sum); });
 }
 
 // Runs kVectors vectors of neurons from `lane` on; calls on_spike(tick, v, mask) for each of them.
@@ -70,17 +86,17 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive& drive, in
   const F32 d;
   const auto decay = hn::Set(d, lif.decay);
   const auto threshold = hn::Set(d, lif.threshold);
+  const int ticks = drive.ticks;
+  const int* offsets = drive.offsets.data();
+  const float* const* terms = drive.terms.data();
+  bias = Opaque(bias + lane);
   VecF membrane[kVectors];
-  VecF constant[kVectors];
-  for (int v = 0; v < kVectors; ++v) {
-    membrane[v] = hn::Zero(d);
-    constant[v] = hn::LoadU(d, bias + lane + v * kVector);
-  }
-  for (int tick = 0; tick < drive.ticks; ++tick) {
+  for (int v = 0; v < kVectors; ++v) membrane[v] = hn::Zero(d);
+  for (int tick = 0, k = 0; tick < ticks; ++tick) {
     VecF current[kVectors];
-    for (int v = 0; v < kVectors; ++v) current[v] = constant[v];
-    for (int k = drive.offsets[tick]; k < drive.offsets[tick + 1]; ++k) {
-      const float* term = drive.terms[k] + lane;
+    for (int v = 0; v < kVectors; ++v) current[v] = hn::LoadU(d, bias + v * kVector);
+    for (const int end = offsets[tick + 1]; k < end; ++k) {
+      const float* term = Opaque(terms[k] + lane);
       for (int v = 0; v < kVectors; ++v) {
         current[v] = hn::Add(current[v], hn::LoadU(d, term + v * kVector));
       }
@@ -94,18 +110,16 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive& drive, in
   }
 }
 
-void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int width, uint32_t* bits) {
+void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int first, int width,
+                 uint32_t* bits) {
   const F32 d;
-  const int words = width / kLanes;
-  ForEachBlock(width, [&](int lane, auto vectors) HWY_ATTR {
-    constexpr int kWords = vectors / kVectorsPerWord;
-    uint32_t word[kWords];
-    RunLif<vectors>(lif, bias, drive, lane, [&](int tick, int v, auto spike) HWY_ATTR {
-      const uint32_t part = MaskBits(d, spike) << (v % kVectorsPerWord * kVector);
-      uint32_t& current = word[v / kVectorsPerWord];
-      current = v % kVectorsPerWord == 0 ? part : current | part;
-      if (v + 1 == vectors) std::copy_n(word, kWords, bits + tick * words + lane / kLanes);
-    });
+  uint8_t* const bytes = reinterpret_cast<uint8_t*>(bits);
+  const size_t stride = width / 8;
+  ForEachBlock<kLifVectors>(width, [&](int lane, auto vectors) HWY_ATTR {
+    uint8_t* const block = bytes + lane / 8;
+    RunLif<vectors>(lif, bias, drive, first + lane,
+                    [d, block, stride](int tick, int v, auto spike)
+                        HWY_ATTR { StoreMask(d, spike, block + tick * stride, v); });
   });
 }
 
@@ -115,7 +129,7 @@ uint64_t LifRatesImpl(const Lif& lif, const float* bias, const Drive& drive, int
   const I32 di;
   const auto ticks = hn::Set(d, static_cast<float>(drive.ticks));
   auto total = hn::Zero(di);
-  ForEachBlock(width, [&](int lane, auto vectors) HWY_ATTR {
+  ForEachBlock<kLifVectors>(width, [&](int lane, auto vectors) HWY_ATTR {
     hn::Vec<I32> count[vectors];
     for (int v = 0; v < vectors; ++v) count[v] = hn::Zero(di);
     RunLif<vectors>(lif, bias, drive, lane, [&](int, int v, auto spike) HWY_ATTR {
@@ -163,8 +177,9 @@ void SumRows(const PackedLinear& linear, const int32_t* members, int count, int 
   HWY_DYNAMIC_DISPATCH(SumRowsImpl)(linear, members, count, width, sum);
 }
 
-void LifBits(const Lif& lif, const float* bias, const Drive& drive, int width, uint32_t* bits) {
-  HWY_DYNAMIC_DISPATCH(LifBitsImpl)(lif, bias, drive, width, bits);
+void LifBits(const Lif& lif, const float* bias, const Drive& drive, int first, int width,
+             uint32_t* bits) {
+  HWY_DYNAMIC_DISPATCH(LifBitsImpl)(lif, bias, drive, first, width, bits);
 }
 
 uint64_t LifRates(const Lif& lif, const float* bias, const Drive& drive, int width, float* rates) {

@@ -26,13 +26,15 @@ struct Drive {
 void CoderPeriods(const PeriodTable& table, const float* x, const float* gain, const float* bias,
                   int size, int32_t* periods, uint32_t* active);
 
-// sum[lane] = the rows of `members`, in that order, added to zero; lane < width.
+// sum[lane] = the rows of `members`, added up in that order; lane < width. REQUIRES: count > 0.
 void SumRows(const PackedLinear& linear, const int32_t* members, int count, int width, float* sum);
 
-// Runs LIF neurons from zero. bits: [ticks][width / 32], lane i is bit i % 32 of word i / 32.
-void LifBits(const Lif& lif, const float* bias, const Drive& drive, int width, uint32_t* bits);
+// Runs LIF neurons from zero, those of lanes first ... first + width - 1, both multiples of kLanes.
+// bits: [ticks][width / 32], lane first + i is bit i % 32 of word i / 32.
+void LifBits(const Lif& lif, const float* bias, const Drive& drive, int first, int width,
+             uint32_t* bits);
 
-// As LifBits, but rates[lane] = spikes / ticks; returns the number of all spikes.
+// As LifBits from lane 0 on, but rates[lane] = spikes / ticks; returns the number of all spikes.
 uint64_t LifRates(const Lif& lif, const float* bias, const Drive& drive, int width, float* rates);
 
 // Bits set in words[0, count).

@@ -66,14 +66,14 @@ HWY_INLINE const ActiveInputs& FindActive(const PackedLinear& linear, const floa
 uint64_t AffineImpl(const PackedLinear& linear, const float* input, float* output) {
   const F32 d;
   const ActiveInputs& active = FindActive(linear, input, /*stride=*/0, /*ticks=*/1);
-  ForEachBlock(linear.width, [&](int lane, auto vectors) HWY_ATTR {
+  ForEachBlock<8>(linear.width, [&](int lane, auto vectors) HWY_ATTR {
     VecF total[vectors];
     for (int v = 0; v < vectors; ++v) {
       total[v] = hn::LoadU(d, linear.bias.data() + lane + v * kVector);
     }
     for (const int32_t j : active.inputs) {
       const auto x = hn::Set(d, input[j]);
-      const float* row = linear.row(j) + lane;
+      const float* row = Opaque(linear.row(j) + lane);
       for (int v = 0; v < vectors; ++v) {
         total[v] = hn::Add(total[v], hn::Mul(hn::LoadU(d, row + v * kVector), x));
       }
@@ -110,7 +110,7 @@ uint64_t AffineTicksImpl(const PackedLinear& linear, const float* input, int str
   int t = 0;
   const auto in = [&] { return input + static_cast<size_t>(t) * stride; };
   const auto out = [&] { return output + static_cast<size_t>(t) * linear.width; };
-  for (; t + 8 <= ticks; t += 8) AffineBlock<8>(linear, active.inputs, in(), stride, out());
+  for (; t + 5 <= ticks; t += 5) AffineBlock<5>(linear, active.inputs, in(), stride, out());
   for (; t + 2 <= ticks; t += 2) AffineBlock<2>(linear, active.inputs, in(), stride, out());
   for (; t < ticks; ++t) AffineBlock<1>(linear, active.inputs, in(), stride, out());
   return active.products;

@@ -43,14 +43,35 @@ HWY_INLINE auto MaskFromBits(D d, uint32_t bits) {
   return hn::LoadMaskBits(d, bytes);
 }
 
-// Calls block(lane, count<V>) over [0, width), a multiple of kLanes: blocks of eight vectors, so
+// The same address, of whose origin the compiler knows nothing: GCC hoists the offset of each
+// vector of a row out of the loop over rows, and then has no registers left for sums.
+HWY_INLINE const float* Opaque(const float* address) {
+  asm("" : "+r"(address));
+  return address;
+}
+
+// Stores the mask of vector number `v` of a row of vectors whose bits start at `bytes`, in
+// ascending order of v.
+template <class D, class Mask>
+HWY_INLINE void StoreMask(D d, Mask mask, uint8_t* bytes, int v) {
+  if constexpr (kVector >= 8) {
+    hn::StoreMaskBits(d, mask, bytes + v * kVector / 8);
+  } else {
+    constexpr int kPerByte = 8 / kVector;
+    const int shift = v % kPerByte * kVector;
+    uint8_t& byte = bytes[v / kPerByte];
+    byte = static_cast<uint8_t>((shift == 0 ? 0 : byte) | MaskBits(d, mask) << shift);
+  }
+}
+
+// Calls block(lane, count<V>) over [0, width), a multiple of kLanes: blocks of kVectors vectors, so
 // that their chains of additions overlap, then of kLanes, which a block never undercuts.
-template <class Block>
+template <int kVectors, class Block>
 HWY_INLINE void ForEachBlock(int width, Block block) {
-  constexpr int kVectors = kVectorsPerWord > 8 ? kVectorsPerWord : 8;
+  constexpr int kBlock = kVectorsPerWord > kVectors ? kVectorsPerWord : kVectors;
   int lane = 0;
-  for (; lane + kVectors * kVector <= width; lane += kVectors * kVector) {
-    block(lane, std::integral_constant<int, kVectors>());
+  for (; lane + kBlock * kVector <= width; lane += kBlock * kVector) {
+    block(lane, std::integral_constant<int, kBlock>());
   }
   for (; lane < width; lane += kLanes) block(lane, std::integral_constant<int, kVectorsPerWord>());
 }
