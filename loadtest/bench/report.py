@@ -108,7 +108,10 @@ def engine_section(engine):
         for key, name in ENGINE_NAMES.items()
     ]
     header = ["contestant", "decisions/s", "µs a decision", "spikes a decision", "silent spikeserve is faster by"]
-    return "## Engine, one core\n\n" + table(header, rows)
+    text = "\nThe cached dense model in libtorch is timed only if it gives the answers of the engine of dense mode. The one in "
+    text += "ONNX Runtime is the same graph with random weights of its own, whose answers nothing checks. What bounds this "
+    text += "engine: [docs/architecture.md](architecture.md#what-bounds-a-decision).\n"
+    return "## Engine, one core\n\n" + table(header, rows) + text
 
 
 def growth_section(growth):
