@@ -106,13 +106,14 @@ absl::StatusOr<Less> OrderOf(const HttpQuery& query) {
       absl::StrCat("order: expected ascending or descending, received ", Quoted(order)));
 }
 
-// Whether the id, "policy/version" or a label holds the text, upper case or lower.
+// Whether the id, "policy/version", "tenant=name" or a label holds the text, upper case or lower.
 bool Matches(const SessionInfo& session, absl::string_view lower_case) {
   const auto holds = [&](absl::string_view text) {
     return absl::StrContains(absl::AsciiStrToLower(text), lower_case);
   };
   if (holds(session.session_id())) return true;
   if (holds(absl::StrCat(session.policy(), "/", session.version()))) return true;
+  if (holds(absl::StrCat("tenant=", session.tenant()))) return true;
   return std::any_of(session.labels().begin(), session.labels().end(), [&](const auto& label) {
     return holds(absl::StrCat(label.first, "=", label.second));
   });

@@ -36,7 +36,8 @@ export class Sessions {
       number('head_drift', 'Head drift', (x) => fixed(x, 4)),
       number('idle_seconds', 'Idle, seconds', fixed),
       {key: 'labels', label: 'Labels', isText: true,
-       text: (row) => Object.entries(row.labels).map(([key, value]) => `${key}=${value}`).join(' ')},
+       text: (row) => Object.entries(row.tenant ? {...row.labels, tenant: row.tenant} : row.labels)
+         .map(([key, value]) => `${key}=${value}`).join(' ')},
     ], {sort: 'energy_joules', descending: true, key: (row) => row.session_id, onSort: () => this.go(0)});
     this.filter.addEventListener('input', () => this.go(0));
     this.previous.addEventListener('click', () => this.go(Math.max(0, this.offset - PAGE_SIZE)));

@@ -196,9 +196,11 @@ TEST_F(PolicyAdminTest, APolledDirectoryNeedsNoOperator) {
   EXPECT_THAT(server_->Log(), HasSubstr("spikeserve: policy loaded: discrete/4\n"));
   EXPECT_THAT(server_->Log(), HasSubstr("spikeserve: policy unloaded: discrete/4\n"));
   const std::string log = server_->Log();
-  const size_t refusal = log.find("policy refused: " + FileOf(1).string());
+  // Version 4's folder may be met before its file, which is refused, too.
+  const std::string line = "policy refused: " + FileOf(1).string();
+  const size_t refusal = log.find(line);
   EXPECT_NE(refusal, std::string::npos);
-  EXPECT_EQ(log.find("policy refused", refusal + 1), std::string::npos) << "logged once: " << log;
+  EXPECT_EQ(log.find(line, refusal + 1), std::string::npos) << "logged once: " << log;
 }
 
 TEST_F(PolicyAdminTest, AVersionThatIsInUseStays) {

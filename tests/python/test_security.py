@@ -148,6 +148,11 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
         assert seen_by(token) == ([ok, ok], 200), token
     for token in ("rival-viewer", "rival-operator"):
         assert seen_by(token) == ([not_found, not_found], 404), token
+    query = "/sessions.json?limit=1000&filter=tenant%3Drival"
+    with service_with(addresses, "rival") as theirs:
+        theirs.OpenSession(policy="cartpole")
+    rivals = json.loads(http_body(addresses.http, query, "Bearer watchman"))["sessions"]
+    assert {entry["tenant"] for entry in rivals} == {"rival"}
     # To look is not to touch.
     with service_with(addresses, "rival-operator") as other:
         assert code_of(other.CloseSession, session_id=session) == not_found
