@@ -78,8 +78,9 @@ def main():
             results.append(result)
     print(describe("median", results))
     adapted = [result["adapted_return"] for result in results]
-    half = [share is not None and share >= 0.5 for share in map(regained, results)]
-    print(f"adapted: least {min(adapted):.1f}, most {max(adapted):.1f}; {sum(half)} of {len(half)} regained half")
+    shares = [share for share in map(regained, results) if share is not None]
+    half = f"; {sum(share >= 0.5 for share in shares)} of {len(shares)} regained half" if shares else ""
+    print(f"adapted: least {min(adapted):.1f}, most {max(adapted):.1f}{half}")
 
 
 if __name__ == "__main__":

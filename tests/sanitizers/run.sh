@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Runs 1,000 sessions on 8 streams against the server, both under a sanitizer; fails on any report.
+# Runs 1,000 sessions on 8 streams against the server, then 64 that learn one fleet's head, and 64 that learn heads of
+# their own, all under a sanitizer; fails on any report.
 #
 # usage: tests/sanitizers/run.sh asan|tsan [DURATION]
 set -euo pipefail
@@ -28,7 +29,13 @@ while [[ -z $address ]]; do
   case $line in *'serving gRPC on '*) address=${line##* } ;; esac
 done
 
-"$bin/spikeload" --server="$address" --sessions=1000 --streams=8 --duration="$duration" --mode=stream
+load() {
+  "$bin/spikeload" --server="$address" --duration="$duration" "$@"
+}
+load --sessions=1000 --streams=8 --mode=stream
+# Short episodes, so that many end, and are merged, at once.
+load --sessions=64 --streams=16 --mode=unary --policy=cartpole --learning_scope=fleet --episode_steps=5
+load --sessions=64 --streams=16 --mode=unary --policy=pendulum --learning_scope=session --episode_steps=5
 kill -TERM "$server"
 status=0
 wait "$server" || status=$?
