@@ -27,7 +27,7 @@ class HeadAdminTest : public ::testing::Test {
     for (const std::string name : {"a", "b"}) WriteVersion(name, 1);
     std::vector<absl::Status> refused;
     auto registry = PolicyRegistry::Load(
-        directory_.path().string(),
+        directory_.path().string(), /*settings_path=*/"",
         [&](const std::string& name, int64_t version, const Policy& loaded) {
           return metrics_.NewPolicyObserver(name, version, loaded);
         },
