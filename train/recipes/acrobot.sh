@@ -23,5 +23,13 @@ stage 4-whole base,round1,round2,round3 --seed=4 --iterations=350 --target_rate=
 data round4 --seed=4 --steps=40000 --expert_fraction=0 --student="$policy" "${expert[@]}"
 stage 5-whole base,round1,round2,round3,round4 --seed=5 --iterations=400 --target_rate=1.2 --readout_rate=8 --slope=4 \
   --batch=16 --learning_rate=2e-3
+# The first rounds' states are those of worse players, and are left behind.
+data round5 --seed=5 --steps=80000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 6-loud base,round5 --seed=6 --iterations=1200 --target_rate=3 --readout_rate=15 "${short[@]}"
+data round6 --seed=6 --steps=60000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 7-quiet base,round5,round6 --seed=7 --iterations=800 --target_rate=1.8 --readout_rate=10 "${short[@]}"
+data round7 --seed=7 --steps=60000 --expert_fraction=0 --student="$policy" "${expert[@]}"
+stage 8-whole base,round5,round6,round7 --seed=8 --iterations=500 --target_rate=1.5 --readout_rate=10 --slope=4 \
+  --batch=16 --learning_rate=1.5e-3
 
 unseen
