@@ -30,8 +30,8 @@ bench: build
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
 	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
 
-# Sixty seconds each of 1,000 sessions on 8 streams, of 64 that learn one head, and of 64 that learn their own, under the
-# address and thread sanitizers.
+# Under the address and then the thread sanitizer: sixty seconds of 1,000 sessions on 8 streams, and ten each of 64 that
+# learn one head and of 64 that learn their own, while the status page and the metrics are read.
 sanitize: setup
 	tests/sanitizers/run.sh asan
 	tests/sanitizers/run.sh tsan

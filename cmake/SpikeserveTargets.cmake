@@ -14,9 +14,12 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
   target_compile_options(spikeserve_options INTERFACE -Wthread-safety)
 endif()
 
-# The thread sanitizer needs to be told of the mutexes of libraries that were built without it.
+# The thread sanitizer needs to be told what libraries that were built without it order.
 option(SPIKESERVE_TSAN "Programs run under the thread sanitizer" OFF)
-set(SPIKESERVE_PROGRAM_SOURCES "$<$<BOOL:${SPIKESERVE_TSAN}>:${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_absl.cc>")
+if(SPIKESERVE_TSAN)
+  set(SPIKESERVE_PROGRAM_SOURCES
+    ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_absl.cc ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_grpc.cc)
+endif()
 
 # spikeserve_library(NAME SOURCES file... [DEPENDS target...] [PRIVATE_DEPENDS target...])
 # DEPENDS are what the headers of the library include, PRIVATE_DEPENDS what only its sources do.

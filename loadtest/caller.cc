@@ -10,9 +10,6 @@ namespace {
 
 using std::chrono::steady_clock;
 
-// Longer than any call may take, so that only a server that has gone silent runs into it.
-constexpr absl::Duration kPatience = absl::Seconds(20);
-
 // A limit that was reached is none any more a little later.
 bool MayPass(const absl::Status& status) {
   return IsRetryable(status) || absl::IsResourceExhausted(status);
@@ -25,8 +22,8 @@ double Seconds(steady_clock::duration duration) {
 }  // namespace
 
 Caller::Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents,
-               absl::Duration pause_after_error)
-    : exchange_(std::move(exchange)), pause_after_error_(pause_after_error) {
+               absl::Duration pause_after_error, absl::Duration patience)
+    : exchange_(std::move(exchange)), pause_after_error_(pause_after_error), patience_(patience) {
   for (SimulatedAgent& agent : agents) {
     std::string id = agent.session_id();
     agents_.emplace(std::move(id), std::move(agent));
@@ -38,7 +35,7 @@ LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
   const Time end = start + duration;
   for (auto& [id, agent] : agents_) Send(agent, steady_clock::now());
   while (under_way_ > 0) {
-    const auto reply = exchange_->Receive(kPatience);
+    const auto reply = exchange_->Receive(patience_);
     if (!reply.ok()) {
       LoseRequestsUnderWay(reply.status());
       break;
@@ -64,7 +61,7 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
       next += schedule.interval;
     }
     const bool waits_for_time = next < end && !free.empty();
-    const auto pause = waits_for_time ? absl::FromChrono(next - steady_clock::now()) : kPatience;
+    const auto pause = waits_for_time ? absl::FromChrono(next - steady_clock::now()) : patience_;
     if (under_way_ == 0) {
       absl::SleepFor(pause);
       continue;

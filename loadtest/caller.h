@@ -35,9 +35,10 @@ struct Schedule {
 
 class Caller {
  public:
-  // The pause keeps a server that refuses everything from being flooded.
+  // The pause keeps a server that refuses everything from being flooded. `patience` is longer than
+  // any call may take, so that only a server that has gone silent runs into it.
   Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents,
-         absl::Duration pause_after_error);
+         absl::Duration pause_after_error, absl::Duration patience);
 
   // Each sends requests for `duration`, then waits for the answers under way.
   LoadReport RunClosedLoop(std::chrono::steady_clock::duration duration);
@@ -56,6 +57,7 @@ class Caller {
 
   std::unique_ptr<Exchange> exchange_;
   absl::Duration pause_after_error_;
+  absl::Duration patience_;
   std::unordered_map<std::string, SimulatedAgent> agents_;  // by session id
   int under_way_ = 0;
   LoadReport report_;

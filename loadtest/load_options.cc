@@ -53,6 +53,11 @@ absl::Status LoadOptions::Validate() const {
     return absl::InvalidArgumentError(absl::StrCat(
         "--duration: expected more than 0 and at most 24h, got ", absl::FormatDuration(duration)));
   }
+  if (call_timeout <= absl::ZeroDuration() || call_timeout > absl::Hours(1)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--call_timeout: expected more than 0 and at most 1h, got ",
+                     absl::FormatDuration(call_timeout)));
+  }
   return absl::OkStatus();
 }
 

@@ -31,8 +31,9 @@ struct LoadOptions {
   LoadMode mode = LoadMode::kUnary;
   int sessions = 64;
   int streams = 8;  // callers at a time, each with a thread and a connection; at most one a session
-  absl::Duration duration = absl::Seconds(10);  // no request starts later
-  std::string policy;                           // empty: the first one served
+  absl::Duration duration = absl::Seconds(10);     // no request starts later
+  absl::Duration call_timeout = absl::Seconds(5);  // how long any one call but a stream may take
+  std::string policy;                              // empty: the first one served
   // Whose head every session learns, sampling its actions; absent: frozen and greedy.
   std::optional<v1::LearningConfig::Scope> learning_scope;
   int episode_steps = 200;  // steps after which a session ends its episode

@@ -77,6 +77,7 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
   // One attempt a call, so that every failure is seen and counted.
   ClientOptions client_options;
   client_options.retry.max_attempts = 1;
+  client_options.call_timeout = options.call_timeout;
   client_options.security = options.security;
   std::vector<std::unique_ptr<Client>> clients;
   std::vector<Caller> callers;
@@ -89,7 +90,7 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
     auto agents = OpenAgents(options, *policy, i, clients.back().get());
     if (!agents.ok()) return agents.status();
     callers.emplace_back(MakeExchange(options.mode, options.batch_size, clients.back().get()),
-                         *std::move(agents), options.pause_after_error);
+                         *std::move(agents), options.pause_after_error, 4 * options.call_timeout);
   }
   LoadReport report = RunCallers(options, callers);
   absl::Status closed;

@@ -42,6 +42,9 @@ ABSL_FLAG(int32_t, streams, spikeserve::LoadOptions().streams,
           "mode its own stream");
 ABSL_FLAG(spikeserve::Seconds, duration, {spikeserve::LoadOptions().duration},
           "How long requests are sent, in seconds or with a unit: 60, 500ms, 2m");
+ABSL_FLAG(absl::Duration, call_timeout, spikeserve::LoadOptions().call_timeout,
+          "How long a call may take before it counts as failed; a stream fails after four times "
+          "this without an answer");
 ABSL_FLAG(std::string, policy, "", "Policy to ask for; empty: the first one served");
 ABSL_FLAG(std::string, learning_scope, "",
           "session or fleet: every session samples and learns, a head of its own or the fleet's; "
@@ -79,6 +82,7 @@ absl::StatusOr<LoadOptions> OptionsFromFlags() {
   options.sessions = absl::GetFlag(FLAGS_sessions);
   options.streams = absl::GetFlag(FLAGS_streams);
   options.duration = absl::GetFlag(FLAGS_duration).value;
+  options.call_timeout = absl::GetFlag(FLAGS_call_timeout);
   options.policy = absl::GetFlag(FLAGS_policy);
   options.learning_scope = *learning_scope;
   options.episode_steps = absl::GetFlag(FLAGS_episode_steps);

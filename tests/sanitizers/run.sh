@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Runs 1,000 sessions on 8 streams against the server, then 64 that learn one fleet's head, and 64 that learn heads of
-# their own, all under a sanitizer; fails on any report.
+# Loads a sanitized server with a sanitized client while its pages are read, and fails on any report: 1,000 sessions on
+# 8 streams for DURATION, then 64 that learn one fleet's head by unary calls, and 64 that learn heads of their own in
+# batches, ten seconds each.
 #
 # usage: tests/sanitizers/run.sh asan|tsan [DURATION]
 set -euo pipefail
@@ -15,7 +16,7 @@ log=build/$preset/sanitizer-report.txt
 
 # A report ends the process with status 66 and stands in the log. gRPC and protobuf are built without the sanitizer, so
 # what they do themselves is not judged.
-export TSAN_OPTIONS="ignore_noninstrumented_modules=1:exitcode=66:suppressions=tests/sanitizers/tsan_suppressions.txt"
+export TSAN_OPTIONS="ignore_noninstrumented_modules=1:exitcode=66"
 export ASAN_OPTIONS="detect_leaks=1:exitcode=66"
 export UBSAN_OPTIONS="halt_on_error=1:exitcode=66:print_stacktrace=1"
 
@@ -23,26 +24,38 @@ exec {server_out}< <(exec "$bin/spikeserve" --policies=deploy/policies --listen=
   --http_listen=127.0.0.1:0 2>"$log")
 server=$!
 trap 'kill -TERM "$server" 2>/dev/null || true' EXIT
-address=''
-while [[ -z $address ]]; do
+grpc='' http=''
+while [[ -z $http ]]; do
   read -r -t 120 line <&"$server_out" || { cat "$log" >&2; echo "sanitize: the server did not start" >&2; exit 1; }
-  case $line in *'serving gRPC on '*) address=${line##* } ;; esac
+  case $line in
+    *'serving gRPC on '*) grpc=${line##* } ;;
+    *'serving HTTP on '*) http=${line##* } ;;
+  esac
 done
 
+while curl -sSf --fail-early -o /dev/null "http://$http/{metrics,status.json,sessions.json}"; do sleep 0.2; done &
+reader=$!
+trap 'kill -TERM "$reader" "$server" 2>/dev/null || true' EXIT
+
+failed=''
 load() {
-  "$bin/spikeload" --server="$address" --duration="$duration" "$@"
+  # A sanitized server is slow: what a thousand sessions ask at once waits for long.
+  "$bin/spikeload" --server="$grpc" --call_timeout=60s "$@" || failed+=" spikeload $*;"
 }
-load --sessions=1000 --streams=8 --mode=stream
+load --sessions=1000 --streams=8 --mode=stream --duration="$duration"
 # Short episodes, so that many end, and are merged, at once.
-load --sessions=64 --streams=16 --mode=unary --policy=cartpole --learning_scope=fleet --episode_steps=5
-load --sessions=64 --streams=16 --mode=unary --policy=pendulum --learning_scope=session --episode_steps=5
-kill -TERM "$server"
+load --sessions=64 --streams=16 --mode=unary --policy=cartpole --learning_scope=fleet --episode_steps=5 --duration=10s
+load --sessions=64 --streams=16 --mode=batch --policy=pendulum --learning_scope=session --episode_steps=5 --duration=10s
+
+kill -TERM "$reader" || failed+=' the pages could not be read;'
+kill -TERM "$server" || true
 status=0
 wait "$server" || status=$?
 trap - EXIT
-if ((status != 0)) || grep -qE 'Sanitizer|runtime error' "$log"; then
+((status == 0)) || failed+=" the server ended with status $status;"
+if [[ -n $failed ]] || grep -qE 'Sanitizer|runtime error' "$log"; then
   cat "$log" >&2
-  echo "sanitize: $preset: the server ended with status $status" >&2
+  echo "sanitize: $preset:${failed:- a report}" >&2
   exit 1
 fi
 echo "sanitize: $preset: no report"

@@ -3,6 +3,9 @@
 // Debian's Abseil is built without the sanitizer, so what its mutexes order would look like a race,
 // in our code and in gRPC's. These definitions stand in front of the library's, for every caller in
 // the process: each calls the library's own and tells the sanitizer what was acquired or released.
+// A condition is evaluated within the library, by whichever thread holds the mutex then: by the one
+// that waits, or by one that unlocks, after it has told the sanitizer so. So every evaluation says
+// for itself that the mutex is held.
 // Linked into the programs of the `tsan` preset only.
 #include <dlfcn.h>
 
@@ -20,6 +23,25 @@ template <class Function>
 Function Next(const char* symbol) {
   return reinterpret_cast<Function>(dlsym(RTLD_NEXT, symbol));
 }
+
+// A condition whose evaluation the sanitizer sees under `mutex`; refers to `condition`.
+class SeenCondition {
+ public:
+  SeenCondition(Mutex* mutex, const Condition& condition) : mutex_(mutex), condition_(condition) {}
+
+  bool operator()() const {
+    __tsan_acquire(mutex_);
+    // Looked up, as programs are linked with this file that have no Abseil.
+    static const auto eval = Next<bool (*)(const Condition&)>("_ZNK4absl7debian39Condition4EvalEv");
+    const bool holds = eval(condition_);
+    __tsan_release(mutex_);
+    return holds;
+  }
+
+ private:
+  Mutex* const mutex_;
+  const Condition& condition_;
+};
 
 }  // namespace
 
@@ -60,16 +82,18 @@ bool Mutex::TryLock() {
 void Mutex::Await(const Condition& condition) {
   static const auto next =
       Next<void (*)(Mutex*, const Condition&)>(SPIKESERVE_ABSL("5Mutex5AwaitERKNS0_9ConditionE"));
+  const SeenCondition seen(this, condition);
   __tsan_release(this);
-  next(this, condition);
+  next(this, Condition(&seen));
   __tsan_acquire(this);
 }
 
 bool Mutex::AwaitWithTimeout(const Condition& condition, Duration timeout) {
   static const auto next = Next<bool (*)(Mutex*, const Condition&, Duration)>(
       SPIKESERVE_ABSL("5Mutex16AwaitWithTimeoutERKNS0_9ConditionENS0_8DurationE"));
+  const SeenCondition seen(this, condition);
   __tsan_release(this);
-  const bool satisfied = next(this, condition, timeout);
+  const bool satisfied = next(this, Condition(&seen), timeout);
   __tsan_acquire(this);
   return satisfied;
 }
@@ -77,8 +101,9 @@ bool Mutex::AwaitWithTimeout(const Condition& condition, Duration timeout) {
 bool Mutex::AwaitWithDeadline(const Condition& condition, Time deadline) {
   static const auto next = Next<bool (*)(Mutex*, const Condition&, Time)>(
       SPIKESERVE_ABSL("5Mutex17AwaitWithDeadlineERKNS0_9ConditionENS0_4TimeE"));
+  const SeenCondition seen(this, condition);
   __tsan_release(this);
-  const bool satisfied = next(this, condition, deadline);
+  const bool satisfied = next(this, Condition(&seen), deadline);
   __tsan_acquire(this);
   return satisfied;
 }

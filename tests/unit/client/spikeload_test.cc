@@ -30,7 +30,7 @@ class CallerTest : public ::testing::TestWithParam<LoadMode> {
                           kEpisodeSteps, /*seed=*/i);
     }
     return Caller(MakeExchange(GetParam(), /*batch_size=*/2, client_.get()), std::move(agents),
-                  /*pause_after_error=*/absl::Milliseconds(1));
+                  /*pause_after_error=*/absl::Milliseconds(1), /*patience=*/absl::Seconds(20));
   }
 
   FakePolicyService fake_;
@@ -171,6 +171,8 @@ TEST(LoadOptionsTest, ValidateNamesTheFlag) {
   EXPECT_THAT(message([](LoadOptions& o) { o.batch_size = -1; }), HasSubstr("--batch_size"));
   EXPECT_THAT(message([](LoadOptions& o) { o.duration = absl::InfiniteDuration(); }),
               HasSubstr("--duration"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.call_timeout = absl::ZeroDuration(); }),
+              HasSubstr("--call_timeout: expected more than 0 and at most 1h, got 0"));
   EXPECT_THAT(message([](LoadOptions& o) { o.observation_bound = -1.0; }),
               HasSubstr("--observation_bound"));
   EXPECT_THAT(message([](LoadOptions& o) { o.rate = -1.0; }), HasSubstr("--rate"));
