@@ -26,5 +26,7 @@ stage 5-whole cautious --seed=5 --iterations=300 --learning_rate=1e-3 --target_r
 data student --seed=1 --steps=60000 --expert_fraction=0 --expert=cautious --student="$policy"
 stage 6-own cautious,student --seed=6 --iterations=500 --learning_rate=1.5e-3 --target_rate=0.6 --readout_rate=6 \
   --batch=16 "${common[@]}"
+data student2 --seed=2 --steps=80000 --expert_fraction=0 --expert=cautious --student="$policy"
+stage 7-own cautious,student2 --seed=7 --iterations=900 --learning_rate=2e-3 --target_rate=1 --readout_rate=8 "${short[@]}"
 
 unseen
