@@ -2,56 +2,40 @@
 
 #include <filesystem>
 #include <fstream>
-#include <set>
 #include <sstream>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/model/atomic_file.h"
 #include "core/model/json.h"
+#include "server/strict_json.h"
 
 namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
 
-absl::Status Unexpected(absl::string_view field, absl::string_view expected, const Json& received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected ", expected, ", received ", Describe(received)));
-}
-
-absl::Status CheckObject(const std::string& field, const Json& json,
-                         const std::set<std::string>& keys) {
-  if (!json.is_object()) return Unexpected(field, "an object", json);
-  for (const auto& item : json.items()) {
-    if (keys.contains(item.key())) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected no key ", Quoted(item.key()), ", received one"));
-  }
-  return absl::OkStatus();
-}
-
 absl::StatusOr<int64_t> ParseVersion(const std::string& field, const Json& json) {
   if (!json.is_number_integer() || json.get<int64_t>() < 1) {
-    return Unexpected(field, "a version of at least 1", json);
+    return UnexpectedJson(field, "a version of at least 1", json);
   }
   return json.get<int64_t>();
 }
 
 absl::StatusOr<TrafficShare> ParseShare(const std::string& field, const Json& json) {
-  if (auto status = CheckObject(field, json, {"version", "percent"}); !status.ok()) return status;
+  if (auto status = CheckKeys(field, json, {"version", "percent"}); !status.ok()) return status;
   const auto version = ParseVersion(absl::StrCat(field, ".version"), json.value("version", Json()));
   if (!version.ok()) return version.status();
   const Json percent = json.value("percent", Json());
   if (!percent.is_number_integer() || percent.get<int64_t>() < 0 || percent.get<int64_t>() > 100) {
-    return Unexpected(absl::StrCat(field, ".percent"), "an integer in [0, 100]", percent);
+    return UnexpectedJson(absl::StrCat(field, ".percent"), "an integer in [0, 100]", percent);
   }
   return TrafficShare{.version = *version, .percent = percent.get<int>()};
 }
 
 absl::StatusOr<PolicySettings> ParsePolicy(const std::string& field, const Json& json) {
   if (auto status =
-          CheckObject(field, json, {"default_version", "labels", "shares", "shadow_version"});
+          CheckKeys(field, json, {"default_version", "labels", "shares", "shadow_version"});
       !status.ok()) {
     return status;
   }
@@ -64,14 +48,16 @@ absl::StatusOr<PolicySettings> ParsePolicy(const std::string& field, const Json&
     *target = *version;
   }
   const Json labels = json.value("labels", Json::object());
-  if (!labels.is_object()) return Unexpected(absl::StrCat(field, ".labels"), "an object", labels);
+  if (!labels.is_object()) {
+    return UnexpectedJson(absl::StrCat(field, ".labels"), "an object", labels);
+  }
   for (const auto& [label, value] : labels.items()) {
     const auto version = ParseVersion(absl::StrCat(field, ".labels.", label), value);
     if (!version.ok()) return version.status();
     settings.labels[label] = *version;
   }
   const Json shares = json.value("shares", Json::array());
-  if (!shares.is_array()) return Unexpected(absl::StrCat(field, ".shares"), "an array", shares);
+  if (!shares.is_array()) return UnexpectedJson(absl::StrCat(field, ".shares"), "an array", shares);
   for (size_t i = 0; i < shares.size(); ++i) {
     const auto share = ParseShare(absl::StrCat(field, ".shares[", i, "]"), shares[i]);
     if (!share.ok()) return share.status();
@@ -96,22 +82,22 @@ Json PolicyJson(const PolicySettings& settings) {
 absl::StatusOr<Settings> ParseSettings(absl::string_view text) {
   const auto json = ParseJsonObject("settings", text);
   if (!json.ok()) return json.status();
-  if (auto status = CheckObject("settings", *json, {"policies", "unloaded"}); !status.ok()) {
+  if (auto status = CheckKeys("settings", *json, {"policies", "unloaded"}); !status.ok()) {
     return status;
   }
   Settings settings;
   const Json policies = json->value("policies", Json::object());
-  if (!policies.is_object()) return Unexpected("policies", "an object", policies);
+  if (!policies.is_object()) return UnexpectedJson("policies", "an object", policies);
   for (const auto& [name, value] : policies.items()) {
     auto policy = ParsePolicy(absl::StrCat("policies.", name), value);
     if (!policy.ok()) return policy.status();
     settings.policies[name] = *std::move(policy);
   }
   const Json unloaded = json->value("unloaded", Json::object());
-  if (!unloaded.is_object()) return Unexpected("unloaded", "an object", unloaded);
+  if (!unloaded.is_object()) return UnexpectedJson("unloaded", "an object", unloaded);
   for (const auto& [name, versions] : unloaded.items()) {
     const std::string field = absl::StrCat("unloaded.", name);
-    if (!versions.is_array()) return Unexpected(field, "an array", versions);
+    if (!versions.is_array()) return UnexpectedJson(field, "an array", versions);
     for (const Json& value : versions) {
       const auto version = ParseVersion(field, value);
       if (!version.ok()) return version.status();

@@ -10,28 +10,12 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "core/model/json.h"
+#include "server/strict_json.h"
 
 namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
-
-absl::Status Unexpected(absl::string_view field, absl::string_view expected, const Json& received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected ", expected, ", received ", Describe(received)));
-}
-
-// INVALID_ARGUMENT unless `object` is one whose keys are all in `keys`.
-absl::Status CheckKeys(absl::string_view field, const Json& object,
-                       const std::set<std::string>& keys) {
-  if (!object.is_object()) return Unexpected(field, "an object", object);
-  for (const auto& item : object.items()) {
-    if (keys.contains(item.key())) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected no key ", Quoted(item.key()), ", received one"));
-  }
-  return absl::OkStatus();
-}
 
 absl::StatusOr<TenantLimits> ParseLimits(const std::string& field, const Json& json) {
   if (auto status =
@@ -43,7 +27,8 @@ absl::StatusOr<TenantLimits> ParseLimits(const std::string& field, const Json& j
   for (const auto& [key, value] : json.items()) {
     const bool whole = key != "decisions_per_second";
     if (whole ? !value.is_number_integer() : !value.is_number()) {
-      return Unexpected(absl::StrCat(field, ".", key), whole ? "an integer" : "a number", value);
+      return UnexpectedJson(absl::StrCat(field, ".", key), whole ? "an integer" : "a number",
+                            value);
     }
     if (key == "max_sessions") limits.max_sessions = value.get<int64_t>();
     if (key == "max_message_bytes") limits.max_message_bytes = value.get<int64_t>();
@@ -61,8 +46,8 @@ absl::StatusOr<std::string> Text(const std::string& field, const Json& object, c
   const auto member = object.find(key);
   if (member == object.end() && !required) return std::string();
   if (member == object.end() || !member->is_string()) {
-    return Unexpected(absl::StrCat(field, ".", key), "text",
-                      member == object.end() ? Json() : *member);
+    return UnexpectedJson(absl::StrCat(field, ".", key), "text",
+                          member == object.end() ? Json() : *member);
   }
   return member->get<std::string>();
 }
@@ -147,7 +132,7 @@ absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text) {
   }
   TokenFile file;
   const Json tenants = json->value("tenants", Json::object());
-  if (!tenants.is_object()) return Unexpected("tenants", "an object", tenants);
+  if (!tenants.is_object()) return UnexpectedJson("tenants", "an object", tenants);
   for (const auto& [name, limits] : tenants.items()) {
     if (name.empty()) return absl::InvalidArgumentError("tenants: expected names, received none");
     auto parsed = ParseLimits(absl::StrCat("tenants.", name), limits);
@@ -155,7 +140,7 @@ absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text) {
     file.tenants.emplace(name, *parsed);
   }
   const Json tokens = json->value("tokens", Json::array());
-  if (!tokens.is_array()) return Unexpected("tokens", "an array", tokens);
+  if (!tokens.is_array()) return UnexpectedJson("tokens", "an array", tokens);
   std::set<Digest> seen;
   for (size_t i = 0; i < tokens.size(); ++i) {
     const std::string field = absl::StrCat("tokens[", i, "]");
