@@ -24,6 +24,7 @@ struct ServiceParts {
   Metrics* metrics;
   const Clock* clock;
   BackgroundWorker* worker;
+  int64_t max_message_bytes;  // of one request, whoever sends it
 };
 
 // Thread-safe as AnswerStream is.

@@ -2,6 +2,8 @@
 
 #include <string>
 
+#include "absl/strings/str_cat.h"
+
 namespace spikeserve {
 
 absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
@@ -30,14 +32,20 @@ absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticato
 }
 
 absl::Status CheckStillAdmitted(const Credential& caller,
-                                const google::protobuf::MessageLite& request) {
+                                const google::protobuf::MessageLite& request,
+                                int64_t max_message_bytes) {
   if (auto status = caller.CheckValid(); !status.ok()) return status;
-  return CheckSize(caller, request);
+  return CheckSize(caller, request, max_message_bytes);
 }
 
-absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request) {
-  if (!caller.tenant()->limits_messages()) return absl::OkStatus();
-  return caller.tenant()->CheckMessage(request.ByteSizeLong());
+absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request,
+                       int64_t max_message_bytes) {
+  const auto bytes = static_cast<int64_t>(request.ByteSizeLong());
+  if (bytes > max_message_bytes) {
+    return absl::ResourceExhaustedError(absl::StrCat("--max_message_bytes: expected at most ",
+                                                     max_message_bytes, ", received ", bytes));
+  }
+  return caller.tenant()->CheckMessage(bytes);
 }
 
 }  // namespace spikeserve

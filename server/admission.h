@@ -7,6 +7,8 @@
 #include <google/protobuf/message_lite.h>
 #include <grpcpp/server_context.h>
 
+#include <cstdint>
+
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -27,10 +29,13 @@ absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticato
 // For a request on a stream whose caller was admitted: whether the token still holds, and
 // CheckSize.
 absl::Status CheckStillAdmitted(const Credential& caller,
-                                const google::protobuf::MessageLite& request);
+                                const google::protobuf::MessageLite& request,
+                                int64_t max_message_bytes);
 
-// RESOURCE_EXHAUSTED where the request is longer than the tenant may send.
-absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request);
+// RESOURCE_EXHAUSTED where the request is longer than `max_message_bytes`, the server's limit, or
+// than its tenant may send.
+absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request,
+                       int64_t max_message_bytes);
 
 }  // namespace spikeserve
 

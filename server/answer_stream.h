@@ -82,7 +82,7 @@ AnswerStream<Request, Response>* AnswerStream<Request, Response>::Begin(
   if (!accepted) {
     stream->FinishLocked(DrainingError());
   } else if (!admitted.ok()) {
-    stream->RestLocked(RefusalRest(admitted), [admitted](AnswerStream& refused) {
+    stream->RestLocked(RefusalRest(admitted, 0), [admitted](AnswerStream& refused) {
       absl::MutexLock again(&refused.mutex_);
       if (refused.state_ == State::kResting) refused.FinishLocked(admitted);
     });
@@ -102,7 +102,8 @@ void AnswerStream<Request, Response>::OnReadDone(bool ok) {
   }
   DeferredWork deferred;
   response_.Clear();
-  rest_ = RefusalRest(Answer(request_, &response_, &deferred));
+  const absl::Status status = Answer(request_, &response_, &deferred);
+  rest_ = status.ok() ? absl::ZeroDuration() : RefusalRest(status, request_.ByteSizeLong());
   this->StartWrite(&response_);
   deferred.Run();
 }
@@ -113,6 +114,7 @@ void AnswerStream<Request, Response>::OnWriteDone(bool ok) {
   if (!ok) return FinishLocked(absl::CancelledError("the client is gone"));
   if (draining_) return FinishLocked(DrainingError());
   if (rest_ == absl::ZeroDuration()) return ReadLocked();
+  request_ = Request();  // the next keeps its memory, and this may have been refused for its length
   RestLocked(rest_, [](AnswerStream& rested) {
     absl::MutexLock again(&rested.mutex_);
     if (rested.state_ == State::kResting) rested.ReadLocked();

@@ -6,6 +6,7 @@
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
 
+#include <algorithm>
 #include <chrono>
 #include <iostream>
 #include <utility>
@@ -29,6 +30,10 @@ constexpr size_t kLongCallsWaiting = 16;
 
 // How often the file of tokens is read again.
 constexpr absl::Duration kTokensInterval = absl::Seconds(1);
+
+// gRPC reads a message to its end before it refuses it for its length. So up to this one we refuse
+// it, whose refusals rest, and gRPC only what is longer still.
+constexpr int64_t kLongestRead = 64 << 20;
 
 // gRPC reports a port it cannot have in its log, at length; we report it in one line.
 std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
@@ -122,7 +127,8 @@ ServiceParts Server::Parts() {
           .authenticator = authenticator_.get(),
           .metrics = metrics_.get(),
           .clock = &clock_,
-          .worker = &worker_};
+          .worker = &worker_,
+          .max_message_bytes = options_.max_message_bytes};
 }
 
 absl::Status Server::StartGrpc() {
@@ -139,7 +145,8 @@ absl::Status Server::StartGrpc() {
   const auto credentials = MakeServerCredentials(options_.tls);
   if (!credentials.ok()) return credentials.status();
   builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
-  builder.SetMaxReceiveMessageSize(static_cast<int>(options_.max_message_bytes));
+  builder.SetMaxReceiveMessageSize(
+      static_cast<int>(std::max(options_.max_message_bytes, kLongestRead)));
   builder.RegisterService(&service_);
   builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);

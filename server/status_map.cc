@@ -1,8 +1,10 @@
 #include "server/status_map.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 
+#include "absl/random/random.h"
 #include "absl/strings/cord.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
@@ -44,12 +46,14 @@ grpc::Status ToGrpcStatus(const absl::Status& status) {
   return grpc::Status(code, message, details.SerializeAsString());
 }
 
-absl::Duration RefusalRest(const absl::Status& status) {
+absl::Duration RefusalRest(const absl::Status& status, size_t request_bytes) {
+  thread_local absl::InsecureBitGen bits;
   switch (status.code()) {
     case absl::StatusCode::kUnauthenticated:
     case absl::StatusCode::kPermissionDenied:
     case absl::StatusCode::kResourceExhausted:
-      return absl::Milliseconds(100);
+      return absl::Milliseconds(absl::Uniform(bits, 50.0, 150.0)) +
+             absl::Seconds(std::min(static_cast<double>(request_bytes) / (4 << 20), 1.0));
     default:
       return absl::ZeroDuration();
   }

@@ -49,9 +49,9 @@ absl::Status Tenant::TakeDecision(absl::Duration now) {
                         wait);
 }
 
-absl::Status Tenant::CheckMessage(size_t bytes) const {
+absl::Status Tenant::CheckMessage(int64_t bytes) const {
   const int64_t most = max_message_bytes_.load(std::memory_order_relaxed);
-  if (most == 0 || bytes <= static_cast<size_t>(most)) return absl::OkStatus();
+  if (most == 0 || bytes <= most) return absl::OkStatus();
   return absl::ResourceExhaustedError(absl::StrCat("max_message_bytes: expected at most ", most,
                                                    " for tenant ", name_, ", received ", bytes));
 }

@@ -43,9 +43,7 @@ class Tenant final : public SessionQuota {
   absl::Status TakeDecision(absl::Duration now);
 
   // RESOURCE_EXHAUSTED for a request that is too long.
-  absl::Status CheckMessage(size_t bytes) const;
-
-  bool limits_messages() const { return max_message_bytes_.load(std::memory_order_relaxed) > 0; }
+  absl::Status CheckMessage(int64_t bytes) const;
 
  private:
   const std::string name_;

@@ -16,14 +16,16 @@ namespace {
 // returned, so what may wait is done in OnDone.
 class UnaryCall final : public grpc::ServerUnaryReactor {
  public:
-  explicit UnaryCall(CallTracker* calls) : calls_(calls), accepted_(calls->Begin()) {}
+  UnaryCall(CallTracker* calls, const google::protobuf::MessageLite& request)
+      : calls_(calls), request_(request), accepted_(calls->Begin()) {}
 
   bool accepted() const { return accepted_; }
   DeferredWork* deferred() { return &deferred_; }
 
   // A refused caller waits for its answer, so that it cannot ask at once again.
   void FinishAfterRest(const absl::Status& status) {
-    const absl::Duration rest = RefusalRest(status);
+    if (status.ok()) return Finish(grpc::Status::OK);
+    const absl::Duration rest = RefusalRest(status, request_.ByteSizeLong());
     if (rest == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
     alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
                [this, status](bool /*ok*/) { Finish(ToGrpcStatus(status)); });
@@ -41,6 +43,7 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
 
  private:
   CallTracker* const calls_;
+  const google::protobuf::MessageLite& request_;  // gRPC keeps it until OnDone
   const bool accepted_;
   DeferredWork deferred_;
   grpc::Alarm alarm_;
@@ -59,7 +62,8 @@ absl::Status AdmitAndHandle(const ServiceParts& parts, const grpc::CallbackServe
                             Handle handle, DeferredWork* deferred) {
   const auto caller = Admit(*parts.authenticator, context, method);
   if (!caller.ok()) return caller.status();
-  if (auto status = CheckSize(**caller, request); !status.ok()) return status;
+  if (auto status = CheckSize(**caller, request, parts.max_message_bytes); !status.ok())
+    return status;
   return handle(**caller, deferred);
 }
 
@@ -69,7 +73,7 @@ grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts,
                                       const grpc::CallbackServerContext& context, Method method,
                                       const google::protobuf::MessageLite& request, Handle handle) {
   const absl::Duration start = parts.clock->Now();
-  auto* call = new UnaryCall(parts.calls);
+  auto* call = new UnaryCall(parts.calls, request);
   const absl::Status status =
       call->accepted() ? AdmitAndHandle(parts, context, method, request, handle, call->deferred())
                        : DrainingError();
@@ -82,7 +86,7 @@ grpc::ServerUnaryReactor* AnswerUnaryInBackground(
     const google::protobuf::MessageLite& request,
     std::function<absl::Status(const Credential& caller)> handle) {
   const absl::Duration start = parts.clock->Now();
-  auto* call = new UnaryCall(parts.calls);
+  auto* call = new UnaryCall(parts.calls, request);
   const auto submit = [&](const Credential& caller, DeferredWork*) {
     return parts.worker->Submit([=, &caller, handle = std::move(handle)] {
       FinishCall(parts, method, start, handle(caller), call);

@@ -31,7 +31,10 @@ TEST_F(OpenErrorsTest, TooLongAMessage) {
   request_.set_policy(std::string(900, 'x'));
   ExpectError(client_->TryOpen(request_), StatusCode::NOT_FOUND, "policy: expected");
   request_.set_policy(std::string(1000, 'x'));
-  ExpectError(client_->TryOpen(request_), StatusCode::RESOURCE_EXHAUSTED, "1000");
+  ExpectError(client_->TryOpen(request_), StatusCode::RESOURCE_EXHAUSTED,
+              "--max_message_bytes: expected at most 1000, received 10");
+  request_.set_policy(std::string(65 << 20, 'x'));
+  ExpectError(client_->TryOpen(request_), StatusCode::RESOURCE_EXHAUSTED, "67108864");
 }
 
 TEST_F(OpenErrorsTest, UnknownVersion) {

@@ -73,6 +73,22 @@ TEST_F(StreamTest, AFailingRequestIsAnsweredAndTheStreamGoesOn) {
   EXPECT_TRUE(stream->Finish().ok());
 }
 
+TEST_F(StreamTest, TooLongARequestIsAnsweredAndTheStreamGoesOn) {
+  StartServer({"--max_message_bytes=1000"});
+  const std::string session = client_->Open();
+  auto context = NewContext();
+  const auto stream = client_->stub().ActStream(context.get());
+  v1::ActResponse response;
+  ASSERT_TRUE(stream->Write(MakeActRequest(std::string(1000, 'x'), 0)) && stream->Read(&response));
+  EXPECT_EQ(response.error().code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_THAT(response.error().message(),
+              testing::StartsWith("--max_message_bytes: expected at most 1000, received 10"));
+  ASSERT_TRUE(stream->Write(MakeActRequest(session, 0)) && stream->Read(&response));
+  EXPECT_FALSE(response.has_error());
+  stream->WritesDone();
+  EXPECT_TRUE(stream->Finish().ok());
+}
+
 TEST_F(StreamTest, ABatchAnswersItemByItem) {
   const std::string first = client_->Open("discrete");
   const std::string second = client_->Open("box");
