@@ -68,9 +68,12 @@ def run_contestants(commands, rounds, seconds):
     }
 
 
-def engine_contestants(arguments):
+def engine_contestants(arguments, folder):
+    """Commands by name; what they need is written to `folder`."""
     engine, torch = arguments.bin / "engine_bench", arguments.bin / "torch_bench"
-    shipped = f"--policy={SHIPPED}"
+    shipped, dense = f"--policy={SHIPPED}", pathlib.Path(folder) / "dense.safetensors"
+    export = [torch, f"--export={dense}"]
+    dense_logits = subprocess.run(export, check=True, capture_output=True, text=True).stdout.strip()
     return {
         "spikeserve_silent": [engine, shipped],
         "spikeserve_loud": [engine],
@@ -80,8 +83,13 @@ def engine_contestants(arguments):
         "torch_snn_window": [torch, "--model=snn", shipped],
         "torch_dense_window": [torch, "--model=dense"],
         "torch_dense_cached": [torch, "--model=dense_cached"],
-        "onnx_dense_cached": [arguments.python, BENCH / "dense_onnx.py"],
+        "onnx_dense_cached": [arguments.python, BENCH / "dense_onnx.py", dense, dense_logits],
     }
+
+
+def measure_engines(arguments):
+    with tempfile.TemporaryDirectory() as folder:
+        return run_contestants(engine_contestants(arguments, folder), arguments.rounds, arguments.seconds)
 
 
 def growth_contestants(arguments):
@@ -270,7 +278,7 @@ def main():
             print(f"bench: {name}", file=sys.stderr, flush=True)
             result[name] = measure()
 
-    section("engine", lambda: run_contestants(engine_contestants(arguments), arguments.rounds, arguments.seconds))
+    section("engine", lambda: measure_engines(arguments))
     section("growth", lambda: run_contestants(growth_contestants(arguments), arguments.rounds, arguments.seconds / 2))
     section("sessions", lambda: measure_sessions(arguments))
     section("server", lambda: {**measure_servers(arguments), "torch_server": measure_torch_server(arguments)})

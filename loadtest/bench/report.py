@@ -108,9 +108,8 @@ def engine_section(engine):
         for key, name in ENGINE_NAMES.items()
     ]
     header = ["contestant", "decisions/s", "µs a decision", "spikes a decision", "silent spikeserve is faster by"]
-    text = "\nThe cached dense model in libtorch is timed only if it gives the answers of the engine of dense mode. The one in "
-    text += "ONNX Runtime is the same graph with random weights of its own, whose answers nothing checks. What bounds this "
-    text += "engine: [docs/architecture.md](architecture.md#what-bounds-a-decision).\n"
+    text = "\nThe cached dense models have one set of weights, and are timed only if they give the answers of the engine of "
+    text += "dense mode. What bounds this engine: [docs/architecture.md](architecture.md#what-bounds-a-decision).\n"
     return "## Engine, one core\n\n" + table(header, rows) + text
 
 
