@@ -68,9 +68,12 @@ def run_contestants(commands, rounds, seconds):
     }
 
 
-def engine_contestants(arguments):
+def engine_contestants(arguments, folder):
+    """Commands by name; what they need is written to `folder`."""
     engine, torch = arguments.bin / "engine_bench", arguments.bin / "torch_bench"
-    shipped = f"--policy={SHIPPED}"
+    shipped, dense = f"--policy={SHIPPED}", pathlib.Path(folder) / "dense.safetensors"
+    export = [torch, f"--export={dense}"]
+    dense_logits = subprocess.run(export, check=True, capture_output=True, text=True).stdout.strip()
     return {
         "spikeserve_silent": [engine, shipped],
         "spikeserve_loud": [engine],
@@ -80,8 +83,13 @@ def engine_contestants(arguments):
         "torch_snn_window": [torch, "--model=snn", shipped],
         "torch_dense_window": [torch, "--model=dense"],
         "torch_dense_cached": [torch, "--model=dense_cached"],
-        "onnx_dense_cached": [arguments.python, BENCH / "dense_onnx.py"],
+        "onnx_dense_cached": [arguments.python, BENCH / "dense_onnx.py", dense, dense_logits],
     }
+
+
+def measure_engines(arguments):
+    with tempfile.TemporaryDirectory() as folder:
+        return run_contestants(engine_contestants(arguments, folder), arguments.rounds, arguments.seconds)
 
 
 def growth_contestants(arguments):
@@ -126,13 +134,14 @@ def running_spikeserve(arguments):
 
 @contextlib.contextmanager
 def running_servers(arguments):
-    """spikeserve and the echo service."""
+    """spikeserve, the echo service, and the echo service with the engine in it."""
     echo = [arguments.bin / "echo_server"]
     with (
         running_spikeserve(arguments) as spikeserve_server,
         programs.running_server(echo, "listening on ") as echo_server,
+        programs.running_server([*echo, f"--policy={SHIPPED}"], "listening on ") as deciding_echo,
     ):
-        yield {"spikeserve": spikeserve_server, "echo": echo_server}
+        yield {"spikeserve": spikeserve_server, "echo": echo_server, "deciding_echo": deciding_echo}
 
 
 def measure_learning(arguments):
@@ -169,19 +178,21 @@ def running_torch_server(arguments):
             yield server
 
 
-def share(measured, case, key):
-    """The median over rounds of spikeserve's figure as a share of the echo's."""
-    pairs = zip(measured["spikeserve"][case], measured["echo"][case], strict=True)
-    return statistics.median(ours[key] / echo[key] for ours, echo in pairs)
+def share(measured, case, key, name="spikeserve", of="echo"):
+    """The median over rounds of `name`'s figure as a share of `of`'s."""
+    pairs = zip(measured[name][case], measured[of][case], strict=True)
+    return statistics.median(ours[key] / theirs[key] for ours, theirs in pairs)
 
 
 def measure_servers(arguments):
     """Closed-loop rates by mode and sessions, then latencies of both servers at half of spikeserve's peak rate."""
     rounds, spikeload = min(arguments.rounds, 3), arguments.bin / "spikeload"
-    duration = f"{arguments.seconds}s"
+    duration, cost = f"{arguments.seconds}s", "processor_seconds_per_decision"
     cases = [(mode, sessions) for mode in ("unary", "stream", "batch") for sessions in SESSIONS]
     names = ("spikeserve", "echo")
+    bound_cases = [("unary", 64), ("stream", 64)]
     measured = {name: {case: [] for case in cases} for name in names}
+    measured["deciding_echo"] = {case: [] for case in bound_cases}
     half = {mode: {name: [] for name in names} for mode in ("unary", "stream")}
     with running_servers(arguments) as servers:
 
@@ -192,7 +203,8 @@ def measure_servers(arguments):
         for _ in range(rounds):
             for case in cases:
                 for name, results in measured.items():
-                    results[case].append(load(name, *case))
+                    if case in results:
+                        results[case].append(load(name, *case))
         sessions = SESSIONS[-1]
         for mode, results in half.items():
             peak = summarize(measured["spikeserve"][mode, sessions])["decisions_per_second"]
@@ -206,9 +218,20 @@ def measure_servers(arguments):
                 "sessions": sessions,
                 **{name: summarize(measured[name][mode, sessions]) for name in names},
                 "share_of_echo": share(measured, (mode, sessions), "decisions_per_second"),
-                "processor_share_of_echo": 1 / share(measured, (mode, sessions), "processor_seconds_per_decision"),
+                "processor_share_of_echo": 1 / share(measured, (mode, sessions), cost),
             }
             for mode, sessions in cases
+        ],
+        "bounds": [
+            {
+                "mode": mode,
+                "sessions": sessions,
+                **{name: summarize(results[mode, sessions]) for name, results in measured.items()},
+                "share_at_best": 1 / share(measured, (mode, sessions), cost, name="deciding_echo"),
+                "share_reached": 1 / share(measured, (mode, sessions), cost),
+                "share_of_deciding_echo": 1 / share(measured, (mode, sessions), cost, of="deciding_echo"),
+            }
+            for mode, sessions in bound_cases
         ],
         "half_peak": [
             {"mode": mode, "sessions": sessions, **{name: summarize(results[name]) for name in names}}
@@ -255,7 +278,7 @@ def main():
             print(f"bench: {name}", file=sys.stderr, flush=True)
             result[name] = measure()
 
-    section("engine", lambda: run_contestants(engine_contestants(arguments), arguments.rounds, arguments.seconds))
+    section("engine", lambda: measure_engines(arguments))
     section("growth", lambda: run_contestants(growth_contestants(arguments), arguments.rounds, arguments.seconds / 2))
     section("sessions", lambda: measure_sessions(arguments))
     section("server", lambda: {**measure_servers(arguments), "torch_server": measure_torch_server(arguments)})

@@ -1,8 +1,13 @@
 """A contestant of the benchmark: a dense decision transformer of the paper's size in ONNX Runtime.
 
+usage: dense_onnx.py POLICY_FILE LOGITS   (what torch_bench --export wrote, and the JSON it printed)
+
 One decision computes its three new tokens a_{t-1}, G_t, s_t with a key/value cache, in steady state: the window is
-full. Weights are random, as they do not change the cost, and nothing checks its answers. One thread.
+full. It is measured only if it gives the answers of the engine of dense mode. One thread.
 """
+
+import json
+import sys
 
 import numpy as np
 import onnx
@@ -10,9 +15,11 @@ import onnxruntime
 from onnx import TensorProto, helper, numpy_helper
 
 import contestant
+import policy_tensors
 
-HIDDEN, HEADS, LAYERS, CONTEXT, FFN = 128, 4, 2, 20, 512
-OBSERVATION, ACTIONS = 4, 2
+HIDDEN, HEADS, LAYERS, CONTEXT = 128, 4, 2, 20
+ACTIONS = 2
+INPUTS = {"action": ACTIONS, "return": 1, "state": 4}
 NEW = 3  # tokens a decision
 PAST = 3 * CONTEXT - 1  # G_{t-N} ... s_{t-1}
 KEYS = PAST + NEW
@@ -23,8 +30,8 @@ UNSEEN = -1e9
 class Graph:
     """Collects nodes and weights; every method returns the name of what it computes."""
 
-    def __init__(self, seed):
-        self.random = np.random.default_rng(seed)
+    def __init__(self, tensors):
+        self.tensors = tensors
         self.nodes = []
         self.weights = []
 
@@ -38,14 +45,13 @@ class Graph:
         self.nodes.append(helper.make_node(kind, inputs, [output], **attributes))
         return output
 
-    def linear(self, x, inputs, outputs):
-        weight = self.constant(self.random.normal(size=(inputs, outputs)) * 0.3 / np.sqrt(inputs))
-        return self.op("Gemm", x, weight, self.constant(np.full(outputs, 0.1)))
+    def linear(self, x, name):
+        weight, bias = (self.constant(self.tensors[f"{name}.{part}"]) for part in ("weight", "bias"))
+        return self.op("Gemm", x, weight, bias, transB=1)
 
-    def norm(self, x):
-        return self.op(
-            "LayerNormalization", x, self.constant(np.ones(HIDDEN)), self.constant(np.zeros(HIDDEN)), epsilon=1e-5
-        )
+    def norm(self, x, name):
+        weight, bias = (self.constant(self.tensors[f"{name}.{part}"]) for part in ("weight", "bias"))
+        return self.op("LayerNormalization", x, weight, bias, epsilon=1e-5)
 
     def reshape(self, x, shape):
         return self.op("Reshape", x, self.constant(shape, np.int64))
@@ -75,33 +81,35 @@ def remember(graph, new, kind, layer):
 
 
 def attention(graph, x, layer, is_last):
-    key = remember(graph, graph.heads(graph.linear(x, HIDDEN, HIDDEN), NEW), "key", layer)
-    value = remember(graph, graph.heads(graph.linear(x, HIDDEN, HIDDEN), NEW), "value", layer)
+    name = f"layers.{layer}.attention"
+    key, value = (
+        remember(graph, graph.heads(graph.linear(x, f"{name}.{kind}"), NEW), kind, layer) for kind in ("key", "value")
+    )
     asking = graph.last_token(x) if is_last else x
     tokens = 1 if is_last else NEW
-    query = graph.heads(graph.linear(asking, HIDDEN, HIDDEN), tokens)
+    query = graph.heads(graph.linear(asking, f"{name}.query"), tokens)
     scores = graph.op("MatMul", query, graph.op("Transpose", key, perm=[0, 2, 1]))
     scaled = graph.op("Mul", scores, graph.constant(1.0 / np.sqrt(HEAD_SIZE)))
     mask = graph.constant(band()[-tokens:])
     weights = graph.op("Softmax", graph.op("Add", scaled, mask), axis=-1)
     merged = graph.op("Transpose", graph.op("MatMul", weights, value), perm=[1, 0, 2])
-    update = graph.linear(graph.reshape(merged, [tokens, HIDDEN]), HIDDEN, HIDDEN)
-    return graph.norm(graph.op("Add", asking, update))
+    update = graph.linear(graph.reshape(merged, [tokens, HIDDEN]), f"{name}.output")
+    return graph.norm(graph.op("Add", asking, update), f"{name}.norm")
 
 
-def build_model():
-    graph = Graph(seed=1)
-    inputs = {"action": ACTIONS, "return": 1, "observation": OBSERVATION}
+def build_model(tensors):
+    graph = Graph(tensors)
     embedded = [
-        graph.norm(graph.op("Add", graph.linear(name, size, HIDDEN), f"timestep_{name}"))
-        for name, size in inputs.items()
+        graph.norm(graph.op("Add", graph.linear(name, f"embed.{name}"), f"timestep_{name}"), f"embed.{name}.norm")
+        for name in INPUTS
     ]
     x = graph.op("Concat", *embedded, axis=0)
     for layer in range(LAYERS):
         x = attention(graph, x, layer, is_last=layer + 1 == LAYERS)
-        hidden = graph.op("Gelu", graph.linear(x, HIDDEN, FFN), approximate="tanh")
-        x = graph.norm(graph.op("Add", x, graph.linear(hidden, FFN, HIDDEN)))
-    logits = graph.op("Identity", graph.linear(x, HIDDEN, ACTIONS), output="logits")
+        name = f"layers.{layer}.ffn"
+        hidden = graph.op("Gelu", graph.linear(x, f"{name}.hidden"), approximate="tanh")
+        x = graph.norm(graph.op("Add", x, graph.linear(hidden, f"{name}.output")), f"{name}.norm")
+    logits = graph.op("Identity", graph.linear(x, "head"), output="logits")
 
     def value(name, *shape):
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
@@ -111,8 +119,8 @@ def build_model():
         helper.make_graph(
             graph.nodes,
             "dense",
-            [value(name, 1, size) for name, size in inputs.items()]
-            + [value(f"timestep_{name}", 1, HIDDEN) for name in inputs]
+            [value(name, 1, size) for name, size in INPUTS.items()]
+            + [value(f"timestep_{name}", 1, HIDDEN) for name in INPUTS]
             + [value(f"past_{name}", HEADS, PAST, HEAD_SIZE) for name in cache],
             [value(logits, 1, ACTIONS)] + [value(f"next_{name}", HEADS, PAST, HEAD_SIZE) for name in cache],
             graph.weights,
@@ -124,17 +132,30 @@ def build_model():
     return model, cache
 
 
+def logits_at_last(session, tensors, metadata, decisions):
+    """What the last of `decisions` is answered with; torch_bench.cc says what is asked."""
+    cache = {name.name: np.zeros(name.shape, np.float32) for name in session.get_inputs() if "past" in name.name}
+    for t in range(decisions):
+        observation = np.sin(0.3 * (t + np.arange(INPUTS["state"])))
+        rows = {"action": max(t - 1, 0), "return": t, "state": t}
+        inputs = {
+            "action": [[1, 0]],
+            "return": [[(1 - float(metadata["return_offset"])) / float(metadata["return_scale"])]],
+            "state": [(observation - tensors["observation.mean"]) / tensors["observation.std"]],
+        }
+        for name, row in rows.items():
+            inputs[f"timestep_{name}"] = tensors["embed.timestep.weight"][row : row + 1]
+        inputs = {name: np.asarray(values, np.float32) for name, values in inputs.items()}
+        logits, *following = session.run(None, {**inputs, **cache})
+        cache = dict(zip(cache, following, strict=True))
+    return logits[0]
+
+
 class Player:
     """Decides in closed loop with itself: the cache of one decision is the next one's, without copies."""
 
-    def __init__(self):
-        model, cache = build_model()
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.inter_op_num_threads = 1
-        self.session = onnxruntime.InferenceSession(
-            model.SerializeToString(), options, providers=["CPUExecutionProvider"]
-        )
+    def __init__(self, session, cache):
+        self.session = session
         random = np.random.default_rng(2)
 
         def tensor(*shape):
@@ -143,7 +164,7 @@ class Player:
         self.bindings = [self.session.io_binding(), self.session.io_binding()]
         buffers = [{name: tensor(HEADS, PAST, HEAD_SIZE) for name in cache} for _ in range(2)]
         for i, binding in enumerate(self.bindings):
-            for name, size in {"action": ACTIONS, "return": 1, "observation": OBSERVATION}.items():
+            for name, size in INPUTS.items():
                 binding.bind_ortvalue_input(name, tensor(1, size))
                 binding.bind_ortvalue_input(f"timestep_{name}", tensor(1, HIDDEN))
             for name in cache:
@@ -157,5 +178,19 @@ class Player:
         self.decisions += 1
 
 
+def main():
+    policy_file, expected = sys.argv[1:]
+    tensors, metadata = policy_tensors.read_policy_file(policy_file)
+    model, cache = build_model(tensors)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    logits = logits_at_last(session, tensors, metadata, decisions=3 * CONTEXT)
+    if not np.allclose(logits, json.loads(expected), rtol=0, atol=1e-3):
+        sys.exit(f"dense_onnx: logits: expected {expected}, got {logits}")
+    contestant.run(Player(session, cache).decide)
+
+
 if __name__ == "__main__":
-    contestant.run(Player().decide)
+    main()

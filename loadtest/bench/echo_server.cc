@@ -1,23 +1,94 @@
 // An empty service to measure spikeserve against: PolicyService's messages and calls on the same
 // gRPC callback API, with nothing behind them. Every answer has the fields and the size of a real
-// one.
+// one. With --policy, every answer costs a decision of the engine too, and nothing else: what is
+// left to spikeserve if sessions, limits and metrics were free.
 //
-// usage: echo_server; prints "listening on HOST:PORT" and serves until it is killed.
+// Prints "listening on HOST:PORT" and serves until it is killed.
 
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/support/server_callback.h>
 
-#include <atomic>
+#include <charconv>
+#include <deque>
 #include <iostream>
+#include <memory>
 #include <string>
+#include <vector>
 
+#include "absl/base/thread_annotations.h"
+#include "absl/flags/flag.h"
+#include "absl/flags/parse.h"
+#include "absl/flags/usage.h"
+#include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
+#include "core/engine/action_head.h"
+#include "core/engine/engine.h"
+#include "core/model/policy_file.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
+
+ABSL_FLAG(std::string, policy, "", "Policy file whose engine decides; empty: nothing decides");
 
 namespace spikeserve {
 namespace {
 
 constexpr int kObservationSize = 4;
+
+// Thread-safe.
+class Sessions {
+ public:
+  // Without an engine they are names only.
+  explicit Sessions(std::unique_ptr<Engine> engine) : engine_(std::move(engine)) {}
+
+  std::string Open() {
+    absl::MutexLock lock(&mutex_);
+    std::string id = std::to_string(sessions_.size());
+    sessions_.emplace_back();
+    id.insert(0, 32 - id.size(), '0');
+    return id;
+  }
+
+  void Reset(const std::string& id) {
+    Session& session = Find(id);
+    absl::MutexLock lock(&session.mutex);
+    session.context = nullptr;
+  }
+
+  // A decision, its action token included.
+  void Decide(const v1::ActRequest& request) {
+    if (engine_ == nullptr) return;
+    Session& session = Find(request.session_id());
+    absl::MutexLock lock(&session.mutex);
+    if (session.context == nullptr) session.context = engine_->NewContext(0);
+    thread_local Engine::Output output;
+    thread_local ActionChoice choice;
+    thread_local std::vector<float> encoded;
+    const Policy& policy = engine_->policy();
+    const auto return_to_go = static_cast<float>(policy.target_return - request.step());
+    engine_->Decide(*session.context, return_to_go, request.observation(), &output);
+    ChooseAction(policy.weights.head, policy.action_space, output.readout, ActionSelection(), 0,
+                 &choice);
+    encoded.resize(static_cast<size_t>(policy.action_space.size()));
+    policy.action_space.Encode(choice.action, absl::MakeSpan(encoded));
+    engine_->AppendAction(*session.context, encoded);
+  }
+
+ private:
+  struct Session {
+    absl::Mutex mutex;
+    std::unique_ptr<Engine::Context> context ABSL_GUARDED_BY(mutex);  // null at the first step
+  };
+
+  Session& Find(const std::string& id) {
+    size_t index = 0;
+    std::from_chars(id.data(), id.data() + id.size(), index);
+    absl::MutexLock lock(&mutex_);
+    return sessions_.at(index);
+  }
+
+  const std::unique_ptr<Engine> engine_;
+  absl::Mutex mutex_;
+  std::deque<Session> sessions_ ABSL_GUARDED_BY(mutex_);  // where they lie does not change
+};
 
 void FillAnswer(const v1::ActRequest& request, v1::ActResponse* response) {
   response->set_session_id(request.session_id());
@@ -48,11 +119,12 @@ void FillAnswer(const v1::ActRequest& request, v1::ActResponse* response) {
 
 class EchoStream final : public grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse> {
  public:
-  EchoStream() { StartRead(&request_); }
+  explicit EchoStream(Sessions* sessions) : sessions_(sessions) { StartRead(&request_); }
 
   void OnReadDone(bool ok) override {
     if (!ok) return Finish(grpc::Status::OK);
     response_.Clear();
+    sessions_->Decide(request_);
     FillAnswer(request_, &response_);
     StartWrite(&response_);
   }
@@ -63,12 +135,15 @@ class EchoStream final : public grpc::ServerBidiReactor<v1::ActRequest, v1::ActR
   void OnDone() override { delete this; }  // gRPC's reactors own themselves
 
  private:
+  Sessions* const sessions_;
   v1::ActRequest request_;
   v1::ActResponse response_;
 };
 
 class EchoService final : public v1::PolicyService::CallbackService {
  public:
+  explicit EchoService(Sessions* sessions) : sessions_(sessions) {}
+
   grpc::ServerUnaryReactor* ListPolicies(grpc::CallbackServerContext* context,
                                          const v1::ListPoliciesRequest*,
                                          v1::ListPoliciesResponse* response) override {
@@ -79,15 +154,14 @@ class EchoService final : public v1::PolicyService::CallbackService {
   grpc::ServerUnaryReactor* OpenSession(grpc::CallbackServerContext* context,
                                         const v1::OpenSessionRequest*,
                                         v1::OpenSessionResponse* response) override {
-    std::string id = std::to_string(sessions_++);
-    id.insert(0, 32 - id.size(), '0');
-    response->set_session_id(id);
+    response->set_session_id(sessions_->Open());
     response->set_observation_size(kObservationSize);
     return Finished(context);
   }
 
   grpc::ServerUnaryReactor* Act(grpc::CallbackServerContext* context, const v1::ActRequest* request,
                                 v1::ActResponse* response) override {
+    sessions_->Decide(*request);
     FillAnswer(*request, response);
     return Finished(context);
   }
@@ -96,6 +170,7 @@ class EchoService final : public v1::PolicyService::CallbackService {
                                      const v1::ActBatchRequest* request,
                                      v1::ActBatchResponse* response) override {
     for (const v1::ActRequest& item : request->requests()) {
+      sessions_->Decide(item);
       FillAnswer(item, response->add_results()->mutable_response());
     }
     return Finished(context);
@@ -103,12 +178,13 @@ class EchoService final : public v1::PolicyService::CallbackService {
 
   grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>* ActStream(
       grpc::CallbackServerContext*) override {
-    return new EchoStream;
+    return new EchoStream(sessions_);
   }
 
   grpc::ServerUnaryReactor* EndEpisode(grpc::CallbackServerContext* context,
-                                       const v1::EndEpisodeRequest*,
+                                       const v1::EndEpisodeRequest* request,
                                        v1::EndEpisodeResponse*) override {
+    sessions_->Reset(request->session_id());
     return Finished(context);
   }
 
@@ -125,22 +201,39 @@ class EchoService final : public v1::PolicyService::CallbackService {
     return reactor;
   }
 
-  std::atomic<int64_t> sessions_ = 0;
+  Sessions* const sessions_;
 };
 
-}  // namespace
-}  // namespace spikeserve
-
-int main() {
-  // As spikeserve does, or the echo would pay for a check that spikeserve does not.
-  absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
-  spikeserve::EchoService service;
+absl::Status Run() {
+  std::unique_ptr<Engine> engine;
+  if (const std::string path = absl::GetFlag(FLAGS_policy); !path.empty()) {
+    auto policy = ReadPolicyFile(path);
+    if (!policy.ok()) return policy.status();
+    engine = MakeStreamingEngine(std::make_shared<const Policy>(*std::move(policy)));
+  }
+  Sessions sessions(std::move(engine));
+  EchoService service(&sessions);
   grpc::ServerBuilder builder;
   int port = 0;
   builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port);
   builder.RegisterService(&service);
   const auto server = builder.BuildAndStart();
-  if (server == nullptr || port == 0) return 1;
+  if (server == nullptr || port == 0) return absl::UnavailableError("cannot listen");
   std::cout << "listening on 127.0.0.1:" << port << std::endl;
   server->Wait();
+  return absl::OkStatus();
+}
+
+}  // namespace
+}  // namespace spikeserve
+
+int main(int argc, char** argv) {
+  absl::SetProgramUsageMessage("echo_server: what spikeserve is measured against");
+  absl::ParseCommandLine(argc, argv);
+  // As spikeserve does, or the echo would pay for a check that spikeserve does not.
+  absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
+  const absl::Status status = spikeserve::Run();
+  if (status.ok()) return 0;
+  std::cerr << "echo_server: " << status.message() << std::endl;
+  return 1;
 }

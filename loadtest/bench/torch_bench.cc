@@ -3,6 +3,8 @@
 //
 // usage: torch_bench --model=snn|dense|dense_cached --policy=FILE (of the snn; the dense models'
 // weights are random, as they do not change the cost)
+//        torch_bench --export=FILE (writes the policy of the dense models, and prints the logits
+// that its engine answers CheckObservation's observations with, as JSON)
 
 #include <torch/torch.h>
 
@@ -18,6 +20,7 @@
 #include "absl/flags/usage.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "core/engine/action_head.h"
 #include "core/engine/engine.h"
 #include "core/model/policy_file.h"
@@ -27,6 +30,7 @@
 
 ABSL_FLAG(std::string, model, "snn", "snn, dense (full window) or dense_cached");
 ABSL_FLAG(std::string, policy, "", "Policy file of the snn");
+ABSL_FLAG(std::string, export, "", "Policy file to write for another contestant");
 
 namespace spikeserve {
 namespace {
@@ -50,31 +54,62 @@ Decide FullWindow(Policy policy) {
   };
 }
 
+Policy DensePolicy() {
+  ModelConfig config;
+  config.mode = Mode::kDense;
+  return RandomPolicy(config, 4, ActionSpace::Discrete(2), /*seed=*/1);
+}
+
+// What the models are checked with: the first action at every timestep, a return-to-go of 1, and
+// these observations, until nothing of an empty window is left.
+int64_t CheckDecisions(const Policy& policy) { return 3 * policy.config.context; }
+std::vector<float> CheckObservation(int64_t timestep) {
+  std::vector<float> observation;
+  for (int i = 0; i < 4; ++i) {
+    observation.push_back(std::sin(0.3f * static_cast<float>(timestep + i)));
+  }
+  return observation;
+}
+
+// The logits that the engine of dense mode answers the last of them with.
+std::vector<float> EngineLogits(const std::shared_ptr<const Policy>& policy) {
+  const auto engine = MakeStreamingEngine(policy);
+  const auto context = engine->NewContext(0);
+  Engine::Output output;
+  for (int64_t t = 0; t < CheckDecisions(*policy); ++t) {
+    engine->Decide(*context, 1.0f, CheckObservation(t), &output);
+    engine->AppendAction(*context, std::vector<float>{1.0f, 0.0f});
+  }
+  return ChooseAction(policy->weights.head, policy->action_space, output.readout, ActionSelection(),
+                      0)
+      .logits;
+}
+
 // Refuses to measure a model that does not compute what the engine of dense mode does.
 absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy) {
   constexpr float kTolerance = 1e-3f;
   CachedDense cached(*policy);
-  const auto engine = MakeStreamingEngine(policy);
-  const auto context = engine->NewContext(0);
   const torch::Tensor action = torch::tensor({{1.0f, 0.0f}});
-  Engine::Output output;
   torch::Tensor logits;
-  for (int64_t t = 0; t < 3 * policy->config.context; ++t) {
-    std::vector<float> observation;
-    for (int i = 0; i < 4; ++i) observation.push_back(std::sin(0.3f * static_cast<float>(t + i)));
-    engine->Decide(*context, 1.0f, observation, &output);
-    engine->AppendAction(*context, std::vector<float>{1.0f, 0.0f});
-    logits = cached.Decide(t, action, torch::ones({1, 1}), torch::tensor(observation).view({1, 4}));
+  for (int64_t t = 0; t < CheckDecisions(*policy); ++t) {
+    const torch::Tensor observation = torch::tensor(CheckObservation(t)).view({1, 4});
+    logits = cached.Decide(t, action, torch::ones({1, 1}), observation);
   }
-  const auto choice = ChooseAction(policy->weights.head, policy->action_space, output.readout,
-                                   ActionSelection(), 0);
-  for (size_t i = 0; i < choice.logits.size(); ++i) {
+  const std::vector<float> expected = EngineLogits(policy);
+  for (size_t i = 0; i < expected.size(); ++i) {
     const float got = logits[0][static_cast<int64_t>(i)].item<float>();
-    if (std::abs(got - choice.logits[i]) <= kTolerance) continue;
+    if (std::abs(got - expected[i]) <= kTolerance) continue;
     return absl::InternalError(
-        absl::StrCat("dense_cached: logit ", i, ": expected ", choice.logits[i], ", got ", got));
+        absl::StrCat("dense_cached: logit ", i, ": expected ", expected[i], ", got ", got));
   }
   return absl::OkStatus();
+}
+
+absl::Status Export(const std::string& path) {
+  const Policy policy = DensePolicy();
+  std::cout << "[" << absl::StrJoin(EngineLogits(std::make_shared<const Policy>(policy)), ", ")
+            << "]" << std::endl;
+  return WritePolicyFile(policy, path);
 }
 
 absl::StatusOr<Decide> CachedWindow(const Policy& policy) {
@@ -97,16 +132,14 @@ absl::StatusOr<Decide> MakeDecide(const std::string& model) {
     if (!policy.ok()) return policy.status();
     return FullWindow(*std::move(policy));
   }
-  ModelConfig config;
-  config.mode = Mode::kDense;
-  Policy policy = RandomPolicy(config, 4, ActionSpace::Discrete(2), /*seed=*/1);
-  if (model == "dense") return FullWindow(std::move(policy));
-  if (model == "dense_cached") return CachedWindow(policy);
+  if (model == "dense") return FullWindow(DensePolicy());
+  if (model == "dense_cached") return CachedWindow(DensePolicy());
   return absl::InvalidArgumentError(
       absl::StrCat("--model: expected snn, dense or dense_cached, received \"", model, "\""));
 }
 
 absl::Status Run() {
+  if (const std::string path = absl::GetFlag(FLAGS_export); !path.empty()) return Export(path);
   at::set_num_threads(1);
   const torch::NoGradGuard no_grad;
   const auto decide = MakeDecide(absl::GetFlag(FLAGS_model));

@@ -5,33 +5,20 @@ softmax gates, which is what the shipped policies use.
 """
 
 import json
-import struct
 
 import torch
 from torch.nn import functional
+
+import policy_tensors
 
 TOKENS = 3  # of a timestep: return-to-go, state, action
 UNSEEN = -1e9
 
 
-def read_policy_file(path):
-    """The tensors by name, and the metadata."""
-    with open(path, "rb") as file:
-        (size,) = struct.unpack("<Q", file.read(8))
-        header = json.loads(file.read(size))
-        data = bytearray(file.read())
-    metadata = header.pop("__metadata__")
-    tensors = {}
-    for name, entry in header.items():
-        begin, end = entry["data_offsets"]
-        flat = torch.frombuffer(data, dtype=torch.float32, count=(end - begin) // 4, offset=begin)
-        tensors[name] = flat.view(entry["shape"])
-    return tensors, metadata
-
-
 class TorchPolicy:
     def __init__(self, path):
-        self.p, metadata = read_policy_file(path)
+        tensors, metadata = policy_tensors.read_policy_file(path)
+        self.p = {name: torch.from_numpy(values) for name, values in tensors.items()}
         self.config = json.loads(metadata["config"])
         expected = {"mode": "full", "coder": "lif", "merge": "sum", "gate": "softmax", "phase_clock": "timestep"}
         for key, value in expected.items():
