@@ -5,9 +5,6 @@
 // takes several futex calls and changes of thread a call. Where there is no processor for each,
 // they also interrupt one another: what one of them was just deciding then waits for a whole slice
 // of the scheduler's time.
-//
-// The price: with fewer threads the server asks the scheduler for fewer shares, so where other busy
-// processes use the same processors, it needs a priority above theirs.
 #ifndef SERVER_SPARE_POLLERS_H_
 #define SERVER_SPARE_POLLERS_H_
 
