@@ -154,7 +154,6 @@ absl::Status Server::StartGrpc() {
   if (grpc_ == nullptr || grpc_address_.port == 0) {
     return absl::UnavailableError(absl::StrCat("--listen: cannot listen on ", options_.listen));
   }
-  spare_pollers_ = std::make_unique<SparePollers>(CountSparePollers());
   PublishHealth();
   return absl::OkStatus();
 }
@@ -203,7 +202,6 @@ void Server::Stop() {
               << absl::FormatDuration(options_.drain_timeout) << std::endl;
   }
   grpc_->Shutdown(std::chrono::system_clock::now());  // ends health watches, which never end alone
-  spare_pollers_.reset();
   grpc_.reset();
   http_.reset();
 }

@@ -32,7 +32,6 @@
 #include "server/recordings.h"
 #include "server/request_handler.h"
 #include "server/shadow_runner.h"
-#include "server/spare_pollers.h"
 #include "server/status_pages.h"
 
 namespace spikeserve {
@@ -89,7 +88,6 @@ class Server {
   const StatusPages pages_;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
-  std::unique_ptr<SparePollers> spare_pollers_;
   std::unique_ptr<HttpServer> http_;
   // Last: they use what is above.
   std::unique_ptr<PolicyPoller> poller_;

@@ -1,8 +1,5 @@
 // A graceful stop, and health on the way there.
-#include <sched.h>
-
 #include <chrono>
-#include <thread>
 
 #include "core/model/action_space.h"
 #include "grpc/health/v1/health.grpc.pb.h"
@@ -83,40 +80,6 @@ TEST_F(ShutdownTest, CallsInFlightEnd) {
   EXPECT_GE(answered, 100);
   ExpectError(stream->Finish(), grpc::StatusCode::UNAVAILABLE, "draining");
   EXPECT_EQ(server_->Wait(), 0);
-  EXPECT_EQ(server_->Log(), "");
-}
-
-// There all but one of gRPC's threads are parked.
-TEST_F(ShutdownTest, AServerOnOneProcessorAnswersAndStops) {
-  cpu_set_t before;
-  ASSERT_EQ(sched_getaffinity(0, sizeof(before), &before), 0);
-  int first = 0;
-  while (!CPU_ISSET(first, &before)) ++first;
-  cpu_set_t one;
-  CPU_ZERO(&one);
-  CPU_SET(first, &one);
-  ASSERT_EQ(sched_setaffinity(0, sizeof(one), &one), 0);
-  StartServer();  // on this thread's processors
-  ASSERT_EQ(sched_setaffinity(0, sizeof(before), &before), 0);
-
-  std::vector<std::thread> agents;
-  for (int i = 0; i < 4; ++i) {
-    agents.emplace_back([this] {
-      const std::string session = client_->Open();
-      for (int64_t step = 0; step < 20; ++step) client_->Act(session, step);
-      auto context = NewContext();
-      const auto stream = client_->stub().ActStream(context.get());
-      v1::ActResponse response;
-      for (int64_t step = 20; step < 40; ++step) {
-        ASSERT_TRUE(stream->Write(MakeActRequest(session, step)) && stream->Read(&response));
-        EXPECT_FALSE(response.has_error());
-      }
-      stream->WritesDone();
-      EXPECT_TRUE(stream->Finish().ok());
-    });
-  }
-  for (std::thread& agent : agents) agent.join();
-  EXPECT_EQ(server_->Stop(), 0);
   EXPECT_EQ(server_->Log(), "");
 }
 
