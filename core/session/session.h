@@ -17,6 +17,7 @@
 #include "core/learning/learner.h"
 #include "core/learning/learning_options.h"
 #include "core/model/action_space.h"
+#include "core/session/episode.h"
 #include "core/session/history.h"
 
 namespace spikeserve {
@@ -61,6 +62,7 @@ struct Session {
   double episode_energy_joules = 0.0;
   History history;  // the last timesteps, at most HistorySize() of them
   std::optional<Answer> last_answer;
+  std::optional<EndedEpisode> last_end;  // of the episode before, until this one's first decision
 
   // Over the session's life.
   uint64_t decisions =
