@@ -46,16 +46,19 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   if (!authenticator.ok()) return authenticator.status();
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
-  std::vector<absl::Status> refused;
+  ReloadReport report;
   auto registry = PolicyRegistry::Load(
       options.policies, options.policy_settings,
       [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy);
       },
-      &refused);
+      &report);
   if (!registry.ok()) return registry.status();
-  for (const absl::Status& status : refused) {
+  for (const absl::Status& status : report.refused) {
     std::cerr << "spikeserve: policy refused: " << status.message() << std::endl;
+  }
+  for (const std::string& setting : report.waiting) {
+    std::cerr << "spikeserve: warning: " << setting << std::endl;
   }
   if ((*registry)->catalog()->policies().empty()) {
     std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
@@ -73,8 +76,8 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   if (auto status = server->StartGrpc(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
-    server->poller_ =
-        std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies, refused);
+    server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
+                                                     report.refused);
   }
   if (!options.tokens.empty()) {
     server->token_reloader_ = std::make_unique<Periodic>(
