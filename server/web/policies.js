@@ -1,4 +1,4 @@
-// The tables of policies, stages and calls, the totals, and which policy costs the most energy.
+// The tables of policies, returns, stages and calls, the totals, and which policy costs the most energy.
 import {NOTHING, count, fixed, isNumber, seconds, si} from './format.js';
 import {quantile} from './samples.js';
 import {Table} from './table.js';
@@ -56,8 +56,6 @@ export class Policies {
     const key = (row) => row.key;
     this.table = new Table(document.getElementById('policies-table'), [
       name,
-      {key: 'environment', label: 'Environment', value: (row) => row.environment, isText: true,
-       text: (row) => `${row.environment} ${row.mode}${row.isDefault ? ' (default)' : ''}`},
       {key: 'power', label: 'Energy per second (estimate)', value: (row) => row.power,
        text: (row) => si(row.power, 'J/s'), share: (row) => row.powerShare},
       numberColumn('energy', 'Energy per decision (estimate)', (x) => si(x, 'J')),
@@ -66,11 +64,16 @@ export class Policies {
       numberColumn('decisionRate', 'Decisions per second', fixed),
       numberColumn('sessions', 'Sessions', count),
       ...quantileColumns,
-      numberColumn('meanReturn', 'Mean return', fixed),
-      numberColumn('episodes', 'Episodes', count),
+    ], {sort: 'power', descending: true, key});
+    this.returns = new Table(document.getElementById('returns-table'), [
+      name,
+      {key: 'environment', label: 'Environment', value: (row) => row.environment, isText: true,
+       text: (row) => `${row.environment} ${row.mode}${row.isDefault ? ' (default)' : ''}`},
+      numberColumn('meanReturn', 'Mean return since start', fixed),
+      numberColumn('episodes', 'Episodes since start', count),
       numberColumn('drift', 'Head drift', (x) => fixed(x, 4)),
       numberColumn('updates', 'Head updates per second', fixed),
-    ], {sort: 'power', descending: true, key});
+    ], {sort: 'episodes', descending: true, key});
     this.stages = new Table(document.getElementById('stages-table'), [
       name,
       ...STAGES.map((stage) => ({
@@ -90,6 +93,7 @@ export class Policies {
   show(window, energyModel) {
     const rows = policyRows(window, energyModel);
     this.table.show(rows);
+    this.returns.show(rows);
     this.stages.show(rows);
     this.calls.show(callRows(window));
     showTotals(rows, window);
