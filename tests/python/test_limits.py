@@ -1,6 +1,7 @@
 """What becomes of a tenant beyond its limits, and of its neighbours."""
 
 import grpc
+import pytest
 from security import OBSERVATION, POLICY, code_of, service_with
 from serving import DEADLINE_SECONDS, message_class
 
@@ -19,7 +20,10 @@ def retry_delay(addresses, error):
 def test_a_flood_and_too_many_sessions_are_resource_exhausted(addresses):
     with service_with(addresses, "small") as small, service_with(addresses, "agent") as other:
         sessions = [small.OpenSession(policy="cartpole").session_id for _ in range(2)]
-        assert code_of(small.OpenSession, policy="cartpole") == grpc.StatusCode.RESOURCE_EXHAUSTED
+        with pytest.raises(grpc.RpcError) as too_many:
+            small.OpenSession(policy="cartpole")
+        assert too_many.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+        assert retry_delay(addresses, too_many.value) > 0
         small.CloseSession(session_id=sessions.pop())
         sessions.append(small.OpenSession(policy="cartpole").session_id)
 

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import threading
 
 import grpc
 import pytest
@@ -18,7 +19,7 @@ from security import (
     service_with,
     until,
 )
-from serving import DEADLINE_SECONDS, Service, running_server
+from serving import DEADLINE_SECONDS, Service, message_class, running_server
 
 
 @pytest.mark.parametrize("token", [None, "wrong", "expired"])
@@ -32,6 +33,37 @@ def test_a_stream_without_a_token_ends_unauthenticated(addresses):
     with grpc.insecure_channel(addresses.grpc) as channel:
         stream = channel.stream_stream(f"/{POLICY}/ActStream")(iter([]), timeout=DEADLINE_SECONDS)
         assert stream.code() == grpc.StatusCode.UNAUTHENTICATED
+
+
+def test_a_token_that_is_taken_back_ends_what_its_streams_may_do(tmp_path):
+    path = tmp_path / "tokens.json"
+    path.write_text(json.dumps(TOKENS))
+    taken_back = threading.Event()
+    with (
+        running_server(flags=[f"--tokens={path}"]) as addresses,
+        service_with(addresses, "agent") as policies,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        session = policies.OpenSession(policy="cartpole").session_id
+        request_class = message_class(channel, "spikeserve.v1.ActRequest")
+
+        def requests():
+            yield request_class(session_id=session, step=0, observation=OBSERVATION)
+            assert taken_back.wait(DEADLINE_SECONDS)
+            yield request_class(session_id=session, step=1, observation=OBSERVATION)
+
+        stream = channel.stream_stream(
+            f"/{POLICY}/ActStream",
+            request_serializer=request_class.SerializeToString,
+            response_deserializer=message_class(channel, "spikeserve.v1.ActResponse").FromString,
+        )(requests(), metadata=[("authorization", "Bearer agent")], timeout=DEADLINE_SECONDS)
+        assert next(stream).step == 0
+        path.write_text(json.dumps({**TOKENS, "tokens": [entry("operator", "operator")]}))
+        until(lambda: code_of(policies.ListPolicies) == grpc.StatusCode.UNAUTHENTICATED)
+        taken_back.set()
+        answer = next(stream)
+        assert answer.error.code == grpc.StatusCode.UNAUTHENTICATED.value[0]
+        assert not answer.HasField("action")
 
 
 def test_health_needs_no_token(addresses):
