@@ -14,7 +14,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
-#include "grpc/health/v1/health.pb.h"
+#include "grpc/health/v1/health.grpc.pb.h"
 
 namespace spikeserve {
 namespace {
@@ -111,6 +111,12 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                           .clock = &clock_,
                           .session_ttl = options.session_ttl}),
       inference_service_(Parts(), &inference_handler_),
+      reflection_service_({v1::PolicyService::service_full_name(),
+                           v1::PolicyAdmin::service_full_name(),
+                           inference::GRPCInferenceService::service_full_name(),
+                           grpc::health::v1::Health::service_full_name(),
+                           grpc::reflection::v1::ServerReflection::service_full_name(),
+                           "grpc.reflection.v1alpha.ServerReflection"}),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
               .store = &store_,
@@ -146,6 +152,7 @@ absl::Status Server::StartGrpc() {
   builder.RegisterService(&service_);
   builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);
+  builder.RegisterService(&reflection_service_);
   grpc_ = BuildQuietly(builder);
   if (grpc_ == nullptr || grpc_address_.port == 0) {
     return absl::UnavailableError(absl::StrCat("--listen: cannot listen on ", options_.listen));
