@@ -4,6 +4,7 @@ import {quantile} from './samples.js';
 import {Table} from './table.js';
 
 export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
+const JOULES_PER_SPIKE = 5e-12;  // energy model spike_5pj, the only one that is counted by stage
 const QUANTILES = [['p50', 0.5], ['p90', 0.9], ['p99', 0.99], ['p99.9', 0.999]];
 
 /** The figures of every policy version over a window. */
@@ -74,13 +75,16 @@ export class Policies {
       numberColumn('drift', 'Head drift', (x) => fixed(x, 4)),
       numberColumn('updates', 'Head updates per second', fixed),
     ], {sort: 'episodes', descending: true, key});
+    const unit = document.getElementById('stage-unit');
+    const stageText = (spikes) => (unit.value === 'spikes' ? fixed(spikes) : si(spikes * JOULES_PER_SPIKE, 'J'));
+    unit.addEventListener('change', () => this.stages.show(this.stages.rows));
     this.stages = new Table(document.getElementById('stages-table'), [
       name,
       ...STAGES.map((stage) => ({
-        key: stage, label: stage, value: (row) => row.stages[stage], text: (row) => fixed(row.stages[stage]),
+        key: stage, label: stage, value: (row) => row.stages[stage], text: (row) => stageText(row.stages[stage]),
         share: (row) => row.stages[stage] / row.spikes,
       })),
-      numberColumn('spikes', 'all', fixed),
+      numberColumn('spikes', 'all', stageText),
     ], {sort: 'spikes', descending: true, key});
     this.calls = new Table(document.getElementById('calls-table'), [
       {key: 'method', label: 'Method', value: (row) => row.method, text: (row) => row.method, isText: true},

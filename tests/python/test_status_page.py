@@ -206,6 +206,10 @@ def test_every_stage_and_call_is_there(page):
     for row in rows(page, "stages-table"):
         figures = [float(cell) for cell in row[1:]]
         assert sum(figures[:-1]) == pytest.approx(figures[-1], abs=0.5)
+    page.tab_to("e.id === 'stage-unit'")
+    page.press("j")
+    for row in rows(page, "stages-table"):
+        assert all(cell == "–" or cell.endswith("J") for cell in row[1:]), row
     assert "Act" in [row[0] for row in rows(page, "calls-table")]
     assert len(page.driver.find_elements(By.CSS_SELECTOR, ".uplot canvas")) == 4
 
