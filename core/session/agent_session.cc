@@ -199,7 +199,7 @@ void AgentSession::RebuildContext() {
 
 absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   if (session_.step == 0) {
-    if (session_.last_end.has_value() && session_.last_end->end == end) {
+    if (session_.last_end != nullptr && session_.last_end->end == end) {
       return session_.last_end->summary;
     }
     return absl::FailedPreconditionError(
@@ -235,7 +235,8 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   session_.episode_energy_joules = 0.0;
   session_.history.Clear();
   session_.last_answer.reset();
-  session_.last_end = {.end = end, .summary = summary};
+  session_.last_end =
+      std::make_shared<const EndedEpisode>(EndedEpisode{.end = end, .summary = summary});
   DropContext();
   served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;

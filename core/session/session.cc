@@ -229,6 +229,11 @@ Json Write(const std::optional<T>& value) {
   return value.has_value() ? Write(*value) : Json();
 }
 
+template <typename T>
+Json Write(const std::shared_ptr<const T>& value) {
+  return value != nullptr ? Write(*value) : Json();
+}
+
 template <HasFields T>
 Json Write(const T& value) {
   Json json = Json::array();
@@ -316,6 +321,14 @@ class Reader {
   template <typename T>
   void Read(const Json& json, const std::string& path, std::optional<T>& value) {
     if (!json.is_null()) Read(json, path, value.emplace());
+  }
+
+  template <typename T>
+  void Read(const Json& json, const std::string& path, std::shared_ptr<const T>& value) {
+    if (json.is_null()) return;
+    auto read = std::make_shared<T>();
+    Read(json, path, *read);
+    value = std::move(read);
   }
 
   template <HasFields T>
@@ -411,7 +424,7 @@ absl::Status CheckInvariants(const Session& session) {
   if (last != session.step - 1) {
     return Inconsistent("last_answer.step", absl::StrCat(session.step - 1), last);
   }
-  if (session.last_end.has_value() != (session.episode > 0 && session.step == 0)) {
+  if ((session.last_end != nullptr) != (session.episode > 0 && session.step == 0)) {
     return absl::InvalidArgumentError(
         "session.last_end: expected one if and only if an episode has ended and the next has not "
         "begun");

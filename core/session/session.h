@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -62,7 +63,8 @@ struct Session {
   double episode_energy_joules = 0.0;
   History history;  // the last timesteps, at most HistorySize() of them
   std::optional<Answer> last_answer;
-  std::optional<EndedEpisode> last_end;  // of the episode before, until this one's first decision
+  // Of the episode before, until this one's first decision; null otherwise.
+  std::shared_ptr<const EndedEpisode> last_end;
 
   // Over the session's life.
   uint64_t decisions =
