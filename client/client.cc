@@ -134,10 +134,7 @@ std::unique_ptr<RemoteStream> Client::OpenStream() {
 }
 
 absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRequest& request) {
-  v1::EndEpisodeResponse response;
-  absl::Status status = CallOnce(&v1::PolicyService::Stub::EndEpisode, request, &response);
-  if (!status.ok()) return status;
-  return response;
+  return Call(&v1::PolicyService::Stub::EndEpisode, request, request.session_id());
 }
 
 absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id,

@@ -74,8 +74,7 @@ class Client {
   // A stream for any number of sessions.
   std::unique_ptr<RemoteStream> OpenStream();
 
-  // Never retried: a second EndEpisode would end the next episode. After UNAVAILABLE or
-  // DEADLINE_EXCEEDED the `episode` of GetSession tells whether the first was carried out.
+  // Retried; the server recognises the end that it has counted.
   absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const v1::EndEpisodeRequest& request);
 
   // Retried. `include_head_delta` asks for W - W_base of the head it plays on.

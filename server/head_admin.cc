@@ -120,24 +120,12 @@ absl::Status HeadAdmin::RollbackHead(const v1::RollbackHeadRequest& request,
 
 absl::Status HeadAdmin::PauseLearning(const v1::PauseLearningRequest& request,
                                       v1::PauseLearningResponse* /*response*/) const {
-  return SetPaused(request.policy(), true);
+  return registry_->SetLearningPaused(request.policy(), true);
 }
 
 absl::Status HeadAdmin::ResumeLearning(const v1::ResumeLearningRequest& request,
                                        v1::ResumeLearningResponse* /*response*/) const {
-  return SetPaused(request.policy(), false);
-}
-
-absl::Status HeadAdmin::SetPaused(const std::string& policy, bool paused) const {
-  const auto catalog = registry_->catalog();
-  if (!policy.empty()) {
-    if (const auto found = catalog->FindPolicy(policy); !found.ok()) return found.status();
-  }
-  for (const auto& [name, served] : catalog->policies()) {
-    if (!policy.empty() && name != policy) continue;
-    served.versions.begin()->second->learning->set_paused(paused);  // that of all its versions
-  }
-  return absl::OkStatus();
+  return registry_->SetLearningPaused(request.policy(), false);
 }
 
 }  // namespace spikeserve

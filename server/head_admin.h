@@ -32,8 +32,6 @@ class HeadAdmin {
                               v1::ResumeLearningResponse* response) const;
 
  private:
-  absl::Status SetPaused(const std::string& policy, bool paused) const;
-
   PolicyRegistry* const registry_;
   SessionStore* const store_;
   mutable absl::Mutex promote_mutex_;  // so that two promotions never pick one version number

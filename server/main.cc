@@ -31,8 +31,8 @@ ABSL_FLAG(absl::Duration, poll_policies, spikeserve::ServerOptions().poll_polici
           "How often to look for new, changed and removed files below --policies; 0 for only when "
           "an operator asks");
 ABSL_FLAG(std::string, policy_settings, "",
-          "JSON file that keeps default versions, labels, traffic and unloaded versions over a "
-          "restart; empty: they hold until the server ends");
+          "JSON file that keeps default versions, labels, traffic, unloaded versions and paused "
+          "learning over a restart; empty: they hold until the server ends");
 ABSL_FLAG(absl::Duration, session_ttl, spikeserve::ServerOptions().session_ttl,
           "Sessions that nobody used for this long are ended");
 ABSL_FLAG(absl::Duration, compact_after, spikeserve::ServerOptions().compact_after,

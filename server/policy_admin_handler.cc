@@ -53,6 +53,7 @@ absl::Status PolicyAdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest&
   for (const absl::Status& refused : report->refused) {
     response->add_refused(std::string(refused.message()));
   }
+  for (const std::string& setting : report->waiting) response->add_waiting(setting);
   return absl::OkStatus();
 }
 

@@ -39,24 +39,6 @@ int64_t CatalogPolicy::DefaultVersion() const {
   return settings.default_version != 0 ? settings.default_version : versions.rbegin()->first;
 }
 
-int CatalogPolicy::PercentOf(int64_t version) const {
-  for (const TrafficShare& share : settings.shares) {
-    if (share.version == version) return share.percent;
-  }
-  return 0;
-}
-
-std::string CatalogPolicy::UseOf(int64_t version) const {
-  if (version == settings.default_version) return "the default";
-  for (const auto& [label, labelled] : settings.labels) {
-    if (labelled == version) return absl::StrCat("label ", label);
-  }
-  for (const TrafficShare& share : settings.shares) {
-    if (share.version == version) return absl::StrCat(share.percent, "% of the traffic");
-  }
-  return version == settings.shadow_version ? "the shadow" : "";
-}
-
 absl::StatusOr<const CatalogPolicy*> PolicyCatalog::FindPolicy(const std::string& name) const {
   const auto policy = policies_.find(name);
   if (policy != policies_.end()) return &policy->second;

@@ -30,19 +30,13 @@ struct Route {
   std::shared_ptr<const ServedPolicy> shadow;  // null: none, or `served` itself
 };
 
-// The versions of one policy, and what an operator has set. Every version that the settings name is
-// in `versions`.
+// The versions of one policy, and what holds of an operator's settings: every version that they
+// name is in `versions`.
 struct CatalogPolicy {
   std::map<int64_t, std::shared_ptr<const ServedPolicy>> versions;  // never empty
   PolicySettings settings;
 
   int64_t DefaultVersion() const;
-
-  // Of the new sessions, where there are shares.
-  int PercentOf(int64_t version) const;
-
-  // What an operator set to this version, such as "label stable"; empty where nothing is.
-  std::string UseOf(int64_t version) const;
 };
 
 class PolicyCatalog {

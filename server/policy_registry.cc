@@ -15,43 +15,19 @@ absl::Status CheckVersion(const CatalogPolicy& policy, const std::string& name, 
                                           ", received ", version));
 }
 
-absl::Status CheckShares(const CatalogPolicy& policy, const std::string& name,
-                         const std::vector<TrafficShare>& shares) {
-  int sum = 0;
-  std::set<int64_t> seen;
-  for (const TrafficShare& share : shares) {
-    if (auto status = CheckVersion(policy, name, share.version); !status.ok()) return status;
-    if (share.percent < 0 || share.percent > 100) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("shares: expected percents in [0, 100], received ", share.percent,
-                       " for version ", share.version));
-    }
-    if (!seen.insert(share.version).second) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("shares: expected each version once, received ", share.version, " twice"));
-    }
-    sum += share.percent;
-  }
-  if (shares.empty() || sum == 100) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("shares: expected percents that add up to 100, received ", sum));
-}
-
 // The shadow must fit every version that gets sessions without naming one.
-absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name) {
-  if (policy.settings.shadow_version == 0) return absl::OkStatus();
-  if (auto status = CheckVersion(policy, name, policy.settings.shadow_version); !status.ok())
-    return status;
-  std::vector<TrafficShare> shadowed = policy.settings.shares;
+absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name,
+                         std::vector<TrafficShare> shadowed, int64_t shadow_version) {
+  if (shadow_version == 0) return absl::OkStatus();
+  if (auto status = CheckVersion(policy, name, shadow_version); !status.ok()) return status;
   if (shadowed.empty()) shadowed = {{.version = policy.DefaultVersion(), .percent = 100}};
   for (const TrafficShare& share : shadowed) {
-    if (SameSpaces(*policy.versions.at(share.version),
-                   *policy.versions.at(policy.settings.shadow_version))) {
+    if (SameSpaces(*policy.versions.at(share.version), *policy.versions.at(shadow_version))) {
       continue;
     }
     return absl::FailedPreconditionError(
         absl::StrCat("shadow_version: expected the observations and actions of version ",
-                     share.version, ", received version ", policy.settings.shadow_version));
+                     share.version, ", received version ", shadow_version));
   }
   return absl::OkStatus();
 }
@@ -64,56 +40,41 @@ absl::Status Prefixed(absl::string_view prefix, const absl::Status& status) {
 
 absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
     const std::string& directory, const std::string& settings_path, NewObserver new_observer,
-    std::vector<absl::Status>* refused) {
-  auto registry =
-      std::unique_ptr<PolicyRegistry>(new PolicyRegistry(directory, std::move(new_observer)));
-  Settings settings;
+    ReloadReport* report) {
+  auto registry = std::unique_ptr<PolicyRegistry>(
+      new PolicyRegistry(directory, settings_path, std::move(new_observer)));
   if (!settings_path.empty()) {
-    auto read = ReadSettings(settings_path);
-    if (!read.ok()) return Prefixed("--policy_settings", read.status());
-    settings = *std::move(read);
-  }
-  {
+    auto settings = ReadSettings(settings_path);
+    if (!settings.ok()) return Prefixed("--policy_settings", settings.status());
     absl::MutexLock change(&registry->change_mutex_);
-    registry->kept_out_ = settings.unloaded;
+    registry->settings_ = *std::move(settings);
   }
-  auto report = registry->Reload();
-  if (!report.ok()) return Prefixed("--policies", report.status());
-  *refused = std::move(report->refused);
-  for (const auto& [policy, set] : settings.policies) {
-    for (const absl::Status& status : registry->Restore(policy, set)) {
-      refused->push_back(Prefixed(settings_path, status));
-    }
-  }
-  absl::MutexLock change(&registry->change_mutex_);
-  registry->settings_path_ = settings_path;
+  auto loaded = registry->Reload();
+  if (!loaded.ok()) return Prefixed("--policies", loaded.status());
+  *report = *std::move(loaded);
   return registry;
 }
 
-std::vector<absl::Status> PolicyRegistry::Restore(const std::string& policy,
-                                                  const PolicySettings& settings) {
-  std::vector<absl::Status> refused;
-  const auto keep = [&](const std::string& setting, const absl::Status& status) {
-    if (status.ok()) return;
-    refused.push_back(Prefixed(absl::StrCat("policies.", policy, ".", setting), status));
-  };
-  if (settings.default_version != 0) {
-    keep("default_version", SetDefault(policy, settings.default_version).status());
+std::vector<std::string> PolicyRegistry::ApplySettings(PolicyCatalog* catalog) const {
+  std::vector<std::string> waiting;
+  for (const auto& [name, settings] : settings_.policies) {
+    const auto policy = catalog->policies().find(name);
+    std::set<int64_t> versions;
+    if (policy != catalog->policies().end()) {
+      for (const auto& [version, served] : policy->second.versions) versions.insert(version);
+    }
+    std::vector<std::string> lines;
+    PolicySettings holding = HoldingWith(settings, versions, &lines);
+    for (const std::string& line : lines) {
+      waiting.push_back(absl::StrCat(settings_path_, ": policies.", name, ".", line));
+    }
+    if (!versions.empty()) policy->second.settings = std::move(holding);
   }
-  for (const auto& [label, version] : settings.labels) {
-    keep(absl::StrCat("labels.", label), SetLabel({.policy = policy, .version = version}, label));
-  }
-  if (!settings.shares.empty() || settings.shadow_version != 0) {
-    keep("shares", SetTraffic(policy, settings.shares, settings.shadow_version));
-  }
-  return refused;
+  return waiting;
 }
 
-absl::Status PolicyRegistry::Save(const PolicyCatalog& catalog) const {
-  if (settings_path_.empty()) return absl::OkStatus();
-  Settings settings = {.policies = {}, .unloaded = kept_out_};
-  for (const auto& [name, policy] : catalog.policies()) settings.policies[name] = policy.settings;
-  return WriteSettings(settings, settings_path_);
+absl::Status PolicyRegistry::Save(const Settings& settings) const {
+  return settings_path_.empty() ? absl::OkStatus() : WriteSettings(settings, settings_path_);
 }
 
 std::shared_ptr<const PolicyCatalog> PolicyRegistry::catalog() const {
@@ -134,7 +95,11 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
   KnownFile& file = files_[version];
   file.stamp = StampOf(PolicyFilePath(directory_, version));
   std::shared_ptr<LearningSwitch>& learning = learning_[version.policy];
-  if (learning == nullptr) learning = std::make_shared<LearningSwitch>();
+  if (learning == nullptr) {
+    learning = std::make_shared<LearningSwitch>();
+    const auto set = settings_.policies.find(version.policy);
+    learning->set_paused(set != settings_.policies.end() && set->second.learning_paused);
+  }
   auto served = LoadPolicyVersion(directory_, version, learning, new_observer_);
   file.status = served.status();
   return served;
@@ -149,6 +114,7 @@ absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
   PolicyCatalog catalog = *this->catalog();
   LoadChanged(folders->versions, &catalog, &report);
   DropGone(&catalog, &report);
+  report.waiting = ApplySettings(&catalog);
   if (!report.loaded.empty() || !report.unloaded.empty()) Publish(std::move(catalog));
   return report;
 }
@@ -157,7 +123,7 @@ void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, Pol
                                  ReloadReport* report) {
   std::map<PolicyVersion, KnownFile> still_there;
   for (const PolicyVersion& version : versions) {
-    if (kept_out_.contains(version)) continue;
+    if (settings_.unloaded.contains(version)) continue;
     const auto known = files_.find(version);
     const FileStamp stamp = StampOf(PolicyFilePath(directory_, version));
     if (known == files_.end() || known->second.stamp != stamp) {
@@ -179,7 +145,7 @@ void PolicyRegistry::DropGone(PolicyCatalog* catalog, ReloadReport* report) {
     for (auto it = versions.begin(); it != versions.end();) {
       const PolicyVersion version = {.policy = policy->first, .version = it->first};
       const std::string path = PolicyFilePath(directory_, version);
-      const std::string use = policy->second.UseOf(version.version);
+      const std::string use = policy->second.settings.UseOf(version.version);
       const bool gone = StampOf(path).size < 0;
       if (gone && !use.empty()) {
         report->refused.push_back(absl::FailedPreconditionError(
@@ -210,13 +176,14 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
   absl::MutexLock change(&change_mutex_);
   auto served = Read(version);
   if (!served.ok()) return served.status();
-  const bool was_kept_out = kept_out_.erase(version) == 1;
+  Settings settings = settings_;
+  if (settings.unloaded.erase(version) == 1) {
+    if (auto status = Save(settings); !status.ok()) return status;
+    settings_ = std::move(settings);
+  }
   PolicyCatalog catalog = *this->catalog();
   catalog.policies()[version.policy].versions[version.version] = *served;
-  if (auto status = was_kept_out ? Save(catalog) : absl::OkStatus(); !status.ok()) {
-    kept_out_.insert(version);
-    return status;
-  }
+  ApplySettings(&catalog);
   Publish(std::move(catalog));
   return served;
 }
@@ -230,45 +197,50 @@ absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
   if (auto status = CheckVersion(policy, version.policy, version.version); !status.ok()) {
     return status;
   }
-  if (const std::string use = policy.UseOf(version.version); !use.empty()) {
+  if (const std::string use = policy.settings.UseOf(version.version); !use.empty()) {
     return absl::FailedPreconditionError(
         absl::StrCat("version: expected one that nothing was set to, received ", version.version,
                      ", which is ", use));
   }
+  Settings settings = settings_;
+  settings.unloaded.insert(version);
+  if (auto status = Save(settings); !status.ok()) return status;
+  settings_ = std::move(settings);
   policy.versions.erase(version.version);
   if (policy.versions.empty()) catalog.policies().erase(version.policy);
-  kept_out_.insert(version);
-  if (auto status = Save(catalog); !status.ok()) {
-    kept_out_.erase(version);
-    return status;
-  }
   files_.erase(version);
   Publish(std::move(catalog));
   return absl::OkStatus();
 }
 
-absl::Status PolicyRegistry::Change(const std::string& policy,
-                                    absl::FunctionRef<absl::Status(CatalogPolicy& policy)> change) {
+absl::Status PolicyRegistry::Change(
+    const std::string& policy,
+    absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change) {
   absl::MutexLock lock(&change_mutex_);
   PolicyCatalog catalog = *this->catalog();
-  if (const auto found = catalog.FindPolicy(policy); !found.ok()) return found.status();
-  if (auto status = change(catalog.policies()[policy]); !status.ok()) return status;
-  if (auto status = Save(catalog); !status.ok()) return status;
+  const auto found = catalog.FindPolicy(policy);
+  if (!found.ok()) return found.status();
+  Settings settings = settings_;
+  if (auto status = change(**found, &settings.policies[policy]); !status.ok()) return status;
+  if (auto status = Save(settings); !status.ok()) return status;
+  settings_ = std::move(settings);
+  ApplySettings(&catalog);
   Publish(std::move(catalog));
   return absl::OkStatus();
 }
 
 absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, int64_t version) {
-  int64_t result = 0;
-  const absl::Status status = Change(policy, [&](CatalogPolicy& changed) {
-    if (version != 0) {
-      if (auto known = CheckVersion(changed, policy, version); !known.ok()) return known;
+  int64_t result = version;
+  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    if (version == 0) {
+      result = served.versions.rbegin()->first;
+    } else if (auto known = CheckVersion(served, policy, version); !known.ok()) {
+      return known;
     }
-    changed.settings.default_version = version;
-    result = changed.DefaultVersion();
+    settings->default_version = version;
     return absl::OkStatus();
-  });
-  if (!status.ok()) return status;
+  };
+  if (auto status = Change(policy, change); !status.ok()) return status;
   return result;
 }
 
@@ -277,18 +249,17 @@ absl::Status PolicyRegistry::SetLabel(const PolicyVersion& version, const std::s
     return absl::InvalidArgumentError(
         absl::StrCat("label: expected letters, digits, '.', '-', '_', received ", Quoted(label)));
   }
-  return Change(version.policy, [&](CatalogPolicy& changed) {
-    if (auto status = CheckVersion(changed, version.policy, version.version); !status.ok()) {
-      return status;
-    }
-    changed.settings.labels[label] = version.version;
-    return absl::OkStatus();
-  });
+  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    auto status = CheckVersion(served, version.policy, version.version);
+    if (status.ok()) settings->labels[label] = version.version;
+    return status;
+  };
+  return Change(version.policy, change);
 }
 
 absl::Status PolicyRegistry::RemoveLabel(const std::string& policy, const std::string& label) {
-  return Change(policy, [&](CatalogPolicy& changed) {
-    if (changed.settings.labels.erase(label) == 1) return absl::OkStatus();
+  return Change(policy, [&](const CatalogPolicy& /*served*/, PolicySettings* settings) {
+    if (settings->labels.erase(label) == 1) return absl::OkStatus();
     return absl::NotFoundError(
         absl::StrCat("label: expected one of policy ", policy, ", received ", Quoted(label)));
   });
@@ -296,12 +267,36 @@ absl::Status PolicyRegistry::RemoveLabel(const std::string& policy, const std::s
 
 absl::Status PolicyRegistry::SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
                                         int64_t shadow_version) {
-  return Change(policy, [&](CatalogPolicy& changed) {
-    if (auto status = CheckShares(changed, policy, shares); !status.ok()) return status;
-    changed.settings.shares = std::move(shares);
-    changed.settings.shadow_version = shadow_version;
-    return CheckShadow(changed, policy);
+  return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
+    if (auto status = CheckShares(shares); !status.ok()) return status;
+    for (const TrafficShare& share : shares) {
+      if (auto status = CheckVersion(served, policy, share.version); !status.ok()) return status;
+    }
+    auto status = CheckShadow(served, policy, shares, shadow_version);
+    if (status.ok()) {
+      settings->shares = std::move(shares);
+      settings->shadow_version = shadow_version;
+    }
+    return status;
   });
+}
+
+absl::Status PolicyRegistry::SetLearningPaused(const std::string& policy, bool paused) {
+  absl::MutexLock lock(&change_mutex_);
+  const auto catalog = this->catalog();
+  if (!policy.empty()) {
+    if (const auto found = catalog->FindPolicy(policy); !found.ok()) return found.status();
+  }
+  Settings settings = settings_;
+  for (const auto& [name, served] : catalog->policies()) {
+    if (policy.empty() || name == policy) settings.policies[name].learning_paused = paused;
+  }
+  if (auto status = Save(settings); !status.ok()) return status;
+  settings_ = std::move(settings);
+  for (const auto& [name, learning] : learning_) {
+    learning->set_paused(settings_.policies[name].learning_paused);
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace spikeserve

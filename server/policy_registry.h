@@ -29,18 +29,19 @@ struct ReloadReport {
   std::vector<PolicyVersion> loaded;    // new, or read again because the file changed
   std::vector<PolicyVersion> unloaded;  // their files are gone
   std::vector<absl::Status> refused;    // everything that is amiss now; the path comes first
+  std::vector<std::string> waiting;  // settings whose version is not served; the path comes first
 };
 
 class PolicyRegistry {
  public:
   // Loads what can be loaded, and puts back what operators have set as `settings_path` tells, if it
-  // is not empty. What cannot be goes to `refused`, one status each, whose message starts with the
-  // path; everything else is served. NOT_FOUND if there is no such directory, INVALID_ARGUMENT for
-  // settings that cannot be read.
+  // is not empty. What cannot be is told in `report`; everything else is served. A setting whose
+  // version is not there is kept, and holds once the version is. NOT_FOUND if there is no such
+  // directory, INVALID_ARGUMENT for settings that cannot be read.
   static absl::StatusOr<std::unique_ptr<PolicyRegistry>> Load(const std::string& directory,
                                                               const std::string& settings_path,
                                                               NewObserver new_observer,
-                                                              std::vector<absl::Status>* refused);
+                                                              ReloadReport* report);
 
   // What is served now. Never null.
   std::shared_ptr<const PolicyCatalog> catalog() const;
@@ -77,6 +78,10 @@ class PolicyRegistry {
   absl::Status SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
                           int64_t shadow_version);
 
+  // Stops or resumes learning in every version of one policy, or of all that are served (empty).
+  // Once a pause has returned, their shared heads stand still.
+  absl::Status SetLearningPaused(const std::string& policy, bool paused);
+
  private:
   // A version's file when it was last read.
   struct KnownFile {
@@ -84,21 +89,25 @@ class PolicyRegistry {
     absl::Status status;  // why it was refused
   };
 
-  PolicyRegistry(std::string directory, NewObserver new_observer)
-      : directory_(std::move(directory)), new_observer_(std::move(new_observer)) {}
+  PolicyRegistry(std::string directory, std::string settings_path, NewObserver new_observer)
+      : directory_(std::move(directory)),
+        settings_path_(std::move(settings_path)),
+        new_observer_(std::move(new_observer)) {}
 
   void Publish(PolicyCatalog catalog) ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Sets what can be set; returns why the rest cannot.
-  std::vector<absl::Status> Restore(const std::string& policy, const PolicySettings& settings);
-
-  // Writes the settings down, where there is a file for them.
-  absl::Status Save(const PolicyCatalog& catalog) const
+  // Lets hold what can of the settings. Returns what waits.
+  std::vector<std::string> ApplySettings(PolicyCatalog* catalog) const
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
-  // Applies `change` to a copy of the policy, and publishes it where that succeeds.
-  absl::Status Change(const std::string& policy,
-                      absl::FunctionRef<absl::Status(CatalogPolicy& policy)> change);
+  // Writes the settings down, where there is a file for them.
+  absl::Status Save(const Settings& settings) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+
+  // Applies `change` to what is set for the policy, writes it down and lets it hold.
+  absl::Status Change(
+      const std::string& policy,
+      absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)>
+          change);
 
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> Read(const PolicyVersion& version)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
@@ -108,12 +117,13 @@ class PolicyRegistry {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   const std::string directory_;
+  const std::string settings_path_;  // empty: nothing is written
   const NewObserver new_observer_;
 
   absl::Mutex change_mutex_;  // held for a whole change, taken before mutex_
   std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
-  std::set<PolicyVersion> kept_out_ ABSL_GUARDED_BY(change_mutex_);
-  std::string settings_path_ ABSL_GUARDED_BY(change_mutex_);  // empty: nothing is written
+  // What operators have set, also what waits; the catalog has what holds.
+  Settings settings_ ABSL_GUARDED_BY(change_mutex_);
   // By policy: one for all its versions, so that a pause misses none, whenever it is read.
   std::map<std::string, std::shared_ptr<LearningSwitch>> learning_ ABSL_GUARDED_BY(change_mutex_);
 

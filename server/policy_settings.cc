@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <set>
 #include <sstream>
 #include <utility>
 
@@ -35,11 +36,17 @@ absl::StatusOr<TrafficShare> ParseShare(const std::string& field, const Json& js
 
 absl::StatusOr<PolicySettings> ParsePolicy(const std::string& field, const Json& json) {
   if (auto status =
-          CheckKeys(field, json, {"default_version", "labels", "shares", "shadow_version"});
+          CheckKeys(field, json,
+                    {"default_version", "labels", "shares", "shadow_version", "learning_paused"});
       !status.ok()) {
     return status;
   }
   PolicySettings settings;
+  const Json paused = json.value("learning_paused", Json(false));
+  if (!paused.is_boolean()) {
+    return UnexpectedJson(absl::StrCat(field, ".learning_paused"), "true or false", paused);
+  }
+  settings.learning_paused = paused.get<bool>();
   for (const auto& [key, target] : {std::pair("default_version", &settings.default_version),
                                     std::pair("shadow_version", &settings.shadow_version)}) {
     if (!json.contains(key)) continue;
@@ -52,6 +59,10 @@ absl::StatusOr<PolicySettings> ParsePolicy(const std::string& field, const Json&
     return UnexpectedJson(absl::StrCat(field, ".labels"), "an object", labels);
   }
   for (const auto& [label, value] : labels.items()) {
+    if (!IsPlainName(label)) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          field, ".labels: expected letters, digits, '.', '-', '_', received ", Quoted(label)));
+    }
     const auto version = ParseVersion(absl::StrCat(field, ".labels.", label), value);
     if (!version.ok()) return version.status();
     settings.labels[label] = *version;
@@ -62,6 +73,9 @@ absl::StatusOr<PolicySettings> ParsePolicy(const std::string& field, const Json&
     const auto share = ParseShare(absl::StrCat(field, ".shares[", i, "]"), shares[i]);
     if (!share.ok()) return share.status();
     settings.shares.push_back(*share);
+  }
+  if (auto status = CheckShares(settings.shares); !status.ok()) {
+    return absl::InvalidArgumentError(absl::StrCat(field, ".", status.message()));
   }
   return settings;
 }
@@ -74,10 +88,69 @@ Json PolicyJson(const PolicySettings& settings) {
     json["shares"].push_back({{"version", share.version}, {"percent", share.percent}});
   }
   if (settings.shadow_version != 0) json["shadow_version"] = settings.shadow_version;
+  if (settings.learning_paused) json["learning_paused"] = true;
   return json;
 }
 
 }  // namespace
+
+std::string PolicySettings::UseOf(int64_t version) const {
+  if (version == default_version) return "the default";
+  for (const auto& [label, labelled] : labels) {
+    if (labelled == version) return absl::StrCat("label ", label);
+  }
+  for (const TrafficShare& share : shares) {
+    if (share.version == version) return absl::StrCat(share.percent, "% of the traffic");
+  }
+  return version == shadow_version ? "the shadow" : "";
+}
+
+int PolicySettings::PercentOf(int64_t version) const {
+  for (const TrafficShare& share : shares) {
+    if (share.version == version) return share.percent;
+  }
+  return 0;
+}
+
+absl::Status CheckShares(const std::vector<TrafficShare>& shares) {
+  int sum = 0;
+  std::set<int64_t> seen;
+  for (const TrafficShare& share : shares) {
+    if (share.percent < 0 || share.percent > 100) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("shares: expected percents in [0, 100], received ", share.percent,
+                       " for version ", share.version));
+    }
+    if (!seen.insert(share.version).second) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("shares: expected each version once, received ", share.version, " twice"));
+    }
+    sum += share.percent;
+  }
+  if (shares.empty() || sum == 100) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("shares: expected percents that add up to 100, received ", sum));
+}
+
+PolicySettings HoldingWith(const PolicySettings& settings, const std::set<int64_t>& versions,
+                           std::vector<std::string>* waiting) {
+  PolicySettings holding = settings;
+  const auto waits = [&](const std::string& setting, int64_t version) {
+    if (version == 0 || versions.contains(version)) return false;
+    waiting->push_back(
+        absl::StrCat(setting, ": waits for version ", version, ", which is not served"));
+    return true;
+  };
+  if (waits("default_version", settings.default_version)) holding.default_version = 0;
+  for (const auto& [label, version] : settings.labels) {
+    if (waits(absl::StrCat("labels.", label), version)) holding.labels.erase(label);
+  }
+  for (const TrafficShare& share : settings.shares) {
+    if (waits("shares", share.version)) holding.shares.clear();
+  }
+  if (waits("shadow_version", settings.shadow_version)) holding.shadow_version = 0;
+  return holding;
+}
 
 absl::StatusOr<Settings> ParseSettings(absl::string_view text) {
   const auto json = ParseJsonObject("settings", text);

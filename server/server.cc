@@ -15,7 +15,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
-#include "grpc/health/v1/health.pb.h"
+#include "grpc/health/v1/health.grpc.pb.h"
 
 namespace spikeserve {
 namespace {
@@ -51,16 +51,19 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   if (!authenticator.ok()) return authenticator.status();
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
-  std::vector<absl::Status> refused;
+  ReloadReport report;
   auto registry = PolicyRegistry::Load(
       options.policies, options.policy_settings,
       [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy);
       },
-      &refused);
+      &report);
   if (!registry.ok()) return registry.status();
-  for (const absl::Status& status : refused) {
+  for (const absl::Status& status : report.refused) {
     std::cerr << "spikeserve: policy refused: " << status.message() << std::endl;
+  }
+  for (const std::string& setting : report.waiting) {
+    std::cerr << "spikeserve: warning: " << setting << std::endl;
   }
   if ((*registry)->catalog()->policies().empty()) {
     std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
@@ -78,8 +81,8 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   if (auto status = server->StartGrpc(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
-    server->poller_ =
-        std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies, refused);
+    server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
+                                                     report.refused);
   }
   if (!options.tokens.empty()) {
     server->token_reloader_ = std::make_unique<Periodic>(
@@ -113,6 +116,12 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                           .clock = &clock_,
                           .session_ttl = options.session_ttl}),
       inference_service_(Parts(), &inference_handler_),
+      reflection_service_({v1::PolicyService::service_full_name(),
+                           v1::PolicyAdmin::service_full_name(),
+                           inference::GRPCInferenceService::service_full_name(),
+                           grpc::health::v1::Health::service_full_name(),
+                           grpc::reflection::v1::ServerReflection::service_full_name(),
+                           "grpc.reflection.v1alpha.ServerReflection"}),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
               .store = &store_,
@@ -150,6 +159,7 @@ absl::Status Server::StartGrpc() {
   builder.RegisterService(&service_);
   builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);
+  builder.RegisterService(&reflection_service_);
   grpc_ = BuildQuietly(builder);
   if (grpc_ == nullptr || grpc_address_.port == 0) {
     return absl::UnavailableError(absl::StrCat("--listen: cannot listen on ", options_.listen));

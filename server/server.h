@@ -30,6 +30,7 @@
 #include "server/policy_registry.h"
 #include "server/policy_service.h"
 #include "server/recordings.h"
+#include "server/reflection_service.h"
 #include "server/request_handler.h"
 #include "server/shadow_runner.h"
 #include "server/status_pages.h"
@@ -84,6 +85,7 @@ class Server {
   PolicyAdminService admin_service_;
   InferenceHandler inference_handler_;
   InferenceService inference_service_;
+  ReflectionService reflection_service_;
   std::atomic<bool> stopping_ = false;
   const StatusPages pages_;
   Address grpc_address_;

@@ -1,27 +1,17 @@
-#include <grpcpp/client_context.h>
-
 #include <cstdint>
-#include <iostream>
 #include <string>
 #include <vector>
 
-#include "absl/flags/declare.h"
 #include "absl/flags/flag.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
-#include "absl/time/clock.h"
-#include "absl/time/time.h"
+#include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
-#include "client/spikectl/common_flags.h"
-#include "client/status.h"
-#include "nlohmann/json.hpp"
-#include "spikeserve/v1/policy_admin.grpc.pb.h"
+#include "client/spikectl/head_actions.h"
 
-ABSL_DECLARE_FLAG(std::string, policy);
-ABSL_DECLARE_FLAG(int64_t, version);
 ABSL_FLAG(std::string, label, "", "Name of a version, such as stable (admin label, unlabel)");
 ABSL_FLAG(std::vector<std::string>, shares, {},
           "VERSION:PERCENT of the new sessions, separated by commas; none: all to the default "
@@ -33,46 +23,9 @@ namespace spikeserve {
 namespace {
 
 using nlohmann::ordered_json;
-using Stub = v1::PolicyAdmin::Stub;
-
-// Loading reads files and decides once, so it takes longer than a decision.
-constexpr absl::Duration kCallTimeout = absl::Seconds(60);
-
-template <typename Request, typename Response>
-absl::StatusOr<Response> Call(grpc::Status (Stub::*method)(grpc::ClientContext*, const Request&,
-                                                           Response*),
-                              const Request& request) {
-  const auto client = ConnectToServer();
-  if (!client.ok()) return client.status();
-  const auto stub = v1::PolicyAdmin::NewStub((*client)->channel());
-  grpc::ClientContext context;
-  context.set_deadline(absl::ToChronoTime(absl::Now() + kCallTimeout));
-  Response response;
-  const grpc::Status status = ((*stub).*method)(&context, request, &response);
-  if (!status.ok()) return StatusFromGrpc(status);
-  return response;
-}
-
-// One line, or the object where --json asks for it.
-void Print(const std::string& text, const ordered_json& json) {
-  if (absl::GetFlag(FLAGS_json)) {
-    std::cout << json.dump(2) << "\n";
-  } else {
-    std::cout << text << "\n";
-  }
-}
-
 absl::Status RequirePolicy() {
   if (!absl::GetFlag(FLAGS_policy).empty()) return absl::OkStatus();
   return absl::InvalidArgumentError("--policy: expected a name, got none");
-}
-
-template <typename Request>
-Request VersionRequest() {
-  Request request;
-  request.set_policy(absl::GetFlag(FLAGS_policy));
-  request.set_version(absl::GetFlag(FLAGS_version));
-  return request;
 }
 
 std::string Named() {
@@ -84,7 +37,7 @@ ordered_json NamedJson() {
 }
 
 absl::Status Load() {
-  const auto response = Call(&Stub::LoadPolicy, VersionRequest<v1::LoadPolicyRequest>());
+  const auto response = CallAdmin(&AdminStub::LoadPolicy, VersionRequest<v1::LoadPolicyRequest>());
   if (!response.ok()) return response.status();
   ordered_json json = NamedJson();
   json["is_default"] = response->policy().is_default();
@@ -94,7 +47,8 @@ absl::Status Load() {
 }
 
 absl::Status Unload() {
-  const auto response = Call(&Stub::UnloadPolicy, VersionRequest<v1::UnloadPolicyRequest>());
+  const auto response =
+      CallAdmin(&AdminStub::UnloadPolicy, VersionRequest<v1::UnloadPolicyRequest>());
   if (!response.ok()) return response.status();
   Print(absl::StrCat("unloaded ", Named()), NamedJson());
   return absl::OkStatus();
@@ -102,7 +56,7 @@ absl::Status Unload() {
 
 absl::Status Default() {
   const auto response =
-      Call(&Stub::SetDefaultVersion, VersionRequest<v1::SetDefaultVersionRequest>());
+      CallAdmin(&AdminStub::SetDefaultVersion, VersionRequest<v1::SetDefaultVersionRequest>());
   if (!response.ok()) return response.status();
   const std::string policy = absl::GetFlag(FLAGS_policy);
   Print(absl::StrCat("the default of ", policy, " is version ", response->version()),
@@ -113,7 +67,7 @@ absl::Status Default() {
 absl::Status Label() {
   auto request = VersionRequest<v1::SetLabelRequest>();
   request.set_label(absl::GetFlag(FLAGS_label));
-  const auto response = Call(&Stub::SetLabel, request);
+  const auto response = CallAdmin(&AdminStub::SetLabel, request);
   if (!response.ok()) return response.status();
   ordered_json json = NamedJson();
   json["label"] = request.label();
@@ -125,7 +79,7 @@ absl::Status Unlabel() {
   v1::RemoveLabelRequest request;
   request.set_policy(absl::GetFlag(FLAGS_policy));
   request.set_label(absl::GetFlag(FLAGS_label));
-  const auto response = Call(&Stub::RemoveLabel, request);
+  const auto response = CallAdmin(&AdminStub::RemoveLabel, request);
   if (!response.ok()) return response.status();
   Print(absl::StrCat("removed ", request.label(), " of ", request.policy()),
         {{"policy", request.policy()}, {"label", request.label()}});
@@ -159,7 +113,7 @@ absl::Status Traffic() {
     *request.add_shares() = *share;
     shares.push_back({{"version", share->version()}, {"percent", share->percent()}});
   }
-  const auto response = Call(&Stub::SetTraffic, request);
+  const auto response = CallAdmin(&AdminStub::SetTraffic, request);
   if (!response.ok()) return response.status();
   const std::string to = absl::StrJoin(absl::GetFlag(FLAGS_shares), ", ");
   Print(
@@ -182,16 +136,20 @@ ordered_json VersionsToJson(const List& versions) {
 }
 
 absl::Status Reload() {
-  const auto response = Call(&Stub::ReloadPolicies, v1::ReloadPoliciesRequest());
+  const auto response = CallAdmin(&AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest());
   if (!response.ok()) return response.status();
   std::string text =
       absl::StrCat("loaded ", response->loaded_size(), ", unloaded ", response->unloaded_size());
   for (const std::string& refused : response->refused()) {
     absl::StrAppend(&text, "\nrefused: ", refused);
   }
+  for (const std::string& setting : response->waiting()) {
+    absl::StrAppend(&text, "\nwaiting: ", setting);
+  }
   Print(text, {{"loaded", VersionsToJson(response->loaded())},
                {"unloaded", VersionsToJson(response->unloaded())},
-               {"refused", response->refused()}});
+               {"refused", response->refused()},
+               {"waiting", response->waiting()}});
   return absl::OkStatus();
 }
 
@@ -216,7 +174,7 @@ absl::Status Sessions() {
                                      "VERSION", "TENANT", "EPISODE", "STEP", "DECISIONS", "IDLE_S");
   ordered_json sessions = ordered_json::array();
   do {
-    const auto page = Call(&Stub::ListSessions, request);
+    const auto page = CallAdmin(&AdminStub::ListSessions, request);
     if (!page.ok()) return page.status();
     for (const v1::SessionInfo& session : page->sessions()) {
       sessions.push_back(ToJson(session));
@@ -234,7 +192,7 @@ absl::Status Sessions() {
 absl::Status Drain() {
   v1::DrainRequest request;
   request.set_cancel(absl::GetFlag(FLAGS_cancel));
-  const auto response = Call(&Stub::Drain, request);
+  const auto response = CallAdmin(&AdminStub::Drain, request);
   if (!response.ok()) return response.status();
   Print(absl::StrCat(request.cancel() ? "serving" : "draining",
                      ", open sessions: ", response->open_sessions()),
@@ -249,9 +207,20 @@ struct Action {
 };
 
 constexpr Action kActions[] = {
-    {"load", true, Load},      {"unload", true, Unload},      {"default", true, Default},
-    {"label", true, Label},    {"unlabel", true, Unlabel},    {"traffic", true, Traffic},
-    {"reload", false, Reload}, {"sessions", false, Sessions}, {"drain", false, Drain},
+    {"load", true, Load},
+    {"unload", true, Unload},
+    {"default", true, Default},
+    {"label", true, Label},
+    {"unlabel", true, Unlabel},
+    {"traffic", true, Traffic},
+    {"reload", false, Reload},
+    {"sessions", false, Sessions},
+    {"drain", false, Drain},
+    {"head", true, ShowHead},
+    {"promote", true, PromoteHead},
+    {"rollback", true, RollbackHead},
+    {"pause", false, PauseLearning},
+    {"resume", false, ResumeLearning},
 };
 
 }  // namespace

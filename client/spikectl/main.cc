@@ -37,8 +37,9 @@ std::string Usage() {
   for (const Command& command : kCommands) {
     absl::StrAppend(&usage, "  ", command.name, ": ", command.summary, "\n");
   }
-  absl::StrAppend(&usage, "  admin ACTION: what an operator does: load, unload, default, label, ",
-                  "unlabel, traffic, reload, sessions, drain\n");
+  absl::StrAppend(
+      &usage, "  admin ACTION: what an operator does: load, unload, default, label, ",
+      "unlabel, traffic, reload, sessions, drain, head, promote, rollback, pause, resume\n");
   return usage;
 }
 

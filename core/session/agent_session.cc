@@ -163,6 +163,7 @@ void AgentSession::Record(Answer answer, absl::Span<const float> observation, do
   ++session_.step;
   ++session_.decisions;
   session_.last_answer = std::move(answer);
+  session_.last_end.reset();
   if (recorder_ != nullptr) recorder_->OnDecision(session_, observation, reward);
 }
 
@@ -198,6 +199,9 @@ void AgentSession::RebuildContext() {
 
 absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   if (session_.step == 0) {
+    if (session_.last_end != nullptr && session_.last_end->end == end) {
+      return session_.last_end->summary;
+    }
     return absl::FailedPreconditionError(
         "step: expected at least one decision since the last episode ended, received none");
   }
@@ -231,6 +235,8 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   session_.episode_energy_joules = 0.0;
   session_.history.Clear();
   session_.last_answer.reset();
+  session_.last_end =
+      std::make_shared<const EndedEpisode>(EndedEpisode{.end = end, .summary = summary});
   DropContext();
   served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;

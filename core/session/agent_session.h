@@ -20,29 +20,12 @@
 #include "absl/types/span.h"
 #include "core/engine/engine.h"
 #include "core/session/clock.h"
+#include "core/session/episode.h"
 #include "core/session/episode_recorder.h"
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
-
-// How an episode ends.
-struct EpisodeEnd {
-  double reward = 0.0;      // for the last action
-  bool terminated = false;  // unless the episode was cut off; see learner.h
-  std::optional<double> target_return = std::nullopt;  // G_0 of the next; absent: the session's own
-  // For recordings alone.
-  bool truncated = false;
-  std::vector<float> observation = {};  // [obs], what the last action led to; empty: unknown
-};
-
-struct EpisodeSummary {
-  double episode_return = 0.0;
-  int64_t steps = 0;
-  uint64_t spikes = 0;
-  double energy_joules = 0.0;               // estimate, see PrimaryEnergy()
-  std::optional<LearningSummary> learning;  // absent for a frozen session
-};
 
 class AgentSession {
  public:
@@ -71,9 +54,11 @@ class AgentSession {
   void TakeInstead(const Action& action) { session_.history.ReplaceLastAction(action); }
 
   // Ends the running episode and makes the session ready for the next, whose first step is 0.
-  // FAILED_PRECONDITION if no decision was made since the last end (so an end that is repeated
-  // counts once); INVALID_ARGUMENT for a number that is not finite, or an observation of another
-  // length. Errors leave the session as it was.
+  //
+  // The last end again, before the next decision, is a retry: it gets the stored summary, and
+  // nothing is counted or learned twice. Any other end without a decision since the last one is
+  // FAILED_PRECONDITION; a number that is not finite, or an observation of another length, is
+  // INVALID_ARGUMENT. Errors leave the session as it was.
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
 
   // Has the episodes from the next one on recorded.

@@ -13,22 +13,10 @@
 #include "core/engine/engine.h"
 #include "core/learning/fleet_head.h"
 #include "core/learning/head_update.h"
-#include "core/learning/learning_options.h"
-#include "core/learning/return_statistics.h"
+#include "core/session/episode.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
-
-// What a learning session took from an episode.
-struct LearningSummary {
-  Scope scope = Scope::kSession;
-  int64_t updates = 0;          // of the head; scope fleet: gathered for it
-  int64_t rejected = 0;         // updates refused as not finite
-  double head_drift = 0.0;      // of the head the session plays on
-  ReturnStatistics returns;     // mu and sigma^2, the episode taken in
-  bool rolled_back = false;     // the guard put back the last good head
-  double watched_return = 0.0;  // level of the guard's last window; see return_guard.h
-};
 
 // Told once of everything that counts: retries, failed requests and rebuilt caches are not heard
 // of. Implementations are safe to call from many threads, quick, and never call back into a

@@ -132,6 +132,41 @@ void VisitFields(T& learner, Visitor&& visit) {
   visit("suspended", learner.suspended);
 }
 
+template <Is<EpisodeEnd> T, typename Visitor>
+void VisitFields(T& end, Visitor&& visit) {
+  visit("reward", end.reward);
+  visit("terminated", end.terminated);
+  visit("target_return", end.target_return);
+  visit("truncated", end.truncated);
+  visit("observation", end.observation);
+}
+
+template <Is<LearningSummary> T, typename Visitor>
+void VisitFields(T& summary, Visitor&& visit) {
+  visit("scope", summary.scope);
+  visit("updates", summary.updates);
+  visit("rejected", summary.rejected);
+  visit("head_drift", summary.head_drift);
+  visit("returns", summary.returns);
+  visit("rolled_back", summary.rolled_back);
+  visit("watched_return", summary.watched_return);
+}
+
+template <Is<EpisodeSummary> T, typename Visitor>
+void VisitFields(T& summary, Visitor&& visit) {
+  visit("episode_return", summary.episode_return);
+  visit("steps", summary.steps);
+  visit("spikes", summary.spikes);
+  visit("energy_joules", summary.energy_joules);
+  visit("learning", summary.learning);
+}
+
+template <Is<EndedEpisode> T, typename Visitor>
+void VisitFields(T& ended, Visitor&& visit) {
+  visit("end", ended.end);
+  visit("summary", ended.summary);
+}
+
 template <Is<SessionOptions> T, typename Visitor>
 void VisitFields(T& options, Visitor&& visit) {
   visit("policy", options.policy);
@@ -158,6 +193,7 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("episode_energy_joules", session.episode_energy_joules);
   visit("history", session.history);
   visit("last_answer", session.last_answer);
+  visit("last_end", session.last_end);
   visit("decisions", session.decisions);
   visit("spikes", session.spikes);
   visit("energy_joules", session.energy_joules);
@@ -188,9 +224,14 @@ Json Write(const History& history) {
   return json;
 }
 
-template <HasFields T>
+template <typename T>
 Json Write(const std::optional<T>& value) {
   return value.has_value() ? Write(*value) : Json();
+}
+
+template <typename T>
+Json Write(const std::shared_ptr<const T>& value) {
+  return value != nullptr ? Write(*value) : Json();
 }
 
 template <HasFields T>
@@ -280,6 +321,14 @@ class Reader {
   template <typename T>
   void Read(const Json& json, const std::string& path, std::optional<T>& value) {
     if (!json.is_null()) Read(json, path, value.emplace());
+  }
+
+  template <typename T>
+  void Read(const Json& json, const std::string& path, std::shared_ptr<const T>& value) {
+    if (json.is_null()) return;
+    auto read = std::make_shared<T>();
+    Read(json, path, *read);
+    value = std::move(read);
   }
 
   template <HasFields T>
@@ -374,6 +423,11 @@ absl::Status CheckInvariants(const Session& session) {
   const int64_t last = session.last_answer.has_value() ? session.last_answer->step : -1;
   if (last != session.step - 1) {
     return Inconsistent("last_answer.step", absl::StrCat(session.step - 1), last);
+  }
+  if ((session.last_end != nullptr) != (session.episode > 0 && session.step == 0)) {
+    return absl::InvalidArgumentError(
+        "session.last_end: expected one if and only if an episode has ended and the next has not "
+        "begun");
   }
   if (session.learner.has_value() != session.options.learning.has_value()) {
     return absl::InvalidArgumentError(

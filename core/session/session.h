@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -17,6 +18,7 @@
 #include "core/learning/learner.h"
 #include "core/learning/learning_options.h"
 #include "core/model/action_space.h"
+#include "core/session/episode.h"
 #include "core/session/history.h"
 
 namespace spikeserve {
@@ -61,6 +63,8 @@ struct Session {
   double episode_energy_joules = 0.0;
   History history;  // the last timesteps, at most HistorySize() of them
   std::optional<Answer> last_answer;
+  // Of the episode before, until this one's first decision; null otherwise.
+  std::shared_ptr<const EndedEpisode> last_end;
 
   // Over the session's life.
   uint64_t decisions =

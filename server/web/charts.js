@@ -9,6 +9,7 @@ const CHARTS = [
   ['chart-latency', (row) => row.p99 ?? undefined],
 ];
 const HEIGHT = 170;
+const SECONDS = 60;  // the least that a chart spans, so that it does not rush while the page is new
 const LINES = 8;  // more cannot be told apart; the tables hold them all
 // Okabe and Ito's colours, which the colour-blind can tell apart, on light and on dark ground.
 const COLOURS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#8a8f00', '#888888'];
@@ -39,7 +40,12 @@ export class Charts {
         const row = rows.find((candidate) => candidate.key === key);
         return row && figure(row);
       }));
-      this.plots[i].setData([times, ...lines]);
+      const plot = this.plots[i];
+      plot.setData([times, ...lines]);
+      // Unless somebody points at others the legend holds the latest figures, once uPlot has drawn and cleared it.
+      requestAnimationFrame(() => {
+        if (plot.cursor.idx == null) plot.setLegend({idx: times.length - 1});
+      });
     });
   }
 
@@ -65,7 +71,7 @@ export class Charts {
       const element = document.getElementById(id);
       return new uPlot({
         width: Math.max(element.clientWidth, 200), height: HEIGHT, cursor: {drag: {x: false, y: false}},
-        scales: {x: {time: false}, y: {range: (_, low, high) => [Math.min(0, low ?? 0), (high ?? 0) * 1.1 || 1]}},
+        scales: {x: {time: false, range: (_, low) => [Math.min(-SECONDS, low ?? 0), 0]}, y: {range: (_, low, high) => [Math.min(0, low ?? 0), (high ?? 0) * 1.1 || 1]}},
         axes: [
           {...axis, values: (_, ticks) => ticks.map((t) => `${t} s`)},
           {...axis, size: 60, values: (_, ticks) => ticks.map((y) => si(y, ''))},

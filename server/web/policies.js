@@ -1,9 +1,10 @@
-// The tables of policies, stages and calls, the totals, and which policy costs the most energy.
+// The tables of policies, returns, stages and calls, the totals, and which policy costs the most energy.
 import {NOTHING, count, fixed, isNumber, seconds, si} from './format.js';
 import {quantile} from './samples.js';
 import {Table} from './table.js';
 
 export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
+const JOULES_PER_SPIKE = 5e-12;  // energy model spike_5pj, the only one that is counted by stage
 const QUANTILES = [['p50', 0.5], ['p90', 0.9], ['p99', 0.99], ['p99.9', 0.999]];
 
 /** The figures of every policy version over a window. */
@@ -56,8 +57,6 @@ export class Policies {
     const key = (row) => row.key;
     this.table = new Table(document.getElementById('policies-table'), [
       name,
-      {key: 'environment', label: 'Environment', value: (row) => row.environment, isText: true,
-       text: (row) => `${row.environment} ${row.mode}${row.isDefault ? ' (default)' : ''}`},
       {key: 'power', label: 'Energy per second (estimate)', value: (row) => row.power,
        text: (row) => si(row.power, 'J/s'), share: (row) => row.powerShare},
       numberColumn('energy', 'Energy per decision (estimate)', (x) => si(x, 'J')),
@@ -66,18 +65,26 @@ export class Policies {
       numberColumn('decisionRate', 'Decisions per second', fixed),
       numberColumn('sessions', 'Sessions', count),
       ...quantileColumns,
-      numberColumn('meanReturn', 'Mean return', fixed),
-      numberColumn('episodes', 'Episodes', count),
+    ], {sort: 'power', descending: true, key});
+    this.returns = new Table(document.getElementById('returns-table'), [
+      name,
+      {key: 'environment', label: 'Environment', value: (row) => row.environment, isText: true,
+       text: (row) => `${row.environment} ${row.mode}${row.isDefault ? ' (default)' : ''}`},
+      numberColumn('meanReturn', 'Mean return since start', fixed),
+      numberColumn('episodes', 'Episodes since start', count),
       numberColumn('drift', 'Head drift', (x) => fixed(x, 4)),
       numberColumn('updates', 'Head updates per second', fixed),
-    ], {sort: 'power', descending: true, key});
+    ], {sort: 'episodes', descending: true, key});
+    const unit = document.getElementById('stage-unit');
+    const stageText = (spikes) => (unit.value === 'spikes' ? fixed(spikes) : si(spikes * JOULES_PER_SPIKE, 'J'));
+    unit.addEventListener('change', () => this.stages.show(this.stages.rows));
     this.stages = new Table(document.getElementById('stages-table'), [
       name,
       ...STAGES.map((stage) => ({
-        key: stage, label: stage, value: (row) => row.stages[stage], text: (row) => fixed(row.stages[stage]),
+        key: stage, label: stage, value: (row) => row.stages[stage], text: (row) => stageText(row.stages[stage]),
         share: (row) => row.stages[stage] / row.spikes,
       })),
-      numberColumn('spikes', 'all', fixed),
+      numberColumn('spikes', 'all', stageText),
     ], {sort: 'spikes', descending: true, key});
     this.calls = new Table(document.getElementById('calls-table'), [
       {key: 'method', label: 'Method', value: (row) => row.method, text: (row) => row.method, isText: true},
@@ -90,6 +97,7 @@ export class Policies {
   show(window, energyModel) {
     const rows = policyRows(window, energyModel);
     this.table.show(rows);
+    this.returns.show(rows);
     this.stages.show(rows);
     this.calls.show(callRows(window));
     showTotals(rows, window);

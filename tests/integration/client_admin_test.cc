@@ -1,4 +1,5 @@
 // `spikectl admin`, as an operator runs it.
+#include <algorithm>
 #include <filesystem>
 
 #include "tests/integration/client_fixture.h"
@@ -58,9 +59,49 @@ TEST_F(SpikectlAdminTest, SessionsAndDrain) {
   EXPECT_EQ(AdminJson("drain", {"--cancel"})["draining"], false);
 }
 
+TEST_F(SpikectlAdminTest, AFleetsHeadFromItsFirstEpisodeToAVersionOfItsOwn) {
+  const std::string policy = "--policy=cartpole-v1";
+  ExpectOneLineError(Admin("promote", {policy}), "FAILED_PRECONDITION");
+  const auto learned = Spikectl("adapt", {"--env=CartPole-v1", "--scope=fleet", "--fleet=2",
+                                          "--episodes=2", "--perturb=force=-1", "--json"});
+  ParseOutput(learned);
+  const auto head = AdminJson("head", {policy, "--weights"});
+  EXPECT_EQ(head["version"], 1);
+  EXPECT_GT(head["updates"], 0);
+  EXPECT_GT(head["drift"], 0.0);
+  EXPECT_EQ(head["paused"], false);
+  EXPECT_GT(head["base"].size(), 0u);
+  EXPECT_EQ(head["delta"].size(), head["base"].size());
+  EXPECT_EQ(AdminJson("head", {policy}).count("base"), 0u);
+
+  const auto promoted = AdminJson("promote", {policy});
+  EXPECT_EQ(promoted["version"], 2);
+  EXPECT_TRUE(std::filesystem::exists(promoted["path"].get<std::string>()));
+  const auto listed = ParseOutput(Spikectl("policies", {"--json"}))["policies"];
+  EXPECT_TRUE(std::any_of(listed.begin(), listed.end(), [](const auto& served) {
+    return served["name"] == "cartpole-v1" && served["version"] == 2;
+  }));
+
+  EXPECT_EQ(AdminJson("rollback", {policy, "--version=1"})["drift"], head["drift"]);
+  EXPECT_EQ(AdminJson("head", {policy, "--version=1"})["drift"], 0.0);
+}
+
+TEST_F(SpikectlAdminTest, LearningIsPausedAndResumed) {
+  const std::string policy = "--policy=cartpole-v1";
+  EXPECT_EQ(AdminJson("pause", {policy})["paused"], true);
+  EXPECT_THAT(Admin("head", {policy}).output, HasSubstr("learning is paused"));
+  EXPECT_EQ(AdminJson("head", {"--policy=pendulum-v1"})["paused"], false);
+  AdminJson("pause", {});
+  EXPECT_EQ(AdminJson("head", {"--policy=pendulum-v1"})["paused"], true);
+  EXPECT_THAT(Admin("resume", {}).output, HasSubstr("every policy: learning resumed"));
+  EXPECT_EQ(AdminJson("head", {policy})["paused"], false);
+}
+
 TEST_F(SpikectlAdminTest, MistakesAreNamed) {
   ExpectOneLineError(Admin("fly", {}), "expected one of load, unload");
   ExpectOneLineError(Admin("load", {}), "--policy: expected a name");
+  ExpectOneLineError(Admin("promote", {}), "--policy: expected a name");
+  ExpectOneLineError(Admin("pause", {"--policy=nobody"}), "NOT_FOUND");
   ExpectOneLineError(Admin("traffic", {"--policy=pendulum-v1", "--shares=1"}),
                      "--shares: expected VERSION:PERCENT");
   ExpectOneLineError(Admin("load", {"--policy=pendulum-v1", "--version=9"}), "NOT_FOUND");

@@ -222,6 +222,7 @@ TEST_F(SessionErrorsTest, EndOfAnEpisodeWithoutDecisions) {
   v1::EndEpisodeRequest end;
   end.set_session_id(session);
   EXPECT_TRUE(client_->TryEndEpisode(end).ok());
+  end.set_reward(1.0);
   ExpectError(client_->TryEndEpisode(end), StatusCode::FAILED_PRECONDITION,
               "expected at least one decision since the last episode ended");
 }

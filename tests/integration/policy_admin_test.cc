@@ -8,8 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/barrier.h"
 #include "grpc/health/v1/health.grpc.pb.h"
-#include "spikeserve/v1/policy_admin.grpc.pb.h"
-#include "tests/integration/server_fixture.h"
+#include "tests/integration/policy_admin_fixture.h"
 
 namespace spikeserve {
 namespace {
@@ -17,116 +16,6 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::UnorderedElementsAre;
-
-class PolicyAdminTest : public ServerTest {
- protected:
-  void SetUp() override {
-    ServerTest::SetUp();
-    Connect();
-  }
-
-  void Connect() { admin_ = v1::PolicyAdmin::NewStub(client_->channel()); }
-
-  void AddVersion(int version) {
-    WriteRandomPolicy(policies_.path(), "discrete", version, ActionSpace::Discrete(2));
-  }
-  std::filesystem::path FileOf(int version) {
-    return policies_.path() / "discrete" / absl::StrCat(version) / "policy.safetensors";
-  }
-
-  template <typename Request, typename Response>
-  Response Must(grpc::Status (v1::PolicyAdmin::Stub::*method)(grpc::ClientContext*, const Request&,
-                                                              Response*),
-                const Request& request) {
-    Response response;
-    const auto status = ((*admin_).*method)(NewContext().get(), request, &response);
-    EXPECT_TRUE(status.ok()) << status.error_message();
-    return response;
-  }
-
-  grpc::Status TryUnload(int version) {
-    v1::UnloadPolicyRequest request;
-    request.set_policy("discrete");
-    request.set_version(version);
-    v1::UnloadPolicyResponse response;
-    return admin_->UnloadPolicy(NewContext().get(), request, &response);
-  }
-
-  grpc::Status TryLoad(int version) {
-    v1::LoadPolicyRequest request;
-    request.set_policy("discrete");
-    request.set_version(version);
-    v1::LoadPolicyResponse response;
-    return admin_->LoadPolicy(NewContext().get(), request, &response);
-  }
-
-  v1::ReloadPoliciesResponse Reload() {
-    return Must(&v1::PolicyAdmin::Stub::ReloadPolicies, v1::ReloadPoliciesRequest());
-  }
-
-  void SetDefault(int version) {
-    v1::SetDefaultVersionRequest request;
-    request.set_policy("discrete");
-    request.set_version(version);
-    Must(&v1::PolicyAdmin::Stub::SetDefaultVersion, request);
-  }
-
-  void SetLabel(const std::string& label, int version) {
-    v1::SetLabelRequest request;
-    request.set_policy("discrete");
-    request.set_label(label);
-    request.set_version(version);
-    Must(&v1::PolicyAdmin::Stub::SetLabel, request);
-  }
-
-  static v1::SetTrafficRequest Traffic(const std::map<int, int>& percents, int shadow = 0) {
-    v1::SetTrafficRequest request;
-    request.set_policy("discrete");
-    for (const auto& [version, percent] : percents) {
-      auto* share = request.add_shares();
-      share->set_version(version);
-      share->set_percent(percent);
-    }
-    request.set_shadow_version(shadow);
-    return request;
-  }
-
-  v1::OpenSessionResponse Open(const std::string& label = "", const std::string& key = "") {
-    v1::OpenSessionRequest request;
-    request.set_policy("discrete");
-    request.set_version_label(label);
-    request.set_routing_key(key);
-    v1::OpenSessionResponse response;
-    const auto status = client_->stub().OpenSession(NewContext().get(), request, &response);
-    EXPECT_TRUE(status.ok()) << status.error_message();
-    return response;
-  }
-
-  int64_t DefaultVersion() { return Open().version(); }
-
-  std::vector<int64_t> Versions() {
-    v1::ListPoliciesResponse list;
-    const auto status = client_->stub().ListPolicies(NewContext().get(), {}, &list);
-    EXPECT_TRUE(status.ok()) << status.error_message();
-    std::vector<int64_t> versions;
-    for (const auto& policy : list.policies()) {
-      if (policy.name() == "discrete") versions.push_back(policy.version());
-    }
-    return versions;
-  }
-
-  grpc::health::v1::HealthCheckResponse::ServingStatus Health(const std::string& service) {
-    grpc::health::v1::HealthCheckRequest request;
-    request.set_service(service);
-    grpc::health::v1::HealthCheckResponse response;
-    const auto health = grpc::health::v1::Health::NewStub(client_->channel());
-    const auto status = health->Check(NewContext().get(), request, &response);
-    EXPECT_TRUE(status.ok()) << status.error_message();
-    return response.status();
-  }
-
-  std::unique_ptr<v1::PolicyAdmin::Stub> admin_;
-};
 
 TEST_F(PolicyAdminTest, NewSessionsGetTheNewVersionAndRunningOnesKeepTheirs) {
   const std::string old_session = client_->Open();
@@ -261,78 +150,6 @@ TEST_F(PolicyAdminTest, TrafficIsDividedByKey) {
   ExpectError(admin_->SetTraffic(NewContext().get(), Traffic({{1, 80}, {9, 20}}), &ignored),
               grpc::StatusCode::NOT_FOUND, "received 9");
   Must(&v1::PolicyAdmin::Stub::SetTraffic, Traffic({}));
-  EXPECT_EQ(DefaultVersion(), 2);
-}
-
-// What ListPolicies says of a version, without what its file says.
-std::string SettingsOf(const v1::PolicyInfo& policy) {
-  std::string labels;
-  for (const std::string& label : policy.version_labels()) absl::StrAppend(&labels, " ", label);
-  return absl::StrCat(policy.version(), policy.is_default() ? " default" : "", labels, " ",
-                      policy.traffic_percent(), "%", policy.is_shadow() ? " shadow" : "");
-}
-
-TEST_F(PolicyAdminTest, SettingsOutliveTheServer) {
-  const TemporaryDirectory kept;
-  const std::string flag = "--policy_settings=" + (kept.path() / "settings.json").string();
-  const auto restart = [&] {
-    ASSERT_EQ(server_->Stop(), 0);
-    StartServer({flag});
-    Connect();
-  };
-  const auto settings = [&] {
-    v1::ListPoliciesResponse list;
-    EXPECT_TRUE(client_->stub().ListPolicies(NewContext().get(), {}, &list).ok());
-    std::vector<std::string> lines;
-    for (const auto& policy : list.policies()) {
-      if (policy.name() == "discrete") lines.push_back(SettingsOf(policy));
-    }
-    return lines;
-  };
-  for (const int version : {3, 4}) AddVersion(version);
-  restart();
-  SetDefault(1);
-  SetLabel("stable", 1);
-  SetLabel("canary", 2);
-  Must(&v1::PolicyAdmin::Stub::SetTraffic, Traffic({{1, 80}, {2, 20}}, /*shadow=*/3));
-  ASSERT_TRUE(TryUnload(4).ok());
-  const auto before = settings();
-  EXPECT_THAT(before, ElementsAre("1 default stable 80%", "2 canary 20%", "3 0% shadow"));
-  std::map<std::string, int64_t> routes;
-  for (int robot = 0; robot < 20; ++robot) {
-    const std::string key = absl::StrCat("robot-", robot);
-    routes[key] = Open("", key).version();
-  }
-
-  restart();
-  EXPECT_EQ(settings(), before);
-  for (const auto& [key, version] : routes) EXPECT_EQ(Open("", key).version(), version) << key;
-  ASSERT_TRUE(TryLoad(4).ok());  // which lets it in for good
-  restart();
-  EXPECT_EQ(settings().size(), 4u);
-
-  // What names a version that has gone is said and left out; the rest holds.
-  std::filesystem::remove_all(FileOf(2).parent_path());
-  restart();
-  EXPECT_THAT(settings(), ElementsAre("1 default stable 0%", "3 0%", "4 0%"));
-  ASSERT_EQ(server_->Stop(), 0);
-  EXPECT_THAT(server_->Log(), HasSubstr("settings.json: policies.discrete.labels.canary: version: "
-                                        "expected one that is served of policy discrete, "
-                                        "received 2"));
-}
-
-TEST_F(PolicyAdminTest, WhatCannotBeWrittenDownIsNotSet) {
-  StartServer({"--policy_settings=/nonexistent/settings.json"});
-  Connect();
-  v1::SetDefaultVersionRequest request;
-  request.set_policy("discrete");
-  request.set_version(1);
-  v1::SetDefaultVersionResponse response;
-  const auto status = admin_->SetDefaultVersion(NewContext().get(), request, &response);
-  EXPECT_FALSE(status.ok());
-  EXPECT_THAT(status.error_message(), HasSubstr("/nonexistent/settings.json"));
-  EXPECT_FALSE(TryUnload(1).ok());
-  EXPECT_THAT(Versions(), ElementsAre(1, 2));
   EXPECT_EQ(DefaultVersion(), 2);
 }
 

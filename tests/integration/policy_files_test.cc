@@ -2,7 +2,10 @@
 #include <fstream>
 #include <sstream>
 
+#include "core/model/policy.h"
+#include "core/model/policy_file.h"
 #include "tests/integration/server_fixture.h"
+#include "tests/unit/session/small_config.h"
 
 namespace spikeserve {
 namespace {
@@ -57,6 +60,19 @@ TEST_F(PolicyFilesTest, NotANumber) {
   std::string bytes = GoodFile();
   bytes.replace(bytes.size() - 4, 4, std::string("\0\0\xc0\x7f", 4));
   ExpectRefused(Write("bad", bytes), "finite");
+}
+
+// Every number in the file is finite, so only a decision shows it.
+TEST_F(PolicyFilesTest, ADecisionThatIsNotFinite) {
+  ModelConfig config = SmallConfig();
+  config.mode = Mode::kDense;
+  Policy policy = RandomPolicy(config, kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
+  for (float& weight : policy.weights.layers[0].query.weight.values) weight = 3e38f;
+  const fs::path folder = policies_.path() / "bad" / "1";
+  fs::create_directories(folder);
+  const std::string path = (folder / "policy.safetensors").string();
+  ASSERT_TRUE(WritePolicyFile(policy, path).ok());
+  ExpectRefused(path, "expected a finite first decision");
 }
 
 TEST_F(PolicyFilesTest, Empty) { ExpectRefused(Write("bad", ""), "bytes"); }

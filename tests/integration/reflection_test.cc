@@ -1,47 +1,110 @@
-// Tools that know nothing of the server find its services.
+// Tools that know nothing of the server find its services, those of today and older ones.
+#include "grpc/reflection/v1/reflection.grpc.pb.h"
 #include "grpc_standard/reflection.grpc.pb.h"
 #include "tests/integration/server_fixture.h"
 
 namespace spikeserve {
 namespace {
 
+namespace v1 = grpc::reflection::v1;
 namespace v1alpha = grpc::reflection::v1alpha;
 
-class ReflectionTest : public ServerTest {
- protected:
-  // The server's answer to one question.
-  v1alpha::ServerReflectionResponse Ask(const v1alpha::ServerReflectionRequest& request) {
-    const auto stub = v1alpha::ServerReflection::NewStub(client_->channel());
-    auto context = NewContext();
-    const auto stream = stub->ServerReflectionInfo(context.get());
-    v1alpha::ServerReflectionResponse response;
-    EXPECT_TRUE(stream->Write(request) && stream->Read(&response));
-    stream->WritesDone();
-    EXPECT_TRUE(stream->Finish().ok());
-    return response;
-  }
+struct Today {
+  using Service = v1::ServerReflection;
+  using Request = v1::ServerReflectionRequest;
+  using Response = v1::ServerReflectionResponse;
 };
 
-TEST_F(ReflectionTest, ServicesAreListed) {
-  v1alpha::ServerReflectionRequest request;
+struct Older {
+  using Service = v1alpha::ServerReflection;
+  using Request = v1alpha::ServerReflectionRequest;
+  using Response = v1alpha::ServerReflectionResponse;
+};
+
+// The server's answer to one question.
+template <typename Protocol>
+typename Protocol::Response Ask(const std::shared_ptr<grpc::Channel>& channel,
+                                const typename Protocol::Request& request) {
+  const auto stub = Protocol::Service::NewStub(channel);
+  auto context = NewContext();
+  const auto stream = stub->ServerReflectionInfo(context.get());
+  typename Protocol::Response response;
+  EXPECT_TRUE(stream->Write(request) && stream->Read(&response));
+  stream->WritesDone();
+  EXPECT_TRUE(stream->Finish().ok());
+  return response;
+}
+
+template <typename Protocol>
+class ReflectionTest : public ServerTest {};
+
+using Protocols = ::testing::Types<Today, Older>;
+TYPED_TEST_SUITE(ReflectionTest, Protocols);
+
+TYPED_TEST(ReflectionTest, ServicesAreListed) {
+  typename TypeParam::Request request;
   request.set_list_services("");
-  const auto response = Ask(request);
+  const auto response = Ask<TypeParam>(this->client_->channel(), request);
   std::vector<std::string> names;
   for (const auto& service : response.list_services_response().service()) {
     names.push_back(service.name());
   }
-  EXPECT_THAT(names, ::testing::IsSupersetOf(
-                         {"spikeserve.v1.PolicyService", "inference.GRPCInferenceService",
-                          "grpc.health.v1.Health", "grpc.reflection.v1alpha.ServerReflection"}));
+  EXPECT_THAT(names, ::testing::UnorderedElementsAre(
+                         "spikeserve.v1.PolicyService", "spikeserve.v1.PolicyAdmin",
+                         "inference.GRPCInferenceService", "grpc.health.v1.Health",
+                         "grpc.reflection.v1.ServerReflection",
+                         "grpc.reflection.v1alpha.ServerReflection"));
 }
 
-TEST_F(ReflectionTest, EveryServiceIsDescribed) {
-  for (const std::string service :
-       {"spikeserve.v1.PolicyService", "inference.GRPCInferenceService", "grpc.health.v1.Health"}) {
-    v1alpha::ServerReflectionRequest request;
+TYPED_TEST(ReflectionTest, EveryServiceIsDescribed) {
+  for (const std::string service : {"spikeserve.v1.PolicyService", "spikeserve.v1.PolicyAdmin",
+                                    "inference.GRPCInferenceService", "grpc.health.v1.Health"}) {
+    typename TypeParam::Request request;
     request.set_file_containing_symbol(service);
-    EXPECT_TRUE(Ask(request).has_file_descriptor_response()) << service;
+    EXPECT_TRUE(Ask<TypeParam>(this->client_->channel(), request).has_file_descriptor_response())
+        << service;
   }
+}
+
+class ReflectionOfTodayTest : public ServerTest {
+ protected:
+  v1::ServerReflectionResponse Ask(const v1::ServerReflectionRequest& request) {
+    return spikeserve::Ask<Today>(client_->channel(), request);
+  }
+};
+
+TEST_F(ReflectionOfTodayTest, AFileComesWithWhatItImports) {
+  v1::ServerReflectionRequest request;
+  request.set_file_by_filename("spikeserve/v1/policy_admin.proto");
+  const auto response = Ask(request);
+  EXPECT_EQ(response.file_descriptor_response().file_descriptor_proto_size(), 2);
+  EXPECT_EQ(response.original_request().file_by_filename(), request.file_by_filename());
+}
+
+TEST_F(ReflectionOfTodayTest, AnOpenCallDoesNotKeepTheServer) {
+  const auto stub = v1::ServerReflection::NewStub(client_->channel());
+  auto context = NewContext();
+  const auto stream = stub->ServerReflectionInfo(context.get());
+  v1::ServerReflectionRequest request;
+  request.set_list_services("");
+  v1::ServerReflectionResponse response;
+  ASSERT_TRUE(stream->Write(request) && stream->Read(&response));
+  EXPECT_EQ(server_->Stop(), 0);
+}
+
+TEST_F(ReflectionOfTodayTest, WhatIsNotThereIsNotFound) {
+  v1::ServerReflectionRequest request;
+  request.set_file_containing_symbol("nothing.of.the.kind");
+  EXPECT_EQ(Ask(request).error_response().error_code(), grpc::StatusCode::NOT_FOUND);
+  request.set_file_by_filename("nothing.proto");
+  EXPECT_EQ(Ask(request).error_response().error_code(), grpc::StatusCode::NOT_FOUND);
+  request.mutable_file_containing_extension()->set_containing_type("spikeserve.v1.ActRequest");
+  EXPECT_EQ(Ask(request).error_response().error_code(), grpc::StatusCode::NOT_FOUND);
+  request.set_all_extension_numbers_of_type("nothing");
+  EXPECT_EQ(Ask(request).error_response().error_code(), grpc::StatusCode::NOT_FOUND);
+  request.set_all_extension_numbers_of_type("spikeserve.v1.ActRequest");
+  EXPECT_EQ(Ask(request).all_extension_numbers_response().extension_number_size(), 0);
+  EXPECT_EQ(Ask({}).error_response().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
 }  // namespace

@@ -42,6 +42,45 @@ TEST_F(RetryTest, AnAgentThatComesBackOnANewConnectionGoesOn) {
   EXPECT_EQ(response.step(), 2);
 }
 
+TEST_F(RetryTest, ARepeatedEndGetsTheSameBytesAndCountsOnce) {
+  v1::OpenSessionRequest open;
+  open.set_policy("discrete");
+  open.set_action_selection(v1::SAMPLE);
+  open.mutable_learning()->set_rule("policy_gradient");
+  v1::OpenSessionResponse opened;
+  ASSERT_TRUE(client_->stub().OpenSession(NewContext().get(), open, &opened).ok());
+  const std::string& session = opened.session_id();
+  for (int64_t step = 0; step < 4; ++step) client_->Act(session, step);
+  v1::EndEpisodeRequest end;
+  end.set_session_id(session);
+  end.set_reward(2.0);
+  end.set_terminated(true);
+  end.set_target_return(7.0);
+  std::vector<std::string> answers;
+  for (int attempt = 0; attempt < 3; ++attempt) {
+    v1::EndEpisodeResponse response;
+    const auto status = client_->stub().EndEpisode(NewContext().get(), end, &response);
+    ASSERT_TRUE(status.ok()) << status.error_message();
+    EXPECT_EQ(response.steps(), 4);
+    EXPECT_EQ(response.learning().updates(), 1);
+    answers.push_back(response.SerializeAsString());
+    client_ = std::make_unique<TestClient>(server_->grpc_address());
+  }
+  EXPECT_THAT(answers, ::testing::Each(answers.front()));
+  EXPECT_EQ(Metric("spikeserve_episodes_total"), 1.0);
+  EXPECT_EQ(Metric("spikeserve_learning_updates_total"), 1.0);
+  v1::GetSessionRequest request;
+  request.set_session_id(session);
+  v1::GetSessionResponse state;
+  ASSERT_TRUE(client_->stub().GetSession(NewContext().get(), request, &state).ok());
+  EXPECT_EQ(state.episode(), 1);
+  EXPECT_EQ(state.target_return(), 7.0);
+
+  client_->Act(session, 0);  // and the next end is the next episode's
+  EXPECT_EQ(client_->EndEpisode(session, 2.0).steps(), 1);
+  EXPECT_EQ(Metric("spikeserve_episodes_total"), 2.0);
+}
+
 TEST_F(RetryTest, RetriesCountOnce) {
   const std::string session = client_->Open();
   for (int64_t step = 0; step < 5; ++step) {

@@ -22,7 +22,8 @@ TEST_F(ShutdownTest, HealthIsServedForTheWholeAndForTheService) {
   const auto health = NewHealthStub();
   grpc::health::v1::HealthCheckRequest request;
   HealthCheckResponse response;
-  for (const std::string service : {"", "spikeserve.v1.PolicyService"}) {
+  for (const std::string service : {"", "spikeserve.v1.PolicyService", "spikeserve.v1.PolicyAdmin",
+                                    "inference.GRPCInferenceService"}) {
     request.set_service(service);
     ASSERT_TRUE(health->Check(NewContext().get(), request, &response).ok()) << service;
     EXPECT_EQ(response.status(), HealthCheckResponse::SERVING) << service;
@@ -30,6 +31,19 @@ TEST_F(ShutdownTest, HealthIsServedForTheWholeAndForTheService) {
   request.set_service("spikeserve.v1.Nothing");
   EXPECT_EQ(health->Check(NewContext().get(), request, &response).error_code(),
             grpc::StatusCode::NOT_FOUND);
+}
+
+TEST_F(ShutdownTest, AWatchOfAnUnknownServiceStaysOpen) {
+  grpc::health::v1::HealthCheckRequest request;
+  request.set_service("spikeserve.v1.Nothing");
+  auto context = NewContext();
+  const auto health = NewHealthStub();
+  const auto watch = health->Watch(context.get(), request);
+  HealthCheckResponse response;
+  ASSERT_TRUE(watch->Read(&response));
+  EXPECT_EQ(response.status(), HealthCheckResponse::SERVICE_UNKNOWN);
+  context->TryCancel();  // which ends it, and nothing before did
+  EXPECT_EQ(watch->Finish().error_code(), grpc::StatusCode::CANCELLED);
 }
 
 TEST_F(ShutdownTest, WatchersSeeTheServerStop) {

@@ -1,10 +1,16 @@
 """Runs the examples of a documentation page as a reader would."""
 
+import os
 import pathlib
 import re
+import subprocess
+
+from serving import DEPLOY
 
 DOCS = pathlib.Path(__file__).parents[2] / "docs"
 PAGES_SERVER = "127.0.0.1:50051"
+PAGES_GRPC_PORT = "50051"
+PAGES_HTTP_PORT = "9464"
 
 
 def run_examples(page, address):
@@ -15,3 +21,88 @@ def run_examples(page, address):
     names = {}
     for example in examples:
         exec(compile(example.replace(PAGES_SERVER, address), path, "exec"), names)
+
+
+class Shell:
+    """The terminals of a reader who copies commands: one for the server, one for everything else.
+
+    The commands are those of a fresh checkout after `make build`, but for the ports: the server takes free ones, and
+    what would call the page's calls those.
+    """
+
+    def __init__(self, directory):
+        self._directory = directory
+        self._server = None
+        self._addresses = {}
+        programs = directory / "build/release/bin"
+        programs.mkdir(parents=True)
+        (directory / "deploy").symlink_to(DEPLOY)
+        self._write(programs / "make", "")
+        free = "--listen=127.0.0.1:0 --http_listen=127.0.0.1:0"
+        self._write(programs / "spikeserve", f'exec {os.environ["SPIKESERVE_PROGRAM"]} "$@" {free}')
+        spikectl = os.environ["SPIKECTL_PROGRAM"]
+        self._write(
+            programs / "spikectl",
+            f'case "$*" in *--server=*) exec {spikectl} "$@" ;; esac\nexec {spikectl} "$@" --server=$PAGES_SERVER',
+        )
+        self._write(programs / "spiketrain", f'exec {os.environ.get("SPIKETRAIN_PROGRAM", "false")} "$@"')
+        self._environment = os.environ | {"PATH": f"{programs}:{os.environ['PATH']}"}
+
+    @staticmethod
+    def _write(path, text):
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._stop()
+
+    def run(self, page, edits=()):
+        """Runs every block of commands of docs/<page>, in order; yields what each printed. `edits` are pairs of a text
+        of the page and what stands for it.
+        """
+        blocks = re.findall(r"^```bash\n(.*?)^```$", (DOCS / page).read_text(), re.MULTILINE | re.DOTALL)
+        assert blocks
+        for block in blocks:
+            for text, instead in edits:
+                block = block.replace(text, instead)
+            if block.startswith("spikeserve "):
+                self._start(block)
+            else:
+                yield self._call(block)
+
+    def _call(self, block):
+        for port, address in self._addresses.items():
+            block = block.replace(f":{port}", f":{address.rpartition(':')[2]}")
+        finished = subprocess.run(
+            ["bash", "-ec", block],
+            cwd=self._directory,
+            env=self._environment | {"PAGES_SERVER": self._addresses.get(PAGES_GRPC_PORT, "")},
+            check=False,
+            capture_output=True,
+            text=True,
+        )
+        assert finished.returncode == 0, f"{block}\n{finished.stdout}\n{finished.stderr}"
+        return finished.stdout
+
+    def _start(self, command):
+        self._stop()
+        self._server = subprocess.Popen(
+            ["bash", "-c", f"exec {command}"],
+            cwd=self._directory,
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for port in (PAGES_GRPC_PORT, PAGES_HTTP_PORT):
+            self._addresses[port] = self._server.stdout.readline().split()[-1]
+
+    def _stop(self):
+        if self._server is None:
+            return
+        self._server.terminate()
+        assert self._server.wait() == 0
+        self._server.stdout.close()
+        self._server = None

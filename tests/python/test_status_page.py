@@ -124,7 +124,7 @@ def chromium():
     options = webdriver.ChromeOptions()
     options.binary_location = "/usr/bin/chromium"
     # Tests run as root in containers, where Chromium's own sandbox does not start.
-    for argument in ("headless=new", "no-sandbox", "disable-dev-shm-usage", "window-size=1280,900"):
+    for argument in ("headless=new", "no-sandbox", "disable-dev-shm-usage", "hide-scrollbars", "window-size=1280,900"):
         options.add_argument(f"--{argument}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     service = webdriver.ChromeService("/usr/bin/chromedriver")
@@ -169,7 +169,32 @@ def test_which_policy_costs_the_most_energy_is_said_in_words_and_on_top(page):
     [first, second] = rows(page, "policies-table")
     assert first[0] == "busy/1"
     assert second[0] == "quiet/1"
-    assert first[2].endswith("J/s")
+    assert first[1].endswith("J/s")
+
+
+def test_all_columns_are_in_view(page):
+    hidden = """[...document.querySelectorAll('.scroll')]
+        .filter((e) => e.scrollWidth > e.clientWidth).map((e) => e.getAttribute('aria-labelledby'))"""
+    assert page.driver.execute_script(f"return {hidden}") == []
+
+
+def test_returns_and_learning_are_shown(page, server):
+    addresses, _ = server
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        session = service.OpenSession(
+            policy="quiet", action_selection="SAMPLE", learning={"modulator": "realized"}
+        ).session_id
+        for step in range(3):
+            service.Act(session_id=session, step=step, observation=OBSERVATION, reward=2.0)
+        ended = service.EndEpisode(session_id=session, reward=3.0, terminated=True)
+        service.CloseSession(session_id=session)
+    assert ended.learning.updates == 1
+    shown = "document.querySelector('#returns-table tbody').textContent"
+    page.wait_for(f"{shown}.includes('(default){ended.episode_return:.1f}1')", "the episode")
+    [row] = [row for row in rows(page, "returns-table") if row[0] == "quiet/1"]
+    assert row[:4] == ["quiet/1", "CartPole-v1 full (default)", "7.0", "1"]
+    assert float(row[4]) == pytest.approx(ended.learning.head_drift, abs=1e-4)
 
 
 def test_every_stage_and_call_is_there(page):
@@ -181,6 +206,10 @@ def test_every_stage_and_call_is_there(page):
     for row in rows(page, "stages-table"):
         figures = [float(cell) for cell in row[1:]]
         assert sum(figures[:-1]) == pytest.approx(figures[-1], abs=0.5)
+    page.tab_to("e.id === 'stage-unit'")
+    page.press("j")
+    for row in rows(page, "stages-table"):
+        assert all(cell == "–" or cell.endswith("J") for cell in row[1:]), row
     assert "Act" in [row[0] for row in rows(page, "calls-table")]
     assert len(page.driver.find_elements(By.CSS_SELECTOR, ".uplot canvas")) == 4
 
@@ -294,7 +323,10 @@ def test_text_can_be_read_by_day_and_by_night(page, scheme):
     for selector, contrast, ground in page.driver.execute_script(CONTRAST):
         assert contrast >= 4.5, f"WCAG's contrast of {selector}"
         assert (ground > 0.5) == (scheme == "light"), f"the ground of {selector}"
-    page.screenshot(f"status-{scheme}.png", height=1150)
+    if SCREENSHOTS:  # of charts that have something to show
+        asked = "performance.getEntriesByType('resource').filter((entry) => entry.name.endsWith('status.json'))"
+        page.wait_for(f"{asked}.length > 20", "twenty samples")
+    page.screenshot(f"status-{scheme}.png", height=1360)
 
 
 def test_nothing_comes_from_elsewhere(page, server):

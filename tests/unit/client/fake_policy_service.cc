@@ -183,9 +183,14 @@ grpc::Status FakePolicyService::EndEpisode(grpc::ServerContext*,
   return Handle([&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const auto session = sessions_.find(request->session_id());
     if (session == sessions_.end()) return UnknownSession(request->session_id());
+    SessionState& state = session->second;
+    if (state.step == 0 && state.episode > 0) {
+      *response = state.last_end;
+      return grpc::Status::OK;
+    }
     last_end_episode_ = *request;
-    response->set_steps(session->second.step);
-    session->second = SessionState{.episode = session->second.episode + 1, .last_answer = {}};
+    response->set_steps(state.step);
+    state = SessionState{.episode = state.episode + 1, .last_answer = {}, .last_end = *response};
     return grpc::Status::OK;
   });
 }

@@ -67,6 +67,7 @@ class FakePolicyService : public v1::PolicyService::Service {
     int64_t step = 0;
     int64_t episode = 0;
     v1::ActResponse last_answer;
+    v1::EndEpisodeResponse last_end;
   };
 
   // Counts the call, applies the faults asked for, and carries it out.

@@ -10,11 +10,8 @@
 #include <string>
 #include <vector>
 
-#include "core/model/policy_file.h"
-#include "server/metrics.h"
-#include "tests/integration/temporary_directory.h"
+#include "tests/unit/server/small_registry.h"
 #include "tests/unit/session/fake_clock.h"
-#include "tests/unit/session/session_fixture.h"
 
 namespace spikeserve {
 namespace {
@@ -23,30 +20,8 @@ using ::testing::HasSubstr;
 
 class HeadAdminTest : public ::testing::Test {
  protected:
-  void SetUp() override {
-    for (const std::string name : {"a", "b"}) WriteVersion(name, 1);
-    std::vector<absl::Status> refused;
-    auto registry = PolicyRegistry::Load(
-        directory_.path().string(), /*settings_path=*/"",
-        [&](const std::string& name, int64_t version, const Policy& loaded) {
-          return metrics_.NewPolicyObserver(name, version, loaded);
-        },
-        &refused);
-    ASSERT_TRUE(registry.ok()) << registry.status();
-    registry_ = *std::move(registry);
-    admin_ = std::make_unique<HeadAdmin>(registry_.get(), &store_);
-  }
-
-  void WriteVersion(const std::string& name, int64_t version) {
-    const auto folder = directory_.path() / name / std::to_string(version);
-    std::filesystem::create_directories(folder);
-    const Policy policy =
-        RandomPolicy(SmallConfig(), kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
-    ASSERT_TRUE(WritePolicyFile(policy, (folder / "policy.safetensors").string()).ok());
-  }
-
   std::shared_ptr<const ServedPolicy> Served(const std::string& name, int64_t version = 1) {
-    return *registry_->catalog()->Find(name, version);
+    return *registry_.get()->catalog()->Find(name, version);
   }
 
   // Gives the fleet of version 1 something to remember.
@@ -62,22 +37,20 @@ class HeadAdminTest : public ::testing::Test {
     request.set_policy(name);
     request.set_version(version);
     v1::PromoteHeadResponse response;
-    if (auto status = admin_->PromoteHead(request, &response); !status.ok()) return status;
+    if (auto status = admin_.PromoteHead(request, &response); !status.ok()) return status;
     return response;
   }
 
-  TemporaryDirectory directory_;
   FakeClock clock_;
-  Metrics metrics_;
+  SmallRegistry registry_{"a", "b"};
   SessionStore store_{10, &clock_};
-  std::unique_ptr<PolicyRegistry> registry_;
-  std::unique_ptr<HeadAdmin> admin_;
+  HeadAdmin admin_{registry_.get(), &store_};
 };
 
 TEST_F(HeadAdminTest, APromotionNeverTakesANumberThatIsThere) {
   Teach("a");
   // Served by nobody, and not even a policy.
-  std::filesystem::create_directories(directory_.path() / "a" / "7");
+  std::filesystem::create_directories(registry_.path() / "a" / "7");
   const auto promoted = Promote("a", 1);
   ASSERT_TRUE(promoted.ok()) << promoted.status();
   EXPECT_EQ(promoted->version(), 8);
@@ -89,10 +62,10 @@ TEST_F(HeadAdminTest, APromotionNeverTakesANumberThatIsThere) {
 
 TEST_F(HeadAdminTest, APromotionThatCannotBeWrittenChangesNothing) {
   Teach("a");
-  std::filesystem::remove_all(directory_.path() / "a");
-  std::ofstream(directory_.path() / "a") << "in the way";
+  std::filesystem::remove_all(registry_.path() / "a");
+  std::ofstream(registry_.path() / "a") << "in the way";
   EXPECT_FALSE(Promote("a", 1).ok());
-  EXPECT_EQ(registry_->catalog()->policies().at("a").versions.size(), 1u);
+  EXPECT_EQ(registry_.get()->catalog()->policies().at("a").versions.size(), 1u);
   EXPECT_GT(Served("a")->fleet->Read()->drift, 0.0);
 }
 
@@ -104,7 +77,7 @@ TEST_F(HeadAdminTest, ARollbackIsOfOneVersion) {
   request.set_policy("a");
   request.set_version(1);
   v1::RollbackHeadResponse response;
-  ASSERT_TRUE(admin_->RollbackHead(request, &response).ok());
+  ASSERT_TRUE(admin_.RollbackHead(request, &response).ok());
   EXPECT_GT(response.drift(), 0.0);
   EXPECT_EQ(Served("a", 1)->fleet->Read()->drift, 0.0);
   EXPECT_EQ(Served("a", 2)->fleet->Read()->rollbacks, 0);
@@ -118,19 +91,19 @@ TEST_F(HeadAdminTest, APauseIsOfOnePolicyOrAllAndOfVersionsYetToCome) {
   v1::PauseLearningRequest pause;
   v1::PauseLearningResponse answer;
   pause.set_policy("a");
-  ASSERT_TRUE(admin_->PauseLearning(pause, &answer).ok());
+  ASSERT_TRUE(admin_.PauseLearning(pause, &answer).ok());
   EXPECT_TRUE(paused("a"));
   EXPECT_FALSE(paused("b"));
 
-  WriteVersion("a", 2);
-  ASSERT_TRUE(registry_->Reload().ok());
+  registry_.WriteVersion("a", 2);
+  ASSERT_TRUE(registry_.get()->Reload().ok());
   EXPECT_TRUE(paused("a", 2));
 
   v1::ResumeLearningResponse resumed;
-  ASSERT_TRUE(admin_->ResumeLearning({}, &resumed).ok());
+  ASSERT_TRUE(admin_.ResumeLearning({}, &resumed).ok());
   EXPECT_FALSE(paused("a") || paused("a", 2) || paused("b"));
   pause.clear_policy();
-  ASSERT_TRUE(admin_->PauseLearning(pause, &answer).ok());
+  ASSERT_TRUE(admin_.PauseLearning(pause, &answer).ok());
   EXPECT_TRUE(paused("a") && paused("a", 2) && paused("b"));
 }
 
@@ -138,7 +111,7 @@ TEST_F(HeadAdminTest, NamesWhatIsNotServed) {
   v1::PauseLearningRequest pause;
   v1::PauseLearningResponse answer;
   pause.set_policy("nobody");
-  const auto status = admin_->PauseLearning(pause, &answer);
+  const auto status = admin_.PauseLearning(pause, &answer);
   EXPECT_TRUE(absl::IsNotFound(status));
   EXPECT_THAT(std::string(status.message()), HasSubstr("nobody"));
   EXPECT_TRUE(absl::IsNotFound(Promote("a", 5).status()));

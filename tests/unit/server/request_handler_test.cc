@@ -5,42 +5,20 @@
 
 #include <memory>
 
-#include "core/model/policy_file.h"
 #include "server/authenticator.h"
-#include "server/metrics.h"
-#include "server/policy_registry.h"
-#include "tests/integration/temporary_directory.h"
+#include "tests/unit/server/small_registry.h"
 #include "tests/unit/session/fake_clock.h"
-#include "tests/unit/session/session_fixture.h"
 
 namespace spikeserve {
 namespace {
 
 class RequestHandlerTest : public ::testing::Test {
  protected:
-  void SetUp() override {
-    const auto folder = directory_.path() / "small" / "1";
-    std::filesystem::create_directories(folder);
-    const Policy policy =
-        RandomPolicy(SmallConfig(), kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
-    ASSERT_TRUE(WritePolicyFile(policy, (folder / "policy.safetensors").string()).ok());
-    std::vector<absl::Status> refused;
-    auto registry = PolicyRegistry::Load(
-        directory_.path().string(), /*settings_path=*/"",
-        [&](const std::string& name, int64_t version, const Policy& loaded) {
-          return metrics_.NewPolicyObserver(name, version, loaded);
-        },
-        &refused);
-    ASSERT_TRUE(registry.ok()) << registry.status();
-    registry_ = *std::move(registry);
-    handler_ = std::make_unique<RequestHandler>(registry_.get(), &store_, &shadows_, &clock_);
-  }
-
   std::string MustOpen() {
     v1::OpenSessionRequest request;
     request.set_policy("small");
     v1::OpenSessionResponse response;
-    const auto status = handler_->OpenSession(*caller_, request, &response);
+    const auto status = handler_.OpenSession(*caller_, request, &response);
     EXPECT_TRUE(status.ok()) << status;
     return response.session_id();
   }
@@ -53,15 +31,13 @@ class RequestHandlerTest : public ::testing::Test {
     return request;
   }
 
-  TemporaryDirectory directory_;
   FakeClock clock_;
   std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
   const Credential* caller_ = *authenticator_->Authenticate("");
-  Metrics metrics_;
-  ShadowRunner shadows_{metrics_.registry()};
-  std::unique_ptr<PolicyRegistry> registry_;
+  SmallRegistry registry_{"small"};
+  ShadowRunner shadows_{registry_.metrics().registry()};
   SessionStore store_{10, &clock_};
-  std::unique_ptr<RequestHandler> handler_;
+  RequestHandler handler_{registry_.get(), &store_, &shadows_, &clock_};
 };
 
 TEST_F(RequestHandlerTest, AnswersDoNotDependOnDeferredWork) {
@@ -72,9 +48,9 @@ TEST_F(RequestHandlerTest, AnswersDoNotDependOnDeferredWork) {
     v1::ActResponse actual;
     DeferredWork done;
     DeferredWork dropped;
-    ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(prompt, step), &expected, &done).ok());
+    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(prompt, step), &expected, &done).ok());
     done.Run();
-    ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(lazy, step), &actual, &dropped).ok());
+    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(lazy, step), &actual, &dropped).ok());
     actual.set_session_id(prompt);
     EXPECT_EQ(actual.SerializeAsString(), expected.SerializeAsString()) << step;
   }
@@ -85,16 +61,16 @@ TEST_F(RequestHandlerTest, DeferredWorkMayComeLate) {
   DeferredWork first;
   DeferredWork second;
   v1::ActResponse response;
-  ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
-  ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(session, 1), &response, &second).ok());
+  ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
+  ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 1), &response, &second).ok());
   first.Run();
   v1::EndEpisodeRequest end;
   end.set_session_id(session);
   v1::EndEpisodeResponse ended;
-  ASSERT_TRUE(handler_->EndEpisode(*caller_, end, &ended).ok());
+  ASSERT_TRUE(handler_.EndEpisode(*caller_, end, &ended).ok());
   second.Run();
   response.Clear();
-  EXPECT_TRUE(handler_->Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
+  EXPECT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
 }
 
 TEST_F(RequestHandlerTest, ASessionWithWorkLeftIsNotReaped) {
@@ -102,7 +78,7 @@ TEST_F(RequestHandlerTest, ASessionWithWorkLeftIsNotReaped) {
   v1::ActResponse response;
   {
     DeferredWork deferred;
-    ASSERT_TRUE(handler_->Act(*caller_, MakeRequest(session, 0), &response, &deferred).ok());
+    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &deferred).ok());
     clock_.Advance(absl::Hours(1));
     EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 0);
     deferred.Run();
@@ -114,19 +90,19 @@ TEST_F(RequestHandlerTest, OpenSessionsAreCountedByPolicy) {
   const std::string session = MustOpen();
   MustOpen();
   const std::string gauge = "spikeserve_sessions{policy=\"small\",version=\"1\"} ";
-  EXPECT_THAT(metrics_.ToText(), ::testing::HasSubstr(gauge + "2\n"));
+  EXPECT_THAT(registry_.metrics().ToText(), ::testing::HasSubstr(gauge + "2\n"));
   v1::CloseSessionRequest close;
   close.set_session_id(session);
   v1::CloseSessionResponse closed;
-  ASSERT_TRUE(handler_->CloseSession(*caller_, close, &closed).ok());
-  EXPECT_THAT(metrics_.ToText(), ::testing::HasSubstr(gauge + "1\n"));
+  ASSERT_TRUE(handler_.CloseSession(*caller_, close, &closed).ok());
+  EXPECT_THAT(registry_.metrics().ToText(), ::testing::HasSubstr(gauge + "1\n"));
 }
 
 TEST_F(RequestHandlerTest, LongNamesAreCutInMessages) {
   v1::ActResponse response;
   DeferredWork deferred;
   const auto status =
-      handler_->Act(*caller_, MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
+      handler_.Act(*caller_, MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
   EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
   EXPECT_LT(status.message().size(), 200u);
 }

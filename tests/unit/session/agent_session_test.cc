@@ -132,14 +132,42 @@ TEST_F(AgentSessionTest, EndEpisodeSumsUpAndStartsTheNext) {
   EXPECT_EQ(agent.session().target_return, 10.0);
 }
 
-TEST_F(AgentSessionTest, RepeatedEndOfEpisodeCountsOnce) {
+TEST_F(AgentSessionTest, RepeatedEndOfEpisodeCountsOnceAndIsAnsweredAgain) {
   AgentSession agent = NewAgent();
   MustAct(agent, 0);
-  ASSERT_TRUE(agent.EndEpisode({.reward = 1.0, .target_return = {}}).ok());
+  const EpisodeEnd end = {.reward = 1.0, .terminated = true, .target_return = 3.0};
+  const auto first = agent.EndEpisode(end);
+  ASSERT_TRUE(first.ok()) << first.status();
   const std::string before = SerializeSession(agent.session());
-  ExpectRefusal(agent, absl::StatusCode::kFailedPrecondition,
-                "expected at least one decision since the last episode ended",
-                agent.EndEpisode({.reward = 1.0, .target_return = {}}).status(), before);
+
+  // Also from where the session was moved to in between.
+  AgentSession moved(served_, *ParseSession(before), &clock_);
+  for (AgentSession* asked : {&agent, &moved}) {
+    const auto again = asked->EndEpisode(end);
+    ASSERT_TRUE(again.ok()) << again.status();
+    EXPECT_EQ(again->episode_return, first->episode_return);
+    EXPECT_EQ(again->steps, first->steps);
+    EXPECT_EQ(again->spikes, first->spikes);
+    EXPECT_EQ(again->energy_joules, first->energy_joules);
+    EXPECT_EQ(SerializeSession(asked->session()), before);
+  }
+  EXPECT_EQ(observer_->returns.size(), 1u);
+}
+
+TEST_F(AgentSessionTest, AnotherEndWithoutADecisionIsRefused) {
+  AgentSession agent = NewAgent();
+  const auto refuse = [&](const EpisodeEnd& end) {
+    const std::string before = SerializeSession(agent.session());
+    ExpectRefusal(agent, absl::StatusCode::kFailedPrecondition,
+                  "expected at least one decision since the last episode ended",
+                  agent.EndEpisode(end).status(), before);
+  };
+  refuse({});
+  MustAct(agent, 0);
+  ASSERT_TRUE(agent.EndEpisode({.reward = 1.0}).ok());
+  refuse({.reward = 2.0});
+  refuse({.reward = 1.0, .terminated = true});
+  refuse({.reward = 1.0, .target_return = 4.0});
   EXPECT_EQ(observer_->returns.size(), 1u);
 }
 

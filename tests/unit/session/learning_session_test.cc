@@ -106,7 +106,10 @@ TEST_P(LearningSessionTest, RetriesNeverLearn) {
   }
   End(agent);
   const std::string before = SerializeSession(agent.session());
-  EXPECT_FALSE(agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}}).ok());
+  const auto again = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
+  ASSERT_TRUE(again.ok() && again->learning.has_value());
+  EXPECT_EQ(again->learning->head_drift, agent.HeadDrift());
+  EXPECT_EQ(SerializeSession(*ParseSession(before)), before);
   EXPECT_EQ(SerializeSession(agent.session()), before);
 }
 
@@ -198,13 +201,13 @@ TEST(ParseLearningSessionTest, WrongFieldsAreNamed) {
   refuse("/1/7/0", "universe", "session.options.learning.scope: expected a name of its values");
   refuse("/1/7/1", "sarsa", "session.options.learning.rule: expected a name of its values");
   refuse("/1/7", nullptr, "session.learner: expected one if and only if");
-  refuse("/14/1/1", -1.0, "session.learner.returns.variance: expected at least 0");
-  refuse("/14/2/2", Json::array(), "session.learner.guard.good: expected 32 numbers, received 0");
-  refuse("/14/2/0", std::vector<double>(20, 1.5),
+  refuse("/15/1/1", -1.0, "session.learner.returns.variance: expected at least 0");
+  refuse("/15/2/2", Json::array(), "session.learner.guard.good: expected 32 numbers, received 0");
+  refuse("/15/2/0", std::vector<double>(20, 1.5),
          "session.learner.guard.returns: expected fewer than 20, received 20");
-  refuse("/14/3", Json::array(), "session.learner.trace: expected 32 numbers, received 0");
-  refuse("/14/5", Json::array(), "session.learner.trace_sum: expected 32 numbers, received 0");
-  refuse("/14/0/5", "x", "session.learner.head_delta[5]: expected a finite");
+  refuse("/15/3", Json::array(), "session.learner.trace: expected 32 numbers, received 0");
+  refuse("/15/5", Json::array(), "session.learner.trace_sum: expected 32 numbers, received 0");
+  refuse("/15/0/5", "x", "session.learner.head_delta[5]: expected a finite");
 }
 
 }  // namespace

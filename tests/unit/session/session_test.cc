@@ -90,7 +90,7 @@ TEST(SessionTest, BrokenBytesAreRefused) {
 TEST(SessionTest, WrongFieldsAreNamed) {
   const Session session = BusySession();
   ExpectRefused(Edited(session, "/0", "spikeserve.session.v2"), "spikeserve.session.v1");
-  ExpectRefused(Edited(session, "/1/-", 1), "session: expected an array of 15");
+  ExpectRefused(Edited(session, "/1/-", 1), "session: expected an array of 16");
   ExpectRefused(Edited(session, "/1/0", 1), "session.id: expected a string, received 1");
   ExpectRefused(Edited(session, "/1/1/1", 0), "session.options.version: expected at least 1");
   ExpectRefused(Edited(session, "/1/1/3", -1), "session.options.seed: expected an integer");
@@ -101,6 +101,9 @@ TEST(SessionTest, WrongFieldsAreNamed) {
                 "session.history[2]: expected as many numbers as timestep 0 has");
   ExpectRefused(Edited(session, "/1/9", Json::array()), "session.history: expected 1 to 12");
   ExpectRefused(Edited(session, "/1/10", nullptr), "session.last_answer.step: expected 11");
+  ExpectRefused(Edited(session, "/1/11",
+                       {{1.0, false, nullptr, false, Json::array()}, {1.0, 1, 1u, 1.0, nullptr}}),
+                "session.last_end: expected one if and only if an episode has ended");
   ExpectRefused(Edited(session, "/1/10/4/0", {1, 2}),
                 "session.last_answer.counts.spikes_by_stage: expected an array of 8");
   ExpectRefused(Edited(session, "/1/5", std::numeric_limits<double>::infinity()),

@@ -24,7 +24,7 @@ from spikeserve.calls import (
     batch_request,
     batch_results,
 )
-from spikeserve.errors import FailedPreconditionError, NotFoundError, SpikeserveError
+from spikeserve.errors import NotFoundError, SpikeserveError
 from spikeserve.values import (
     Decision,
     EpisodeSummary,
@@ -184,9 +184,7 @@ class AsyncSession:
     ) -> EpisodeSummary:
         """Session.end_episode."""
         request = self.cursor.end_request(reward, terminated, truncated, target_return, observation)
-        return self.cursor.end(
-            await self._client.call("EndEpisode", request, repeated=FailedPreconditionError)
-        )
+        return self.cursor.end(await self._client.call("EndEpisode", request))
 
     async def state(self) -> SessionState:
         """Session.state."""

@@ -85,29 +85,19 @@ class Attempts:
 
 
 class SessionCursor:
-    """Where a session stands: its id, the step of the next request, and this episode so far."""
+    """Where a session stands: its id and the step of the next request."""
 
     def __init__(self, session_id: str, step: int) -> None:
         self.session_id = session_id
         self.step = step
-        self._start_episode()
-
-    def _start_episode(self) -> None:
-        self._episode_return = 0.0
-        self._steps = 0
-        self._spikes = 0
-        self._energy_joules = 0.0
-        self._sent_reward = 0.0
-        self._end_reward = 0.0
 
     def act_request(self, observation: ArrayLike, reward: float) -> Message:
         """The request of this step, the same for every attempt."""
-        self._sent_reward = float(reward) if self.step > 0 else 0.0
         return message_class("ActRequest")(
             session_id=self.session_id,
             step=self.step,
             observation=observation_array(observation),
-            reward=self._sent_reward,
+            reward=float(reward) if self.step > 0 else 0.0,
         )
 
     def check(self, message: Message) -> None:
@@ -124,10 +114,6 @@ class SessionCursor:
         """Moves on to the next step with the answer to this one."""
         self.check(message)
         self.step += 1
-        self._steps = self.step
-        self._episode_return += self._sent_reward
-        self._spikes += message.stats.spikes
-        self._energy_joules += message.stats.energy_joules
         return Decision.from_wire(message)
 
     def end_request(
@@ -139,32 +125,19 @@ class SessionCursor:
         observation: ArrayLike | None,
     ) -> Message:
         """The request that ends this episode."""
-        self._end_reward = float(reward)
         return message_class("EndEpisodeRequest")(
             session_id=self.session_id,
-            reward=self._end_reward,
+            reward=float(reward),
             terminated=bool(terminated),
             truncated=bool(truncated),
             target_return=target_return,
             observation=() if observation is None else observation_array(observation),
         )
 
-    def end(self, message: Message | None) -> EpisodeSummary:
-        """Moves on to the next episode. Without an answer, because it was lost, the summary is
-        what was seen here.
-        """
-        if message is not None:
-            summary = EpisodeSummary.from_wire(message)
-        else:
-            summary = EpisodeSummary(
-                self._episode_return + self._end_reward,
-                self._steps,
-                self._spikes,
-                self._energy_joules,
-            )
+    def end(self, message: Message) -> EpisodeSummary:
+        """Moves on to the next episode with the answer to the end of this one."""
         self.step = 0
-        self._start_episode()
-        return summary
+        return EpisodeSummary.from_wire(message)
 
 
 def batch_request(

@@ -19,7 +19,7 @@ from spikeserve.calls import (
     batch_request,
     batch_results,
 )
-from spikeserve.errors import FailedPreconditionError, NotFoundError, SpikeserveError
+from spikeserve.errors import NotFoundError, SpikeserveError
 from spikeserve.stream import ActStream
 from spikeserve.values import (
     Decision,
@@ -200,13 +200,11 @@ class Session:
         """Hands in the last reward; the next step is step 0.
 
         `target_return` is for the next episode; None: the session's own. `observation` is what the
-        last action led to; only recordings have a use for it. Repeated safely: an end
-        counts once, and if its answer was lost the summary is this session's own count.
+        last action led to; only recordings have a use for it. Repeated safely: an end counts once,
+        and the server answers it again.
         """
         request = self.cursor.end_request(reward, terminated, truncated, target_return, observation)
-        return self.cursor.end(
-            self._client.call("EndEpisode", request, repeated=FailedPreconditionError)
-        )
+        return self.cursor.end(self._client.call("EndEpisode", request))
 
     def state(self) -> SessionState:
         """The server's view of the session."""

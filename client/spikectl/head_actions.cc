@@ -1,0 +1,91 @@
+#include "client/spikectl/head_actions.h"
+
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "client/spikectl/admin_call.h"
+
+ABSL_FLAG(bool, weights, false, "Print the head's weights too, with --json (admin head)");
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::ordered_json;
+
+void PrintPaused(bool paused) {
+  const std::string policy = absl::GetFlag(FLAGS_policy);
+  Print(absl::StrCat(policy.empty() ? "every policy" : policy, ": learning ",
+                     paused ? "paused" : "resumed"),
+        {{"policy", policy}, {"paused", paused}});
+}
+
+}  // namespace
+
+absl::Status ShowHead() {
+  auto request = VersionRequest<v1::GetHeadRequest>();
+  request.set_include_weights(absl::GetFlag(FLAGS_weights));
+  const auto head = CallAdmin(&AdminStub::GetHead, request);
+  if (!head.ok()) return head.status();
+  ordered_json json = {{"policy", head->policy()},
+                       {"version", head->version()},
+                       {"base_norm", head->base_norm()},
+                       {"delta_norm", head->delta_norm()},
+                       {"drift", head->drift()},
+                       {"updates", head->updates()},
+                       {"rejected_updates", head->rejected_updates()},
+                       {"rollbacks", head->rollbacks()},
+                       {"watched_return", head->watched_return()},
+                       {"sessions", head->sessions()},
+                       {"paused", head->paused()}};
+  if (request.include_weights()) {
+    json["base"] = head->base();
+    json["delta"] = head->delta();
+  }
+  Print(absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
+                        "sessions%s",
+                        head->policy(), head->version(), head->drift(), head->updates(),
+                        head->rejected_updates(), head->rollbacks(), head->sessions(),
+                        head->paused() ? "; learning is paused" : ""),
+        json);
+  return absl::OkStatus();
+}
+
+absl::Status PromoteHead() {
+  const auto request = VersionRequest<v1::PromoteHeadRequest>();
+  const auto promoted = CallAdmin(&AdminStub::PromoteHead, request);
+  if (!promoted.ok()) return promoted.status();
+  Print(
+      absl::StrCat("wrote and loaded ", request.policy(), "/", promoted->version(), ": ",
+                   promoted->path()),
+      {{"policy", request.policy()}, {"version", promoted->version()}, {"path", promoted->path()}});
+  return absl::OkStatus();
+}
+
+absl::Status RollbackHead() {
+  const auto request = VersionRequest<v1::RollbackHeadRequest>();
+  const auto rolled_back = CallAdmin(&AdminStub::RollbackHead, request);
+  if (!rolled_back.ok()) return rolled_back.status();
+  Print(absl::StrFormat("%s: the policy's own head again; its drift was %.4g", request.policy(),
+                        rolled_back->drift()),
+        {{"policy", request.policy()}, {"drift", rolled_back->drift()}});
+  return absl::OkStatus();
+}
+
+absl::Status PauseLearning() {
+  v1::PauseLearningRequest request;
+  request.set_policy(absl::GetFlag(FLAGS_policy));
+  const auto paused = CallAdmin(&AdminStub::PauseLearning, request);
+  if (paused.ok()) PrintPaused(true);
+  return paused.status();
+}
+
+absl::Status ResumeLearning() {
+  v1::ResumeLearningRequest request;
+  request.set_policy(absl::GetFlag(FLAGS_policy));
+  const auto resumed = CallAdmin(&AdminStub::ResumeLearning, request);
+  if (resumed.ok()) PrintPaused(false);
+  return resumed.status();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,77 @@
+"""What becomes of a tenant beyond its limits, and of its neighbours."""
+
+import grpc
+import pytest
+from security import OBSERVATION, POLICY, code_of, service_with
+from serving import DEADLINE_SECONDS, message_class
+
+
+def retry_delay(addresses, error):
+    """Seconds of google.rpc.RetryInfo among the details of a refused call."""
+    trailers = {entry.key: entry.value for entry in error.trailing_metadata()}
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        status = message_class(channel, "google.rpc.Status")
+        info = message_class(channel, "google.rpc.RetryInfo")()
+        (detail,) = status.FromString(trailers["grpc-status-details-bin"]).details
+    assert detail.Unpack(info), detail
+    return info.retry_delay.seconds + info.retry_delay.nanos * 1e-9
+
+
+def test_a_flood_and_too_many_sessions_are_resource_exhausted(addresses):
+    with service_with(addresses, "small") as small, service_with(addresses, "agent") as other:
+        sessions = [small.OpenSession(policy="cartpole").session_id for _ in range(2)]
+        with pytest.raises(grpc.RpcError) as too_many:
+            small.OpenSession(policy="cartpole")
+        assert too_many.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+        assert retry_delay(addresses, too_many.value) > 0
+        small.CloseSession(session_id=sessions.pop())
+        sessions.append(small.OpenSession(policy="cartpole").session_id)
+
+        neighbour = other.OpenSession(policy="cartpole").session_id
+        refused = None
+        for step in range(1000):
+            other.Act(session_id=neighbour, step=step, observation=OBSERVATION)
+            try:  # retries of one step: they cost the server a call each, so they count
+                small.Act(session_id=sessions[0], step=0, observation=OBSERVATION)
+            except grpc.RpcError as error:
+                refused = error
+                break
+        assert refused.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+        assert 0 < retry_delay(addresses, refused) <= 0.2
+        other.Act(session_id=neighbour, step=step + 1, observation=OBSERVATION)
+
+
+def test_a_stream_goes_on_after_a_refusal(addresses):
+    with (
+        service_with(addresses, "slow") as slow,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        session = slow.OpenSession(policy="cartpole").session_id
+        request = message_class(channel, "spikeserve.v1.ActRequest")(
+            session_id=session, observation=OBSERVATION
+        )
+        stream = channel.stream_stream(
+            f"/{POLICY}/ActStream",
+            request_serializer=type(request).SerializeToString,
+            response_deserializer=message_class(channel, "spikeserve.v1.ActResponse").FromString,
+        )(iter([request] * 12), metadata=[("authorization", "Bearer slow")], timeout=DEADLINE_SECONDS)
+        answers = list(stream)
+    assert stream.code() == grpc.StatusCode.OK
+    assert len(answers) == 12
+    refusals = [answer.error for answer in answers if answer.HasField("error")]
+    # 5 at once, then one for every 0.2 s; a refusal takes 0.1 s, so at most 2 of 3 are refused. Read on at once, all 7
+    # of the others would be.
+    assert 0 < len(refusals) <= 6
+    for error in refusals:
+        assert error.code == grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
+        assert 0 < error.retry_after_seconds <= 0.2
+
+
+def test_an_oversized_message_is_resource_exhausted(addresses):
+    with service_with(addresses, "small") as small, service_with(addresses, "agent") as other:
+        labels = {"note": "x" * 220}
+        exhausted = grpc.StatusCode.RESOURCE_EXHAUSTED
+        assert code_of(small.OpenSession, policy="cartpole", labels=labels) == exhausted
+        assert code_of(other.OpenSession, policy="cartpole", labels=labels) == grpc.StatusCode.OK
+        # gRPC's own bound, before anything is read.
+        assert code_of(other.OpenSession, policy="x" * 5_000_000) == exhausted

@@ -1,0 +1,41 @@
+"""What the server refuses to serve by accident."""
+
+import os
+import subprocess
+
+import pytest
+from serving import DEADLINE_SECONDS, running_server
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["--listen=0.0.0.0:0"], "--listen: expected --tokens for 0.0.0.0:0"),
+        (["--listen=0.0.0.0:0", "--tokens={tokens}"], "--listen: expected --tls_certificate"),
+        (["--http_listen=0.0.0.0:0"], "--http_listen: expected --tokens"),
+        (
+            ["--http_listen=0.0.0.0:0", "--tokens={tokens}"],
+            "--http_listen: expected --tls_certificate",
+        ),
+        (["--tls_certificate=missing.pem"], "--tls_key: expected a file"),
+        (["--tls_certificate=missing.pem", "--tls_key=missing.key"], "--tls_certificate: expected"),
+        (["--tokens=missing.json"], "--tokens: cannot read missing.json"),
+    ],
+)
+def test_an_open_door_is_not_served_by_accident(tmp_path, tokens, flags, message):
+    program = [os.environ["SPIKESERVE_PROGRAM"], f"--policies={tmp_path}", "--listen=127.0.0.1:0"]
+    flags = [flag.format(tokens=tokens) for flag in flags]
+    finished = subprocess.run(
+        [*program, "--http_listen=127.0.0.1:0", *flags],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_SECONDS,
+    )
+    assert finished.returncode == 1
+    assert f"spikeserve: {message}" in finished.stderr
+
+
+def test_an_open_door_is_served_where_it_was_asked_for():
+    with running_server(flags=["--listen=0.0.0.0:0", "--insecure_network"]) as addresses:
+        assert addresses.grpc.startswith("0.0.0.0:")

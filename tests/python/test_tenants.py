@@ -1,0 +1,84 @@
+"""Whose sessions: what a tenant sees and touches of another's."""
+
+import json
+
+import grpc
+from security import (
+    ADMIN,
+    OBSERVATION,
+    Bearer,
+    code_of,
+    http_body,
+    http_code,
+    service_with,
+)
+from serving import DEADLINE_SECONDS, message_class
+
+
+def test_another_tenants_session_is_not_found(addresses):
+    with service_with(addresses, "agent") as ours, service_with(addresses, "rival") as theirs:
+        session = ours.OpenSession(policy="cartpole").session_id
+        not_found = grpc.StatusCode.NOT_FOUND
+        for call in (theirs.Act, theirs.GetSession, theirs.EndEpisode, theirs.CloseSession):
+            assert code_of(call, session_id=session) == not_found
+        assert code_of(theirs.Explain, session_id=session) == not_found
+        assert ours.Act(session_id=session, observation=OBSERVATION).step == 0
+
+
+def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
+    with service_with(addresses, "agent") as ours:
+        session = ours.OpenSession(policy="cartpole").session_id
+        ours.Act(session_id=session, observation=OBSERVATION)
+
+    def seen_by(token):
+        with service_with(addresses, token) as policies:
+            looks = [
+                code_of(policies.GetSession, session_id=session),
+                code_of(policies.Explain, session_id=session),
+            ]
+        explained = http_code(addresses.http, f"/explain.json?session={session}", f"Bearer {token}")
+        with service_with(addresses, token, ADMIN) as admin:
+            listed = admin.ListSessions(page_size=1000)
+        page = json.loads(http_body(addresses.http, "/sessions.json?limit=1000", f"Bearer {token}"))
+        assert listed.open_sessions == len(listed.sessions) == page["open"] == page["matching"]
+        for ids in (
+            [entry.session_id for entry in listed.sessions],
+            [entry["session_id"] for entry in page["sessions"]],
+        ):
+            assert (session in ids) == (explained == 200)
+        return looks, explained
+
+    ok, not_found = grpc.StatusCode.OK, grpc.StatusCode.NOT_FOUND
+    for token in ("viewer", "operator", "watchman", "machine"):
+        assert seen_by(token) == ([ok, ok], 200), token
+    for token in ("rival-viewer", "rival-operator"):
+        assert seen_by(token) == ([not_found, not_found], 404), token
+    query = "/sessions.json?limit=1000&filter=tenant%3Drival"
+    with service_with(addresses, "rival") as theirs:
+        theirs.OpenSession(policy="cartpole")
+    rivals = json.loads(http_body(addresses.http, query, "Bearer watchman"))["sessions"]
+    assert {entry["tenant"] for entry in rivals} == {"rival"}
+    # To look is not to touch.
+    with service_with(addresses, "rival-operator") as other:
+        assert code_of(other.CloseSession, session_id=session) == not_found
+        assert code_of(other.Act, session_id=session, observation=OBSERVATION) == not_found
+
+
+def test_tenants_may_use_equal_sequence_ids(addresses):
+    def start(token):
+        with grpc.insecure_channel(addresses.grpc) as channel:
+            request = message_class(channel, "inference.ModelInferRequest")(model_name="cartpole")
+            request.parameters["sequence_id"].int64_param = 7
+            request.parameters["sequence_start"].bool_param = True
+            tensor = request.inputs.add(name="observation", datatype="FP32", shape=[4])
+            tensor.contents.fp32_contents.extend(OBSERVATION)
+            calls = grpc.intercept_channel(channel, Bearer(token))
+            call = calls.unary_unary(
+                "/inference.GRPCInferenceService/ModelInfer",
+                request_serializer=type(request).SerializeToString,
+                response_deserializer=message_class(channel, "inference.ModelInferResponse").FromString,
+            )
+            return code_of(call, request=request, timeout=DEADLINE_SECONDS)
+
+    for token in ("agent", "rival", "agent"):
+        assert start(token) == grpc.StatusCode.OK, token

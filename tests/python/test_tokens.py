@@ -1,0 +1,126 @@
+"""Who may call what, by token and role."""
+
+import base64
+import json
+import threading
+
+import grpc
+import pytest
+from security import (
+    ADMIN,
+    HEALTH,
+    OBSERVATION,
+    POLICY,
+    SERVING,
+    TOKENS,
+    code_of,
+    entry,
+    http_code,
+    service_with,
+    until,
+)
+from serving import DEADLINE_SECONDS, Service, message_class, running_server
+
+
+@pytest.mark.parametrize("token", [None, "wrong", "expired"])
+def test_a_token_that_is_missing_wrong_or_expired_is_unauthenticated(addresses, token):
+    with service_with(addresses, token) as policies, service_with(addresses, token, ADMIN) as admin:
+        for call in (policies.ListPolicies, policies.OpenSession, policies.Act, admin.Drain):
+            assert code_of(call) == grpc.StatusCode.UNAUTHENTICATED
+
+
+def test_a_stream_without_a_token_ends_unauthenticated(addresses):
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        stream = channel.stream_stream(f"/{POLICY}/ActStream")(iter([]), timeout=DEADLINE_SECONDS)
+        assert stream.code() == grpc.StatusCode.UNAUTHENTICATED
+
+
+def test_a_token_that_is_taken_back_ends_what_its_streams_may_do(tmp_path):
+    path = tmp_path / "tokens.json"
+    path.write_text(json.dumps(TOKENS))
+    taken_back = threading.Event()
+    with (
+        running_server(flags=[f"--tokens={path}"]) as addresses,
+        service_with(addresses, "agent") as policies,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        session = policies.OpenSession(policy="cartpole").session_id
+        request_class = message_class(channel, "spikeserve.v1.ActRequest")
+
+        def requests():
+            yield request_class(session_id=session, step=0, observation=OBSERVATION)
+            assert taken_back.wait(DEADLINE_SECONDS)
+            yield request_class(session_id=session, step=1, observation=OBSERVATION)
+
+        stream = channel.stream_stream(
+            f"/{POLICY}/ActStream",
+            request_serializer=request_class.SerializeToString,
+            response_deserializer=message_class(channel, "spikeserve.v1.ActResponse").FromString,
+        )(requests(), metadata=[("authorization", "Bearer agent")], timeout=DEADLINE_SECONDS)
+        assert next(stream).step == 0
+        path.write_text(json.dumps({**TOKENS, "tokens": [entry("operator", "operator")]}))
+        until(lambda: code_of(policies.ListPolicies) == grpc.StatusCode.UNAUTHENTICATED)
+        taken_back.set()
+        answer = next(stream)
+        assert answer.error.code == grpc.StatusCode.UNAUTHENTICATED.value[0]
+        assert not answer.HasField("action")
+
+
+def test_health_needs_no_token(addresses):
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        assert Service(channel, HEALTH).Check().status == SERVING
+
+
+def test_roles_decide_what_may_be_called(addresses):
+    denied = grpc.StatusCode.PERMISSION_DENIED
+    with service_with(addresses, "agent", ADMIN) as admin:
+        assert code_of(admin.ListSessions) == code_of(admin.Drain) == denied
+    with service_with(addresses, "viewer", ADMIN) as admin:
+        assert code_of(admin.ListSessions) == grpc.StatusCode.OK
+        assert code_of(admin.Drain) == code_of(admin.ReloadPolicies) == denied
+    with service_with(addresses, "viewer") as policies:
+        assert code_of(policies.ListPolicies) == grpc.StatusCode.OK
+        assert code_of(policies.OpenSession, policy="cartpole") == denied
+    with service_with(addresses, "operator", ADMIN) as admin:
+        assert code_of(admin.ReloadPolicies) == grpc.StatusCode.OK
+        assert {session.tenant for session in admin.ListSessions().sessions} <= {"fleet"}
+
+
+PAGES = ("/", "/main.js", "/metrics", "/status.json", "/sessions.json")
+
+
+@pytest.mark.parametrize("path", [*PAGES, "/explain.json?session=nobody", "/nothing"])
+def test_the_status_page_is_for_viewers_and_operators(addresses, path):
+    found = 200 if path in PAGES else 404
+    assert http_code(addresses.http, path) == 401
+    for token in ("wrong", "expired"):
+        assert http_code(addresses.http, path, f"Bearer {token}") == 401
+    for token in ("agent", "rival", "small"):
+        assert http_code(addresses.http, path, f"Bearer {token}") == 403
+    for token in ("viewer", "operator", "rival-viewer", "watchman", "machine"):
+        assert http_code(addresses.http, path, f"Bearer {token}") == found
+    browser = base64.b64encode(b"anyone:operator").decode()
+    assert http_code(addresses.http, path, f"Basic {browser}") == found
+
+
+def test_load_balancers_need_no_token(addresses):
+    assert http_code(addresses.http, "/healthz") == 200
+
+
+def test_a_changed_file_takes_effect_and_a_broken_one_does_not(tmp_path):
+    path = tmp_path / "tokens.json"
+    path.write_text(json.dumps(TOKENS))
+    with (
+        running_server(flags=[f"--tokens={path}"]) as addresses,
+        service_with(addresses, "agent") as old,
+        service_with(addresses, "new") as new,
+    ):
+        session = old.OpenSession(policy="cartpole").session_id
+        path.write_text("{")
+        changed = {**TOKENS, "tokens": [entry("new", "agent")]}
+        assert code_of(new.ListPolicies) == grpc.StatusCode.UNAUTHENTICATED
+        path.write_text(json.dumps(changed))
+        until(lambda: code_of(new.ListPolicies) == grpc.StatusCode.OK)
+        assert code_of(old.ListPolicies) == grpc.StatusCode.UNAUTHENTICATED
+        # The tenant's sessions are still the tenant's.
+        assert new.Act(session_id=session, observation=OBSERVATION).step == 0
