@@ -28,8 +28,8 @@ BackgroundWorker::~BackgroundWorker() {
 absl::Status BackgroundWorker::Submit(std::function<void()> work) {
   absl::MutexLock lock(&mutex_);
   if (waiting_.size() >= max_waiting_) {
-    return absl::ResourceExhaustedError(absl::StrCat("expected fewer than ", max_waiting_,
-                                                     " requests to be waiting; ask again later"));
+    return absl::UnavailableError(absl::StrCat("overloaded: expected fewer than ", max_waiting_,
+                                               " requests to be waiting; ask again later"));
   }
   waiting_.push_back(std::move(work));
   return absl::OkStatus();

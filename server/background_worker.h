@@ -25,7 +25,7 @@ class BackgroundWorker {
   BackgroundWorker(const BackgroundWorker&) = delete;
   BackgroundWorker& operator=(const BackgroundWorker&) = delete;
 
-  // Runs `work` once, later. RESOURCE_EXHAUSTED where too much is waiting; then it never runs.
+  // Runs `work` once, later. UNAVAILABLE where too much is waiting; then it never runs.
   absl::Status Submit(std::function<void()> work);
 
  private:
