@@ -109,7 +109,7 @@ class Writer {
         "%g %% the expert's disturbed by bursts of random actions, the rest random; %d iterations "
         "of %d clips, d = %d, T = %d, N = %d. Returns are over %d starts a seed that training "
         "never saw, from environment seed 2000000 on. ± is half a 95 %% confidence interval by "
-        "Student's t over seeds.",
+        "Student's t over seeds. The figures are in report.html.",
         options_.seeds, options_.data.steps, 100.0 * options_.data.expert_fraction,
         100.0 * options_.data.disturbed_fraction, options_.training.iterations,
         options_.training.batch, options_.config.hidden_size, options_.config.ticks,
@@ -131,23 +131,26 @@ class Writer {
     }
     page_.Table({"task", "mode", "return", "the paper's", "optimum"}, rows);
     for (const std::string& environment : options_.environments) {
-      page_.Paragraph(absl::StrCat(environment, ": ",
+      page_.Paragraph(absl::StrCat(environment, ", seed by seed on the same data: ",
                                    Compare(environment, Mode::kPos, Mode::kBaseline), "; ",
                                    Compare(environment, Mode::kRoute, Mode::kBaseline), "; ",
+                                   Compare(environment, Mode::kFull, Mode::kBaseline), "; ",
                                    Compare(environment, Mode::kFull, Mode::kDense), "."));
     }
   }
 
-  // Whether one mode returns more than another, as far as the intervals tell.
+  // How much more one mode returns than another, and whether that is more than chance: Student's
+  // paired t over seeds, for a seed is also that of the data.
   std::string Compare(const std::string& environment, Mode mode, Mode other) const {
-    const Interval a = Over(environment, mode, Return), b = Over(environment, other, Return);
-    const double difference = a.mean - b.mean;
-    const bool apart = std::abs(difference) > a.half_width + b.half_width;
-    return absl::StrFormat("%s returns %.1f %s than %s, %s", Name(mode), std::abs(difference),
-                           difference < 0.0 ? "less" : "more", Name(other),
-                           apart ? "and the intervals are apart"
-                                 : "which these seeds cannot tell "
-                                   "from chance");
+    const Group &a = groups_.at({environment, mode}), &b = groups_.at({environment, other});
+    std::vector<double> differences;
+    for (size_t i = 0; i < a.size(); ++i) differences.push_back(Return(*a[i]) - Return(*b[i]));
+    const Interval difference = IntervalOf(differences);
+    const bool apart = std::abs(difference.mean) > difference.half_width;
+    return absl::StrFormat("%s returns %.1f ± %.1f %s than %s, which is %s chance", Name(mode),
+                           std::abs(difference.mean), difference.half_width,
+                           difference.mean < 0.0 ? "less" : "more", Name(other),
+                           apart ? "more than" : "not told from");
   }
 
   void Losses() {
@@ -238,6 +241,9 @@ class Writer {
 
   void Phases() {
     page_.Heading("Phase generators");
+    page_.Paragraph(
+        "Figures: frequency and phase of every generator after training, and the spikes of the "
+        "first task's over a window.");
     std::vector<Series> scatter;
     for (const std::string& environment : options_.environments) {
       Series& dots = scatter.emplace_back(Series{environment.substr(0, environment.find('-')), {}});
@@ -290,6 +296,7 @@ class Writer {
   // Of model.md's neuron itself; nothing here was trained.
   void Membrane() {
     page_.Heading("The neuron");
+    page_.Paragraph("Figure: its membrane potential under three constant currents.");
     constexpr int kTicks = 40;
     const Lif lif = {options_.config.membrane_decay, options_.config.threshold};
     std::vector<Series> lines;

@@ -19,5 +19,7 @@ policy=
 stage 2-play disturbed,round1 --mode=full --merge=concat --context=5 --seed=1 --iterations=1500 "${common[@]}"
 round round2 2
 stage 3-own disturbed,round1,round2 --seed=2 --iterations=1200 "${common[@]}"
+round round3 3
+stage 4-own disturbed,round1,round2,round3 --seed=3 --iterations=1500 "${common[@]}"
 
 unseen

@@ -60,8 +60,8 @@ TEST(ReportTest, SaysWhatTheIntervalsAllow) {
   EXPECT_THAT(report.markdown, HasSubstr("| CartPole-v1 | pos | 480.0 ± 1.3 | 474.1 | 500.0 |"));
   EXPECT_THAT(
       report.markdown,
-      HasSubstr("pos returns 80.0 more than baseline, and the intervals are apart; route "
-                "returns 0.0 more than baseline, which these seeds cannot tell from chance"));
+      HasSubstr("pos returns 80.0 ± 0.0 more than baseline, which is more than chance; route "
+                "returns 0.0 ± 0.0 more than baseline, which is not told from chance"));
   EXPECT_THAT(report.markdown, HasSubstr("spiketrain train --out=CartPole-v1-dense-T10-N20-seed2"));
   EXPECT_THAT(report.markdown, HasSubstr("| CartPole-v1 | 0.250 | 0.750 | 0.500 |"));
   EXPECT_THAT(report.html, HasSubstr("<polyline"));
