@@ -8,8 +8,9 @@ namespace spikeserve {
 absl::Status ActStream::Handle(const v1::ActRequest& request, v1::ActResponse* response,
                                DeferredWork* deferred) {
   const Credential& caller = **caller_;
-  if (auto status = CheckStillAdmitted(caller, request, parts_.max_message_bytes); !status.ok())
+  if (auto status = CheckStillAdmitted(caller, request, parts_.max_message_bytes); !status.ok()) {
     return status;
+  }
   return parts_.handler->Act(caller, request, response, deferred);
 }
 

@@ -190,8 +190,9 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
   for (const auto& [label, version] : entry.settings.labels) {
     if (version == served.version) proto.add_version_labels(label);
   }
-  if (!entry.settings.shares.empty())
+  if (!entry.settings.shares.empty()) {
     proto.set_traffic_percent(entry.settings.PercentOf(served.version));
+  }
   proto.set_is_shadow(served.version == entry.settings.shadow_version);
   return proto;
 }

@@ -39,8 +39,9 @@ class ModelInferStream final : public InferenceStream {
   absl::Status Handle(const inference::ModelInferRequest& request,
                       inference::ModelInferResponse* answer, DeferredWork* deferred) {
     const Credential& caller = **caller_;
-    if (auto status = CheckStillAdmitted(caller, request, parts_.max_message_bytes); !status.ok())
+    if (auto status = CheckStillAdmitted(caller, request, parts_.max_message_bytes); !status.ok()) {
       return status;
+    }
     return handler_->ModelInfer(caller, request, answer, deferred);
   }
 

@@ -6,6 +6,7 @@
 #define SERVER_REFLECTION_SERVICE_H_
 
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "grpc/reflection/v1/reflection.grpc.pb.h"

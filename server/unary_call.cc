@@ -62,8 +62,9 @@ absl::Status AdmitAndHandle(const ServiceParts& parts, const grpc::CallbackServe
                             Handle handle, DeferredWork* deferred) {
   const auto caller = Admit(*parts.authenticator, context, method);
   if (!caller.ok()) return caller.status();
-  if (auto status = CheckSize(**caller, request, parts.max_message_bytes); !status.ok())
+  if (auto status = CheckSize(**caller, request, parts.max_message_bytes); !status.ok()) {
     return status;
+  }
   return handle(**caller, deferred);
 }
 

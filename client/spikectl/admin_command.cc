@@ -23,6 +23,7 @@ namespace spikeserve {
 namespace {
 
 using nlohmann::ordered_json;
+
 absl::Status RequirePolicy() {
   if (!absl::GetFlag(FLAGS_policy).empty()) return absl::OkStatus();
   return absl::InvalidArgumentError("--policy: expected a name, got none");
