@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "server/convert.h"
@@ -69,27 +70,16 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
                          .routing_key = key.empty() ? id : key});
 }
 
-// What the shadow of a session is to see of the decision that was just made.
-ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
-  return {.episode = session.episode,
-          .step = session.last_answer->step,
-          .observation = {request.observation().begin(), request.observation().end()},
-          .reward = request.reward(),
-          .target_return = session.target_return,
-          .served = *session.last_answer};
+void SetError(const absl::Status& status, v1::ActResult* result) {
+  result->clear_response();
+  result->set_code(ToGrpcCode(status.code()));
+  result->set_message(std::string(status.message()));
+  if (const auto delay = RetryDelay(status)) {
+    result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+  }
 }
 
 }  // namespace
-
-void DeferredWork::Run() {
-  for (const auto& entry : entries_) {
-    absl::MutexLock lock(&entry->mutex);
-    entry->agent.AppendPendingAction();
-    if (entry->shadow == nullptr || entry->shadow_steps.empty()) continue;
-    shadows_->Submit(entry->shadow, entry->served->version, std::exchange(entry->shadow_steps, {}));
-  }
-  entries_.clear();
-}
 
 RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store,
                                ShadowRunner* shadows, const Clock* clock, Recordings* recordings)
@@ -174,44 +164,59 @@ absl::Status RequestHandler::ActNext(const Credential& caller, const v1::ActRequ
   return ActAt(caller, std::nullopt, request, response, deferred);
 }
 
+absl::StatusOr<std::shared_ptr<SessionEntry>> RequestHandler::FindForDecision(
+    const Credential& caller, const v1::ActRequest& request) const {
+  if (auto status = caller.tenant()->TakeDecision(clock_->Now()); !status.ok()) return status;
+  return store_->Find(request.session_id(), caller.tenant()->name());
+}
+
 absl::Status RequestHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
                                    const v1::ActRequest& request, v1::ActResponse* response,
                                    DeferredWork* deferred) const {
-  if (auto status = caller.tenant()->TakeDecision(clock_->Now()); !status.ok()) return status;
-  auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  auto entry = FindForDecision(caller, request);
   if (!entry.ok()) return entry.status();
-  {
-    absl::MutexLock lock(&(*entry)->mutex);
-    AgentSession& agent = (*entry)->agent;
-    const Session& session = agent.session();
-    const uint64_t decisions = session.decisions;
-    const auto answer =
-        agent.Act(step.value_or(session.step), request.observation(), request.reward());
-    if (!answer.ok()) return answer.status();
-    const bool is_retry = session.decisions == decisions;
-    if ((*entry)->shadow != nullptr && !is_retry) {
-      (*entry)->shadow_steps.push_back(MakeShadowStep(request, session));
-    }
-    ToProto(request.session_id(), **answer, (*entry)->served->policy(), response);
-  }
-  deferred->Add(*std::move(entry), shadows_);
-  return absl::OkStatus();
+  ActItem item = {
+      .request = &request, .step = step, .entry = *std::move(entry), .response = response};
+  ActTogether(absl::MakeSpan(&item, 1));
+  if (item.status.ok()) deferred->Add(std::move(item.entry), shadows_);
+  return item.status;
 }
 
+// In groups, which end where a session comes up again: its decisions are made in their order.
 absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                                       v1::ActBatchResponse* response,
                                       DeferredWork* deferred) const {
+  ActItems group;
+  absl::InlinedVector<v1::ActResult*, 1> results;  // of the group
+  const auto answer_group = [&] {
+    ActTogether(absl::MakeSpan(group));
+    for (size_t i = 0; i < group.size(); ++i) {
+      if (group[i].status.ok()) {
+        deferred->Add(std::move(group[i].entry), shadows_);
+      } else {
+        SetError(group[i].status, results[i]);
+      }
+    }
+    group.clear();
+    results.clear();
+  };
   for (const v1::ActRequest& item : request.requests()) {
     v1::ActResult* result = response->add_results();
-    const absl::Status status = Act(caller, item, result->mutable_response(), deferred);
-    if (status.ok()) continue;
-    result->clear_response();
-    result->set_code(ToGrpcCode(status.code()));
-    result->set_message(std::string(status.message()));
-    if (const auto delay = RetryDelay(status)) {
-      result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+    auto entry = FindForDecision(caller, item);
+    if (!entry.ok()) {
+      SetError(entry.status(), result);
+      continue;
     }
+    const bool again =
+        absl::c_any_of(group, [&](const ActItem& grouped) { return grouped.entry == *entry; });
+    if (again || group.size() == kDecidedTogether) answer_group();
+    group.push_back({.request = &item,
+                     .step = item.step(),
+                     .entry = *std::move(entry),
+                     .response = result->mutable_response()});
+    results.push_back(result);
   }
+  answer_group();
   return absl::OkStatus();
 }
 

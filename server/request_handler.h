@@ -10,9 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "absl/container/inlined_vector.h"
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
+#include "server/act_together.h"
 #include "server/authenticator.h"
 #include "server/policy_registry.h"
 #include "server/recordings.h"
@@ -20,22 +20,6 @@
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
-
-// What is left to do once an answer has been sent: the action tokens of the sessions that decided,
-// and what their shadows are to see.
-class DeferredWork {
- public:
-  // `shadows` must outlive this object.
-  void Add(std::shared_ptr<SessionEntry> entry, ShadowRunner* shadows) {
-    entries_.push_back(std::move(entry));
-    shadows_ = shadows;
-  }
-  void Run();
-
- private:
-  absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries_;
-  ShadowRunner* shadows_ = nullptr;
-};
 
 // Bounds on what one OpenSession can make the server keep or hash.
 struct LabelLimits {
@@ -89,6 +73,9 @@ class RequestHandler {
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
       const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;
 
+  // The session that `request` may decide for now, within its tenant's limits.
+  absl::StatusOr<std::shared_ptr<SessionEntry>> FindForDecision(
+      const Credential& caller, const v1::ActRequest& request) const;
   // At the step that the session expects where `step` is nothing.
   absl::Status ActAt(const Credential& caller, std::optional<int64_t> step,
                      const v1::ActRequest& request, v1::ActResponse* response,

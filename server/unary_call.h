@@ -24,7 +24,7 @@ grpc::ServerUnaryReactor* AnswerUnary(
     absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)> handle);
 
 // The same for a call that takes long: `handle` runs on the background worker, or the call is
-// refused with RESOURCE_EXHAUSTED.
+// refused with UNAVAILABLE.
 grpc::ServerUnaryReactor* AnswerUnaryInBackground(
     const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
     const google::protobuf::MessageLite& request,

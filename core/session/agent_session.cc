@@ -1,6 +1,8 @@
 #include "core/session/agent_session.h"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -44,6 +46,16 @@ absl::Status CheckReward(double reward, double next_return_to_go) {
   return absl::OkStatus();
 }
 
+// Puts what belongs to one policy version side by side, and calls `visit` with each version's part.
+template <typename T, typename VersionOf, typename Visit>
+void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
+  std::ranges::sort(all, std::less<>(), version_of);
+  for (size_t first = 0, last = 0; first < all.size(); first = last) {
+    while (last < all.size() && version_of(all[last]) == version_of(all[first])) ++last;
+    visit(absl::MakeConstSpan(all).subspan(first, last - first));
+  }
+}
+
 }  // namespace
 
 AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session session,
@@ -62,19 +74,75 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
 
 absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const float> observation,
                                                 double reward) {
-  if (session_.last_answer.has_value() && step == session_.last_answer->step) {
-    return &*session_.last_answer;
-  }
-  if (auto status = CheckRequest(step, observation, reward); !status.ok()) return status;
+  ActCall call = {.session = this, .step = step, .observation = observation, .reward = reward};
+  ActTogether(absl::MakeSpan(&call, 1));
+  return std::move(call.answer);
+}
 
-  const absl::Duration start = clock_->Now();
-  const double used_reward = step == 0 ? 0.0 : reward;
-  const double return_to_go = NextReturnToGo(used_reward);
-  Answer answer = Decide(return_to_go, observation, used_reward);
-  answer.compute_seconds = absl::ToDoubleSeconds(clock_->Now() - start);
-  Record(std::move(answer), observation, return_to_go, used_reward);
-  served_->observer->OnDecision(*session_.last_answer);
-  return &*session_.last_answer;
+void AgentSession::ActTogether(absl::Span<ActCall> calls) {
+  thread_local std::vector<ActCall*> new_decisions;
+  new_decisions.clear();
+  for (ActCall& call : calls) {
+    if (IsNewDecision(call)) new_decisions.push_back(&call);
+  }
+  ForEachVersion(
+      new_decisions, [](const ActCall* call) { return call->session->served_.get(); },
+      [](absl::Span<ActCall* const> part) { Decide(part); });
+}
+
+bool AgentSession::IsNewDecision(ActCall& call) {
+  const Session& session = call.session->session_;
+  call.is_retry = session.last_answer.has_value() && call.step == session.last_answer->step;
+  if (call.is_retry) {
+    call.answer = &*session.last_answer;
+    return false;
+  }
+  const absl::Status status = call.session->CheckRequest(call.step, call.observation, call.reward);
+  if (!status.ok()) call.answer = status;
+  return status.ok();
+}
+
+void AgentSession::Decide(absl::Span<ActCall* const> calls) {
+  // The memory of the thread's last decisions serves these.
+  thread_local std::vector<AgentSession*> sessions;
+  thread_local std::vector<Engine::Decision> decisions;
+  thread_local std::vector<Engine::Output> outputs;
+  const ServedPolicy& served = *calls[0]->session->served_;
+  const Clock& clock = *calls[0]->session->clock_;
+  absl::Duration last = clock.Now();
+  sessions.clear();
+  for (const ActCall* call : calls) {
+    sessions.push_back(call->session);
+    if (call->session->context_ == nullptr) call->session->RebuildContext();
+  }
+  AppendPendingActions(sessions);
+  decisions.clear();
+  if (outputs.size() < calls.size()) outputs.resize(calls.size());
+  for (size_t i = 0; i < calls.size(); ++i) {
+    AgentSession& session = *calls[i]->session;
+    const double return_to_go = session.NextReturnToGo(session.UsedReward(calls[i]->reward));
+    decisions.push_back({session.context_.get(), static_cast<float>(return_to_go),
+                         calls[i]->observation, &outputs[i]});
+    session.action_pending_ = true;
+  }
+  served.engine->DecideTogether(decisions);
+
+  const absl::Duration decided = clock.Now();
+  const absl::Duration share = (decided - last) / static_cast<int64_t>(calls.size());
+  last = decided;
+  for (size_t i = 0; i < calls.size(); ++i) {
+    ActCall& call = *calls[i];
+    AgentSession& session = *call.session;
+    const double reward = session.UsedReward(call.reward);
+    const double return_to_go = session.NextReturnToGo(reward);
+    Answer answer = session.Choose(outputs[i], return_to_go, reward);
+    const absl::Duration chosen = clock.Now();
+    answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
+    last = chosen;
+    session.Record(std::move(answer), call.observation, return_to_go, reward);
+    call.answer = &*session.session_.last_answer;
+    served.observer->OnDecision(*session.session_.last_answer);
+  }
 }
 
 absl::Status AgentSession::CheckRequest(int64_t step, absl::Span<const float> observation,
@@ -95,23 +163,16 @@ double AgentSession::NextReturnToGo(double reward) const {
   return session_.step == 0 ? session_.target_return : session_.return_to_go - reward;
 }
 
-Answer AgentSession::Decide(double return_to_go, absl::Span<const float> observation,
-                            double reward) {
-  if (context_ == nullptr) RebuildContext();
-  AppendPendingAction();
-
-  // The memory of the last answer, and of the thread's last decision, serves this one.
-  thread_local Engine::Output output;
+// The session's last answer gives its memory to the new one.
+Answer AgentSession::Choose(const Engine::Output& output, double return_to_go, double reward) {
   thread_local ActionChoice choice;
   Answer answer = session_.last_answer.has_value() ? *std::move(session_.last_answer) : Answer();
   answer.step = session_.step;
   answer.return_to_go = static_cast<float>(return_to_go);
-  served_->engine->Decide(*context_, answer.return_to_go, observation, &output);
-  action_pending_ = true;
   answer.counts = output.counts;
 
   const Policy& policy = served_->policy();
-  Choose(output.readout, &choice);
+  ChooseWithHead(output.readout, &choice);
   if (session_.learner.has_value()) {
     if (served_->learning->paused()) session_.learner->suspended = true;
     TakeOutcome(session_.learner->OnDecision(*session_.options.learning, policy, choice,
@@ -128,7 +189,7 @@ bool AgentSession::InFleet() const {
   return session_.options.learning.has_value() && session_.options.learning->scope == Scope::kFleet;
 }
 
-void AgentSession::Choose(absl::Span<const float> readout, ActionChoice* choice) const {
+void AgentSession::ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const {
   const auto choose = [&](const Linear& head) {
     ChooseAction(head, served_->policy().action_space, readout, session_.options.action_selection,
                  RandomBits({session_.options.seed, session_.decisions}), choice);
@@ -168,19 +229,39 @@ void AgentSession::Record(Answer answer, absl::Span<const float> observation, do
 }
 
 void AgentSession::AppendPendingAction() {
-  if (!action_pending_) return;
-  thread_local Action action;
-  session_.history.action(session_.history.size() - 1, &action);
-  AppendAction(action);
-  action_pending_ = false;
+  AgentSession* const session = this;
+  AppendPendingActions(absl::MakeConstSpan(&session, 1));
 }
 
-void AgentSession::AppendAction(const Action& action) {
+void AgentSession::AppendPendingActions(absl::Span<AgentSession* const> sessions) {
+  thread_local std::vector<AgentSession*> pending;
+  pending.clear();
+  for (AgentSession* session : sessions) {
+    if (std::exchange(session->action_pending_, false)) pending.push_back(session);
+  }
+  const auto append = [](absl::Span<AgentSession* const> part) {
+    thread_local Action action;
+    thread_local std::vector<std::vector<float>> encoded;
+    thread_local std::vector<Engine::TakenAction> taken;
+    taken.clear();
+    if (encoded.size() < part.size()) encoded.resize(part.size());
+    for (size_t i = 0; i < part.size(); ++i) {
+      const History& history = part[i]->session_.history;
+      history.action(history.size() - 1, &action);
+      taken.push_back({part[i]->context_.get(), part[i]->EncodedAction(action, &encoded[i])});
+    }
+    part[0]->served_->engine->AppendActionsTogether(taken);
+  };
+  ForEachVersion(
+      pending, [](const AgentSession* session) { return session->served_.get(); }, append);
+}
+
+absl::Span<const float> AgentSession::EncodedAction(const Action& action,
+                                                    std::vector<float>* encoded) const {
   const ActionSpace& space = served_->policy().action_space;
-  thread_local std::vector<float> encoded;
-  encoded.resize(static_cast<size_t>(space.size()));
-  space.Encode(action, absl::MakeSpan(encoded));
-  served_->engine->AppendAction(*context_, encoded);
+  encoded->resize(static_cast<size_t>(space.size()));
+  space.Encode(action, absl::MakeSpan(*encoded));
+  return *encoded;
 }
 
 // Replays the history: the same calls with the same numbers leave the same keys and values.
@@ -190,10 +271,11 @@ void AgentSession::RebuildContext() {
   context_ = engine.NewContext(session_.options.seed, first_timestep);
   action_pending_ = false;
   Engine::Output ignored;
+  std::vector<float> encoded;
   const History& history = session_.history;
   for (size_t i = 0; i < history.size(); ++i) {
     engine.Decide(*context_, history.return_to_go(i), history.observation(i), &ignored);
-    AppendAction(history.action(i));
+    engine.AppendAction(*context_, EncodedAction(history.action(i), &encoded));
   }
 }
 

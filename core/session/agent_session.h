@@ -49,6 +49,22 @@ class AgentSession {
   // this once the answer has been sent keeps it out of the next answer's latency.
   void AppendPendingAction();
 
+  // One of several calls of Act.
+  struct ActCall {
+    AgentSession* session = nullptr;
+    int64_t step = 0;
+    absl::Span<const float> observation;
+    double reward = 0.0;
+    absl::StatusOr<const Answer*> answer = nullptr;  // what Act would have returned
+    bool is_retry = false;                           // and so nothing was decided
+  };
+
+  // Act and AppendPendingAction for several sessions, all distinct, with equal bits: those of one
+  // policy version fetch its weights once. What that takes is divided evenly between their answers'
+  // `compute_seconds`.
+  static void ActTogether(absl::Span<ActCall> calls);
+  static void AppendPendingActions(absl::Span<AgentSession* const> sessions);
+
   // Replaces the action of the last answer in the history: the window then sees what was really
   // done. The answer itself stays as it was, for retries. REQUIRES: Act was the last call.
   void TakeInstead(const Action& action) { session_.history.ReplaceLastAction(action); }
@@ -82,12 +98,18 @@ class AgentSession {
 
  private:
   absl::Status CheckRequest(int64_t step, absl::Span<const float> observation, double reward) const;
+  // Of a request for the next step: the reward of step 0 is nobody's.
+  double UsedReward(double reward) const { return session_.step == 0 ? 0.0 : reward; }
   double NextReturnToGo(double reward) const;
+  // Whether `call` asks for a new decision; otherwise it has its answer.
+  static bool IsNewDecision(ActCall& call);
+  // Decides for sessions of one version.
+  static void Decide(absl::Span<ActCall* const> calls);
   void RebuildContext();
-  void AppendAction(const Action& action);
-  Answer Decide(double return_to_go, absl::Span<const float> observation, double reward);
+  absl::Span<const float> EncodedAction(const Action& action, std::vector<float>* encoded) const;
+  Answer Choose(const Engine::Output& output, double return_to_go, double reward);
   bool InFleet() const;
-  void Choose(absl::Span<const float> readout, ActionChoice* choice) const;
+  void ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const;
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
   std::optional<LearningSummary> LearnFromEpisode(const EpisodeEnd& end, double episode_return);
   void GiveToFleet(double episode_return, LearningSummary* summary);

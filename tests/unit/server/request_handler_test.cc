@@ -4,6 +4,10 @@
 #include <gtest/gtest.h>
 
 #include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
 
 #include "server/authenticator.h"
 #include "tests/unit/server/small_registry.h"
@@ -36,7 +40,7 @@ class RequestHandlerTest : public ::testing::Test {
   const Credential* caller_ = *authenticator_->Authenticate("");
   SmallRegistry registry_{"small"};
   ShadowRunner shadows_{registry_.metrics().registry()};
-  SessionStore store_{10, &clock_};
+  SessionStore store_{100, &clock_};
   RequestHandler handler_{registry_.get(), &store_, &shadows_, &clock_};
 };
 
@@ -84,6 +88,69 @@ TEST_F(RequestHandlerTest, ASessionWithWorkLeftIsNotReaped) {
     deferred.Run();
   }
   EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 1);
+}
+
+// More sessions than are decided together, each with several decisions in a batch: of some sessions
+// one right after the other.
+TEST_F(RequestHandlerTest, ABatchEqualsOneAfterTheOther) {
+  constexpr int kSessions = 40;
+  constexpr int64_t kSteps = 3;
+  std::vector<std::string> alone;
+  std::vector<std::string> batched;
+  for (int i = 0; i < kSessions; ++i) {
+    alone.push_back(MustOpen());
+    batched.push_back(MustOpen());
+  }
+  for (int64_t first = 0; first < 6 * kSteps; first += kSteps) {
+    std::vector<std::pair<int, int64_t>> order;  // session and step
+    for (int i = 0; i < kSessions / 2; ++i) {
+      for (int64_t step = 0; step < kSteps; ++step) order.emplace_back(i, first + step);
+    }
+    for (int64_t step = 0; step < kSteps; ++step) {
+      for (int i = kSessions / 2; i < kSessions; ++i) order.emplace_back(i, first + step);
+    }
+    v1::ActBatchRequest batch;
+    for (const auto& [i, step] : order) *batch.add_requests() = MakeRequest(batched[i], step);
+    v1::ActBatchResponse answers;
+    DeferredWork deferred;
+    ASSERT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+    deferred.Run();
+    ASSERT_EQ(answers.results_size(), static_cast<int>(order.size()));
+    for (int k = 0; k < answers.results_size(); ++k) {
+      const auto& [i, step] = order[k];
+      v1::ActResponse expected;
+      DeferredWork done;
+      ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(alone[i], step), &expected, &done).ok());
+      done.Run();
+      expected.set_session_id(batched[i]);
+      EXPECT_EQ(answers.results(k).response().SerializeAsString(), expected.SerializeAsString())
+          << "session " << i << " at step " << step;
+    }
+  }
+}
+
+// Each batch holds many locks, and the two ask for them the other way round.
+TEST_F(RequestHandlerTest, BatchesOfTheSameSessionsDoNotWaitForEachOther) {
+  v1::ActBatchRequest forward;
+  v1::ActBatchRequest backward;
+  std::vector<std::string> sessions;
+  for (int i = 0; i < 16; ++i) sessions.push_back(MustOpen());
+  for (size_t i = 0; i < sessions.size(); ++i) {
+    *forward.add_requests() = MakeRequest(sessions[i], 0);
+    *backward.add_requests() = MakeRequest(sessions[sessions.size() - 1 - i], 0);
+  }
+  const auto keep_asking = [&](const v1::ActBatchRequest& batch) {
+    for (int i = 0; i < 2000; ++i) {
+      v1::ActBatchResponse answers;
+      DeferredWork deferred;
+      ASSERT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+      deferred.Run();
+      for (const v1::ActResult& result : answers.results()) ASSERT_TRUE(result.has_response());
+    }
+  };
+  std::thread other([&] { keep_asking(backward); });
+  keep_asking(forward);
+  other.join();
 }
 
 TEST_F(RequestHandlerTest, OpenSessionsAreCountedByPolicy) {
