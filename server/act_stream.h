@@ -5,27 +5,12 @@
 #include <utility>
 
 #include "absl/status/statusor.h"
-#include "core/session/clock.h"
 #include "server/answer_stream.h"
 #include "server/authenticator.h"
-#include "server/background_worker.h"
-#include "server/call_tracker.h"
-#include "server/metrics.h"
-#include "server/request_handler.h"
+#include "server/service_parts.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
-
-// What every call needs; all must outlive the call.
-struct ServiceParts {
-  const RequestHandler* handler;
-  CallTracker* calls;
-  const Authenticator* authenticator;
-  Metrics* metrics;
-  const Clock* clock;
-  BackgroundWorker* worker;
-  int64_t max_message_bytes;  // of one request, whoever sends it
-};
 
 // Thread-safe as AnswerStream is.
 class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "absl/container/inlined_vector.h"
 #include "absl/status/status.h"
@@ -34,9 +35,13 @@ using ActItems = absl::InlinedVector<ActItem, 1>;
 void ActTogether(absl::Span<ActItem> items);
 
 // What is left to do once answers have been sent: the action tokens of the sessions that decided,
-// and what their shadows are to see.
+// and what their shadows are to see. And what comes before that, where a part of a call was
+// refused: its caller waits as if all of it had been.
 class DeferredWork {
  public:
+  void set_refusal(absl::Status refusal) { refusal_ = std::move(refusal); }
+  const absl::Status& refusal() const { return refusal_; }
+
   // `shadows` must outlive this object.
   void Add(std::shared_ptr<SessionEntry> entry, ShadowRunner* shadows) {
     entries_.push_back(std::move(entry));
@@ -47,6 +52,7 @@ class DeferredWork {
  private:
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries_;
   ShadowRunner* shadows_ = nullptr;
+  absl::Status refusal_;
 };
 
 }  // namespace spikeserve

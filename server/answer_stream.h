@@ -13,10 +13,14 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "server/authenticator.h"
 #include "server/call_tracker.h"
+#include "server/refusal_pacer.h"
 #include "server/request_handler.h"
+#include "server/service_parts.h"
 #include "server/status_map.h"
 
 namespace spikeserve {
@@ -26,10 +30,10 @@ namespace spikeserve {
 template <typename Request, typename Response>
 class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public CallTracker::Stream {
  public:
-  // Reads the first request of `stream`, or refuses the call where the server drains or `admitted`
-  // is an error. `calls` must outlive the call.
-  static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream, CallTracker* calls,
-                             const absl::Status& admitted);
+  // Reads the first request of `stream`, or refuses the call where the server drains or `caller`
+  // was not let in.
+  static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream, const ServiceParts& parts,
+                             const absl::StatusOr<const Credential*>& caller);
 
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
@@ -60,7 +64,13 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
     this->Finish(ToGrpcStatus(status));
   }
 
+  absl::Duration RestAfter(const absl::Status& status, size_t request_bytes) {
+    return refusals_->Rest(status, request_bytes, clock_->Now());
+  }
+
   CallTracker* calls_ = nullptr;
+  RefusalPacer* refusals_ = nullptr;
+  const Clock* clock_ = nullptr;
   std::shared_ptr<AnswerStream> self_;
   Request request_;
   Response response_;
@@ -74,18 +84,22 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
 
 template <typename Request, typename Response>
 AnswerStream<Request, Response>* AnswerStream<Request, Response>::Begin(
-    std::shared_ptr<AnswerStream> stream, CallTracker* calls, const absl::Status& admitted) {
-  stream->calls_ = calls;
+    std::shared_ptr<AnswerStream> stream, const ServiceParts& parts,
+    const absl::StatusOr<const Credential*>& caller) {
+  stream->calls_ = parts.calls;
+  stream->refusals_ = &parts.authenticator->RefusalsOf(caller);
+  stream->clock_ = parts.clock;
   stream->self_ = stream;
-  const bool accepted = calls->BeginStream(stream);
+  const bool accepted = parts.calls->BeginStream(stream);
   absl::MutexLock lock(&stream->mutex_);
   if (!accepted) {
     stream->FinishLocked(DrainingError());
-  } else if (!admitted.ok()) {
-    stream->RestLocked(RefusalRest(admitted, 0), [admitted](AnswerStream& refused) {
-      absl::MutexLock again(&refused.mutex_);
-      if (refused.state_ == State::kResting) refused.FinishLocked(admitted);
-    });
+  } else if (!caller.ok()) {
+    const auto refuse = [status = caller.status()](AnswerStream& rested) {
+      absl::MutexLock again(&rested.mutex_);
+      if (rested.state_ == State::kResting) rested.FinishLocked(status);
+    };
+    stream->RestLocked(stream->RestAfter(caller.status(), 0), refuse);
   } else if (stream->state_ == State::kReading) {  // else drained since
     stream->StartRead(&stream->request_);
   }
@@ -103,7 +117,7 @@ void AnswerStream<Request, Response>::OnReadDone(bool ok) {
   DeferredWork deferred;
   response_.Clear();
   const absl::Status status = Answer(request_, &response_, &deferred);
-  rest_ = status.ok() ? absl::ZeroDuration() : RefusalRest(status, request_.ByteSizeLong());
+  rest_ = status.ok() ? absl::ZeroDuration() : RestAfter(status, request_.ByteSizeLong());
   this->StartWrite(&response_);
   deferred.Run();
 }

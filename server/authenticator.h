@@ -21,6 +21,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "server/refusal_pacer.h"
 #include "server/role.h"
 #include "server/tenant.h"
 #include "server/token_file.h"
@@ -63,6 +64,12 @@ class Authenticator {
   // missing, unknown or expired.
   absl::StatusOr<const Credential*> Authenticate(absl::string_view token) const;
 
+  // Of the caller that Authenticate, or a check after it, let in or refused: its tenant's, or that
+  // of all who were not let in.
+  RefusalPacer& RefusalsOf(const absl::StatusOr<const Credential*>& caller) const {
+    return caller.ok() ? (*caller)->tenant()->refusals() : strangers_;
+  }
+
   // Reads the file again if it changed. On an error what was read before stays in force.
   absl::Status Reload();
 
@@ -84,6 +91,7 @@ class Authenticator {
   const std::string path_;                 // empty: no tokens
   std::unique_ptr<Credential> everybody_;  // null where tokens are asked for
   std::atomic<const Table*> table_ = nullptr;
+  mutable RefusalPacer strangers_;
 
   absl::Mutex mutex_;  // for changes
   std::string text_ ABSL_GUARDED_BY(mutex_);

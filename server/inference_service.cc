@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "server/admission.h"
+#include "server/answer_stream.h"
 #include "server/unary_call.h"
 
 namespace spikeserve {
@@ -109,11 +110,9 @@ grpc::ServerUnaryReactor* InferenceService::ModelInfer(grpc::CallbackServerConte
 
 grpc::ServerBidiReactor<inference::ModelInferRequest, inference::ModelStreamInferResponse>*
 InferenceService::ModelStreamInfer(grpc::CallbackServerContext* context) {
-  auto caller = Admit(*parts_.authenticator, *context, Method::kModelStreamInfer);
-  const absl::Status admitted = caller.status();
-  return InferenceStream::Begin(
-      std::make_shared<ModelInferStream>(parts_, std::move(caller), handler_), parts_.calls,
-      admitted);
+  const auto caller = Admit(*parts_.authenticator, *context, Method::kModelStreamInfer);
+  return InferenceStream::Begin(std::make_shared<ModelInferStream>(parts_, caller, handler_),
+                                parts_, caller);
 }
 
 grpc::ServerUnaryReactor* InferenceService::ModelConfig(

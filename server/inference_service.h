@@ -4,8 +4,8 @@
 #define SERVER_INFERENCE_SERVICE_H_
 
 #include "inference/grpc_service.grpc.pb.h"
-#include "server/act_stream.h"
 #include "server/inference_handler.h"
+#include "server/service_parts.h"
 
 namespace spikeserve {
 

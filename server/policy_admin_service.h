@@ -3,9 +3,9 @@
 #ifndef SERVER_POLICY_ADMIN_SERVICE_H_
 #define SERVER_POLICY_ADMIN_SERVICE_H_
 
-#include "server/act_stream.h"
 #include "server/head_admin.h"
 #include "server/policy_admin_handler.h"
+#include "server/service_parts.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
 namespace spikeserve {

@@ -3,6 +3,7 @@
 #include <memory>
 #include <utility>
 
+#include "server/act_stream.h"
 #include "server/admission.h"
 #include "server/unary_call.h"
 
@@ -46,10 +47,9 @@ grpc::ServerUnaryReactor* PolicyService::ActBatch(grpc::CallbackServerContext* c
 
 grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>* PolicyService::ActStream(
     grpc::CallbackServerContext* context) {
-  auto caller = Admit(*parts_.authenticator, *context, Method::kActStream);
-  const absl::Status admitted = caller.status();
+  const auto caller = Admit(*parts_.authenticator, *context, Method::kActStream);
   return AnswerStream<v1::ActRequest, v1::ActResponse>::Begin(
-      std::make_shared<spikeserve::ActStream>(parts_, std::move(caller)), parts_.calls, admitted);
+      std::make_shared<spikeserve::ActStream>(parts_, caller), parts_, caller);
 }
 
 grpc::ServerUnaryReactor* PolicyService::EndEpisode(grpc::CallbackServerContext* context,

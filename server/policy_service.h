@@ -3,8 +3,8 @@
 #ifndef SERVER_POLICY_SERVICE_H_
 #define SERVER_POLICY_SERVICE_H_
 
-#include "server/act_stream.h"
 #include "server/arena_messages.h"
+#include "server/service_parts.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 
 namespace spikeserve {

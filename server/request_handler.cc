@@ -205,6 +205,7 @@ absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBat
     auto entry = FindForDecision(caller, item);
     if (!entry.ok()) {
       SetError(entry.status(), result);
+      if (absl::IsResourceExhausted(entry.status())) deferred->set_refusal(entry.status());
       continue;
     }
     const bool again =

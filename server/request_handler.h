@@ -52,6 +52,7 @@ class RequestHandler {
   // At the step that the session expects, whatever `request` says, so nothing is ever a retry.
   absl::Status ActNext(const Credential& caller, const v1::ActRequest& request,
                        v1::ActResponse* response, DeferredWork* deferred) const;
+  // Answers item by item, and says by `deferred` whether one was refused for its tenant's limits.
   absl::Status ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                         v1::ActBatchResponse* response, DeferredWork* deferred) const;
   absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,

@@ -1,10 +1,8 @@
 #include "server/status_map.h"
 
-#include <algorithm>
 #include <cstdint>
 #include <string>
 
-#include "absl/random/random.h"
 #include "absl/strings/cord.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
@@ -44,19 +42,6 @@ grpc::Status ToGrpcStatus(const absl::Status& status) {
   detail->set_type_url(kRetryInfoUrl);
   detail->set_value(std::string(*payload));
   return grpc::Status(code, message, details.SerializeAsString());
-}
-
-absl::Duration RefusalRest(const absl::Status& status, size_t request_bytes) {
-  thread_local absl::InsecureBitGen bits;
-  switch (status.code()) {
-    case absl::StatusCode::kUnauthenticated:
-    case absl::StatusCode::kPermissionDenied:
-    case absl::StatusCode::kResourceExhausted:
-      return absl::Milliseconds(absl::Uniform(bits, 50.0, 150.0)) +
-             absl::Seconds(std::min(static_cast<double>(request_bytes) / (4 << 20), 1.0));
-    default:
-      return absl::ZeroDuration();
-  }
 }
 
 absl::Status WithRetryDelay(absl::Status status, absl::Duration delay) {

@@ -13,6 +13,7 @@
 #include "absl/time/time.h"
 #include "core/session/session_quota.h"
 #include "server/rate_limit.h"
+#include "server/refusal_pacer.h"
 
 namespace spikeserve {
 
@@ -45,9 +46,13 @@ class Tenant final : public SessionQuota {
   // RESOURCE_EXHAUSTED for a request that is too long.
   absl::Status CheckMessage(int64_t bytes) const;
 
+  // Of everybody who comes with a token of this tenant.
+  RefusalPacer& refusals() { return refusals_; }
+
  private:
   const std::string name_;
   RateLimit decisions_;
+  RefusalPacer refusals_;
   std::atomic<int64_t> max_sessions_ = 0;
   std::atomic<int64_t> max_message_bytes_ = 0;
   std::atomic<int64_t> sessions_ = 0;

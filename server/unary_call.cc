@@ -16,16 +16,25 @@ namespace {
 // returned, so what may wait is done in OnDone.
 class UnaryCall final : public grpc::ServerUnaryReactor {
  public:
-  UnaryCall(CallTracker* calls, const google::protobuf::MessageLite& request)
-      : calls_(calls), request_(request), accepted_(calls->Begin()) {}
+  UnaryCall(const ServiceParts& parts, Method method, const google::protobuf::MessageLite& request)
+      : parts_(parts),
+        method_(method),
+        request_(request),
+        start_(parts.clock->Now()),
+        accepted_(parts.calls->Begin()) {}
 
   bool accepted() const { return accepted_; }
   DeferredWork* deferred() { return &deferred_; }
 
-  // A refused caller waits for its answer, so that it cannot ask at once again.
-  void FinishAfterRest(const absl::Status& status) {
-    if (status.ok()) return Finish(grpc::Status::OK);
-    const absl::Duration rest = RefusalRest(status, request_.ByteSizeLong());
+  // Answers, and records the call. A refused caller waits for its answer, so that it cannot ask at
+  // once again.
+  void End(const absl::StatusOr<const Credential*>& caller, const absl::Status& status) {
+    const absl::Duration now = parts_.clock->Now();
+    parts_.metrics->ObserveRpc(method_, status.code(), now - start_);
+    const absl::Status& refusal = status.ok() ? deferred_.refusal() : status;
+    if (refusal.ok()) return Finish(grpc::Status::OK);
+    RefusalPacer& refusals = parts_.authenticator->RefusalsOf(caller);
+    const absl::Duration rest = refusals.Rest(refusal, request_.ByteSizeLong(), now);
     if (rest == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
     alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
                [this, status](bool /*ok*/) { Finish(ToGrpcStatus(status)); });
@@ -33,7 +42,7 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
 
   void OnDone() override {
     deferred_.Run();
-    calls_->End();
+    parts_.calls->End();
     delete this;  // gRPC's reactors own themselves
   }
 
@@ -42,43 +51,35 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   bool InternalInlineable() override { return true; }
 
  private:
-  CallTracker* const calls_;
+  const ServiceParts& parts_;
+  const Method method_;
   const google::protobuf::MessageLite& request_;  // gRPC keeps it until OnDone
+  const absl::Duration start_;
   const bool accepted_;
   DeferredWork deferred_;
   grpc::Alarm alarm_;
 };
 
-void FinishCall(const ServiceParts& parts, Method method, absl::Duration start,
-                const absl::Status& status, UnaryCall* call) {
-  parts.metrics->ObserveRpc(method, status.code(), parts.clock->Now() - start);
-  call->FinishAfterRest(status);
-}
-
-using Handle = absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)>;
-
-absl::Status AdmitAndHandle(const ServiceParts& parts, const grpc::CallbackServerContext& context,
-                            Method method, const google::protobuf::MessageLite& request,
-                            Handle handle, DeferredWork* deferred) {
-  const auto caller = Admit(*parts.authenticator, context, method);
-  if (!caller.ok()) return caller.status();
-  if (auto status = CheckSize(**caller, request, parts.max_message_bytes); !status.ok()) {
-    return status;
-  }
-  return handle(**caller, deferred);
+// Who makes the call, or why it is refused.
+absl::StatusOr<const Credential*> AdmitCall(const ServiceParts& parts,
+                                            const grpc::CallbackServerContext& context,
+                                            Method method, const UnaryCall& call) {
+  if (!call.accepted()) return DrainingError();
+  return Admit(*parts.authenticator, context, method);
 }
 
 }  // namespace
 
-grpc::ServerUnaryReactor* AnswerUnary(const ServiceParts& parts,
-                                      const grpc::CallbackServerContext& context, Method method,
-                                      const google::protobuf::MessageLite& request, Handle handle) {
-  const absl::Duration start = parts.clock->Now();
-  auto* call = new UnaryCall(parts.calls, request);
-  const absl::Status status =
-      call->accepted() ? AdmitAndHandle(parts, context, method, request, handle, call->deferred())
-                       : DrainingError();
-  FinishCall(parts, method, start, status, call);
+grpc::ServerUnaryReactor* AnswerUnary(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)> handle) {
+  auto* call = new UnaryCall(parts, method, request);
+  const auto caller = AdmitCall(parts, context, method, *call);
+  absl::Status status = caller.status();
+  if (status.ok()) status = CheckSize(**caller, request, parts.max_message_bytes);
+  if (status.ok()) status = handle(**caller, call->deferred());
+  call->End(caller, status);
   return call;
 }
 
@@ -86,17 +87,15 @@ grpc::ServerUnaryReactor* AnswerUnaryInBackground(
     const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
     const google::protobuf::MessageLite& request,
     std::function<absl::Status(const Credential& caller)> handle) {
-  const absl::Duration start = parts.clock->Now();
-  auto* call = new UnaryCall(parts.calls, request);
-  const auto submit = [&](const Credential& caller, DeferredWork*) {
-    return parts.worker->Submit([=, &caller, handle = std::move(handle)] {
-      FinishCall(parts, method, start, handle(caller), call);
-    });
-  };
-  const absl::Status accepted =
-      call->accepted() ? AdmitAndHandle(parts, context, method, request, submit, call->deferred())
-                       : DrainingError();
-  if (!accepted.ok()) FinishCall(parts, method, start, accepted, call);
+  auto* call = new UnaryCall(parts, method, request);
+  const auto caller = AdmitCall(parts, context, method, *call);
+  absl::Status status = caller.status();
+  if (status.ok()) status = CheckSize(**caller, request, parts.max_message_bytes);
+  if (status.ok()) {
+    status = parts.worker->Submit(
+        [call, caller, handle = std::move(handle)] { call->End(caller, handle(**caller)); });
+  }
+  if (!status.ok()) call->End(caller, status);
   return call;
 }
 

@@ -10,14 +10,15 @@
 
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
-#include "server/act_stream.h"
 #include "server/authenticator.h"
+#include "server/request_handler.h"
+#include "server/service_parts.h"
 
 namespace spikeserve {
 
 // Answers a call with the status of `handle`, which fills in the response, or refuses it where the
-// server drains or the caller may not make it; records it. What `handle` defers is done once the
-// answer has been sent.
+// server drains or the caller may not make it; records it. `parts` must outlive the call. What
+// `handle` defers is done once the answer has been sent.
 grpc::ServerUnaryReactor* AnswerUnary(
     const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
     const google::protobuf::MessageLite& request,

@@ -57,6 +57,17 @@ TEST_F(AuthenticatorTest, WithoutAFileEverybodyIsAnOperator) {
   EXPECT_EQ((*caller)->tenant()->name(), "");
 }
 
+TEST_F(AuthenticatorTest, RefusalsArePacedByTenant) {
+  Write(File(Entry("a", "agent") + "," + Entry("b", "viewer")));
+  const auto authenticator = Create();
+  const auto refusals = [&](absl::string_view token) {
+    return &authenticator->RefusalsOf(authenticator->Authenticate(token));
+  };
+  EXPECT_EQ(refusals("a"), refusals("b"));
+  EXPECT_EQ(refusals("wrong"), refusals("none of them"));
+  EXPECT_NE(refusals("a"), refusals("wrong"));
+}
+
 TEST_F(AuthenticatorTest, KnowsItsTokens) {
   Write(File(Entry("a", "agent") + "," + Entry("o", "operator")));
   const auto authenticator = Create();

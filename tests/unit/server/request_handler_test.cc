@@ -129,6 +129,20 @@ TEST_F(RequestHandlerTest, ABatchEqualsOneAfterTheOther) {
   }
 }
 
+TEST_F(RequestHandlerTest, ABatchSaysWhetherAnItemWasOverTheLimit) {
+  v1::ActBatchRequest batch;
+  for (int64_t step = 0; step < 2; ++step) *batch.add_requests() = MakeRequest(MustOpen(), step);
+  const auto refusal = [&] {
+    v1::ActBatchResponse answers;
+    DeferredWork deferred;
+    EXPECT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+    return deferred.refusal();
+  };
+  EXPECT_TRUE(refusal().ok()) << "a wrong step is no limit";
+  caller_->tenant()->SetLimits({.decisions_per_second = 1.0});
+  EXPECT_TRUE(absl::IsResourceExhausted(refusal()));
+}
+
 // Each batch holds many locks, and the two ask for them the other way round.
 TEST_F(RequestHandlerTest, BatchesOfTheSameSessionsDoNotWaitForEachOther) {
   v1::ActBatchRequest forward;
