@@ -144,19 +144,17 @@ grpc::ServerUnaryReactor* InferenceService::RepositoryIndex(
 grpc::ServerUnaryReactor* InferenceService::RepositoryModelLoad(
     grpc::CallbackServerContext* context, const inference::RepositoryModelLoadRequest* request,
     inference::RepositoryModelLoadResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kRepositoryModelLoad, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       return handler_->RepositoryModelLoad(*request, response);
-                     });
+  return AnswerUnaryInBackground(
+      parts_, *context, Method::kRepositoryModelLoad, *request,
+      [=, this](const Credential&) { return handler_->RepositoryModelLoad(*request, response); });
 }
 
 grpc::ServerUnaryReactor* InferenceService::RepositoryModelUnload(
     grpc::CallbackServerContext* context, const inference::RepositoryModelUnloadRequest* request,
     inference::RepositoryModelUnloadResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kRepositoryModelUnload, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       return handler_->RepositoryModelUnload(*request, response);
-                     });
+  return AnswerUnaryInBackground(
+      parts_, *context, Method::kRepositoryModelUnload, *request,
+      [=, this](const Credential&) { return handler_->RepositoryModelUnload(*request, response); });
 }
 
 }  // namespace spikeserve

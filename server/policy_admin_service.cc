@@ -7,115 +7,114 @@ namespace spikeserve {
 grpc::ServerUnaryReactor* PolicyAdminService::LoadPolicy(grpc::CallbackServerContext* context,
                                                          const v1::LoadPolicyRequest* request,
                                                          v1::LoadPolicyResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kLoadPolicy, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->LoadPolicy(*request, response); });
+      [=, this](const Credential&) { return admin_->LoadPolicy(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::UnloadPolicy(grpc::CallbackServerContext* context,
                                                            const v1::UnloadPolicyRequest* request,
                                                            v1::UnloadPolicyResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kUnloadPolicy, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->UnloadPolicy(*request, response); });
+      [=, this](const Credential&) { return admin_->UnloadPolicy(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::ReloadPolicies(
     grpc::CallbackServerContext* context, const v1::ReloadPoliciesRequest* request,
     v1::ReloadPoliciesResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kReloadPolicies, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->ReloadPolicies(*request, response); });
+      [=, this](const Credential&) { return admin_->ReloadPolicies(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::SetDefaultVersion(
     grpc::CallbackServerContext* context, const v1::SetDefaultVersionRequest* request,
     v1::SetDefaultVersionResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kSetDefaultVersion, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       return admin_->SetDefaultVersion(*request, response);
-                     });
+  return AnswerUnaryInBackground(
+      parts_, *context, Method::kSetDefaultVersion, *request,
+      [=, this](const Credential&) { return admin_->SetDefaultVersion(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::SetLabel(grpc::CallbackServerContext* context,
                                                        const v1::SetLabelRequest* request,
                                                        v1::SetLabelResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kSetLabel, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->SetLabel(*request, response); });
+      [=, this](const Credential&) { return admin_->SetLabel(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::RemoveLabel(grpc::CallbackServerContext* context,
                                                           const v1::RemoveLabelRequest* request,
                                                           v1::RemoveLabelResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kRemoveLabel, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->RemoveLabel(*request, response); });
+      [=, this](const Credential&) { return admin_->RemoveLabel(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::SetTraffic(grpc::CallbackServerContext* context,
                                                          const v1::SetTrafficRequest* request,
                                                          v1::SetTrafficResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kSetTraffic, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->SetTraffic(*request, response); });
+      [=, this](const Credential&) { return admin_->SetTraffic(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::ListSessions(grpc::CallbackServerContext* context,
                                                            const v1::ListSessionsRequest* request,
                                                            v1::ListSessionsResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kListSessions, *request,
-                     [&](const Credential& caller, DeferredWork*) {
-                       return admin_->ListSessions(caller, *request, response);
-                     });
+  return AnswerUnaryInBackground(parts_, *context, Method::kListSessions, *request,
+                                 [=, this](const Credential& caller) {
+                                   return admin_->ListSessions(caller, *request, response);
+                                 });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::Drain(grpc::CallbackServerContext* context,
                                                     const v1::DrainRequest* request,
                                                     v1::DrainResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kDrain, *request,
-      [&](const Credential&, DeferredWork*) { return admin_->Drain(*request, response); });
+      [=, this](const Credential&) { return admin_->Drain(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::GetHead(grpc::CallbackServerContext* context,
                                                       const v1::GetHeadRequest* request,
                                                       v1::GetHeadResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kGetHead, *request,
-      [&](const Credential&, DeferredWork*) { return heads_->GetHead(*request, response); });
+      [=, this](const Credential&) { return heads_->GetHead(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::PromoteHead(grpc::CallbackServerContext* context,
                                                           const v1::PromoteHeadRequest* request,
                                                           v1::PromoteHeadResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kPromoteHead, *request,
-      [&](const Credential&, DeferredWork*) { return heads_->PromoteHead(*request, response); });
+      [=, this](const Credential&) { return heads_->PromoteHead(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::RollbackHead(grpc::CallbackServerContext* context,
                                                            const v1::RollbackHeadRequest* request,
                                                            v1::RollbackHeadResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kRollbackHead, *request,
-      [&](const Credential&, DeferredWork*) { return heads_->RollbackHead(*request, response); });
+      [=, this](const Credential&) { return heads_->RollbackHead(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::PauseLearning(grpc::CallbackServerContext* context,
                                                             const v1::PauseLearningRequest* request,
                                                             v1::PauseLearningResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kPauseLearning, *request,
-      [&](const Credential&, DeferredWork*) { return heads_->PauseLearning(*request, response); });
+      [=, this](const Credential&) { return heads_->PauseLearning(*request, response); });
 }
 
 grpc::ServerUnaryReactor* PolicyAdminService::ResumeLearning(
     grpc::CallbackServerContext* context, const v1::ResumeLearningRequest* request,
     v1::ResumeLearningResponse* response) {
-  return AnswerUnary(
+  return AnswerUnaryInBackground(
       parts_, *context, Method::kResumeLearning, *request,
-      [&](const Credential&, DeferredWork*) { return heads_->ResumeLearning(*request, response); });
+      [=, this](const Credential&) { return heads_->ResumeLearning(*request, response); });
 }
 
 }  // namespace spikeserve

@@ -25,7 +25,8 @@ namespace {
 // with CANCELLED, which no client expects.
 constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
 
-// Calls that take long, such as Explain, run one at a time; so many may wait.
+// Calls that take long, such as Explain, run one at a time, and so do operators' calls, some of
+// which read and write files; so many of each may wait.
 constexpr size_t kLongCallsWaiting = 16;
 
 // How often the file of tokens is read again.
@@ -107,15 +108,16 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get()),
       admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
       worker_(kLongCallsWaiting),
-      service_(Parts()),
+      admin_worker_(kLongCallsWaiting),
+      service_(Parts(&worker_)),
       head_admin_(registry_.get(), &store_),
-      admin_service_(Parts(), &admin_handler_, &head_admin_),
+      admin_service_(Parts(&admin_worker_), &admin_handler_, &head_admin_),
       inference_handler_({.registry = registry_.get(),
                           .store = &store_,
                           .requests = &handler_,
                           .clock = &clock_,
                           .session_ttl = options.session_ttl}),
-      inference_service_(Parts(), &inference_handler_),
+      inference_service_(Parts(&admin_worker_), &inference_handler_),
       reflection_service_({v1::PolicyService::service_full_name(),
                            v1::PolicyAdmin::service_full_name(),
                            inference::GRPCInferenceService::service_full_name(),
@@ -130,13 +132,13 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .worker = &worker_,
               .serving = [this] { return serving(); }}) {}
 
-ServiceParts Server::Parts() {
+ServiceParts Server::Parts(BackgroundWorker* worker) {
   return {.handler = &handler_,
           .calls = &calls_,
           .authenticator = authenticator_.get(),
           .metrics = metrics_.get(),
           .clock = &clock_,
-          .worker = &worker_,
+          .worker = worker,
           .max_message_bytes = options_.max_message_bytes};
 }
 

@@ -60,7 +60,7 @@ class Server {
          std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
          std::unique_ptr<Recordings> recordings);
 
-  ServiceParts Parts();
+  ServiceParts Parts(BackgroundWorker* worker);
   void ReloadTokens();
   absl::Status StartGrpc();
   absl::Status StartHttp();
@@ -80,6 +80,7 @@ class Server {
   const PolicyAdminHandler admin_handler_;
   CallTracker calls_;
   BackgroundWorker worker_;
+  BackgroundWorker admin_worker_;
   PolicyService service_;
   const HeadAdmin head_admin_;
   PolicyAdminService admin_service_;

@@ -20,7 +20,7 @@ struct ServiceParts {
   const Authenticator* authenticator;
   Metrics* metrics;
   const Clock* clock;
-  BackgroundWorker* worker;
+  BackgroundWorker* worker;   // of calls that may take long
   int64_t max_message_bytes;  // of one request, whoever sends it
 };
 
