@@ -204,24 +204,25 @@ absl::Status Drain() {
 struct Action {
   const char* name;
   bool needs_policy;
+  const char* flags;  // beside those that every command has
   absl::Status (*run)();
 };
 
 constexpr Action kActions[] = {
-    {"load", true, Load},
-    {"unload", true, Unload},
-    {"default", true, Default},
-    {"label", true, Label},
-    {"unlabel", true, Unlabel},
-    {"traffic", true, Traffic},
-    {"reload", false, Reload},
-    {"sessions", false, Sessions},
-    {"drain", false, Drain},
-    {"head", true, ShowHead},
-    {"promote", true, PromoteHead},
-    {"rollback", true, RollbackHead},
-    {"pause", false, PauseLearning},
-    {"resume", false, ResumeLearning},
+    {"load", true, "policy version", Load},
+    {"unload", true, "policy version", Unload},
+    {"default", true, "policy version", Default},
+    {"label", true, "policy version label", Label},
+    {"unlabel", true, "policy label", Unlabel},
+    {"traffic", true, "policy shares shadow", Traffic},
+    {"reload", false, "", Reload},
+    {"sessions", false, "policy version", Sessions},
+    {"drain", false, "cancel", Drain},
+    {"head", true, "policy version weights", ShowHead},
+    {"promote", true, "policy version", PromoteHead},
+    {"rollback", true, "policy version", RollbackHead},
+    {"pause", false, "policy", PauseLearning},
+    {"resume", false, "policy", ResumeLearning},
 };
 
 }  // namespace
@@ -231,6 +232,9 @@ absl::Status AdminCommand(absl::string_view name) {
     if (name != action.name) continue;
     if (absl::Status status = action.needs_policy ? RequirePolicy() : absl::OkStatus();
         !status.ok()) {
+      return status;
+    }
+    if (auto status = CheckFlags(absl::StrCat("admin ", name), action.flags); !status.ok()) {
       return status;
     }
     return action.run();

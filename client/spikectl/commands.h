@@ -8,8 +8,7 @@
 
 namespace spikeserve {
 
-// What an operator does: `action` is load, unload, default, label, unlabel, traffic, reload,
-// sessions or drain.
+// What an operator does; an `action` that there is not is answered with those that there are.
 absl::Status AdminCommand(absl::string_view action);
 
 // Lists every policy version served.

@@ -1,8 +1,16 @@
 #include "client/spikectl/common_flags.h"
 
+#include <string>
 #include <utility>
+#include <vector>
 
+#include "absl/algorithm/container.h"
 #include "absl/flags/flag.h"
+#include "absl/flags/reflection.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
 #include "client/security_flags.h"
 
 ABSL_FLAG(std::string, server, "127.0.0.1:50051", "HOST:PORT of the server");
@@ -16,6 +24,21 @@ absl::StatusOr<std::unique_ptr<Client>> ConnectToServer() {
   if (!security.ok()) return security.status();
   options.security = *std::move(security);
   return Client::Connect(absl::GetFlag(FLAGS_server), std::move(options));
+}
+
+absl::Status CheckFlags(absl::string_view command, absl::string_view its_flags) {
+  const std::vector<absl::string_view> known = absl::StrSplit(its_flags, ' ', absl::SkipEmpty());
+  for (const auto& [name, flag] : absl::GetAllFlags()) {
+    const bool of_some_command = absl::StrContains(flag->Filename(), "client/spikectl/") &&
+                                 !absl::EndsWith(flag->Filename(), "common_flags.cc");
+    const bool is_set = flag->CurrentValue() != flag->DefaultValue();
+    if (!of_some_command || !is_set || absl::c_linear_search(known, name)) continue;
+    const std::string others = absl::StrJoin(known, ", --");
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--", name, ": expected a flag that ", command, " has", known.empty() ? "" : " (--", others,
+        known.empty() ? "" : ")", ", got ", flag->CurrentValue()));
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace spikeserve

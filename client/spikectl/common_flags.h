@@ -6,7 +6,9 @@
 #include <string>
 
 #include "absl/flags/declare.h"
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "client/client.h"
 
 ABSL_DECLARE_FLAG(std::string, server);
@@ -16,6 +18,10 @@ namespace spikeserve {
 
 // A client of --server. UNAVAILABLE if it cannot be reached within a few seconds.
 absl::StatusOr<std::unique_ptr<Client>> ConnectToServer();
+
+// INVALID_ARGUMENT names a flag that was set, belongs to a sub-command, and is not among
+// `its_flags`, the names of those of `command`, separated by blanks: it would do nothing.
+absl::Status CheckFlags(absl::string_view command, absl::string_view its_flags);
 
 }  // namespace spikeserve
 

@@ -36,6 +36,10 @@ absl::StatusOr<v1::ExplainResponse> PlayAndExplain(Environment& environment, Cli
 }  // namespace
 
 absl::Status ExplainCommand() {
+  const std::string session = absl::GetFlag(FLAGS_session);
+  if (!session.empty()) {  // which nobody plays, so that the flags for that would do nothing
+    if (auto status = CheckFlags("explain --session", "session"); !status.ok()) return status;
+  }
   if (const int32_t steps = absl::GetFlag(FLAGS_steps); steps < 1) {
     return absl::InvalidArgumentError(absl::StrCat("--steps: expected at least 1, got ", steps));
   }
@@ -43,7 +47,6 @@ absl::Status ExplainCommand() {
   if (!environment.ok()) return environment.status();
   const auto client = ConnectToServer();
   if (!client.ok()) return client.status();
-  const std::string session = absl::GetFlag(FLAGS_session);
   const auto explained =
       session.empty() ? PlayAndExplain(**environment, **client) : (*client)->Explain(session);
   if (!explained.ok()) return explained.status();

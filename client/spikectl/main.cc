@@ -10,7 +10,9 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
 #include "client/spikectl/commands.h"
+#include "client/spikectl/common_flags.h"
 
 namespace spikeserve {
 namespace {
@@ -18,24 +20,34 @@ namespace {
 struct Command {
   const char* name;
   const char* summary;
+  const char* flags;  // beside those that every command has
   absl::Status (*run)();
 };
 
 constexpr Command kCommands[] = {
-    {"policies", "list every policy version served", PoliciesCommand},
-    {"run", "play episodes of an environment stepped here, acting over gRPC", RunCommand},
-    {"explain", "show a session's last decision from the inside", ExplainCommand},
+    {"policies", "list every policy version served", "", PoliciesCommand},
+    {"run", "play episodes of an environment stepped here, acting over gRPC",
+     "env policy version target_return seed episodes record", RunCommand},
+    {"explain", "show a session's last decision from the inside",
+     "session env policy version target_return seed steps", ExplainCommand},
     {"adapt",
      "play a task whose physics have changed with learning on, then judge the learned head",
+     "env policy version target_return seed episodes perturb rule modulator scope fleet "
+     "temperature "
+     "learning_rate discount",
      AdaptCommand},
     {"replay", "play a recorded session again and compare every decision, bit for bit",
-     ReplayCommand},
+     "recording policy version", ReplayCommand},
 };
 
 std::string Usage() {
   std::string usage = "spikectl COMMAND [--flag=value ...]\n\nCommands:\n";
   for (const Command& command : kCommands) {
-    absl::StrAppend(&usage, "  ", command.name, ": ", command.summary, "\n");
+    absl::StrAppend(&usage, "  ", command.name, ": ", command.summary);
+    const std::vector<absl::string_view> flags =
+        absl::StrSplit(command.flags, ' ', absl::SkipEmpty());
+    if (!flags.empty()) absl::StrAppend(&usage, " (--", absl::StrJoin(flags, ", --"), ")");
+    absl::StrAppend(&usage, "\n");
   }
   absl::StrAppend(
       &usage, "  admin ACTION: what an operator does: load, unload, default, label, ",
@@ -60,6 +72,7 @@ absl::Status Dispatch(const std::vector<char*>& arguments) {
       return absl::InvalidArgumentError(
           absl::StrCat(command.name, ": expected flags alone, got \"", arguments[2], "\""));
     }
+    if (auto status = CheckFlags(command.name, command.flags); !status.ok()) return status;
     return command.run();
   }
   return absl::InvalidArgumentError(

@@ -150,6 +150,15 @@ TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(Spikectl("run", {"--policy=pendulum-v1"}), "observations of length 3");
 }
 
+TEST_F(SpikectlTest, RefusesAFlagThatWouldDoNothing) {
+  ExpectOneLineError(Spikectl("run", {"--fleet=3"}),
+                     "--fleet: expected a flag that run has (--env");
+  ExpectOneLineError(Spikectl("policies", {"--seed=1"}),
+                     "--seed: expected a flag that policies has");
+  ExpectOneLineError(Spikectl("explain", {"--session=x", "--steps=3"}),
+                     "--steps: expected a flag that explain --session has (--session), got 3");
+}
+
 TEST_F(SpikectlTest, WithoutAPolicyForTheEnvironmentItSaysWhatThereIs) {
   std::filesystem::remove_all(policies_.path() / "acrobot-v1");
   StartServer();
