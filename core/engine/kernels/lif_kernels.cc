@@ -19,6 +19,10 @@ namespace {
 // membranes and currents to stay in the target's registers.
 constexpr int kLifVectors = std::max(kVectorsPerWord, HWY_TARGET <= HWY_AVX3 ? 8 : 4);
 
+// Vectors of a row that are added up in one pass over the rows: the longer a stretch of memory, the
+// better it is fetched ahead.
+constexpr int kSumVectors = std::max(kVectorsPerWord, HWY_TARGET <= HWY_AVX3 ? 16 : 8);
+
 // The period is one more than the number of thresholds the current fails to reach.
 HWY_INLINE hn::Vec<I32> Periods(VecF current, const std::vector<float>& thresholds) {
   const F32 d;
@@ -75,8 +79,9 @@ HWY_INLINE void SumBlock(const PackedLinear& linear, const int32_t* members, int
 
 void SumRowsImpl(const PackedLinear& linear, const int32_t* members, int count, int width,
                  float* sum) {
-  ForEachBlock<8>(width, [&](int lane, auto vectors)
-                             HWY_ATTR { SumBlock<vectors>(linear, members, count, lane, sum); });
+  ForEachBlock<kSumVectors>(0, width, [&](int lane, auto vectors) HWY_ATTR {
+    SumBlock<vectors>(linear, members, count, lane, sum);
+  });
 }
 
 // Runs kVectors vectors of neurons from `lane` on; calls on_spike(tick, v, mask) for each of them.
@@ -115,7 +120,7 @@ void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int firs
   const F32 d;
   uint8_t* const bytes = reinterpret_cast<uint8_t*>(bits);
   const size_t stride = width / 8;
-  ForEachBlock<kLifVectors>(width, [&](int lane, auto vectors) HWY_ATTR {
+  ForEachBlock<kLifVectors>(0, width, [&](int lane, auto vectors) HWY_ATTR {
     uint8_t* const block = bytes + lane / 8;
     RunLif<vectors>(lif, bias, drive, first + lane,
                     [d, block, stride](int tick, int v, auto spike)
@@ -129,7 +134,7 @@ uint64_t LifRatesImpl(const Lif& lif, const float* bias, const Drive& drive, int
   const I32 di;
   const auto ticks = hn::Set(d, static_cast<float>(drive.ticks));
   auto total = hn::Zero(di);
-  ForEachBlock<kLifVectors>(width, [&](int lane, auto vectors) HWY_ATTR {
+  ForEachBlock<kLifVectors>(0, width, [&](int lane, auto vectors) HWY_ATTR {
     hn::Vec<I32> count[vectors];
     for (int v = 0; v < vectors; ++v) count[v] = hn::Zero(di);
     RunLif<vectors>(lif, bias, drive, lane, [&](int, int v, auto spike) HWY_ATTR {

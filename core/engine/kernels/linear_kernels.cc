@@ -66,7 +66,7 @@ HWY_INLINE const ActiveInputs& FindActive(const PackedLinear& linear, const floa
 uint64_t AffineImpl(const PackedLinear& linear, const float* input, float* output) {
   const F32 d;
   const ActiveInputs& active = FindActive(linear, input, /*stride=*/0, /*ticks=*/1);
-  ForEachBlock<8>(linear.width, [&](int lane, auto vectors) HWY_ATTR {
+  ForEachBlock<8>(0, linear.width, [&](int lane, auto vectors) HWY_ATTR {
     VecF total[vectors];
     for (int v = 0; v < vectors; ++v) {
       total[v] = hn::LoadU(d, linear.bias.data() + lane + v * kVector);

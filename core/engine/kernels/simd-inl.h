@@ -64,16 +64,15 @@ HWY_INLINE void StoreMask(D d, Mask mask, uint8_t* bytes, int v) {
   }
 }
 
-// Calls block(lane, count<V>) over [0, width), a multiple of kLanes: blocks of kVectors vectors, so
-// that their chains of additions overlap, then of kLanes, which a block never undercuts.
+// Calls block(lane, count<V>) over [lane, width), both multiples of kLanes: blocks of kVectors
+// vectors, so that their chains of additions overlap, then of half as many, down to kLanes.
 template <int kVectors, class Block>
-HWY_INLINE void ForEachBlock(int width, Block block) {
+HWY_INLINE void ForEachBlock(int lane, int width, Block block) {
   constexpr int kBlock = kVectorsPerWord > kVectors ? kVectorsPerWord : kVectors;
-  int lane = 0;
   for (; lane + kBlock * kVector <= width; lane += kBlock * kVector) {
     block(lane, std::integral_constant<int, kBlock>());
   }
-  for (; lane < width; lane += kLanes) block(lane, std::integral_constant<int, kVectorsPerWord>());
+  if constexpr (kBlock > kVectorsPerWord) ForEachBlock<kBlock / 2>(lane, width, block);
 }
 
 }  // namespace spikeserve::kernels::HWY_NAMESPACE
