@@ -67,11 +67,27 @@ def test_a_stream_goes_on_after_a_refusal(addresses):
         assert 0 < error.retry_after_seconds <= 0.2
 
 
+def test_a_batch_over_the_limit_waits_for_its_answer(addresses):
+    with service_with(addresses, "slow") as slow:
+        session = slow.OpenSession(policy="cartpole").session_id
+        item = {"session_id": session, "step": 0, "observation": OBSERVATION}
+
+        def is_refused():
+            (result,) = slow.ActBatch(requests=[item]).results
+            return result.code == grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
+
+        for _ in range(100):
+            if is_refused():
+                break
+        # One for every 0.2 s; a refusal takes 0.05 s and more. Answered at once, all ten would be refused.
+        assert not all([is_refused() for _ in range(10)])
+
+
 def test_an_oversized_message_is_resource_exhausted(addresses):
     with service_with(addresses, "small") as small, service_with(addresses, "agent") as other:
         labels = {"note": "x" * 220}
         exhausted = grpc.StatusCode.RESOURCE_EXHAUSTED
         assert code_of(small.OpenSession, policy="cartpole", labels=labels) == exhausted
         assert code_of(other.OpenSession, policy="cartpole", labels=labels) == grpc.StatusCode.OK
-        # gRPC's own bound, before anything is read.
+        # The server's own bound.
         assert code_of(other.OpenSession, policy="x" * 5_000_000) == exhausted
