@@ -66,6 +66,11 @@ PackedWeights::PackedWeights(const Policy& policy)
     if (policy.config.has_routing()) {
       layer.routing_hidden = Pack({&weights.routing_hidden});
       layer.routing_gate = Pack({&weights.routing_gate});
+      for (int j = 0; j < layer.routing_gate.inputs; ++j) {
+        if (layer.routing_hidden.bias[j] > 0.0f) {
+          layer.silent_gate_products += layer.routing_gate.nonzero[j];
+        }
+      }
     }
     layer.attention_output = Pack({&weights.attention_output});
     layer.ffn_hidden = Pack({&weights.ffn_hidden});

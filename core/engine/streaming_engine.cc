@@ -170,10 +170,11 @@ class TokenPass {
     const AttentionCache& cache = token_->context->caches[layer];
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
     counts().attention_products += cache.ValueSpikes(token_->band);
-    counts().attention_products += kernels::Attend(cache.Window(token_->band), token_->query.data(),
-                                                   packed.attention_weight.data(),
-                                                   weights.scale.values.data(), scratch_.y.data());
-    Merge(packed);
+    const kernels::Attended attended = kernels::Attend(
+        cache.Window(token_->band), token_->query.data(), packed.attention_weight.data(),
+        weights.scale.values.data(), scratch_.y.data());
+    counts().attention_products += attended.products;
+    Merge(packed, attended.ticks);
     Affine(packed.attention_output, scratch_.merged.data(), scratch_.update);
     AddResidual(weights.attention_norm);
   }
@@ -230,38 +231,40 @@ class TokenPass {
     return static_cast<uint32_t>(bits & ((uint64_t{1} << count) - 1));
   }
 
-  // mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or side by side.
-  void Merge(const PackedLayer& packed) {
+  // mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or side by side. scratch_.y has the
+  // `ticks` at which they say anything; the others add nothing, whatever their gates.
+  void Merge(const PackedLayer& packed, int ticks) {
     const int stride = PadToLanes(config_.heads);
-    scratch_.gates.resize(static_cast<size_t>(config_.ticks) * stride);
+    scratch_.gates.resize(static_cast<size_t>(ticks) * stride);
     if (config_.has_routing()) {
-      Route(packed, stride);
+      Route(packed, ticks, stride);
     } else {
       const bool concat = config_.merge == Merge::kConcat;
       scratch_.gates.assign(scratch_.gates.size(),
                             concat ? 1.0f : 1.0f / static_cast<float>(config_.heads));
     }
     scratch_.merged.resize(config_.merged_size());
-    kernels::GateHeads({config_.ticks, config_.heads, config_.head_size(), scratch_.y.data()},
-                       scratch_.gates.data(), stride, config_.merge == Merge::kConcat,
-                       scratch_.merged.data());
+    kernels::GateHeads(
+        {ticks, config_.ticks, config_.heads, config_.head_size(), scratch_.y.data()},
+        scratch_.gates.data(), stride, config_.merge == Merge::kConcat, scratch_.merged.data());
   }
 
-  // The gates of all ticks, [T][stride].
-  void Route(const PackedLayer& packed, int stride) {
+  // The gates of those ticks, [ticks][stride]. The equations have gates at the others too, whose
+  // operations count.
+  void Route(const PackedLayer& packed, int ticks, int stride) {
     const PackedLinear& hidden = packed.routing_hidden;
-    scratch_.routing.resize(static_cast<size_t>(config_.ticks) * hidden.width);
+    scratch_.routing.resize(static_cast<size_t>(ticks) * hidden.width);
     counts().multiply_accumulates += kernels::AffineTicks(
-        hidden, scratch_.y.data(), config_.hidden_size, config_.ticks, scratch_.routing.data());
+        hidden, scratch_.y.data(), config_.hidden_size, ticks, scratch_.routing.data());
     for (float& h : scratch_.routing) h = h > 0.0f ? h : 0.0f;
-    counts().multiply_accumulates +=
-        kernels::AffineTicks(packed.routing_gate, scratch_.routing.data(), hidden.width,
-                             config_.ticks, scratch_.gates.data());
+    counts().multiply_accumulates += kernels::AffineTicks(
+        packed.routing_gate, scratch_.routing.data(), hidden.width, ticks, scratch_.gates.data());
+    counts().multiply_accumulates += packed.silent_gate_products * (config_.ticks - ticks);
     if (config_.gate == Gate::kSigmoid) {
       for (float& gate : scratch_.gates) gate = Sigmoid(gate);
       return;
     }
-    kernels::Softmax(scratch_.gates.data(), config_.ticks, stride, config_.heads);
+    kernels::Softmax(scratch_.gates.data(), ticks, stride, config_.heads);
     if (config_.merge != Merge::kConcat) return;
     for (float& gate : scratch_.gates)
       gate *= static_cast<float>(config_.heads);  // so that uniform gates are 1

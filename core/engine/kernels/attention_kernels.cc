@@ -205,33 +205,39 @@ class HeadAttention {
   float* sums_;
 };
 
-uint64_t AttendImpl(const AttentionWindow& window, const uint32_t* query, const float* weight,
+Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const float* weight,
                     const float* scale, float* y) {
   thread_local std::vector<uint32_t> scratch;
   thread_local std::vector<float> sums;
   scratch.resize(window.slots + window.slots / 32);
   sums.resize(32 * window.words);
   HeadAttention attention(window, scratch.data(), sums.data());
-  uint64_t products = 0;
-  for (int index = 0; index < window.ticks * window.heads; ++index) {
-    attention.MoveTo(index);
-    const bool is_heard = attention.IsHeard();
-    const bool asks = AnyBit(query, window.words);
-    if (!is_heard) {
-      Clear(y, window.head_size);
-      if (asks) products += attention.SumOverlaps(query);
-    } else if (!asks) {
-      attention.AttendSilently(y);
-    } else {
-      const int head = index % window.heads;
-      products +=
-          attention.Attend(query, weight + static_cast<size_t>(head) * (window.head_size + 1),
-                           scale[head] >= 0.0f, y);
+  Attended attended;
+  for (int tick = 0; tick < window.ticks; ++tick) {
+    bool is_any_heard = false;
+    for (int head = 0; head < window.heads; ++head) {
+      attention.MoveTo(tick * window.heads + head);
+      float* const head_y = y + static_cast<size_t>(head) * window.head_size;
+      const bool is_heard = attention.IsHeard();
+      const bool asks = AnyBit(query, window.words);
+      if (!is_heard) {
+        Clear(head_y, window.head_size);
+        if (asks) attended.products += attention.SumOverlaps(query);
+      } else if (!asks) {
+        attention.AttendSilently(head_y);
+      } else {
+        attended.products +=
+            attention.Attend(query, weight + static_cast<size_t>(head) * (window.head_size + 1),
+                             scale[head] >= 0.0f, head_y);
+      }
+      is_any_heard |= is_heard;
+      query += window.words;
     }
-    query += window.words;
-    y += window.head_size;
+    if (!is_any_heard) continue;
+    y += static_cast<size_t>(window.heads) * window.head_size;
+    ++attended.ticks;
   }
-  return products;
+  return attended;
 }
 
 void StoreValuesImpl(const uint32_t* bits, int slot, const AttentionWindow& window,
@@ -269,7 +275,7 @@ namespace spikeserve::kernels {
 HWY_EXPORT(AttendImpl);
 HWY_EXPORT(StoreValuesImpl);
 
-uint64_t Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
+Attended Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
                 const float* scale, float* y) {
   return HWY_DYNAMIC_DISPATCH(AttendImpl)(window, query, weight, scale, y);
 }

@@ -26,11 +26,17 @@ struct AttentionWindow {
   const uint32_t* valid = nullptr;     // [S / 32]: the slots the query may attend to, at least one
 };
 
-// y [T][H][d_h], contiguous, for a query [T][H][W]: the softmax over valid slots of c_h popcount(q
-// & k), times v. `weight` is [H][d_h + 1]: exp(-|c_h| distance); `scale` [H] is c_h, whose sign
-// says whether the best overlap is the largest. Returns the sum of popcount(q & k) over ticks,
-// heads and valid slots.
-uint64_t Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
+// What Attend found.
+struct Attended {
+  int ticks = 0;          // at which a valid slot has a value; at the others y would be zero
+  uint64_t products = 0;  // the sum of popcount(q & k) over all ticks, heads and valid slots
+};
+
+// y [Attended::ticks][H][d_h], contiguous, ticks ascending, for a query [T][H][W]: the softmax over
+// valid slots of c_h popcount(q & k), times v. `y` has room for T ticks. `weight` is [H][d_h + 1]:
+// exp(-|c_h| distance); `scale` [H] is c_h, whose sign says whether the best overlap is the
+// largest.
+Attended Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
                 const float* scale, float* y);
 
 // Writes one token's value bits [T][H][W] into slot `slot` of `values` and `occupied` (layout as in

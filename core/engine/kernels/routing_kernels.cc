@@ -52,7 +52,7 @@ void GateHeadsImpl(const HeadOutputs& heads, const float* gates, int stride, boo
                    float* merged) {
   const F32 d;
   const int size = heads.head_size;
-  const auto ticks = static_cast<float>(heads.ticks);
+  const auto all_ticks = static_cast<float>(heads.all_ticks);
   const auto gate = [&](int t, int h) { return gates[static_cast<size_t>(t) * stride + h]; };
   for (int group = 0; group < (concat ? heads.heads : 1); ++group) {
     const int first = concat ? group : 0;
@@ -68,7 +68,7 @@ void GateHeadsImpl(const HeadOutputs& heads, const float* gates, int stride, boo
         }
         total = hn::Add(total, routed);
       }
-      hn::StoreU(hn::Div(total, hn::Set(d, ticks)), d, merged + group * size + k);
+      hn::StoreU(hn::Div(total, hn::Set(d, all_ticks)), d, merged + group * size + k);
     }
     for (; k < size; ++k) {
       float total = 0.0f;
@@ -77,7 +77,7 @@ void GateHeadsImpl(const HeadOutputs& heads, const float* gates, int stride, boo
         for (int h = first; h <= last; ++h) routed += gate(t, h) * heads.at(t, h)[k];
         total += routed;
       }
-      merged[group * size + k] = total / ticks;
+      merged[group * size + k] = total / all_ticks;
     }
   }
 }

@@ -15,9 +15,11 @@ namespace spikeserve::kernels {
 // of kLanes, and the other entries of a row are overwritten.
 void Softmax(float* rows, int count, int stride, int size);
 
-// What the heads say about one token: [ticks][heads][head_size].
+// What the heads say about one token, at those ticks at which one of them says anything:
+// [ticks][heads][head_size].
 struct HeadOutputs {
   int ticks = 0;
+  int all_ticks = 0;  // T
   int heads = 0;
   int head_size = 0;
   const float* y = nullptr;
@@ -27,8 +29,8 @@ struct HeadOutputs {
   }
 };
 
-// merged = mean over ticks of the heads times their gates [ticks][stride], summed [head_size] (eq.
-// 4.11) or side by side [heads * head_size].
+// merged = mean over all ticks of the heads times their gates [ticks][stride], summed [head_size]
+// (eq. 4.11) or side by side [heads * head_size].
 void GateHeads(const HeadOutputs& heads, const float* gates, int stride, bool concat,
                float* merged);
 
