@@ -7,19 +7,19 @@ namespace spikeserve {
 
 absl::Status ActStream::Handle(const v1::ActRequest& request, v1::ActResponse* response,
                                DeferredWork* deferred) {
-  const Credential& caller = **caller_;
-  if (auto status = CheckStillAdmitted(caller, request, parts_.max_message_bytes); !status.ok()) {
+  if (auto status = CheckStillAdmitted(caller(), request, parts().max_message_bytes);
+      !status.ok()) {
     return status;
   }
-  return parts_.handler->Act(caller, request, response, deferred);
+  return parts().handler->Act(caller(), request, response, deferred);
 }
 
 absl::Status ActStream::Answer(const v1::ActRequest& request, v1::ActResponse* response,
                                DeferredWork* deferred) {
-  const absl::Duration start = parts_.clock->Now();
+  const absl::Duration start = parts().clock->Now();
   const absl::Status status = Handle(request, response, deferred);
   if (!status.ok()) ErrorToProto(request, status, response);
-  parts_.metrics->ObserveRpc(Method::kActStream, status.code(), parts_.clock->Now() - start);
+  parts().metrics->ObserveRpc(Method::kActStream, status.code(), parts().clock->Now() - start);
   return status;
 }
 

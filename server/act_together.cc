@@ -1,8 +1,6 @@
 #include "server/act_together.h"
 
-#include <algorithm>
-#include <utility>
-
+#include "absl/container/inlined_vector.h"
 #include "core/session/session_locks.h"
 #include "server/convert.h"
 
@@ -47,26 +45,6 @@ void ActTogether(absl::Span<ActItem> items) {
     ToProto(item.request->session_id(), **calls[i].answer, item.entry->served->policy(),
             item.response);
   }
-}
-
-void DeferredWork::Run() {
-  for (size_t first = 0; first < entries_.size(); first += kDecidedTogether) {
-    const auto part = absl::MakeConstSpan(entries_).subspan(first, kDecidedTogether);
-    const SessionLocks locks(part);
-    absl::InlinedVector<AgentSession*, 1> sessions;
-    for (const auto& entry : part) {
-      entry->mutex.AssertHeld();
-      sessions.push_back(&entry->agent);
-    }
-    AgentSession::AppendPendingActions(sessions);
-    for (const auto& entry : part) {
-      entry->mutex.AssertHeld();
-      if (entry->shadow_steps.empty()) continue;
-      shadows_->Submit(entry->shadow, entry->served->version,
-                       std::exchange(entry->shadow_steps, {}));
-    }
-  }
-  entries_.clear();
 }
 
 }  // namespace spikeserve

@@ -18,8 +18,7 @@
 #include "absl/time/time.h"
 #include "server/authenticator.h"
 #include "server/call_tracker.h"
-#include "server/refusal_pacer.h"
-#include "server/request_handler.h"
+#include "server/deferred_work.h"
 #include "server/service_parts.h"
 #include "server/status_map.h"
 
@@ -30,10 +29,13 @@ namespace spikeserve {
 template <typename Request, typename Response>
 class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public CallTracker::Stream {
  public:
-  // Reads the first request of `stream`, or refuses the call where the server drains or `caller`
+  // `caller` is what Admit() said. A token that expires later fails the requests that come then.
+  AnswerStream(const ServiceParts& parts, absl::StatusOr<const Credential*> caller)
+      : parts_(parts), caller_(std::move(caller)) {}
+
+  // Reads the first request of `stream`, or refuses the call where the server drains or the caller
   // was not let in.
-  static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream, const ServiceParts& parts,
-                             const absl::StatusOr<const Credential*>& caller);
+  static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream);
 
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
@@ -43,6 +45,10 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
   void Drain() override;
 
  protected:
+  const ServiceParts& parts() const { return parts_; }
+  // REQUIRES: they were let in, or the call would have ended.
+  const Credential& caller() const { return **caller_; }
+
   // Fills in `response`, which is empty, also for a request that fails. Returns what became of the
   // request.
   virtual absl::Status Answer(const Request& request, Response* response,
@@ -65,12 +71,12 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
   }
 
   absl::Duration RestAfter(const absl::Status& status, size_t request_bytes) {
-    return refusals_->Rest(status, request_bytes, clock_->Now());
+    return parts_.authenticator->RefusalsOf(caller_).Rest(status, request_bytes,
+                                                          parts_.clock->Now());
   }
 
-  CallTracker* calls_ = nullptr;
-  RefusalPacer* refusals_ = nullptr;
-  const Clock* clock_ = nullptr;
+  const ServiceParts parts_;
+  const absl::StatusOr<const Credential*> caller_;
   std::shared_ptr<AnswerStream> self_;
   Request request_;
   Response response_;
@@ -84,22 +90,18 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
 
 template <typename Request, typename Response>
 AnswerStream<Request, Response>* AnswerStream<Request, Response>::Begin(
-    std::shared_ptr<AnswerStream> stream, const ServiceParts& parts,
-    const absl::StatusOr<const Credential*>& caller) {
-  stream->calls_ = parts.calls;
-  stream->refusals_ = &parts.authenticator->RefusalsOf(caller);
-  stream->clock_ = parts.clock;
+    std::shared_ptr<AnswerStream> stream) {
   stream->self_ = stream;
-  const bool accepted = parts.calls->BeginStream(stream);
+  const bool accepted = stream->parts_.calls->BeginStream(stream);
   absl::MutexLock lock(&stream->mutex_);
   if (!accepted) {
     stream->FinishLocked(DrainingError());
-  } else if (!caller.ok()) {
-    const auto refuse = [status = caller.status()](AnswerStream& rested) {
+  } else if (!stream->caller_.ok()) {
+    const auto refuse = [status = stream->caller_.status()](AnswerStream& rested) {
       absl::MutexLock again(&rested.mutex_);
       if (rested.state_ == State::kResting) rested.FinishLocked(status);
     };
-    stream->RestLocked(stream->RestAfter(caller.status(), 0), refuse);
+    stream->RestLocked(stream->RestAfter(stream->caller_.status(), 0), refuse);
   } else if (stream->state_ == State::kReading) {  // else drained since
     stream->StartRead(&stream->request_);
   }
@@ -154,7 +156,7 @@ void AnswerStream<Request, Response>::Drain() {
 
 template <typename Request, typename Response>
 void AnswerStream<Request, Response>::OnDone() {
-  calls_->EndStream(this);
+  parts_.calls->EndStream(this);
   const auto last = std::move(self_);  // destroyed on return, unless Drain() is just at work
 }
 

@@ -17,13 +17,13 @@ class ModelInferStream final : public InferenceStream {
  public:
   ModelInferStream(const ServiceParts& parts, absl::StatusOr<const Credential*> caller,
                    InferenceHandler* handler)
-      : parts_(parts), caller_(std::move(caller)), handler_(handler) {}
+      : InferenceStream(parts, std::move(caller)), handler_(handler) {}
 
  protected:
   absl::Status Answer(const inference::ModelInferRequest& request,
                       inference::ModelStreamInferResponse* response,
                       DeferredWork* deferred) override {
-    const absl::Duration start = parts_.clock->Now();
+    const absl::Duration start = parts().clock->Now();
     auto* answer = response->mutable_infer_response();
     const absl::Status status = Handle(request, answer, deferred);
     if (!status.ok()) {
@@ -31,23 +31,21 @@ class ModelInferStream final : public InferenceStream {
       answer->Clear();
       answer->set_id(request.id());
     }
-    parts_.metrics->ObserveRpc(Method::kModelStreamInfer, status.code(),
-                               parts_.clock->Now() - start);
+    parts().metrics->ObserveRpc(Method::kModelStreamInfer, status.code(),
+                                parts().clock->Now() - start);
     return status;
   }
 
  private:
   absl::Status Handle(const inference::ModelInferRequest& request,
                       inference::ModelInferResponse* answer, DeferredWork* deferred) {
-    const Credential& caller = **caller_;
-    if (auto status = CheckStillAdmitted(caller, request, parts_.max_message_bytes); !status.ok()) {
+    if (auto status = CheckStillAdmitted(caller(), request, parts().max_message_bytes);
+        !status.ok()) {
       return status;
     }
-    return handler_->ModelInfer(caller, request, answer, deferred);
+    return handler_->ModelInfer(caller(), request, answer, deferred);
   }
 
-  const ServiceParts parts_;
-  const absl::StatusOr<const Credential*> caller_;
   InferenceHandler* const handler_;
 };
 
@@ -110,9 +108,8 @@ grpc::ServerUnaryReactor* InferenceService::ModelInfer(grpc::CallbackServerConte
 
 grpc::ServerBidiReactor<inference::ModelInferRequest, inference::ModelStreamInferResponse>*
 InferenceService::ModelStreamInfer(grpc::CallbackServerContext* context) {
-  const auto caller = Admit(*parts_.authenticator, *context, Method::kModelStreamInfer);
-  return InferenceStream::Begin(std::make_shared<ModelInferStream>(parts_, caller, handler_),
-                                parts_, caller);
+  return InferenceStream::Begin(std::make_shared<ModelInferStream>(
+      parts_, Admit(*parts_.authenticator, *context, Method::kModelStreamInfer), handler_));
 }
 
 grpc::ServerUnaryReactor* InferenceService::ModelConfig(

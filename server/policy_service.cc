@@ -47,9 +47,8 @@ grpc::ServerUnaryReactor* PolicyService::ActBatch(grpc::CallbackServerContext* c
 
 grpc::ServerBidiReactor<v1::ActRequest, v1::ActResponse>* PolicyService::ActStream(
     grpc::CallbackServerContext* context) {
-  const auto caller = Admit(*parts_.authenticator, *context, Method::kActStream);
-  return AnswerStream<v1::ActRequest, v1::ActResponse>::Begin(
-      std::make_shared<spikeserve::ActStream>(parts_, caller), parts_, caller);
+  return spikeserve::ActStream::Begin(std::make_shared<spikeserve::ActStream>(
+      parts_, Admit(*parts_.authenticator, *context, Method::kActStream)));
 }
 
 grpc::ServerUnaryReactor* PolicyService::EndEpisode(grpc::CallbackServerContext* context,

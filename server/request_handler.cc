@@ -4,8 +4,10 @@
 #include <utility>
 
 #include "absl/algorithm/container.h"
+#include "absl/container/inlined_vector.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
+#include "server/act_together.h"
 #include "server/convert.h"
 #include "server/explain_convert.h"
 #include "server/status_map.h"
@@ -186,7 +188,7 @@ absl::Status RequestHandler::ActAt(const Credential& caller, std::optional<int64
 absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                                       v1::ActBatchResponse* response,
                                       DeferredWork* deferred) const {
-  ActItems group;
+  absl::InlinedVector<ActItem, 1> group;
   absl::InlinedVector<v1::ActResult*, 1> results;  // of the group
   const auto answer_group = [&] {
     ActTogether(absl::MakeSpan(group));

@@ -8,12 +8,11 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
-#include "server/act_together.h"
 #include "server/authenticator.h"
+#include "server/deferred_work.h"
 #include "server/policy_registry.h"
 #include "server/recordings.h"
 #include "server/shadow_runner.h"

@@ -9,7 +9,7 @@
 #include "absl/flags/reflection.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
 #include "absl/strings/str_split.h"
 #include "client/security_flags.h"
 
@@ -26,6 +26,11 @@ absl::StatusOr<std::unique_ptr<Client>> ConnectToServer() {
   return Client::Connect(absl::GetFlag(FLAGS_server), std::move(options));
 }
 
+std::string ListFlags(absl::string_view flags) {
+  if (flags.empty()) return "";
+  return absl::StrCat(" (--", absl::StrReplaceAll(flags, {{" ", ", --"}}), ")");
+}
+
 absl::Status CheckFlags(absl::string_view command, absl::string_view its_flags) {
   const std::vector<absl::string_view> known = absl::StrSplit(its_flags, ' ', absl::SkipEmpty());
   for (const auto& [name, flag] : absl::GetAllFlags()) {
@@ -33,10 +38,9 @@ absl::Status CheckFlags(absl::string_view command, absl::string_view its_flags) 
                                  !absl::EndsWith(flag->Filename(), "common_flags.cc");
     const bool is_set = flag->CurrentValue() != flag->DefaultValue();
     if (!of_some_command || !is_set || absl::c_linear_search(known, name)) continue;
-    const std::string others = absl::StrJoin(known, ", --");
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--", name, ": expected a flag that ", command, " has", known.empty() ? "" : " (--", others,
-        known.empty() ? "" : ")", ", got ", flag->CurrentValue()));
+    return absl::InvalidArgumentError(absl::StrCat("--", name, ": expected a flag that ", command,
+                                                   " has", ListFlags(its_flags), ", got ",
+                                                   flag->CurrentValue()));
   }
   return absl::OkStatus();
 }

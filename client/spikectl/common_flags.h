@@ -19,6 +19,9 @@ namespace spikeserve {
 // A client of --server. UNAVAILABLE if it cannot be reached within a few seconds.
 absl::StatusOr<std::unique_ptr<Client>> ConnectToServer();
 
+// " (--name, --name)" for names separated by blanks; empty for none.
+std::string ListFlags(absl::string_view flags);
+
 // INVALID_ARGUMENT names a flag that was set, belongs to a sub-command, and is not among
 // `its_flags`, the names of those of `command`, separated by blanks: it would do nothing.
 absl::Status CheckFlags(absl::string_view command, absl::string_view its_flags);

@@ -10,7 +10,6 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/common_flags.h"
 
@@ -33,8 +32,7 @@ constexpr Command kCommands[] = {
     {"adapt",
      "play a task whose physics have changed with learning on, then judge the learned head",
      "env policy version target_return seed episodes perturb rule modulator scope fleet "
-     "temperature "
-     "learning_rate discount",
+     "temperature learning_rate discount",
      AdaptCommand},
     {"replay", "play a recorded session again and compare every decision, bit for bit",
      "recording policy version", ReplayCommand},
@@ -43,11 +41,8 @@ constexpr Command kCommands[] = {
 std::string Usage() {
   std::string usage = "spikectl COMMAND [--flag=value ...]\n\nCommands:\n";
   for (const Command& command : kCommands) {
-    absl::StrAppend(&usage, "  ", command.name, ": ", command.summary);
-    const std::vector<absl::string_view> flags =
-        absl::StrSplit(command.flags, ' ', absl::SkipEmpty());
-    if (!flags.empty()) absl::StrAppend(&usage, " (--", absl::StrJoin(flags, ", --"), ")");
-    absl::StrAppend(&usage, "\n");
+    absl::StrAppend(&usage, "  ", command.name, ": ", command.summary, ListFlags(command.flags),
+                    "\n");
   }
   absl::StrAppend(
       &usage, "  admin ACTION: what an operator does: load, unload, default, label, ",

@@ -41,8 +41,8 @@ struct PackedLayer {
   std::vector<uint32_t> nonzero_query;  // [in]: the query's share of key_value_query.nonzero
   PackedLinear routing_hidden;          // modes with routing
   PackedLinear routing_gate;
-  uint64_t silent_gate_products =
-      0;  // nonzero products of the gates at a tick without a head's word
+  // Nonzero products of routing_gate at a tick at which no head says anything.
+  uint64_t silent_gate_products = 0;
   PackedLinear attention_output;
   PackedLinear ffn_hidden;
   PackedLinear ffn_output;
