@@ -1,7 +1,7 @@
 # Files that travel inside a program.
 #
 # spikeserve_embed(TARGET BASE folder FILES file...): gives TARGET a source that defines
-# spikeserve::EmbeddedFiles() of server/embedded_files.h with the bytes of these files, named as below BASE. Run as a
+# spikeserve::EmbeddedFiles() of server/web/embedded_files.h with the bytes of these files, named as below BASE. Run as a
 # script (cmake -P) it writes that source, whenever one of the files has changed.
 if(CMAKE_SCRIPT_MODE_FILE)
   set(arrays "")
@@ -15,7 +15,7 @@ if(CMAKE_SCRIPT_MODE_FILE)
     string(APPEND arrays "constexpr unsigned char kFile${i}[] = {${bytes}};\n")
     string(APPEND entries "    {\"${file}\", View(kFile${i})},\n")
   endforeach()
-  file(WRITE ${OUTPUT} "#include \"server/embedded_files.h\"
+  file(WRITE ${OUTPUT} "#include \"server/web/embedded_files.h\"
 
 namespace spikeserve {
 namespace {

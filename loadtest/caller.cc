@@ -3,7 +3,7 @@
 #include <utility>
 
 #include "absl/time/clock.h"
-#include "client/retry.h"
+#include "spikeserve/retry.h"
 
 namespace spikeserve {
 namespace {

@@ -9,8 +9,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
-#include "client/client.h"
 #include "loadtest/load_options.h"
+#include "spikeserve/client.h"
 
 namespace spikeserve {
 

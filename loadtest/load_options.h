@@ -10,7 +10,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
-#include "client/channel.h"
+#include "spikeserve/channel.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {

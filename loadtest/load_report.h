@@ -8,7 +8,7 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/latency_histogram.h"
+#include "client/tools/latency_histogram.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {

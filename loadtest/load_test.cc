@@ -6,8 +6,8 @@
 #include <utility>
 #include <vector>
 
-#include "client/client.h"
 #include "loadtest/caller.h"
+#include "spikeserve/client.h"
 
 namespace spikeserve {
 namespace {

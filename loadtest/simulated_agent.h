@@ -11,7 +11,7 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "client/remote_session.h"
+#include "spikeserve/remote_session.h"
 
 namespace spikeserve {
 

@@ -10,7 +10,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
-#include "client/security_flags.h"
+#include "client/tools/security_flags.h"
 #include "loadtest/load_test.h"
 
 namespace spikeserve {

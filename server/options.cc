@@ -3,7 +3,7 @@
 #include <climits>
 
 #include "absl/strings/str_cat.h"
-#include "server/address.h"
+#include "server/base/address.h"
 
 namespace spikeserve {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
-#include "server/tls.h"
+#include "server/access/tls.h"
 
 namespace spikeserve {
 

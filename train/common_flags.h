@@ -8,8 +8,8 @@
 #include "absl/flags/declare.h"
 #include "absl/status/statusor.h"
 #include "absl/types/optional.h"
-#include "train/evaluation.h"
-#include "train/record.h"
+#include "train/data/record.h"
+#include "train/evaluation/evaluation.h"
 
 ABSL_DECLARE_FLAG(absl::optional<std::string>, env);
 ABSL_DECLARE_FLAG(absl::optional<uint64_t>, seed);

@@ -8,8 +8,8 @@
 #include "core/dataset/recordings.h"
 #include "train/commands.h"
 #include "train/common_flags.h"
-#include "train/minari_file.h"
-#include "train/record.h"
+#include "train/data/minari_file.h"
+#include "train/data/record.h"
 
 ABSL_FLAG(
     std::string, recordings, "",

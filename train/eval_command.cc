@@ -8,11 +8,11 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/model/policy_file.h"
-#include "train/ablation.h"
 #include "train/commands.h"
 #include "train/common_flags.h"
-#include "train/evaluation.h"
-#include "train/return_response.h"
+#include "train/evaluation/ablation.h"
+#include "train/evaluation/evaluation.h"
+#include "train/evaluation/return_response.h"
 
 ABSL_FLAG(std::string, policy, "", "eval: the policy file to play");
 ABSL_FLAG(std::vector<std::string>, target_returns, {},

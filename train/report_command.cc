@@ -5,11 +5,11 @@
 
 #include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
-#include "core/model/atomic_file.h"
+#include "core/base/atomic_file.h"
 #include "train/commands.h"
 #include "train/common_flags.h"
-#include "train/report_page.h"
-#include "train/report_runs.h"
+#include "train/report/report_page.h"
+#include "train/report/report_runs.h"
 #include "train/train_flags.h"
 
 ABSL_FLAG(

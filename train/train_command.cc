@@ -13,10 +13,10 @@
 #include "core/model/policy_file.h"
 #include "train/commands.h"
 #include "train/common_flags.h"
-#include "train/evaluation.h"
+#include "train/evaluation/evaluation.h"
 #include "train/progress_bar.h"
 #include "train/train_flags.h"
-#include "train/trainer.h"
+#include "train/trainer/trainer.h"
 
 ABSL_FLAG(bool, resume, false, "train: go on from the checkpoint in --out, if there is one");
 ABSL_FLAG(int, checkpoint_every, 100, "train: iterations between checkpoints");

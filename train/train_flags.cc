@@ -10,8 +10,8 @@
 #include "absl/types/optional.h"
 #include "core/model/policy_file.h"
 #include "train/common_flags.h"
-#include "train/initial_policy.h"
-#include "train/minari_file.h"
+#include "train/data/minari_file.h"
+#include "train/trainer/initial_policy.h"
 
 using spikeserve::ModelConfig;
 using spikeserve::TrainOptions;

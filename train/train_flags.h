@@ -6,8 +6,8 @@
 #include "absl/status/statusor.h"
 #include "core/model/config.h"
 #include "core/model/policy.h"
-#include "train/dataset.h"
-#include "train/trainer.h"
+#include "train/data/dataset.h"
+#include "train/trainer/trainer.h"
 
 namespace spikeserve {
 

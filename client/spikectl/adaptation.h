@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "client/client.h"
 #include "core/environment/perturbation.h"
+#include "spikeserve/client.h"
 
 namespace spikeserve {
 

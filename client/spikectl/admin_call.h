@@ -15,8 +15,8 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "client/spikectl/common_flags.h"
-#include "client/status.h"
 #include "nlohmann/json.hpp"
+#include "spikeserve/status.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
 ABSL_DECLARE_FLAG(std::string, policy);

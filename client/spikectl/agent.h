@@ -5,9 +5,9 @@
 #include <cstdint>
 
 #include "absl/status/statusor.h"
-#include "client/latency_histogram.h"
-#include "client/remote_session.h"
+#include "client/tools/latency_histogram.h"
 #include "core/environment/environment.h"
+#include "spikeserve/remote_session.h"
 
 namespace spikeserve {
 

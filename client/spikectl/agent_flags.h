@@ -9,9 +9,9 @@
 
 #include "absl/flags/declare.h"
 #include "absl/status/statusor.h"
-#include "client/client.h"
-#include "client/remote_session.h"
 #include "core/environment/environment.h"
+#include "spikeserve/client.h"
+#include "spikeserve/remote_session.h"
 
 ABSL_DECLARE_FLAG(std::string, env);
 ABSL_DECLARE_FLAG(uint64_t, seed);

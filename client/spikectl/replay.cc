@@ -5,7 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
-#include "client/remote_session.h"
+#include "spikeserve/remote_session.h"
 
 namespace spikeserve {
 namespace {

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "client/client.h"
 #include "core/dataset/dataset.h"
 #include "nlohmann/json.hpp"
+#include "spikeserve/client.h"
 
 namespace spikeserve {
 

@@ -8,7 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
-#include "core/model/atomic_file.h"
+#include "core/base/atomic_file.h"
 
 namespace spikeserve {
 namespace {

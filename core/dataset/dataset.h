@@ -12,7 +12,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/model/action_space.h"
+#include "core/action/action_space.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {

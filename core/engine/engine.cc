@@ -2,9 +2,9 @@
 
 #include <algorithm>
 
-#include "core/engine/dense_engine.h"
-#include "core/engine/reference_engine.h"
-#include "core/engine/streaming_engine.h"
+#include "core/engine/dense/dense_engine.h"
+#include "core/engine/reference/reference_engine.h"
+#include "core/engine/spiking/streaming_engine.h"
 
 namespace spikeserve {
 

@@ -1,7 +1,7 @@
 #include "core/engine/trace.h"
 
-#include "core/engine/dense_engine.h"
-#include "core/engine/reference_engine.h"
+#include "core/engine/dense/dense_engine.h"
+#include "core/engine/reference/reference_engine.h"
 
 namespace spikeserve {
 

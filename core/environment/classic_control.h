@@ -13,9 +13,9 @@
 #include <vector>
 
 #include "absl/types/span.h"
+#include "core/action/action_space.h"
 #include "core/environment/environment.h"
 #include "core/environment/numpy_random.h"
-#include "core/model/action_space.h"
 
 namespace spikeserve {
 

@@ -11,7 +11,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
-#include "core/model/action_space.h"
+#include "core/action/action_space.h"
 
 namespace spikeserve {
 

@@ -31,7 +31,7 @@
 #include <vector>
 
 #include "absl/types/span.h"
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 #include "core/learning/eligibility_trace.h"
 #include "core/learning/head_update.h"
 #include "core/learning/learning_options.h"

@@ -7,8 +7,8 @@
 #include <string_view>
 
 #include "absl/status/status.h"
-#include "core/engine/action_head.h"
-#include "core/model/action_space.h"
+#include "core/action/action_head.h"
+#include "core/action/action_space.h"
 
 namespace spikeserve {
 

@@ -16,7 +16,7 @@
 
 #include <vector>
 
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 #include "core/learning/learning_options.h"
 
 namespace spikeserve {

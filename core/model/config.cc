@@ -6,7 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/string_view.h"
-#include "core/model/json.h"
+#include "core/base/json.h"
 
 namespace spikeserve {
 namespace {

@@ -7,8 +7,8 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/json.h"
 #include "core/math/counter_random.h"
-#include "core/model/json.h"
 
 namespace spikeserve {
 namespace {

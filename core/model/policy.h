@@ -10,7 +10,7 @@
 #include <string>
 
 #include "absl/status/status.h"
-#include "core/model/action_space.h"
+#include "core/action/action_space.h"
 #include "core/model/config.h"
 #include "core/model/weights.h"
 

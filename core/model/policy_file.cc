@@ -3,7 +3,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/model/json.h"
+#include "core/base/json.h"
 #include "core/model/policy_metadata.h"
 #include "core/model/safetensors.h"
 

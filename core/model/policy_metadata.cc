@@ -8,7 +8,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
-#include "core/model/json.h"
+#include "core/base/json.h"
 
 namespace spikeserve {
 namespace {

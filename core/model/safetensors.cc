@@ -12,8 +12,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "core/model/atomic_file.h"
-#include "core/model/json.h"
+#include "core/base/atomic_file.h"
+#include "core/base/json.h"
 
 namespace spikeserve {
 namespace {

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {

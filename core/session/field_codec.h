@@ -21,7 +21,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
-#include "core/model/json.h"
+#include "core/base/json.h"
 #include "core/session/session_fields.h"
 #include "nlohmann/json.hpp"
 

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "absl/types/span.h"
-#include "core/model/action_space.h"
+#include "core/action/action_space.h"
 
 namespace spikeserve {
 

@@ -13,11 +13,11 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
+#include "core/action/action_space.h"
 #include "core/engine/counts.h"
 #include "core/learning/learner.h"
 #include "core/learning/learning_options.h"
-#include "core/model/action_space.h"
 #include "core/session/episode.h"
 #include "core/session/history.h"
 

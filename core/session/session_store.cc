@@ -11,7 +11,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "core/model/json.h"
+#include "core/base/json.h"
 
 namespace spikeserve {
 namespace {

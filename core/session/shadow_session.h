@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/base/clock.h"
 #include "core/session/agent_session.h"
-#include "core/session/clock.h"
 #include "core/session/served_policy.h"
 
 namespace spikeserve {

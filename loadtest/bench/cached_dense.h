@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "core/model/policy.h"
-#include "train/parameters.h"
+#include "train/model/parameters.h"
 
 namespace spikeserve {
 

@@ -21,7 +21,7 @@
 #include "absl/flags/usage.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 #include "core/engine/engine.h"
 #include "core/model/policy_file.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"

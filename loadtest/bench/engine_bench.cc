@@ -14,7 +14,7 @@
 #include "absl/flags/usage.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 #include "core/engine/engine.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"

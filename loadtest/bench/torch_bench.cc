@@ -21,12 +21,12 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 #include "core/engine/engine.h"
 #include "core/model/policy_file.h"
 #include "loadtest/bench/cached_dense.h"
 #include "loadtest/bench/contestant.h"
-#include "train/torch_model.h"
+#include "train/model/torch_model.h"
 
 ABSL_FLAG(std::string, model, "snn", "snn, dense (full window) or dense_cached");
 ABSL_FLAG(std::string, policy, "", "Policy file of the snn");

@@ -3,8 +3,8 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_split.h"
-#include "client/client.h"
-#include "client/remote_session.h"
+#include "spikeserve/client.h"
+#include "spikeserve/remote_session.h"
 #include "tests/integration/client_fixture.h"
 
 namespace spikeserve {

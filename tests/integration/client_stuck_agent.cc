@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "absl/strings/escaping.h"
-#include "client/client.h"
-#include "client/remote_session.h"
+#include "spikeserve/client.h"
+#include "spikeserve/remote_session.h"
 
 int main(int argc, char** argv) {
   if (argc != 4) return 1;

@@ -5,7 +5,7 @@
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
 #include "tests/integration/server_fixture.h"
-#include "tests/unit/session/small_config.h"
+#include "tests/support/small_config.h"
 
 namespace spikeserve {
 namespace {

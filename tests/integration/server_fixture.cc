@@ -5,11 +5,11 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
-#include "core/model/action_space.h"
+#include "core/action/action_space.h"
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
 #include "tests/integration/http_client.h"
-#include "tests/unit/session/small_config.h"
+#include "tests/support/small_config.h"
 
 namespace spikeserve {
 void WriteRandomPolicy(const std::filesystem::path& directory, const std::string& name, int version,

@@ -11,10 +11,10 @@
 #include <string>
 #include <vector>
 
-#include "core/model/action_space.h"
+#include "core/action/action_space.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 #include "tests/integration/server_process.h"
-#include "tests/integration/temporary_directory.h"
+#include "tests/support/temporary_directory.h"
 
 namespace spikeserve {
 

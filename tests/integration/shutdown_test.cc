@@ -1,7 +1,7 @@
 // A graceful stop, and health on the way there.
 #include <chrono>
 
-#include "core/model/action_space.h"
+#include "core/action/action_space.h"
 #include "grpc/health/v1/health.grpc.pb.h"
 #include "tests/integration/http_client.h"
 #include "tests/integration/server_fixture.h"

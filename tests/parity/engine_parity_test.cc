@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "core/engine/engine.h"
-#include "core/engine/kernels/targets.h"
+#include "core/engine/spiking/kernels/targets.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
 

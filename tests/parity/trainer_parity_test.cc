@@ -14,11 +14,11 @@
 #include <string>
 #include <vector>
 
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 #include "core/engine/engine.h"
 #include "core/math/counter_random.h"
 #include "core/neuron/lif.h"
-#include "train/torch_model.h"
+#include "train/model/torch_model.h"
 
 namespace spikeserve {
 namespace {

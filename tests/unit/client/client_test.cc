@@ -1,9 +1,9 @@
-#include "client/client.h"
+#include "spikeserve/client.h"
 
 #include "absl/synchronization/notification.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "tests/unit/client/fake_policy_service.h"
+#include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
 namespace {

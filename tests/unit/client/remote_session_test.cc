@@ -1,8 +1,8 @@
-#include "client/remote_session.h"
+#include "spikeserve/remote_session.h"
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "tests/unit/client/fake_policy_service.h"
+#include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
 namespace {

@@ -1,12 +1,12 @@
-#include "client/remote_stream.h"
+#include "spikeserve/remote_stream.h"
 
 #include <map>
 #include <vector>
 
-#include "client/client.h"
-#include "client/remote_session.h"
 #include "gtest/gtest.h"
-#include "tests/unit/client/fake_policy_service.h"
+#include "spikeserve/client.h"
+#include "spikeserve/remote_session.h"
+#include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
 namespace {

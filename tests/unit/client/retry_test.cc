@@ -1,4 +1,4 @@
-#include "client/retry.h"
+#include "spikeserve/retry.h"
 
 #include <vector>
 

@@ -1,4 +1,4 @@
-#include "client/status.h"
+#include "spikeserve/status.h"
 
 #include "gtest/gtest.h"
 

@@ -5,7 +5,7 @@
 
 #include <cmath>
 
-#include "core/engine/action_head.h"
+#include "core/action/action_head.h"
 
 namespace spikeserve {
 namespace {

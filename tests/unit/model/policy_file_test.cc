@@ -12,7 +12,7 @@
 
 #include "core/model/safetensors.h"
 #include "nlohmann/json.hpp"
-#include "tests/unit/model/files.h"
+#include "tests/support/files.h"
 
 namespace spikeserve {
 namespace {

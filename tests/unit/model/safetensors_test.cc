@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "tests/unit/model/files.h"
+#include "tests/support/files.h"
 
 namespace spikeserve {
 namespace {

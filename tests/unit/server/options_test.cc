@@ -3,8 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "server/address.h"
-#include "server/status_map.h"
+#include "server/base/address.h"
+#include "server/base/status_map.h"
 
 namespace spikeserve {
 namespace {

@@ -4,9 +4,9 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/fake_clock.h"
+#include "tests/support/session_fixture.h"
 #include "tests/unit/session/allocation_counter.h"
-#include "tests/unit/session/fake_clock.h"
-#include "tests/unit/session/session_fixture.h"
 
 namespace spikeserve {
 namespace {

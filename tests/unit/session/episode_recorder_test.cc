@@ -6,8 +6,8 @@
 #include <cmath>
 
 #include "core/session/agent_session.h"
-#include "tests/unit/session/fake_clock.h"
-#include "tests/unit/session/session_fixture.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/session_fixture.h"
 
 namespace spikeserve {
 namespace {

@@ -6,9 +6,9 @@
 #include <numeric>
 #include <string>
 
-#include "core/engine/action_head.h"
-#include "tests/unit/session/fake_clock.h"
-#include "tests/unit/session/session_fixture.h"
+#include "core/action/action_head.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/session_fixture.h"
 
 namespace spikeserve {
 namespace {

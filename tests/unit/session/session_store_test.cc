@@ -7,8 +7,8 @@
 #include <thread>
 
 #include "core/session/session_reaper.h"
-#include "tests/unit/session/fake_clock.h"
-#include "tests/unit/session/session_fixture.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/session_fixture.h"
 
 namespace spikeserve {
 namespace {

@@ -1,0 +1,48 @@
+#include "spikeserve/remote_session.h"
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+
+absl::StatusOr<v1::ActResponse> RemoteSession::Act(absl::Span<const float> observation,
+                                                   double reward) {
+  absl::StatusOr<v1::ActResponse> response = client_->Act(MakeRequest(observation, reward));
+  if (!response.ok()) return response;
+  if (absl::Status status = Accept(*response); !status.ok()) return status;
+  return response;
+}
+
+v1::ActRequest RemoteSession::MakeRequest(absl::Span<const float> observation,
+                                          double reward) const {
+  v1::ActRequest request;
+  request.set_session_id(session_id_);
+  request.set_step(step_);
+  request.mutable_observation()->Add(observation.begin(), observation.end());
+  request.set_reward(reward);
+  return request;
+}
+
+absl::Status RemoteSession::Accept(const v1::ActResponse& response) {
+  if (response.session_id() != session_id_ || response.step() != step_) {
+    return absl::InternalError(absl::StrCat("expected the answer to step ", step_, " of session ",
+                                            session_id_, ", got that to step ", response.step(),
+                                            " of session ", response.session_id()));
+  }
+  ++step_;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOutcome& outcome) {
+  v1::EndEpisodeRequest request;
+  request.set_session_id(session_id_);
+  request.set_reward(outcome.reward);
+  request.set_terminated(outcome.terminated);
+  request.set_truncated(outcome.truncated);
+  if (outcome.target_return.has_value()) request.set_target_return(*outcome.target_return);
+  request.mutable_observation()->Add(outcome.observation.begin(), outcome.observation.end());
+  absl::StatusOr<v1::EndEpisodeResponse> response = client_->EndEpisode(request);
+  if (response.ok()) step_ = 0;
+  return response;
+}
+
+}  // namespace spikeserve

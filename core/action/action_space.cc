@@ -1,0 +1,79 @@
+#include "core/action/action_space.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+
+// Both maps are computed in double, so that bounds near the ends of float32 cannot overflow.
+void ActionSpace::Encode(const Action& action, absl::Span<float> encoded) const {
+  if (is_discrete()) {
+    std::fill(encoded.begin(), encoded.end(), 0.0f);
+    encoded[action.discrete] = 1.0f;
+    return;
+  }
+  for (size_t i = 0; i < low.size(); ++i) {
+    const double range = static_cast<double>(high[i]) - low[i];
+    const double fraction = (static_cast<double>(action.continuous[i]) - low[i]) / range;
+    encoded[i] = static_cast<float>(2.0 * fraction - 1.0);
+  }
+}
+
+std::vector<float> ActionSpace::FromUnit(absl::Span<const float> unit) const {
+  std::vector<float> values(low.size());
+  for (size_t i = 0; i < low.size(); ++i) values[i] = FromUnit(unit[i], i);
+  return values;
+}
+
+float ActionSpace::FromUnit(float unit, size_t i) const {
+  const double range = static_cast<double>(high[i]) - low[i];
+  const double value = low[i] + 0.5 * (static_cast<double>(unit) + 1.0) * range;
+  return static_cast<float>(
+      std::clamp(value, static_cast<double>(low[i]), static_cast<double>(high[i])));
+}
+
+absl::Status ActionSpace::Contains(const Action& action) const {
+  if (is_discrete()) {
+    if (action.discrete >= 0 && action.discrete < n) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat("action: expected an index from 0 to ", n - 1, ", got ", action.discrete));
+  }
+  if (action.continuous.size() != low.size()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("action: expected ", low.size(), " values, got ", action.continuous.size()));
+  }
+  for (size_t i = 0; i < low.size(); ++i) {
+    const float value = action.continuous[i];
+    if (value >= low[i] && value <= high[i]) continue;  // false for NaN
+    return absl::InvalidArgumentError(
+        absl::StrCat("action[", i, "]: expected ", low[i], " to ", high[i], ", got ", value));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status ActionSpace::Validate() const {
+  if (low.empty() && high.empty()) {
+    if (n >= 1) return absl::OkStatus();
+    return absl::InvalidArgumentError(absl::StrCat("action_space.n: expected at least 1, got ", n));
+  }
+  if (n != 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("action_space: expected n or bounds, got n = ", n, " with bounds"));
+  }
+  if (low.size() != high.size()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("action_space: expected low and high of one length, got ", low.size(), " and ",
+                     high.size()));
+  }
+  for (size_t i = 0; i < low.size(); ++i) {
+    if (std::isfinite(low[i]) && std::isfinite(high[i]) && low[i] < high[i]) continue;
+    return absl::InvalidArgumentError(absl::StrCat("action_space: expected finite bounds with low[",
+                                                   i, "] < high[", i, "], got ", low[i], " and ",
+                                                   high[i]));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,97 @@
+#include "core/base/json.h"
+
+#include <set>
+#include <vector>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::json;
+
+// Checks a document event by event and keeps nothing but the keys of the objects that are open. The
+// parser proper would silently let the last of two equal keys win.
+class StrictChecker : public nlohmann::json_sax<json> {
+ public:
+  bool null() override { return CountValue(); }
+  bool boolean(bool) override { return CountValue(); }
+  bool number_integer(number_integer_t) override { return CountValue(); }
+  bool number_unsigned(number_unsigned_t) override { return CountValue(); }
+  bool number_float(number_float_t, const string_t&) override { return CountValue(); }
+  bool string(string_t&) override { return CountValue(); }
+  bool binary(binary_t&) override { return CountValue(); }
+  bool start_object(size_t) override { return Open(); }
+  bool end_object() override { return Close(); }
+  bool start_array(size_t) override { return Open(); }
+  bool end_array() override { return Close(); }
+  bool key(string_t& name) override {
+    if (keys_.back().insert(name).second) return true;
+    return Fail(absl::StrCat("expected every key once, got ", Quoted(name), " twice"));
+  }
+  bool parse_error(size_t position, const std::string&,
+                   const nlohmann::detail::exception&) override {
+    return Fail(absl::StrCat("expected valid JSON in UTF-8, got an error at byte ", position));
+  }
+
+  const std::string& error() const { return error_; }
+
+ private:
+  bool Fail(std::string error) {
+    error_ = std::move(error);
+    return false;
+  }
+  bool CountValue() {
+    if (++values_ <= kMaxJsonValues) return true;
+    return Fail(absl::StrCat("expected at most ", kMaxJsonValues, " values, got more"));
+  }
+  bool Open() {
+    keys_.emplace_back();
+    if (keys_.size() <= kMaxJsonDepth) return CountValue();
+    return Fail(absl::StrCat("expected at most ", kMaxJsonDepth, " levels, got more"));
+  }
+  bool Close() {
+    keys_.pop_back();
+    return true;
+  }
+
+  std::vector<std::set<std::string>> keys_;  // one set a level
+  int values_ = 0;
+  std::string error_;
+};
+
+}  // namespace
+
+absl::StatusOr<json> ParseJsonObject(absl::string_view field, absl::string_view text) {
+  // The parser takes a zero byte for the end of its input and would not look at what follows.
+  if (const size_t zero = text.find('\0'); zero != text.npos) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ": expected valid JSON in UTF-8, got a zero byte at byte ", zero + 1));
+  }
+  StrictChecker checker;
+  if (!json::sax_parse(text, &checker)) {
+    return absl::InvalidArgumentError(absl::StrCat(field, ": ", checker.error()));
+  }
+  json document = json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
+  if (!document.is_object()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ": expected a JSON object, got ", Describe(document)));
+  }
+  return document;
+}
+
+std::string Quoted(absl::string_view text) {
+  constexpr size_t kLongest = 80;
+  return absl::StrCat("\"", absl::CHexEscape(text.substr(0, kLongest)),
+                      text.size() > kLongest ? "...\"" : "\"");
+}
+
+std::string Describe(const json& value) {
+  if (value.is_object()) return "an object";
+  if (value.is_array()) return absl::StrCat("an array of ", value.size());
+  if (value.is_string()) return Quoted(value.get_ref<const std::string&>());
+  return value.dump();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,212 @@
+#include "core/engine/dense/dense_engine.h"
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <utility>
+
+#include "core/engine/prefix_engine.h"
+#include "core/engine/token.h"
+#include "core/math/exp.h"
+#include "core/math/layer_norm.h"
+
+namespace spikeserve {
+namespace {
+
+using Vector = std::vector<float>;
+
+struct KeyValue {
+  TokenName token;
+  Vector key;    // [d]
+  Vector value;  // [d]
+};
+
+// Tokens of one layer that a query may attend to, oldest first.
+using KeyValues = std::deque<KeyValue>;
+
+float Gelu(float x) {
+  constexpr float kSqrtTwoOverPi = 0.7978845608028654f;
+  return 0.5f * x * (1.0f + Tanh(kSqrtTwoOverPi * (x + 0.044715f * x * x * x)));
+}
+
+// Computes one token at a time, in order; `layers` [L] holds what earlier tokens left.
+class DensePass {
+ public:
+  DensePass(const Policy& policy, std::vector<KeyValues>& layers)
+      : policy_(policy), layers_(layers) {}
+
+  const Counts& counts() const { return counts_; }
+  void ResetCounts() { counts_ = Counts(); }
+
+  // The token's output of the last layer [d]; empty where nobody reads it. Its attention is
+  // recorded in `trace`, unless null.
+  Vector Run(const Token& token, Trace* trace = nullptr) {
+    Vector x = Embed(token);
+    for (int layer = 0; layer < policy_.config.layers; ++layer) {
+      const LayerWeights& weights = policy_.weights.layers[layer];
+      Remember(layers_[layer], token, Affine(weights.key, x), Affine(weights.value, x));
+      if (layer + 1 == policy_.config.layers && token.kind != TokenKind::kState) return {};
+      const Vector merged = Attend(Affine(weights.query, x), layers_[layer],
+                                   trace == nullptr ? nullptr : &trace->layers[layer]);
+      AddResidual(weights.attention_norm, Affine(weights.attention_output, merged), x);
+      Vector hidden = Affine(weights.ffn_hidden, x);
+      for (float& h : hidden) h = Gelu(h);
+      AddResidual(weights.ffn_norm, Affine(weights.ffn_output, hidden), x);
+    }
+    return x;
+  }
+
+  // The action head's operations, for the output of the last state token.
+  void CountHead(const Vector& readout) { Affine(policy_.weights.head, readout); }
+
+ private:
+  Vector Affine(const Linear& linear, const Vector& input) {
+    Vector output = linear.bias.values;
+    for (size_t i = 0; i < output.size(); ++i) {
+      const float* row = linear.weight.values.data() + i * input.size();
+      for (size_t j = 0; j < input.size(); ++j) {
+        output[i] += row[j] * input[j];
+        counts_.multiply_accumulates += row[j] != 0.0f && input[j] != 0.0f;
+      }
+    }
+    return output;
+  }
+
+  static void Normalize(const Norm& norm, Vector& x) {
+    LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
+  }
+
+  static void AddResidual(const Norm& norm, const Vector& update, Vector& x) {
+    for (size_t k = 0; k < x.size(); ++k) x[k] += update[k];
+    Normalize(norm, x);
+  }
+
+  Vector Embed(const Token& token) {
+    const Embedding& embedding = EmbeddingOf(policy_.weights, token.kind);
+    Vector x = Affine(embedding.linear, token.input);
+    const Tensor& timesteps = policy_.weights.embed_timestep;
+    const int row = static_cast<int>(std::min<int64_t>(token.timestep, timesteps.shape[0] - 1));
+    for (size_t k = 0; k < x.size(); ++k) x[k] += timesteps.at(row, static_cast<int>(k));
+    Normalize(embedding.norm, x);
+    return x;
+  }
+
+  void Remember(KeyValues& tokens, const Token& token, Vector key, Vector value) {
+    const int64_t forgotten = token.timestep - policy_.config.context;
+    while (!tokens.empty() && tokens.front().token.timestep <= forgotten) tokens.pop_front();
+    tokens.push_back({{token.kind, token.timestep}, std::move(key), std::move(value)});
+  }
+
+  Vector Attend(const Vector& query, const KeyValues& tokens, LayerTrace* trace) {
+    if (trace != nullptr) {
+      for (const KeyValue& seen : tokens) trace->keys.push_back(seen.token);
+    }
+    const int size = policy_.config.head_size();
+    const float scale = 1.0f / std::sqrt(static_cast<float>(size));
+    Vector merged(query.size(), 0.0f);
+    Vector weights(tokens.size());
+    for (int first = 0; first < policy_.config.hidden_size; first += size) {
+      for (size_t j = 0; j < tokens.size(); ++j) {
+        float dot = 0.0f;
+        for (int k = first; k < first + size; ++k) dot += query[k] * tokens[j].key[k];
+        weights[j] = dot * scale;
+      }
+      const float best = *std::max_element(weights.begin(), weights.end());
+      float sum = 0.0f;
+      for (float& weight : weights) {
+        weight = Exp(weight - best);
+        sum += weight;
+      }
+      for (size_t j = 0; j < tokens.size(); ++j) {
+        if (trace != nullptr) trace->attention.push_back(weights[j] / sum);
+        for (int k = first; k < first + size; ++k)
+          merged[k] += weights[j] / sum * tokens[j].value[k];
+      }
+      counts_.attention_products += 2 * tokens.size() * static_cast<uint64_t>(size);
+    }
+    return merged;
+  }
+
+  const Policy& policy_;
+  std::vector<KeyValues>& layers_;
+  Counts counts_;
+};
+
+class DenseContext : public Engine::Context {
+ public:
+  DenseContext(int layer_count, int64_t first_timestep)
+      : layers(layer_count), timestep(first_timestep) {}
+
+  std::vector<KeyValues> layers;  // [L]
+  int64_t timestep;               // of the next token
+  Counts action_counts;           // of the last action token, borne by the next decision
+};
+
+class DenseReferenceEngine final : public PrefixEngine {
+ public:
+  using PrefixEngine::PrefixEngine;
+
+ private:
+  void Compute(const PrefixContext& prefix, Output* output) const override {
+    ComputeDenseReference(policy(), prefix, output, /*trace=*/nullptr);
+  }
+};
+
+class DenseStreamingEngine final : public Engine {
+ public:
+  explicit DenseStreamingEngine(std::shared_ptr<const Policy> policy)
+      : policy_(std::move(policy)) {}
+
+  const Policy& policy() const override { return *policy_; }
+
+  std::unique_ptr<Context> NewContext(uint64_t /*seed*/, int64_t first_timestep) const override {
+    return std::make_unique<DenseContext>(policy_->config.layers, first_timestep);
+  }
+
+  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+              Output* output) const override {
+    auto& dense = static_cast<DenseContext&>(context);
+    DensePass pass(*policy_, dense.layers);
+    pass.Run(ReturnToken(*policy_, dense.timestep, return_to_go));
+    output->readout = pass.Run(StateToken(*policy_, dense.timestep, observation));
+    pass.CountHead(output->readout);
+    output->counts = std::exchange(dense.action_counts, Counts());
+    output->counts += pass.counts();
+  }
+
+  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
+    auto& dense = static_cast<DenseContext&>(context);
+    DensePass pass(*policy_, dense.layers);
+    pass.Run(ActionToken(dense.timestep, encoded_action));
+    dense.action_counts = pass.counts();
+    ++dense.timestep;
+  }
+
+ private:
+  std::shared_ptr<const Policy> policy_;
+};
+
+}  // namespace
+
+void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
+                           Engine::Output* output, Trace* trace) {
+  std::vector<KeyValues> layers(policy.config.layers);
+  DensePass pass(policy, layers);
+  const std::vector<Token>& tokens = prefix.tokens();
+  for (size_t i = 0; i < tokens.size(); ++i) {
+    if (i == prefix.first_new_token()) pass.ResetCounts();
+    output->readout = pass.Run(tokens[i], i + 1 == tokens.size() ? trace : nullptr);
+  }
+  pass.CountHead(output->readout);
+  output->counts = pass.counts();
+}
+
+std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<DenseReferenceEngine>(std::move(policy));
+}
+
+std::unique_ptr<Engine> MakeDenseStreamingEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<DenseStreamingEngine>(std::move(policy));
+}
+
+}  // namespace spikeserve

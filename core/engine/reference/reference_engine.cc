@@ -1,0 +1,409 @@
+#include "core/engine/reference/reference_engine.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include "core/engine/prefix_engine.h"
+#include "core/math/exp.h"
+#include "core/math/layer_norm.h"
+#include "core/neuron/coder.h"
+#include "core/neuron/lif.h"
+#include "core/neuron/phase.h"
+
+namespace spikeserve {
+namespace {
+
+uint64_t CountSpikes(const SpikeTrain& train) {
+  uint64_t count = 0;
+  for (const auto& tick : train) count += std::count(tick.begin(), tick.end(), 1);
+  return count;
+}
+
+// Nonzero weights that meet a nonzero input.
+uint64_t CountProducts(const Linear& linear, const auto& input) {
+  uint64_t count = 0;
+  for (size_t i = 0; i < linear.bias.values.size(); ++i) {
+    for (size_t j = 0; j < input.size(); ++j) {
+      count += input[j] != 0 && linear.weight.at(static_cast<int>(i), static_cast<int>(j)) != 0.0f;
+    }
+  }
+  return count;
+}
+
+// W x + b: starts at the bias and adds the products in ascending order of the input.
+std::vector<float> Affine(const Linear& linear, const std::vector<float>& input) {
+  std::vector<float> output = linear.bias.values;
+  for (size_t i = 0; i < output.size(); ++i) {
+    for (size_t j = 0; j < input.size(); ++j) {
+      output[i] += linear.weight.at(static_cast<int>(i), static_cast<int>(j)) * input[j];
+    }
+  }
+  return output;
+}
+
+void Normalize(const Norm& norm, std::vector<float>& x) {
+  LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
+}
+
+// What a coder says about one token. A rate coder's neurons form groups by their period; Bernoulli
+// draws have none, and all of a tick's spikes form one group.
+struct CodedToken {
+  bool periodic = false;
+  std::vector<std::vector<int>> groups;  // [T]: neurons of period 1 ... T, or that fire at tick 1
+                                         // ... T; ascending
+  SpikeTrain spikes;                     // [T][d]
+};
+
+// The computation of one decision over the whole episode. Rows of [d] per token; symbols as in
+// model.md.
+class ReferencePass {
+ public:
+  ReferencePass(const Policy& policy, const PrefixContext& context, Trace* trace)
+      : policy_(policy),
+        config_(policy.config),
+        lif_{config_.membrane_decay, config_.threshold},
+        tokens_(context.tokens()),
+        first_new_token_(context.first_new_token()),
+        seed_(context.seed()),
+        trace_(trace) {}
+
+  void Run(Engine::Output* output) {
+    for (size_t i = 0; i < tokens_.size(); ++i) Embed(i);
+    CountPhase();
+    for (int layer = 0; layer < config_.layers; ++layer) Layer(layer);
+    const size_t last = tokens_.size() - 1;
+    const CodedToken coded =
+        Code(policy_.weights.readout_coder, x_[last], last, 2 * config_.layers);
+    AddSpikes(last, Stage::kReadout, kNoLayer, coded.spikes);
+    output->readout.assign(config_.hidden_size, 0.0f);
+    for (int j = 0; j < config_.hidden_size; ++j) output->readout[j] = Rate(coded.spikes, j);
+    counts_.multiply_accumulates += CountProducts(policy_.weights.head, output->readout);
+    output->counts = counts_;
+  }
+
+ private:
+  bool IsNew(size_t token) const { return token >= first_new_token_; }
+
+  TokenName Name(size_t token) const { return {tokens_[token].kind, tokens_[token].timestep}; }
+
+  void AddSpikes(size_t token, Stage stage, int layer, const SpikeTrain& train) {
+    if (!IsNew(token)) return;
+    counts_.spikes(stage) += CountSpikes(train);
+    if (trace_ != nullptr) trace_->populations.push_back({stage, layer, Name(token), train});
+  }
+
+  // Whether the decision depends on this token through the layer's output: each later layer looks
+  // back N - 1 timesteps.
+  bool IsRead(size_t token, int layer) const {
+    const int64_t reach = int64_t{config_.layers - 1 - layer} * (config_.context - 1);
+    return tokens_[token].timestep >= tokens_.back().timestep - reach;
+  }
+
+  void AddMultiplies(size_t token, const Linear& linear, const std::vector<float>& input) {
+    if (IsNew(token)) counts_.multiply_accumulates += CountProducts(linear, input);
+  }
+
+  float Rate(const SpikeTrain& train, int neuron) const {
+    int count = 0;
+    for (const auto& tick : train) count += tick[neuron];
+    return static_cast<float>(count) / static_cast<float>(config_.ticks);
+  }
+
+  void Embed(size_t i) {
+    const Embedding& embedding = EmbeddingOf(policy_.weights, tokens_[i].kind);
+    std::vector<float> x = Affine(embedding.linear, tokens_[i].input);
+    AddMultiplies(i, embedding.linear, tokens_[i].input);
+    Normalize(embedding.norm, x);
+    x_.push_back(std::move(x));
+  }
+
+  // Eq. 4.4 at every tick of a timestep: [T][H], or [T][0] without phase spikes.
+  SpikeTrain PhaseSpikes(int64_t timestep) const {
+    SpikeTrain train(config_.ticks);
+    if (!config_.has_phase()) return train;
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      const double time = config_.phase_clock == PhaseClock::kWindow
+                              ? WindowPhaseTime(tick)
+                              : TimestepPhaseTime(timestep, tick, config_.ticks);
+      for (int k = 0; k < config_.heads; ++k) {
+        train[tick].push_back(PhaseSpike(policy_.weights.phase_omega.values[k],
+                                         policy_.weights.phase_phi.values[k], time));
+      }
+    }
+    return train;
+  }
+
+  // Emitted once a timestep, whoever hears them.
+  void CountPhase() {
+    if (!config_.has_phase()) return;
+    AddSpikes(tokens_.size() - 1, Stage::kPhase, kNoLayer, PhaseSpikes(tokens_.back().timestep));
+  }
+
+  CodedToken Code(const Coder& coder, const std::vector<float>& x, size_t token, int site) const {
+    CodedToken coded;
+    coded.periodic = config_.coder == CoderKind::kLif;
+    coded.groups.resize(config_.ticks);
+    coded.spikes.assign(config_.ticks, std::vector<uint8_t>(x.size(), 0));
+    const BernoulliKey key = {.seed = seed_,
+                              .timestep = tokens_[token].timestep,
+                              .token = static_cast<int>(tokens_[token].kind),
+                              .site = site};
+    for (size_t j = 0; j < x.size(); ++j) {
+      const float gain = coder.gain.values[j];
+      const float bias = coder.bias.values[j];
+      const int neuron = static_cast<int>(j);
+      if (coded.periodic) {
+        const int period = lif_.Period(x[j] * gain + bias, config_.ticks);
+        if (period == 0) continue;  // silent
+        coded.groups[period - 1].push_back(neuron);
+        for (int tick = period; tick <= config_.ticks; tick += period)
+          coded.spikes[tick - 1][j] = 1;
+      } else {
+        for (int tick = 0; tick < config_.ticks; ++tick) {
+          if (!BernoulliSpike(key, neuron, tick, x[j], gain, bias)) continue;
+          coded.groups[tick].push_back(neuron);
+          coded.spikes[tick][j] = 1;
+        }
+      }
+    }
+    return coded;
+  }
+
+  // The current into output neuron i at tick 1 ... T, in the canonical order: the bias, then for
+  // each period n that divides the tick, ascending, the sum over its neurons, ascending; then the
+  // phase spikes by head.
+  float Current(const Linear& linear, int i, const CodedToken& coded, const SpikeTrain& phase,
+                int tick) const {
+    float current = linear.bias.values[i];
+    for (int n = coded.periodic ? 1 : tick; n <= tick; ++n) {
+      if (tick % n != 0) continue;
+      float group = 0.0f;
+      for (const int j : coded.groups[n - 1]) group += linear.weight.at(i, j);
+      current += group;
+    }
+    for (size_t k = 0; k < phase[tick - 1].size(); ++k) {
+      if (phase[tick - 1][k]) {
+        current += linear.weight.at(i, config_.hidden_size + static_cast<int>(k));
+      }
+    }
+    return current;
+  }
+
+  // LIF(W [R || P] + b): [T][out].
+  SpikeTrain Project(const Linear& linear, const CodedToken& coded, const SpikeTrain& phase,
+                     size_t token) {
+    const int outputs = static_cast<int>(linear.bias.values.size());
+    SpikeTrain train(config_.ticks, std::vector<uint8_t>(outputs, 0));
+    for (int i = 0; i < outputs; ++i) {
+      float membrane = 0.0f;
+      for (int tick = 1; tick <= config_.ticks; ++tick) {
+        train[tick - 1][i] = lif_.Step(Current(linear, i, coded, phase, tick), membrane);
+      }
+    }
+    if (IsNew(token)) {
+      for (int tick = 0; tick < config_.ticks; ++tick) {
+        std::vector<uint8_t> input = coded.spikes[tick];
+        input.insert(input.end(), phase[tick].begin(), phase[tick].end());
+        counts_.accumulates += CountProducts(linear, input);
+      }
+    }
+    return train;
+  }
+
+  void Layer(int layer) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const bool last_layer = layer + 1 == config_.layers;
+    keys_.clear();
+    values_.clear();
+    for (size_t i = 0; i < tokens_.size(); ++i) {
+      const CodedToken coded = Code(weights.coder, x_[i], i, 2 * layer);
+      const SpikeTrain phase = PhaseSpikes(tokens_[i].timestep);
+      keys_.push_back(Project(weights.key, coded, phase, i));
+      values_.push_back(Project(weights.value, coded, phase, i));
+      AddSpikes(i, Stage::kCoder, layer, coded.spikes);
+      AddSpikes(i, Stage::kKey, layer, keys_[i]);
+      AddSpikes(i, Stage::kValue, layer, values_[i]);
+      // Nobody reads the other tokens' output of the last layer.
+      if (last_layer && tokens_[i].kind != TokenKind::kState) continue;
+      const SpikeTrain query = Project(weights.query, coded, phase, i);
+      AddSpikes(i, Stage::kQuery, layer, query);
+      Attention(layer, query, i);
+      FeedForward(layer, i);
+    }
+  }
+
+  // Whether token i may attend to token j, which stands before it or is it.
+  bool IsInBand(size_t i, size_t j) const {
+    return tokens_[j].timestep > tokens_[i].timestep - config_.context;
+  }
+
+  // y_h(t) of one token at one tick and head: [d_h]. Scores are integers, so weights depend only on
+  // how far a key's overlap is from the best one; each distance is summed as a count before it
+  // meets its weight.
+  std::vector<float> AttendHead(int layer, const SpikeTrain& query, size_t i, int tick, int head) {
+    const float scale = policy_.weights.layers[layer].scale.values[head];
+    const int size = config_.head_size();
+    std::vector<std::pair<int, size_t>> keys;  // overlap, token
+    for (size_t j = 0; j <= i; ++j) {
+      if (!IsInBand(i, j)) continue;
+      int overlap = 0;
+      for (int k = head * size; k < (head + 1) * size; ++k) {
+        overlap += query[tick][k] & keys_[j][tick][k];
+        if (IsNew(i)) counts_.attention_products += values_[j][tick][k];
+      }
+      if (IsNew(i)) counts_.attention_products += overlap;
+      keys.emplace_back(overlap, j);
+    }
+    const auto [lowest, highest] = std::minmax_element(keys.begin(), keys.end());
+    const int best = scale >= 0.0f ? highest->first : lowest->first;
+    std::vector<float> y(size, 0.0f);
+    float sum = 0.0f;
+    for (int distance = 0; distance <= size; ++distance) {
+      std::vector<int> counts(size, 0);
+      int members = 0;
+      for (const auto& [overlap, j] : keys) {
+        if (std::abs(overlap - best) != distance) continue;
+        ++members;
+        for (int k = 0; k < size; ++k) counts[k] += values_[j][tick][head * size + k];
+      }
+      const float weight = Exp(-std::abs(scale) * static_cast<float>(distance));
+      sum += weight * static_cast<float>(members);
+      for (int k = 0; k < size; ++k) y[k] += weight * static_cast<float>(counts[k]);
+    }
+    const float inverse = 1.0f / sum;
+    for (float& value : y) value *= inverse;
+    if (trace_ != nullptr && i + 1 == tokens_.size()) {
+      for (const auto& [overlap, j] : keys) {
+        const auto distance = static_cast<float>(std::abs(overlap - best));
+        trace_->layers[layer].attention.push_back(Exp(-std::abs(scale) * distance) * inverse);
+      }
+    }
+    return y;
+  }
+
+  // Gates over heads (eq. 4.8 to 4.10) for u = concat_h y_h(t) [d]: [H].
+  std::vector<float> Gates(const LayerWeights& weights, const std::vector<float>& u, size_t token) {
+    const auto heads = static_cast<float>(config_.heads);
+    if (!config_.has_routing()) {
+      return std::vector<float>(config_.heads,
+                                config_.merge == Merge::kConcat ? 1.0f : 1.0f / heads);
+    }
+    std::vector<float> hidden = Affine(weights.routing_hidden, u);
+    for (float& h : hidden) h = h > 0.0f ? h : 0.0f;
+    std::vector<float> gates = Affine(weights.routing_gate, hidden);
+    AddMultiplies(token, weights.routing_hidden, u);
+    AddMultiplies(token, weights.routing_gate, hidden);
+    if (config_.gate == Gate::kSigmoid) {
+      for (float& gate : gates) gate = Sigmoid(gate);
+      return gates;
+    }
+    const float best = *std::max_element(gates.begin(), gates.end());
+    float sum = 0.0f;
+    for (float& gate : gates) {
+      gate = Exp(gate - best);
+      sum += gate;
+    }
+    for (float& gate : gates) {
+      gate /= sum;
+      if (config_.merge == Merge::kConcat) gate *= heads;  // so that uniform gates are 1
+    }
+    return gates;
+  }
+
+  // Called for the token whose heads are about to attend.
+  void RecordKeys(int layer, size_t i) {
+    if (trace_ == nullptr || i + 1 != tokens_.size()) return;
+    for (size_t j = 0; j <= i; ++j) {
+      if (IsInBand(i, j)) trace_->layers[layer].keys.push_back(Name(j));
+    }
+  }
+
+  // Called at every tick of a token.
+  void RecordGates(int layer, size_t i, const std::vector<float>& gates) {
+    if (trace_ == nullptr || !config_.has_routing() || !IsRead(i, layer)) return;
+    LayerTrace& trace = trace_->layers[layer];
+    if (trace.gated.empty() || trace.gated.back() != Name(i)) trace.gated.push_back(Name(i));
+    trace.gates.insert(trace.gates.end(), gates.begin(), gates.end());
+  }
+
+  // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O), yhat(t) the gated heads (eq. 4.11), summed or
+  // side by side.
+  void Attention(int layer, const SpikeTrain& query, size_t i) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    RecordKeys(layer, i);
+    const int size = config_.head_size();
+    std::vector<float> merged(config_.merged_size(), 0.0f);
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      std::vector<float> u;
+      for (int head = 0; head < config_.heads; ++head) {
+        const std::vector<float> y = AttendHead(layer, query, i, tick, head);
+        u.insert(u.end(), y.begin(), y.end());
+      }
+      const std::vector<float> gates = Gates(weights, u, i);
+      RecordGates(layer, i, gates);
+      std::vector<float> routed(merged.size(), 0.0f);
+      for (int k = 0; k < config_.hidden_size; ++k) {
+        routed[config_.merge == Merge::kConcat ? k : k % size] += gates[k / size] * u[k];
+      }
+      for (size_t k = 0; k < merged.size(); ++k) merged[k] += routed[k];
+    }
+    for (float& value : merged) value /= static_cast<float>(config_.ticks);
+    AddMultiplies(i, weights.attention_output, merged);
+    AddResidual(i, Affine(weights.attention_output, merged), weights.attention_norm);
+  }
+
+  // x <- LayerNorm(x + W2 (spike count / T) + b2).
+  void FeedForward(int layer, size_t i) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const CodedToken coded = Code(weights.ffn_coder, x_[i], i, 2 * layer + 1);
+    const SpikeTrain hidden = Project(weights.ffn_hidden, coded, SpikeTrain(config_.ticks), i);
+    AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
+    AddSpikes(i, Stage::kFfnHidden, layer, hidden);
+    std::vector<float> rates;
+    for (int j = 0; j < config_.ffn_size; ++j) rates.push_back(Rate(hidden, j));
+    AddMultiplies(i, weights.ffn_output, rates);
+    AddResidual(i, Affine(weights.ffn_output, rates), weights.ffn_norm);
+  }
+
+  void AddResidual(size_t i, const std::vector<float>& update, const Norm& norm) {
+    for (size_t k = 0; k < update.size(); ++k) x_[i][k] += update[k];
+    Normalize(norm, x_[i]);
+  }
+
+  const Policy& policy_;
+  const ModelConfig& config_;
+  const Lif lif_;
+  const std::vector<Token>& tokens_;
+  const size_t first_new_token_;
+  const uint64_t seed_;
+  Trace* const trace_;                 // may be null
+  std::vector<std::vector<float>> x_;  // [tokens][d]
+  std::vector<SpikeTrain> keys_;       // of the running layer, [tokens][T][d]
+  std::vector<SpikeTrain> values_;
+  Counts counts_;
+};
+
+class ReferenceEngine final : public PrefixEngine {
+ public:
+  using PrefixEngine::PrefixEngine;
+
+ private:
+  void Compute(const PrefixContext& prefix, Output* output) const override {
+    ComputeSpikingReference(policy(), prefix, output, /*trace=*/nullptr);
+  }
+};
+
+}  // namespace
+
+void ComputeSpikingReference(const Policy& policy, const PrefixContext& prefix,
+                             Engine::Output* output, Trace* trace) {
+  ReferencePass(policy, prefix, trace).Run(output);
+}
+
+std::unique_ptr<Engine> MakeSpikingReferenceEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<ReferenceEngine>(std::move(policy));
+}
+
+}  // namespace spikeserve

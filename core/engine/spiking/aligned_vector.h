@@ -1,0 +1,34 @@
+// A vector that starts on a cache line, so that no SIMD load of a row of whole lines straddles two.
+#ifndef CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_
+#define CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_
+
+#include <cstddef>
+#include <new>
+#include <vector>
+
+namespace spikeserve {
+
+inline constexpr std::align_val_t kCacheLine{64};
+
+template <class T>
+struct CacheLineAllocator {
+  using value_type = T;
+
+  CacheLineAllocator() = default;
+  template <class U>
+  CacheLineAllocator(const CacheLineAllocator<U>&) {}
+
+  T* allocate(size_t count) {
+    return static_cast<T*>(::operator new(count * sizeof(T), kCacheLine));
+  }
+  void deallocate(T* memory, size_t) { ::operator delete(memory, kCacheLine); }
+
+  friend bool operator==(const CacheLineAllocator&, const CacheLineAllocator&) { return true; }
+};
+
+template <class T>
+using AlignedVector = std::vector<T, CacheLineAllocator<T>>;
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_

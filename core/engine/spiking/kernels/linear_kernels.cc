@@ -1,0 +1,180 @@
+#include "core/engine/spiking/kernels/linear_kernels.h"
+
+#include <cmath>
+#include <vector>
+
+#include "core/math/layer_norm.h"
+
+#define HWY_WANT_AVX3_DL 1
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/linear_kernels.cc"
+// clang-format off
+#include "hwy/foreach_target.h"  // must come first: compiles what follows once per target
+// clang-format on
+#include "core/engine/spiking/kernels/simd-inl.h"
+#include "hwy/highway.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace spikeserve::kernels::HWY_NAMESPACE {
+namespace {
+
+// Appends the numbers of the lanes set in `bits`, counted from `first`.
+HWY_INLINE void AppendLanes(uint32_t bits, int first, std::vector<int32_t>& lanes) {
+  for (; bits != 0; bits &= bits - 1) lanes.push_back(first + __builtin_ctz(bits));
+}
+
+// Inputs that are not zero at one of the ticks, ascending, and the products they take part in.
+struct ActiveInputs {
+  std::vector<int32_t> inputs;
+  uint64_t products = 0;
+};
+
+// Finds the active inputs of `ticks` rows [stride]; the result is valid until the thread's next
+// call.
+HWY_INLINE const ActiveInputs& FindActive(const PackedLinear& linear, const float* input,
+                                          int stride, int ticks) {
+  const F32 d;
+  const U32 du;
+  thread_local ActiveInputs active;
+  active.inputs.clear();
+  auto products = hn::Zero(du);
+  int j = 0;
+  for (; j + kVector <= linear.inputs; j += kVector) {
+    const auto nonzero = hn::LoadU(du, linear.nonzero.data() + j);
+    auto any = hn::Zero(du);
+    for (int t = 0; t < ticks; ++t) {
+      const auto row = hn::LoadU(d, input + static_cast<size_t>(t) * stride + j);
+      const auto mask = hn::RebindMask(du, hn::Ne(row, hn::Zero(d)));
+      products = hn::Add(products, hn::IfThenElseZero(mask, nonzero));
+      any = hn::Or(any, hn::VecFromMask(du, mask));
+    }
+    AppendLanes(MaskBits(du, hn::Ne(any, hn::Zero(du))), j, active.inputs);
+  }
+  active.products = hn::GetLane(hn::SumOfLanes(du, products));
+  for (; j < linear.inputs; ++j) {
+    bool any = false;
+    for (int t = 0; t < ticks; ++t) {
+      if (input[static_cast<size_t>(t) * stride + j] == 0.0f) continue;
+      active.products += linear.nonzero[j];
+      any = true;
+    }
+    if (any) active.inputs.push_back(j);
+  }
+  return active;
+}
+
+uint64_t AffineImpl(const PackedLinear& linear, const float* input, float* output) {
+  const F32 d;
+  const ActiveInputs& active = FindActive(linear, input, /*stride=*/0, /*ticks=*/1);
+  ForEachBlock<8>(0, linear.width, [&](int lane, auto vectors) HWY_ATTR {
+    VecF total[vectors];
+    for (int v = 0; v < vectors; ++v) {
+      total[v] = hn::LoadU(d, linear.bias.data() + lane + v * kVector);
+    }
+    for (const int32_t j : active.inputs) {
+      const auto x = hn::Set(d, input[j]);
+      const float* row = Opaque(linear.row(j) + lane);
+      for (int v = 0; v < vectors; ++v) {
+        total[v] = hn::Add(total[v], hn::Mul(hn::LoadU(d, row + v * kVector), x));
+      }
+    }
+    for (int v = 0; v < vectors; ++v) hn::StoreU(total[v], d, output + lane + v * kVector);
+  });
+  return active.products;
+}
+
+// kTicks rows at once, so that a weight is loaded once for all of them.
+template <int kTicks>
+HWY_INLINE void AffineBlock(const PackedLinear& linear, const std::vector<int32_t>& active,
+                            const float* input, int stride, float* output) {
+  const F32 d;
+  for (int lane = 0; lane < linear.outputs; lane += kVector) {
+    VecF total[kTicks];
+    for (int t = 0; t < kTicks; ++t) total[t] = hn::LoadU(d, linear.bias.data() + lane);
+    for (const int32_t j : active) {
+      const auto weight = hn::LoadU(d, linear.row(j) + lane);
+      for (int t = 0; t < kTicks; ++t) {
+        const float x = input[static_cast<size_t>(t) * stride + j];
+        total[t] = hn::Add(total[t], hn::Mul(weight, hn::Set(d, x)));
+      }
+    }
+    for (int t = 0; t < kTicks; ++t) {
+      hn::StoreU(total[t], d, output + static_cast<size_t>(t) * linear.width + lane);
+    }
+  }
+}
+
+uint64_t AffineTicksImpl(const PackedLinear& linear, const float* input, int stride, int ticks,
+                         float* output) {
+  const ActiveInputs& active = FindActive(linear, input, stride, ticks);
+  int t = 0;
+  const auto in = [&] { return input + static_cast<size_t>(t) * stride; };
+  const auto out = [&] { return output + static_cast<size_t>(t) * linear.width; };
+  for (; t + 5 <= ticks; t += 5) AffineBlock<5>(linear, active.inputs, in(), stride, out());
+  for (; t + 2 <= ticks; t += 2) AffineBlock<2>(linear, active.inputs, in(), stride, out());
+  for (; t < ticks; ++t) AffineBlock<1>(linear, active.inputs, in(), stride, out());
+  return active.products;
+}
+
+// The sum of kSumLanes interleaved partial sums of term(i), folded as in core/math/layer_norm.h.
+template <class Term>
+HWY_INLINE float OrderedSum(int size, Term term) {
+  const F32 d;
+  constexpr int kParts = kSumLanes / kVector;
+  VecF part[kParts];
+  for (int p = 0; p < kParts; ++p) part[p] = hn::Zero(d);
+  for (int i = 0; i < size; i += kSumLanes) {
+    for (int p = 0; p < kParts; ++p) part[p] = hn::Add(part[p], term(i + p * kVector));
+  }
+  float partial[kSumLanes];
+  for (int p = 0; p < kParts; ++p) hn::StoreU(part[p], d, partial + p * kVector);
+  for (int half = kSumLanes / 2; half > 0; half /= 2) {
+    for (int lane = 0; lane < half; ++lane) partial[lane] += partial[lane + half];
+  }
+  return partial[0];
+}
+
+void LayerNormImpl(const float* weight, const float* bias, float* x, int size) {
+  if (size % kSumLanes != 0) return spikeserve::LayerNorm(weight, bias, x, size);
+  const F32 d;
+  const float mean = OrderedSum(size, [&](int i) HWY_ATTR { return hn::LoadU(d, x + i); }) /
+                     static_cast<float>(size);
+  const float sum = OrderedSum(size, [&](int i) HWY_ATTR {
+    const auto centred = hn::Sub(hn::LoadU(d, x + i), hn::Set(d, mean));
+    hn::StoreU(centred, d, x + i);
+    return hn::Mul(centred, centred);
+  });
+  const float inverse = 1.0f / std::sqrt(sum / static_cast<float>(size) + kLayerNormEpsilon);
+  for (int i = 0; i < size; i += kVector) {
+    const auto scaled =
+        hn::Mul(hn::Mul(hn::LoadU(d, x + i), hn::Set(d, inverse)), hn::LoadU(d, weight + i));
+    hn::StoreU(hn::Add(scaled, hn::LoadU(d, bias + i)), d, x + i);
+  }
+}
+
+}  // namespace
+}  // namespace spikeserve::kernels::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace spikeserve::kernels {
+
+HWY_EXPORT(AffineImpl);
+HWY_EXPORT(AffineTicksImpl);
+HWY_EXPORT(LayerNormImpl);
+
+uint64_t Affine(const PackedLinear& linear, const float* input, float* output) {
+  return HWY_DYNAMIC_DISPATCH(AffineImpl)(linear, input, output);
+}
+
+uint64_t AffineTicks(const PackedLinear& linear, const float* input, int stride, int ticks,
+                     float* output) {
+  return HWY_DYNAMIC_DISPATCH(AffineTicksImpl)(linear, input, stride, ticks, output);
+}
+
+void LayerNorm(const float* weight, const float* bias, float* x, int size) {
+  HWY_DYNAMIC_DISPATCH(LayerNormImpl)(weight, bias, x, size);
+}
+
+}  // namespace spikeserve::kernels
+#endif  // HWY_ONCE

@@ -1,0 +1,81 @@
+// Types and small helpers of the kernels, compiled once per SIMD target; included by kernels only.
+#include <cstdint>
+#include <cstring>
+#include <type_traits>
+
+#include "core/engine/spiking/packed_weights.h"
+#include "hwy/highway.h"
+
+// Highway's toggle: the guard falls with every new target.
+#if defined(CORE_ENGINE_SPIKING_KERNELS_SIMD_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CORE_ENGINE_SPIKING_KERNELS_SIMD_INL_H_
+#undef CORE_ENGINE_SPIKING_KERNELS_SIMD_INL_H_
+#else
+#define CORE_ENGINE_SPIKING_KERNELS_SIMD_INL_H_
+#endif
+
+HWY_BEFORE_NAMESPACE();
+namespace spikeserve::kernels::HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+using F32 = hn::CappedTag<float, 16>;
+using I32 = hn::RebindToSigned<F32>;
+using U32 = hn::RebindToUnsigned<F32>;
+using VecF = hn::Vec<F32>;
+
+constexpr int kVector = static_cast<int>(hn::MaxLanes(F32()));
+constexpr int kVectorsPerWord = kLanes / kVector;
+
+// One bit a lane.
+template <class D, class Mask>
+HWY_INLINE uint32_t MaskBits(D d, Mask mask) {
+  uint8_t bytes[8] = {};
+  hn::StoreMaskBits(d, mask, bytes);
+  uint16_t bits;  // at most 16 lanes; every target here is little-endian
+  std::memcpy(&bits, bytes, sizeof(bits));
+  return bits;
+}
+
+template <class D>
+HWY_INLINE auto MaskFromBits(D d, uint32_t bits) {
+  const uint8_t bytes[8] = {static_cast<uint8_t>(bits), static_cast<uint8_t>(bits >> 8)};
+  return hn::LoadMaskBits(d, bytes);
+}
+
+// The same address, of whose origin the compiler knows nothing: GCC hoists the offset of each
+// vector of a row out of the loop over rows, and then has no registers left for sums.
+HWY_INLINE const float* Opaque(const float* address) {
+  asm("" : "+r"(address));
+  return address;
+}
+
+// Stores the mask of vector number `v` of a row of vectors whose bits start at `bytes`, in
+// ascending order of v.
+template <class D, class Mask>
+HWY_INLINE void StoreMask(D d, Mask mask, uint8_t* bytes, int v) {
+  if constexpr (kVector >= 8) {
+    hn::StoreMaskBits(d, mask, bytes + v * kVector / 8);
+  } else {
+    constexpr int kPerByte = 8 / kVector;
+    const int shift = v % kPerByte * kVector;
+    uint8_t& byte = bytes[v / kPerByte];
+    byte = static_cast<uint8_t>((shift == 0 ? 0 : byte) | MaskBits(d, mask) << shift);
+  }
+}
+
+// Calls block(lane, count<V>) over [lane, width), both multiples of kLanes: blocks of kVectors
+// vectors, so that their chains of additions overlap, then of half as many, down to kLanes.
+template <int kVectors, class Block>
+HWY_INLINE void ForEachBlock(int lane, int width, Block block) {
+  constexpr int kBlock = kVectorsPerWord > kVectors ? kVectorsPerWord : kVectors;
+  for (; lane + kBlock * kVector <= width; lane += kBlock * kVector) {
+    block(lane, std::integral_constant<int, kBlock>());
+  }
+  if constexpr (kBlock > kVectorsPerWord) ForEachBlock<kBlock / 2>(lane, width, block);
+}
+
+}  // namespace spikeserve::kernels::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#endif  // toggle

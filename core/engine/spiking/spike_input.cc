@@ -1,0 +1,144 @@
+#include "core/engine/spiking/spike_input.h"
+
+#include <bit>
+
+#include "core/neuron/phase.h"
+
+namespace spikeserve {
+
+void PhaseSpikes::Set(const Policy& policy, int64_t timestep) {
+  const ModelConfig& config = policy.config;
+  generators.clear();
+  offsets.assign(1, 0);
+  for (int tick = 0; tick < config.ticks; ++tick) {
+    const double time = config.phase_clock == PhaseClock::kWindow
+                            ? WindowPhaseTime(tick)
+                            : TimestepPhaseTime(timestep, tick, config.ticks);
+    for (int k = 0; config.has_phase() && k < config.heads; ++k) {
+      if (PhaseSpike(policy.weights.phase_omega.values[k], policy.weights.phase_phi.values[k],
+                     time)) {
+        generators.push_back(k);
+      }
+    }
+    offsets.push_back(static_cast<int32_t>(generators.size()));
+  }
+}
+
+void SpikeInput::Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
+                      const float* x, const BernoulliKey& key) {
+  ticks_ = config.ticks;
+  neurons_ = config.hidden_size;
+  periodic_ = config.coder == CoderKind::kLif;
+  total_ = 0;
+  groups_.clear();
+  if (periodic_) {
+    CodePeriods(periods, coder, x);
+  } else {
+    CodeBernoulli(coder, x, key);
+  }
+}
+
+void SpikeInput::CodePeriods(const PeriodTable& table, const Coder& coder, const float* x) {
+  periods_.resize(neurons_);
+  active_.resize((neurons_ + 31) / 32);
+  members_.resize(neurons_);
+  kernels::CoderPeriods(table, x, coder.gain.values.data(), coder.bias.values.data(), neurons_,
+                        periods_.data(), active_.data());
+  const auto for_each_active = [this](auto visit) {
+    for (size_t word = 0; word < active_.size(); ++word) {
+      for (uint32_t bits = active_[word]; bits != 0; bits &= bits - 1) {
+        visit(static_cast<int32_t>(32 * word) + std::countr_zero(bits));
+      }
+    }
+  };
+  next_.assign(ticks_ + 1, 0);
+  for_each_active([this](int32_t j) { ++next_[periods_[j]]; });
+  int first = 0;
+  for (int n = 1; n <= ticks_; ++n) {
+    const int count = next_[n];
+    next_[n] = first;
+    if (count == 0) continue;
+    groups_.push_back({.tick = n, .first = first, .count = count, .spikes = ticks_ / n});
+    total_ += static_cast<uint64_t>(count) * groups_.back().spikes;
+    first += count;
+  }
+  for_each_active([this](int32_t j) { members_[next_[periods_[j]]++] = j; });
+}
+
+void SpikeInput::CodeBernoulli(const Coder& coder, const float* x, const BernoulliKey& key) {
+  members_.clear();
+  for (int tick = 0; tick < ticks_; ++tick) {
+    const int first = static_cast<int>(members_.size());
+    for (int j = 0; j < neurons_; ++j) {
+      if (BernoulliSpike(key, j, tick, x[j], coder.gain.values[j], coder.bias.values[j])) {
+        members_.push_back(j);
+      }
+    }
+    const int count = static_cast<int>(members_.size()) - first;
+    if (count > 0)
+      groups_.push_back({.tick = tick + 1, .first = first, .count = count, .spikes = 1});
+  }
+  total_ = members_.size();
+}
+
+void SpikeInput::Rates(std::vector<float>* rates) const {
+  rates->assign(neurons_, 0.0f);
+  for (const Group& group : groups_) {
+    for (int m = group.first; m < group.first + group.count; ++m) {
+      (*rates)[members_[m]] += static_cast<float>(group.spikes);  // integers, exact
+    }
+  }
+  for (float& rate : *rates) rate /= static_cast<float>(ticks_);
+}
+
+const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
+                                          const PhaseSpikes* phase) {
+  if (sums_.size() < groups_.size() * width) sums_.resize(groups_.size() * width);
+  afferents_.clear();
+  for (const Group& group : groups_) {
+    const int32_t* members = members_.data() + group.first;
+    const float* sum = linear.row(*members);
+    if (group.count > 1) {
+      float* buffer = sums_.data() + afferents_.size() * width;
+      kernels::SumRows(linear, members, group.count, width, buffer);
+      sum = buffer;
+    }
+    afferents_.push_back({.sum = sum, .next = group.tick, .period = periodic_ ? group.tick : 0});
+  }
+  drive_.ticks = ticks_;
+  drive_.offsets.assign(ticks_ + 1, 0);
+  const size_t terms =  // and room for one that does not fire
+      ticks_ * groups_.size() + (phase == nullptr ? 0 : phase->generators.size()) + 1;
+  if (drive_.terms.size() < terms) drive_.terms.resize(terms);
+  const float** term = drive_.terms.data();
+  for (int tick = 1; tick <= ticks_; ++tick) {
+    for (Afferent& afferent : afferents_) {
+      const bool fires = afferent.next == tick;
+      *term = afferent.sum;
+      term += fires;  // without a branch, which could not be foretold
+      afferent.next += fires ? afferent.period : 0;
+    }
+    if (phase != nullptr) {
+      for (int k = phase->offsets[tick - 1]; k < phase->offsets[tick]; ++k) {
+        *term++ = linear.row(neurons_ + phase->generators[k]);
+      }
+    }
+    drive_.offsets[tick] = static_cast<int>(term - drive_.terms.data());
+  }
+  return drive_;
+}
+
+uint64_t SpikeInput::Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const {
+  uint64_t products = 0;
+  for (const Group& group : groups_) {
+    uint64_t synapses = 0;
+    for (int m = group.first; m < group.first + group.count; ++m) synapses += nonzero[members_[m]];
+    products += synapses * group.spikes;
+  }
+  if (phase != nullptr) {
+    for (const int32_t k : phase->generators) products += nonzero[neurons_ + k];
+  }
+  return products;
+}
+
+}  // namespace spikeserve

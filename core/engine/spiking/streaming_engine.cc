@@ -1,0 +1,369 @@
+#include "core/engine/spiking/streaming_engine.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "core/engine/spiking/attention_cache.h"
+#include "core/engine/spiking/kernels/attention_kernels.h"
+#include "core/engine/spiking/kernels/lif_kernels.h"
+#include "core/engine/spiking/kernels/linear_kernels.h"
+#include "core/engine/spiking/kernels/routing_kernels.h"
+#include "core/engine/spiking/packed_weights.h"
+#include "core/engine/spiking/spike_input.h"
+#include "core/engine/token.h"
+#include "core/math/exp.h"
+
+namespace spikeserve {
+namespace {
+
+class StreamingContext : public Engine::Context {
+ public:
+  StreamingContext(const ModelConfig& config, uint64_t first_seed, int64_t first_timestep)
+      : seed(first_seed), timestep(first_timestep), band(config) {
+    for (int layer = 0; layer < config.layers; ++layer) caches.emplace_back(config, band.slots());
+  }
+
+  const uint64_t seed;
+  int64_t timestep;  // of the next token
+  AttentionBand band;
+  std::vector<AttentionCache> caches;  // [L]
+  PhaseSpikes phase;                   // of the running timestep
+  Counts action_counts;                // of the last action token, borne by the next decision
+};
+
+// A token on its way through the layers.
+struct NewToken {
+  StreamingContext* context = nullptr;
+  Counts* counts = nullptr;  // of the decision that pays for it
+  TokenKind kind = TokenKind::kReturn;
+  AlignedVector<float> x;         // [pad(d)]
+  AlignedVector<uint32_t> query;  // [T][H][W], of the running layer
+  AttentionBand band;             // what it may attend to: the band up to and with itself
+
+  int slot() const { return band.Slot(context->timestep, kind); }
+};
+
+// Buffers of a running computation; nothing in them outlives a call.
+struct Scratch {
+  std::vector<NewToken> tokens;
+  std::vector<float> input;      // a token's embedding input
+  SpikeInput spikes;             // into the population at hand
+  AlignedVector<uint32_t> bits;  // [T][pad(d) / 32]: keys, values or queries
+  AlignedVector<uint32_t> keys;  // [T][H][W]
+  AlignedVector<uint32_t> values;
+  AlignedVector<float> y;        // [T][H][d_h]
+  AlignedVector<float> routing;  // [pad(m)]
+  AlignedVector<float> gates;    // [pad(H)]
+  AlignedVector<float> merged;   // [d_h] or [d]
+  AlignedVector<float> update;   // [pad(d)]
+  AlignedVector<float> hidden;   // [pad(F)]
+};
+
+Scratch& ThreadScratch() {
+  thread_local Scratch scratch;
+  return scratch;
+}
+
+// Computes tokens of one timestep each, of any number of contexts.
+class TokenPass {
+ public:
+  TokenPass(const Policy& policy, const PackedWeights& packed)
+      : policy_(policy),
+        config_(policy.config),
+        lif_{config_.membrane_decay, config_.threshold},
+        packed_(packed),
+        scratch_(ThreadScratch()) {}
+
+  // Takes in the next token of a context's timestep, for which `counts` pays; `input` is what its
+  // embedding takes.
+  void Add(StreamingContext& context, Counts& counts, TokenKind kind,
+           absl::Span<const float> input) {
+    if (scratch_.tokens.size() <= token_count_) scratch_.tokens.resize(token_count_ + 1);
+    token_ = &scratch_.tokens[token_count_++];
+    token_->context = &context;
+    token_->counts = &counts;
+    token_->kind = kind;
+    context.band.Add(context.band.Slot(context.timestep, kind));
+    token_->band = context.band;
+    Affine(PackedEmbedding(), input.data(), token_->x);
+    Normalize(EmbeddingOf(policy_.weights, kind).norm);
+  }
+
+  // Takes the tokens through all layers, matrix by matrix, so that one is fetched once for all of
+  // them. A token's keys and values are stored before its elders attend, whose bands are without
+  // it.
+  void Run() {
+    for (int layer = 0; layer < config_.layers; ++layer) {
+      // Nobody reads the other tokens' output of the last layer.
+      const auto needs_output = [&](const NewToken& token) {
+        return layer + 1 < config_.layers || token.kind == TokenKind::kState;
+      };
+      const auto for_each_token = [&](auto visit) {
+        for (size_t i = 0; i < token_count_; ++i) {
+          token_ = &scratch_.tokens[i];
+          visit(needs_output(*token_));
+        }
+      };
+      for_each_token([&](bool has_output) { Remember(layer, has_output); });
+      for_each_token([&](bool has_output) {
+        if (has_output) Attend(layer);
+      });
+      for_each_token([&](bool has_output) {
+        if (has_output) FeedForward(layer);
+      });
+    }
+  }
+
+  // Firing rates of the token that was added as number `index`: the presynaptic activity of the
+  // action head.
+  void Readout(size_t index, std::vector<float>* readout) {
+    token_ = &scratch_.tokens[index];
+    Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout);
+    scratch_.spikes.Rates(readout);
+    for (int j = 0; j < config_.hidden_size; ++j) {
+      if ((*readout)[j] > 0.0f) counts().multiply_accumulates += packed_.head_nonzero[j];
+    }
+  }
+
+ private:
+  float* x() { return token_->x.data(); }
+  Counts& counts() { return *token_->counts; }
+  const PhaseSpikes& phase() const { return token_->context->phase; }
+
+  const PackedLinear& PackedEmbedding() const {
+    return token_->kind == TokenKind::kReturn  ? packed_.embed_return
+           : token_->kind == TokenKind::kState ? packed_.embed_state
+                                               : packed_.embed_action;
+  }
+
+  void Affine(const PackedLinear& linear, const float* input, AlignedVector<float>& output) {
+    output.resize(linear.width);
+    counts().multiply_accumulates += kernels::Affine(linear, input, output.data());
+  }
+
+  void Normalize(const Norm& norm) {
+    kernels::LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x(),
+                       config_.hidden_size);
+  }
+
+  void Code(const Coder& coder, int site, Stage stage) {
+    const BernoulliKey key = {.seed = token_->context->seed,
+                              .timestep = token_->context->timestep,
+                              .token = static_cast<int>(token_->kind),
+                              .site = site};
+    scratch_.spikes.Code(config_, packed_.periods, coder, x(), key);
+    counts().spikes(stage) += scratch_.spikes.total();
+  }
+
+  // Leaves the token's keys and values, and its query where its output is read.
+  void Remember(int layer, bool needs_query) {
+    Code(policy_.weights.layers[layer].coder, 2 * layer, Stage::kCoder);
+    const uint64_t value_spikes = Project(packed_.layers[layer], needs_query);
+    token_->context->caches[layer].Store(scratch_.keys.data(), scratch_.values.data(), value_spikes,
+                                         token_->slot());
+  }
+
+  // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O).
+  void Attend(int layer) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const PackedLayer& packed = packed_.layers[layer];
+    const AttentionCache& cache = token_->context->caches[layer];
+    scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
+    counts().attention_products += cache.ValueSpikes(token_->band);
+    const kernels::Attended attended = kernels::Attend(
+        cache.Window(token_->band), token_->query.data(), packed.attention_weight.data(),
+        weights.scale.values.data(), scratch_.y.data());
+    counts().attention_products += attended.products;
+    Merge(packed, attended.ticks);
+    Affine(packed.attention_output, scratch_.merged.data(), scratch_.update);
+    AddResidual(weights.attention_norm);
+  }
+
+  // Keys, values and, where the token's output is read, queries: LIF(W [R || P] + b).
+  // Returns the number of value spikes.
+  uint64_t Project(const PackedLayer& packed, bool needs_query) {
+    const PackedLinear& linear = packed.key_value_query;
+    const int section = PadToLanes(config_.hidden_size);
+    const kernels::Drive& drive =
+        scratch_.spikes.DriveOf(linear, needs_query ? 3 * section : 2 * section, &phase());
+    const auto run = [&](int first, AlignedVector<uint32_t>& heads) {
+      return RunSection(linear, drive, first, section, heads);
+    };
+    counts().spikes(Stage::kKey) += run(0, scratch_.keys);
+    const uint64_t value_spikes = run(section, scratch_.values);
+    counts().spikes(Stage::kValue) += value_spikes;
+    if (needs_query) counts().spikes(Stage::kQuery) += run(2 * section, token_->query);
+    counts().accumulates += scratch_.spikes.Products(linear.nonzero, &phase());
+    if (!needs_query)
+      counts().accumulates -= scratch_.spikes.Products(packed.nonzero_query, &phase());
+    return value_spikes;
+  }
+
+  // The spikes of the d neurons from lane `first` on, by heads, [T][H][W]; returns their number.
+  uint64_t RunSection(const PackedLinear& linear, const kernels::Drive& drive, int first,
+                      int section, AlignedVector<uint32_t>& heads) {
+    const int size = config_.head_size();
+    const int words = (size + 31) / 32;
+    heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
+    if (size % 32 == 0) {  // a head is whole words, as it comes
+      kernels::LifBits(lif_, linear.bias.data(), drive, first, section, heads.data());
+    } else {
+      scratch_.bits.resize(static_cast<size_t>(config_.ticks) * section / kLanes);
+      kernels::LifBits(lif_, linear.bias.data(), drive, first, section, scratch_.bits.data());
+      uint32_t* out = heads.data();
+      for (int tick = 0; tick < config_.ticks; ++tick) {
+        const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * section / kLanes;
+        for (int head = 0; head < config_.heads; ++head) {
+          for (int k = 0; k < size; k += 32) {
+            *out++ = TakeBits(row, head * size + k, std::min(32, size - k));
+          }
+        }
+      }
+    }
+    return kernels::CountBits(heads.data(), static_cast<int>(heads.size()));
+  }
+
+  // `count` (1 to 32) bits of `row` from bit `first` on.
+  static uint32_t TakeBits(const uint32_t* row, int first, int count) {
+    const int shift = first % 32;
+    uint64_t bits = row[first / 32] >> shift;
+    if (shift + count > 32) bits |= static_cast<uint64_t>(row[first / 32 + 1]) << (32 - shift);
+    return static_cast<uint32_t>(bits & ((uint64_t{1} << count) - 1));
+  }
+
+  // mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or side by side. scratch_.y has the
+  // `ticks` at which they say anything; the others add nothing, whatever their gates.
+  void Merge(const PackedLayer& packed, int ticks) {
+    const int stride = PadToLanes(config_.heads);
+    scratch_.gates.resize(static_cast<size_t>(ticks) * stride);
+    if (config_.has_routing()) {
+      Route(packed, ticks, stride);
+    } else {
+      const bool concat = config_.merge == Merge::kConcat;
+      scratch_.gates.assign(scratch_.gates.size(),
+                            concat ? 1.0f : 1.0f / static_cast<float>(config_.heads));
+    }
+    scratch_.merged.resize(config_.merged_size());
+    kernels::GateHeads(
+        {ticks, config_.ticks, config_.heads, config_.head_size(), scratch_.y.data()},
+        scratch_.gates.data(), stride, config_.merge == Merge::kConcat, scratch_.merged.data());
+  }
+
+  // The gates of those ticks, [ticks][stride]. The equations have gates at the others too, whose
+  // operations count.
+  void Route(const PackedLayer& packed, int ticks, int stride) {
+    const PackedLinear& hidden = packed.routing_hidden;
+    scratch_.routing.resize(static_cast<size_t>(ticks) * hidden.width);
+    counts().multiply_accumulates += kernels::AffineTicks(
+        hidden, scratch_.y.data(), config_.hidden_size, ticks, scratch_.routing.data());
+    for (float& h : scratch_.routing) h = h > 0.0f ? h : 0.0f;
+    counts().multiply_accumulates += kernels::AffineTicks(
+        packed.routing_gate, scratch_.routing.data(), hidden.width, ticks, scratch_.gates.data());
+    counts().multiply_accumulates += packed.silent_gate_products * (config_.ticks - ticks);
+    if (config_.gate == Gate::kSigmoid) {
+      for (float& gate : scratch_.gates) gate = Sigmoid(gate);
+      return;
+    }
+    kernels::Softmax(scratch_.gates.data(), ticks, stride, config_.heads);
+    if (config_.merge != Merge::kConcat) return;
+    for (float& gate : scratch_.gates)
+      gate *= static_cast<float>(config_.heads);  // so that uniform gates are 1
+  }
+
+  // x <- LayerNorm(x + W2 (spike count / T) + b2).
+  void FeedForward(int layer) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const PackedLayer& packed = packed_.layers[layer];
+    Code(weights.ffn_coder, 2 * layer + 1, Stage::kFfnIn);
+    const PackedLinear& linear = packed.ffn_hidden;
+    scratch_.hidden.resize(linear.width);
+    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, linear.width, nullptr);
+    counts().spikes(Stage::kFfnHidden) +=
+        kernels::LifRates(lif_, linear.bias.data(), drive, linear.width, scratch_.hidden.data());
+    counts().accumulates += scratch_.spikes.Products(linear.nonzero, nullptr);
+    Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
+    AddResidual(weights.ffn_norm);
+  }
+
+  void AddResidual(const Norm& norm) {
+    for (int k = 0; k < config_.hidden_size; ++k) x()[k] += scratch_.update[k];
+    Normalize(norm);
+  }
+
+  const Policy& policy_;
+  const ModelConfig& config_;
+  const Lif lif_;
+  const PackedWeights& packed_;
+  Scratch& scratch_;
+  size_t token_count_ = 0;
+  NewToken* token_ = nullptr;  // the one at hand
+};
+
+class StreamingEngine final : public Engine {
+ public:
+  explicit StreamingEngine(std::shared_ptr<const Policy> policy)
+      : policy_(std::move(policy)), packed_(*policy_) {}
+
+  const Policy& policy() const override { return *policy_; }
+
+  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override {
+    return std::make_unique<StreamingContext>(policy_->config, seed, first_timestep);
+  }
+
+  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+              Output* output) const override {
+    const Decision decision = {&context, return_to_go, observation, output};
+    DecideTogether(absl::MakeConstSpan(&decision, 1));
+  }
+
+  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
+    const TakenAction action = {&context, encoded_action};
+    AppendActionsTogether(absl::MakeConstSpan(&action, 1));
+  }
+
+  void DecideTogether(absl::Span<const Decision> decisions) const override {
+    TokenPass pass(*policy_, packed_);
+    for (const Decision& decision : decisions) {
+      auto& context = static_cast<StreamingContext&>(*decision.context);
+      Counts& counts = decision.output->counts;
+      counts = std::exchange(context.action_counts, Counts());
+      context.band.Advance(context.timestep);
+      context.phase.Set(*policy_, context.timestep);
+      counts.spikes(Stage::kPhase) += context.phase.generators.size();  // whoever hears them
+      const float standard_return = StandardizeReturn(*policy_, decision.return_to_go);
+      pass.Add(context, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
+      std::vector<float>& input = ThreadScratch().input;
+      StandardizeObservation(*policy_, decision.observation, &input);
+      pass.Add(context, counts, TokenKind::kState, input);
+    }
+    pass.Run();
+    for (size_t i = 0; i < decisions.size(); ++i) {
+      pass.Readout(2 * i + 1, &decisions[i].output->readout);  // the second token is the state
+    }
+  }
+
+  void AppendActionsTogether(absl::Span<const TakenAction> actions) const override {
+    TokenPass pass(*policy_, packed_);
+    for (const TakenAction& action : actions) {
+      auto& context = static_cast<StreamingContext&>(*action.context);
+      context.action_counts = Counts();
+      pass.Add(context, context.action_counts, TokenKind::kAction, action.encoded_action);
+    }
+    pass.Run();
+    for (const TakenAction& action : actions) {
+      ++static_cast<StreamingContext&>(*action.context).timestep;
+    }
+  }
+
+ private:
+  std::shared_ptr<const Policy> policy_;
+  PackedWeights packed_;
+};
+
+}  // namespace
+
+std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<StreamingEngine>(std::move(policy));
+}
+
+}  // namespace spikeserve

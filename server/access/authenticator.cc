@@ -1,0 +1,131 @@
+#include "server/access/authenticator.h"
+
+#include <openssl/crypto.h>
+
+#include <cstring>
+#include <fstream>
+#include <sstream>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+
+namespace spikeserve {
+namespace {
+
+absl::StatusOr<std::string> ReadFile(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  if (!file || !(text << file.rdbuf())) {
+    return absl::NotFoundError(absl::StrCat("--tokens: cannot read ", path));
+  }
+  return std::move(text).str();
+}
+
+}  // namespace
+
+absl::Status Credential::CheckValid() const {
+  if (revoked_.load(std::memory_order_relaxed)) {
+    return absl::UnauthenticatedError("authorization: the token was revoked");
+  }
+  if (entry_.expires != absl::InfiniteFuture() && absl::Now() >= entry_.expires) {
+    return absl::UnauthenticatedError("authorization: the token has expired");
+  }
+  return absl::OkStatus();
+}
+
+size_t Authenticator::DigestHash::operator()(const Digest& digest) const {
+  size_t hash;  // a part of SHA-256 is as good a hash as any
+  std::memcpy(&hash, digest.data(), sizeof(hash));
+  return hash;
+}
+
+bool Authenticator::DigestEqual::operator()(const Digest& a, const Digest& b) const {
+  return CRYPTO_memcmp(a.data(), b.data(), a.size()) == 0;
+}
+
+absl::StatusOr<std::unique_ptr<Authenticator>> Authenticator::Create(const std::string& path) {
+  auto authenticator = std::unique_ptr<Authenticator>(new Authenticator(path));
+  if (path.empty()) {
+    authenticator->everybody_ = std::make_unique<Credential>(std::make_shared<Tenant>(""),
+                                                             TokenEntry{.role = Role::kOperator});
+    return authenticator;
+  }
+  if (auto status = authenticator->Reload(); !status.ok()) return status;
+  return authenticator;
+}
+
+absl::StatusOr<const Credential*> Authenticator::Authenticate(absl::string_view token) const {
+  if (everybody_ != nullptr) return everybody_.get();
+  if (token.empty()) {
+    return absl::UnauthenticatedError("authorization: expected \"Bearer TOKEN\", received none");
+  }
+  const Table& table = *table_.load(std::memory_order_acquire);
+  const auto found = table.find(Sha256(token));
+  if (found == table.end()) {
+    return absl::UnauthenticatedError("authorization: expected a token that this server knows");
+  }
+  if (auto status = found->second->CheckValid(); !status.ok()) return status;
+  return found->second.get();
+}
+
+absl::Status Authenticator::Reload() {
+  if (path_.empty()) return absl::OkStatus();
+  auto text = ReadFile(path_);
+  if (!text.ok()) return text.status();
+  absl::MutexLock lock(&mutex_);
+  if (!tables_.empty() && *text == text_) return absl::OkStatus();
+  const auto file = ParseTokenFile(*text);
+  if (!file.ok()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--tokens: ", path_, ": ", file.status().message()));
+  }
+  text_ = *std::move(text);
+  Publish(*file);
+  return absl::OkStatus();
+}
+
+std::shared_ptr<Tenant> Authenticator::TenantOf(const std::string& name) {
+  std::shared_ptr<Tenant>& tenant = tenants_[name];
+  if (tenant == nullptr) tenant = std::make_shared<Tenant>(name);
+  return tenant;
+}
+
+void Authenticator::Publish(const TokenFile& file) {
+  for (const auto& [name, limits] : file.tenants) TenantOf(name)->SetLimits(limits);
+  static const Table kNone;
+  const Table& old = tables_.empty() ? kNone : *tables_.back();
+  auto table = std::make_unique<Table>();
+  for (const TokenEntry& entry : file.tokens) {
+    const auto known = old.find(entry.sha256);
+    const bool unchanged = known != old.end() && known->second->entry_ == entry;
+    table->emplace(entry.sha256, unchanged
+                                     ? known->second
+                                     : std::make_shared<Credential>(TenantOf(entry.tenant), entry));
+  }
+  for (const auto& [digest, credential] : old) {
+    const auto kept = table->find(digest);
+    const bool same = kept != table->end() && kept->second == credential;
+    if (!same) credential->revoked_.store(true, std::memory_order_relaxed);
+  }
+  table_.store(table.get(), std::memory_order_release);
+  tables_.push_back(std::move(table));
+}
+
+std::string_view TokenOf(absl::string_view authorization, std::string* buffer) {
+  constexpr absl::string_view kBearer = "Bearer ";
+  constexpr absl::string_view kBasic = "Basic ";
+  if (absl::StartsWithIgnoreCase(authorization, kBearer)) {
+    authorization.remove_prefix(kBearer.size());
+    return {authorization.data(), authorization.size()};
+  }
+  if (!absl::StartsWithIgnoreCase(authorization, kBasic)) return {};
+  if (!absl::Base64Unescape(authorization.substr(kBasic.size()), buffer)) return {};
+  const size_t colon = buffer->find(':');
+  return colon == std::string::npos ? std::string_view()
+                                    : std::string_view(*buffer).substr(colon + 1);
+}
+
+}  // namespace spikeserve

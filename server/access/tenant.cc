@@ -1,0 +1,59 @@
+#include "server/access/tenant.h"
+
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/time.h"
+#include "server/base/status_map.h"
+
+namespace spikeserve {
+
+absl::Status TenantLimits::Validate() const {
+  const auto refuse = [](const char* field, auto received) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ": expected a number of at least 0, received ", received));
+  };
+  if (max_sessions < 0) return refuse("max_sessions", max_sessions);
+  if (!std::isfinite(decisions_per_second) || decisions_per_second < 0.0) {
+    return refuse("decisions_per_second", decisions_per_second);
+  }
+  if (max_message_bytes < 0) return refuse("max_message_bytes", max_message_bytes);
+  return absl::OkStatus();
+}
+
+void Tenant::SetLimits(const TenantLimits& limits) {
+  max_sessions_.store(limits.max_sessions, std::memory_order_relaxed);
+  max_message_bytes_.store(limits.max_message_bytes, std::memory_order_relaxed);
+  decisions_.Set(limits.decisions_per_second);
+}
+
+absl::Status Tenant::Take() {
+  const int64_t most = max_sessions_.load(std::memory_order_relaxed);
+  if (sessions_.fetch_add(1, std::memory_order_relaxed) < most || most == 0) {
+    return absl::OkStatus();
+  }
+  sessions_.fetch_sub(1, std::memory_order_relaxed);
+  // How long depends on the tenant's own sessions; a second keeps a careless client quiet.
+  return WithRetryDelay(
+      absl::ResourceExhaustedError(absl::StrCat("max_sessions: expected fewer than ", most,
+                                                " open sessions of tenant ", name_, "; close one")),
+      absl::Seconds(1));
+}
+
+absl::Status Tenant::TakeDecision(absl::Duration now) {
+  const absl::Duration wait = decisions_.Take(now);
+  if (wait <= absl::ZeroDuration()) return absl::OkStatus();
+  return WithRetryDelay(absl::ResourceExhaustedError(
+                            absl::StrCat("decisions_per_second: the limit of tenant ", name_,
+                                         " is reached; try again in ", absl::FormatDuration(wait))),
+                        wait);
+}
+
+absl::Status Tenant::CheckMessage(int64_t bytes) const {
+  const int64_t most = max_message_bytes_.load(std::memory_order_relaxed);
+  if (most == 0 || bytes <= most) return absl::OkStatus();
+  return absl::ResourceExhaustedError(absl::StrCat("max_message_bytes: expected at most ", most,
+                                                   " for tenant ", name_, ", received ", bytes));
+}
+
+}  // namespace spikeserve

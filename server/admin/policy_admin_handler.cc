@@ -1,0 +1,123 @@
+#include "server/admin/policy_admin_handler.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "server/admin/session_info.h"
+#include "server/agent/convert.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int32_t kDefaultPageSize = 100;
+constexpr int32_t kLargestPageSize = 1000;
+
+template <typename Proto>
+void ToProto(const std::vector<PolicyVersion>& versions, Proto* list) {
+  for (const PolicyVersion& version : versions) {
+    auto* item = list->Add();
+    item->set_policy(version.policy);
+    item->set_version(version.version);
+  }
+}
+
+}  // namespace
+
+absl::Status PolicyAdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
+                                            v1::LoadPolicyResponse* response) const {
+  const auto served =
+      registry_->LoadVersion({.policy = request.policy(), .version = request.version()});
+  if (!served.ok()) return served.status();
+  const auto catalog = registry_->catalog();
+  const auto policy = catalog->FindPolicy(request.policy());
+  if (!policy.ok()) return policy.status();  // unloaded since, by somebody else
+  *response->mutable_policy() = spikeserve::ToProto(**policy, **served);
+  return absl::OkStatus();
+}
+
+absl::Status PolicyAdminHandler::UnloadPolicy(const v1::UnloadPolicyRequest& request,
+                                              v1::UnloadPolicyResponse* /*response*/) const {
+  return registry_->Unload({.policy = request.policy(), .version = request.version()});
+}
+
+absl::Status PolicyAdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest& /*request*/,
+                                                v1::ReloadPoliciesResponse* response) const {
+  const auto report = registry_->Reload();
+  if (!report.ok()) return report.status();
+  ToProto(report->loaded, response->mutable_loaded());
+  ToProto(report->unloaded, response->mutable_unloaded());
+  for (const absl::Status& refused : report->refused) {
+    response->add_refused(std::string(refused.message()));
+  }
+  for (const std::string& setting : report->waiting) response->add_waiting(setting);
+  return absl::OkStatus();
+}
+
+absl::Status PolicyAdminHandler::SetDefaultVersion(const v1::SetDefaultVersionRequest& request,
+                                                   v1::SetDefaultVersionResponse* response) const {
+  const auto version = registry_->SetDefault(request.policy(), request.version());
+  if (!version.ok()) return version.status();
+  response->set_version(*version);
+  return absl::OkStatus();
+}
+
+absl::Status PolicyAdminHandler::SetLabel(const v1::SetLabelRequest& request,
+                                          v1::SetLabelResponse* /*response*/) const {
+  return registry_->SetLabel({.policy = request.policy(), .version = request.version()},
+                             request.label());
+}
+
+absl::Status PolicyAdminHandler::RemoveLabel(const v1::RemoveLabelRequest& request,
+                                             v1::RemoveLabelResponse* /*response*/) const {
+  return registry_->RemoveLabel(request.policy(), request.label());
+}
+
+absl::Status PolicyAdminHandler::SetTraffic(const v1::SetTrafficRequest& request,
+                                            v1::SetTrafficResponse* /*response*/) const {
+  std::vector<TrafficShare> shares;
+  for (const v1::TrafficShare& share : request.shares()) {
+    shares.push_back({.version = share.version(), .percent = share.percent()});
+  }
+  return registry_->SetTraffic(request.policy(), std::move(shares), request.shadow_version());
+}
+
+absl::Status PolicyAdminHandler::Drain(const v1::DrainRequest& request,
+                                       v1::DrainResponse* response) const {
+  store_->SetDraining(!request.cancel());
+  on_draining_(!request.cancel());
+  response->set_open_sessions(store_->size());
+  return absl::OkStatus();
+}
+
+absl::Status PolicyAdminHandler::ListSessions(const Credential& caller,
+                                              const v1::ListSessionsRequest& request,
+                                              v1::ListSessionsResponse* response) const {
+  if (request.page_size() < 0 || request.page_size() > kLargestPageSize) {
+    return absl::InvalidArgumentError(absl::StrCat("page_size: expected 0 to ", kLargestPageSize,
+                                                   ", received ", request.page_size()));
+  }
+  int64_t open = 0;
+  const std::vector<ListedSession> sessions = store_->List([&](const SessionEntry& entry) {
+    if (!caller.MaySee(entry.tenant)) return false;
+    ++open;
+    return (request.policy().empty() || request.policy() == entry.served->name) &&
+           (request.version() == 0 || request.version() == entry.served->version);
+  });
+  // A page's token is the id of its last session, so pages stay in order while sessions come and
+  // go.
+  const auto first = std::find_if(sessions.begin(), sessions.end(), [&](const auto& session) {
+    return session.id > request.page_token();
+  });
+  const auto size = request.page_size() == 0 ? kDefaultPageSize : request.page_size();
+  const auto last = first + std::min<std::ptrdiff_t>(size, sessions.end() - first);
+  for (auto it = first; it != last; ++it) ToProto(*it, response->add_sessions());
+  if (last != sessions.end()) response->set_next_page_token((last - 1)->id);
+  response->set_open_sessions(open);
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,27 @@
+#include "server/admin/session_info.h"
+
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+
+namespace spikeserve {
+
+void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
+  absl::MutexLock lock(&listed.entry->mutex);
+  const Session& session = listed.entry->agent.session();
+  info->set_session_id(listed.id);
+  info->set_policy(session.options.policy);
+  info->set_version(session.options.version);
+  info->set_tenant(session.options.tenant);
+  info->set_episode(session.episode);
+  info->set_step(session.step);
+  info->set_episode_return(session.episode_return);
+  info->set_decisions(session.decisions);
+  info->set_spikes(session.spikes);
+  info->set_energy_joules(session.energy_joules);
+  info->set_idle_seconds(absl::ToDoubleSeconds(listed.idle));
+  info->set_learning(session.options.learning.has_value());
+  info->set_head_drift(listed.entry->agent.HeadDrift());
+  info->mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,50 @@
+#include "server/agent/act_together.h"
+
+#include "absl/container/inlined_vector.h"
+#include "core/session/session_locks.h"
+#include "server/agent/convert.h"
+
+namespace spikeserve {
+namespace {
+
+// What the shadow of a session is to see of the decision that was just made.
+ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
+  return {.episode = session.episode,
+          .step = session.last_answer->step,
+          .observation = {request.observation().begin(), request.observation().end()},
+          .reward = request.reward(),
+          .target_return = session.target_return,
+          .served = *session.last_answer};
+}
+
+}  // namespace
+
+void ActTogether(absl::Span<ActItem> items) {
+  absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries;
+  for (const ActItem& item : items) entries.push_back(item.entry);
+  const SessionLocks locks(entries);
+  absl::InlinedVector<AgentSession::ActCall, 1> calls;
+  for (const ActItem& item : items) {
+    item.entry->mutex.AssertHeld();
+    AgentSession& agent = item.entry->agent;
+    calls.push_back({.session = &agent,
+                     .step = item.step.value_or(agent.session().step),
+                     .observation = item.request->observation(),
+                     .reward = item.request->reward()});
+  }
+  AgentSession::ActTogether(absl::MakeSpan(calls));
+  for (size_t i = 0; i < items.size(); ++i) {
+    ActItem& item = items[i];
+    item.entry->mutex.AssertHeld();
+    item.status = calls[i].answer.status();
+    if (!item.status.ok()) continue;
+    if (item.entry->shadow != nullptr && !calls[i].is_retry) {
+      item.entry->shadow_steps.push_back(
+          MakeShadowStep(*item.request, item.entry->agent.session()));
+    }
+    ToProto(item.request->session_id(), **calls[i].answer, item.entry->served->policy(),
+            item.response);
+  }
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,271 @@
+#include "server/agent/convert.h"
+
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "core/base/json.h"
+#include "nlohmann/json.hpp"
+#include "server/base/status_map.h"
+
+namespace spikeserve {
+namespace {
+
+// `evaluation.mean_return` of the policy file's training record, where it has one.
+std::optional<double> TrainingReturn(const std::string& training) {
+  const auto json = nlohmann::json::parse(training, /*cb=*/nullptr, /*allow_exceptions=*/false);
+  const auto evaluation = json.is_object() ? json.find("evaluation") : json.end();
+  if (evaluation == json.end() || !evaluation->is_object()) return std::nullopt;
+  const auto mean = evaluation->find("mean_return");
+  if (mean == evaluation->end() || !mean->is_number()) return std::nullopt;
+  return mean->get<double>();
+}
+
+// What an answer consists of is written in place, where the response's arena serves it.
+
+void ToProto(const Action& action, bool discrete, v1::Action* proto) {
+  if (discrete) return proto->set_discrete(action.discrete);
+  proto->mutable_continuous()->mutable_values()->Add(action.continuous.begin(),
+                                                     action.continuous.end());
+}
+
+void ToProto(const Counts& counts, v1::SpikesByStage* proto) {
+  proto->set_coder(counts.spikes(Stage::kCoder));
+  proto->set_phase(counts.spikes(Stage::kPhase));
+  proto->set_query(counts.spikes(Stage::kQuery));
+  proto->set_key(counts.spikes(Stage::kKey));
+  proto->set_value(counts.spikes(Stage::kValue));
+  proto->set_ffn_in(counts.spikes(Stage::kFfnIn));
+  proto->set_ffn_hidden(counts.spikes(Stage::kFfnHidden));
+  proto->set_readout(counts.spikes(Stage::kReadout));
+}
+
+void ToProto(const Answer& answer, bool dense, v1::DecisionStats* proto) {
+  const Counts& counts = answer.counts;
+  proto->set_spikes(counts.total_spikes());
+  proto->set_synaptic_operations(counts.synaptic_operations());
+  proto->set_energy_joules(PrimaryEnergy(counts, dense));
+  proto->set_compute_seconds(answer.compute_seconds);
+  ToProto(counts, proto->mutable_spikes_by_stage());
+  proto->set_accumulates(counts.accumulates);
+  proto->set_multiply_accumulates(counts.multiply_accumulates);
+  proto->set_attention_products(counts.attention_products);
+  proto->set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
+}
+
+absl::Status UnknownName(absl::string_view field, absl::string_view expected,
+                         absl::string_view received) {
+  return absl::InvalidArgumentError(
+      absl::StrCat("learning.", field, ": expected ", expected, ", received ", Quoted(received)));
+}
+
+// Fields that would do nothing are refused.
+absl::Status CheckApplies(const v1::LearningConfig& config, const LearningOptions& options) {
+  const auto unset = [](const char* field, absl::string_view unless, double received) {
+    return absl::InvalidArgumentError(absl::StrCat("learning.", field, ": expected unset unless ",
+                                                   unless, ", received ", received));
+  };
+  if (config.has_discount() && options.modulator != Modulator::kRealized) {
+    return unset("discount", "modulator is realized", config.discount());
+  }
+  if (options.scope == Scope::kSession) return absl::OkStatus();
+  if (config.has_max_drift()) {
+    return unset("max_drift", "scope is SESSION, since the server bounds what is shared",
+                 config.max_drift());
+  }
+  if (config.has_guard_margin()) {
+    return unset("guard_margin", "scope is SESSION, since the server guards what is shared",
+                 config.guard_margin());
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request) {
+  ActionSelection selection;
+  if (!v1::ActionSelection_IsValid(request.action_selection())) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("action_selection: expected GREEDY or SAMPLE, received ",
+                     static_cast<int>(request.action_selection())));
+  }
+  selection.sample = request.action_selection() == v1::SAMPLE;
+  if (!request.has_temperature()) return selection;
+  if (!selection.sample) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("temperature: expected unset unless action_selection is SAMPLE, received ",
+                     request.temperature()));
+  }
+  // Decisions divide by it in float32, where the smallest doubles are zero.
+  constexpr double kSmallest = std::numeric_limits<float>::min();
+  constexpr double kLargest = std::numeric_limits<float>::max();
+  if (!(request.temperature() >= kSmallest && request.temperature() <= kLargest)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("temperature: expected a finite number above 0 within float32, received ",
+                     request.temperature()));
+  }
+  selection.temperature = static_cast<float>(request.temperature());
+  return selection;
+}
+
+absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& config,
+                                                  const ActionSpace& space,
+                                                  const ActionSelection& selection) {
+  if (!v1::LearningConfig::Scope_IsValid(config.scope())) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "learning.scope: expected SESSION or FLEET, received ", static_cast<int>(config.scope())));
+  }
+  LearningOptions options;
+  options.scope = config.scope() == v1::LearningConfig::FLEET ? Scope::kFleet : Scope::kSession;
+  if (!config.rule().empty() && !FromString(config.rule(), &options.rule)) {
+    return UnknownName("rule", "policy_gradient or hebbian", config.rule());
+  }
+  if (!config.modulator().empty() && !FromString(config.modulator(), &options.modulator)) {
+    return UnknownName("modulator", "target or realized", config.modulator());
+  }
+  if (auto status = CheckApplies(config, options); !status.ok()) return status;
+  options.learning_rate = config.has_learning_rate()
+                              ? config.learning_rate()
+                              : LearningOptions::DefaultLearningRate(options.modulator);
+  if (config.has_trace_decay()) options.trace_decay = config.trace_decay();
+  if (config.has_discount()) options.discount = config.discount();
+  if (config.has_clip()) options.clip = config.clip();
+  if (config.has_max_drift()) options.max_drift = config.max_drift();
+  if (config.has_guard_margin()) options.guard_margin = config.guard_margin();
+  if (auto status = options.Validate(space, selection); !status.ok()) return status;
+  return options;
+}
+
+absl::StatusOr<std::vector<float>> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
+                                                      const Policy& policy) {
+  std::vector<float> delta(request.head_delta().begin(), request.head_delta().end());
+  if (delta.empty()) return delta;
+  const size_t size = policy.weights.head.weight.values.size();
+  if (request.has_learning() && request.learning().scope() == v1::LearningConfig::FLEET) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected none where learning.scope is FLEET, received ",
+                     delta.size(), " numbers"));
+  }
+  if (delta.size() != size) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected ", size, " numbers, received ", delta.size()));
+  }
+  for (size_t i = 0; i < size; ++i) {
+    if (std::isfinite(delta[i])) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta[", i, "]: expected a finite number, received ", delta[i]));
+  }
+  return delta;
+}
+
+v1::ActionSpace ToProto(const ActionSpace& space) {
+  v1::ActionSpace proto;
+  if (space.is_discrete()) {
+    proto.mutable_discrete()->set_n(space.n);
+  } else {
+    proto.mutable_box()->mutable_low()->Add(space.low.begin(), space.low.end());
+    proto.mutable_box()->mutable_high()->Add(space.high.begin(), space.high.end());
+  }
+  return proto;
+}
+
+v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
+  const Policy& policy = served.policy();
+  v1::PolicyInfo proto;
+  proto.set_name(served.name);
+  proto.set_version(served.version);
+  proto.set_is_default(served.version == entry.DefaultVersion());
+  proto.set_observation_size(policy.observation_size());
+  *proto.mutable_action_space() = ToProto(policy.action_space);
+  proto.set_context_length(policy.config.context);
+  proto.set_target_return(static_cast<double>(policy.target_return));
+  if (const auto training_return = TrainingReturn(policy.training)) {
+    proto.set_training_return(*training_return);
+  }
+  proto.set_environment(policy.environment);
+  proto.set_mode(std::string(ToString(policy.config.mode)));
+  for (const auto& [label, version] : entry.settings.labels) {
+    if (version == served.version) proto.add_version_labels(label);
+  }
+  if (!entry.settings.shares.empty()) {
+    proto.set_traffic_percent(entry.settings.PercentOf(served.version));
+  }
+  proto.set_is_shadow(served.version == entry.settings.shadow_version);
+  return proto;
+}
+
+v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
+  v1::EndEpisodeResponse proto;
+  proto.set_episode_return(summary.episode_return);
+  proto.set_steps(summary.steps);
+  proto.set_spikes(summary.spikes);
+  proto.set_energy_joules(summary.energy_joules);
+  if (summary.learning.has_value()) {
+    v1::LearningSummary* learning = proto.mutable_learning();
+    learning->set_updates(summary.learning->updates);
+    learning->set_rejected_updates(summary.learning->rejected);
+    learning->set_head_drift(summary.learning->head_drift);
+    learning->set_modulator_mean(summary.learning->returns.mean);
+    learning->set_modulator_std(summary.learning->returns.deviation());
+    learning->set_rolled_back(summary.learning->rolled_back);
+    learning->set_watched_return(summary.learning->watched_return);
+  }
+  return proto;
+}
+
+v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta) {
+  const Session& session = agent.session();
+  v1::GetSessionResponse proto;
+  proto.set_session_id(session.id);
+  proto.set_policy(session.options.policy);
+  proto.set_version(session.options.version);
+  proto.set_episode(session.episode);
+  proto.set_step(session.step);
+  proto.set_episode_return(session.episode_return);
+  proto.set_return_to_go(session.return_to_go);
+  proto.set_target_return(session.target_return);
+  proto.set_spikes(session.spikes);
+  proto.set_energy_joules(session.energy_joules);
+  proto.set_decisions(session.decisions);
+  proto.set_head_drift(agent.HeadDrift());
+  if (include_head_delta) {
+    const std::vector<float> delta = agent.HeadDelta();
+    proto.mutable_head_delta()->Add(delta.begin(), delta.end());
+  }
+  if (session.learner.has_value()) {
+    proto.set_trace_norm(session.learner->trace.Norm());
+    proto.set_modulator_mean(session.learner->returns.mean);
+    proto.set_modulator_std(session.learner->returns.deviation());
+    proto.set_rollbacks(agent.Rollbacks());
+  }
+  proto.mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
+  return proto;
+}
+
+void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
+             v1::ActResponse* response) {
+  response->set_session_id(session_id);
+  response->set_step(answer.step);
+  ToProto(answer.action, policy.action_space.is_discrete(), response->mutable_action());
+  response->mutable_action_probabilities()->Add(answer.probabilities.begin(),
+                                                answer.probabilities.end());
+  response->set_return_to_go(static_cast<double>(answer.return_to_go));
+  ToProto(answer, policy.config.is_dense(), response->mutable_stats());
+}
+
+void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
+                  v1::ActResponse* response) {
+  response->Clear();
+  response->set_session_id(request.session_id());
+  response->set_step(request.step());
+  response->mutable_error()->set_code(ToGrpcCode(status.code()));
+  response->mutable_error()->set_message(std::string(status.message()));
+  if (const auto delay = RetryDelay(status)) {
+    response->mutable_error()->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+  }
+}
+
+}  // namespace spikeserve

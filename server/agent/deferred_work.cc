@@ -1,0 +1,29 @@
+#include "server/agent/deferred_work.h"
+
+#include "absl/types/span.h"
+#include "core/session/session_locks.h"
+#include "server/agent/act_together.h"
+
+namespace spikeserve {
+
+void DeferredWork::Run() {
+  for (size_t first = 0; first < entries_.size(); first += kDecidedTogether) {
+    const auto part = absl::MakeConstSpan(entries_).subspan(first, kDecidedTogether);
+    const SessionLocks locks(part);
+    absl::InlinedVector<AgentSession*, 1> sessions;
+    for (const auto& entry : part) {
+      entry->mutex.AssertHeld();
+      sessions.push_back(&entry->agent);
+    }
+    AgentSession::AppendPendingActions(sessions);
+    for (const auto& entry : part) {
+      entry->mutex.AssertHeld();
+      if (entry->shadow_steps.empty()) continue;
+      shadows_->Submit(entry->shadow, entry->served->version,
+                       std::exchange(entry->shadow_steps, {}));
+    }
+  }
+  entries_.clear();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,274 @@
+#include "server/agent/request_handler.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/algorithm/container.h"
+#include "absl/container/inlined_vector.h"
+#include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
+#include "server/agent/act_together.h"
+#include "server/agent/convert.h"
+#include "server/agent/explain_convert.h"
+#include "server/base/status_map.h"
+
+namespace spikeserve {
+namespace {
+
+absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& labels) {
+  if (labels.size() > LabelLimits::kLabels) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "labels: expected at most ", LabelLimits::kLabels, ", received ", labels.size()));
+  }
+  for (const auto& [key, value] : labels) {
+    const size_t longest = std::max(key.size(), value.size());
+    if (longest > LabelLimits::kBytes) {
+      return absl::InvalidArgumentError(absl::StrCat("labels: expected keys and values of at most ",
+                                                     LabelLimits::kBytes,
+                                                     " bytes, received one of ", longest));
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
+                                                const ServedPolicy& served) {
+  SessionOptions options;
+  options.policy = served.name;
+  options.version = served.version;
+  options.seed = request.seed();
+  options.target_return = request.has_target_return()
+                              ? request.target_return()
+                              : static_cast<double>(served.policy().target_return);
+  if (auto status = CheckTargetReturn(options.target_return); !status.ok()) return status;
+  const auto selection = SelectionFromProto(request);
+  if (!selection.ok()) return selection.status();
+  options.action_selection = *selection;
+  if (request.has_learning()) {
+    const auto learning =
+        LearningFromProto(request.learning(), served.policy().action_space, *selection);
+    if (!learning.ok()) return learning.status();
+    options.learning = *learning;
+  }
+  auto head_delta = HeadDeltaFromProto(request, served.policy());
+  if (!head_delta.ok()) return head_delta.status();
+  options.head_delta = *std::move(head_delta);
+  if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
+  options.labels.insert(request.labels().begin(), request.labels().end());
+  return options;
+}
+
+// The version a new session gets. Without a routing key the session's id divides the traffic.
+absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const std::string& id,
+                                  const PolicyCatalog& catalog) {
+  const std::string& key = request.routing_key();
+  if (key.size() > LabelLimits::kBytes) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "routing_key: expected at most ", LabelLimits::kBytes, " bytes, received ", key.size()));
+  }
+  return catalog.Choose({.policy = request.policy(),
+                         .version = request.version(),
+                         .label = request.version_label(),
+                         .routing_key = key.empty() ? id : key});
+}
+
+void SetError(const absl::Status& status, v1::ActResult* result) {
+  result->clear_response();
+  result->set_code(ToGrpcCode(status.code()));
+  result->set_message(std::string(status.message()));
+  if (const auto delay = RetryDelay(status)) {
+    result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+  }
+}
+
+}  // namespace
+
+RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store,
+                               ShadowRunner* shadows, const Clock* clock, Recordings* recordings)
+    : registry_(registry),
+      store_(store),
+      shadows_(shadows),
+      clock_(clock),
+      recordings_(recordings) {}
+
+absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
+                                          v1::ListPoliciesResponse* response) const {
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    for (const auto& [version, served] : policy.versions) {
+      *response->add_policies() = ToProto(policy, *served);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::OpenSession(const Credential& caller,
+                                         const v1::OpenSessionRequest& request,
+                                         v1::OpenSessionResponse* response) const {
+  return OpenSessionAs(caller, "", request, response);
+}
+
+absl::Status RequestHandler::OpenSessionAs(const Credential& caller, std::string session_id,
+                                           const v1::OpenSessionRequest& request,
+                                           v1::OpenSessionResponse* response) const {
+  absl::StatusOr<std::string> id = std::move(session_id);
+  if (id->empty()) id = NewSessionId();
+  if (!id.ok()) return id.status();
+  const auto route = ChooseRoute(request, *id, *registry_->catalog());
+  if (!route.ok()) return route.status();
+  const ServedPolicy& served = *route->served;
+  auto options = OptionsFromProto(request, served);
+  if (!options.ok()) return options.status();
+  options->tenant = caller.tenant()->name();
+  const double target_return = options->target_return;
+  SessionExtras extras;
+  extras.id = *std::move(id);
+  extras.quota = caller.tenant();
+  if (route->shadow != nullptr) {
+    extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
+  }
+  if (request.record()) {
+    auto recorder = NewRecorder(route->served, response->mutable_recording());
+    if (!recorder.ok()) return recorder.status();
+    extras.recorder = *std::move(recorder);
+  }
+  id = store_->Open(route->served, *std::move(options), std::move(extras));
+  if (!id.ok()) return id.status();
+
+  const Policy& policy = served.policy();
+  response->set_session_id(*std::move(id));
+  response->set_policy(served.name);
+  response->set_version(served.version);
+  response->set_observation_size(policy.observation_size());
+  *response->mutable_action_space() = ToProto(policy.action_space);
+  response->set_context_length(policy.config.context);
+  response->set_target_return(target_return);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<EpisodeRecorder>> RequestHandler::NewRecorder(
+    const std::shared_ptr<const ServedPolicy>& served, std::string* name) const {
+  if (recordings_ == nullptr) {
+    return absl::FailedPreconditionError(
+        "record: expected false, because the server runs without --record_dir, received true");
+  }
+  *name = Recordings::NewName(*served);
+  return recordings_->Record(served, *name);
+}
+
+absl::Status RequestHandler::Act(const Credential& caller, const v1::ActRequest& request,
+                                 v1::ActResponse* response, DeferredWork* deferred) const {
+  return ActAt(caller, request.step(), request, response, deferred);
+}
+
+absl::Status RequestHandler::ActNext(const Credential& caller, const v1::ActRequest& request,
+                                     v1::ActResponse* response, DeferredWork* deferred) const {
+  return ActAt(caller, std::nullopt, request, response, deferred);
+}
+
+absl::StatusOr<std::shared_ptr<SessionEntry>> RequestHandler::FindForDecision(
+    const Credential& caller, const v1::ActRequest& request) const {
+  if (auto status = caller.tenant()->TakeDecision(clock_->Now()); !status.ok()) return status;
+  return store_->Find(request.session_id(), caller.tenant()->name());
+}
+
+absl::Status RequestHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
+                                   const v1::ActRequest& request, v1::ActResponse* response,
+                                   DeferredWork* deferred) const {
+  auto entry = FindForDecision(caller, request);
+  if (!entry.ok()) return entry.status();
+  ActItem item = {
+      .request = &request, .step = step, .entry = *std::move(entry), .response = response};
+  ActTogether(absl::MakeSpan(&item, 1));
+  if (item.status.ok()) deferred->Add(std::move(item.entry), shadows_);
+  return item.status;
+}
+
+// In groups, which end where a session comes up again: its decisions are made in their order.
+absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
+                                      v1::ActBatchResponse* response,
+                                      DeferredWork* deferred) const {
+  absl::InlinedVector<ActItem, 1> group;
+  absl::InlinedVector<v1::ActResult*, 1> results;  // of the group
+  const auto answer_group = [&] {
+    ActTogether(absl::MakeSpan(group));
+    for (size_t i = 0; i < group.size(); ++i) {
+      if (group[i].status.ok()) {
+        deferred->Add(std::move(group[i].entry), shadows_);
+      } else {
+        SetError(group[i].status, results[i]);
+      }
+    }
+    group.clear();
+    results.clear();
+  };
+  for (const v1::ActRequest& item : request.requests()) {
+    v1::ActResult* result = response->add_results();
+    auto entry = FindForDecision(caller, item);
+    if (!entry.ok()) {
+      SetError(entry.status(), result);
+      if (absl::IsResourceExhausted(entry.status())) deferred->set_refusal(entry.status());
+      continue;
+    }
+    const bool again =
+        absl::c_any_of(group, [&](const ActItem& grouped) { return grouped.entry == *entry; });
+    if (again || group.size() == kDecidedTogether) answer_group();
+    group.push_back({.request = &item,
+                     .step = item.step(),
+                     .entry = *std::move(entry),
+                     .response = result->mutable_response()});
+    results.push_back(result);
+  }
+  answer_group();
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::EndEpisode(const Credential& caller,
+                                        const v1::EndEpisodeRequest& request,
+                                        v1::EndEpisodeResponse* response) const {
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  if (!entry.ok()) return entry.status();
+  EpisodeEnd end = {.reward = request.reward(),
+                    .terminated = request.terminated(),
+                    .target_return = std::nullopt,
+                    .truncated = request.truncated(),
+                    .observation = {request.observation().begin(), request.observation().end()}};
+  if (request.has_target_return()) end.target_return = request.target_return();
+  absl::MutexLock lock(&(*entry)->mutex);
+  const auto summary = (*entry)->agent.EndEpisode(end);
+  if (!summary.ok()) return summary.status();
+  *response = ToProto(*summary);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::shared_ptr<SessionEntry>> RequestHandler::Look(const Credential& caller,
+                                                                   const std::string& id) const {
+  auto entry = store_->Peek(id);
+  if (entry != nullptr && caller.MaySee(entry->tenant)) return entry;
+  return NoSuchSession(id);
+}
+
+absl::Status RequestHandler::GetSession(const Credential& caller,
+                                        const v1::GetSessionRequest& request,
+                                        v1::GetSessionResponse* response) const {
+  const auto entry = Look(caller, request.session_id());
+  if (!entry.ok()) return entry.status();
+  absl::MutexLock lock(&(*entry)->mutex);
+  *response = ToProto((*entry)->agent, request.include_head_delta());
+  return absl::OkStatus();
+}
+
+absl::Status RequestHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
+                                     v1::ExplainResponse* response) const {
+  const auto entry = Look(caller, request.session_id());
+  if (!entry.ok()) return entry.status();
+  return ExplainSession(**entry, response);
+}
+
+absl::Status RequestHandler::CloseSession(const Credential& caller,
+                                          const v1::CloseSessionRequest& request,
+                                          v1::CloseSessionResponse* /*response*/) const {
+  return store_->Close(request.session_id(), caller.tenant()->name());
+}
+
+}  // namespace spikeserve

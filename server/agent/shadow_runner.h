@@ -1,0 +1,70 @@
+// Plays the traffic of sessions to their shadows, in a thread of its own and of low priority, so
+// that no answer waits for it; what cannot be kept up with is dropped and counted.
+//
+// Thread-safe.
+#ifndef SERVER_AGENT_SHADOW_RUNNER_H_
+#define SERVER_AGENT_SHADOW_RUNNER_H_
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "core/session/shadow_session.h"
+#include "prometheus/counter.h"
+#include "prometheus/family.h"
+#include "prometheus/registry.h"
+
+namespace spikeserve {
+
+class ShadowRunner {
+ public:
+  static constexpr size_t kLongestQueue = 10'000;  // steps
+
+  // Counts into `registry`, which must outlive the runner:
+  // spikeserve_shadow_decisions_total{policy,version,shadow_version,agreement} (agree or differ),
+  // spikeserve_shadow_spikes_total{policy,version,shadow_version,side} (served or shadow, of the
+  // same decisions) and spikeserve_shadow_dropped_total{policy,version,shadow_version}.
+  explicit ShadowRunner(prometheus::Registry& registry);
+
+  // Finishes the step under way.
+  ~ShadowRunner();
+  ShadowRunner(const ShadowRunner&) = delete;
+  ShadowRunner& operator=(const ShadowRunner&) = delete;
+
+  // The next steps of a session that `served_version` serves, in their order.
+  void Submit(const std::shared_ptr<ShadowSession>& shadow, int64_t served_version,
+              std::vector<ShadowStep> steps);
+
+  // Waits until everything that was submitted has been played; for tests.
+  void WaitUntilIdle();
+
+ private:
+  struct Job {
+    std::shared_ptr<ShadowSession> shadow;
+    int64_t served_version;
+    ShadowStep step;
+  };
+
+  void Run();
+  void Play(const Job& job);
+  void CountDropped(const ShadowSession& shadow, int64_t served_version, size_t steps);
+
+  prometheus::Family<prometheus::Counter>& decisions_;
+  prometheus::Family<prometheus::Counter>& spikes_;
+  prometheus::Family<prometheus::Counter>& dropped_;
+
+  absl::Mutex mutex_;
+  std::deque<Job> queue_ ABSL_GUARDED_BY(mutex_);
+  bool playing_ ABSL_GUARDED_BY(mutex_) = false;
+  bool stop_ ABSL_GUARDED_BY(mutex_) = false;
+  std::thread thread_;  // last: it uses everything above
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_AGENT_SHADOW_RUNNER_H_

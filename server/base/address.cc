@@ -1,0 +1,44 @@
+#include "server/base/address.h"
+
+#include <algorithm>
+
+#include "absl/status/status.h"
+#include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+bool IsHost(absl::string_view host) {
+  const bool bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
+  if (bracketed) host = host.substr(1, host.size() - 2);
+  return !host.empty() && std::all_of(host.begin(), host.end(), [&](char c) {
+    return absl::ascii_isalnum(c) || c == '.' || c == '-' || c == '_' || (bracketed && c == ':');
+  });
+}
+
+}  // namespace
+
+std::string Address::ToString() const { return absl::StrCat(host, ":", port); }
+
+bool Address::is_loopback() const {
+  return host == "localhost" || host == "[::1]" ||
+         (absl::StartsWith(host, "127.") && host.find_first_not_of("0123456789.") == host.npos);
+}
+
+absl::StatusOr<Address> ParseAddress(absl::string_view field, absl::string_view text) {
+  const size_t colon = text.rfind(':');
+  Address address;
+  if (colon == absl::string_view::npos || !IsHost(text.substr(0, colon)) ||
+      !absl::SimpleAtoi(text.substr(colon + 1), &address.port) || address.port < 0 ||
+      address.port > 65535) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ": expected HOST:PORT, received \"", text, "\""));
+  }
+  address.host = std::string(text.substr(0, colon));
+  return address;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,48 @@
+#include "server/base/http_query.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "core/base/json.h"
+
+namespace spikeserve {
+absl::StatusOr<HttpQuery> HttpQuery::Parse(
+    const std::multimap<std::string, std::string>& parameters,
+    std::initializer_list<absl::string_view> known) {
+  HttpQuery parsed;
+  for (const auto& [name, value] : parameters) {
+    if (std::find(known.begin(), known.end(), name) == known.end()) {
+      return absl::InvalidArgumentError(absl::StrCat("query: expected parameters among ",
+                                                     absl::StrJoin(known, ", "), ", received ",
+                                                     Quoted(name)));
+    }
+    if (!parsed.parameters_.emplace(name, value).second) {
+      return absl::InvalidArgumentError(absl::StrCat(name, ": expected once, received twice"));
+    }
+  }
+  return parsed;
+}
+
+std::string HttpQuery::Get(const std::string& name, absl::string_view otherwise) const {
+  const auto it = parameters_.find(name);
+  return it == parameters_.end() ? std::string(otherwise) : it->second;
+}
+
+absl::StatusOr<int64_t> HttpQuery::GetInteger(const std::string& name, int64_t otherwise,
+                                              int64_t lowest, int64_t highest) const {
+  const auto it = parameters_.find(name);
+  if (it == parameters_.end()) return otherwise;
+  int64_t value = 0;
+  if (!absl::SimpleAtoi(it->second, &value) || value < lowest || value > highest) {
+    return absl::InvalidArgumentError(absl::StrCat(name, ": expected a whole number from ", lowest,
+                                                   " to ", highest, ", received ",
+                                                   Quoted(it->second)));
+  }
+  return value;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,318 @@
+#include "server/inference/inference_handler.h"
+
+#include <map>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "core/base/json.h"
+#include "server/policies/policy_repository.h"
+
+namespace spikeserve {
+namespace {
+
+using inference::ModelInferRequest;
+using inference::ModelInferResponse;
+
+constexpr char kPlatform[] = "spikeserve";
+
+void FillConfig(const ServedPolicy& served, absl::Duration session_ttl,
+                inference::ModelConfig* config) {
+  config->set_name(served.name);
+  config->set_platform(kPlatform);
+  config->set_backend(kPlatform);
+  config->mutable_version_policy()->mutable_all();
+  for (const TensorSpec& spec : InputSpecs(served.policy())) {
+    auto* input = config->add_input();
+    input->set_name(spec.name);
+    input->set_data_type(spec.data_type);
+    input->mutable_dims()->Add(spec.shape.begin(), spec.shape.end());
+    input->set_optional(spec.optional);
+  }
+  for (const TensorSpec& spec : OutputSpecs(served.policy())) {
+    auto* output = config->add_output();
+    output->set_name(spec.name);
+    output->set_data_type(spec.data_type);
+    output->mutable_dims()->Add(spec.shape.begin(), spec.shape.end());
+  }
+  auto* sequences = config->mutable_sequence_batching();
+  sequences->mutable_direct();
+  sequences->set_max_sequence_idle_microseconds(
+      static_cast<uint64_t>(absl::ToInt64Microseconds(session_ttl)));
+}
+
+// Every policy version that is served, by name, then version.
+std::vector<std::shared_ptr<const ServedPolicy>> ListServed(const PolicyRegistry& registry) {
+  std::vector<std::shared_ptr<const ServedPolicy>> list;
+  const auto catalog = registry.catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    for (const auto& [version, served] : policy.versions) list.push_back(served);
+  }
+  return list;
+}
+
+absl::Status CheckRepository(const std::string& name) {
+  if (name.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "repository_name: expected none, since there is one repository, received ", Quoted(name)));
+}
+
+void FillTensor(const TensorSpec& spec,
+                inference::ModelMetadataResponse::TensorMetadata* metadata) {
+  metadata->set_name(spec.name);
+  metadata->set_datatype(DataTypeName(spec.data_type));
+  metadata->mutable_shape()->Add(spec.shape.begin(), spec.shape.end());
+}
+
+}  // namespace
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindPolicy(
+    const std::string& name, const std::string& version) const {
+  const auto number = ReadVersion(version);
+  if (!number.ok()) return number.status();
+  return parts_.registry->catalog()->Find(name, *number);
+}
+
+absl::Status InferenceHandler::ModelReady(const inference::ModelReadyRequest& request,
+                                          inference::ModelReadyResponse* response) const {
+  response->set_ready(FindPolicy(request.name(), request.version()).ok());
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ServerMetadata(const inference::ServerMetadataRequest& /*request*/,
+                                              inference::ServerMetadataResponse* response) const {
+  response->set_name(kPlatform);
+  response->set_version(SPIKESERVE_VERSION);
+  for (const char* extension : {"sequence", "sequence(string_id)", "model_repository",
+                                "model_configuration", "statistics"}) {
+    response->add_extensions(extension);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelMetadata(const inference::ModelMetadataRequest& request,
+                                             inference::ModelMetadataResponse* response) const {
+  const auto served = FindPolicy(request.name(), request.version());
+  if (!served.ok()) return served.status();
+  response->set_name(request.name());
+  for (const auto& other : ListServed(*parts_.registry)) {
+    if (other->name == request.name()) response->add_versions(absl::StrCat(other->version));
+  }
+  response->set_platform(kPlatform);
+  for (const auto& spec : InputSpecs((*served)->policy())) FillTensor(spec, response->add_inputs());
+  for (const auto& spec : OutputSpecs((*served)->policy())) {
+    FillTensor(spec, response->add_outputs());
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelConfig(const inference::ModelConfigRequest& request,
+                                           inference::ModelConfigResponse* response) const {
+  const auto served = FindPolicy(request.name(), request.version());
+  if (!served.ok()) return served.status();
+  FillConfig(**served, parts_.session_ttl, response->mutable_config());
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsRequest& request,
+                                               inference::ModelStatisticsResponse* response) const {
+  if (!request.name().empty()) {
+    const auto served = FindPolicy(request.name(), request.version());
+    if (!served.ok()) return served.status();
+  }
+  for (const auto& served : ListServed(*parts_.registry)) {
+    if (!request.name().empty() && served->name != request.name()) continue;
+    if (!request.version().empty() && absl::StrCat(served->version) != request.version()) continue;
+    *response->add_model_stats() = statistics_.Get(served->name, served->version);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::RepositoryIndex(const inference::RepositoryIndexRequest& request,
+                                               inference::RepositoryIndexResponse* response) const {
+  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  const auto folders = ListPolicyFolders(parts_.registry->directory());
+  if (!folders.ok()) return folders.status();
+  std::map<PolicyVersion, bool> ready;
+  for (const PolicyVersion& version : folders->versions) ready[version] = false;
+  for (const auto& served : ListServed(*parts_.registry)) {
+    ready[{served->name, served->version}] = true;
+  }
+  for (const auto& [version, is_ready] : ready) {
+    if (request.ready() && !is_ready) continue;
+    auto* model = response->add_models();
+    model->set_name(version.policy);
+    model->set_version(absl::StrCat(version.version));
+    model->set_state(is_ready ? "READY" : "UNAVAILABLE");
+    if (!is_ready) model->set_reason("not loaded");
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::RepositoryModelLoad(
+    const inference::RepositoryModelLoadRequest& request,
+    inference::RepositoryModelLoadResponse* /*response*/) const {
+  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  if (!request.parameters().empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("parameters: expected none, since a model is what its file says, received ",
+                     Quoted(request.parameters().begin()->first)));
+  }
+  const auto folders = ListPolicyFolders(parts_.registry->directory());
+  if (!folders.ok()) return folders.status();
+  absl::Status status = absl::NotFoundError(
+      absl::StrCat("model_name: expected a policy in the policy directory, received ",
+                   Quoted(request.model_name())));
+  bool found = false;
+  for (const PolicyVersion& version : folders->versions) {
+    if (version.policy != request.model_name()) continue;
+    if (!std::exchange(found, true)) status = absl::OkStatus();
+    status.Update(parts_.registry->LoadVersion(version).status());
+  }
+  return status;
+}
+
+absl::Status InferenceHandler::RepositoryModelUnload(
+    const inference::RepositoryModelUnloadRequest& request,
+    inference::RepositoryModelUnloadResponse* /*response*/) const {
+  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  const auto catalog = parts_.registry->catalog();
+  const auto policy = catalog->FindPolicy(request.model_name());
+  if (!policy.ok()) return policy.status();
+  for (const auto& [version, served] : (*policy)->versions) {
+    if (const std::string use = (*policy)->settings.UseOf(version); !use.empty()) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("model_name: expected a policy of which no version is set to anything, "
+                       "received one whose version ",
+                       version, " is (", use, ")"));
+    }
+  }
+  for (const auto& [version, served] : (*policy)->versions) {
+    auto status = parts_.registry->Unload({.policy = request.model_name(), .version = version});
+    if (!status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ModelInfer(const Credential& caller,
+                                          const ModelInferRequest& request,
+                                          ModelInferResponse* response, DeferredWork* deferred) {
+  const absl::Duration start = parts_.clock->Now();
+  auto sequence = ReadSequence(request);
+  if (!sequence.ok()) return sequence.status();
+  // Tenants pick their ids without knowing of each other.
+  if (const std::string& tenant = caller.tenant()->name(); !tenant.empty()) {
+    sequence->session_id = absl::StrCat(tenant, "/", sequence->session_id);
+  }
+  const auto input = ReadInputs(request);
+  if (!input.ok()) return input.status();
+  if (sequence->start) {
+    if (auto status = Start(caller, request, *sequence, response); !status.ok()) {
+      return status;
+    }
+  }
+  const auto served = FindRunning(caller, request, *sequence);
+  if (!served.ok()) return served.status();
+  const std::string& name = (*served)->name;
+  const int64_t version = (*served)->version;
+
+  v1::ActResponse answer;
+  if (auto status = Decide(caller, request, *input, *sequence, **served, &answer, deferred);
+      !status.ok()) {
+    if (sequence->start) status.Update(Close(caller, *sequence));
+    statistics_.CountFailure(name, version, parts_.clock->Now() - start);
+    return status;
+  }
+  response->set_model_name(name);
+  response->set_model_version(absl::StrCat(version));
+  response->set_id(request.id());
+  WriteOutputs(answer, request, *input, response);
+  statistics_.CountSuccess(name, version, absl::Now(), parts_.clock->Now() - start,
+                           absl::Seconds(answer.stats().compute_seconds()));
+  return sequence->end ? End(caller, *sequence) : absl::OkStatus();
+}
+
+absl::Status InferenceHandler::Start(const Credential& caller, const ModelInferRequest& request,
+                                     const SequenceRequest& sequence,
+                                     ModelInferResponse* response) const {
+  const auto opening = ReadOpening(request);
+  if (!opening.ok()) return opening.status();
+  // Whatever ran under this id before; its agent has forgotten it.
+  if (auto status = Close(caller, sequence); !status.ok() && !absl::IsNotFound(status))
+    return status;
+  v1::OpenSessionResponse opened;
+  if (auto status = parts_.requests->OpenSessionAs(caller, sequence.session_id, *opening, &opened);
+      !status.ok()) {
+    return status;
+  }
+  if (!opened.recording().empty()) {
+    (*response->mutable_parameters())["recording"].set_string_param(opened.recording());
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(
+    const Credential& caller, const ModelInferRequest& request,
+    const SequenceRequest& sequence) const {
+  const auto version = ReadVersion(request.model_version());
+  if (!version.ok()) return version.status();
+  const auto entry = parts_.store->Find(sequence.session_id, caller.tenant()->name());
+  if (!entry.ok() || (*entry)->served->name != request.model_name()) {
+    return absl::NotFoundError(absl::StrCat(
+        "parameters.sequence_id: expected a running sequence of model ",
+        Quoted(request.model_name()), ", received ", Quoted(sequence.id),
+        "; send sequence_start with the first request. A sequence that nobody used for ",
+        absl::FormatDuration(parts_.session_ttl), " is ended"));
+  }
+  const auto& served = (*entry)->served;
+  if (*version == 0 || *version == served->version) return served;
+  return absl::InvalidArgumentError(
+      absl::StrCat("model_version: expected ", served->version,
+                   ", with which the sequence started, or nothing, received ", *version));
+}
+
+absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInferRequest& request,
+                                      const InferenceInput& input, const SequenceRequest& sequence,
+                                      const ServedPolicy& served, v1::ActResponse* answer,
+                                      DeferredWork* deferred) const {
+  if (auto status = CheckOutputs(request, OutputSpecs(served.policy())); !status.ok()) {
+    return status;
+  }
+  if (!sequence.start && !input.reward.has_value()) {
+    return absl::InvalidArgumentError(
+        "inputs: expected reward, for the previous action, with every request but the first of a "
+        "sequence, received none");
+  }
+  v1::ActRequest act;
+  act.set_session_id(sequence.session_id);
+  act.mutable_observation()->Add(input.observation.begin(), input.observation.end());
+  act.set_reward(static_cast<double>(input.reward.value_or(0.0f)));
+  return parts_.requests->ActNext(caller, act, answer, deferred);
+}
+
+absl::Status InferenceHandler::End(const Credential& caller,
+                                   const SequenceRequest& sequence) const {
+  // Nobody acts on the last decision, so a recording ends with its observation.
+  if (const auto entry = parts_.store->Find(sequence.session_id, caller.tenant()->name());
+      entry.ok()) {
+    absl::MutexLock lock(&(*entry)->mutex);
+    (*entry)->agent.RecordTo(nullptr);
+  }
+  v1::EndEpisodeRequest end;
+  end.set_session_id(sequence.session_id);
+  end.set_terminated(true);
+  v1::EndEpisodeResponse ended;
+  if (auto status = parts_.requests->EndEpisode(caller, end, &ended); !status.ok()) return status;
+  return Close(caller, sequence);
+}
+
+absl::Status InferenceHandler::Close(const Credential& caller,
+                                     const SequenceRequest& sequence) const {
+  v1::CloseSessionRequest close;
+  close.set_session_id(sequence.session_id);
+  v1::CloseSessionResponse closed;
+  return parts_.requests->CloseSession(caller, close, &closed);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,51 @@
+// What came through ModelInfer and ModelStreamInfer, by policy version, for ModelStatistics.
+//
+// Thread-safe.
+#ifndef SERVER_INFERENCE_INFERENCE_STATISTICS_H_
+#define SERVER_INFERENCE_INFERENCE_STATISTICS_H_
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "inference/grpc_service.pb.h"
+
+namespace spikeserve {
+
+class InferenceStatistics {
+ public:
+  // One request that was answered at wall time `when`: how long it took, and of that, to decide.
+  void CountSuccess(const std::string& policy, int64_t version, absl::Time when,
+                    absl::Duration duration, absl::Duration compute);
+
+  // One that was not.
+  void CountFailure(const std::string& policy, int64_t version, absl::Duration duration);
+
+  // A decision is an inference and an execution, and a batch of one.
+  inference::ModelStatistics Get(const std::string& policy, int64_t version) const;
+
+ private:
+  struct Sum {
+    uint64_t count = 0;
+    absl::Duration duration;
+  };
+  struct Sums {
+    Sum success;
+    Sum failure;
+    Sum compute;
+    absl::Time last;
+  };
+
+  static void Add(absl::Duration duration, Sum* sum);
+
+  mutable absl::Mutex mutex_;
+  std::map<std::pair<std::string, int64_t>, Sums> sums_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_INFERENCE_INFERENCE_STATISTICS_H_

@@ -1,0 +1,222 @@
+#include "server/metrics/metrics.h"
+
+#include <iterator>
+#include <sstream>
+#include <utility>
+
+#include "absl/algorithm/container.h"
+#include "absl/strings/str_cat.h"
+#include "prometheus/text_serializer.h"
+#include "server/metrics/policy_metrics.h"
+#include "server/metrics/process_metrics.h"
+
+namespace spikeserve {
+namespace {
+
+using prometheus::BuildCounter;
+using prometheus::BuildGauge;
+using prometheus::BuildHistogram;
+using Buckets = prometheus::Histogram::BucketBoundaries;
+
+Buckets ComputeSeconds() {
+  return {5e-6, 1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2, 0.1};
+}
+
+Buckets RpcSeconds() {
+  Buckets buckets = ComputeSeconds();
+  buckets.insert(buckets.end(), {0.25, 1.0, 2.5, 10.0});
+  return buckets;
+}
+
+Buckets Spikes() { return {10, 25, 50, 100, 200, 350, 500, 1000, 2000, 3500, 5000, 10000, 100000}; }
+
+// Both signs: many tasks pay for time, and their returns are below zero.
+Buckets Returns() {
+  return {-2000, -1000, -500, -300, -200, -150, -120, -100, -90, -80, -70, -60, -50,
+          -20,   0,     20,   50,   100,  200,  300,  400,  450, 490, 500, 1000};
+}
+
+std::string MethodName(Method method) {
+  static constexpr const char* kNames[kMethods] = {"ListPolicies",
+                                                   "OpenSession",
+                                                   "Act",
+                                                   "ActBatch",
+                                                   "ActStream",
+                                                   "EndEpisode",
+                                                   "GetSession",
+                                                   "CloseSession",
+                                                   "Explain",
+                                                   "LoadPolicy",
+                                                   "UnloadPolicy",
+                                                   "ReloadPolicies",
+                                                   "SetDefaultVersion",
+                                                   "SetLabel",
+                                                   "RemoveLabel",
+                                                   "SetTraffic",
+                                                   "ListSessions",
+                                                   "Drain",
+                                                   "GetHead",
+                                                   "PromoteHead",
+                                                   "RollbackHead",
+                                                   "PauseLearning",
+                                                   "ResumeLearning",
+                                                   "ServerLive",
+                                                   "ServerReady",
+                                                   "ModelReady",
+                                                   "ServerMetadata",
+                                                   "ModelMetadata",
+                                                   "ModelInfer",
+                                                   "ModelStreamInfer",
+                                                   "ModelConfig",
+                                                   "ModelStatistics",
+                                                   "RepositoryIndex",
+                                                   "RepositoryModelLoad",
+                                                   "RepositoryModelUnload"};
+  return kNames[static_cast<size_t>(method)];
+}
+
+}  // namespace
+
+Metrics::Metrics()
+    : decisions_(Register(BuildCounter(), "spikeserve_decisions_total",
+                          "Decisions computed; a retry is not computed again.")),
+      spikes_per_decision_(Register(BuildHistogram(), "spikeserve_spikes_per_decision",
+                                    "Spikes of one decision's new tokens.")),
+      spikes_(Register(BuildCounter(), "spikeserve_spikes_total",
+                       "Spikes emitted, by neuron population.")),
+      synaptic_operations_(Register(
+          BuildCounter(), "spikeserve_synaptic_operations_total",
+          "Effective synaptic operations as NeuroBench counts them: accumulate has a binary input, "
+          "multiply_accumulate an analog one; attention products stand beside them and belong to "
+          "neither.")),
+      energy_(Register(
+          BuildCounter(), "spikeserve_energy_joules_total",
+          "Estimated energy, not measured, memory traffic left out. spike_5pj: 5 pJ a spike; "
+          "horowitz_45nm: 0.9 pJ an accumulate, 4.6 pJ a multiply-accumulate. The models are "
+          "alternatives: do not add them up.")),
+      decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
+                                  "Time to compute one decision, without network or queues.")),
+      sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
+      episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Episodes ended.")),
+      episode_return_(Register(BuildHistogram(), "spikeserve_episode_return",
+                               "Return of each episode ended, in the environment's units.")),
+      episode_return_mean_(
+          Register(BuildGauge(), "spikeserve_episode_return_mean",
+                   "Running mean of the return over the episodes ended since the server started.")),
+      learning_updates_(Register(BuildCounter(), "spikeserve_learning_updates_total",
+                                 "Updates of action heads by sessions that learn.")),
+      learning_rejected_(Register(BuildCounter(), "spikeserve_learning_rejected_total",
+                                  "Updates of action heads refused, the head left as it was.")),
+      head_drift_(Register(BuildGauge(), "spikeserve_head_drift_ratio",
+                           "|W - W_base| / |W_base| of the action head, where the session that "
+                           "learned last ended its episode; scope fleet: of the shared head.")),
+      modulator_mean_(Register(BuildGauge(), "spikeserve_modulator_mean",
+                               "mu of eq. 4.2: running mean of the returns that follow a decision, "
+                               "of the session that learned last.")),
+      modulator_std_(Register(BuildGauge(), "spikeserve_modulator_std",
+                              "sigma of eq. 4.2, the deviation of those returns.")),
+      watched_return_(Register(BuildGauge(), "spikeserve_learning_return",
+                               "Interquartile mean of the episode returns in the last whole window "
+                               "that a guard judged.")),
+      rollbacks_(Register(BuildCounter(), "spikeserve_learning_rollbacks_total",
+                          "Times that a guard put back the last good action head.")),
+      policy_info_(Register(BuildGauge(), "spikeserve_policy_info",
+                            "Copies of a policy version in memory: 1 from its load until it "
+                            "is unloaded and its last session has ended, then 0.")),
+      rpc_duration_(Register(
+          BuildHistogram(), "spikeserve_rpc_duration_seconds",
+          "Time to handle one call as the server sees it, by method and gRPC status code; for "
+          "ActStream, one request on the stream.")),
+      reaped_idle_(&Register(BuildCounter(), "spikeserve_sessions_reaped_total",
+                             "Sessions the server ended by itself.")
+                        .Add({{"reason", "idle"}})),
+      sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
+                                "Sessions that may be open at a time, all policies together.")
+                           .Add({})) {
+  auto& recorded = Register(BuildCounter(), "spikeserve_recorded_episodes_total",
+                            "Episodes of recorded sessions, by what became of them: written, or "
+                            "lost because the queue was full or the disk refused.");
+  static constexpr const char* kOutcomes[kRecordingOutcomes] = {"written", "queue_full",
+                                                                "write_failed"};
+  for (size_t i = 0; i < kRecordingOutcomes; ++i) {
+    recorded_episodes_[i] = &recorded.Add({{"outcome", kOutcomes[i]}});
+  }
+  Register(BuildGauge(), "spikeserve_build_info", "1 for the version that runs.")
+      .Add({{"version", SPIKESERVE_VERSION}})
+      .Set(1);
+}
+
+std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& name,
+                                                            int64_t version, const Policy& policy) {
+  const prometheus::Labels labels = {{"policy", name}, {"version", absl::StrCat(version)}};
+  const auto with = [&](const char* label, absl::string_view value) {
+    prometheus::Labels more = labels;
+    more.emplace(label, value);
+    return more;
+  };
+  prometheus::Labels info = with("environment", policy.environment);
+  const std::string_view mode = ToString(policy.config.mode);
+  info.emplace("mode", mode);
+
+  PolicyMetrics::Handles handles;
+  handles.info = &policy_info_.Add(info);
+  handles.decisions = &decisions_.Add(labels);
+  handles.spikes_per_decision = &spikes_per_decision_.Add(labels, Spikes());
+  for (int i = 0; i < kStages; ++i) {
+    const std::string_view stage = ToString(static_cast<Stage>(i));
+    handles.spikes[static_cast<size_t>(i)] =
+        &spikes_.Add(with("stage", {stage.data(), stage.size()}));
+  }
+  handles.accumulates = &synaptic_operations_.Add(with("kind", "accumulate"));
+  handles.multiply_accumulates = &synaptic_operations_.Add(with("kind", "multiply_accumulate"));
+  handles.attention_products = &synaptic_operations_.Add(with("kind", "attention"));
+  handles.spike_5pj = &energy_.Add(with("energy_model", "spike_5pj"));
+  handles.horowitz_45nm = &energy_.Add(with("energy_model", "horowitz_45nm"));
+  handles.decision_duration = &decision_duration_.Add(labels, ComputeSeconds());
+  handles.sessions = &sessions_.Add(labels);
+  handles.episodes = &episodes_.Add(labels);
+  handles.episode_return = &episode_return_.Add(labels, Returns());
+  handles.episode_return_mean = &episode_return_mean_.Add(labels);
+  handles.learning_updates = &learning_updates_.Add(labels);
+  const std::string_view reason = ToString(UpdateOutcome::kNonFinite);
+  handles.learning_rejected_non_finite =
+      &learning_rejected_.Add(with("reason", {reason.data(), reason.size()}));
+  for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
+    const std::string_view word = ToString(scope);
+    const prometheus::Labels of = with("scope", {word.data(), word.size()});
+    handles.learning[static_cast<size_t>(scope)] = {.head_drift = &head_drift_.Add(of),
+                                                    .modulator_mean = &modulator_mean_.Add(of),
+                                                    .modulator_std = &modulator_std_.Add(of),
+                                                    .watched_return = &watched_return_.Add(of),
+                                                    .rollbacks = &rollbacks_.Add(of)};
+  }
+  return std::make_shared<PolicyMetrics>(absl::StrCat(name, "/", version), handles,
+                                         policy.config.is_dense());
+}
+
+void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {
+  auto& slot = rpc_durations_[static_cast<size_t>(method)][static_cast<size_t>(code)];
+  prometheus::Histogram* histogram = slot.load(std::memory_order_acquire);
+  if (histogram == nullptr) {
+    // Two threads may get here; the family gives both the same histogram. Abseil's names of the
+    // codes are gRPC's.
+    histogram = &rpc_duration_.Add(
+        {{"method", MethodName(method)}, {"code", absl::StatusCodeToString(code)}}, RpcSeconds());
+    slot.store(histogram, std::memory_order_release);
+  }
+  histogram->Observe(absl::ToDoubleSeconds(duration));
+}
+
+std::vector<prometheus::MetricFamily> Metrics::Collect() const {
+  std::vector<prometheus::MetricFamily> families = registry_.Collect();
+  absl::c_move(CollectProcessMetrics(), std::back_inserter(families));
+  return families;
+}
+
+std::string Metrics::ToText() const {
+  std::ostringstream text;
+  prometheus::TextSerializer().Serialize(text, Collect());
+  return std::move(text).str();
+}
+
+}  // namespace spikeserve

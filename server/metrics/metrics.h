@@ -1,0 +1,137 @@
+// What the server tells Prometheus.
+//
+// Thread-safe. Every handle is made before it is needed, so that a decision looks nothing up.
+#ifndef SERVER_METRICS_METRICS_H_
+#define SERVER_METRICS_METRICS_H_
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "core/session/served_policy.h"
+#include "prometheus/counter.h"
+#include "prometheus/family.h"
+#include "prometheus/gauge.h"
+#include "prometheus/histogram.h"
+#include "prometheus/metric_family.h"
+#include "prometheus/registry.h"
+
+namespace spikeserve {
+
+// The calls of PolicyService, PolicyAdmin and GRPCInferenceService, in this order.
+enum class Method {
+  kListPolicies,
+  kOpenSession,
+  kAct,
+  kActBatch,
+  kActStream,
+  kEndEpisode,
+  kGetSession,
+  kCloseSession,
+  kExplain,
+  kLoadPolicy,
+  kUnloadPolicy,
+  kReloadPolicies,
+  kSetDefaultVersion,
+  kSetLabel,
+  kRemoveLabel,
+  kSetTraffic,
+  kListSessions,
+  kDrain,
+  kGetHead,
+  kPromoteHead,
+  kRollbackHead,
+  kPauseLearning,
+  kResumeLearning,
+  kServerLive,
+  kServerReady,
+  kModelReady,
+  kServerMetadata,
+  kModelMetadata,
+  kModelInfer,
+  kModelStreamInfer,
+  kModelConfig,
+  kModelStatistics,
+  kRepositoryIndex,
+  kRepositoryModelLoad,
+  kRepositoryModelUnload,
+};
+inline constexpr int kMethods = 35;
+
+// What became of an episode that was to be recorded.
+enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
+inline constexpr int kRecordingOutcomes = 3;
+
+class Metrics {
+ public:
+  Metrics();
+  Metrics(const Metrics&) = delete;
+  Metrics& operator=(const Metrics&) = delete;
+
+  // The figures of one policy version; must not outlive these metrics.
+  std::shared_ptr<SessionObserver> NewPolicyObserver(const std::string& name, int64_t version,
+                                                     const Policy& policy);
+
+  // One call as the server saw it; for ActStream, one request and its reply.
+  void ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration);
+
+  // Sessions that were idle for their time-to-live.
+  void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
+
+  void CountRecordedEpisode(RecordingOutcome outcome) {
+    recorded_episodes_[static_cast<size_t>(outcome)]->Increment();
+  }
+
+  // How many sessions may be open at a time.
+  void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
+
+  // For figures that are kept elsewhere; what they belong to must not outlive these metrics.
+  prometheus::Registry& registry() { return registry_; }
+
+  // Everything, this process's use of its machine included; and the same in Prometheus's text
+  // format.
+  std::vector<prometheus::MetricFamily> Collect() const;
+  std::string ToText() const;
+
+ private:
+  static constexpr int kCodes = 17;  // gRPC's
+
+  auto& Register(auto builder, const char* name, const char* help) {
+    return builder.Name(name).Help(help).Register(registry_);
+  }
+
+  prometheus::Registry registry_;  // owns everything below
+  prometheus::Family<prometheus::Counter>& decisions_;
+  prometheus::Family<prometheus::Histogram>& spikes_per_decision_;
+  prometheus::Family<prometheus::Counter>& spikes_;
+  prometheus::Family<prometheus::Counter>& synaptic_operations_;
+  prometheus::Family<prometheus::Counter>& energy_;
+  prometheus::Family<prometheus::Histogram>& decision_duration_;
+  prometheus::Family<prometheus::Gauge>& sessions_;
+  prometheus::Family<prometheus::Counter>& episodes_;
+  prometheus::Family<prometheus::Histogram>& episode_return_;
+  prometheus::Family<prometheus::Gauge>& episode_return_mean_;
+  prometheus::Family<prometheus::Counter>& learning_updates_;
+  prometheus::Family<prometheus::Counter>& learning_rejected_;
+  prometheus::Family<prometheus::Gauge>& head_drift_;
+  prometheus::Family<prometheus::Gauge>& modulator_mean_;
+  prometheus::Family<prometheus::Gauge>& modulator_std_;
+  prometheus::Family<prometheus::Gauge>& watched_return_;
+  prometheus::Family<prometheus::Counter>& rollbacks_;
+  prometheus::Family<prometheus::Gauge>& policy_info_;
+  prometheus::Family<prometheus::Histogram>& rpc_duration_;
+  prometheus::Counter* reaped_idle_;
+  prometheus::Gauge* sessions_limit_;
+  std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
+  // Made when a method first answers with a code, since most pairs never occur.
+  std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_METRICS_METRICS_H_

@@ -1,0 +1,54 @@
+#include "server/metrics/policy_metrics.h"
+
+#include <iostream>
+
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+
+void PolicyMetrics::OnDecision(const Answer& answer) {
+  const auto add = [](prometheus::Counter* counter, uint64_t count) {
+    counter->Increment(static_cast<double>(count));
+  };
+  const Counts& counts = answer.counts;
+  add(handles_.decisions, 1);
+  for (size_t i = 0; i < kStages; ++i) add(handles_.spikes[i], counts.spikes_by_stage[i]);
+  add(handles_.accumulates, counts.accumulates);
+  add(handles_.multiply_accumulates, counts.multiply_accumulates);
+  add(handles_.attention_products, counts.attention_products);
+
+  const Energy energy = EstimateEnergy(counts, dense_);
+  handles_.spike_5pj->Increment(energy.spike_5pj);
+  handles_.horowitz_45nm->Increment(energy.horowitz_45nm);
+  handles_.spikes_per_decision->Observe(static_cast<double>(counts.total_spikes()));
+  handles_.decision_duration->Observe(answer.compute_seconds);
+}
+
+void PolicyMetrics::OnEpisodeEnd(double episode_return) {
+  handles_.episodes->Increment();
+  handles_.episode_return->Observe(episode_return);
+  absl::MutexLock lock(&mutex_);
+  ++episodes_;
+  return_mean_ += (episode_return - return_mean_) / static_cast<double>(episodes_);
+  handles_.episode_return_mean->Set(return_mean_);
+}
+
+void PolicyMetrics::OnHeadUpdate(UpdateOutcome outcome) {
+  const bool applied = outcome == UpdateOutcome::kApplied;
+  (applied ? handles_.learning_updates : handles_.learning_rejected_non_finite)->Increment();
+}
+
+void PolicyMetrics::OnLearned(const LearningSummary& summary) {
+  const LearningHandles& handles = handles_.learning[static_cast<size_t>(summary.scope)];
+  handles.head_drift->Set(summary.head_drift);
+  handles.modulator_mean->Set(summary.returns.mean);
+  handles.modulator_std->Set(summary.returns.deviation());
+  handles.watched_return->Set(summary.watched_return);
+  if (!summary.rolled_back) return;
+  handles.rollbacks->Increment();
+  std::cerr << absl::StrCat(
+      "spikeserve: policy ", name_, ": a ", std::string(ToString(summary.scope)),
+      " head was rolled back, its episodes had come to return ", summary.watched_return, "\n");
+}
+
+}  // namespace spikeserve

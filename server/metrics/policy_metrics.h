@@ -1,0 +1,78 @@
+// Counts what the sessions of one policy version do, and logs each rollback of a guard.
+//
+// Thread-safe.
+#ifndef SERVER_METRICS_POLICY_METRICS_H_
+#define SERVER_METRICS_POLICY_METRICS_H_
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "core/engine/counts.h"
+#include "core/session/served_policy.h"
+#include "prometheus/counter.h"
+#include "prometheus/gauge.h"
+#include "prometheus/histogram.h"
+
+namespace spikeserve {
+
+class PolicyMetrics final : public SessionObserver {
+ public:
+  // One time series each, all of this policy version.
+  struct LearningHandles {  // of one Scope
+    prometheus::Gauge* head_drift;
+    prometheus::Gauge* modulator_mean;
+    prometheus::Gauge* modulator_std;
+    prometheus::Gauge* watched_return;
+    prometheus::Counter* rollbacks;
+  };
+  struct Handles {
+    prometheus::Gauge* info;
+    prometheus::Counter* decisions;
+    prometheus::Histogram* spikes_per_decision;
+    std::array<prometheus::Counter*, kStages> spikes;
+    prometheus::Counter* accumulates;
+    prometheus::Counter* multiply_accumulates;
+    prometheus::Counter* attention_products;
+    prometheus::Counter* spike_5pj;
+    prometheus::Counter* horowitz_45nm;
+    prometheus::Histogram* decision_duration;
+    prometheus::Gauge* sessions;
+    prometheus::Counter* episodes;
+    prometheus::Histogram* episode_return;
+    prometheus::Gauge* episode_return_mean;
+    prometheus::Counter* learning_updates;
+    prometheus::Counter* learning_rejected_non_finite;
+    std::array<LearningHandles, 2> learning;  // by Scope
+  };
+
+  // `name` is what the log calls the policy version. `dense` as EstimateEnergy takes it. The
+  // handles must outlive this object.
+  PolicyMetrics(std::string name, const Handles& handles, bool dense)
+      : name_(std::move(name)), handles_(handles), dense_(dense) {
+    handles_.info->Increment();
+  }
+  ~PolicyMetrics() override { handles_.info->Decrement(); }
+
+  void OnOpen() override { handles_.sessions->Increment(); }
+  void OnClose() override { handles_.sessions->Decrement(); }
+  void OnDecision(const Answer& answer) override;
+  void OnEpisodeEnd(double episode_return) override;
+  void OnHeadUpdate(UpdateOutcome outcome) override;
+  void OnLearned(const LearningSummary& summary) override;
+
+ private:
+  const std::string name_;
+  const Handles handles_;
+  const bool dense_;
+  absl::Mutex mutex_;
+  int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;
+  double return_mean_ ABSL_GUARDED_BY(mutex_) = 0.0;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_METRICS_POLICY_METRICS_H_

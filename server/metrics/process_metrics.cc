@@ -1,0 +1,98 @@
+#include "server/metrics/process_metrics.h"
+
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <cstdint>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <sstream>
+#include <string>
+#include <system_error>
+#include <vector>
+
+#include "prometheus/client_metric.h"
+#include "prometheus/metric_type.h"
+
+namespace spikeserve {
+namespace {
+
+using prometheus::ClientMetric;
+using prometheus::MetricFamily;
+using prometheus::MetricType;
+
+MetricFamily Family(const char* name, const char* help, MetricType type, double value) {
+  ClientMetric metric;
+  if (type == MetricType::Counter) {
+    metric.counter.value = value;
+  } else {
+    metric.gauge.value = value;
+  }
+  return {.name = name, .help = help, .type = type, .metric = {metric}};
+}
+
+// Seconds since the epoch at which the machine started, or 0.
+double BootSeconds() {
+  std::ifstream stat("/proc/stat");
+  for (std::string word; stat >> word;) {
+    double seconds = 0;
+    if (word == "btime" && stat >> seconds) return seconds;
+    stat.ignore(std::numeric_limits<std::streamsize>::max(), '\n');
+  }
+  return 0;
+}
+
+// The fields of proc(5)'s /proc/self/stat by their numbers there, 4 to 24; empty where it cannot be
+// read.
+std::vector<double> ReadStat() {
+  std::ifstream file("/proc/self/stat");
+  std::string line;
+  std::getline(file, line);
+  // Field 2 is the program's name in parentheses, which may hold any letter; field 3 is one letter.
+  std::istringstream rest(line.substr(line.rfind(')') + 1));
+  char state = 0;
+  rest >> state;
+  std::vector<double> fields(25);
+  for (size_t i = 4; i < fields.size(); ++i) rest >> fields[i];
+  return rest ? fields : std::vector<double>();
+}
+
+// 0 where /proc does not say.
+int64_t CountOpenFiles() {
+  std::error_code error;
+  std::filesystem::directory_iterator file("/proc/self/fd", error);
+  int64_t count = 0;
+  for (; !error && file != std::filesystem::directory_iterator(); file.increment(error)) ++count;
+  return error ? 0 : count;
+}
+
+}  // namespace
+
+std::vector<MetricFamily> CollectProcessMetrics() {
+  std::vector<MetricFamily> families;
+  const auto add = [&](const char* name, const char* help, MetricType type, double value) {
+    families.push_back(Family(name, help, type, value));
+  };
+  if (const auto stat = ReadStat(); !stat.empty()) {
+    const double user_ticks = stat[14], system_ticks = stat[15], start_ticks = stat[22];
+    const double resident_pages = stat[24];
+    const auto ticks_per_second = static_cast<double>(sysconf(_SC_CLK_TCK));
+    add("process_cpu_seconds_total", "User and system CPU time spent.", MetricType::Counter,
+        (user_ticks + system_ticks) / ticks_per_second);
+    add("process_resident_memory_bytes", "Resident memory.", MetricType::Gauge,
+        resident_pages * static_cast<double>(sysconf(_SC_PAGESIZE)));
+    add("process_start_time_seconds", "When the process started, since the Unix epoch.",
+        MetricType::Gauge, BootSeconds() + start_ticks / ticks_per_second);
+  }
+  if (const int64_t open = CountOpenFiles(); open > 0) {
+    add("process_open_fds", "Open file descriptors.", MetricType::Gauge, static_cast<double>(open));
+  }
+  if (rlimit limit; getrlimit(RLIMIT_NOFILE, &limit) == 0) {
+    add("process_max_fds", "File descriptors that may be open.", MetricType::Gauge,
+        static_cast<double>(limit.rlim_cur));
+  }
+  return families;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,96 @@
+#include "server/policies/policy_catalog.h"
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/string_view.h"
+#include "core/base/json.h"
+#include "core/math/counter_random.h"
+
+namespace spikeserve {
+namespace {
+
+template <typename Map>
+std::string Keys(const Map& map) {
+  return absl::StrJoin(
+      map, ", ", [](std::string* out, const auto& item) { absl::StrAppend(out, item.first); });
+}
+
+// FNV-1a (Fowler, Noll & Vo), so that a key means the same on every replica and after a restart.
+uint64_t HashOfText(absl::string_view text) {
+  uint64_t hash = 0xcbf29ce484222325ull;
+  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3ull;
+  return hash;
+}
+
+// The policy's name is part of the hash, so that a robot is not in the first share of every policy.
+int64_t ShareOf(const std::vector<TrafficShare>& shares, const VersionChoice& choice) {
+  const uint64_t bits = RandomBits({HashOfText(choice.policy), HashOfText(choice.routing_key)});
+  auto place = static_cast<int>(bits % 100);
+  for (const TrafficShare& share : shares) {
+    if (place < share.percent) return share.version;
+    place -= share.percent;
+  }
+  return shares.back().version;  // not reached: the percents add up to 100
+}
+
+}  // namespace
+
+int64_t CatalogPolicy::DefaultVersion() const {
+  return settings.default_version != 0 ? settings.default_version : versions.rbegin()->first;
+}
+
+absl::StatusOr<const CatalogPolicy*> PolicyCatalog::FindPolicy(const std::string& name) const {
+  const auto policy = policies_.find(name);
+  if (policy != policies_.end()) return &policy->second;
+  return absl::NotFoundError(
+      absl::StrCat("policy: expected one of [", Keys(policies_), "], received ", Quoted(name)));
+}
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyCatalog::Find(const std::string& name,
+                                                                        int64_t version) const {
+  const auto policy = FindPolicy(name);
+  if (!policy.ok()) return policy.status();
+  const auto& versions = (*policy)->versions;
+  const auto found = versions.find(version == 0 ? (*policy)->DefaultVersion() : version);
+  if (found != versions.end()) return found->second;
+  return absl::NotFoundError(absl::StrCat("version: expected 0 or one of [", Keys(versions),
+                                          "] of policy ", name, ", received ", version));
+}
+
+absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
+  const auto found = FindPolicy(choice.policy);
+  if (!found.ok()) return found.status();
+  const CatalogPolicy& policy = **found;
+  int64_t version = choice.version;
+  if (!choice.label.empty()) {
+    if (version != 0) {
+      return absl::InvalidArgumentError(absl::StrCat("version_label: expected none beside version ",
+                                                     version, ", received ", Quoted(choice.label)));
+    }
+    const auto label = policy.settings.labels.find(choice.label);
+    if (label == policy.settings.labels.end()) {
+      return absl::NotFoundError(absl::StrCat("version_label: expected one of [",
+                                              Keys(policy.settings.labels), "] of policy ",
+                                              choice.policy, ", received ", Quoted(choice.label)));
+    }
+    version = label->second;
+  } else if (version == 0 && !policy.settings.shares.empty()) {
+    version = ShareOf(policy.settings.shares, choice);
+  }
+  auto served = Find(choice.policy, version);
+  if (!served.ok()) return served.status();
+  Route route = {.served = *std::move(served), .shadow = nullptr};
+  if (policy.settings.shadow_version != 0 &&
+      policy.settings.shadow_version != route.served->version) {
+    const auto& shadow = policy.versions.at(policy.settings.shadow_version);
+    if (SameSpaces(*shadow, *route.served)) route.shadow = shadow;
+  }
+  return route;
+}
+
+bool SameSpaces(const ServedPolicy& a, const ServedPolicy& b) {
+  return a.policy().observation_size() == b.policy().observation_size() &&
+         a.policy().action_space == b.policy().action_space;
+}
+
+}  // namespace spikeserve

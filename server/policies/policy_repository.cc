@@ -1,0 +1,133 @@
+#include "server/policies/policy_repository.h"
+
+#include <sys/stat.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <system_error>
+#include <utility>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "core/base/json.h"
+#include "core/engine/engine.h"
+#include "core/learning/fleet_head.h"
+#include "core/model/policy_file.h"
+
+namespace spikeserve {
+namespace {
+
+namespace fs = std::filesystem;
+
+// The folders in `directory` by name, hidden ones left out.
+absl::StatusOr<std::vector<fs::path>> ListFolders(const fs::path& directory) {
+  std::error_code error;
+  std::vector<fs::path> folders;
+  fs::directory_iterator it(directory, error);
+  for (; !error && it != fs::directory_iterator(); it.increment(error)) {
+    std::error_code ignored;  // a dangling link is no folder
+    const bool hidden = it->path().filename().native().starts_with('.');
+    if (!hidden && it->is_directory(ignored)) folders.push_back(it->path());
+  }
+  if (error) {
+    return absl::NotFoundError(absl::StrCat(directory.string(), ": ", error.message()));
+  }
+  std::sort(folders.begin(), folders.end());
+  return folders;
+}
+
+// Decimal digits without a leading zero, so that no two folders are one version.
+absl::StatusOr<int64_t> ParseVersion(const fs::path& folder) {
+  const std::string name = folder.filename().string();
+  int64_t version = 0;
+  if (!absl::SimpleAtoi(name, &version) || version < 1 || absl::StrCat(version) != name) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(folder.string(), ": expected a version, a positive integer, as its name"));
+  }
+  return version;
+}
+
+absl::Status WarmUp(const Engine& engine, const std::string& path) {
+  const Policy& policy = engine.policy();
+  const std::vector<float> observation(static_cast<size_t>(policy.observation_size()), 0.0f);
+  Engine::Output output;
+  engine.Decide(*engine.NewContext(/*seed=*/0), policy.target_return, observation, &output);
+  const bool finite = std::all_of(output.readout.begin(), output.readout.end(),
+                                  [](float value) { return std::isfinite(value); });
+  if (finite) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(path, ": expected a finite first decision, received one that is not"));
+}
+
+}  // namespace
+
+FileStamp StampOf(const std::string& path) {
+  struct stat file = {};
+  if (stat(path.c_str(), &file) != 0) return {};
+  return {.modified_ns = int64_t{file.st_mtim.tv_sec} * 1'000'000'000 + file.st_mtim.tv_nsec,
+          .inode = file.st_ino,
+          .size = file.st_size};
+}
+
+bool IsPlainName(const std::string& name) {
+  return !name.empty() && name.front() != '.' && std::all_of(name.begin(), name.end(), [](char c) {
+    return absl::ascii_isalnum(c) || c == '.' || c == '-' || c == '_';
+  });
+}
+
+absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory) {
+  const auto policies = ListFolders(directory);
+  if (!policies.ok()) return policies.status();
+  PolicyFolders found;
+  for (const fs::path& folder : *policies) {
+    const std::string name = folder.filename().string();
+    if (!IsPlainName(name)) {
+      found.refused.push_back(absl::InvalidArgumentError(absl::StrCat(
+          Quoted(folder.string()), ": expected a name of letters, digits, '.', '-', '_'")));
+      continue;
+    }
+    const auto versions = ListFolders(folder);
+    if (!versions.ok()) {
+      found.refused.push_back(versions.status());
+      continue;
+    }
+    for (const fs::path& version_folder : *versions) {
+      const auto version = ParseVersion(version_folder);
+      if (version.ok()) {
+        found.versions.push_back({.policy = name, .version = *version});
+      } else {
+        found.refused.push_back(version.status());
+      }
+    }
+  }
+  std::sort(found.versions.begin(), found.versions.end());
+  return found;
+}
+
+std::string PolicyFilePath(const std::string& directory, const PolicyVersion& version) {
+  return (fs::path(directory) / version.policy / absl::StrCat(version.version) /
+          "policy.safetensors")
+      .string();
+}
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
+    const std::string& directory, const PolicyVersion& version,
+    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer) {
+  const std::string path = PolicyFilePath(directory, version);
+  auto policy = ReadPolicyFile(path);
+  if (!policy.ok()) return policy.status();
+  auto served = std::make_shared<ServedPolicy>();
+  served->name = version.policy;
+  served->version = version.version;
+  const auto shared = std::make_shared<const Policy>(*std::move(policy));
+  served->engine = MakeStreamingEngine(shared);
+  served->fleet = std::make_shared<FleetHead>(shared);
+  served->learning = std::move(learning);
+  if (auto status = WarmUp(*served->engine, path); !status.ok()) return status;
+  served->observer = new_observer(served->name, served->version, served->policy());
+  return served;
+}
+
+}  // namespace spikeserve

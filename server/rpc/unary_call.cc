@@ -1,0 +1,102 @@
+#include "server/rpc/unary_call.h"
+
+#include <grpcpp/alarm.h>
+
+#include <chrono>
+#include <utility>
+
+#include "absl/time/time.h"
+#include "server/access/admission.h"
+#include "server/base/status_map.h"
+
+namespace spikeserve {
+namespace {
+
+// Keeps a unary call on the books until gRPC has sent its answer. gRPC sends once the method has
+// returned, so what may wait is done in OnDone.
+class UnaryCall final : public grpc::ServerUnaryReactor {
+ public:
+  UnaryCall(const ServiceParts& parts, Method method, const google::protobuf::MessageLite& request)
+      : parts_(parts),
+        method_(method),
+        request_(request),
+        start_(parts.clock->Now()),
+        accepted_(parts.calls->Begin()) {}
+
+  bool accepted() const { return accepted_; }
+  DeferredWork* deferred() { return &deferred_; }
+
+  // Answers, and records the call. A refused caller waits for its answer, so that it cannot ask at
+  // once again.
+  void End(const absl::StatusOr<const Credential*>& caller, const absl::Status& status) {
+    const absl::Duration now = parts_.clock->Now();
+    parts_.metrics->ObserveRpc(method_, status.code(), now - start_);
+    const absl::Status& refusal = status.ok() ? deferred_.refusal() : status;
+    if (refusal.ok()) return Finish(grpc::Status::OK);
+    RefusalPacer& refusals = parts_.authenticator->RefusalsOf(caller);
+    const absl::Duration rest = refusals.Rest(refusal, request_.ByteSizeLong(), now);
+    if (rest == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
+    alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
+               [this, status](bool /*ok*/) { Finish(ToGrpcStatus(status)); });
+  }
+
+  void OnDone() override {
+    deferred_.Run();
+    parts_.calls->End();
+    delete this;  // gRPC's reactors own themselves
+  }
+
+  // Otherwise gRPC wakes another thread for OnDone. It means this for its own reactions, which
+  // never wait; ours may wait for a decision of the same session, for as long as that takes.
+  bool InternalInlineable() override { return true; }
+
+ private:
+  const ServiceParts& parts_;
+  const Method method_;
+  const google::protobuf::MessageLite& request_;  // gRPC keeps it until OnDone
+  const absl::Duration start_;
+  const bool accepted_;
+  DeferredWork deferred_;
+  grpc::Alarm alarm_;
+};
+
+// Who makes the call, or why it is refused.
+absl::StatusOr<const Credential*> AdmitCall(const ServiceParts& parts,
+                                            const grpc::CallbackServerContext& context,
+                                            Method method, const UnaryCall& call) {
+  if (!call.accepted()) return DrainingError();
+  return Admit(*parts.authenticator, context, method);
+}
+
+}  // namespace
+
+grpc::ServerUnaryReactor* AnswerUnary(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)> handle) {
+  auto* call = new UnaryCall(parts, method, request);
+  const auto caller = AdmitCall(parts, context, method, *call);
+  absl::Status status = caller.status();
+  if (status.ok()) status = CheckSize(**caller, request, parts.max_message_bytes);
+  if (status.ok()) status = handle(**caller, call->deferred());
+  call->End(caller, status);
+  return call;
+}
+
+grpc::ServerUnaryReactor* AnswerUnaryInBackground(
+    const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
+    const google::protobuf::MessageLite& request,
+    std::function<absl::Status(const Credential& caller)> handle) {
+  auto* call = new UnaryCall(parts, method, request);
+  const auto caller = AdmitCall(parts, context, method, *call);
+  absl::Status status = caller.status();
+  if (status.ok()) status = CheckSize(**caller, request, parts.max_message_bytes);
+  if (status.ok()) {
+    status = parts.worker->Submit(
+        [call, caller, handle = std::move(handle)] { call->End(caller, handle(**caller)); });
+  }
+  if (!status.ok()) call->End(caller, status);
+  return call;
+}
+
+}  // namespace spikeserve

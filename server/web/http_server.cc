@@ -1,0 +1,106 @@
+#include "server/web/http_server.h"
+
+#include <httplib.h>
+
+#include <cerrno>
+#include <cstring>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int kThreads = 8;
+
+// How long a connection may take to send its request, or a thread to wait for one.
+constexpr int kPatienceSeconds = 5;
+
+// A page may load nothing but what this server sends, be framed by nobody, and is always fetched
+// anew.
+httplib::Headers PageHeaders() {
+  return {{"Content-Security-Policy",
+           "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src "
+           "'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
+          {"X-Content-Type-Options", "nosniff"},
+          {"Referrer-Policy", "no-referrer"},
+          {"Cache-Control", "no-store"}};
+}
+
+std::unique_ptr<httplib::Server> MakeServer(const TlsFiles* tls) {
+  if (!tls->enabled()) return std::make_unique<httplib::Server>();
+  return std::make_unique<httplib::SSLServer>([tls](SSL_CTX& context) {
+    SetUpTls(tls, &context);
+    return true;
+  });
+}
+
+// Unlike the library's own choice, lets nobody else listen on the port.
+void SetSocketOptions(socket_t socket) {
+  const int yes = 1;
+  setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
+}
+
+void Answer(const HttpServer::Page& page, const httplib::Request& request,
+            httplib::Response& response) {
+  const bool is_read = request.method == "GET" || request.method == "HEAD";
+  HttpResponse answer = is_read ? page({.path = request.path,
+                                        .parameters = request.params,
+                                        .authorization = request.get_header_value("Authorization")})
+                                : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+  response.status = answer.code;
+  if (answer.code == 401) response.set_header("WWW-Authenticate", "Basic realm=\"spikeserve\"");
+  response.set_content(std::move(answer.body), answer.content_type);
+}
+
+}  // namespace
+
+HttpServer::HttpServer(const TlsFiles& tls, Page page)
+    : tls_(tls), page_(std::move(page)), server_(MakeServer(&tls_)) {
+  server_->new_task_queue = [] { return new httplib::ThreadPool(kThreads); };  // the library's own
+  server_->set_socket_options(SetSocketOptions);
+  server_->set_keep_alive_max_count(1);
+  server_->set_keep_alive_timeout(kPatienceSeconds);
+  server_->set_read_timeout(kPatienceSeconds);
+  server_->set_write_timeout(kPatienceSeconds);
+  server_->set_default_headers(PageHeaders());
+  server_->set_pre_routing_handler(
+      [this](const httplib::Request& request, httplib::Response& response) {
+        Answer(page_, request, response);
+        return httplib::Server::HandlerResponse::Handled;
+      });
+}
+
+absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& listen,
+                                                              const TlsFiles& tls, Page page) {
+  auto server = std::unique_ptr<HttpServer>(new HttpServer(tls, std::move(page)));
+  httplib::Server& http = *server->server_;
+  const std::string host(absl::StripSuffix(absl::StripPrefix(listen.host, "["), "]"));
+  server->address_ = listen;
+  errno = 0;
+  if (listen.port == 0) {
+    server->address_.port = http.bind_to_any_port(host);
+  } else if (!http.bind_to_port(host, listen.port)) {
+    server->address_.port = -1;
+  }
+  if (server->address_.port < 0) {
+    return absl::UnavailableError(absl::StrCat("cannot listen on ", listen.ToString(), ": ",
+                                               errno == 0 ? "no such address" : strerror(errno)));
+  }
+  server->listener_ = std::thread([&http] { http.listen_after_bind(); });
+  // Before that it could not be stopped.
+  while (!http.is_running()) absl::SleepFor(absl::Milliseconds(1));
+  return server;
+}
+
+HttpServer::~HttpServer() {
+  if (!listener_.joinable()) return;
+  server_->stop();
+  listener_.join();
+}
+
+}  // namespace spikeserve

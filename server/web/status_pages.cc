@@ -1,0 +1,125 @@
+#include "server/web/status_pages.h"
+
+#include <memory>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+#include "absl/synchronization/notification.h"
+#include "absl/time/time.h"
+#include "proto/json.h"
+#include "server/access/admission.h"
+#include "server/base/http_query.h"
+#include "server/web/embedded_files.h"
+#include "server/web/status_json.h"
+
+namespace spikeserve {
+namespace {
+
+absl::string_view ContentTypeOf(absl::string_view file) {
+  if (absl::EndsWith(file, ".html")) return "text/html; charset=utf-8";
+  if (absl::EndsWith(file, ".css")) return "text/css; charset=utf-8";
+  if (absl::EndsWith(file, ".js")) return "text/javascript; charset=utf-8";
+  return "text/plain; charset=utf-8";
+}
+
+// The file of the status page at `path`.
+HttpResponse FileResponse(absl::string_view path) {
+  const absl::string_view name = path == "/" ? "index.html" : absl::StripPrefix(path, "/");
+  const auto file = EmbeddedFiles().find(name);
+  if (file == EmbeddedFiles().end()) {
+    return {.code = 404,
+            .body =
+                "expected /, /metrics, /healthz, /status.json, /sessions.json or "
+                "/explain.json\n"};
+  }
+  return {.code = 200,
+          .content_type = std::string(ContentTypeOf(name)),
+          .body = std::string(file->second)};
+}
+
+int HttpCode(absl::StatusCode code) {
+  switch (code) {
+    case absl::StatusCode::kInvalidArgument:
+      return 400;
+    case absl::StatusCode::kNotFound:
+      return 404;
+    case absl::StatusCode::kFailedPrecondition:
+      return 409;
+    case absl::StatusCode::kResourceExhausted:
+      return 429;
+    case absl::StatusCode::kUnavailable:
+      return 503;
+    default:
+      return 500;
+  }
+}
+
+HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
+  return {.code = json.ok() ? 200 : HttpCode(json.status().code()),
+          .content_type = "application/json",
+          .body = json.ok() ? *std::move(json) : ErrorJson(json.status())};
+}
+
+}  // namespace
+
+HttpResponse StatusPages::Answer(const HttpRequest& request) const {
+  const absl::string_view path = request.path;
+  if (path == "/healthz") return Health();
+  const auto caller = AdmitToPages(*parts_.authenticator, request.authorization);
+  if (!caller.ok()) {
+    return {.code = absl::IsUnauthenticated(caller.status()) ? 401 : 403,
+            .body = absl::StrCat(caller.status().message(), "\n")};
+  }
+  if (path == "/metrics") {
+    return {.code = 200,
+            .content_type = "text/plain; version=0.0.4; charset=utf-8",
+            .body = parts_.metrics->ToText()};
+  }
+  if (path == "/status.json") return JsonResponse(Status());
+  if (path == "/sessions.json") return JsonResponse(Sessions(**caller, request));
+  if (path == "/explain.json") return JsonResponse(Explain(**caller, request));
+  return FileResponse(path);
+}
+
+HttpResponse StatusPages::Health() const {
+  const bool serving = parts_.serving();
+  return {.code = serving ? 200 : 503, .body = serving ? "SERVING\n" : "NOT_SERVING\n"};
+}
+
+absl::StatusOr<std::string> StatusPages::Status() const {
+  v1::ListPoliciesResponse policies;
+  if (auto status = parts_.handler->ListPolicies({}, &policies); !status.ok()) return status;
+  return StatusJson(parts_.metrics->Collect(), policies, absl::ToDoubleSeconds(parts_.clock->Now()),
+                    parts_.serving());
+}
+
+absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,
+                                                  const HttpRequest& request) const {
+  const auto parsed =
+      HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "offset", "limit"});
+  if (!parsed.ok()) return parsed.status();
+  return SessionsJson(*parts_.store, caller, *parsed);
+}
+
+absl::StatusOr<std::string> StatusPages::Explain(const Credential& caller,
+                                                 const HttpRequest& request) const {
+  const auto parsed = HttpQuery::Parse(request.parameters, {"session"});
+  if (!parsed.ok()) return parsed.status();
+  v1::ExplainRequest explain;
+  explain.set_session_id(parsed->Get("session"));
+  v1::ExplainResponse response;
+  absl::Status explained;
+  absl::Notification done;
+  const absl::Status accepted = parts_.worker->Submit([&] {
+    explained = parts_.handler->Explain(caller, explain, &response);
+    done.Notify();
+  });
+  if (!accepted.ok()) return accepted;
+  done.WaitForNotification();
+  if (!explained.ok()) return explained;
+  return MessageToJson(response);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,98 @@
+// A PolicyService inside the test's process that misbehaves on request. It keeps the rule of steps:
+// the last answered step again gets the stored answer, and every new decision differs from all
+// others, so that a decision taken twice shows.
+//
+// Thread-safe.
+#ifndef TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_
+#define TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_
+
+#include <grpcpp/channel.h>
+#include <grpcpp/server.h>
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "spikeserve/v1/policy_service.grpc.pb.h"
+
+namespace spikeserve {
+
+class FakePolicyService : public v1::PolicyService::Service {
+ public:
+  static constexpr uint64_t kSpikes = 10;  // of every decision
+
+  FakePolicyService();
+  ~FakePolicyService() override;
+
+  std::shared_ptr<grpc::Channel> channel() const { return channel_; }
+
+  // The next `calls` calls fail with `status` and do nothing.
+  void RefuseNext(int calls, grpc::Status status);
+  // The next `calls` calls are carried out, but answered with UNAVAILABLE.
+  void LoseNextReplies(int calls);
+  // The next call does nothing and is answered only once another call has come.
+  void HangNext();
+  // The next stream ends with `status` after its first answer.
+  void BreakNextStream(grpc::Status status);
+
+  int calls() const;      // unary calls that arrived, refused ones too
+  int decisions() const;  // computed, not repeated
+  int sessions() const;   // open ones
+  v1::EndEpisodeRequest last_end_episode() const;
+
+  grpc::Status ListPolicies(grpc::ServerContext* context, const v1::ListPoliciesRequest* request,
+                            v1::ListPoliciesResponse* response) override;
+  grpc::Status OpenSession(grpc::ServerContext* context, const v1::OpenSessionRequest* request,
+                           v1::OpenSessionResponse* response) override;
+  grpc::Status Act(grpc::ServerContext* context, const v1::ActRequest* request,
+                   v1::ActResponse* response) override;
+  grpc::Status ActBatch(grpc::ServerContext* context, const v1::ActBatchRequest* request,
+                        v1::ActBatchResponse* response) override;
+  grpc::Status ActStream(
+      grpc::ServerContext* context,
+      grpc::ServerReaderWriter<v1::ActResponse, v1::ActRequest>* stream) override;
+  grpc::Status EndEpisode(grpc::ServerContext* context, const v1::EndEpisodeRequest* request,
+                          v1::EndEpisodeResponse* response) override;
+  grpc::Status GetSession(grpc::ServerContext* context, const v1::GetSessionRequest* request,
+                          v1::GetSessionResponse* response) override;
+  grpc::Status CloseSession(grpc::ServerContext* context, const v1::CloseSessionRequest* request,
+                            v1::CloseSessionResponse* response) override;
+
+ private:
+  struct SessionState {
+    int64_t step = 0;
+    int64_t episode = 0;
+    v1::ActResponse last_answer;
+    v1::EndEpisodeResponse last_end;
+  };
+
+  // Counts the call, applies the faults asked for, and carries it out.
+  template <typename Work>
+  grpc::Status Handle(Work work) ABSL_LOCKS_EXCLUDED(mutex_);
+  grpc::Status Decide(const v1::ActRequest& request, v1::ActResponse* response)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  mutable absl::Mutex mutex_;
+  absl::CondVar called_;  // calls_ has grown
+  std::map<std::string, SessionState> sessions_ ABSL_GUARDED_BY(mutex_);
+  int calls_ ABSL_GUARDED_BY(mutex_) = 0;
+  int decisions_ ABSL_GUARDED_BY(mutex_) = 0;
+  int opened_ ABSL_GUARDED_BY(mutex_) = 0;
+  int refusals_ ABSL_GUARDED_BY(mutex_) = 0;
+  grpc::Status refusal_ ABSL_GUARDED_BY(mutex_);
+  int lost_replies_ ABSL_GUARDED_BY(mutex_) = 0;
+  bool hang_ ABSL_GUARDED_BY(mutex_) = false;
+  std::optional<grpc::Status> stream_end_ ABSL_GUARDED_BY(mutex_);
+  v1::EndEpisodeRequest last_end_episode_ ABSL_GUARDED_BY(mutex_);
+
+  std::unique_ptr<grpc::Server> server_;
+  std::shared_ptr<grpc::Channel> channel_;
+};
+
+}  // namespace spikeserve
+
+#endif  // TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_

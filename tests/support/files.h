@@ -1,0 +1,54 @@
+// Files for the model's tests.
+#ifndef TESTS_SUPPORT_FILES_H_
+#define TESTS_SUPPORT_FILES_H_
+
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <string>
+
+namespace spikeserve {
+
+// Each test gets an empty directory of its own, removed when the test ends.
+class DirectoryTest : public testing::Test {
+ protected:
+  DirectoryTest() {
+    std::string name = testing::TempDir() + "/spikeserve.XXXXXX";
+    directory_ = mkdtemp(name.data());
+  }
+  ~DirectoryTest() override { std::filesystem::remove_all(directory_); }
+
+  std::string Path(const std::string& name = "policy.safetensors") const {
+    return directory_ / name;
+  }
+
+  const std::filesystem::path& directory() const { return directory_; }
+
+ private:
+  std::filesystem::path directory_;
+};
+
+inline void WriteBytes(const std::string& path, const std::string& bytes) {
+  std::ofstream(path, std::ios::binary) << bytes;
+}
+
+inline std::string ReadBytes(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  return std::string(std::istreambuf_iterator<char>(file), {});
+}
+
+// A container put together by hand: the length, the header as it is, the data as it is.
+inline std::string Container(const std::string& header, const std::string& data) {
+  std::string bytes;
+  for (int byte = 0; byte < 8; ++byte) {
+    bytes.push_back(static_cast<char>(header.size() >> (8 * byte)));
+  }
+  return bytes + header + data;
+}
+
+}  // namespace spikeserve
+
+#endif  // TESTS_SUPPORT_FILES_H_

@@ -1,0 +1,72 @@
+// Small random policies and the requests of a made-up agent, for tests of sessions.
+#ifndef TESTS_SUPPORT_SESSION_FIXTURE_H_
+#define TESTS_SUPPORT_SESSION_FIXTURE_H_
+
+#include <cmath>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/engine/engine.h"
+#include "core/model/policy.h"
+#include "core/session/agent_session.h"
+#include "core/session/served_policy.h"
+#include "tests/support/small_config.h"
+
+namespace spikeserve {
+
+// Remembers what it was told. Not thread-safe.
+struct RecordingObserver : SessionObserver {
+  int opened = 0;
+  int closed = 0;
+  std::vector<Answer> decisions;
+  std::vector<double> returns;
+
+  void OnOpen() override { ++opened; }
+  void OnDecision(const Answer& answer) override { decisions.push_back(answer); }
+  void OnEpisodeEnd(double episode_return) override { returns.push_back(episode_return); }
+  void OnClose() override { ++closed; }
+};
+
+constexpr int kObservationSize = 3;
+
+inline std::shared_ptr<const ServedPolicy> Serve(
+    const ModelConfig& config, const ActionSpace& action_space,
+    std::shared_ptr<SessionObserver> observer = std::make_shared<SessionObserver>()) {
+  auto policy = std::make_shared<const Policy>(
+      RandomPolicy(config, kObservationSize, action_space, /*seed=*/7));
+  auto served = std::make_shared<ServedPolicy>();
+  served->name = "small";
+  served->version = 1;
+  served->fleet = std::make_shared<FleetHead>(policy);
+  served->engine = MakeStreamingEngine(std::move(policy));
+  served->observer = std::move(observer);
+  return served;
+}
+
+inline SessionOptions SmallOptions() {
+  SessionOptions options;
+  options.policy = "small";
+  options.version = 1;
+  options.target_return = 10.0;
+  options.seed = 42;
+  return options;
+}
+
+// What the environment shows at timestep t.
+inline std::vector<float> ObservationAt(int64_t t) {
+  std::vector<float> observation(kObservationSize);
+  for (int i = 0; i < kObservationSize; ++i) {
+    observation[i] = static_cast<float>(std::sin(0.7 * static_cast<double>(t) + i));
+  }
+  return observation;
+}
+
+// The reward for the action before timestep t; not exact in binary.
+inline double RewardAt(int64_t t) { return 0.1 * static_cast<double>(t % 3); }
+
+}  // namespace spikeserve
+
+#endif  // TESTS_SUPPORT_SESSION_FIXTURE_H_

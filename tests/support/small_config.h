@@ -1,0 +1,24 @@
+// The shape of the policies that tests of sessions and servers play with.
+#ifndef TESTS_SUPPORT_SMALL_CONFIG_H_
+#define TESTS_SUPPORT_SMALL_CONFIG_H_
+
+#include "core/model/config.h"
+
+namespace spikeserve {
+
+// Two layers and a window of 4 timesteps, so that a decision depends on 7.
+inline ModelConfig SmallConfig() {
+  ModelConfig config;
+  config.hidden_size = 16;
+  config.heads = 2;
+  config.layers = 2;
+  config.ticks = 5;
+  config.context = 4;
+  config.routing_hidden_size = 4;
+  config.ffn_size = 32;
+  return config;
+}
+
+}  // namespace spikeserve
+
+#endif  // TESTS_SUPPORT_SMALL_CONFIG_H_

@@ -1,0 +1,58 @@
+// A registry of small random policies in a directory of its own, for tests of what stands on it.
+#ifndef TESTS_SUPPORT_SMALL_REGISTRY_H_
+#define TESTS_SUPPORT_SMALL_REGISTRY_H_
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <initializer_list>
+#include <memory>
+#include <string>
+
+#include "core/model/policy_file.h"
+#include "server/metrics/metrics.h"
+#include "server/policies/policy_registry.h"
+#include "tests/support/session_fixture.h"
+#include "tests/support/temporary_directory.h"
+
+namespace spikeserve {
+
+class SmallRegistry {
+ public:
+  // Serves version 1 of each.
+  explicit SmallRegistry(std::initializer_list<std::string> names) {
+    for (const std::string& name : names) WriteVersion(name, 1);
+    ReloadReport report;
+    auto registry = PolicyRegistry::Load(
+        directory_.path().string(), /*settings_path=*/"",
+        [this](const std::string& name, int64_t version, const Policy& loaded) {
+          return metrics_.NewPolicyObserver(name, version, loaded);
+        },
+        &report);
+    EXPECT_TRUE(registry.ok()) << registry.status();
+    EXPECT_TRUE(report.refused.empty());
+    registry_ = *std::move(registry);
+  }
+
+  // Leaves the file in the directory; the registry looks when it is told to.
+  void WriteVersion(const std::string& name, int64_t version) {
+    const auto folder = path() / name / std::to_string(version);
+    std::filesystem::create_directories(folder);
+    const Policy policy =
+        RandomPolicy(SmallConfig(), kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
+    EXPECT_TRUE(WritePolicyFile(policy, (folder / "policy.safetensors").string()).ok());
+  }
+
+  std::filesystem::path path() const { return directory_.path(); }
+  PolicyRegistry* get() { return registry_.get(); }
+  Metrics& metrics() { return metrics_; }
+
+ private:
+  TemporaryDirectory directory_;
+  Metrics metrics_;
+  std::unique_ptr<PolicyRegistry> registry_;
+};
+
+}  // namespace spikeserve
+
+#endif  // TESTS_SUPPORT_SMALL_REGISTRY_H_

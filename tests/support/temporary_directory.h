@@ -1,0 +1,32 @@
+// A directory that goes with its owner.
+#ifndef TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_
+#define TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_
+
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+namespace spikeserve {
+
+class TemporaryDirectory {
+ public:
+  TemporaryDirectory() {
+    std::string name = (std::filesystem::temp_directory_path() / "spikeserve-XXXXXX").string();
+    path_ = mkdtemp(name.data());
+  }
+  ~TemporaryDirectory() {
+    std::error_code ignored;
+    std::filesystem::remove_all(path_, ignored);
+  }
+  TemporaryDirectory(const TemporaryDirectory&) = delete;
+  TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
+
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+}  // namespace spikeserve
+
+#endif  // TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_

@@ -1,0 +1,109 @@
+// Currents have one order of summation; spikes rarely show a wrong one, so it is checked on the
+// currents themselves.
+#include "core/engine/spiking/spike_input.h"
+
+#include <gtest/gtest.h>
+
+#include "core/math/counter_random.h"
+#include "core/neuron/lif.h"
+#include "core/neuron/phase.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int64_t kTimestep = 17;
+
+class SpikeInputTest : public testing::TestWithParam<CoderKind> {
+ protected:
+  SpikeInputTest() {
+    config_.coder = GetParam();
+    policy_ = RandomPolicy(config_, 4, ActionSpace::Discrete(2), 5);
+    for (int j = 0; j < config_.hidden_size; ++j) {
+      x_.push_back(4.0f * UniformFloat(RandomBits({9, static_cast<uint64_t>(j)})) - 1.0f);
+    }
+    phase_.Set(policy_, kTimestep);
+    input_.Code(config_, PeriodTable(Lif(), config_.ticks), Coder(), x_.data(), Key());
+  }
+
+  const struct Coder& Coder() const { return policy_.weights.layers[0].coder; }
+  static BernoulliKey Key() { return {.seed = 3, .timestep = kTimestep, .token = 1, .site = 0}; }
+
+  // The ticks (1 ... T) at which coder neuron j fires.
+  bool Fires(int j, int tick) const {
+    const float gain = Coder().gain.values[j], bias = Coder().bias.values[j];
+    if (GetParam() == CoderKind::kBernoulli)
+      return BernoulliSpike(Key(), j, tick - 1, x_[j], gain, bias);
+    return Period(j) > 0 && tick % Period(j) == 0;
+  }
+  int Period(int j) const {
+    return Lif().Period(x_[j] * Coder().gain.values[j] + Coder().bias.values[j], config_.ticks);
+  }
+
+  // The current into output i, added up as model.md's canonical order says.
+  float Current(const Linear& linear, int i, int tick) const {
+    float current = linear.bias.values[i];
+    for (int n = 1; n <= tick; ++n) {
+      if (GetParam() == CoderKind::kBernoulli ? n != tick : tick % n != 0) continue;
+      float group = 0.0f;
+      for (int j = 0; j < config_.hidden_size; ++j) {
+        const bool member = GetParam() == CoderKind::kBernoulli ? Fires(j, tick) : Period(j) == n;
+        if (member) group += linear.weight.at(i, j);
+      }
+      current += group;
+    }
+    for (int k = 0; k < config_.heads; ++k) {
+      const double time = TimestepPhaseTime(kTimestep, tick - 1, config_.ticks);
+      if (PhaseSpike(policy_.weights.phase_omega.values[k], policy_.weights.phase_phi.values[k],
+                     time)) {
+        current += linear.weight.at(i, config_.hidden_size + k);
+      }
+    }
+    return current;
+  }
+
+  ModelConfig config_;
+  Policy policy_;
+  std::vector<float> x_;
+  PhaseSpikes phase_;
+  SpikeInput input_;
+};
+
+TEST_P(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
+  const Linear& key = policy_.weights.layers[0].key;
+  const PackedLinear packed = Pack({&key});
+  const kernels::Drive& drive = input_.DriveOf(packed, packed.width, &phase_);
+  for (int tick = 1; tick <= config_.ticks; ++tick) {
+    for (int i = 0; i < config_.hidden_size; ++i) {
+      float current = packed.bias[i];
+      for (int k = drive.offsets[tick - 1]; k < drive.offsets[tick]; ++k)
+        current += drive.terms[k][i];
+      ASSERT_EQ(current, Current(key, i, tick)) << "tick " << tick << ", output " << i;
+    }
+  }
+}
+
+TEST_P(SpikeInputTest, CountsSpikesAndTheSynapsesTheyMeet) {
+  std::vector<float> rates;
+  input_.Rates(&rates);
+  uint64_t total = 0, products = 0;
+  std::vector<uint32_t> nonzero(config_.attention_inputs());
+  for (size_t j = 0; j < nonzero.size(); ++j) nonzero[j] = static_cast<uint32_t>(j + 1);
+  for (int j = 0; j < config_.hidden_size; ++j) {
+    int spikes = 0;
+    for (int tick = 1; tick <= config_.ticks; ++tick) spikes += Fires(j, tick);
+    EXPECT_EQ(rates[j], static_cast<float>(spikes) / static_cast<float>(config_.ticks))
+        << "neuron " << j;
+    total += spikes;
+    products += static_cast<uint64_t>(spikes) * nonzero[j];
+  }
+  EXPECT_EQ(input_.total(), total);
+  EXPECT_EQ(input_.Products(nonzero, nullptr), products);
+  EXPECT_GT(input_.Products(nonzero, &phase_), products);
+}
+
+INSTANTIATE_TEST_SUITE_P(Coders, SpikeInputTest,
+                         testing::Values(CoderKind::kLif, CoderKind::kBernoulli),
+                         [](const auto& test) { return std::string(ToString(test.param)); });
+
+}  // namespace
+}  // namespace spikeserve

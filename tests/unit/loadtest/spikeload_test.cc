@@ -1,0 +1,184 @@
+// The loops of spikeload, without its process.
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "loadtest/caller.h"
+#include "loadtest/load_options.h"
+#include "loadtest/load_report.h"
+#include "tests/support/fake_policy_service.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+constexpr int kAgents = 5;
+constexpr int kEpisodeSteps = 3;
+
+class CallerTest : public ::testing::TestWithParam<LoadMode> {
+ protected:
+  CallerTest() {
+    ClientOptions options;
+    options.retry.max_attempts = 1;
+    client_ = *Client::Create(fake_.channel(), options);
+  }
+
+  Caller MakeCaller() {
+    std::vector<SimulatedAgent> agents;
+    for (int i = 0; i < kAgents; ++i) {
+      RemoteSession session(client_.get(), client_->OpenSession({})->session_id(), 0);
+      agents.emplace_back(session, /*observation_size=*/4, /*first_episode_steps=*/1 + i % 3,
+                          kEpisodeSteps, /*seed=*/i);
+    }
+    return Caller(MakeExchange(GetParam(), /*batch_size=*/2, client_.get()), std::move(agents),
+                  /*pause_after_error=*/absl::Milliseconds(1), /*patience=*/absl::Seconds(20));
+  }
+
+  FakePolicyService fake_;
+  std::unique_ptr<Client> client_;
+};
+
+TEST_P(CallerTest, EveryAgentPlaysOn) {
+  Caller caller = MakeCaller();
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
+  EXPECT_EQ(report.errors, 0) << report.first_error;
+  EXPECT_GE(report.decisions, kAgents);
+  EXPECT_EQ(report.decisions, fake_.decisions());
+  EXPECT_EQ(report.latency.count(), report.decisions);
+  EXPECT_GT(report.seconds, 0.0);
+  EXPECT_TRUE(caller.CloseSessions().ok());
+  EXPECT_EQ(fake_.sessions(), 0);
+}
+
+TEST_P(CallerTest, RequestsFollowTheSchedule) {
+  Caller caller = MakeCaller();
+  const LoadReport report = caller.RunAtRate(
+      {.offset = std::chrono::milliseconds(1), .interval = std::chrono::milliseconds(2)},
+      std::chrono::milliseconds(200));
+  EXPECT_EQ(report.errors, 0) << report.first_error;
+  EXPECT_EQ(report.decisions, 100);  // due at 1, 3, ... 199 ms, however late they went out
+  EXPECT_EQ(report.latency.count(), 100);
+}
+
+TEST_P(CallerTest, AServerTooSlowForTheScheduleIsChargedForTheWait) {
+  Caller caller = MakeCaller();
+  // 100,000 requests a second, which nothing here can answer: the last is due at 20 ms, all the
+  // same, and its latency is what it took beyond that.
+  const LoadReport report = caller.RunAtRate(
+      {.offset = std::chrono::nanoseconds(0), .interval = std::chrono::microseconds(10)},
+      std::chrono::milliseconds(20));
+  EXPECT_EQ(report.decisions, 2000);
+  EXPECT_GT(report.latency.Quantile(1.0), (report.seconds - 0.02) / 2);
+}
+
+TEST_P(CallerTest, ALastingErrorRetiresItsAgent) {
+  Caller caller = MakeCaller();
+  for (int i = 0; i < kAgents; ++i) {
+    ASSERT_TRUE(client_->CloseSession("session-" + std::to_string(i)).ok());
+  }
+  // Would never end if an agent went on.
+  const LoadReport report = caller.RunClosedLoop(std::chrono::hours(24));
+  EXPECT_EQ(report.errors, kAgents);
+  EXPECT_EQ(report.decisions, 0);
+  EXPECT_TRUE(absl::IsNotFound(report.first_error));
+}
+
+INSTANTIATE_TEST_SUITE_P(Modes, CallerTest,
+                         ::testing::Values(LoadMode::kUnary, LoadMode::kStream, LoadMode::kBatch));
+
+using CallTest = CallerTest;
+
+TEST_P(CallTest, AFailureThatPassesIsCountedAndRepeated) {
+  Caller caller = MakeCaller();
+  fake_.RefuseNext(1, {grpc::StatusCode::UNAVAILABLE, "overloaded"});
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
+  EXPECT_GE(report.errors, 1);
+  EXPECT_EQ(report.first_error, absl::UnavailableError("overloaded"));
+  EXPECT_GE(report.decisions, 1);
+}
+
+TEST_P(CallTest, ALimitThatWasReachedRetiresNobody) {
+  Caller caller = MakeCaller();
+  fake_.RefuseNext(kAgents, {grpc::StatusCode::RESOURCE_EXHAUSTED, "decisions_per_second"});
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
+  EXPECT_GE(report.errors, kAgents);
+  EXPECT_GE(report.decisions, 1);
+}
+
+INSTANTIATE_TEST_SUITE_P(Modes, CallTest, ::testing::Values(LoadMode::kUnary, LoadMode::kBatch));
+
+using BrokenStreamTest = CallerTest;
+
+TEST_P(BrokenStreamTest, CountsEveryRequestUnderWay) {
+  Caller caller = MakeCaller();
+  fake_.BreakNextStream({grpc::StatusCode::UNAVAILABLE, "draining"});
+  const LoadReport report = caller.RunClosedLoop(std::chrono::hours(24));
+  EXPECT_GE(report.errors, kAgents - 1);
+  EXPECT_LE(report.decisions, 1);
+}
+
+INSTANTIATE_TEST_SUITE_P(Modes, BrokenStreamTest, ::testing::Values(LoadMode::kStream));
+
+TEST(SimulatedAgentTest, ObservationsAreSeededAndWithinBounds) {
+  static constexpr float kBound = 0.25f;
+  const auto observations = [](uint64_t seed) {
+    SimulatedAgent agent(RemoteSession(nullptr, "s", 0), 1000, 9, 9, seed, kBound);
+    const auto& values = agent.request().observation();
+    for (const float value : values) {
+      EXPECT_GE(value, -kBound);
+      EXPECT_LE(value, kBound);
+    }
+    return std::vector<float>(values.begin(), values.end());
+  };
+  EXPECT_EQ(observations(3), observations(3));
+  EXPECT_NE(observations(3), observations(4));
+}
+
+TEST(LoadReportTest, MergeAddsCallersThatRanSideBySide) {
+  LoadReport first, second;
+  first.decisions = 30;
+  first.seconds = 2.0;
+  first.latency.Add(0.01);
+  second.decisions = 10;
+  second.seconds = 1.0;
+  second.latency.Add(0.01);
+  second.CountError(absl::UnavailableError("first"));
+  second.CountError(absl::NotFoundError("second"));
+  LoadReport sum;
+  sum.Merge(first);
+  sum.Merge(second);
+  EXPECT_EQ(sum.first_error, absl::UnavailableError("first"));
+  const nlohmann::json json = sum.ToJson();
+  EXPECT_EQ(json.size(), 5u);
+  EXPECT_EQ(json["decisions"], 40);
+  EXPECT_EQ(json["decisions_per_second"], 20.0);
+  EXPECT_EQ(json["p50_seconds"], 0.01);
+  EXPECT_EQ(json["p99_seconds"], 0.01);
+  EXPECT_EQ(json["errors"], 2);
+  EXPECT_THAT(sum.ToText(), HasSubstr("40 decisions in 2.0 s, 20.0 decisions/s"));
+}
+
+TEST(LoadOptionsTest, ValidateNamesTheFlag) {
+  const auto message = [](auto change) {
+    LoadOptions options;
+    change(options);
+    return std::string(options.Validate().message());
+  };
+  EXPECT_TRUE(LoadOptions().Validate().ok());
+  EXPECT_THAT(message([](LoadOptions& o) { o.sessions = 0; }), HasSubstr("--sessions"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.streams = 2000; }),
+              HasSubstr("--streams: expected 1 to 1024, got 2000"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.episode_steps = 0; }), HasSubstr("--episode_steps"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.batch_size = -1; }), HasSubstr("--batch_size"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.duration = absl::InfiniteDuration(); }),
+              HasSubstr("--duration"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.call_timeout = absl::ZeroDuration(); }),
+              HasSubstr("--call_timeout: expected more than 0 and at most 1h, got 0"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.observation_bound = -1.0; }),
+              HasSubstr("--observation_bound"));
+  EXPECT_THAT(message([](LoadOptions& o) { o.rate = -1.0; }), HasSubstr("--rate"));
+  EXPECT_EQ(*ParseLoadMode("stream"), LoadMode::kStream);
+  EXPECT_TRUE(absl::IsInvalidArgument(ParseLoadMode("Stream").status()));
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,188 @@
+#include "server/access/authenticator.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "server/base/status_map.h"
+#include "tests/support/temporary_directory.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+std::string HashOf(absl::string_view token) {
+  const Digest digest = Sha256(token);
+  return absl::BytesToHexString({reinterpret_cast<const char*>(digest.data()), digest.size()});
+}
+
+std::string Entry(absl::string_view token, absl::string_view role, absl::string_view more = "") {
+  return absl::StrCat(R"({"sha256": ")", HashOf(token), R"(", "tenant": "fleet", "role": ")", role,
+                      "\"", more, "}");
+}
+
+std::string File(absl::string_view tokens, absl::string_view limits = "{}") {
+  return absl::StrCat(R"({"tenants": {"fleet": )", limits, R"(}, "tokens": [)", tokens, "]}");
+}
+
+class AuthenticatorTest : public ::testing::Test {
+ protected:
+  void Write(const std::string& text) { std::ofstream(path_) << text; }
+  std::unique_ptr<Authenticator> Create() {
+    auto authenticator = Authenticator::Create(path_);
+    EXPECT_TRUE(authenticator.ok()) << authenticator.status();
+    return *std::move(authenticator);
+  }
+  static absl::StatusCode CodeOf(const Authenticator& authenticator, absl::string_view token) {
+    return authenticator.Authenticate(token).status().code();
+  }
+
+  TemporaryDirectory directory_;
+  const std::string path_ = (directory_.path() / "tokens.json").string();
+};
+
+TEST(Sha256Test, IsThatOfTheStandard) {
+  EXPECT_EQ(HashOf("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+TEST_F(AuthenticatorTest, WithoutAFileEverybodyIsAnOperator) {
+  const auto open = *Authenticator::Create("");
+  const auto caller = open->Authenticate("");
+  ASSERT_TRUE(caller.ok());
+  EXPECT_EQ((*caller)->role(), Role::kOperator);
+  EXPECT_EQ((*caller)->tenant()->name(), "");
+}
+
+TEST_F(AuthenticatorTest, RefusalsArePacedByTenant) {
+  Write(File(Entry("a", "agent") + "," + Entry("b", "viewer")));
+  const auto authenticator = Create();
+  const auto refusals = [&](absl::string_view token) {
+    return &authenticator->RefusalsOf(authenticator->Authenticate(token));
+  };
+  EXPECT_EQ(refusals("a"), refusals("b"));
+  EXPECT_EQ(refusals("wrong"), refusals("none of them"));
+  EXPECT_NE(refusals("a"), refusals("wrong"));
+}
+
+TEST_F(AuthenticatorTest, KnowsItsTokens) {
+  Write(File(Entry("a", "agent") + "," + Entry("o", "operator")));
+  const auto authenticator = Create();
+  EXPECT_EQ((*authenticator->Authenticate("a"))->role(), Role::kAgent);
+  EXPECT_EQ((*authenticator->Authenticate("o"))->tenant()->name(), "fleet");
+  EXPECT_EQ(CodeOf(*authenticator, "b"), absl::StatusCode::kUnauthenticated);
+  EXPECT_EQ(CodeOf(*authenticator, ""), absl::StatusCode::kUnauthenticated);
+}
+
+TEST_F(AuthenticatorTest, SeesItsTenantUnlessTheTokenSeesAll) {
+  Write(File(Entry("own", "operator") + "," + Entry("all", "viewer", R"(, "sees": "all")")));
+  const auto authenticator = Create();
+  const Credential* own = *authenticator->Authenticate("own");
+  EXPECT_TRUE(own->MaySee("fleet"));
+  EXPECT_FALSE(own->MaySee("rival"));
+  EXPECT_TRUE((*authenticator->Authenticate("all"))->MaySee("rival"));
+}
+
+TEST_F(AuthenticatorTest, TokensExpire) {
+  Write(File(Entry("old", "agent", R"(, "expires": "2001-01-01T00:00:00Z")") + "," +
+             Entry("new", "agent", R"(, "expires": "2999-01-01T00:00:00Z")")));
+  const auto authenticator = Create();
+  EXPECT_THAT(std::string(authenticator->Authenticate("old").status().message()),
+              HasSubstr("expired"));
+  EXPECT_TRUE(authenticator->Authenticate("new").ok());
+}
+
+TEST_F(AuthenticatorTest, AChangedFileRevokesAndKeepsWhatStays) {
+  Write(File(Entry("a", "agent") + "," + Entry("b", "agent")));
+  const auto authenticator = Create();
+  const Credential* a = *authenticator->Authenticate("a");
+  const Credential* b = *authenticator->Authenticate("b");
+  Write(File(Entry("b", "agent") + "," + Entry("c", "viewer")));
+  ASSERT_TRUE(authenticator->Reload().ok());
+  EXPECT_EQ(a->CheckValid().code(), absl::StatusCode::kUnauthenticated);
+  EXPECT_TRUE(b->CheckValid().ok());
+  EXPECT_EQ(*authenticator->Authenticate("b"), b);
+  EXPECT_EQ((*authenticator->Authenticate("c"))->tenant(), b->tenant());
+  EXPECT_EQ(CodeOf(*authenticator, "a"), absl::StatusCode::kUnauthenticated);
+}
+
+TEST_F(AuthenticatorTest, ABrokenFileChangesNothing) {
+  Write(File(Entry("a", "agent")));
+  const auto authenticator = Create();
+  Write("{");
+  EXPECT_THAT(std::string(authenticator->Reload().message()), HasSubstr(path_));
+  EXPECT_TRUE(authenticator->Authenticate("a").ok());
+}
+
+TEST_F(AuthenticatorTest, MistakesInTheFileAreNamed) {
+  const std::pair<std::string, std::string> cases[] = {
+      {R"({"token": []})", "\"token\""},
+      {File(R"({"sha256": "00", "tenant": "fleet", "role": "agent"})"), "tokens[0].sha256"},
+      {File(Entry("a", "king")), "expected agent, viewer or operator"},
+      {File(Entry("a", "agent") + "," + Entry("a", "agent")), "tokens[1].sha256"},
+      {File(Entry("a", "agent", R"(, "expires": "soon")")), "tokens[0].expires"},
+      {File(Entry("v", "viewer", R"(, "sees": "everything")")), "tokens[0].sees"},
+      {File(Entry("a", "agent", R"(, "sees": "all")")), "tokens[0].sees: expected tenant"},
+      {File("", R"({"max_sessions": -1})"), "tenants.fleet.max_sessions"},
+      {File("", R"({"max_sessions": "many"})"), "expected an integer"},
+      {R"({"tokens": [)" + Entry("a", "agent") + "]}", "tokens[0].tenant"},
+  };
+  for (const auto& [text, message] : cases) {
+    const auto file = ParseTokenFile(text);
+    EXPECT_THAT(std::string(file.status().message()), HasSubstr(message)) << text;
+  }
+}
+
+TEST(TenantTest, DecisionsAreLimitedWithAHint) {
+  Tenant tenant("fleet");
+  tenant.SetLimits({.max_sessions = 0, .decisions_per_second = 10.0, .max_message_bytes = 0});
+  const absl::Duration start = absl::Seconds(100);
+  for (int i = 0; i < 10; ++i) EXPECT_TRUE(tenant.TakeDecision(start).ok()) << i;
+  const absl::Status refused = tenant.TakeDecision(start);
+  EXPECT_EQ(refused.code(), absl::StatusCode::kResourceExhausted);
+  ASSERT_TRUE(RetryDelay(refused).has_value());
+  EXPECT_EQ(*RetryDelay(refused), absl::Milliseconds(100));
+  EXPECT_FALSE(tenant.TakeDecision(start + absl::Milliseconds(99)).ok());
+  EXPECT_TRUE(tenant.TakeDecision(start + absl::Milliseconds(100)).ok());
+  EXPECT_FALSE(tenant.TakeDecision(start + absl::Milliseconds(100)).ok());
+}
+
+TEST(TenantTest, SessionsAndMessagesAreLimited) {
+  Tenant tenant("fleet");
+  tenant.SetLimits({.max_sessions = 1, .decisions_per_second = 0.0, .max_message_bytes = 100});
+  EXPECT_TRUE(tenant.Take().ok());
+  EXPECT_EQ(tenant.Take().code(), absl::StatusCode::kResourceExhausted);
+  tenant.Return();
+  EXPECT_TRUE(tenant.Take().ok());
+  EXPECT_TRUE(tenant.CheckMessage(100).ok());
+  EXPECT_EQ(tenant.CheckMessage(101).code(), absl::StatusCode::kResourceExhausted);
+}
+
+TEST(RoleTest, WhatIsNotListedIsTheOperators) {
+  EXPECT_TRUE(CheckMayCall(Role::kAgent, Method::kAct).ok());
+  EXPECT_FALSE(CheckMayCall(Role::kViewer, Method::kAct).ok());
+  EXPECT_TRUE(CheckMayCall(Role::kViewer, Method::kExplain).ok());
+  EXPECT_TRUE(CheckMayCall(Role::kViewer, Method::kListSessions).ok());
+  EXPECT_FALSE(CheckMayCall(Role::kAgent, Method::kListSessions).ok());
+  for (const Role role : {Role::kAgent, Role::kViewer}) {
+    EXPECT_EQ(CheckMayCall(role, Method::kDrain).code(), absl::StatusCode::kPermissionDenied);
+    EXPECT_TRUE(CheckMayCall(role, Method::kListPolicies).ok());
+  }
+  EXPECT_TRUE(CheckMayCall(Role::kOperator, Method::kDrain).ok());
+  EXPECT_FALSE(CheckMayWatch(Role::kAgent).ok());
+}
+
+TEST(TokenOfTest, ReadsBearerAndBasic) {
+  std::string buffer;
+  EXPECT_EQ(TokenOf("Bearer secret", &buffer), "secret");
+  EXPECT_EQ(TokenOf("bearer secret", &buffer), "secret");
+  EXPECT_EQ(TokenOf("Basic " + absl::Base64Escape("anyone:secret"), &buffer), "secret");
+  EXPECT_EQ(TokenOf("secret", &buffer), "");
+  EXPECT_EQ(TokenOf("", &buffer), "");
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,192 @@
+#include "server/agent/request_handler.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "server/access/authenticator.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/small_registry.h"
+
+namespace spikeserve {
+namespace {
+
+class RequestHandlerTest : public ::testing::Test {
+ protected:
+  std::string MustOpen() {
+    v1::OpenSessionRequest request;
+    request.set_policy("small");
+    v1::OpenSessionResponse response;
+    const auto status = handler_.OpenSession(*caller_, request, &response);
+    EXPECT_TRUE(status.ok()) << status;
+    return response.session_id();
+  }
+
+  static v1::ActRequest MakeRequest(const std::string& session, int64_t step) {
+    v1::ActRequest request;
+    request.set_session_id(session);
+    request.set_step(step);
+    for (const float value : ObservationAt(step)) request.add_observation(value);
+    return request;
+  }
+
+  FakeClock clock_;
+  std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
+  const Credential* caller_ = *authenticator_->Authenticate("");
+  SmallRegistry registry_{"small"};
+  ShadowRunner shadows_{registry_.metrics().registry()};
+  SessionStore store_{100, &clock_};
+  RequestHandler handler_{registry_.get(), &store_, &shadows_, &clock_};
+};
+
+TEST_F(RequestHandlerTest, AnswersDoNotDependOnDeferredWork) {
+  const std::string prompt = MustOpen();
+  const std::string lazy = MustOpen();
+  for (int64_t step = 0; step < 20; ++step) {
+    v1::ActResponse expected;
+    v1::ActResponse actual;
+    DeferredWork done;
+    DeferredWork dropped;
+    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(prompt, step), &expected, &done).ok());
+    done.Run();
+    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(lazy, step), &actual, &dropped).ok());
+    actual.set_session_id(prompt);
+    EXPECT_EQ(actual.SerializeAsString(), expected.SerializeAsString()) << step;
+  }
+}
+
+TEST_F(RequestHandlerTest, DeferredWorkMayComeLate) {
+  const std::string session = MustOpen();
+  DeferredWork first;
+  DeferredWork second;
+  v1::ActResponse response;
+  ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
+  ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 1), &response, &second).ok());
+  first.Run();
+  v1::EndEpisodeRequest end;
+  end.set_session_id(session);
+  v1::EndEpisodeResponse ended;
+  ASSERT_TRUE(handler_.EndEpisode(*caller_, end, &ended).ok());
+  second.Run();
+  response.Clear();
+  EXPECT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
+}
+
+TEST_F(RequestHandlerTest, ASessionWithWorkLeftIsNotReaped) {
+  const std::string session = MustOpen();
+  v1::ActResponse response;
+  {
+    DeferredWork deferred;
+    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &deferred).ok());
+    clock_.Advance(absl::Hours(1));
+    EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 0);
+    deferred.Run();
+  }
+  EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 1);
+}
+
+// More sessions than are decided together, each with several decisions in a batch: of some sessions
+// one right after the other.
+TEST_F(RequestHandlerTest, ABatchEqualsOneAfterTheOther) {
+  constexpr int kSessions = 40;
+  constexpr int64_t kSteps = 3;
+  std::vector<std::string> alone;
+  std::vector<std::string> batched;
+  for (int i = 0; i < kSessions; ++i) {
+    alone.push_back(MustOpen());
+    batched.push_back(MustOpen());
+  }
+  for (int64_t first = 0; first < 6 * kSteps; first += kSteps) {
+    std::vector<std::pair<int, int64_t>> order;  // session and step
+    for (int i = 0; i < kSessions / 2; ++i) {
+      for (int64_t step = 0; step < kSteps; ++step) order.emplace_back(i, first + step);
+    }
+    for (int64_t step = 0; step < kSteps; ++step) {
+      for (int i = kSessions / 2; i < kSessions; ++i) order.emplace_back(i, first + step);
+    }
+    v1::ActBatchRequest batch;
+    for (const auto& [i, step] : order) *batch.add_requests() = MakeRequest(batched[i], step);
+    v1::ActBatchResponse answers;
+    DeferredWork deferred;
+    ASSERT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+    deferred.Run();
+    ASSERT_EQ(answers.results_size(), static_cast<int>(order.size()));
+    for (int k = 0; k < answers.results_size(); ++k) {
+      const auto& [i, step] = order[k];
+      v1::ActResponse expected;
+      DeferredWork done;
+      ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(alone[i], step), &expected, &done).ok());
+      done.Run();
+      expected.set_session_id(batched[i]);
+      EXPECT_EQ(answers.results(k).response().SerializeAsString(), expected.SerializeAsString())
+          << "session " << i << " at step " << step;
+    }
+  }
+}
+
+TEST_F(RequestHandlerTest, ABatchSaysWhetherAnItemWasOverTheLimit) {
+  v1::ActBatchRequest batch;
+  for (int64_t step = 0; step < 2; ++step) *batch.add_requests() = MakeRequest(MustOpen(), step);
+  const auto refusal = [&] {
+    v1::ActBatchResponse answers;
+    DeferredWork deferred;
+    EXPECT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+    return deferred.refusal();
+  };
+  EXPECT_TRUE(refusal().ok()) << "a wrong step is no limit";
+  caller_->tenant()->SetLimits({.decisions_per_second = 1.0});
+  EXPECT_TRUE(absl::IsResourceExhausted(refusal()));
+}
+
+// Each batch holds many locks, and the two ask for them the other way round.
+TEST_F(RequestHandlerTest, BatchesOfTheSameSessionsDoNotWaitForEachOther) {
+  v1::ActBatchRequest forward;
+  v1::ActBatchRequest backward;
+  std::vector<std::string> sessions;
+  for (int i = 0; i < 16; ++i) sessions.push_back(MustOpen());
+  for (size_t i = 0; i < sessions.size(); ++i) {
+    *forward.add_requests() = MakeRequest(sessions[i], 0);
+    *backward.add_requests() = MakeRequest(sessions[sessions.size() - 1 - i], 0);
+  }
+  const auto keep_asking = [&](const v1::ActBatchRequest& batch) {
+    for (int i = 0; i < 2000; ++i) {
+      v1::ActBatchResponse answers;
+      DeferredWork deferred;
+      ASSERT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+      deferred.Run();
+      for (const v1::ActResult& result : answers.results()) ASSERT_TRUE(result.has_response());
+    }
+  };
+  std::thread other([&] { keep_asking(backward); });
+  keep_asking(forward);
+  other.join();
+}
+
+TEST_F(RequestHandlerTest, OpenSessionsAreCountedByPolicy) {
+  const std::string session = MustOpen();
+  MustOpen();
+  const std::string gauge = "spikeserve_sessions{policy=\"small\",version=\"1\"} ";
+  EXPECT_THAT(registry_.metrics().ToText(), ::testing::HasSubstr(gauge + "2\n"));
+  v1::CloseSessionRequest close;
+  close.set_session_id(session);
+  v1::CloseSessionResponse closed;
+  ASSERT_TRUE(handler_.CloseSession(*caller_, close, &closed).ok());
+  EXPECT_THAT(registry_.metrics().ToText(), ::testing::HasSubstr(gauge + "1\n"));
+}
+
+TEST_F(RequestHandlerTest, LongNamesAreCutInMessages) {
+  v1::ActResponse response;
+  DeferredWork deferred;
+  const auto status =
+      handler_.Act(*caller_, MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
+  EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
+  EXPECT_LT(status.message().size(), 200u);
+}
+
+}  // namespace
+}  // namespace spikeserve

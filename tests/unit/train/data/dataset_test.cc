@@ -1,0 +1,262 @@
+// Recording, files, clips and the split of offline data.
+
+#include "train/data/dataset.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <set>
+
+#include "train/data/clip_sampler.h"
+#include "train/data/record.h"
+
+namespace spikeserve {
+namespace {
+
+using testing::Each;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+// An episode of `steps` steps whose observation at step t is {t} and whose rewards are 1.
+Episode Counting(int steps) {
+  Episode episode = {.actor = "expert",
+                     .seed = 1,
+                     .observations = {},
+                     .actions = {},
+                     .rewards = std::vector<double>(steps, 1.0),
+                     .terminated = true,
+                     .truncated = false};
+  for (int t = 0; t <= steps; ++t) episode.observations.push_back(static_cast<float>(t));
+  for (int t = 0; t < steps; ++t) {
+    episode.actions.push_back({.discrete = t % 2, .continuous = {}});
+  }
+  return episode;
+}
+
+Dataset DatasetOf(std::vector<Episode> episodes) {
+  return {.environment = "CartPole-v1",
+          .observation_size = 1,
+          .action_space = ActionSpace::Discrete(2),
+          .recipe = {},
+          .episodes = std::move(episodes)};
+}
+
+std::string TemporaryFile(const std::string& name) {
+  return (std::filesystem::path(testing::TempDir()) / name).string();
+}
+
+TEST(DatasetTest, ReturnsToGoAreSumsOfTheRewardsAhead) {
+  Episode episode = Counting(3);
+  episode.rewards = {1.0, -2.0, 5.0};
+  EXPECT_THAT(ReturnsToGo(episode), ElementsAre(4.0f, 3.0f, 5.0f));
+  episode.asked_return = 10.0;
+  EXPECT_THAT(ReturnsToGo(episode), ElementsAre(10.0f, 9.0f, 11.0f));
+}
+
+TEST(DatasetTest, MomentsAreOfTheStepsAlone) {
+  const Moments moments = ObservationMoments(DatasetOf({Counting(3)}));  // 0, 1, 2
+  EXPECT_FLOAT_EQ(moments.mean[0], 1.0f);
+  EXPECT_NEAR(moments.std[0], 0.8165, 1e-4);
+}
+
+TEST(DatasetTest, FileRoundTrips) {
+  const std::string path = TemporaryFile("dataset_round_trip.cbor");
+  const Dataset written = *RecordDataset({.steps = 300, .disturbed_fraction = 0.3});
+  ASSERT_TRUE(WriteDataset(written, path).ok());
+  const absl::StatusOr<Dataset> read = ReadDataset(path);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->environment, written.environment);
+  EXPECT_EQ(read->action_space, written.action_space);
+  EXPECT_EQ(read->recipe, written.recipe);
+  ASSERT_EQ(read->episodes.size(), written.episodes.size());
+  for (size_t i = 0; i < written.episodes.size(); ++i) {
+    EXPECT_EQ(read->episodes[i].observations, written.episodes[i].observations);
+    EXPECT_EQ(read->episodes[i].actions, written.episodes[i].actions);
+    EXPECT_EQ(read->episodes[i].labels, written.episodes[i].labels);
+    EXPECT_EQ(read->episodes[i].rewards, written.episodes[i].rewards);
+    EXPECT_EQ(read->episodes[i].seed, written.episodes[i].seed);
+  }
+}
+
+TEST(DatasetTest, BrokenFilesAreRefusedWithPathAndReason) {
+  const std::string path = TemporaryFile("broken.cbor");
+  std::ofstream(path) << "not CBOR";
+  EXPECT_THAT(std::string(ReadDataset(path).status().message()),
+              testing::AllOf(HasSubstr(path), HasSubstr("not a dataset")));
+  Dataset dataset = DatasetOf({Counting(3)});
+  dataset.episodes[0].rewards.pop_back();
+  ASSERT_TRUE(WriteDataset(dataset, path).ok());
+  EXPECT_THAT(std::string(ReadDataset(path).status().message()),
+              HasSubstr("episode 0: rewards: expected 3, got 2"));
+  EXPECT_EQ(ReadDataset(path + ".none").status().code(), absl::StatusCode::kNotFound);
+}
+
+TEST(RecordTest, HalfTheStepsAreTheExpertsAndNoSeedIsForEvaluation) {
+  const Dataset dataset = *RecordDataset({.steps = 4000});
+  int expert = 0, random = 0;
+  std::set<uint64_t> seeds;
+  for (const Episode& episode : dataset.episodes) {
+    (episode.actor == "expert" ? expert : random) += episode.steps();
+    EXPECT_EQ(episode.truncated, episode.actor == "expert");
+    EXPECT_LT(episode.seed, kFirstEvaluationSeed);
+    EXPECT_NE(episode.terminated, episode.truncated);
+    seeds.insert(episode.seed);
+  }
+  EXPECT_EQ(expert, 2000);
+  EXPECT_GE(random, 2000);
+  EXPECT_GT(seeds.size(), dataset.episodes.size() * 9 / 10);
+}
+
+TEST(RecordTest, BadOptionsAreNamed) {
+  EXPECT_EQ(RecordDataset({.steps = 0}).status().message(), "steps: expected at least 1, got 0");
+  EXPECT_EQ(RecordDataset({.expert_fraction = 1.5}).status().message(),
+            "expert_fraction: expected 0 to 1, got 1.5");
+  EXPECT_EQ(RecordDataset({.disturbed_fraction = 0.6}).status().message(),
+            "disturbed_fraction: expected 0 to 0.5, got 0.6");
+  EXPECT_EQ(RecordDataset({.longest_burst = 0}).status().message(),
+            "longest_burst: expected at least 1, got 0");
+  EXPECT_EQ(RecordDataset({.wide_start_fraction = 0.5}).status().message(),
+            "wide_start_fraction: expected 0 for CartPole-v1, got 0.5");
+}
+
+TEST(RecordTest, DisturbedEpisodesAreLabelledByTheExpert) {
+  const Dataset dataset =
+      *RecordDataset({.steps = 3000, .expert_fraction = 0.0, .disturbed_fraction = 1.0});
+  const std::unique_ptr<Expert> expert = *MakeExpert({});
+  int steps = 0, disturbed = 0, longest = 0;
+  for (const Episode& episode : dataset.episodes) {
+    ASSERT_EQ(episode.actor, "disturbed");
+    ASSERT_EQ(episode.labels.size(), episode.actions.size());
+    int run = 0;
+    for (int t = 0; t < episode.steps(); ++t, ++steps) {
+      const auto observation = episode.observations.begin() + 4 * t;
+      const std::vector<double> state(observation, observation + 4);
+      ASSERT_EQ(episode.labels[t], expert->Act(state));
+      const bool differs = episode.actions[t] != episode.labels[t];
+      disturbed += differs;
+      longest = std::max(longest, run = differs ? run + 1 : 0);
+    }
+  }
+  // Rate 0.15 on average, 4.5 steps a burst, half of whose actions are the expert's by chance.
+  EXPECT_GT(disturbed, steps / 10);
+  EXPECT_LT(disturbed, steps / 3);
+  EXPECT_GT(longest, 2);
+}
+
+TEST(RecordTest, AStudentActsAndTheExpertLabels) {
+  auto student = std::make_shared<Policy>(
+      RandomPolicy({.hidden_size = 16, .heads = 2, .context = 3, .ffn_size = 32}, 4,
+                   ActionSpace::Discrete(2), 1));
+  const Dataset dataset =
+      *RecordDataset({.steps = 200, .expert_fraction = 0.0, .student = student, .weigh = true});
+  const std::unique_ptr<Expert> expert = *MakeExpert({});
+  int differ = 0;
+  for (const Episode& episode : dataset.episodes) {
+    ASSERT_EQ(episode.actor, "student");
+    EXPECT_THAT(episode.weights, Each(1.0f));  // this expert does not know what is at stake
+    for (int t = 0; t < episode.steps(); ++t) {
+      const auto observation = episode.observations.begin() + 4 * t;
+      ASSERT_EQ(episode.labels[t], expert->Act(std::vector<double>(observation, observation + 4)));
+      differ += episode.labels[t] != episode.actions[t];
+    }
+  }
+  EXPECT_GT(differ, 20);
+  EXPECT_EQ(RecordDataset({.expert = {.environment = "Acrobot-v1"}, .student = student})
+                .status()
+                .message(),
+            "policy: expected the observations and actions of Acrobot-v1");
+}
+
+TEST(DatasetTest, PartsAreOfOneEnvironment) {
+  const Dataset all = *Concatenate({DatasetOf({Counting(2)}), DatasetOf({Counting(3)})});
+  EXPECT_EQ(all.episodes.size(), 2u);
+  EXPECT_EQ(all.recipe["parts"].size(), 2u);
+  Dataset other = DatasetOf({Counting(2)});
+  other.environment = "Acrobot-v1";
+  EXPECT_EQ(Concatenate({DatasetOf({Counting(2)}), other}).status().message(),
+            "data: expected all of CartPole-v1, got one of Acrobot-v1");
+}
+
+TEST(ClipSamplerTest, WeightsAreOfTheSteps) {
+  Episode episode = Counting(3);
+  episode.weights = {0.5f, 1.0f, 2.0f};
+  const Dataset dataset = DatasetOf({episode});
+  const Clips clips = ClipSampler(dataset, {0}, 2).Sample(/*key=*/1, /*count=*/20, 0.0);
+  for (size_t slot = 0; slot < clips.mask.size(); ++slot) {
+    const int64_t t = clips.timesteps[slot];
+    EXPECT_EQ(clips.weights[slot], t < 3 ? episode.weights[t] : 0.0f);
+  }
+}
+
+TEST(RecordTest, AQuarterOfPendulumsStartsAreWide) {
+  const Dataset dataset = *RecordDataset({.expert = {.environment = "Pendulum-v1", .coarsening = 8},
+                                          .steps = 20000,
+                                          .expert_fraction = 0.0,
+                                          .disturbed_fraction = 1.0,
+                                          .wide_start_fraction = 0.25});
+  ASSERT_EQ(dataset.episodes.size(), 100u);
+  int fast = 0;
+  for (const Episode& episode : dataset.episodes) fast += std::abs(episode.observations[2]) > 1.0f;
+  EXPECT_NEAR(fast, 25 * 7 / 8, 10);
+}
+
+TEST(ClipSamplerTest, LabelsAreTheTargetsAndActionsTheTokens) {
+  Episode episode = Counting(2);
+  episode.labels = {episode.actions[1], episode.actions[1]};
+  const Dataset dataset = DatasetOf({episode});
+  const Clips clips = ClipSampler(dataset, {0}, 1).Sample(/*key=*/1, /*count=*/20, 0.0);
+  for (int clip = 0; clip < clips.count; ++clip) {
+    EXPECT_EQ(clips.targets[2 * clip + 1], 1.0f);
+    EXPECT_EQ(clips.actions[2 * clip + 1], static_cast<float>(clips.timesteps[clip]));
+  }
+}
+
+TEST(ClipSamplerTest, ClipsEndWithTheirEpisodeAndTheRestIsMasked) {
+  constexpr int kSteps = 7, kClip = 5;
+  const Dataset dataset = DatasetOf({Counting(kSteps)});
+  const Clips clips = ClipSampler(dataset, {0}, kClip).Sample(/*key=*/1, /*count=*/200, 0.0);
+  std::set<int64_t> begins;
+  for (int clip = 0; clip < clips.count; ++clip) {
+    begins.insert(clips.timesteps[clip * kClip]);
+    for (int i = 0; i < kClip; ++i) {
+      const int slot = clip * kClip + i;
+      const int64_t t = clips.timesteps[clip * kClip] + i;
+      const bool inside = t < kSteps;
+      ASSERT_EQ(clips.timesteps[slot], t);
+      ASSERT_EQ(clips.mask[slot], inside ? 1.0f : 0.0f);
+      ASSERT_EQ(clips.observations[slot], inside ? static_cast<float>(t) : 0.0f);
+      ASSERT_EQ(clips.return_to_go[slot], inside ? static_cast<float>(kSteps - t) : 0.0f);
+      ASSERT_EQ(clips.targets[2 * slot + 1], inside && t % 2 == 1 ? 1.0f : 0.0f);
+    }
+  }
+  EXPECT_EQ(begins, (std::set<int64_t>{0, 1, 2, 3, 4, 5, 6}));
+}
+
+TEST(ClipSamplerTest, ActionNoiseChangesTokensAndNotTargets) {
+  const Dataset dataset = DatasetOf({Counting(400)});
+  const ClipSampler sampler(dataset, {0}, 20);
+  const Clips clean = sampler.Sample(3, 50, 0.0), noisy = sampler.Sample(3, 50, 0.4);
+  EXPECT_EQ(clean.actions, clean.targets);
+  EXPECT_EQ(noisy.targets, clean.targets);
+  int changed = 0, steps = 0;
+  for (size_t slot = 0; slot < clean.mask.size(); ++slot) {
+    steps += clean.mask[slot] > 0.0f;
+    changed += noisy.actions[2 * slot] != clean.actions[2 * slot];
+    ASSERT_EQ(noisy.actions[2 * slot] + noisy.actions[2 * slot + 1], clean.mask[slot]);
+  }
+  EXPECT_NEAR(static_cast<double>(changed) / steps, 0.4 / 2.0, 0.05);  // half keep their action
+}
+
+TEST(SplitTest, HoldsOutTheLastEpisodesOfEveryActor) {
+  Dataset dataset = DatasetOf({Counting(3), Counting(3), Counting(3), Counting(3), Counting(3)});
+  dataset.episodes[0].actor = dataset.episodes[3].actor = "random";
+  const Split split = SplitEpisodes(dataset, 0.1);
+  EXPECT_THAT(split.training, ElementsAre(1, 2, 0));
+  EXPECT_THAT(split.validation, ElementsAre(4, 3));
+  EXPECT_TRUE(SplitEpisodes(DatasetOf({Counting(3)}), 0.5).validation.empty());
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,145 @@
+// Minari's layout: round trips, and what is refused. That Minari itself reads and writes the same
+// is tested in tests/python.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+
+#include "absl/strings/str_replace.h"
+#include "train/data/hdf5_file.h"
+#include "train/data/minari_file.h"
+#include "train/data/record.h"
+
+namespace spikeserve {
+namespace {
+
+using testing::HasSubstr;
+
+std::string TemporaryDirectory(const std::string& name) {
+  const auto path = std::filesystem::path(testing::TempDir()) / name;
+  std::filesystem::remove_all(path);
+  return path.string();
+}
+
+// Replaces `from` by `to` in the dataset's metadata.
+void EditMetadata(const std::string& directory, const std::string& from, const std::string& to) {
+  const std::string path = directory + "/data/metadata.json";
+  std::stringstream text;
+  text << std::ifstream(path).rdbuf();
+  ASSERT_THAT(text.str(), HasSubstr(from));
+  std::ofstream(path) << absl::StrReplaceAll(text.str(), {{from, to}});
+}
+
+void ExpectSame(const Dataset& read, const Dataset& written) {
+  EXPECT_EQ(read.environment, written.environment);
+  EXPECT_EQ(read.observation_size, written.observation_size);
+  EXPECT_EQ(read.action_space, written.action_space);
+  EXPECT_EQ(read.recipe, written.recipe);
+  ASSERT_EQ(read.episodes.size(), written.episodes.size());
+  for (size_t i = 0; i < written.episodes.size(); ++i) {
+    EXPECT_EQ(read.episodes[i].actor, written.episodes[i].actor);
+    EXPECT_EQ(read.episodes[i].seed, written.episodes[i].seed);
+    EXPECT_EQ(read.episodes[i].observations, written.episodes[i].observations);
+    EXPECT_EQ(read.episodes[i].actions, written.episodes[i].actions);
+    EXPECT_EQ(read.episodes[i].labels, written.episodes[i].labels);
+    EXPECT_EQ(read.episodes[i].weights, written.episodes[i].weights);
+    EXPECT_EQ(read.episodes[i].rewards, written.episodes[i].rewards);
+    EXPECT_EQ(read.episodes[i].asked_return, written.episodes[i].asked_return);
+    EXPECT_EQ(read.episodes[i].terminated, written.episodes[i].terminated);
+    EXPECT_EQ(read.episodes[i].truncated, written.episodes[i].truncated);
+  }
+}
+
+TEST(MinariTest, DiscreteActionsRoundTrip) {
+  const std::string directory = TemporaryDirectory("cartpole-test-v0");
+  const Dataset written =
+      *RecordDataset({.expert = {.name = "dial"}, .steps = 300, .disturbed_fraction = 0.3});
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  EXPECT_TRUE(IsMinariDataset(directory));
+  const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);
+  ASSERT_TRUE(read.ok()) << read.status();
+  ExpectSame(*read, written);
+}
+
+TEST(MinariTest, BoxActionsLabelsAndWeightsRoundTrip) {
+  const std::string directory = TemporaryDirectory("pendulum-test-v12");
+  const Dataset written = *RecordDataset({.expert = {.environment = "Pendulum-v1", .coarsening = 8},
+                                          .steps = 600,
+                                          .expert_fraction = 0.0,
+                                          .disturbed_fraction = 0.5,
+                                          .weigh = true});
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);
+  ASSERT_TRUE(read.ok()) << read.status();
+  ASSERT_FALSE(read->episodes[0].weights.empty());
+  ExpectSame(*read, written);
+}
+
+TEST(MinariTest, ServedEpisodesSayWhoDecidedAndOnWhat) {
+  const std::string directory = TemporaryDirectory("served-v0");
+  Dataset written = *RecordDataset({.steps = 50});
+  written.episodes.resize(1);
+  Episode& episode = written.episodes[0];
+  const auto steps = static_cast<size_t>(episode.steps());
+  episode.served.emplace();
+  episode.served->policy = "cartpole";
+  episode.served->version = 3;
+  for (size_t i = 0; i < steps; ++i) {
+    episode.served->returns_to_go.push_back(500.0f - static_cast<float>(i));
+  }
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  const auto file = Hdf5File::Open(directory + "/data/main_data.hdf5");
+  ASSERT_TRUE(file.ok()) << file.status();
+  EXPECT_EQ(file->ReadString("episode_0", "policy").value_or(""), "cartpole");
+  EXPECT_EQ(file->ReadInteger("episode_0", "policy_version").value_or(0), 3);
+  const auto returns = file->Read<float>("episode_0/infos/return_to_go");
+  ASSERT_TRUE(returns.ok()) << returns.status();
+  ASSERT_EQ(returns->values.size(), steps + 1);
+  EXPECT_EQ(returns->values.front(), 500.0f);
+  EXPECT_EQ(returns->values.back(), 500.0f - static_cast<float>(steps));
+}
+
+TEST(MinariTest, ADatasetFromElsewhereHasTheEnvironmentOfItsSpec) {
+  const std::string directory = TemporaryDirectory("elsewhere-v0");
+  ASSERT_TRUE(WriteMinariDataset(*RecordDataset({.steps = 50}), directory).ok());
+  EditMetadata(directory, "\"spikeserve\"", "\"another\"");
+  const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->environment, "CartPole-v1");
+  EXPECT_EQ(read->recipe["minari"], "elsewhere-v0");
+}
+
+TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
+  const Dataset dataset = *RecordDataset({.steps = 50});
+  EXPECT_THAT(std::string(WriteMinariDataset(dataset, "/tmp/plain").message()),
+              HasSubstr("NAME-v0, got plain"));
+  const std::string directory = TemporaryDirectory("broken-v0");
+  EXPECT_EQ(ReadMinariDataset(directory).status().code(), absl::StatusCode::kNotFound);
+
+  const auto expect_refusal = [&](const std::string& from, const std::string& to,
+                                  const std::string& reason) {
+    ASSERT_TRUE(WriteMinariDataset(dataset, directory).ok());
+    EditMetadata(directory, from, to);
+    const absl::Status status = ReadMinariDataset(directory).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+    EXPECT_THAT(std::string(status.message()),
+                testing::AllOf(HasSubstr(directory), HasSubstr(reason)));
+  };
+  expect_refusal(R"(\"type\":\"Discrete\")", R"(\"type\":\"MultiBinary\")",
+                 "action_space: expected Discrete or Box, got MultiBinary");
+  expect_refusal(R"(\"start\":0)", R"(\"start\":1)", "expected Discrete from 0");
+  expect_refusal(R"(\"type\": \"Box\")", R"(\"type\": \"Dict\")",
+                 "observation_space: expected Box, got Dict");
+  expect_refusal(R"(\"shape\": [4])", R"(\"shape\": [5])", "episode_0: observations: expected");
+  expect_refusal("dataset_id", "id", "metadata that cannot be read");
+  std::filesystem::remove(directory + "/data/main_data.hdf5");
+  ASSERT_TRUE(WriteMinariDataset(dataset, directory).ok());
+  std::ofstream(directory + "/data/main_data.hdf5") << "not HDF5";
+  EXPECT_THAT(std::string(ReadMinariDataset(directory).status().message()),
+              HasSubstr("cannot read as HDF5"));
+}
+
+}  // namespace
+}  // namespace spikeserve

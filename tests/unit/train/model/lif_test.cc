@@ -1,0 +1,152 @@
+// The fused LIF function against loops over ticks, and the surrogate gradients against their
+// antiderivatives.
+
+#include "core/neuron/lif.h"
+
+#include <gtest/gtest.h>
+#include <torch/types.h>
+
+#include <cmath>
+
+#include "train/model/lif_function.h"
+#include "train/model/surrogate.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int kTicks = 9;
+constexpr int64_t kNeurons = 1300;  // more than two blocks of the kernels, and not a multiple
+
+float Derivative(SurrogateKind kind, float slope, float u) {
+  float value = 0.0f;
+  WithDerivative({kind, slope}, [&](auto derivative) { value = derivative(u); });
+  return value;
+}
+
+// The function whose derivative the surrogate is, so that autograd can differentiate it.
+torch::Tensor Antiderivative(const Surrogate& surrogate, const torch::Tensor& u) {
+  const double k = static_cast<double>(surrogate.slope);
+  switch (surrogate.kind) {
+    case SurrogateKind::kFastSigmoid:
+      return u / (1.0 + k * u.abs());
+    case SurrogateKind::kSigmoid:
+      return torch::sigmoid(k * u) / k;
+    case SurrogateKind::kPiecewiseLinear: {
+      const torch::Tensor near = u.clamp(-1.0 / k, 1.0 / k);
+      return near - 0.5 * k * near * near.abs();
+    }
+  }
+  return u;
+}
+
+// Spikes as a graph of one node per tick: the step's value, the antiderivative's gradient, a
+// detached reset.
+torch::Tensor NaiveLif(const torch::Tensor& current, const LifOptions& options) {
+  std::vector<torch::Tensor> spikes;
+  torch::Tensor membrane = torch::zeros_like(current[0]);
+  for (int tick = 0; tick < options.ticks; ++tick) {
+    membrane = options.neuron.decay * membrane + current[tick];
+    const torch::Tensor u = membrane - options.neuron.threshold;
+    const torch::Tensor smooth = Antiderivative(options.surrogate, u);
+    const torch::Tensor step = (u >= 0).to(torch::kFloat);
+    spikes.push_back(step + (smooth - smooth.detach()));
+    membrane = membrane * (1.0 - step);
+  }
+  return torch::stack(spikes);
+}
+
+torch::Tensor RandomCurrent(std::vector<int64_t> shape) {
+  torch::manual_seed(3);
+  return torch::rand(shape) * 0.8 - 0.1;
+}
+
+TEST(SurrogateTest, DerivativesAreAsStated) {
+  const float k = 10.0f;
+  for (const float u : {-1.5f, -0.21f, -0.05f, 0.0f, 0.03f, 0.4f}) {
+    const double f = 1.0 / (1.0 + std::exp(-10.0 * static_cast<double>(u)));
+    EXPECT_NEAR(Derivative(SurrogateKind::kFastSigmoid, k, u),
+                1.0 / std::pow(1.0 + 10.0 * std::abs(static_cast<double>(u)), 2.0), 1e-6);
+    EXPECT_NEAR(Derivative(SurrogateKind::kSigmoid, k, u), f * (1.0 - f), 1e-6);
+    EXPECT_NEAR(Derivative(SurrogateKind::kPiecewiseLinear, k, u),
+                std::max(0.0, 1.0 - 10.0 * std::abs(static_cast<double>(u))), 1e-6);
+  }
+}
+
+TEST(SurrogateTest, UnknownNameIsRefusedWithTheNamesThereAre) {
+  EXPECT_EQ(ParseSurrogateKind("arctan").status().message(),
+            "surrogate: expected fast_sigmoid, sigmoid or piecewise_linear, got 'arctan'");
+}
+
+TEST(LifFunctionTest, PerTickSpikesEqualTheNeuronSteppedAlone) {
+  const torch::Tensor current = RandomCurrent({kTicks, kNeurons});
+  const torch::Tensor spikes =
+      LifPerTick(current, {.neuron = {}, .ticks = kTicks, .surrogate = {}});
+  ASSERT_EQ(spikes.sizes(), current.sizes());
+  int fired = 0;
+  for (int64_t i = 0; i < kNeurons; ++i) {
+    float membrane = 0.0f;
+    for (int tick = 0; tick < kTicks; ++tick) {
+      const bool spike = Lif().Step(current[tick][i].item<float>(), membrane);
+      ASSERT_EQ(spikes[tick][i].item<float>(), spike ? 1.0f : 0.0f) << "neuron " << i;
+      fired += spike;
+    }
+  }
+  EXPECT_GT(fired, kNeurons);
+}
+
+TEST(LifFunctionTest, ConstantCurrentFiresWithTheCodersPeriod) {
+  const torch::Tensor current = RandomCurrent({2, kNeurons / 2});
+  const torch::Tensor spikes =
+      LifConstant(current, {.neuron = {}, .ticks = kTicks, .surrogate = {}});
+  const torch::Tensor flat = current.flatten(), trains = spikes.flatten(1);
+  ASSERT_EQ(spikes.dim(), 3);
+  for (int64_t i = 0; i < flat.numel(); ++i) {
+    const int period = Lif().Period(flat[i].item<float>(), kTicks);
+    for (int tick = 1; tick <= kTicks; ++tick) {
+      const bool spike = period > 0 && tick % period == 0;
+      ASSERT_EQ(trains[tick - 1][i].item<float>(), spike ? 1.0f : 0.0f) << "neuron " << i;
+    }
+  }
+}
+
+class LifGradientTest : public testing::TestWithParam<SurrogateKind> {};
+
+// Backward of both variants, with a gradient that differs from tick to tick and with one that does
+// not.
+TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
+  const LifOptions options = {.neuron = {.decay = 0.9f, .threshold = 0.8f},
+                              .ticks = kTicks,
+                              .surrogate = {GetParam(), 4.0f}};
+  const torch::Tensor weight = torch::randn({kTicks, kNeurons});
+  for (const bool constant : {false, true}) {
+    for (const bool same_at_every_tick : {false, true}) {
+      torch::Tensor fused = RandomCurrent(constant ? std::vector<int64_t>{kNeurons}
+                                                   : std::vector<int64_t>{kTicks, kNeurons});
+      torch::Tensor naive = fused.clone();
+      fused.requires_grad_();
+      naive.requires_grad_();
+      const torch::Tensor spikes =
+          constant ? LifConstant(fused, options) : LifPerTick(fused, options);
+      const torch::Tensor expected =
+          NaiveLif(constant ? naive.expand({kTicks, kNeurons}) : naive, options);
+      ASSERT_TRUE(torch::equal(spikes, expected));
+      if (same_at_every_tick) {
+        (spikes.sum(0) * weight[0]).sum().backward();
+        (expected.sum(0) * weight[0]).sum().backward();
+      } else {
+        (spikes * weight).sum().backward();
+        (expected * weight).sum().backward();
+      }
+      EXPECT_GT(naive.grad().abs().sum().item<float>(), 1.0f);
+      EXPECT_TRUE(torch::allclose(fused.grad(), naive.grad(), 1e-4, 1e-5))
+          << "constant " << constant << ", same at every tick " << same_at_every_tick;
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Surrogates, LifGradientTest,
+                         testing::Values(SurrogateKind::kFastSigmoid, SurrogateKind::kSigmoid,
+                                         SurrogateKind::kPiecewiseLinear));
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,244 @@
+#include "train/data/record.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "core/environment/environment.h"
+#include "core/environment/pendulum.h"
+#include "core/environment/position_only.h"
+#include "core/math/counter_random.h"
+#include "train/data/actors.h"
+#include "train/data/policy_player.h"
+
+namespace spikeserve {
+namespace {
+
+// First part of every key of the counter-based generator, so that no two uses share draws.
+enum Stream : uint64_t {
+  kExpertSeeds = 1,
+  kRandomSeeds = 2,
+  kRandomActions = 3,
+  kDisturbedSeeds = 4,
+  kBursts = 5,
+  kWideStarts = 6,
+  kSkills = 7,
+  kStudentSeeds = 8
+};
+
+// From where `environment` was reset to. `weigh` gives a label's weight, or is null where all
+// are 1.
+Episode RecordEpisode(Environment& environment, std::vector<float> observation, const Actor& actor,
+                      const std::function<double(absl::Span<const double>)>& weigh) {
+  Episode episode;
+  episode.observations = observation;
+  StepResult result;
+  result.observation = std::move(observation);
+  while (!result.done()) {
+    if (weigh) episode.weights.push_back(static_cast<float>(weigh(environment.state())));
+    Decision decision = actor({environment.state(), result.observation, result.reward});
+    result = environment.Step(decision.action);
+    episode.actions.push_back(std::move(decision.action));
+    if (decision.label) episode.labels.push_back(*std::move(decision.label));
+    episode.rewards.push_back(result.reward);
+    episode.observations.insert(episode.observations.end(), result.observation.begin(),
+                                result.observation.end());
+  }
+  episode.terminated = result.terminated;
+  episode.truncated = result.truncated;
+  return episode;
+}
+
+// Episodes of one kind: who acts in them and how they start.
+struct Source {
+  std::string actor;
+  Stream seeds;  // the stream of their seeds
+  int steps;
+  // `asked` is the return that the expert is asked for, if it is asked.
+  std::function<Actor(uint64_t episode, std::optional<double> asked)> make_actor;
+  // From the initial state of the episode's seed to the one it starts from.
+  std::function<void(uint64_t episode, std::vector<double>& state)> move_start = nullptr;
+};
+
+// With the options' probability, replaces Pendulum's velocity by any it can have.
+void WidenStart(const RecordOptions& options, uint64_t episode, std::vector<double>& state) {
+  const auto uniform = [&](uint64_t draw) {
+    return UniformDouble(RandomBits({kWideStarts, options.seed, episode, draw}));
+  };
+  if (uniform(0) >= options.wide_start_fraction) return;
+  state[1] = Pendulum::kMaxSpeed * (2.0 * uniform(1) - 1.0);
+}
+
+absl::Status CheckFraction(absl::string_view name, double fraction, double most = 1.0) {
+  if (fraction >= 0.0 && fraction <= most) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(name, ": expected 0 to ", most, ", got ", fraction));
+}
+
+// Records all the sources of a dataset, one after the other.
+class Recorder {
+ public:
+  Recorder(const RecordOptions& options, std::unique_ptr<Environment> environment,
+           std::unique_ptr<Expert> expert)
+      : options_(options),
+        environment_(std::move(environment)),
+        expert_(std::move(expert)),
+        engine_(options.student == nullptr ? nullptr : MakeStreamingEngine(options.student)) {}
+
+  Dataset Run() {
+    Dataset dataset = {.environment = options_.expert.environment,
+                       .observation_size = environment_->observation_size(),
+                       .action_space = environment_->action_space(),
+                       .recipe = {{"seed", options_.seed}},
+                       .episodes = {}};
+    for (const Source& source : Sources()) {
+      if (source.steps == 0) continue;
+      dataset.recipe[source.actor + "_steps"] = RecordSteps(source, &dataset);
+    }
+    dataset.recipe["episodes"] = dataset.episodes.size();
+    if (!options_.expert.name.empty()) dataset.recipe["expert"] = options_.expert.name;
+    if (options_.weigh) dataset.recipe["weigh"] = true;
+    if (options_.disturbed_fraction > 0.0) {
+      dataset.recipe["burst_rate"] = options_.burst_rate;
+      dataset.recipe["longest_burst"] = options_.longest_burst;
+      dataset.recipe["wide_start_fraction"] = options_.wide_start_fraction;
+    }
+    return dataset;
+  }
+
+ private:
+  std::vector<Source> Sources() {
+    const ActionSpace& space = environment_->action_space();
+    const auto share = [&](double fraction) {
+      return static_cast<int>(std::lround(fraction * options_.steps));
+    };
+    const int expert = share(options_.expert_fraction);
+    const int disturbed = share(options_.disturbed_fraction);
+    const int rest = options_.steps - expert - disturbed;
+    const auto draws = [&](Stream stream, uint64_t episode) {
+      return [=, seed = options_.seed](uint64_t step, uint64_t draw) {
+        return RandomBits({stream, seed, episode, step, draw});
+      };
+    };
+    const Bursts bursts = {options_.burst_rate, options_.longest_burst};
+    std::vector<Source> sources = {
+        {"expert", kExpertSeeds, expert,
+         [&](uint64_t, std::optional<double>) { return ExpertActor(*expert_); }},
+        {"disturbed", kDisturbedSeeds, disturbed,
+         [=, this, &space](uint64_t episode, std::optional<double>) {
+           return DisturbedActor(*expert_, space, bursts, draws(kBursts, episode));
+         },
+         [&](uint64_t episode, std::vector<double>& state) {
+           WidenStart(options_, episode, state);
+         }}};
+    if (engine_ != nullptr) {
+      sources.push_back(
+          {"student", kStudentSeeds, rest, [&](uint64_t episode, std::optional<double> asked) {
+             return StudentActor(
+                 *expert_, *engine_, episode,
+                 asked.value_or(static_cast<double>(engine_->policy().target_return)));
+           }});
+    } else {
+      // One sequence of draws for all random episodes.
+      sources.push_back(
+          {"random", kRandomSeeds, rest, [this, &space](uint64_t, std::optional<double>) {
+             return RandomActor(space, [this](uint64_t, uint64_t) {
+               return RandomBits({kRandomActions, options_.seed, random_draws_++});
+             });
+           }});
+    }
+    return sources;
+  }
+
+  // Adds episodes until they hold the source's steps; returns how many they hold.
+  int RecordSteps(const Source& source, Dataset* dataset) {
+    std::function<double(absl::Span<const double>)> weigh;
+    if (options_.weigh) {
+      weigh = [&](absl::Span<const double> state) {
+        return std::clamp(expert_->Stakes(state), kLeastWeight, kMostWeight);
+      };
+    }
+    int recorded = 0;
+    for (uint64_t i = 0; recorded < source.steps; ++i) {
+      const uint64_t seed = RandomBits({source.seeds, options_.seed, i}) % kFirstEvaluationSeed;
+      std::vector<float> observation = environment_->Reset(seed);
+      if (source.move_start) {
+        std::vector<double> state(environment_->state().begin(), environment_->state().end());
+        source.move_start(i, state);
+        observation = environment_->ResetTo(state);
+      }
+      const std::optional<double> asked =
+          expert_->BeginEpisode(RandomBits({kSkills, source.seeds, options_.seed, i}));
+      Episode episode =
+          RecordEpisode(*environment_, std::move(observation), source.make_actor(i, asked), weigh);
+      if (source.actor != "random") episode.asked_return = asked;
+      episode.actor = source.actor;
+      episode.seed = seed;
+      recorded += episode.steps();
+      dataset->episodes.push_back(std::move(episode));
+    }
+    return recorded;
+  }
+
+  const RecordOptions& options_;
+  const std::unique_ptr<Environment> environment_;
+  const std::unique_ptr<Expert> expert_;
+  const std::unique_ptr<Engine> engine_;  // of the student; null without one
+  uint64_t random_draws_ = 0;
+};
+
+}  // namespace
+
+absl::Status RecordOptions::Validate() const {
+  if (steps < 1) {
+    return absl::InvalidArgumentError(absl::StrCat("steps: expected at least 1, got ", steps));
+  }
+  absl::Status status = CheckFraction("expert_fraction", expert_fraction);
+  // The sum of shares such as 0.9 and 0.1 may round to a little more than 1.
+  status.Update(CheckFraction("disturbed_fraction", disturbed_fraction,
+                              std::max(0.0, 1.0 - expert_fraction + 1e-9)));
+  status.Update(CheckFraction("burst_rate", burst_rate));
+  status.Update(CheckFraction("wide_start_fraction", wide_start_fraction));
+  if (!status.ok()) return status;
+  if (longest_burst < 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("longest_burst: expected at least 1, got ", longest_burst));
+  }
+  if (wide_start_fraction > 0.0 && PositionOnly::InsideId(expert.environment) != Pendulum::kId) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "wide_start_fraction: expected 0 for ", expert.environment, ", got ", wide_start_fraction));
+  }
+  return absl::OkStatus();
+}
+
+std::string RecordOptions::ToFlags() const {
+  std::string flags = absl::StrFormat(
+      "--env=%s --steps=%d --expert_fraction=%g --disturbed_fraction=%g --burst_rate=%g "
+      "--longest_burst=%d --wide_start_fraction=%g",
+      expert.environment, steps, expert_fraction, disturbed_fraction, burst_rate, longest_burst,
+      wide_start_fraction);
+  if (!expert.name.empty()) absl::StrAppend(&flags, " --expert=", expert.name);
+  if (weigh) absl::StrAppend(&flags, " --weigh");
+  return flags;
+}
+
+absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options) {
+  if (auto status = options.Validate(); !status.ok()) return status;
+  absl::StatusOr<std::unique_ptr<Environment>> environment =
+      MakeEnvironment(options.expert.environment);
+  if (!environment.ok()) return environment.status();
+  if (options.student != nullptr) {
+    if (auto status = CheckFits(*options.student, **environment); !status.ok()) return status;
+  }
+  absl::StatusOr<std::unique_ptr<Expert>> expert = MakeExpert(options.expert);
+  if (!expert.ok()) return expert.status();
+  return Recorder(options, *std::move(environment), *std::move(expert)).Run();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,129 @@
+#include "train/evaluation/evaluation.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "core/engine/engine.h"
+#include "core/environment/environment.h"
+#include "train/data/policy_player.h"
+
+namespace spikeserve {
+namespace {
+
+// Tokens that were computed: three a decision, but two at an episode's first, which no action
+// precedes.
+double NewTokens(const Evaluation& evaluation) {
+  return 3.0 * static_cast<double>(evaluation.decisions) -
+         static_cast<double>(evaluation.returns.size());
+}
+
+// Plays one episode and returns its return.
+double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed,
+                   Evaluation* evaluation) {
+  PolicyPlayer player(engine, seed, static_cast<double>(engine.policy().target_return));
+  StepResult result;
+  result.observation = environment.Reset(seed);
+  double episode_return = 0.0;
+  while (!result.done()) {
+    result = environment.Step(player.Act(result.observation, result.reward));
+    evaluation->counts += player.counts();
+    ++evaluation->decisions;
+    episode_return += result.reward;
+  }
+  return episode_return;
+}
+
+}  // namespace
+
+absl::Status EvaluationOptions::Validate() const {
+  if (episodes >= 1) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("episodes: expected at least 1, got ", episodes));
+}
+
+double Evaluation::mean_return() const {
+  return std::accumulate(returns.begin(), returns.end(), 0.0) / static_cast<double>(returns.size());
+}
+
+double Evaluation::std_return() const {
+  const double mean = mean_return();
+  double sum = 0.0;
+  for (const double value : returns) sum += (value - mean) * (value - mean);
+  return std::sqrt(sum / static_cast<double>(returns.size()));
+}
+
+double Evaluation::spikes_per_decision() const {
+  return static_cast<double>(counts.total_spikes()) / static_cast<double>(decisions);
+}
+
+absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
+                                    const EvaluationOptions& options) {
+  if (auto status = options.Validate(); !status.ok()) return status;
+  absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy->environment);
+  if (!environment.ok()) return environment.status();
+  if (auto status = CheckFits(*policy, **environment); !status.ok()) return status;
+  Evaluation evaluation = {.options = options,
+                           .environment = policy->environment,
+                           .returns = {},
+                           .decisions = 0,
+                           .counts = {}};
+  const std::unique_ptr<Engine> engine = MakeStreamingEngine(std::move(policy));
+  for (int i = 0; i < options.episodes; ++i) {
+    evaluation.returns.push_back(PlayEpisode(
+        *engine, **environment, options.first_seed + static_cast<uint64_t>(i), &evaluation));
+  }
+  return evaluation;
+}
+
+nlohmann::ordered_json ToJson(const Evaluation& evaluation, const ModelConfig& config) {
+  const auto decisions = static_cast<double>(evaluation.decisions);
+  const auto [least, most] =
+      std::minmax_element(evaluation.returns.begin(), evaluation.returns.end());
+  const Energy energy = EstimateEnergy(evaluation.counts, config.is_dense());
+  nlohmann::ordered_json json = {{"environment", evaluation.environment},
+                                 {"mean_return", evaluation.mean_return()},
+                                 {"std_return", evaluation.std_return()},
+                                 {"min_return", *least},
+                                 {"max_return", *most},
+                                 {"episodes", evaluation.options.episodes},
+                                 {"first_seed", evaluation.options.first_seed},
+                                 {"decisions", evaluation.decisions},
+                                 {"spikes_per_decision", evaluation.spikes_per_decision()}};
+  for (int i = 0; i < kStages; ++i) {
+    const auto stage = static_cast<Stage>(i);
+    json["spikes_per_decision_by_stage"][std::string(ToString(stage))] =
+        static_cast<double>(evaluation.counts.spikes(stage)) / decisions;
+  }
+  json["spikes_per_token_and_tick"] =
+      static_cast<double>(evaluation.counts.total_spikes()) / NewTokens(evaluation) / config.ticks;
+  json["spikes_per_window"] = evaluation.spikes_per_decision() * config.context;
+  json["window_timesteps"] = config.context;
+  json["synaptic_operations_per_decision"] =
+      static_cast<double>(evaluation.counts.synaptic_operations()) / decisions;
+  json["estimated_energy_joules_per_decision"] = {
+      {"spike_5pj", energy.spike_5pj / decisions},
+      {"horowitz_45nm", energy.horowitz_45nm / decisions}};
+  return json;
+}
+
+std::string ToText(const Evaluation& evaluation, const ModelConfig& config) {
+  const nlohmann::ordered_json json = ToJson(evaluation, config);
+  std::string text = absl::StrFormat(
+      "%s, %d episodes from seed %d: return %.2f ± %.2f (%.1f to %.1f)\n"
+      "spikes per decision %.1f; per token and tick (S-bar) %.3f; per window of %d timesteps %.0f\n"
+      "by stage, per decision:",
+      evaluation.environment, evaluation.options.episodes, evaluation.options.first_seed,
+      evaluation.mean_return(), evaluation.std_return(), json["min_return"].get<double>(),
+      json["max_return"].get<double>(), evaluation.spikes_per_decision(),
+      json["spikes_per_token_and_tick"].get<double>(), config.context,
+      json["spikes_per_window"].get<double>());
+  for (const auto& [stage, spikes] : json["spikes_per_decision_by_stage"].items()) {
+    absl::StrAppendFormat(&text, " %s %.1f", stage, spikes.get<double>());
+  }
+  return text + "\n";
+}
+
+}  // namespace spikeserve

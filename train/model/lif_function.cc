@@ -1,0 +1,82 @@
+#include "train/model/lif_function.h"
+
+#include <ATen/Parallel.h>
+#include <torch/csrc/autograd/custom_function.h>
+
+#include "train/model/lif_kernels.h"
+
+namespace spikeserve {
+namespace {
+
+using torch::autograd::AutogradContext;
+using torch::autograd::tensor_list;
+
+constexpr int64_t kNeuronsPerTask = 16384;
+
+// Rows of [T, ...] where `per_tick`, else of [...] for every tick.
+TickRows Rows(const torch::Tensor& tensor, bool per_tick, int64_t neurons) {
+  return {tensor.data_ptr<float>(), per_tick ? neurons : 0};
+}
+
+// A gradient that is the same at every tick comes from a sum over ticks; spreading it out would
+// cost more than the backward pass itself.
+bool SameAtEveryTick(const torch::Tensor& gradient) {
+  return gradient.stride(0) == 0 && gradient.select(0, 0).is_contiguous();
+}
+
+struct LifFunction : torch::autograd::Function<LifFunction> {
+  static torch::Tensor forward(AutogradContext* context, const torch::Tensor& input, bool per_tick,
+                               const LifOptions& options) {
+    const torch::Tensor current = input.contiguous();
+    const int64_t neurons = per_tick ? current.numel() / options.ticks : current.numel();
+    std::vector<int64_t> shape = current.sizes().vec();
+    if (!per_tick) shape.insert(shape.begin(), options.ticks);
+    torch::Tensor spikes = torch::empty(shape, current.options());
+    float* out = spikes.data_ptr<float>();
+    at::parallel_for(0, neurons, kNeuronsPerTask, [&](int64_t begin, int64_t end) {
+      LifForward({options.neuron, options.ticks, begin, end}, Rows(current, per_tick, neurons), out,
+                 neurons);
+    });
+    context->save_for_backward({current});
+    context->saved_data["per_tick"] = per_tick;
+    context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
+    context->saved_data["decay"] = static_cast<double>(options.neuron.decay);
+    context->saved_data["threshold"] = static_cast<double>(options.neuron.threshold);
+    context->saved_data["kind"] = static_cast<int64_t>(options.surrogate.kind);
+    context->saved_data["slope"] = static_cast<double>(options.surrogate.slope);
+    return spikes;
+  }
+
+  static tensor_list backward(AutogradContext* context, tensor_list gradients) {
+    auto& saved = context->saved_data;
+    const torch::Tensor current = context->get_saved_variables()[0];
+    const bool per_tick = saved["per_tick"].toBool();
+    const int ticks = static_cast<int>(saved["ticks"].toInt());
+    const Lif neuron = {.decay = static_cast<float>(saved["decay"].toDouble()),
+                        .threshold = static_cast<float>(saved["threshold"].toDouble())};
+    const Surrogate surrogate = {.kind = static_cast<SurrogateKind>(saved["kind"].toInt()),
+                                 .slope = static_cast<float>(saved["slope"].toDouble())};
+    const int64_t neurons = per_tick ? current.numel() / ticks : current.numel();
+    const bool same = SameAtEveryTick(gradients[0]);
+    const torch::Tensor spike_gradient = same ? gradients[0] : gradients[0].contiguous();
+    torch::Tensor result = torch::empty_like(current);
+    float* out = result.data_ptr<float>();
+    at::parallel_for(0, neurons, kNeuronsPerTask, [&](int64_t begin, int64_t end) {
+      LifBackward({neuron, ticks, begin, end}, surrogate, Rows(current, per_tick, neurons),
+                  Rows(spike_gradient, !same, neurons), out);
+    });
+    return {result, torch::Tensor(), torch::Tensor()};
+  }
+};
+
+}  // namespace
+
+torch::Tensor LifConstant(const torch::Tensor& current, const LifOptions& options) {
+  return LifFunction::apply(current, false, options);
+}
+
+torch::Tensor LifPerTick(const torch::Tensor& current, const LifOptions& options) {
+  return LifFunction::apply(current, true, options);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,20 @@
+// Phase-shifted positional spikes (eq. 4.4) with a surrogate gradient for omega and phi.
+#ifndef TRAIN_MODEL_PHASE_FUNCTION_H_
+#define TRAIN_MODEL_PHASE_FUNCTION_H_
+
+#include <torch/types.h>
+
+#include "train/model/surrogate.h"
+
+namespace spikeserve {
+
+// Spikes 1[sin(omega_k tau + phi_k) > 0], float [..., H], of H generators with omega and phi [H] at
+// times tau [..., 1] (double). Backward: the surrogate at u = sin(.), with omega's gradient divided
+// by the largest |tau| (where that is above 1), because it grows with the time in the episode and
+// phi's does not.
+torch::Tensor PhaseSpikes(const torch::Tensor& omega, const torch::Tensor& phi,
+                          const torch::Tensor& tau, const Surrogate& surrogate);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_MODEL_PHASE_FUNCTION_H_

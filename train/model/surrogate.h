@@ -1,0 +1,65 @@
+// Surrogate gradients: what stands in for the derivative of the spike's step function in the
+// backward pass.
+//
+// Pure functions; safe to call from many threads.
+#ifndef TRAIN_MODEL_SURROGATE_H_
+#define TRAIN_MODEL_SURROGATE_H_
+
+#include <cmath>
+#include <string_view>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "core/math/exp.h"
+
+namespace spikeserve {
+
+// ds/du at u = V - V_th (the paper's "surrogate gradients" section), k the slope:
+//   fast sigmoid      1 / (1 + k |u|)^2
+//   sigmoid           f (1 - f), f = 1 / (1 + e^{-k u})
+//   piecewise linear  max(0, 1 - k |u|)
+enum class SurrogateKind { kFastSigmoid, kSigmoid, kPiecewiseLinear };
+
+struct Surrogate {
+  SurrogateKind kind = SurrogateKind::kFastSigmoid;
+  float slope = 10.0f;  // k > 0
+};
+
+inline float FastSigmoidDerivative(float slope, float u) {
+  const float d = 1.0f + slope * std::abs(u);
+  return 1.0f / (d * d);
+}
+
+inline float SigmoidDerivative(float slope, float u) {
+  const float f = Sigmoid(slope * u);
+  return f * (1.0f - f);
+}
+
+inline float PiecewiseLinearDerivative(float slope, float u) {
+  const float d = 1.0f - slope * std::abs(u);
+  return d > 0.0f ? d : 0.0f;
+}
+
+// Calls `body(derivative)` with the function u -> ds/du of this surrogate, so that a loop over many
+// neurons chooses its kind once and not per neuron.
+template <typename Body>
+inline __attribute__((always_inline)) void WithDerivative(const Surrogate& surrogate, Body&& body) {
+  const float k = surrogate.slope;
+  switch (surrogate.kind) {
+    case SurrogateKind::kFastSigmoid:
+      return body([k](float u) { return FastSigmoidDerivative(k, u); });
+    case SurrogateKind::kSigmoid:
+      return body([k](float u) { return SigmoidDerivative(k, u); });
+    case SurrogateKind::kPiecewiseLinear:
+      return body([k](float u) { return PiecewiseLinearDerivative(k, u); });
+  }
+}
+
+// "fast_sigmoid", "sigmoid", "piecewise_linear".
+std::string_view ToString(SurrogateKind kind);
+// INVALID_ARGUMENT names the value received and the three above.
+absl::StatusOr<SurrogateKind> ParseSurrogateKind(absl::string_view name);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_MODEL_SURROGATE_H_

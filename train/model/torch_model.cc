@@ -1,0 +1,190 @@
+#include "train/model/torch_model.h"
+
+#include <ATen/ops/gelu.h>
+
+#include <cmath>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "train/model/attention.h"
+#include "train/model/bernoulli_function.h"
+#include "train/model/lif_function.h"
+#include "train/model/phase_function.h"
+
+namespace spikeserve {
+namespace {
+
+using torch::indexing::None;
+using torch::indexing::Slice;
+
+// Tokens of a clip in order: return-to-go, state, action of each timestep.
+constexpr int kTokens = 3;
+
+// Every third token from the first state token on.
+torch::Tensor StateTokens(const torch::Tensor& x, int64_t dimension) {
+  return x.slice(dimension, 1, None, kTokens);
+}
+
+// One forward pass over a batch of clips.
+class ForwardPass {
+ public:
+  ForwardPass(const Policy& policy, const Parameters& parameters, const Surrogate& surrogate,
+              const ClipTensors& clips)
+      : policy_(policy),
+        config_(policy.config),
+        p_(parameters),
+        surrogate_(surrogate),
+        lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
+        clips_(clips),
+        timesteps_(clips.timesteps.repeat_interleave(kTokens, 1)),
+        mask_(BandMask(clips.timesteps.size(1), config_.context)) {}
+
+  ModelOutput Run() {
+    torch::Tensor x = Embed();
+    if (config_.has_phase()) EmitPhase();
+    for (int layer = 0; layer < config_.layers; ++layer) {
+      x = config_.is_dense() ? DenseLayer(x, layer) : SpikingLayer(x, layer);
+    }
+    output_.readout = x;
+    if (!config_.is_dense()) {
+      output_.readout = Code(x, "readout.coder", Stage::kReadout, -1, 2 * config_.layers).mean(0);
+    }
+    output_.logits = p_.Linear(output_.readout, "head");
+    return std::move(output_);
+  }
+
+ private:
+  bool IsLast(int layer) const { return layer + 1 == config_.layers; }
+
+  // [B, 3n, d]
+  torch::Tensor Embed() const {
+    const torch::Tensor g = (clips_.return_to_go - policy_.return_offset) / policy_.return_scale;
+    const torch::Tensor s = (clips_.observations - p_["observation.mean"]) / p_["observation.std"];
+    const torch::Tensor x = torch::stack(
+        {EmbedModality(g.unsqueeze(-1), "embed.return"), EmbedModality(s, "embed.state"),
+         EmbedModality(clips_.actions, "embed.action")},
+        2);
+    return x.flatten(1, 2);
+  }
+
+  torch::Tensor EmbedModality(const torch::Tensor& input, const std::string& name) const {
+    torch::Tensor x = p_.Linear(input, name);
+    if (config_.is_dense()) {
+      const torch::Tensor& table = p_["embed.timestep.weight"];
+      x = x + table.index({clips_.timesteps.clamp_max(table.size(0) - 1)});
+    }
+    return p_.Norm(x, name + ".norm");
+  }
+
+  // The phase spikes of every timestep, heard by its three tokens.
+  void EmitPhase() {
+    const torch::Tensor tick = torch::arange(config_.ticks, torch::kDouble).view({-1, 1, 1, 1});
+    const torch::Tensor timestep = clips_.timesteps.to(torch::kDouble).unsqueeze(0).unsqueeze(-1);
+    const torch::Tensor tau = config_.phase_clock == PhaseClock::kWindow
+                                  ? (tick + 1.0).expand({-1, timestep.size(1), timestep.size(2), 1})
+                                  : timestep + tick / config_.ticks;
+    const torch::Tensor spikes = PhaseSpikes(p_["phase.omega"], p_["phase.phi"], tau, surrogate_);
+    output_.populations.push_back({Stage::kPhase, -1, spikes, {}});
+    phase_ = spikes.repeat_interleave(kTokens, 2);
+  }
+
+  // A coder's spikes [T, B, tokens, d] for x [B, tokens, d].
+  torch::Tensor Code(const torch::Tensor& x, const std::string& name, Stage stage, int layer,
+                     int site) {
+    const torch::Tensor current = x * p_[name + ".gain"] + p_[name + ".bias"];
+    if (config_.coder == CoderKind::kLif) {
+      output_.populations.push_back({stage, layer, LifConstant(current, lif_), current});
+    } else {
+      const bool all = x.size(1) == timesteps_.size(1);
+      std::vector<int> kinds(x.size(1), 1);
+      for (size_t i = 0; all && i < kinds.size(); ++i) kinds[i] = static_cast<int>(i) % kTokens;
+      const BernoulliDraws draws = {.seeds = clips_.seeds,
+                                    .timesteps = all ? timesteps_ : clips_.timesteps,
+                                    .kinds = std::move(kinds),
+                                    .site = site};
+      const torch::Tensor spikes = BernoulliSpikes(current, draws, config_.ticks);
+      output_.populations.push_back({stage, layer, spikes, {}});
+    }
+    return output_.populations.back().spikes;
+  }
+
+  torch::Tensor Fire(const torch::Tensor& current, Stage stage, int layer) {
+    output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
+    return output_.populations.back().spikes;
+  }
+
+  // In the last layer only the state tokens have a query and an output: [B, n, d] instead of [B,
+  // 3n, d].
+  torch::Tensor SpikingLayer(const torch::Tensor& x, int layer) {
+    const std::string name = absl::StrCat("layers.", layer);
+    torch::Tensor coded = Code(x, name + ".coder", Stage::kCoder, layer, 2 * layer);
+    if (config_.has_phase()) coded = torch::cat({coded, phase_}, -1);
+    const torch::Tensor asking = IsLast(layer) ? StateTokens(coded, 2) : coded;
+    const std::string attention = name + ".attention";
+    const torch::Tensor q = Fire(p_.Linear(asking, attention + ".query"), Stage::kQuery, layer);
+    const torch::Tensor k = Fire(p_.Linear(coded, attention + ".key"), Stage::kKey, layer);
+    const torch::Tensor v = Fire(p_.Linear(coded, attention + ".value"), Stage::kValue, layer);
+    const torch::Tensor y = Attend(q, k, v, p_[attention + ".scale"], Mask(layer), config_.heads);
+    return SpikingFeedForward(AddAttention(x, RouteHeads(p_, name, config_, y), attention, layer),
+                              name, layer);
+  }
+
+  torch::Tensor SpikingFeedForward(const torch::Tensor& x, const std::string& name, int layer) {
+    const torch::Tensor coded = Code(x, name + ".ffn.coder", Stage::kFfnIn, layer, 2 * layer + 1);
+    const torch::Tensor hidden =
+        Fire(p_.Linear(coded, name + ".ffn.hidden"), Stage::kFfnHidden, layer);
+    return p_.Norm(x + p_.Linear(hidden.mean(0), name + ".ffn.output"), name + ".ffn.norm");
+  }
+
+  // An ordinary decision transformer's layer with the same residuals.
+  torch::Tensor DenseLayer(const torch::Tensor& x, int layer) {
+    const std::string name = absl::StrCat("layers.", layer);
+    const std::string attention = name + ".attention";
+    const torch::Tensor asking = IsLast(layer) ? StateTokens(x, 1) : x;
+    const torch::Tensor scale = torch::full({1}, 1.0 / std::sqrt(config_.head_size()));
+    const torch::Tensor y =
+        Attend(p_.Linear(asking, attention + ".query"), p_.Linear(x, attention + ".key"),
+               p_.Linear(x, attention + ".value"), scale, Mask(layer), config_.heads);
+    const torch::Tensor after = AddAttention(x, y.transpose(1, 2).flatten(-2), attention, layer);
+    const torch::Tensor hidden = at::gelu(p_.Linear(after, name + ".ffn.hidden"), "tanh");
+    return p_.Norm(after + p_.Linear(hidden, name + ".ffn.output"), name + ".ffn.norm");
+  }
+
+  torch::Tensor Mask(int layer) const { return IsLast(layer) ? StateTokens(mask_, 0) : mask_; }
+
+  // LayerNorm(x + W_O merged + b_O) for the tokens that have an output.
+  torch::Tensor AddAttention(const torch::Tensor& x, const torch::Tensor& merged,
+                             const std::string& attention, int layer) const {
+    const torch::Tensor residual = IsLast(layer) ? StateTokens(x, 1) : x;
+    return p_.Norm(residual + p_.Linear(merged, attention + ".output"), attention + ".norm");
+  }
+
+  const Policy& policy_;
+  const ModelConfig& config_;
+  const Parameters& p_;
+  const Surrogate surrogate_;
+  const LifOptions lif_;
+  const ClipTensors& clips_;
+  const torch::Tensor timesteps_;  // [B, 3n]
+  const torch::Tensor mask_;       // [3n, 3n]
+  torch::Tensor phase_;            // [T, B, 3n, H]
+  ModelOutput output_;
+};
+
+}  // namespace
+
+TorchModel::TorchModel(Policy policy, const Surrogate& surrogate)
+    : policy_(std::move(policy)), surrogate_(surrogate), parameters_(policy_) {}
+
+ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
+  return ForwardPass(policy_, parameters_, surrogate_, clips).Run();
+}
+
+Policy TorchModel::CurrentPolicy() const {
+  Policy policy = policy_;
+  parameters_.Store(&policy);
+  return policy;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,55 @@
+#include "train/report/insight.h"
+
+#include <utility>
+
+#include "core/environment/environment.h"
+#include "core/session/agent_session.h"
+#include "core/session/explanation.h"
+#include "train/data/policy_player.h"
+
+namespace spikeserve {
+namespace {
+
+// [gated, T, H] as means over ticks, [H][gated].
+std::vector<std::vector<double>> MeanGates(const LayerTrace& layer, const ModelConfig& config) {
+  if (layer.gates.empty()) return {};
+  std::vector<std::vector<double>> means(config.heads, std::vector<double>(layer.gated.size()));
+  auto gate = layer.gates.begin();
+  for (size_t token = 0; token < layer.gated.size(); ++token) {
+    for (int tick = 0; tick < config.ticks; ++tick) {
+      for (auto& head : means) head[token] += static_cast<double>(*gate++) / config.ticks;
+    }
+  }
+  return means;
+}
+
+}  // namespace
+
+absl::StatusOr<Insight> LookInside(std::shared_ptr<const Policy> policy, uint64_t seed) {
+  absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy->environment);
+  if (!environment.ok()) return environment.status();
+  if (auto status = CheckFits(*policy, **environment); !status.ok()) return status;
+  auto served = std::make_shared<ServedPolicy>();
+  served->engine = MakeStreamingEngine(policy);
+  served->observer = std::make_shared<SessionObserver>();
+  SessionOptions options;
+  options.target_return = static_cast<double>(policy->target_return);
+  options.seed = seed;
+  const SteadyClock clock;
+  AgentSession agent(served, NewSession("insight", std::move(options)), &clock);
+
+  Insight insight;
+  StepResult result{.observation = (*environment)->Reset(seed)};
+  for (int64_t step = 0; !result.done(); ++step) {
+    const absl::StatusOr<const Answer*> answer = agent.Act(step, result.observation, result.reward);
+    if (!answer.ok()) return answer.status();
+    insight.spikes.push_back(static_cast<int64_t>((*answer)->counts.total_spikes()));
+    result = (*environment)->Step((*answer)->action);
+  }
+  const absl::StatusOr<Explanation> explanation = Explain(*policy, agent.session());
+  if (!explanation.ok()) return explanation.status();
+  insight.gates = MeanGates(explanation->trace.layers.front(), policy->config);
+  return insight;
+}
+
+}  // namespace spikeserve

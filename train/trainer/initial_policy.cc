@@ -1,0 +1,55 @@
+#include "train/trainer/initial_policy.h"
+
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+#include <utility>
+
+#include "train/trainer/task.h"
+
+namespace spikeserve {
+namespace {
+
+// Mean and deviation of the returns-to-go: mu and sigma of eq. 4.2.
+std::pair<float, float> ReturnMoments(const Dataset& dataset) {
+  double sum = 0.0, squares = 0.0, count = 0.0;
+  for (const Episode& episode : dataset.episodes) {
+    for (const float g : ReturnsToGo(episode)) {
+      sum += static_cast<double>(g);
+      squares += static_cast<double>(g) * static_cast<double>(g);
+      count += 1.0;
+    }
+  }
+  const double mean = sum / count;
+  const double deviation = std::sqrt(std::max(1e-6, squares / count - mean * mean));
+  return {static_cast<float>(mean), static_cast<float>(deviation)};
+}
+
+// That of the environment; for one that is not ours, what the data show.
+ReturnScaling ScalingOf(const Dataset& dataset, const std::pair<float, float>& moments) {
+  if (const auto scaling = ReturnScalingOf(dataset.environment); scaling.ok()) return *scaling;
+  float best = ReturnsToGo(dataset.episodes[0])[0];
+  for (const Episode& episode : dataset.episodes) {
+    best = std::max(best, ReturnsToGo(episode)[0]);
+  }
+  return {.offset = moments.first, .scale = moments.second, .target = best};
+}
+
+}  // namespace
+
+Policy InitialPolicy(const ModelConfig& config, const Dataset& dataset, uint64_t seed) {
+  Policy policy = RandomPolicy(config, dataset.observation_size, dataset.action_space, seed);
+  const std::pair<float, float> return_moments = ReturnMoments(dataset);
+  const ReturnScaling returns = ScalingOf(dataset, return_moments);
+  const Moments moments = ObservationMoments(dataset);
+  policy.weights.observation_mean.values = moments.mean;
+  policy.weights.observation_std.values = moments.std;
+  policy.return_offset = returns.offset;
+  policy.return_scale = returns.scale;
+  policy.target_return = returns.target;
+  std::tie(policy.modulator_mean, policy.modulator_std) = return_moments;
+  policy.environment = dataset.environment;
+  return policy;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,254 @@
+#include "train/trainer/trainer.h"
+
+#include <torch/nn/utils/clip_grad.h>
+#include <torch/optim/adamw.h>
+#include <torch/serialize.h>
+
+#include <cmath>
+#include <filesystem>
+#include <numbers>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_replace.h"
+#include "core/math/counter_random.h"
+
+namespace spikeserve {
+namespace {
+
+// First part of every key of the counter-based generator.
+enum Stream : uint64_t { kTrainingClips = 11, kValidationClips = 12, kBernoulliSeeds = 13 };
+
+constexpr double kPhaseRateFactor = 0.3;   // of the learning rate, for omega and phi
+constexpr double kFinalRateFactor = 0.02;  // where the cosine ends
+constexpr double kHingeRamp = 1.0 / 3.0;   // of the iterations
+constexpr int kValidationBatches = 4;
+
+absl::Status Require(bool holds, absl::string_view option, absl::string_view expected,
+                     double received) {
+  if (holds) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(option, ": expected ", expected, ", got ", received));
+}
+
+template <typename T>
+torch::Tensor Copy(const std::vector<T>& values, std::vector<int64_t> shape,
+                   torch::ScalarType type) {
+  return torch::from_blob(const_cast<T*>(values.data()), shape, type).clone();
+}
+
+// Archives take names without dots.
+std::string ArchiveName(const std::string& name) { return absl::StrReplaceAll(name, {{".", "/"}}); }
+
+int ClipSteps(const TrainOptions& options, const ModelConfig& config) {
+  return options.clip_steps == 0 ? config.context : options.clip_steps;
+}
+
+std::unique_ptr<ClipSampler> ValidationSampler(const Dataset& dataset, const Split& split,
+                                               int timesteps) {
+  if (split.validation.empty()) return nullptr;
+  return std::make_unique<ClipSampler>(dataset, split.validation, timesteps);
+}
+
+}  // namespace
+
+absl::Status TrainOptions::Validate() const {
+  absl::Status status;
+  const auto check = [&](bool holds, absl::string_view option, absl::string_view expected,
+                         double received) {
+    if (status.ok()) status = Require(holds, option, expected, received);
+  };
+  check(iterations >= 1, "iterations", "at least 1", iterations);
+  check(batch >= 1, "batch", "at least 1", batch);
+  check(clip_steps >= 0, "clip_steps", "0 or more", clip_steps);
+  check(learning_rate > 0.0, "learning_rate", "a number above 0", learning_rate);
+  check(weight_decay >= 0.0, "weight_decay", "0 or more", weight_decay);
+  check(warmup >= 0, "warmup", "0 or more", warmup);
+  check(clip_norm > 0.0, "clip_norm", "a number above 0", clip_norm);
+  check(action_noise >= 0.0 && action_noise <= 1.0, "action_noise", "0 to 1", action_noise);
+  check(validation >= 0.0 && validation < 1.0, "validation", "0 or more, below 1", validation);
+  check(rate_targets.hidden >= 0.0 && rate_targets.hidden <= 1.0, "target_rate", "0 to 100 percent",
+        100.0 * rate_targets.hidden);
+  check(rate_targets.readout >= 0.0 && rate_targets.readout <= 1.0, "readout_rate",
+        "0 to 100 percent", 100.0 * rate_targets.readout);
+  check(spike_penalty >= 0.0, "spike_penalty", "0 or more", spike_penalty);
+  check(surrogate.slope > 0.0f, "slope", "a number above 0", surrogate.slope);
+  return status;
+}
+
+std::string TrainOptions::ToFlags() const {
+  const std::string surrogate_name(ToString(surrogate.kind));
+  return absl::StrFormat(
+      "--seed=%d --iterations=%d --batch=%d --clip_steps=%d --learning_rate=%g --weight_decay=%g "
+      "--warmup=%d --clip_norm=%g --action_noise=%g --validation=%g --target_rate=%g "
+      "--readout_rate=%g --spike_penalty=%g --surrogate=%s --slope=%g",
+      seed, iterations, batch, clip_steps, learning_rate, weight_decay, warmup, clip_norm,
+      action_noise, validation, 100.0 * rate_targets.hidden, 100.0 * rate_targets.readout,
+      spike_penalty, surrogate_name, surrogate.slope);
+}
+
+// AdamW over two groups: everything, and the phase generators at their own rate.
+struct Trainer::Optimizer {
+  static std::unique_ptr<Optimizer> Make(const Parameters& parameters,
+                                         const TrainOptions& options) {
+    std::vector<torch::Tensor> rest, phase;
+    for (const auto& [name, tensor] : parameters.tensors()) {
+      if (!tensor.requires_grad()) continue;
+      (absl::StartsWith(name, "phase.") ? phase : rest).push_back(tensor);
+    }
+    using torch::optim::AdamWOptions;
+    using torch::optim::OptimizerParamGroup;
+    std::vector<OptimizerParamGroup> groups;
+    groups.emplace_back(
+        rest, std::make_unique<AdamWOptions>(
+                  AdamWOptions(options.learning_rate).weight_decay(options.weight_decay)));
+    if (!phase.empty()) {
+      groups.emplace_back(phase, std::make_unique<AdamWOptions>(
+                                     AdamWOptions(options.learning_rate).weight_decay(0.0)));
+    }
+    std::vector<torch::Tensor> all = rest;
+    all.insert(all.end(), phase.begin(), phase.end());
+    return std::make_unique<Optimizer>(
+        Optimizer{torch::optim::AdamW(std::move(groups), AdamWOptions(options.learning_rate)),
+                  std::move(all)});
+  }
+
+  torch::optim::AdamW adamw;
+  std::vector<torch::Tensor> parameters;
+};
+
+Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& options)
+    : options_(options),
+      run_(absl::StrCat(options.ToFlags(), " data=", dataset.recipe.dump())),
+      action_space_(dataset.action_space),
+      observation_size_(dataset.observation_size),
+      model_(initial, options.surrogate),
+      training_(dataset, SplitEpisodes(dataset, options.validation).training,
+                ClipSteps(options, initial.config)),
+      validation_(ValidationSampler(dataset, SplitEpisodes(dataset, options.validation),
+                                    ClipSteps(options, initial.config))),
+      optimizer_(Optimizer::Make(model_.parameters(), options)) {}
+
+Trainer::~Trainer() = default;
+
+Trainer::Batch Trainer::MakeBatch(const ClipSampler& sampler, uint64_t key,
+                                  double action_noise) const {
+  const Clips clips = sampler.Sample(key, options_.batch, action_noise);
+  const int64_t count = clips.count, n = clips.timesteps_per_clip, act = action_space_.size();
+  std::vector<int64_t> seeds(count);
+  for (int64_t i = 0; i < count; ++i) {
+    seeds[i] = static_cast<int64_t>(RandomBits({kBernoulliSeeds, key, static_cast<uint64_t>(i)}));
+  }
+  return {.clips = {.return_to_go = Copy(clips.return_to_go, {count, n}, torch::kFloat),
+                    .observations =
+                        Copy(clips.observations, {count, n, observation_size_}, torch::kFloat),
+                    .actions = Copy(clips.actions, {count, n, act}, torch::kFloat),
+                    .timesteps = Copy(clips.timesteps, {count, n}, torch::kLong),
+                    .seeds = Copy(seeds, {count}, torch::kLong)},
+          .targets = Copy(clips.targets, {count, n, act}, torch::kFloat),
+          .mask = Copy(clips.mask, {count, n}, torch::kFloat),
+          .weights = Copy(clips.weights, {count, n}, torch::kFloat)};
+}
+
+torch::Tensor Trainer::Loss(const Batch& batch, const ModelOutput& output) const {
+  return ImitationLoss(action_space_, output.logits, batch.targets, batch.weights);
+}
+
+void Trainer::SetLearningRate() {
+  const double warm =
+      options_.warmup == 0 ? 1.0 : std::min(1.0, (iteration_ + 1.0) / options_.warmup);
+  const double cosine = 0.5 * (1.0 + std::cos(std::numbers::pi * iteration_ / options_.iterations));
+  const double rate =
+      options_.learning_rate * warm * (kFinalRateFactor + (1.0 - kFinalRateFactor) * cosine);
+  auto& groups = optimizer_->adamw.param_groups();
+  groups[0].options().set_lr(rate);
+  if (groups.size() > 1) groups[1].options().set_lr(kPhaseRateFactor * rate);
+}
+
+Trainer::StepReport Trainer::Step() {
+  const uint64_t key =
+      RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
+  const Batch batch = MakeBatch(training_, key, options_.action_noise);
+  const ModelOutput output = model_.Forward(batch.clips);
+  torch::Tensor loss = Loss(batch, output);
+  StepReport report = {.loss = loss.item<double>(), .hinge = 0.0};
+  const double ramp = std::min(1.0, iteration_ / (kHingeRamp * options_.iterations));
+  const torch::Tensor hinge = RateHinge(output.populations, options_.rate_targets, batch.mask);
+  if (hinge.defined()) {
+    report.hinge = hinge.item<double>();
+    loss = loss + options_.spike_penalty * ramp * hinge;
+  }
+  optimizer_->adamw.zero_grad();
+  loss.backward();
+  torch::nn::utils::clip_grad_norm_(optimizer_->parameters, options_.clip_norm);
+  SetLearningRate();
+  optimizer_->adamw.step();
+  ++iteration_;
+  return report;
+}
+
+double Trainer::ValidationLoss() const {
+  const torch::NoGradGuard no_gradient;
+  double sum = 0.0;
+  for (uint64_t i = 0; i < kValidationBatches; ++i) {
+    const Batch batch =
+        MakeBatch(*validation_, RandomBits({kValidationClips, options_.seed, i}), 0.0);
+    sum += Loss(batch, model_.Forward(batch.clips)).item<double>();
+  }
+  return sum / kValidationBatches;
+}
+
+absl::Status Trainer::SaveCheckpoint(const std::string& path) const {
+  const std::string temporary = path + ".tmp";
+  try {
+    torch::serialize::OutputArchive archive, optimizer;
+    archive.write("run", c10::IValue(run_));
+    archive.write("iteration", c10::IValue(static_cast<int64_t>(iteration_)));
+    for (const auto& [name, tensor] : model_.parameters().tensors()) {
+      archive.write(ArchiveName(name), tensor);
+    }
+    optimizer_->adamw.save(optimizer);
+    archive.write("optimizer", optimizer);
+    archive.save_to(temporary);
+    std::filesystem::rename(temporary, path);
+  } catch (const std::exception&) {
+    return absl::InternalError(absl::StrCat(path, ": cannot write"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Trainer::LoadCheckpoint(const std::string& path) {
+  if (!std::filesystem::exists(path)) {
+    return absl::NotFoundError(absl::StrCat(path, ": no such file"));
+  }
+  try {
+    torch::serialize::InputArchive archive, optimizer;
+    archive.load_from(path);
+    c10::IValue run, iteration;
+    archive.read("run", run);
+    if (run.toStringRef() != run_) {
+      return absl::FailedPreconditionError(
+          absl::StrCat(path, ": made with ", run.toStringRef(), ", not ", run_));
+    }
+    std::map<std::string, torch::Tensor> loaded;
+    for (const auto& [name, tensor] : model_.parameters().tensors()) {
+      archive.read(ArchiveName(name), loaded[name]);
+      if (loaded[name].sizes() != tensor.sizes()) {
+        return absl::FailedPreconditionError(absl::StrCat(path, ": ", name, " has another shape"));
+      }
+    }
+    archive.read("optimizer", optimizer);
+    optimizer_->adamw.load(optimizer);
+    archive.read("iteration", iteration);
+    const torch::NoGradGuard no_gradient;
+    for (const auto& [name, tensor] : loaded) model_.parameters()[name].copy_(tensor);
+    iteration_ = static_cast<int>(iteration.toInt());
+  } catch (const c10::Error&) {
+    return absl::FailedPreconditionError(absl::StrCat(path, ": not a checkpoint of this model"));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve
