@@ -22,11 +22,25 @@ if(SPIKESERVE_TSAN)
 endif()
 
 # spikeserve_library(NAME SOURCES file... [DEPENDS target...] [PRIVATE_DEPENDS target...])
-# DEPENDS are what the headers of the library include, PRIVATE_DEPENDS what only its sources do.
+# DEPENDS are the libraries whose headers this library's headers include, PRIVATE_DEPENDS those that only its sources
+# include. Each folder of the tree is one library; tests/check_layers.py holds its includes against this list.
 function(spikeserve_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
   add_library(${name} STATIC ${ARG_SOURCES})
   target_link_libraries(${name} PUBLIC spikeserve_options ${ARG_DEPENDS} PRIVATE ${ARG_PRIVATE_DEPENDS})
+  spikeserve_note_layer(${name} "${ARG_DEPENDS}" "${ARG_PRIVATE_DEPENDS}")
+  set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LIBRARIES ${name})
+endfunction()
+
+# Appends a library or a program to the list that spikeserve_check_layers() writes.
+function(spikeserve_note_layer name public private)
+  file(RELATIVE_PATH folder ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
+  list(TRANSFORM public REPLACE "(.+)" "\"\\1\"")
+  list(TRANSFORM private REPLACE "(.+)" "\"\\1\"")
+  list(JOIN public ", " public)
+  list(JOIN private ", " private)
+  set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LAYERS
+    "{\"name\": \"${name}\", \"folder\": \"${folder}\", \"public\": [${public}], \"private\": [${private}]}")
 endfunction()
 
 # spikeserve_program(NAME SOURCES file... [DEPENDS target...]): lands in <build>/bin.
@@ -34,14 +48,35 @@ function(spikeserve_program name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS})
+  spikeserve_note_layer(${name} "" "${ARG_DEPENDS}")
 endfunction()
 
-# spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...])
+# spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...]): one ctest test for each
+# TEST of the sources, found when ctest starts.
 function(spikeserve_test name)
   cmake_parse_arguments(ARG "" "LABEL" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS} GTest::gmock_main)
-  add_test(NAME ${name} COMMAND ${name})
-  set_tests_properties(${name} PROPERTIES LABELS "${ARG_LABEL}" TIMEOUT 600)
+  set(timeout 600)
+  if(ARG_LABEL STREQUAL "slow")
+    set(timeout 7200)
+  endif()
+  gtest_discover_tests(${name}
+    DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout})
+endfunction()
+
+# Links each library alone with what its own CMakeLists names, so that an edge that is not named does not link, and
+# writes layers.json for tests/check_layers.py. Called after the last library.
+function(spikeserve_check_layers)
+  get_property(layers GLOBAL PROPERTY SPIKESERVE_LAYERS)
+  list(JOIN layers ",\n" layers)
+  file(WRITE ${CMAKE_BINARY_DIR}/layers.json "[${layers}]\n")
+  file(GENERATE OUTPUT ${CMAKE_BINARY_DIR}/link_check.cc CONTENT "int main() {}\n")
+  get_property(libraries GLOBAL PROPERTY SPIKESERVE_LIBRARIES)
+  foreach(library ${libraries})
+    add_executable(link_${library} ${CMAKE_BINARY_DIR}/link_check.cc)
+    set_target_properties(link_${library} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests/links)
+    target_link_libraries(link_${library} PRIVATE $<LINK_LIBRARY:WHOLE_ARCHIVE,${library}>)
+  endforeach()
 endfunction()

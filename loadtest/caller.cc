@@ -11,7 +11,7 @@ namespace {
 using std::chrono::steady_clock;
 
 // A limit that was reached is none any more a little later.
-bool MayPass(const absl::Status& status) {
+bool IsTransient(const absl::Status& status) {
   return IsRetryable(status) || absl::IsResourceExhausted(status);
 }
 
@@ -91,7 +91,7 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
   SimulatedAgent& agent = agents_.at(reply.session_id);
   if (!reply.response.ok()) {
     report_.CountError(reply.response.status());
-    if (!MayPass(reply.response.status())) return nullptr;
+    if (!IsTransient(reply.response.status())) return nullptr;
     if (pause_after_error_ > absl::ZeroDuration()) absl::SleepFor(pause_after_error_);
     return &agent;
   }

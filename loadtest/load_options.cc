@@ -8,7 +8,7 @@ namespace {
 absl::Status CheckRange(absl::string_view flag, int value, int least, int most) {
   if (value >= least && value <= most) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat("--", flag, ": expected ", least, " to ", most, ", got ", value));
+      absl::StrCat("--", flag, ": expected ", least, " to ", most, ", received ", value));
 }
 
 }  // namespace
@@ -18,7 +18,7 @@ absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name) {
   if (name == "stream") return LoadMode::kStream;
   if (name == "batch") return LoadMode::kBatch;
   return absl::InvalidArgumentError(
-      absl::StrCat("--mode: expected unary, stream or batch, got \"", name, "\""));
+      absl::StrCat("--mode: expected unary, stream or batch, received \"", name, "\""));
 }
 
 absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
@@ -27,7 +27,7 @@ absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
   if (name == "session") return v1::LearningConfig::SESSION;
   if (name == "fleet") return v1::LearningConfig::FLEET;
   return absl::InvalidArgumentError(
-      absl::StrCat("--learning_scope: expected session or fleet, got \"", name, "\""));
+      absl::StrCat("--learning_scope: expected session or fleet, received \"", name, "\""));
 }
 
 absl::Status LoadOptions::Validate() const {
@@ -40,22 +40,24 @@ absl::Status LoadOptions::Validate() const {
   if (auto status = CheckRange("batch_size", batch_size, 0, kMany); !status.ok()) return status;
   if (!(observation_bound >= 0.0 && observation_bound <= 1e6)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--observation_bound: expected 0 to 1e6, got ", observation_bound));
+        absl::StrCat("--observation_bound: expected 0 to 1e6, received ", observation_bound));
   }
   if (!(rate >= 0.0 && rate <= 1e7)) {
-    return absl::InvalidArgumentError(absl::StrCat("--rate: expected 0 to 1e7, got ", rate));
+    return absl::InvalidArgumentError(absl::StrCat("--rate: expected 0 to 1e7, received ", rate));
   }
   if (pause_after_error < absl::ZeroDuration() || pause_after_error > absl::Hours(1)) {
-    return absl::InvalidArgumentError(absl::StrCat("--pause_after_error: expected 0 to 1h, got ",
-                                                   absl::FormatDuration(pause_after_error)));
+    return absl::InvalidArgumentError(
+        absl::StrCat("--pause_after_error: expected 0 to 1h, received ",
+                     absl::FormatDuration(pause_after_error)));
   }
   if (duration <= absl::ZeroDuration() || duration > absl::Hours(24)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--duration: expected more than 0 and at most 24h, got ", absl::FormatDuration(duration)));
+    return absl::InvalidArgumentError(
+        absl::StrCat("--duration: expected more than 0 and at most 24h, received ",
+                     absl::FormatDuration(duration)));
   }
   if (call_timeout <= absl::ZeroDuration() || call_timeout > absl::Hours(1)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--call_timeout: expected more than 0 and at most 1h, got ",
+        absl::StrCat("--call_timeout: expected more than 0 and at most 1h, received ",
                      absl::FormatDuration(call_timeout)));
   }
   return absl::OkStatus();

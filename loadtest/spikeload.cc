@@ -98,7 +98,7 @@ absl::StatusOr<LoadOptions> OptionsFromFlags() {
 absl::Status Run(const std::vector<char*>& arguments) {
   if (arguments.size() > 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("expected flags alone, got \"", arguments[1], "\""));
+        absl::StrCat("expected flags alone, received \"", arguments[1], "\""));
   }
   const auto options = OptionsFromFlags();
   if (!options.ok()) return options.status();

@@ -15,6 +15,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
+#include "core/base/status.h"
 #include "grpc/health/v1/health.grpc.pb.h"
 
 namespace spikeserve {
@@ -23,7 +24,7 @@ namespace {
 // How long a stopping server goes on refusing calls with UNAVAILABLE, so that busy clients and
 // health watchers hear that it leaves. gRPC itself answers a call that comes after its shutdown
 // with CANCELLED, which no client expects.
-constexpr absl::Duration kGoodbye = absl::Milliseconds(250);
+constexpr absl::Duration kDrainNotice = absl::Milliseconds(250);
 
 // Calls that take long, such as Explain, run one at a time, and so do operators' calls, some of
 // which read and write files; so many of each may wait.
@@ -109,14 +110,10 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
       worker_(kLongCallsWaiting),
       admin_worker_(kLongCallsWaiting),
-      service_(Parts(&worker_)),
-      head_admin_(registry_.get(), &store_),
-      admin_service_(Parts(&admin_worker_), &admin_handler_, &head_admin_),
-      inference_handler_({.registry = registry_.get(),
-                          .store = &store_,
-                          .requests = &handler_,
-                          .clock = &clock_,
-                          .session_ttl = options.session_ttl}),
+      service_(Parts(&worker_), &handler_),
+      head_handler_(registry_.get(), &store_),
+      admin_service_(Parts(&admin_worker_), &admin_handler_, &head_handler_),
+      inference_handler_(registry_.get(), &store_, &handler_, &clock_, options.session_ttl),
       inference_service_(Parts(&admin_worker_), &inference_handler_),
       reflection_service_({v1::PolicyService::service_full_name(),
                            v1::PolicyAdmin::service_full_name(),
@@ -133,8 +130,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .serving = [this] { return serving(); }}) {}
 
 ServiceParts Server::Parts(BackgroundWorker* worker) {
-  return {.handler = &handler_,
-          .calls = &calls_,
+  return {.calls = &calls_,
           .authenticator = authenticator_.get(),
           .metrics = metrics_.get(),
           .clock = &clock_,
@@ -192,8 +188,7 @@ absl::Status Server::StartHttp() {
     return pages_.Answer(request);
   });
   if (!http.ok()) {
-    return absl::Status(http.status().code(),
-                        absl::StrCat("--http_listen: ", http.status().message()));
+    return Annotate(http.status(), "--http_listen");
   }
   http_ = *std::move(http);
   return absl::OkStatus();
@@ -208,7 +203,7 @@ void Server::Stop() {
   stopping_ = true;
   calls_.Drain();  // before the news spreads, so that nobody who has heard it is still served
   PublishHealth();
-  absl::SleepFor(kGoodbye);
+  absl::SleepFor(kDrainNotice);
   if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
     std::cerr << "spikeserve: calls were still in flight after the drain timeout of "
               << absl::FormatDuration(options_.drain_timeout) << std::endl;

@@ -14,10 +14,10 @@
 #include "core/session/session_reaper.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
-#include "server/admin/head_admin.h"
-#include "server/admin/policy_admin_handler.h"
+#include "server/admin/admin_handler.h"
+#include "server/admin/head_handler.h"
+#include "server/agent/policy_handler.h"
 #include "server/agent/recordings.h"
-#include "server/agent/request_handler.h"
 #include "server/agent/shadow_runner.h"
 #include "server/base/address.h"
 #include "server/base/background_worker.h"
@@ -76,13 +76,13 @@ class Server {
   ShadowRunner shadows_;
   SessionStore store_;
   SessionReaper reaper_;
-  const RequestHandler handler_;
-  const PolicyAdminHandler admin_handler_;
+  const PolicyHandler handler_;
+  const AdminHandler admin_handler_;
   CallTracker calls_;
   BackgroundWorker worker_;
   BackgroundWorker admin_worker_;
   PolicyService service_;
-  const HeadAdmin head_admin_;
+  const HeadHandler head_handler_;
   PolicyAdminService admin_service_;
   InferenceHandler inference_handler_;
   InferenceService inference_service_;

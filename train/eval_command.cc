@@ -31,7 +31,7 @@ absl::StatusOr<std::vector<double>> TargetReturnsFromFlags() {
     double target = 0.0;
     if (!absl::SimpleAtod(text, &target) || !std::isfinite(target)) {
       return absl::InvalidArgumentError(
-          absl::StrCat("target_returns: expected finite numbers, got '", text, "'"));
+          absl::StrCat("target_returns: expected finite numbers, received '", text, "'"));
     }
     targets.push_back(target);
   }

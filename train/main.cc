@@ -47,7 +47,7 @@ absl::Status Run(const std::vector<char*>& positional, const std::string& comman
   if (command == "eval") return EvalCommand();
   if (command == "report") return ReportCommand(command_line);
   return absl::InvalidArgumentError(absl::StrCat(
-      "command: expected expert, dataset, train, eval or report, got '", command, "'"));
+      "command: expected expert, dataset, train, eval or report, received '", command, "'"));
 }
 
 }  // namespace

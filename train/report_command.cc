@@ -5,7 +5,7 @@
 
 #include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
-#include "core/base/atomic_file.h"
+#include "core/base/file.h"
 #include "train/commands.h"
 #include "train/common_flags.h"
 #include "train/report/report_page.h"
@@ -40,7 +40,7 @@ absl::StatusOr<ReportOptions> OptionsFromFlags() {
   options.seeds = absl::GetFlag(FLAGS_seeds);
   if (options.seeds < 1 || options.environments.empty()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("seeds, environments: expected at least one of each, got ", options.seeds,
+        absl::StrCat("seeds, environments: expected at least one of each, received ", options.seeds,
                      " and ", options.environments.size()));
   }
   if (absl::GetFlag(FLAGS_smoke)) {

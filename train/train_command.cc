@@ -27,7 +27,7 @@ namespace {
 
 absl::Status CheckInterval(absl::string_view flag, int value) {
   if (value >= 1) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(flag, ": expected at least 1, got ", value));
+  return absl::InvalidArgumentError(absl::StrCat(flag, ": expected at least 1, received ", value));
 }
 
 // Trains to the end. Returns the last validation loss, or -1 without validation data.

@@ -75,7 +75,7 @@ class ShapeFlags {
   ShapeFlags(ModelConfig* config, bool fixed) : config_(*config), fixed_(fixed) {}
 
   absl::Status Apply() {
-    Set("mode", absl::GetFlag(FLAGS_mode), ParseMode, &config_.mode);
+    SetEnum("mode", absl::GetFlag(FLAGS_mode), &config_.mode);
     Set("hidden_size", absl::GetFlag(FLAGS_hidden_size), Same, &config_.hidden_size);
     if (!fixed_) config_.ffn_size = 4 * config_.hidden_size;
     Set("heads", absl::GetFlag(FLAGS_heads), Same, &config_.heads);
@@ -85,15 +85,21 @@ class ShapeFlags {
     Set("routing_hidden_size", absl::GetFlag(FLAGS_routing_hidden_size), Same,
         &config_.routing_hidden_size);
     Set("ffn_size", absl::GetFlag(FLAGS_ffn_size), Same, &config_.ffn_size);
-    Set("coder", absl::GetFlag(FLAGS_coder), ParseCoderKind, &config_.coder);
-    Set("phase_clock", absl::GetFlag(FLAGS_phase_clock), ParsePhaseClock, &config_.phase_clock);
-    Set("merge", absl::GetFlag(FLAGS_merge), ParseMerge, &config_.merge);
-    Set("gate", absl::GetFlag(FLAGS_gate), ParseGate, &config_.gate);
+    SetEnum("coder", absl::GetFlag(FLAGS_coder), &config_.coder);
+    SetEnum("phase_clock", absl::GetFlag(FLAGS_phase_clock), &config_.phase_clock);
+    SetEnum("merge", absl::GetFlag(FLAGS_merge), &config_.merge);
+    SetEnum("gate", absl::GetFlag(FLAGS_gate), &config_.gate);
     return status_.ok() ? config_.Validate() : status_;
   }
 
  private:
   static absl::StatusOr<int> Same(int value) { return value; }
+
+  template <typename Enum>
+  void SetEnum(absl::string_view flag, const absl::optional<std::string>& given, Enum* field) {
+    const auto parse = [&](absl::string_view name) { return ParseEnum<Enum>(flag, name); };
+    Set(flag, given, parse, field);
+  }
 
   template <typename Given, typename Parse, typename Field>
   void Set(absl::string_view flag, const absl::optional<Given>& given, Parse parse, Field* field) {
@@ -103,7 +109,7 @@ class ShapeFlags {
       status_ = value.status();
     } else if (fixed_ && *value != *field) {
       status_ = absl::InvalidArgumentError(
-          absl::StrCat(flag, ": expected what --init has, or no such flag, got ", *given));
+          absl::StrCat(flag, ": expected what --init has, or no such flag, received ", *given));
     } else {
       *field = *value;
     }
@@ -124,7 +130,7 @@ absl::StatusOr<Policy> RandomPolicyFromFlags(const Dataset& dataset) {
   if (const auto scale = absl::GetFlag(FLAGS_return_scale); scale.has_value()) {
     if (!(*scale > 0.0) || !std::isfinite(*scale)) {
       return absl::InvalidArgumentError(
-          absl::StrCat("return_scale: expected a number above 0, got ", *scale));
+          absl::StrCat("return_scale: expected a number above 0, received ", *scale));
     }
     policy.return_scale = static_cast<float>(*scale);
   }
@@ -139,7 +145,7 @@ absl::StatusOr<Policy> GivenPolicyFromFlags(const std::string& path, const Datas
   }
   if (policy->environment != dataset.environment) {
     return absl::InvalidArgumentError(absl::StrCat("init: expected a policy for ",
-                                                   dataset.environment, ", got one for '",
+                                                   dataset.environment, ", received one for '",
                                                    policy->environment, "'"));
   }
   return policy;
@@ -149,7 +155,7 @@ absl::StatusOr<Policy> GivenPolicyFromFlags(const std::string& path, const Datas
 
 absl::StatusOr<TrainOptions> TrainOptionsFromFlags() {
   const absl::StatusOr<SurrogateKind> surrogate =
-      ParseSurrogateKind(absl::GetFlag(FLAGS_surrogate));
+      ParseEnum<SurrogateKind>("surrogate", absl::GetFlag(FLAGS_surrogate));
   if (!surrogate.ok()) return surrogate.status();
   const TrainOptions options = {
       .seed = absl::GetFlag(FLAGS_seed).value_or(0),
@@ -188,8 +194,8 @@ absl::StatusOr<Dataset> DatasetFromFlags() {
   if (!dataset.ok()) return dataset;
   const std::string environment = absl::GetFlag(FLAGS_env).value_or(dataset->environment);
   if (environment != dataset->environment) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("env: expected ", dataset->environment, " as in --data, got ", environment));
+    return absl::InvalidArgumentError(absl::StrCat("env: expected ", dataset->environment,
+                                                   " as in --data, received ", environment));
   }
   return dataset;
 }

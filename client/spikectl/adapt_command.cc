@@ -48,7 +48,7 @@ absl::StatusOr<AdaptationOptions> OptionsFromFlags() {
   options.seed = absl::GetFlag(FLAGS_seed);
   if (options.episodes < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--episodes: expected at least 1, got ", options.episodes));
+        absl::StrCat("--episodes: expected at least 1, received ", options.episodes));
   }
   if (const std::string perturb = absl::GetFlag(FLAGS_perturb); !perturb.empty()) {
     auto perturbation = ParsePerturbation(perturb);
@@ -66,14 +66,14 @@ absl::StatusOr<AdaptationOptions> OptionsFromFlags() {
   const std::string scope = absl::GetFlag(FLAGS_scope);
   if (scope != "session" && scope != "fleet") {
     return absl::InvalidArgumentError(
-        absl::StrCat("--scope: expected session or fleet, got \"", scope, "\""));
+        absl::StrCat("--scope: expected session or fleet, received \"", scope, "\""));
   }
   if (scope == "session") return options;
   options.learning.set_scope(v1::LearningConfig::FLEET);
   options.sessions = absl::GetFlag(FLAGS_fleet);
   if (options.sessions < 1 || options.sessions > 1000) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--fleet: expected 1 to 1000, got ", options.sessions));
+        absl::StrCat("--fleet: expected 1 to 1000, received ", options.sessions));
   }
   return options;
 }

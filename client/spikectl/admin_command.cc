@@ -26,7 +26,7 @@ using nlohmann::ordered_json;
 
 absl::Status RequirePolicy() {
   if (!absl::GetFlag(FLAGS_policy).empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError("--policy: expected a name, got none");
+  return absl::InvalidArgumentError("--policy: expected a name, received none");
 }
 
 std::string Named() {
@@ -95,7 +95,7 @@ absl::StatusOr<v1::TrafficShare> ParseShare(absl::string_view text) {
   if (parts.size() != 2 || !absl::SimpleAtoi(parts[0], &version) ||
       !absl::SimpleAtoi(parts[1], &percent)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--shares: expected VERSION:PERCENT, got \"", text, "\""));
+        absl::StrCat("--shares: expected VERSION:PERCENT, received \"", text, "\""));
   }
   v1::TrafficShare share;
   share.set_version(version);
@@ -242,7 +242,7 @@ absl::Status AdminCommand(absl::string_view name) {
   const std::string names = absl::StrJoin(
       kActions, ", ", [](std::string* out, const Action& action) { out->append(action.name); });
   return absl::InvalidArgumentError(
-      absl::StrCat("admin: expected one of ", names, ", got \"", name, "\""));
+      absl::StrCat("admin: expected one of ", names, ", received \"", name, "\""));
 }
 
 }  // namespace spikeserve

@@ -23,12 +23,12 @@ namespace spikeserve {
 absl::StatusOr<std::unique_ptr<Environment>> EnvironmentFromFlags() {
   if (const int64_t version = absl::GetFlag(FLAGS_version); version < 0) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--version: expected at least 0, got ", version));
+        absl::StrCat("--version: expected at least 0, received ", version));
   }
   const absl::optional<double> target_return = absl::GetFlag(FLAGS_target_return);
   if (target_return.has_value() && !std::isfinite(*target_return)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--target_return: expected a finite number, got ", *target_return));
+        absl::StrCat("--target_return: expected a finite number, received ", *target_return));
   }
   auto environment = MakeEnvironment(absl::GetFlag(FLAGS_env));
   if (!environment.ok()) {

@@ -39,7 +39,7 @@ absl::Status CheckFlags(absl::string_view command, absl::string_view its_flags) 
     const bool is_set = flag->CurrentValue() != flag->DefaultValue();
     if (!of_some_command || !is_set || absl::c_linear_search(known, name)) continue;
     return absl::InvalidArgumentError(absl::StrCat("--", name, ": expected a flag that ", command,
-                                                   " has", ListFlags(its_flags), ", got ",
+                                                   " has", ListFlags(its_flags), ", received ",
                                                    flag->CurrentValue()));
   }
   return absl::OkStatus();

@@ -41,7 +41,8 @@ absl::Status ExplainCommand() {
     if (auto status = CheckFlags("explain --session", "session"); !status.ok()) return status;
   }
   if (const int32_t steps = absl::GetFlag(FLAGS_steps); steps < 1) {
-    return absl::InvalidArgumentError(absl::StrCat("--steps: expected at least 1, got ", steps));
+    return absl::InvalidArgumentError(
+        absl::StrCat("--steps: expected at least 1, received ", steps));
   }
   const auto environment = EnvironmentFromFlags();
   if (!environment.ok()) return environment.status();

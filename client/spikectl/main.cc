@@ -65,13 +65,13 @@ absl::Status Dispatch(const std::vector<char*>& arguments) {
     if (arguments[1] != absl::string_view(command.name)) continue;
     if (arguments.size() > 2) {
       return absl::InvalidArgumentError(
-          absl::StrCat(command.name, ": expected flags alone, got \"", arguments[2], "\""));
+          absl::StrCat(command.name, ": expected flags alone, received \"", arguments[2], "\""));
     }
     if (auto status = CheckFlags(command.name, command.flags); !status.ok()) return status;
     return command.run();
   }
   return absl::InvalidArgumentError(
-      absl::StrCat("command: expected one of ", names, ", got \"", arguments[1], "\""));
+      absl::StrCat("command: expected one of ", names, ", received \"", arguments[1], "\""));
 }
 
 }  // namespace

@@ -140,23 +140,24 @@ absl::Status CheckReplayable(const std::vector<Dataset>& recording) {
     const std::vector<Episode>& episodes = recording[i].episodes;
     if (episodes.size() != 1 || !episodes[0].served.has_value()) {
       return absl::InvalidArgumentError(
-          "recording: expected episodes that a server recorded, got a dataset of another kind");
+          "recording: expected episodes that a server recorded, received a dataset of another "
+          "kind");
     }
     const ServedEpisode& served = *episodes[0].served;
     const ServedEpisode& first = ServedOf(recording[0]);
     if (served.learning) {
       return absl::InvalidArgumentError(
-          "recording: expected a session with the policy's head, got one that learned");
+          "recording: expected a session with the policy's head, received one that learned");
     }
     if (served.policy != first.policy || served.version != first.version ||
         served.seed != first.seed ||
         (i > 0 && served.episode <= ServedOf(recording[i - 1]).episode)) {
       return absl::InvalidArgumentError(
-          "recording: expected one session, got several; name the directory of one");
+          "recording: expected one session, received several; name the directory of one");
     }
     if (served.temperature.has_value() && served.episode != static_cast<int64_t>(i)) {
       return absl::InvalidArgumentError(
-          absl::StrCat("recording: expected episode ", i, ", got episode ", served.episode,
+          absl::StrCat("recording: expected episode ", i, ", received episode ", served.episode,
                        "; a session that draws its actions is replayed from its first episode"));
     }
   }

@@ -39,7 +39,7 @@ nlohmann::ordered_json ToJson(const std::string& recording, const ReplayResult& 
 absl::Status ReplayCommand() {
   const std::string recording = absl::GetFlag(FLAGS_recording);
   if (recording.empty()) {
-    return absl::InvalidArgumentError("--recording: expected a directory or a file, got none");
+    return absl::InvalidArgumentError("--recording: expected a directory or a file, received none");
   }
   const auto episodes = ReadRecordings(recording);
   if (!episodes.ok()) {

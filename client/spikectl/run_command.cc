@@ -36,7 +36,7 @@ absl::StatusOr<std::vector<EpisodeRecord>> PlayEpisodes(Environment& environment
 absl::Status RunCommand() {
   if (const int32_t episodes = absl::GetFlag(FLAGS_episodes); episodes < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--episodes: expected at least 1, got ", episodes));
+        absl::StrCat("--episodes: expected at least 1, received ", episodes));
   }
   const auto environment = EnvironmentFromFlags();
   if (!environment.ok()) return environment.status();

@@ -62,7 +62,8 @@ absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> MakeCredentials(
     const SecurityOptions& security) {
   if (!security.use_tls()) return grpc::InsecureChannelCredentials();
   if (security.certificate.empty() != security.key.empty()) {
-    return absl::InvalidArgumentError("certificate and key: expected both or neither, got one");
+    return absl::InvalidArgumentError(
+        "certificate and key: expected both or neither, received one");
   }
   grpc::SslCredentialsOptions options;
   const std::pair<const std::string*, std::string*> files[] = {

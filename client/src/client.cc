@@ -12,7 +12,7 @@ namespace spikeserve {
 
 absl::Status ClientOptions::Validate() const {
   if (call_timeout <= absl::ZeroDuration()) {
-    return absl::InvalidArgumentError(absl::StrCat("call_timeout: expected more than 0, got ",
+    return absl::InvalidArgumentError(absl::StrCat("call_timeout: expected more than 0, received ",
                                                    absl::FormatDuration(call_timeout)));
   }
   return retry.Validate();
@@ -115,7 +115,7 @@ absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(
   if (!answer.ok()) return answer.status();
   if (answer->results_size() != batch.requests_size()) {
     return absl::InternalError(absl::StrCat("results: expected ", batch.requests_size(),
-                                            " of them, got ", answer->results_size()));
+                                            " of them, received ", answer->results_size()));
   }
   std::vector<absl::StatusOr<v1::ActResponse>> results;
   results.reserve(requests.size());

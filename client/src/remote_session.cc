@@ -24,9 +24,9 @@ v1::ActRequest RemoteSession::MakeRequest(absl::Span<const float> observation,
 
 absl::Status RemoteSession::Accept(const v1::ActResponse& response) {
   if (response.session_id() != session_id_ || response.step() != step_) {
-    return absl::InternalError(absl::StrCat("expected the answer to step ", step_, " of session ",
-                                            session_id_, ", got that to step ", response.step(),
-                                            " of session ", response.session_id()));
+    return absl::InternalError(absl::StrCat(
+        "expected the answer to step ", step_, " of session ", session_id_,
+        ", received that to step ", response.step(), " of session ", response.session_id()));
   }
   ++step_;
   return absl::OkStatus();

@@ -10,22 +10,22 @@ namespace spikeserve {
 absl::Status RetryOptions::Validate() const {
   if (max_attempts < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("max_attempts: expected at least 1, got ", max_attempts));
+        absl::StrCat("max_attempts: expected at least 1, received ", max_attempts));
   }
   if (initial_backoff < absl::ZeroDuration()) {
-    return absl::InvalidArgumentError(absl::StrCat("initial_backoff: expected at least 0, got ",
-                                                   absl::FormatDuration(initial_backoff)));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "initial_backoff: expected at least 0, received ", absl::FormatDuration(initial_backoff)));
   }
   if (max_backoff < initial_backoff) {
     return absl::InvalidArgumentError(absl::StrCat(
         "max_backoff: expected at least initial_backoff (", absl::FormatDuration(initial_backoff),
-        "), got ", absl::FormatDuration(max_backoff)));
+        "), received ", absl::FormatDuration(max_backoff)));
   }
   if (!(multiplier >= 1.0)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("multiplier: expected at least 1, got ", multiplier));
+        absl::StrCat("multiplier: expected at least 1, received ", multiplier));
   }
-  if (!sleep) return absl::InvalidArgumentError("sleep: expected a function, got none");
+  if (!sleep) return absl::InvalidArgumentError("sleep: expected a function, received none");
   return absl::OkStatus();
 }
 

@@ -10,7 +10,7 @@
 
 #include "absl/types/span.h"
 #include "core/action/action_space.h"
-#include "core/model/weights.h"
+#include "core/math/tensor.h"
 
 namespace spikeserve {
 

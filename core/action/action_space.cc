@@ -37,18 +37,18 @@ float ActionSpace::FromUnit(float unit, size_t i) const {
 absl::Status ActionSpace::Contains(const Action& action) const {
   if (is_discrete()) {
     if (action.discrete >= 0 && action.discrete < n) return absl::OkStatus();
-    return absl::InvalidArgumentError(
-        absl::StrCat("action: expected an index from 0 to ", n - 1, ", got ", action.discrete));
+    return absl::InvalidArgumentError(absl::StrCat("action: expected an index from 0 to ", n - 1,
+                                                   ", received ", action.discrete));
   }
   if (action.continuous.size() != low.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("action: expected ", low.size(), " values, got ", action.continuous.size()));
+    return absl::InvalidArgumentError(absl::StrCat("action: expected ", low.size(),
+                                                   " values, received ", action.continuous.size()));
   }
   for (size_t i = 0; i < low.size(); ++i) {
     const float value = action.continuous[i];
     if (value >= low[i] && value <= high[i]) continue;  // false for NaN
     return absl::InvalidArgumentError(
-        absl::StrCat("action[", i, "]: expected ", low[i], " to ", high[i], ", got ", value));
+        absl::StrCat("action[", i, "]: expected ", low[i], " to ", high[i], ", received ", value));
   }
   return absl::OkStatus();
 }
@@ -56,22 +56,23 @@ absl::Status ActionSpace::Contains(const Action& action) const {
 absl::Status ActionSpace::Validate() const {
   if (low.empty() && high.empty()) {
     if (n >= 1) return absl::OkStatus();
-    return absl::InvalidArgumentError(absl::StrCat("action_space.n: expected at least 1, got ", n));
+    return absl::InvalidArgumentError(
+        absl::StrCat("action_space.n: expected at least 1, received ", n));
   }
   if (n != 0) {
     return absl::InvalidArgumentError(
-        absl::StrCat("action_space: expected n or bounds, got n = ", n, " with bounds"));
+        absl::StrCat("action_space: expected n or bounds, received n = ", n, " with bounds"));
   }
   if (low.size() != high.size()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("action_space: expected low and high of one length, got ", low.size(), " and ",
-                     high.size()));
+        absl::StrCat("action_space: expected low and high of one length, received ", low.size(),
+                     " and ", high.size()));
   }
   for (size_t i = 0; i < low.size(); ++i) {
     if (std::isfinite(low[i]) && std::isfinite(high[i]) && low[i] < high[i]) continue;
     return absl::InvalidArgumentError(absl::StrCat("action_space: expected finite bounds with low[",
-                                                   i, "] < high[", i, "], got ", low[i], " and ",
-                                                   high[i]));
+                                                   i, "] < high[", i, "], received ", low[i],
+                                                   " and ", high[i]));
   }
   return absl::OkStatus();
 }

@@ -28,11 +28,11 @@ class StrictChecker : public nlohmann::json_sax<json> {
   bool end_array() override { return Close(); }
   bool key(string_t& name) override {
     if (keys_.back().insert(name).second) return true;
-    return Fail(absl::StrCat("expected every key once, got ", Quoted(name), " twice"));
+    return Fail(absl::StrCat("expected every key once, received ", Quoted(name), " twice"));
   }
   bool parse_error(size_t position, const std::string&,
                    const nlohmann::detail::exception&) override {
-    return Fail(absl::StrCat("expected valid JSON in UTF-8, got an error at byte ", position));
+    return Fail(absl::StrCat("expected valid JSON in UTF-8, received an error at byte ", position));
   }
 
   const std::string& error() const { return error_; }
@@ -44,12 +44,12 @@ class StrictChecker : public nlohmann::json_sax<json> {
   }
   bool CountValue() {
     if (++values_ <= kMaxJsonValues) return true;
-    return Fail(absl::StrCat("expected at most ", kMaxJsonValues, " values, got more"));
+    return Fail(absl::StrCat("expected at most ", kMaxJsonValues, " values, received more"));
   }
   bool Open() {
     keys_.emplace_back();
     if (keys_.size() <= kMaxJsonDepth) return CountValue();
-    return Fail(absl::StrCat("expected at most ", kMaxJsonDepth, " levels, got more"));
+    return Fail(absl::StrCat("expected at most ", kMaxJsonDepth, " levels, received more"));
   }
   bool Close() {
     keys_.pop_back();
@@ -66,8 +66,8 @@ class StrictChecker : public nlohmann::json_sax<json> {
 absl::StatusOr<json> ParseJsonObject(absl::string_view field, absl::string_view text) {
   // The parser takes a zero byte for the end of its input and would not look at what follows.
   if (const size_t zero = text.find('\0'); zero != text.npos) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected valid JSON in UTF-8, got a zero byte at byte ", zero + 1));
+    return absl::InvalidArgumentError(absl::StrCat(
+        field, ": expected valid JSON in UTF-8, received a zero byte at byte ", zero + 1));
   }
   StrictChecker checker;
   if (!json::sax_parse(text, &checker)) {
@@ -76,7 +76,7 @@ absl::StatusOr<json> ParseJsonObject(absl::string_view field, absl::string_view 
   json document = json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
   if (!document.is_object()) {
     return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected a JSON object, got ", Describe(document)));
+        absl::StrCat(field, ": expected a JSON object, received ", Describe(document)));
   }
   return document;
 }

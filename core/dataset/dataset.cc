@@ -1,14 +1,14 @@
 #include "core/dataset/dataset.h"
 
 #include <algorithm>
-#include <fstream>
 #include <iterator>
 #include <tuple>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
-#include "core/base/atomic_file.h"
+#include "core/base/file.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -112,7 +112,7 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
   for (const auto& [field, length, expected] : lengths) {
     if (length == expected) continue;
     return absl::InvalidArgumentError(
-        absl::StrCat("served.", field, ": expected ", expected, ", got ", length));
+        absl::StrCat("served.", field, ": expected ", expected, ", received ", length));
   }
   return absl::OkStatus();
 }
@@ -131,8 +131,7 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
   for (const Json& item : json.at("episodes")) {
     dataset.episodes.push_back(EpisodeFromJson(item, dataset.action_space.is_discrete()));
     if (auto status = CheckEpisode(dataset, dataset.episodes.back()); !status.ok()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("episode ", dataset.episodes.size() - 1, ": ", status.message()));
+      return Annotate(status, absl::StrCat("episode ", dataset.episodes.size() - 1));
     }
   }
   if (dataset.episodes.empty())
@@ -144,23 +143,24 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
 
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
   const size_t steps = episode.actions.size();
-  if (steps == 0) return absl::InvalidArgumentError("actions: expected at least one, got none");
+  if (steps == 0)
+    return absl::InvalidArgumentError("actions: expected at least one, received none");
   if (episode.rewards.size() != steps) {
     return absl::InvalidArgumentError(
-        absl::StrCat("rewards: expected ", steps, ", got ", episode.rewards.size()));
+        absl::StrCat("rewards: expected ", steps, ", received ", episode.rewards.size()));
   }
   const size_t numbers = (steps + 1) * dataset.observation_size;
   if (episode.observations.size() != numbers) {
-    return absl::InvalidArgumentError(absl::StrCat("observations: expected ", numbers,
-                                                   " numbers, got ", episode.observations.size()));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "observations: expected ", numbers, " numbers, received ", episode.observations.size()));
   }
   if (!episode.labels.empty() && episode.labels.size() != steps) {
     return absl::InvalidArgumentError(
-        absl::StrCat("labels: expected ", steps, " or none, got ", episode.labels.size()));
+        absl::StrCat("labels: expected ", steps, " or none, received ", episode.labels.size()));
   }
   if (!episode.weights.empty() && episode.weights.size() != steps) {
     return absl::InvalidArgumentError(
-        absl::StrCat("weights: expected ", steps, " or none, got ", episode.weights.size()));
+        absl::StrCat("weights: expected ", steps, " or none, received ", episode.weights.size()));
   }
   for (const auto* actions : {&episode.actions, &episode.labels}) {
     for (const Action& action : *actions) {
@@ -178,7 +178,7 @@ absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
   for (Dataset& dataset : absl::MakeSpan(datasets).subspan(1)) {
     if (dataset.environment != all.environment) {
       return absl::InvalidArgumentError(absl::StrCat("data: expected all of ", all.environment,
-                                                     ", got one of ", dataset.environment));
+                                                     ", received one of ", dataset.environment));
     }
     recipes.push_back(std::move(dataset.recipe));
     std::move(dataset.episodes.begin(), dataset.episodes.end(), std::back_inserter(all.episodes));
@@ -207,13 +207,12 @@ absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {
 }
 
 absl::StatusOr<Dataset> ReadDataset(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) return absl::NotFoundError(absl::StrCat(path, ": cannot read"));
-  const std::string bytes(std::istreambuf_iterator<char>(file), {});
+  const absl::StatusOr<std::string> bytes = ReadFile(path);
+  if (!bytes.ok()) return bytes.status();
   try {
-    absl::StatusOr<Dataset> dataset = DatasetFromJson(Json::from_cbor(bytes));
+    absl::StatusOr<Dataset> dataset = DatasetFromJson(Json::from_cbor(*bytes));
     if (dataset.ok()) return dataset;
-    return absl::InvalidArgumentError(absl::StrCat(path, ": ", dataset.status().message()));
+    return Annotate(dataset.status(), path);
   } catch (const Json::exception& error) {
     return absl::InvalidArgumentError(absl::StrCat(path, ": not a dataset: ", error.what()));
   }

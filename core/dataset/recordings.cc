@@ -48,7 +48,7 @@ absl::StatusOr<std::vector<Dataset>> ReadRecordings(const std::string& path,
   if (!datasets.empty()) return datasets;
   const std::string what = environment.empty() ? "" : absl::StrCat(" of ", environment);
   return absl::NotFoundError(
-      absl::StrCat(path, ": expected recorded episodes", what, ", got none"));
+      absl::StrCat(path, ": expected recorded episodes", what, ", received none"));
 }
 
 }  // namespace spikeserve

@@ -12,12 +12,6 @@ constexpr double kMultiplyAccumulatePicojoules = 4.6;  // FP32 multiply 3.7 and 
 
 }  // namespace
 
-std::string_view ToString(Stage stage) {
-  constexpr std::array<std::string_view, kStages> kNames = {
-      "coder", "phase", "query", "key", "value", "ffn_in", "ffn_hidden", "readout"};
-  return kNames[static_cast<size_t>(stage)];
-}
-
 uint64_t Counts::total_spikes() const {
   return std::accumulate(spikes_by_stage.begin(), spikes_by_stage.end(), uint64_t{0});
 }

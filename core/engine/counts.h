@@ -8,7 +8,8 @@
 
 #include <array>
 #include <cstdint>
-#include <string_view>
+
+#include "core/base/enum_names.h"
 
 namespace spikeserve {
 
@@ -16,8 +17,16 @@ namespace spikeserve {
 enum class Stage { kCoder, kPhase, kQuery, kKey, kValue, kFfnIn, kFfnHidden, kReadout };
 inline constexpr int kStages = 8;
 
-// "coder", "phase", "query", "key", "value", "ffn_in", "ffn_hidden", "readout".
-std::string_view ToString(Stage stage);
+constexpr std::array<EnumName<Stage>, kStages> EnumNames(Stage) {
+  return {{{Stage::kCoder, "coder"},
+           {Stage::kPhase, "phase"},
+           {Stage::kQuery, "query"},
+           {Stage::kKey, "key"},
+           {Stage::kValue, "value"},
+           {Stage::kFfnIn, "ffn_in"},
+           {Stage::kFfnHidden, "ffn_hidden"},
+           {Stage::kReadout, "readout"}}};
+}
 
 struct Counts {
   std::array<uint64_t, kStages> spikes_by_stage = {};

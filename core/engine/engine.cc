@@ -2,10 +2,6 @@
 
 #include <algorithm>
 
-#include "core/engine/dense/dense_engine.h"
-#include "core/engine/reference/reference_engine.h"
-#include "core/engine/spiking/streaming_engine.h"
-
 namespace spikeserve {
 
 void Engine::DecideTogether(absl::Span<const Decision> decisions) const {
@@ -20,16 +16,6 @@ void Engine::AppendActionsTogether(absl::Span<const TakenAction> actions) const 
 
 int HistorySize(const ModelConfig& config) {
   return std::max(2, config.layers * (config.context - 1) + 1);
-}
-
-std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy) {
-  return policy->config.is_dense() ? MakeDenseReferenceEngine(std::move(policy))
-                                   : MakeSpikingReferenceEngine(std::move(policy));
-}
-
-std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy) {
-  return policy->config.is_dense() ? MakeDenseStreamingEngine(std::move(policy))
-                                   : MakeSpikingStreamingEngine(std::move(policy));
 }
 
 }  // namespace spikeserve

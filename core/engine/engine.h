@@ -79,14 +79,6 @@ class Engine {
 // - 1) + 1; at least 2, since it pays for a_{t-1} too.
 int HistorySize(const ModelConfig& config);
 
-// The equations as naive loops that recompute the whole episode at every decision: the definition
-// of what every other engine must equal bit for bit. For tests. `policy` must be valid.
-std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy);
-
-// Computes only the new tokens, on bit-packed keys and values: the engine that serves. `policy`
-// must be valid.
-std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy);
-
 }  // namespace spikeserve
 
 #endif  // CORE_ENGINE_ENGINE_H_

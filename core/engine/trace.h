@@ -9,8 +9,6 @@
 #include <vector>
 
 #include "core/engine/counts.h"
-#include "core/engine/engine.h"
-#include "core/engine/prefix_engine.h"
 #include "core/engine/token.h"
 
 namespace spikeserve {
@@ -52,12 +50,6 @@ struct Trace {
   std::vector<PopulationTrace> populations;  // by layer as computed; empty in dense mode
   std::vector<LayerTrace> layers;            // [L]
 };
-
-// Recomputes the decision at the last token of `prefix`, a state token, with the reference engine
-// of the policy's mode. `prefix` holds the last HistorySize() timesteps, or the whole episode where
-// that is younger. Thread-safe.
-void TraceDecision(const Policy& policy, const PrefixContext& prefix, Engine::Output* output,
-                   Trace* trace);
 
 }  // namespace spikeserve
 

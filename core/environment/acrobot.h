@@ -11,9 +11,9 @@
 #ifndef CORE_ENVIRONMENT_ACROBOT_H_
 #define CORE_ENVIRONMENT_ACROBOT_H_
 
-#include <string_view>
 #include <vector>
 
+#include "absl/strings/string_view.h"
 #include "core/environment/classic_control.h"
 
 namespace spikeserve {
@@ -33,7 +33,7 @@ struct AcrobotParameters {
 
 class Acrobot final : public ClassicControl {
  public:
-  static constexpr std::string_view kId = "Acrobot-v1";
+  static constexpr absl::string_view kId = "Acrobot-v1";
 
   explicit Acrobot(const AcrobotParameters& parameters = {});
 

@@ -10,9 +10,9 @@
 #ifndef CORE_ENVIRONMENT_CART_POLE_H_
 #define CORE_ENVIRONMENT_CART_POLE_H_
 
-#include <string_view>
 #include <vector>
 
+#include "absl/strings/string_view.h"
 #include "core/environment/classic_control.h"
 
 namespace spikeserve {
@@ -29,7 +29,7 @@ struct CartPoleParameters {
 
 class CartPole final : public ClassicControl {
  public:
-  static constexpr std::string_view kId = "CartPole-v1";
+  static constexpr absl::string_view kId = "CartPole-v1";
 
   explicit CartPole(const CartPoleParameters& parameters = {});
 

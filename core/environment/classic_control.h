@@ -9,9 +9,9 @@
 #define CORE_ENVIRONMENT_CLASSIC_CONTROL_H_
 
 #include <cstdint>
-#include <string_view>
 #include <vector>
 
+#include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "core/action/action_space.h"
 #include "core/environment/environment.h"
@@ -21,7 +21,7 @@ namespace spikeserve {
 
 class ClassicControl : public Environment {
  public:
-  std::string_view id() const final { return spec_.id; }
+  absl::string_view id() const final { return spec_.id; }
   int observation_size() const final { return spec_.observation_size; }
   const ActionSpace& action_space() const final { return spec_.action_space; }
   int max_episode_steps() const final { return spec_.max_episode_steps; }
@@ -39,7 +39,7 @@ class ClassicControl : public Environment {
 
  protected:
   struct Spec {
-    std::string_view id;
+    absl::string_view id;
     int state_size = 0;
     int observation_size = 0;
     ActionSpace action_space;

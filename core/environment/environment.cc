@@ -21,7 +21,7 @@ std::unique_ptr<Environment> Make() {
 }
 
 struct Entry {
-  std::string_view id;
+  absl::string_view id;
   std::unique_ptr<Environment> (*make)();
 };
 
@@ -36,14 +36,14 @@ constexpr Entry kEnvironments[] = {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironment(std::string_view id) {
+absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironment(absl::string_view id) {
   std::vector<std::string> ids;
   for (const Entry& entry : kEnvironments) {
     if (entry.id == id) return entry.make();
     ids.emplace_back(entry.id);
   }
   return absl::NotFoundError(absl::StrCat("environment: expected one of ", absl::StrJoin(ids, ", "),
-                                          ", got \"", std::string(id), "\""));
+                                          ", received \"", std::string(id), "\""));
 }
 
 }  // namespace spikeserve

@@ -6,10 +6,10 @@
 
 #include <cstdint>
 #include <memory>
-#include <string_view>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "core/action/action_space.h"
 
@@ -29,7 +29,7 @@ class Environment {
  public:
   virtual ~Environment() = default;
 
-  virtual std::string_view id() const = 0;  // Gymnasium's id
+  virtual absl::string_view id() const = 0;  // Gymnasium's id
   virtual int observation_size() const = 0;
   virtual const ActionSpace& action_space() const = 0;
   virtual int max_episode_steps() const = 0;  // the TimeLimit of Gymnasium's registry
@@ -52,7 +52,7 @@ class Environment {
 
 // "CartPole-v1", "MountainCar-v0", "Acrobot-v1", "Pendulum-v1", "PositionOnlyCartPole-v1" or
 // "PositionOnlyPendulum-v1"; NOT_FOUND names the ids there are.
-absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironment(std::string_view id);
+absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironment(absl::string_view id);
 
 }  // namespace spikeserve
 

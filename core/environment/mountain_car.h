@@ -10,9 +10,9 @@
 #ifndef CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
 #define CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
 
-#include <string_view>
 #include <vector>
 
+#include "absl/strings/string_view.h"
 #include "core/environment/classic_control.h"
 
 namespace spikeserve {
@@ -25,7 +25,7 @@ struct MountainCarParameters {
 
 class MountainCar final : public ClassicControl {
  public:
-  static constexpr std::string_view kId = "MountainCar-v0";
+  static constexpr absl::string_view kId = "MountainCar-v0";
 
   explicit MountainCar(const MountainCarParameters& parameters = {});
 

@@ -11,9 +11,9 @@
 #ifndef CORE_ENVIRONMENT_PENDULUM_H_
 #define CORE_ENVIRONMENT_PENDULUM_H_
 
-#include <string_view>
 #include <vector>
 
+#include "absl/strings/string_view.h"
 #include "core/environment/classic_control.h"
 
 namespace spikeserve {
@@ -28,7 +28,7 @@ struct PendulumParameters {
 
 class Pendulum final : public ClassicControl {
  public:
-  static constexpr std::string_view kId = "Pendulum-v1";
+  static constexpr absl::string_view kId = "Pendulum-v1";
   static constexpr double kMaxSpeed = 8.0;  // rad/s
 
   explicit Pendulum(const PendulumParameters& parameters = {});

@@ -35,7 +35,7 @@ absl::StatusOr<std::unique_ptr<Environment>> Make(const Perturbation& perturbati
   const std::string names = absl::StrJoin(
       changes, ", ", [](std::string* out, const auto& change) { out->append(change.name); });
   return absl::InvalidArgumentError(absl::StrCat("perturb: expected one of ", names, " for ",
-                                                 std::string(Task::kId), ", got \"",
+                                                 std::string(Task::kId), ", received \"",
                                                  perturbation.name, "\""));
 }
 
@@ -90,23 +90,23 @@ const std::vector<Change<PendulumParameters>>& PendulumChanges() {
 
 }  // namespace
 
-absl::StatusOr<Perturbation> ParsePerturbation(std::string_view text) {
+absl::StatusOr<Perturbation> ParsePerturbation(absl::string_view text) {
   const size_t equals = text.find('=');
   Perturbation perturbation = {.name = std::string(text.substr(0, equals))};
   const std::string value(equals == text.npos ? "" : text.substr(equals + 1));
   if (!absl::SimpleAtod(value, &perturbation.value) || !std::isfinite(perturbation.value)) {
     return absl::InvalidArgumentError(absl::StrCat(
-        "perturb: expected NAME=VALUE with a finite number, got \"", std::string(text), "\""));
+        "perturb: expected NAME=VALUE with a finite number, received \"", std::string(text), "\""));
   }
   return perturbation;
 }
 
 absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
-    std::string_view id, const Perturbation& perturbation) {
+    absl::string_view id, const Perturbation& perturbation) {
   const bool is_size = perturbation.name == "length" || perturbation.name == "mass";
   if (is_size && perturbation.value <= 0.0) {
     return absl::InvalidArgumentError(absl::StrCat("perturb: expected a ", perturbation.name,
-                                                   " above 0, got ", perturbation.value));
+                                                   " above 0, received ", perturbation.value));
   }
   if (id == CartPole::kId) return Make<CartPole>(perturbation, CartPoleChanges());
   if (id == MountainCar::kId) return Make<MountainCar>(perturbation, MountainCarChanges());

@@ -7,9 +7,9 @@
 
 #include <memory>
 #include <string>
-#include <string_view>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "core/environment/environment.h"
 
 namespace spikeserve {
@@ -26,12 +26,12 @@ struct Perturbation {
 };
 
 // From "NAME=VALUE". INVALID_ARGUMENT unless VALUE is a finite number.
-absl::StatusOr<Perturbation> ParsePerturbation(std::string_view text);
+absl::StatusOr<Perturbation> ParsePerturbation(absl::string_view text);
 
 // MakeEnvironment with one constant changed. NOT_FOUND names the ids there are; INVALID_ARGUMENT
 // the perturbations this task has, or that a length or mass must be above 0.
 absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
-    std::string_view id, const Perturbation& perturbation);
+    absl::string_view id, const Perturbation& perturbation);
 
 }  // namespace spikeserve
 

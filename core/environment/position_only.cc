@@ -7,7 +7,7 @@
 
 namespace spikeserve {
 
-std::string_view PositionOnly::InsideId(std::string_view id) {
+absl::string_view PositionOnly::InsideId(absl::string_view id) {
   if (id == kCartPoleId) return CartPole::kId;
   if (id == kPendulumId) return Pendulum::kId;
   return id;
@@ -23,7 +23,7 @@ std::unique_ptr<Environment> PositionOnly::MakePendulum() {
                                         std::vector<int>{0, 1});
 }
 
-PositionOnly::PositionOnly(std::string_view id, std::unique_ptr<Environment> inside,
+PositionOnly::PositionOnly(absl::string_view id, std::unique_ptr<Environment> inside,
                            std::vector<int> kept)
     : id_(id), inside_(std::move(inside)), kept_(std::move(kept)) {}
 

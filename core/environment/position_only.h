@@ -8,20 +8,20 @@
 #define CORE_ENVIRONMENT_POSITION_ONLY_H_
 
 #include <memory>
-#include <string_view>
 #include <vector>
 
+#include "absl/strings/string_view.h"
 #include "core/environment/environment.h"
 
 namespace spikeserve {
 
 class PositionOnly final : public Environment {
  public:
-  static constexpr std::string_view kCartPoleId = "PositionOnlyCartPole-v1";
-  static constexpr std::string_view kPendulumId = "PositionOnlyPendulum-v1";
+  static constexpr absl::string_view kCartPoleId = "PositionOnlyCartPole-v1";
+  static constexpr absl::string_view kPendulumId = "PositionOnlyPendulum-v1";
 
   // The id of the environment that this one hides entries of; any other id is its own.
-  static std::string_view InsideId(std::string_view id);
+  static absl::string_view InsideId(absl::string_view id);
 
   // CartPole-v1 whose observation [2] is the cart's position and the pole's angle.
   static std::unique_ptr<Environment> MakeCartPole();
@@ -29,9 +29,9 @@ class PositionOnly final : public Environment {
   static std::unique_ptr<Environment> MakePendulum();
 
   // `kept` are indices of the entries of `inside`'s observation that are shown, in this order.
-  PositionOnly(std::string_view id, std::unique_ptr<Environment> inside, std::vector<int> kept);
+  PositionOnly(absl::string_view id, std::unique_ptr<Environment> inside, std::vector<int> kept);
 
-  std::string_view id() const override { return id_; }
+  absl::string_view id() const override { return id_; }
   int observation_size() const override { return static_cast<int>(kept_.size()); }
   const ActionSpace& action_space() const override { return inside_->action_space(); }
   int max_episode_steps() const override { return inside_->max_episode_steps(); }
@@ -44,7 +44,7 @@ class PositionOnly final : public Environment {
  private:
   std::vector<float> Shown(const std::vector<float>& observation) const;
 
-  const std::string_view id_;
+  const absl::string_view id_;
   const std::unique_ptr<Environment> inside_;
   const std::vector<int> kept_;
 };

@@ -7,10 +7,6 @@
 
 namespace spikeserve {
 
-std::string_view ToString(UpdateOutcome outcome) {
-  return outcome == UpdateOutcome::kNonFinite ? "non_finite" : "applied";
-}
-
 UpdateOutcome ApplyUpdate(double factor, absl::Span<const double> direction,
                           const UpdateBounds& bounds, std::vector<float>* delta) {
   double squares = 0.0;

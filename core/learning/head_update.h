@@ -4,10 +4,11 @@
 #ifndef CORE_LEARNING_HEAD_UPDATE_H_
 #define CORE_LEARNING_HEAD_UPDATE_H_
 
-#include <string_view>
+#include <array>
 #include <vector>
 
 #include "absl/types/span.h"
+#include "core/base/enum_names.h"
 
 namespace spikeserve {
 
@@ -16,8 +17,9 @@ enum class UpdateOutcome {
   kNonFinite,  // refused: the step, or the head after it, holds NaN or infinity
 };
 
-// "applied", "non_finite".
-std::string_view ToString(UpdateOutcome outcome);
+constexpr std::array<EnumName<UpdateOutcome>, 2> EnumNames(UpdateOutcome) {
+  return {{{UpdateOutcome::kApplied, "applied"}, {UpdateOutcome::kNonFinite, "non_finite"}}};
+}
 
 struct UpdateBounds {
   double clip = 0.5;      // a longer step is shortened to this Frobenius norm

@@ -20,16 +20,6 @@ absl::Status CheckFraction(const char* field, double value) {
       absl::StrCat("learning.", field, ": expected a number from 0 to 1, received ", value));
 }
 
-template <typename Enum>
-bool FindByName(std::string_view name, std::initializer_list<Enum> all, Enum* found) {
-  for (const Enum each : all) {
-    if (ToString(each) != name) continue;
-    *found = each;
-    return true;
-  }
-  return false;
-}
-
 }  // namespace
 
 absl::Status LearningOptions::Validate(const ActionSpace& space,
@@ -49,28 +39,6 @@ absl::Status LearningOptions::Validate(const ActionSpace& space,
         "action has no score to learn from; received policy_gradient with GREEDY");
   }
   return absl::OkStatus();
-}
-
-std::string_view ToString(Scope scope) { return scope == Scope::kFleet ? "fleet" : "session"; }
-
-std::string_view ToString(Rule rule) {
-  return rule == Rule::kHebbian ? "hebbian" : "policy_gradient";
-}
-
-std::string_view ToString(Modulator modulator) {
-  return modulator == Modulator::kRealized ? "realized" : "target";
-}
-
-bool FromString(std::string_view name, Scope* scope) {
-  return FindByName(name, {Scope::kSession, Scope::kFleet}, scope);
-}
-
-bool FromString(std::string_view name, Rule* rule) {
-  return FindByName(name, {Rule::kPolicyGradient, Rule::kHebbian}, rule);
-}
-
-bool FromString(std::string_view name, Modulator* modulator) {
-  return FindByName(name, {Modulator::kTarget, Modulator::kRealized}, modulator);
 }
 
 }  // namespace spikeserve

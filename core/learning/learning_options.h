@@ -4,11 +4,12 @@
 #ifndef CORE_LEARNING_LEARNING_OPTIONS_H_
 #define CORE_LEARNING_LEARNING_OPTIONS_H_
 
-#include <string_view>
+#include <array>
 
 #include "absl/status/status.h"
 #include "core/action/action_head.h"
 #include "core/action/action_space.h"
+#include "core/base/enum_names.h"
 
 namespace spikeserve {
 
@@ -21,6 +22,17 @@ enum class Modulator { kTarget, kRealized };
 
 // Whose head learns: a private one, or the one that all such sessions of a policy version share.
 enum class Scope { kSession, kFleet };
+
+// Names as they stand on the wire and in a stored session; see enum_names.h.
+constexpr std::array<EnumName<Rule>, 2> EnumNames(Rule) {
+  return {{{Rule::kPolicyGradient, "policy_gradient"}, {Rule::kHebbian, "hebbian"}}};
+}
+constexpr std::array<EnumName<Modulator>, 2> EnumNames(Modulator) {
+  return {{{Modulator::kTarget, "target"}, {Modulator::kRealized, "realized"}}};
+}
+constexpr std::array<EnumName<Scope>, 2> EnumNames(Scope) {
+  return {{{Scope::kSession, "session"}, {Scope::kFleet, "fleet"}}};
+}
 
 struct LearningOptions {
   Scope scope = Scope::kSession;
@@ -43,15 +55,6 @@ struct LearningOptions {
   // greedy action is zero.
   absl::Status Validate(const ActionSpace& space, const ActionSelection& selection) const;
 };
-
-// The names of the wire: "session", "fleet"; "policy_gradient", "hebbian"; "target", "realized".
-std::string_view ToString(Scope scope);
-std::string_view ToString(Rule rule);
-std::string_view ToString(Modulator modulator);
-// False, and nothing changes, for any other name.
-bool FromString(std::string_view name, Scope* scope);
-bool FromString(std::string_view name, Rule* rule);
-bool FromString(std::string_view name, Modulator* modulator);
 
 }  // namespace spikeserve
 

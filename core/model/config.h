@@ -4,10 +4,10 @@
 #ifndef CORE_MODEL_CONFIG_H_
 #define CORE_MODEL_CONFIG_H_
 
-#include <string_view>
+#include <array>
 
 #include "absl/status/status.h"
-#include "absl/status/statusor.h"
+#include "core/base/enum_names.h"
 
 namespace spikeserve {
 
@@ -27,19 +27,26 @@ enum class Merge { kSum, kConcat };
 // How routing scores become gates: softmax over heads (eq. 4.10), or the appendix's sigmoid.
 enum class Gate { kSoftmax, kSigmoid };
 
-// Names as they stand in policy files and on command lines ("full", "lif", "timestep", "sum", ...).
-std::string_view ToString(Mode mode);
-std::string_view ToString(CoderKind coder);
-std::string_view ToString(PhaseClock clock);
-std::string_view ToString(Merge merge);
-std::string_view ToString(Gate gate);
-
-// INVALID_ARGUMENT names the value received and the values expected.
-absl::StatusOr<Mode> ParseMode(std::string_view name);
-absl::StatusOr<CoderKind> ParseCoderKind(std::string_view name);
-absl::StatusOr<PhaseClock> ParsePhaseClock(std::string_view name);
-absl::StatusOr<Merge> ParseMerge(std::string_view name);
-absl::StatusOr<Gate> ParseGate(std::string_view name);
+// Names as they stand in policy files and on command lines; see enum_names.h.
+constexpr std::array<EnumName<Mode>, 5> EnumNames(Mode) {
+  return {{{Mode::kBaseline, "baseline"},
+           {Mode::kPos, "pos"},
+           {Mode::kRoute, "route"},
+           {Mode::kFull, "full"},
+           {Mode::kDense, "dense"}}};
+}
+constexpr std::array<EnumName<CoderKind>, 2> EnumNames(CoderKind) {
+  return {{{CoderKind::kLif, "lif"}, {CoderKind::kBernoulli, "bernoulli"}}};
+}
+constexpr std::array<EnumName<PhaseClock>, 2> EnumNames(PhaseClock) {
+  return {{{PhaseClock::kTimestep, "timestep"}, {PhaseClock::kWindow, "window"}}};
+}
+constexpr std::array<EnumName<Merge>, 2> EnumNames(Merge) {
+  return {{{Merge::kSum, "sum"}, {Merge::kConcat, "concat"}}};
+}
+constexpr std::array<EnumName<Gate>, 2> EnumNames(Gate) {
+  return {{{Gate::kSoftmax, "softmax"}, {Gate::kSigmoid, "sigmoid"}}};
+}
 
 struct ModelConfig {
   Mode mode = Mode::kFull;

@@ -34,14 +34,14 @@ bool HasShape(const Tensor& tensor, const std::vector<int>& expected) {
 absl::Status CheckTensor(const TensorSlot& slot) {
   const Tensor& tensor = *slot.tensor;
   if (!HasShape(tensor, slot.shape)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("tensor ", Quoted(slot.name), ": expected shape ", ShapeText(slot.shape),
-                     ", got ", ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "tensor ", Quoted(slot.name), ": expected shape ", ShapeText(slot.shape), ", received ",
+        ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
   }
   for (size_t i = 0; i < tensor.values.size(); ++i) {
     if (std::isfinite(tensor.values[i])) continue;
     return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(slot.name),
-                                                   ": expected finite numbers, got ",
+                                                   ": expected finite numbers, received ",
                                                    tensor.values[i], " at index ", i));
   }
   return absl::OkStatus();
@@ -49,13 +49,14 @@ absl::Status CheckTensor(const TensorSlot& slot) {
 
 absl::Status CheckFinite(absl::string_view field, float value) {
   if (std::isfinite(value)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(field, ": expected a finite number, got ", value));
+  return absl::InvalidArgumentError(
+      absl::StrCat(field, ": expected a finite number, received ", value));
 }
 
 absl::Status CheckPositive(absl::string_view field, float value) {
   if (value > 0.0f && std::isfinite(value)) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected a positive finite number, got ", value));
+      absl::StrCat(field, ": expected a positive finite number, received ", value));
 }
 
 absl::Status CheckScalars(const Policy& policy) {
@@ -72,11 +73,12 @@ absl::Status CheckWeights(const Policy& policy) {
   const Weights& weights = policy.weights;
   if (weights.layers.size() != static_cast<size_t>(policy.config.layers)) {
     return absl::InvalidArgumentError(absl::StrCat("layers: expected ", policy.config.layers,
-                                                   ", got weights of ", weights.layers.size()));
+                                                   ", received weights of ",
+                                                   weights.layers.size()));
   }
   if (policy.observation_size() < 1) {
     return absl::InvalidArgumentError(
-        "tensor \"observation.mean\": expected at least one value, got 0");
+        "tensor \"observation.mean\": expected at least one value, received 0");
   }
   // The slots are only read here, and the number of layers is right, so nothing is resized.
   for (const TensorSlot& slot :

@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/model/policy_metadata.h"
 #include "core/model/safetensors.h"
 
@@ -48,20 +49,16 @@ absl::StatusOr<Policy> Read(const std::string& path) {
   return policy;
 }
 
-absl::Status WithPath(const std::string& path, const absl::Status& status) {
-  return absl::Status(status.code(), absl::StrCat(path, ": ", status.message()));
-}
-
 }  // namespace
 
 absl::StatusOr<Policy> ReadPolicyFile(const std::string& path) {
   absl::StatusOr<Policy> policy = Read(path);
-  if (!policy.ok()) return WithPath(path, policy.status());
+  if (!policy.ok()) return Annotate(policy.status(), path);
   return policy;
 }
 
 absl::Status WritePolicyFile(const Policy& policy, const std::string& path) {
-  if (absl::Status status = policy.Validate(); !status.ok()) return WithPath(path, status);
+  if (absl::Status status = policy.Validate(); !status.ok()) return Annotate(status, path);
   Safetensors contents{.metadata = FormatPolicyMetadata(policy), .tensors = {}};
   Weights weights = policy.weights;
   for (const TensorSlot& slot : TensorSlots(policy.config, policy.observation_size(),

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <set>
+#include <type_traits>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -18,11 +19,11 @@ using nlohmann::ordered_json;
 
 constexpr char kFormat[] = "spikeserve.policy.v1";
 
-// The keys of `config`, for the reader and the writer: visit(key, member), and for a choice also
-// the function that parses its names. `Config` is ModelConfig, const or not.
+// The keys of `config`, for the reader and the writer: visit(key, member). `Config` is ModelConfig,
+// const or not.
 template <typename Config, typename Visitor>
 void VisitConfig(Config& config, Visitor&& visit) {
-  visit("mode", config.mode, ParseMode);
+  visit("mode", config.mode);
   visit("hidden_size", config.hidden_size);
   visit("heads", config.heads);
   visit("layers", config.layers);
@@ -32,10 +33,10 @@ void VisitConfig(Config& config, Visitor&& visit) {
   visit("ffn_size", config.ffn_size);
   visit("membrane_decay", config.membrane_decay);
   visit("threshold", config.threshold);
-  visit("coder", config.coder, ParseCoderKind);
-  visit("phase_clock", config.phase_clock, ParsePhaseClock);
-  visit("merge", config.merge, ParseMerge);
-  visit("gate", config.gate, ParseGate);
+  visit("coder", config.coder);
+  visit("phase_clock", config.phase_clock);
+  visit("merge", config.merge);
+  visit("gate", config.gate);
 }
 
 // The numbers that stand beside `config`: visit(key, member).
@@ -51,7 +52,7 @@ void VisitNumbers(AnyPolicy& policy, Visitor&& visit) {
 absl::Status FieldError(absl::string_view field, absl::string_view expected,
                         absl::string_view received) {
   return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected ", expected, ", got ", received));
+      absl::StrCat(field, ": expected ", expected, ", received ", received));
 }
 
 absl::Status Parse(absl::string_view field, const json& value, int* number) {
@@ -82,6 +83,14 @@ absl::Status Parse(absl::string_view field, const json& value, std::vector<float
   return absl::OkStatus();
 }
 
+template <NamedEnum Enum>
+absl::Status Parse(absl::string_view field, const json& value, Enum* choice) {
+  if (!value.is_string()) return FieldError(field, "a string", Describe(value));
+  const absl::StatusOr<Enum> parsed = ParseEnum<Enum>(field, value.get_ref<const std::string&>());
+  if (parsed.ok()) *choice = *parsed;
+  return parsed.status();
+}
+
 // Numbers that are metadata of their own are strings.
 absl::Status Parse(absl::string_view field, const std::string& text, float* number) {
   const char* const end = text.data() + text.size();
@@ -101,26 +110,9 @@ class ObjectReader {
  public:
   ObjectReader(absl::string_view name, const json& object) : name_(name), object_(object) {}
 
-  template <typename Number>
-  void operator()(const char* key, Number& number) {
-    if (const json* value = Find(key)) status_.Update(Parse(Path(key), *value, &number));
-  }
-
-  template <typename Enum>
-  void operator()(const char* key, Enum& choice, absl::StatusOr<Enum> (*parse)(std::string_view)) {
-    const json* const value = Find(key);
-    if (value == nullptr) return;
-    if (!value->is_string()) {
-      status_.Update(FieldError(Path(key), "a string", Describe(*value)));
-      return;
-    }
-    const absl::StatusOr<Enum> parsed = parse(value->get_ref<const std::string&>());
-    if (parsed.ok()) {
-      choice = *parsed;
-    } else {
-      status_.Update(absl::InvalidArgumentError(
-          absl::StrCat(name_, ".", parsed.status().message())));  // it begins with the key
-    }
+  template <typename Member>
+  void operator()(const char* key, Member& member) {
+    if (const json* value = Find(key)) status_.Update(Parse(Path(key), *value, &member));
   }
 
   // The first error; a member that nobody asked for is one.
@@ -151,8 +143,8 @@ class ObjectReader {
 
 std::string FormatConfig(const ModelConfig& config) {
   ordered_json object;
-  VisitConfig(config, [&object](const char* key, const auto& value, auto... parse) {
-    if constexpr (sizeof...(parse) > 0) {
+  VisitConfig(config, [&object](const char* key, const auto& value) {
+    if constexpr (std::is_enum_v<std::decay_t<decltype(value)>>) {
       object[key] = std::string(ToString(value));
     } else {
       object[key] = value;  // a float32 as a double: exact

@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "core/base/atomic_file.h"
+#include "core/base/file.h"
 #include "core/base/json.h"
 
 namespace spikeserve {
@@ -36,7 +36,7 @@ struct Entry {
 absl::Status TensorError(absl::string_view name, absl::string_view expected,
                          absl::string_view received) {
   return absl::InvalidArgumentError(
-      absl::StrCat("tensor ", Quoted(name), ": expected ", expected, ", got ", received));
+      absl::StrCat("tensor ", Quoted(name), ": expected ", expected, ", received ", received));
 }
 
 absl::StatusOr<uint64_t> FileSize(const std::string& path) {
@@ -47,13 +47,14 @@ absl::StatusOr<uint64_t> FileSize(const std::string& path) {
   }
   if (error) return absl::InvalidArgumentError(error.message());
   if (!std::filesystem::is_regular_file(file)) {
-    return absl::InvalidArgumentError("expected a regular file, got something else");
+    return absl::InvalidArgumentError("expected a regular file, received something else");
   }
   const uint64_t size = std::filesystem::file_size(path, error);
   if (error) return absl::InvalidArgumentError(error.message());
   if (size < kPrefixBytes || size > kMaxSafetensorsFileBytes) {
     return absl::InvalidArgumentError(absl::StrCat("file size: expected ", kPrefixBytes, " to ",
-                                                   kMaxSafetensorsFileBytes, " bytes, got ", size));
+                                                   kMaxSafetensorsFileBytes, " bytes, received ",
+                                                   size));
   }
   return size;
 }
@@ -62,7 +63,7 @@ absl::Status ReadBytes(std::ifstream& file, uint64_t size, void* bytes) {
   file.read(static_cast<char*>(bytes), static_cast<std::streamsize>(size));
   if (file) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat("cannot read: expected ", size, " bytes more, got ", file.gcount()));
+      absl::StrCat("cannot read: expected ", size, " bytes more, received ", file.gcount()));
 }
 
 absl::StatusOr<std::string> ReadHeader(std::ifstream& file, uint64_t file_size) {
@@ -71,19 +72,20 @@ absl::StatusOr<std::string> ReadHeader(std::ifstream& file, uint64_t file_size) 
   const uint64_t limit = std::min(kMaxSafetensorsHeaderBytes, file_size - kPrefixBytes);
   if (size > limit) {
     return absl::InvalidArgumentError(
-        absl::StrCat("header length: expected at most ", limit, " bytes, got ", size));
+        absl::StrCat("header length: expected at most ", limit, " bytes, received ", size));
   }
   std::string header(size, '\0');
   if (absl::Status status = ReadBytes(file, size, header.data()); !status.ok()) return status;
   if (header.empty() || header.front() != '{') {
-    return absl::InvalidArgumentError(absl::StrCat("header: expected it to begin with \"{\", got ",
-                                                   Quoted(absl::string_view(header).substr(0, 1))));
+    return absl::InvalidArgumentError(
+        absl::StrCat("header: expected it to begin with \"{\", received ",
+                     Quoted(absl::string_view(header).substr(0, 1))));
   }
   // The JSON parser would let any white space pass here.
   const size_t last = header.find_last_not_of(' ');
   if (header[last] != '}') {
     return absl::InvalidArgumentError(
-        absl::StrCat("header: expected \"}\" and then only spaces at its end, got ",
+        absl::StrCat("header: expected \"}\" and then only spaces at its end, received ",
                      Quoted(absl::string_view(header).substr(last, 1))));
   }
   return header;
@@ -95,12 +97,12 @@ absl::StatusOr<std::map<std::string, std::string>> ParseMetadata(const json& hea
   if (found == header.end()) return metadata;
   if (!found->is_object()) {
     return absl::InvalidArgumentError(
-        absl::StrCat(kMetadataKey, ": expected an object, got ", Describe(*found)));
+        absl::StrCat(kMetadataKey, ": expected an object, received ", Describe(*found)));
   }
   for (const auto& [key, value] : found->items()) {
     if (!value.is_string()) {
-      return absl::InvalidArgumentError(absl::StrCat(kMetadataKey, ": ", Quoted(key),
-                                                     ": expected a string, got ", Describe(value)));
+      return absl::InvalidArgumentError(absl::StrCat(
+          kMetadataKey, ": ", Quoted(key), ": expected a string, received ", Describe(value)));
     }
     metadata[key] = value.get<std::string>();
   }
@@ -194,8 +196,8 @@ absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t dat
     covered = entry.end;
   }
   if (covered != data_size) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("data: expected the ", covered, " bytes of its tensors, got ", data_size));
+    return absl::InvalidArgumentError(absl::StrCat("data: expected the ", covered,
+                                                   " bytes of its tensors, received ", data_size));
   }
   return entries;
 }
@@ -245,7 +247,7 @@ absl::Status WriteSafetensors(const Safetensors& contents, const std::string& pa
     text = header.dump();
   } catch (const json::exception&) {  // the one thing dump() throws for
     return absl::InvalidArgumentError(
-        absl::StrCat(path, ": expected names and metadata in UTF-8, got other bytes"));
+        absl::StrCat(path, ": expected names and metadata in UTF-8, received other bytes"));
   }
   text.resize((text.size() + kPrefixBytes - 1) / kPrefixBytes * kPrefixBytes, ' ');
   const uint64_t text_size = text.size();

@@ -58,12 +58,6 @@ void AddLayer(const ModelConfig& config, const std::string& name, LayerWeights* 
 
 }  // namespace
 
-Tensor Tensor::Zeros(std::vector<int> shape) {
-  size_t size = 1;
-  for (const int length : shape) size *= static_cast<size_t>(length);
-  return {.shape = std::move(shape), .values = std::vector<float>(size)};
-}
-
 std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_size,
                                     int action_size, Weights* weights) {
   const int d = config.hidden_size;

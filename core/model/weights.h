@@ -8,29 +8,13 @@
 
 #include <functional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/math/tensor.h"
 #include "core/model/config.h"
 
 namespace spikeserve {
-
-// A row-major array. A vector has one row length and shape {n}; a matrix has shape {out, in}.
-struct Tensor {
-  std::vector<int> shape;
-  std::vector<float> values;
-
-  static Tensor Zeros(std::vector<int> shape);
-  float at(int row, int column) const {
-    return values[static_cast<size_t>(row) * shape[1] + column];
-  }
-};
-
-struct Linear {
-  Tensor weight;  // [out, in]
-  Tensor bias;    // [out]
-};
 
 struct Norm {
   Tensor weight;  // [d]

@@ -67,7 +67,7 @@ class AgentSession {
 
   // Replaces the action of the last answer in the history: the window then sees what was really
   // done. The answer itself stays as it was, for retries. REQUIRES: Act was the last call.
-  void TakeInstead(const Action& action) { session_.history.ReplaceLastAction(action); }
+  void OverrideLastAction(const Action& action) { session_.history.ReplaceLastAction(action); }
 
   // Ends the running episode and makes the session ready for the next, whose first step is 0.
   //

@@ -21,6 +21,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/enum_names.h"
 #include "core/base/json.h"
 #include "core/session/session_fields.h"
 #include "nlohmann/json.hpp"
@@ -37,7 +38,7 @@ Json Write(const T& value) {
 }
 
 template <typename T>
-requires std::is_enum_v<T> Json Write(const T& value) { return std::string(ToString(value)); }
+requires NamedEnum<T> Json Write(const T& value) { return std::string(ToString(value)); }
 
 template <HasFields T>
 Json Write(const T& value);
@@ -82,11 +83,12 @@ class Reader {
   }
 
   template <typename T>
-  requires std::is_enum_v<T>
+  requires NamedEnum<T>
   void Read(const Json& json, const std::string& path, T& value) {
-    if (!json.is_string() || !FromString(json.get<std::string>(), &value)) {
-      Fail(path, "a name of its values", json);
-    }
+    if (!json.is_string()) return Fail(path, "a string", json);
+    const auto parsed = ParseEnum<T>(path, json.get_ref<const std::string&>());
+    status_.Update(parsed.status());
+    if (parsed.ok()) value = *parsed;
   }
 
   template <std::integral T>

@@ -12,10 +12,10 @@ class SessionQuota {
   virtual ~SessionQuota() = default;
 
   // Counts a session that opens. RESOURCE_EXHAUSTED where there may be no more.
-  virtual absl::Status Take() = 0;
+  virtual absl::Status Acquire() = 0;
 
   // Counts the end of one that was taken.
-  virtual void Return() = 0;
+  virtual void Release() = 0;
 };
 
 }  // namespace spikeserve

@@ -19,7 +19,7 @@ namespace {
 // Tells those who count that a session has left the store.
 void Ended(const SessionEntry& entry) {
   entry.served->observer->OnClose();
-  if (entry.quota != nullptr) entry.quota->Return();
+  if (entry.quota != nullptr) entry.quota->Release();
 }
 
 }  // namespace
@@ -57,7 +57,7 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
                      " open sessions; close one, or wait until one is idle for its time-to-live"));
   }
   if (extras.quota != nullptr) {
-    if (auto status = extras.quota->Take(); !status.ok()) {
+    if (auto status = extras.quota->Acquire(); !status.ok()) {
       size_.fetch_sub(1);
       return status;
     }
@@ -81,7 +81,7 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
   }
   if (!is_new) {
     size_.fetch_sub(1);
-    if (quota != nullptr) quota->Return();
+    if (quota != nullptr) quota->Release();
     return absl::AlreadyExistsError(
         absl::StrCat("session_id: expected one that is not open, received ", Quoted(*id)));
   }

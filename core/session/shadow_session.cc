@@ -36,7 +36,7 @@ absl::StatusOr<const Answer*> ShadowSession::Act(const ShadowStep& step) {
     return absl::FailedPreconditionError("step: the episode's first decision was missed");
   }
   const auto answer = agent_.Act(step.step, step.observation, step.reward);
-  if (answer.ok()) agent_.TakeInstead(step.served.action);
+  if (answer.ok()) agent_.OverrideLastAction(step.served.action);
   return answer;
 }
 

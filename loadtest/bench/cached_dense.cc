@@ -28,7 +28,7 @@ torch::Tensor Band(int context) {
   return mask;
 }
 
-torch::Tensor Remember(const torch::Tensor& fresh, torch::Tensor& cache) {
+torch::Tensor AppendToCache(const torch::Tensor& fresh, torch::Tensor& cache) {
   const torch::Tensor window = torch::cat({cache, fresh}, 1);
   cache = window.slice(1, kNew);
   return window;
@@ -77,9 +77,10 @@ torch::Tensor CachedDense::Layer(const torch::Tensor& x, int layer) {
   const torch::Tensor asking = is_last ? x.slice(0, kNew - 1) : x;
   const torch::Tensor mask = is_last ? mask_.slice(0, kNew - 1) : mask_;
   const torch::Tensor query = Heads(p_.Linear(asking, attention + ".query"));
-  const torch::Tensor keys = Remember(Heads(p_.Linear(x, attention + ".key")), caches_[layer].keys);
+  const torch::Tensor keys =
+      AppendToCache(Heads(p_.Linear(x, attention + ".key")), caches_[layer].keys);
   const torch::Tensor values =
-      Remember(Heads(p_.Linear(x, attention + ".value")), caches_[layer].values);
+      AppendToCache(Heads(p_.Linear(x, attention + ".value")), caches_[layer].values);
   const torch::Tensor scores =
       torch::matmul(query, keys.transpose(1, 2)) / std::sqrt(policy_.config.head_size()) + mask;
   const torch::Tensor y = torch::matmul(torch::softmax(scores, -1), values).transpose(0, 1);

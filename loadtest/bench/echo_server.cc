@@ -22,7 +22,7 @@
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "core/action/action_head.h"
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
 

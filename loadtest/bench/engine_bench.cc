@@ -15,7 +15,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "loadtest/bench/contestant.h"

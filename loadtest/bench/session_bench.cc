@@ -20,6 +20,7 @@
 #include "absl/flags/flag.h"
 #include "absl/flags/parse.h"
 #include "absl/flags/usage.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "core/session/session_store.h"
 #include "nlohmann/json.hpp"

@@ -22,7 +22,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/action/action_head.h"
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "loadtest/bench/cached_dense.h"
 #include "loadtest/bench/contestant.h"
@@ -100,7 +100,7 @@ absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy) {
     const float got = logits[0][static_cast<int64_t>(i)].item<float>();
     if (std::abs(got - expected[i]) <= kTolerance) continue;
     return absl::InternalError(
-        absl::StrCat("dense_cached: logit ", i, ": expected ", expected[i], ", got ", got));
+        absl::StrCat("dense_cached: logit ", i, ": expected ", expected[i], ", received ", got));
   }
   return absl::OkStatus();
 }

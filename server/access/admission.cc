@@ -3,49 +3,47 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "server/access/permission.h"
 
 namespace spikeserve {
+namespace {
+
+absl::StatusOr<const Credential*> Authenticate(const Authenticator& authenticator,
+                                               absl::string_view authorization) {
+  std::string buffer;
+  return authenticator.Authenticate(TokenOf(authorization, &buffer));
+}
+
+}  // namespace
 
 absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
-                                        const grpc::CallbackServerContext& context, Method method) {
-  const auto& metadata = context.client_metadata();
-  const auto header = metadata.find("authorization");
-  std::string_view token;
-  std::string buffer;
-  if (header != metadata.end()) {
-    token = TokenOf({header->second.data(), header->second.size()}, &buffer);
-  }
-  auto caller = authenticator.Authenticate({token.data(), token.size()});
+                                        absl::string_view authorization, Method method) {
+  const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
   if (auto status = CheckMayCall((*caller)->role(), method); !status.ok()) return status;
   return caller;
 }
 
 absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticator,
-                                               absl::string_view header) {
-  std::string buffer;
-  const std::string_view token = TokenOf(header, &buffer);
-  const auto caller = authenticator.Authenticate({token.data(), token.size()});
+                                               absl::string_view authorization) {
+  const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
   if (auto status = CheckMayWatch((*caller)->role()); !status.ok()) return status;
   return caller;
 }
 
-absl::Status CheckStillAdmitted(const Credential& caller,
-                                const google::protobuf::MessageLite& request,
+absl::Status CheckStillAdmitted(const Credential& caller, int64_t request_bytes,
                                 int64_t max_message_bytes) {
   if (auto status = caller.CheckValid(); !status.ok()) return status;
-  return CheckSize(caller, request, max_message_bytes);
+  return CheckSize(caller, request_bytes, max_message_bytes);
 }
 
-absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request,
-                       int64_t max_message_bytes) {
-  const auto bytes = static_cast<int64_t>(request.ByteSizeLong());
-  if (bytes > max_message_bytes) {
-    return absl::ResourceExhaustedError(absl::StrCat("--max_message_bytes: expected at most ",
-                                                     max_message_bytes, ", received ", bytes));
+absl::Status CheckSize(const Credential& caller, int64_t request_bytes, int64_t max_message_bytes) {
+  if (request_bytes > max_message_bytes) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "--max_message_bytes: expected at most ", max_message_bytes, ", received ", request_bytes));
   }
-  return caller.tenant()->CheckMessage(bytes);
+  return caller.tenant()->CheckMessage(request_bytes);
 }
 
 }  // namespace spikeserve

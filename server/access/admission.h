@@ -1,11 +1,9 @@
-// Whether a call is let in: its token, what its role may do, and how long its request is.
+// Decides whether a call may proceed: the caller's token, what its role may do, and how long its
+// request is. Knows nothing of the transport that carried the call.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_ACCESS_ADMISSION_H_
 #define SERVER_ACCESS_ADMISSION_H_
-
-#include <google/protobuf/message_lite.h>
-#include <grpcpp/server_context.h>
 
 #include <cstdint>
 
@@ -13,29 +11,29 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "server/access/authenticator.h"
-#include "server/metrics/metrics.h"
+#include "server/base/method_table.h"
 
 namespace spikeserve {
 
-// Who calls. UNAUTHENTICATED or PERMISSION_DENIED where they may not.
+// Returns the caller that sent the `authorization` header, which may be empty. UNAUTHENTICATED
+// without a valid token, PERMISSION_DENIED if the token's role may not call `method`.
 absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
-                                        const grpc::CallbackServerContext& context, Method method);
+                                        absl::string_view authorization, Method method);
 
-// Who sent an HTTP Authorization header, which may be empty. UNAUTHENTICATED or PERMISSION_DENIED
-// unless they are a viewer or an operator, who may see the status page.
+// Returns the caller that sent the `authorization` header over HTTP, which may be empty.
+// UNAUTHENTICATED without a valid token, PERMISSION_DENIED unless the role may read the status
+// page.
 absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticator,
-                                               absl::string_view header);
+                                               absl::string_view authorization);
 
-// For a request on a stream whose caller was admitted: whether the token still holds, and
-// CheckSize.
-absl::Status CheckStillAdmitted(const Credential& caller,
-                                const google::protobuf::MessageLite& request,
+// Checks a further request on a stream whose caller was admitted. UNAUTHENTICATED if the token has
+// expired or was revoked since; otherwise as CheckSize.
+absl::Status CheckStillAdmitted(const Credential& caller, int64_t request_bytes,
                                 int64_t max_message_bytes);
 
-// RESOURCE_EXHAUSTED where the request is longer than `max_message_bytes`, the server's limit, or
-// than its tenant may send.
-absl::Status CheckSize(const Credential& caller, const google::protobuf::MessageLite& request,
-                       int64_t max_message_bytes);
+// RESOURCE_EXHAUSTED if the request is longer than `max_message_bytes`, the server's limit, or than
+// the limit of the caller's tenant.
+absl::Status CheckSize(const Credential& caller, int64_t request_bytes, int64_t max_message_bytes);
 
 }  // namespace spikeserve
 

@@ -3,29 +3,16 @@
 #include <openssl/crypto.h>
 
 #include <cstring>
-#include <fstream>
-#include <sstream>
 #include <utility>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
+#include "core/base/file.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
-namespace {
-
-absl::StatusOr<std::string> ReadFile(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  std::ostringstream text;
-  if (!file || !(text << file.rdbuf())) {
-    return absl::NotFoundError(absl::StrCat("--tokens: cannot read ", path));
-  }
-  return std::move(text).str();
-}
-
-}  // namespace
-
 absl::Status Credential::CheckValid() const {
   if (revoked_.load(std::memory_order_relaxed)) {
     return absl::UnauthenticatedError("authorization: the token was revoked");
@@ -74,13 +61,12 @@ absl::StatusOr<const Credential*> Authenticator::Authenticate(absl::string_view 
 absl::Status Authenticator::Reload() {
   if (path_.empty()) return absl::OkStatus();
   auto text = ReadFile(path_);
-  if (!text.ok()) return text.status();
+  if (!text.ok()) return Annotate(text.status(), "--tokens");
   absl::MutexLock lock(&mutex_);
   if (!tables_.empty() && *text == text_) return absl::OkStatus();
   const auto file = ParseTokenFile(*text);
   if (!file.ok()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--tokens: ", path_, ": ", file.status().message()));
+    return Annotate(file.status(), absl::StrCat("--tokens: ", path_));
   }
   text_ = *std::move(text);
   Publish(*file);
@@ -114,7 +100,7 @@ void Authenticator::Publish(const TokenFile& file) {
   tables_.push_back(std::move(table));
 }
 
-std::string_view TokenOf(absl::string_view authorization, std::string* buffer) {
+absl::string_view TokenOf(absl::string_view authorization, std::string* buffer) {
   constexpr absl::string_view kBearer = "Bearer ";
   constexpr absl::string_view kBasic = "Basic ";
   if (absl::StartsWithIgnoreCase(authorization, kBearer)) {
@@ -124,8 +110,8 @@ std::string_view TokenOf(absl::string_view authorization, std::string* buffer) {
   if (!absl::StartsWithIgnoreCase(authorization, kBasic)) return {};
   if (!absl::Base64Unescape(authorization.substr(kBasic.size()), buffer)) return {};
   const size_t colon = buffer->find(':');
-  return colon == std::string::npos ? std::string_view()
-                                    : std::string_view(*buffer).substr(colon + 1);
+  return colon == std::string::npos ? absl::string_view()
+                                    : absl::string_view(*buffer).substr(colon + 1);
 }
 
 }  // namespace spikeserve

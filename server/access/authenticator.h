@@ -10,7 +10,6 @@
 #include <map>
 #include <memory>
 #include <string>
-#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -22,9 +21,9 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "server/access/refusal_pacer.h"
-#include "server/access/role.h"
 #include "server/access/tenant.h"
 #include "server/access/token_file.h"
+#include "server/base/role.h"
 
 namespace spikeserve {
 
@@ -102,7 +101,7 @@ class Authenticator {
 
 // The token of "Bearer TOKEN", or the password of HTTP's "Basic", so that a browser can show the
 // status page; empty where there is none.
-std::string_view TokenOf(absl::string_view authorization, std::string* buffer);
+absl::string_view TokenOf(absl::string_view authorization, std::string* buffer);
 
 }  // namespace spikeserve
 

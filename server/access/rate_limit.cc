@@ -10,7 +10,7 @@ void RateLimit::Set(double per_second) {
   period_ns_.store(static_cast<int64_t>(period), std::memory_order_relaxed);
 }
 
-absl::Duration RateLimit::Take(absl::Duration now) {
+absl::Duration RateLimit::Acquire(absl::Duration now) {
   const int64_t period = period_ns_.load(std::memory_order_relaxed);
   if (period == 0) return absl::ZeroDuration();
   const int64_t now_ns = absl::ToInt64Nanoseconds(now);

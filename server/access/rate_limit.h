@@ -19,7 +19,7 @@ class RateLimit {
 
   // Zero where the event may happen, which counts it; else how long to wait, and nothing changes.
   // `now` is on any clock that never goes back, always the same one.
-  absl::Duration Take(absl::Duration now);
+  absl::Duration Acquire(absl::Duration now);
 
  private:
   static constexpr int64_t kBurstNs = 1'000'000'000;  // a second's worth

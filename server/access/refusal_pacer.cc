@@ -16,8 +16,8 @@ bool IsRefusal(const absl::Status& status) {
 
 }  // namespace
 
-absl::Duration RefusalPacer::Rest(const absl::Status& status, size_t request_bytes,
-                                  absl::Duration now) {
+absl::Duration RefusalPacer::DelayFor(const absl::Status& status, size_t request_bytes,
+                                      absl::Duration now) {
   if (!IsRefusal(status)) return absl::ZeroDuration();
   thread_local absl::InsecureBitGen bits;
   const double size = static_cast<double>(request_bytes) / kMiB;

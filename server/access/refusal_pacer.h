@@ -23,7 +23,7 @@ class RefusalPacer {
   // A tenth of a second on average for the first, of random length, so that callers who were
   // refused together do not come back together; longer for those who come behind others, at most 2
   // seconds and one more for each MiB. `now` is on any clock that never goes back, always the same.
-  absl::Duration Rest(const absl::Status& status, size_t request_bytes, absl::Duration now);
+  absl::Duration DelayFor(const absl::Status& status, size_t request_bytes, absl::Duration now);
 
  private:
   std::atomic<int64_t> free_at_ns_ = 0;  // when those before will have had their turn

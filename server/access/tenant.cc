@@ -27,21 +27,21 @@ void Tenant::SetLimits(const TenantLimits& limits) {
   decisions_.Set(limits.decisions_per_second);
 }
 
-absl::Status Tenant::Take() {
-  const int64_t most = max_sessions_.load(std::memory_order_relaxed);
-  if (sessions_.fetch_add(1, std::memory_order_relaxed) < most || most == 0) {
+absl::Status Tenant::Acquire() {
+  const int64_t limit = max_sessions_.load(std::memory_order_relaxed);
+  if (sessions_.fetch_add(1, std::memory_order_relaxed) < limit || limit == 0) {
     return absl::OkStatus();
   }
   sessions_.fetch_sub(1, std::memory_order_relaxed);
   // How long depends on the tenant's own sessions; a second keeps a careless client quiet.
   return WithRetryDelay(
-      absl::ResourceExhaustedError(absl::StrCat("max_sessions: expected fewer than ", most,
+      absl::ResourceExhaustedError(absl::StrCat("max_sessions: expected fewer than ", limit,
                                                 " open sessions of tenant ", name_, "; close one")),
       absl::Seconds(1));
 }
 
-absl::Status Tenant::TakeDecision(absl::Duration now) {
-  const absl::Duration wait = decisions_.Take(now);
+absl::Status Tenant::AcquireDecision(absl::Duration now) {
+  const absl::Duration wait = decisions_.Acquire(now);
   if (wait <= absl::ZeroDuration()) return absl::OkStatus();
   return WithRetryDelay(absl::ResourceExhaustedError(
                             absl::StrCat("decisions_per_second: the limit of tenant ", name_,
@@ -50,9 +50,9 @@ absl::Status Tenant::TakeDecision(absl::Duration now) {
 }
 
 absl::Status Tenant::CheckMessage(int64_t bytes) const {
-  const int64_t most = max_message_bytes_.load(std::memory_order_relaxed);
-  if (most == 0 || bytes <= most) return absl::OkStatus();
-  return absl::ResourceExhaustedError(absl::StrCat("max_message_bytes: expected at most ", most,
+  const int64_t limit = max_message_bytes_.load(std::memory_order_relaxed);
+  if (limit == 0 || bytes <= limit) return absl::OkStatus();
+  return absl::ResourceExhaustedError(absl::StrCat("max_message_bytes: expected at most ", limit,
                                                    " for tenant ", name_, ", received ", bytes));
 }
 

@@ -36,12 +36,12 @@ class Tenant final : public SessionQuota {
   // Sessions that are open already stay so.
   void SetLimits(const TenantLimits& limits);
 
-  absl::Status Take() override;
-  void Return() override { sessions_.fetch_sub(1, std::memory_order_relaxed); }
+  absl::Status Acquire() override;
+  void Release() override { sessions_.fetch_sub(1, std::memory_order_relaxed); }
 
   // RESOURCE_EXHAUSTED, with google.rpc.RetryInfo, where there were too many decisions before
   // `now`, which is on any clock that never goes back, always the same one.
-  absl::Status TakeDecision(absl::Duration now);
+  absl::Status AcquireDecision(absl::Duration now);
 
   // RESOURCE_EXHAUSTED for a request that is too long.
   absl::Status CheckMessage(int64_t bytes) const;

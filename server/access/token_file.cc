@@ -85,10 +85,9 @@ absl::StatusOr<TokenEntry> ParseToken(const std::string& field, const Json& json
     return absl::InvalidArgumentError(
         absl::StrCat(field, ".tenant: expected one of `tenants`, received ", Quoted(*tenant)));
   }
-  if (!FromString(*role, &entry.role)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ".role: expected agent, viewer or operator, received ", Quoted(*role)));
-  }
+  const auto parsed_role = ParseEnum<Role>(absl::StrCat(field, ".role"), *role);
+  if (!parsed_role.ok()) return parsed_role.status();
+  entry.role = *parsed_role;
   std::string ignored;
   if (!expires->empty() &&
       !absl::ParseTime(absl::RFC3339_full, *expires, &entry.expires, &ignored)) {

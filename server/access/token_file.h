@@ -21,8 +21,8 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
-#include "server/access/role.h"
 #include "server/access/tenant.h"
+#include "server/base/role.h"
 
 namespace spikeserve {
 

@@ -56,12 +56,6 @@ void ToProto(const Answer& answer, bool dense, v1::DecisionStats* proto) {
   proto->set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
 }
 
-absl::Status UnknownName(absl::string_view field, absl::string_view expected,
-                         absl::string_view received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat("learning.", field, ": expected ", expected, ", received ", Quoted(received)));
-}
-
 // Fields that would do nothing are refused.
 absl::Status CheckApplies(const v1::LearningConfig& config, const LearningOptions& options) {
   const auto unset = [](const char* field, absl::string_view unless, double received) {
@@ -120,11 +114,15 @@ absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& conf
   }
   LearningOptions options;
   options.scope = config.scope() == v1::LearningConfig::FLEET ? Scope::kFleet : Scope::kSession;
-  if (!config.rule().empty() && !FromString(config.rule(), &options.rule)) {
-    return UnknownName("rule", "policy_gradient or hebbian", config.rule());
+  if (!config.rule().empty()) {
+    const auto rule = ParseEnum<Rule>("learning.rule", config.rule());
+    if (!rule.ok()) return rule.status();
+    options.rule = *rule;
   }
-  if (!config.modulator().empty() && !FromString(config.modulator(), &options.modulator)) {
-    return UnknownName("modulator", "target or realized", config.modulator());
+  if (!config.modulator().empty()) {
+    const auto modulator = ParseEnum<Modulator>("learning.modulator", config.modulator());
+    if (!modulator.ok()) return modulator.status();
+    options.modulator = *modulator;
   }
   if (auto status = CheckApplies(config, options); !status.ok()) return status;
   options.learning_rate = config.has_learning_rate()

@@ -1,4 +1,4 @@
-// What a call leaves to do besides its answer.
+// Work of a call that does not delay its answer.
 #ifndef SERVER_AGENT_DEFERRED_WORK_H_
 #define SERVER_AGENT_DEFERRED_WORK_H_
 
@@ -6,15 +6,13 @@
 #include <utility>
 
 #include "absl/container/inlined_vector.h"
-#include "absl/status/status.h"
 #include "core/session/session_store.h"
 #include "server/agent/shadow_runner.h"
 
 namespace spikeserve {
 
-// Once answers have been sent: the action tokens of the sessions that decided, and what their
-// shadows are to see. Before that, where a part of a call was refused: its caller waits as if all
-// of it had been. Not thread-safe: one call's own.
+// Work that a call leaves until its answer has been sent: the action tokens of the sessions that
+// decided, and the steps that their shadow policies play. Not thread-safe: one call owns it.
 class DeferredWork {
  public:
   // `shadows` must outlive this object.
@@ -25,13 +23,9 @@ class DeferredWork {
   // REQUIRES: the thread holds no session's lock.
   void Run();
 
-  void set_refusal(absl::Status refusal) { refusal_ = std::move(refusal); }
-  const absl::Status& refusal() const { return refusal_; }  // OK: nothing was refused
-
  private:
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries_;
   ShadowRunner* shadows_ = nullptr;
-  absl::Status refusal_;
 };
 
 }  // namespace spikeserve

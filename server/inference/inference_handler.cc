@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "core/base/json.h"
+#include "core/base/version.h"
 #include "server/policies/policy_repository.h"
 
 namespace spikeserve {
@@ -71,7 +72,19 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindPolicy
     const std::string& name, const std::string& version) const {
   const auto number = ReadVersion(version);
   if (!number.ok()) return number.status();
-  return parts_.registry->catalog()->Find(name, *number);
+  return registry_->catalog()->Find(name, *number);
+}
+
+absl::Status InferenceHandler::ServerLive(const inference::ServerLiveRequest& /*request*/,
+                                          inference::ServerLiveResponse* response) const {
+  response->set_live(true);
+  return absl::OkStatus();
+}
+
+absl::Status InferenceHandler::ServerReady(const inference::ServerReadyRequest& /*request*/,
+                                           inference::ServerReadyResponse* response) const {
+  response->set_ready(true);
+  return absl::OkStatus();
 }
 
 absl::Status InferenceHandler::ModelReady(const inference::ModelReadyRequest& request,
@@ -83,7 +96,7 @@ absl::Status InferenceHandler::ModelReady(const inference::ModelReadyRequest& re
 absl::Status InferenceHandler::ServerMetadata(const inference::ServerMetadataRequest& /*request*/,
                                               inference::ServerMetadataResponse* response) const {
   response->set_name(kPlatform);
-  response->set_version(SPIKESERVE_VERSION);
+  response->set_version(std::string(Version()));
   for (const char* extension : {"sequence", "sequence(string_id)", "model_repository",
                                 "model_configuration", "statistics"}) {
     response->add_extensions(extension);
@@ -96,7 +109,7 @@ absl::Status InferenceHandler::ModelMetadata(const inference::ModelMetadataReque
   const auto served = FindPolicy(request.name(), request.version());
   if (!served.ok()) return served.status();
   response->set_name(request.name());
-  for (const auto& other : ListServed(*parts_.registry)) {
+  for (const auto& other : ListServed(*registry_)) {
     if (other->name == request.name()) response->add_versions(absl::StrCat(other->version));
   }
   response->set_platform(kPlatform);
@@ -111,7 +124,7 @@ absl::Status InferenceHandler::ModelConfig(const inference::ModelConfigRequest& 
                                            inference::ModelConfigResponse* response) const {
   const auto served = FindPolicy(request.name(), request.version());
   if (!served.ok()) return served.status();
-  FillConfig(**served, parts_.session_ttl, response->mutable_config());
+  FillConfig(**served, session_ttl_, response->mutable_config());
   return absl::OkStatus();
 }
 
@@ -121,7 +134,7 @@ absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsR
     const auto served = FindPolicy(request.name(), request.version());
     if (!served.ok()) return served.status();
   }
-  for (const auto& served : ListServed(*parts_.registry)) {
+  for (const auto& served : ListServed(*registry_)) {
     if (!request.name().empty() && served->name != request.name()) continue;
     if (!request.version().empty() && absl::StrCat(served->version) != request.version()) continue;
     *response->add_model_stats() = statistics_.Get(served->name, served->version);
@@ -132,11 +145,11 @@ absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsR
 absl::Status InferenceHandler::RepositoryIndex(const inference::RepositoryIndexRequest& request,
                                                inference::RepositoryIndexResponse* response) const {
   if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
-  const auto folders = ListPolicyFolders(parts_.registry->directory());
+  const auto folders = ListPolicyFolders(registry_->directory());
   if (!folders.ok()) return folders.status();
   std::map<PolicyVersion, bool> ready;
   for (const PolicyVersion& version : folders->versions) ready[version] = false;
-  for (const auto& served : ListServed(*parts_.registry)) {
+  for (const auto& served : ListServed(*registry_)) {
     ready[{served->name, served->version}] = true;
   }
   for (const auto& [version, is_ready] : ready) {
@@ -159,7 +172,7 @@ absl::Status InferenceHandler::RepositoryModelLoad(
         absl::StrCat("parameters: expected none, since a model is what its file says, received ",
                      Quoted(request.parameters().begin()->first)));
   }
-  const auto folders = ListPolicyFolders(parts_.registry->directory());
+  const auto folders = ListPolicyFolders(registry_->directory());
   if (!folders.ok()) return folders.status();
   absl::Status status = absl::NotFoundError(
       absl::StrCat("model_name: expected a policy in the policy directory, received ",
@@ -168,7 +181,7 @@ absl::Status InferenceHandler::RepositoryModelLoad(
   for (const PolicyVersion& version : folders->versions) {
     if (version.policy != request.model_name()) continue;
     if (!std::exchange(found, true)) status = absl::OkStatus();
-    status.Update(parts_.registry->LoadVersion(version).status());
+    status.Update(registry_->LoadVersion(version).status());
   }
   return status;
 }
@@ -177,7 +190,7 @@ absl::Status InferenceHandler::RepositoryModelUnload(
     const inference::RepositoryModelUnloadRequest& request,
     inference::RepositoryModelUnloadResponse* /*response*/) const {
   if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
-  const auto catalog = parts_.registry->catalog();
+  const auto catalog = registry_->catalog();
   const auto policy = catalog->FindPolicy(request.model_name());
   if (!policy.ok()) return policy.status();
   for (const auto& [version, served] : (*policy)->versions) {
@@ -189,7 +202,7 @@ absl::Status InferenceHandler::RepositoryModelUnload(
     }
   }
   for (const auto& [version, served] : (*policy)->versions) {
-    auto status = parts_.registry->Unload({.policy = request.model_name(), .version = version});
+    auto status = registry_->Unload({.policy = request.model_name(), .version = version});
     if (!status.ok()) return status;
   }
   return absl::OkStatus();
@@ -198,7 +211,7 @@ absl::Status InferenceHandler::RepositoryModelUnload(
 absl::Status InferenceHandler::ModelInfer(const Credential& caller,
                                           const ModelInferRequest& request,
                                           ModelInferResponse* response, DeferredWork* deferred) {
-  const absl::Duration start = parts_.clock->Now();
+  const absl::Duration start = clock_->Now();
   auto sequence = ReadSequence(request);
   if (!sequence.ok()) return sequence.status();
   // Tenants pick their ids without knowing of each other.
@@ -221,14 +234,14 @@ absl::Status InferenceHandler::ModelInfer(const Credential& caller,
   if (auto status = Decide(caller, request, *input, *sequence, **served, &answer, deferred);
       !status.ok()) {
     if (sequence->start) status.Update(Close(caller, *sequence));
-    statistics_.CountFailure(name, version, parts_.clock->Now() - start);
+    statistics_.CountFailure(name, version, clock_->Now() - start);
     return status;
   }
   response->set_model_name(name);
   response->set_model_version(absl::StrCat(version));
   response->set_id(request.id());
   WriteOutputs(answer, request, *input, response);
-  statistics_.CountSuccess(name, version, absl::Now(), parts_.clock->Now() - start,
+  statistics_.CountSuccess(name, version, absl::Now(), clock_->Now() - start,
                            absl::Seconds(answer.stats().compute_seconds()));
   return sequence->end ? End(caller, *sequence) : absl::OkStatus();
 }
@@ -242,7 +255,7 @@ absl::Status InferenceHandler::Start(const Credential& caller, const ModelInferR
   if (auto status = Close(caller, sequence); !status.ok() && !absl::IsNotFound(status))
     return status;
   v1::OpenSessionResponse opened;
-  if (auto status = parts_.requests->OpenSessionAs(caller, sequence.session_id, *opening, &opened);
+  if (auto status = sessions_->OpenSessionAs(caller, sequence.session_id, *opening, &opened);
       !status.ok()) {
     return status;
   }
@@ -257,13 +270,13 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
     const SequenceRequest& sequence) const {
   const auto version = ReadVersion(request.model_version());
   if (!version.ok()) return version.status();
-  const auto entry = parts_.store->Find(sequence.session_id, caller.tenant()->name());
+  const auto entry = store_->Find(sequence.session_id, caller.tenant()->name());
   if (!entry.ok() || (*entry)->served->name != request.model_name()) {
     return absl::NotFoundError(absl::StrCat(
         "parameters.sequence_id: expected a running sequence of model ",
         Quoted(request.model_name()), ", received ", Quoted(sequence.id),
         "; send sequence_start with the first request. A sequence that nobody used for ",
-        absl::FormatDuration(parts_.session_ttl), " is ended"));
+        absl::FormatDuration(session_ttl_), " is ended"));
   }
   const auto& served = (*entry)->served;
   if (*version == 0 || *version == served->version) return served;
@@ -288,14 +301,13 @@ absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInfer
   act.set_session_id(sequence.session_id);
   act.mutable_observation()->Add(input.observation.begin(), input.observation.end());
   act.set_reward(static_cast<double>(input.reward.value_or(0.0f)));
-  return parts_.requests->ActNext(caller, act, answer, deferred);
+  return sessions_->ActNext(caller, act, answer, deferred);
 }
 
 absl::Status InferenceHandler::End(const Credential& caller,
                                    const SequenceRequest& sequence) const {
   // Nobody acts on the last decision, so a recording ends with its observation.
-  if (const auto entry = parts_.store->Find(sequence.session_id, caller.tenant()->name());
-      entry.ok()) {
+  if (const auto entry = store_->Find(sequence.session_id, caller.tenant()->name()); entry.ok()) {
     absl::MutexLock lock(&(*entry)->mutex);
     (*entry)->agent.RecordTo(nullptr);
   }
@@ -303,7 +315,7 @@ absl::Status InferenceHandler::End(const Credential& caller,
   end.set_session_id(sequence.session_id);
   end.set_terminated(true);
   v1::EndEpisodeResponse ended;
-  if (auto status = parts_.requests->EndEpisode(caller, end, &ended); !status.ok()) return status;
+  if (auto status = sessions_->EndEpisode(caller, end, &ended); !status.ok()) return status;
   return Close(caller, sequence);
 }
 
@@ -312,7 +324,7 @@ absl::Status InferenceHandler::Close(const Credential& caller,
   v1::CloseSessionRequest close;
   close.set_session_id(sequence.session_id);
   v1::CloseSessionResponse closed;
-  return parts_.requests->CloseSession(caller, close, &closed);
+  return sessions_->CloseSession(caller, close, &closed);
 }
 
 }  // namespace spikeserve

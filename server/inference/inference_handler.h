@@ -1,4 +1,4 @@
-// Answers the requests of the Open Inference Protocol with what RequestHandler does for
+// Answers the requests of the Open Inference Protocol with what PolicyHandler does for
 // PolicyService: a model is a policy, a sequence a session of one episode.
 //
 // The id of a sequence's session is made of the model and the sequence id, so there is no table to
@@ -18,7 +18,7 @@
 #include "core/base/clock.h"
 #include "core/session/session_store.h"
 #include "inference/grpc_service.pb.h"
-#include "server/agent/request_handler.h"
+#include "server/agent/policy_handler.h"
 #include "server/inference/inference_sequence.h"
 #include "server/inference/inference_statistics.h"
 #include "server/inference/inference_tensors.h"
@@ -28,19 +28,21 @@ namespace spikeserve {
 
 class InferenceHandler {
  public:
-  // All must outlive the handler.
-  struct Parts {
-    PolicyRegistry* registry;
-    SessionStore* store;
-    const RequestHandler* requests;
-    const Clock* clock;
-    absl::Duration session_ttl;
-  };
-
-  explicit InferenceHandler(const Parts& parts) : parts_(parts) {}
+  // All must outlive the handler. A sequence ends after `session_ttl` without a request.
+  InferenceHandler(PolicyRegistry* registry, SessionStore* store, const PolicyHandler* sessions,
+                   const Clock* clock, absl::Duration session_ttl)
+      : registry_(registry),
+        store_(store),
+        sessions_(sessions),
+        clock_(clock),
+        session_ttl_(session_ttl) {}
 
   // Each fills in `response` and returns OK, or returns an error and leaves every sequence as it
   // was.
+  absl::Status ServerLive(const inference::ServerLiveRequest& request,
+                          inference::ServerLiveResponse* response) const;
+  absl::Status ServerReady(const inference::ServerReadyRequest& request,
+                           inference::ServerReadyResponse* response) const;
   absl::Status ModelReady(const inference::ModelReadyRequest& request,
                           inference::ModelReadyResponse* response) const;
   absl::Status ServerMetadata(const inference::ServerMetadataRequest& request,
@@ -84,7 +86,11 @@ class InferenceHandler {
   absl::Status End(const Credential& caller, const SequenceRequest& sequence) const;
   absl::Status Close(const Credential& caller, const SequenceRequest& sequence) const;
 
-  const Parts parts_;
+  PolicyRegistry* const registry_;
+  SessionStore* const store_;
+  const PolicyHandler* const sessions_;
+  const Clock* const clock_;
+  const absl::Duration session_ttl_;
   InferenceStatistics statistics_;
 };
 

@@ -6,6 +6,7 @@
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/version.h"
 #include "prometheus/text_serializer.h"
 #include "server/metrics/policy_metrics.h"
 #include "server/metrics/process_metrics.h"
@@ -34,45 +35,6 @@ Buckets Spikes() { return {10, 25, 50, 100, 200, 350, 500, 1000, 2000, 3500, 500
 Buckets Returns() {
   return {-2000, -1000, -500, -300, -200, -150, -120, -100, -90, -80, -70, -60, -50,
           -20,   0,     20,   50,   100,  200,  300,  400,  450, 490, 500, 1000};
-}
-
-std::string MethodName(Method method) {
-  static constexpr const char* kNames[kMethods] = {"ListPolicies",
-                                                   "OpenSession",
-                                                   "Act",
-                                                   "ActBatch",
-                                                   "ActStream",
-                                                   "EndEpisode",
-                                                   "GetSession",
-                                                   "CloseSession",
-                                                   "Explain",
-                                                   "LoadPolicy",
-                                                   "UnloadPolicy",
-                                                   "ReloadPolicies",
-                                                   "SetDefaultVersion",
-                                                   "SetLabel",
-                                                   "RemoveLabel",
-                                                   "SetTraffic",
-                                                   "ListSessions",
-                                                   "Drain",
-                                                   "GetHead",
-                                                   "PromoteHead",
-                                                   "RollbackHead",
-                                                   "PauseLearning",
-                                                   "ResumeLearning",
-                                                   "ServerLive",
-                                                   "ServerReady",
-                                                   "ModelReady",
-                                                   "ServerMetadata",
-                                                   "ModelMetadata",
-                                                   "ModelInfer",
-                                                   "ModelStreamInfer",
-                                                   "ModelConfig",
-                                                   "ModelStatistics",
-                                                   "RepositoryIndex",
-                                                   "RepositoryModelLoad",
-                                                   "RepositoryModelUnload"};
-  return kNames[static_cast<size_t>(method)];
 }
 
 }  // namespace
@@ -142,7 +104,7 @@ Metrics::Metrics()
     recorded_episodes_[i] = &recorded.Add({{"outcome", kOutcomes[i]}});
   }
   Register(BuildGauge(), "spikeserve_build_info", "1 for the version that runs.")
-      .Add({{"version", SPIKESERVE_VERSION}})
+      .Add({{"version", std::string(Version())}})
       .Set(1);
 }
 
@@ -155,7 +117,7 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
     return more;
   };
   prometheus::Labels info = with("environment", policy.environment);
-  const std::string_view mode = ToString(policy.config.mode);
+  const absl::string_view mode = ToString(policy.config.mode);
   info.emplace("mode", mode);
 
   PolicyMetrics::Handles handles;
@@ -163,7 +125,7 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.decisions = &decisions_.Add(labels);
   handles.spikes_per_decision = &spikes_per_decision_.Add(labels, Spikes());
   for (int i = 0; i < kStages; ++i) {
-    const std::string_view stage = ToString(static_cast<Stage>(i));
+    const absl::string_view stage = ToString(static_cast<Stage>(i));
     handles.spikes[static_cast<size_t>(i)] =
         &spikes_.Add(with("stage", {stage.data(), stage.size()}));
   }
@@ -178,11 +140,11 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.episode_return = &episode_return_.Add(labels, Returns());
   handles.episode_return_mean = &episode_return_mean_.Add(labels);
   handles.learning_updates = &learning_updates_.Add(labels);
-  const std::string_view reason = ToString(UpdateOutcome::kNonFinite);
+  const absl::string_view reason = ToString(UpdateOutcome::kNonFinite);
   handles.learning_rejected_non_finite =
       &learning_rejected_.Add(with("reason", {reason.data(), reason.size()}));
   for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
-    const std::string_view word = ToString(scope);
+    const absl::string_view word = ToString(scope);
     const prometheus::Labels of = with("scope", {word.data(), word.size()});
     handles.learning[static_cast<size_t>(scope)] = {.head_drift = &head_drift_.Add(of),
                                                     .modulator_mean = &modulator_mean_.Add(of),
@@ -201,7 +163,8 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
     // Two threads may get here; the family gives both the same histogram. Abseil's names of the
     // codes are gRPC's.
     histogram = &rpc_duration_.Add(
-        {{"method", MethodName(method)}, {"code", absl::StatusCodeToString(code)}}, RpcSeconds());
+        {{"method", std::string(InfoOf(method).name)}, {"code", absl::StatusCodeToString(code)}},
+        RpcSeconds());
     slot.store(histogram, std::memory_order_release);
   }
   histogram->Observe(absl::ToDoubleSeconds(duration));

@@ -20,48 +20,9 @@
 #include "prometheus/histogram.h"
 #include "prometheus/metric_family.h"
 #include "prometheus/registry.h"
+#include "server/base/method_table.h"
 
 namespace spikeserve {
-
-// The calls of PolicyService, PolicyAdmin and GRPCInferenceService, in this order.
-enum class Method {
-  kListPolicies,
-  kOpenSession,
-  kAct,
-  kActBatch,
-  kActStream,
-  kEndEpisode,
-  kGetSession,
-  kCloseSession,
-  kExplain,
-  kLoadPolicy,
-  kUnloadPolicy,
-  kReloadPolicies,
-  kSetDefaultVersion,
-  kSetLabel,
-  kRemoveLabel,
-  kSetTraffic,
-  kListSessions,
-  kDrain,
-  kGetHead,
-  kPromoteHead,
-  kRollbackHead,
-  kPauseLearning,
-  kResumeLearning,
-  kServerLive,
-  kServerReady,
-  kModelReady,
-  kServerMetadata,
-  kModelMetadata,
-  kModelInfer,
-  kModelStreamInfer,
-  kModelConfig,
-  kModelStatistics,
-  kRepositoryIndex,
-  kRepositoryModelLoad,
-  kRepositoryModelUnload,
-};
-inline constexpr int kMethods = 35;
 
 // What became of an episode that was to be recorded.
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };

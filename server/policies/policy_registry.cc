@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -32,10 +33,6 @@ absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name,
   return absl::OkStatus();
 }
 
-absl::Status Prefixed(absl::string_view prefix, const absl::Status& status) {
-  return absl::Status(status.code(), absl::StrCat(prefix, ": ", status.message()));
-}
-
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
@@ -45,12 +42,12 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
       new PolicyRegistry(directory, settings_path, std::move(new_observer)));
   if (!settings_path.empty()) {
     auto settings = ReadSettings(settings_path);
-    if (!settings.ok()) return Prefixed("--policy_settings", settings.status());
+    if (!settings.ok()) return Annotate(settings.status(), "--policy_settings");
     absl::MutexLock change(&registry->change_mutex_);
     registry->settings_ = *std::move(settings);
   }
   auto loaded = registry->Reload();
-  if (!loaded.ok()) return Prefixed("--policies", loaded.status());
+  if (!loaded.ok()) return Annotate(loaded.status(), "--policies");
   *report = *std::move(loaded);
   return registry;
 }
@@ -64,7 +61,7 @@ std::vector<std::string> PolicyRegistry::ApplySettings(PolicyCatalog* catalog) c
       for (const auto& [version, served] : policy->second.versions) versions.insert(version);
     }
     std::vector<std::string> lines;
-    PolicySettings holding = HoldingWith(settings, versions, &lines);
+    PolicySettings holding = EffectiveSettings(settings, versions, &lines);
     for (const std::string& line : lines) {
       waiting.push_back(absl::StrCat(settings_path_, ": policies.", name, ".", line));
     }

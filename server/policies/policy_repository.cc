@@ -12,7 +12,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/learning/fleet_head.h"
 #include "core/model/policy_file.h"
 

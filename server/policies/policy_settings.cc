@@ -7,8 +7,9 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/base/atomic_file.h"
+#include "core/base/file.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/strict_json.h"
 
 namespace spikeserve {
@@ -132,8 +133,8 @@ absl::Status CheckShares(const std::vector<TrafficShare>& shares) {
       absl::StrCat("shares: expected percents that add up to 100, received ", sum));
 }
 
-PolicySettings HoldingWith(const PolicySettings& settings, const std::set<int64_t>& versions,
-                           std::vector<std::string>* waiting) {
+PolicySettings EffectiveSettings(const PolicySettings& settings, const std::set<int64_t>& versions,
+                                 std::vector<std::string>* waiting) {
   PolicySettings holding = settings;
   const auto waits = [&](const std::string& setting, int64_t version) {
     if (version == 0 || versions.contains(version)) return false;
@@ -197,14 +198,11 @@ absl::StatusOr<Settings> ReadSettings(const std::string& path) {
       std::filesystem::file_type::not_found) {
     return Settings();
   }
-  std::ifstream file(path, std::ios::binary);
-  std::ostringstream text;
-  if (!file || !(text << file.rdbuf())) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": expected a file that can be read"));
-  }
-  auto settings = ParseSettings(std::move(text).str());
+  const auto text = ReadFile(path);
+  if (!text.ok()) return text.status();
+  auto settings = ParseSettings(*text);
   if (settings.ok()) return settings;
-  return absl::InvalidArgumentError(absl::StrCat(path, ": ", settings.status().message()));
+  return Annotate(settings.status(), path);
 }
 
 absl::Status WriteSettings(const Settings& settings, const std::string& path) {

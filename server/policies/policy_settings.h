@@ -60,8 +60,8 @@ absl::Status CheckShares(const std::vector<TrafficShare>& shares);
 
 // The part of `settings` that holds while these versions are served. What names another one waits
 // for it, and gets a line in `waiting`: shares wait together, everything else by itself.
-PolicySettings HoldingWith(const PolicySettings& settings, const std::set<int64_t>& versions,
-                           std::vector<std::string>* waiting);
+PolicySettings EffectiveSettings(const PolicySettings& settings, const std::set<int64_t>& versions,
+                                 std::vector<std::string>* waiting);
 
 // Nothing is guessed: an unknown key or a value of another type is INVALID_ARGUMENT, which names
 // the field, what was expected and what came. Whether the versions are served is not looked at.

@@ -7,11 +7,12 @@ namespace spikeserve {
 
 absl::Status ActStream::Handle(const v1::ActRequest& request, v1::ActResponse* response,
                                DeferredWork* deferred) {
-  if (auto status = CheckStillAdmitted(caller(), request, parts().max_message_bytes);
+  if (auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(request.ByteSizeLong()),
+                                       parts().max_message_bytes);
       !status.ok()) {
     return status;
   }
-  return parts().handler->Act(caller(), request, response, deferred);
+  return handler_->Act(caller(), request, response, deferred);
 }
 
 absl::Status ActStream::Answer(const v1::ActRequest& request, v1::ActResponse* response,

@@ -2,7 +2,11 @@
 #ifndef SERVER_RPC_ACT_STREAM_H_
 #define SERVER_RPC_ACT_STREAM_H_
 
+#include <utility>
+
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/agent/policy_handler.h"
 #include "server/rpc/answer_stream.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -11,7 +15,10 @@ namespace spikeserve {
 // Thread-safe as AnswerStream is.
 class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {
  public:
-  using AnswerStream::AnswerStream;
+  // `handler` must outlive the call.
+  ActStream(const ServiceParts& parts, absl::StatusOr<const Credential*> caller,
+            const PolicyHandler* handler)
+      : AnswerStream(parts, std::move(caller)), handler_(handler) {}
 
  protected:
   absl::Status Answer(const v1::ActRequest& request, v1::ActResponse* response,
@@ -20,6 +27,8 @@ class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {
  private:
   absl::Status Handle(const v1::ActRequest& request, v1::ActResponse* response,
                       DeferredWork* deferred);
+
+  const PolicyHandler* const handler_;
 };
 
 }  // namespace spikeserve

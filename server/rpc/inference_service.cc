@@ -39,7 +39,8 @@ class ModelInferStream final : public InferenceStream {
  private:
   absl::Status Handle(const inference::ModelInferRequest& request,
                       inference::ModelInferResponse* answer, DeferredWork* deferred) {
-    if (auto status = CheckStillAdmitted(caller(), request, parts().max_message_bytes);
+    if (auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(request.ByteSizeLong()),
+                                         parts().max_message_bytes);
         !status.ok()) {
       return status;
     }
@@ -51,107 +52,10 @@ class ModelInferStream final : public InferenceStream {
 
 }  // namespace
 
-grpc::ServerUnaryReactor* InferenceService::ServerLive(grpc::CallbackServerContext* context,
-                                                       const inference::ServerLiveRequest* request,
-                                                       inference::ServerLiveResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kServerLive, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       response->set_live(true);
-                       return absl::OkStatus();
-                     });
-}
-
-grpc::ServerUnaryReactor* InferenceService::ServerReady(
-    grpc::CallbackServerContext* context, const inference::ServerReadyRequest* request,
-    inference::ServerReadyResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kServerReady, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       response->set_ready(true);
-                       return absl::OkStatus();
-                     });
-}
-
-grpc::ServerUnaryReactor* InferenceService::ModelReady(grpc::CallbackServerContext* context,
-                                                       const inference::ModelReadyRequest* request,
-                                                       inference::ModelReadyResponse* response) {
-  return AnswerUnary(
-      parts_, *context, Method::kModelReady, *request,
-      [&](const Credential&, DeferredWork*) { return handler_->ModelReady(*request, response); });
-}
-
-grpc::ServerUnaryReactor* InferenceService::ServerMetadata(
-    grpc::CallbackServerContext* context, const inference::ServerMetadataRequest* request,
-    inference::ServerMetadataResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kServerMetadata, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       return handler_->ServerMetadata(*request, response);
-                     });
-}
-
-grpc::ServerUnaryReactor* InferenceService::ModelMetadata(
-    grpc::CallbackServerContext* context, const inference::ModelMetadataRequest* request,
-    inference::ModelMetadataResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kModelMetadata, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       return handler_->ModelMetadata(*request, response);
-                     });
-}
-
-grpc::ServerUnaryReactor* InferenceService::ModelInfer(grpc::CallbackServerContext* context,
-                                                       const inference::ModelInferRequest* request,
-                                                       inference::ModelInferResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kModelInfer, *request,
-                     [&](const Credential& caller, DeferredWork* deferred) {
-                       return handler_->ModelInfer(caller, *request, response, deferred);
-                     });
-}
-
 grpc::ServerBidiReactor<inference::ModelInferRequest, inference::ModelStreamInferResponse>*
 InferenceService::ModelStreamInfer(grpc::CallbackServerContext* context) {
   return InferenceStream::Begin(std::make_shared<ModelInferStream>(
-      parts_, Admit(*parts_.authenticator, *context, Method::kModelStreamInfer), handler_));
-}
-
-grpc::ServerUnaryReactor* InferenceService::ModelConfig(
-    grpc::CallbackServerContext* context, const inference::ModelConfigRequest* request,
-    inference::ModelConfigResponse* response) {
-  return AnswerUnary(
-      parts_, *context, Method::kModelConfig, *request,
-      [&](const Credential&, DeferredWork*) { return handler_->ModelConfig(*request, response); });
-}
-
-grpc::ServerUnaryReactor* InferenceService::ModelStatistics(
-    grpc::CallbackServerContext* context, const inference::ModelStatisticsRequest* request,
-    inference::ModelStatisticsResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kModelStatistics, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       return handler_->ModelStatistics(*request, response);
-                     });
-}
-
-grpc::ServerUnaryReactor* InferenceService::RepositoryIndex(
-    grpc::CallbackServerContext* context, const inference::RepositoryIndexRequest* request,
-    inference::RepositoryIndexResponse* response) {
-  return AnswerUnary(parts_, *context, Method::kRepositoryIndex, *request,
-                     [&](const Credential&, DeferredWork*) {
-                       return handler_->RepositoryIndex(*request, response);
-                     });
-}
-
-grpc::ServerUnaryReactor* InferenceService::RepositoryModelLoad(
-    grpc::CallbackServerContext* context, const inference::RepositoryModelLoadRequest* request,
-    inference::RepositoryModelLoadResponse* response) {
-  return AnswerUnaryInBackground(
-      parts_, *context, Method::kRepositoryModelLoad, *request,
-      [=, this](const Credential&) { return handler_->RepositoryModelLoad(*request, response); });
-}
-
-grpc::ServerUnaryReactor* InferenceService::RepositoryModelUnload(
-    grpc::CallbackServerContext* context, const inference::RepositoryModelUnloadRequest* request,
-    inference::RepositoryModelUnloadResponse* response) {
-  return AnswerUnaryInBackground(
-      parts_, *context, Method::kRepositoryModelUnload, *request,
-      [=, this](const Credential&) { return handler_->RepositoryModelUnload(*request, response); });
+      parts_, AdmitCaller(parts_, *context, Method::kModelStreamInfer), handler_));
 }
 
 }  // namespace spikeserve

@@ -1,10 +1,11 @@
-// PolicyAdmin on gRPC's callback API: every method takes a call in, hands it to the handler,
-// records it and sends the answer. Methods that are not here answer UNIMPLEMENTED.
+// PolicyAdmin on gRPC's callback API: forwards every method to AdminHandler or HeadHandler, in the
+// background, since some of them read and write files.
 #ifndef SERVER_RPC_POLICY_ADMIN_SERVICE_H_
 #define SERVER_RPC_POLICY_ADMIN_SERVICE_H_
 
-#include "server/admin/head_admin.h"
-#include "server/admin/policy_admin_handler.h"
+#include "server/admin/admin_handler.h"
+#include "server/admin/head_handler.h"
+#include "server/rpc/forward.h"
 #include "server/rpc/service_parts.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
@@ -14,57 +15,98 @@ namespace spikeserve {
 class PolicyAdminService final : public v1::PolicyAdmin::CallbackService {
  public:
   // `admin` and `heads` must outlive the service.
-  PolicyAdminService(const ServiceParts& parts, const PolicyAdminHandler* admin,
-                     const HeadAdmin* heads)
+  PolicyAdminService(const ServiceParts& parts, const AdminHandler* admin, const HeadHandler* heads)
       : parts_(parts), admin_(admin), heads_(heads) {}
 
   grpc::ServerUnaryReactor* LoadPolicy(grpc::CallbackServerContext* context,
                                        const v1::LoadPolicyRequest* request,
-                                       v1::LoadPolicyResponse* response) override;
+                                       v1::LoadPolicyResponse* response) override {
+    return ForwardInBackground(parts_, Method::kLoadPolicy, context, request, response, admin_,
+                               &AdminHandler::LoadPolicy);
+  }
   grpc::ServerUnaryReactor* UnloadPolicy(grpc::CallbackServerContext* context,
                                          const v1::UnloadPolicyRequest* request,
-                                         v1::UnloadPolicyResponse* response) override;
+                                         v1::UnloadPolicyResponse* response) override {
+    return ForwardInBackground(parts_, Method::kUnloadPolicy, context, request, response, admin_,
+                               &AdminHandler::UnloadPolicy);
+  }
   grpc::ServerUnaryReactor* ReloadPolicies(grpc::CallbackServerContext* context,
                                            const v1::ReloadPoliciesRequest* request,
-                                           v1::ReloadPoliciesResponse* response) override;
+                                           v1::ReloadPoliciesResponse* response) override {
+    return ForwardInBackground(parts_, Method::kReloadPolicies, context, request, response, admin_,
+                               &AdminHandler::ReloadPolicies);
+  }
   grpc::ServerUnaryReactor* SetDefaultVersion(grpc::CallbackServerContext* context,
                                               const v1::SetDefaultVersionRequest* request,
-                                              v1::SetDefaultVersionResponse* response) override;
+                                              v1::SetDefaultVersionResponse* response) override {
+    return ForwardInBackground(parts_, Method::kSetDefaultVersion, context, request, response,
+                               admin_, &AdminHandler::SetDefaultVersion);
+  }
   grpc::ServerUnaryReactor* SetLabel(grpc::CallbackServerContext* context,
                                      const v1::SetLabelRequest* request,
-                                     v1::SetLabelResponse* response) override;
+                                     v1::SetLabelResponse* response) override {
+    return ForwardInBackground(parts_, Method::kSetLabel, context, request, response, admin_,
+                               &AdminHandler::SetLabel);
+  }
   grpc::ServerUnaryReactor* RemoveLabel(grpc::CallbackServerContext* context,
                                         const v1::RemoveLabelRequest* request,
-                                        v1::RemoveLabelResponse* response) override;
+                                        v1::RemoveLabelResponse* response) override {
+    return ForwardInBackground(parts_, Method::kRemoveLabel, context, request, response, admin_,
+                               &AdminHandler::RemoveLabel);
+  }
   grpc::ServerUnaryReactor* SetTraffic(grpc::CallbackServerContext* context,
                                        const v1::SetTrafficRequest* request,
-                                       v1::SetTrafficResponse* response) override;
+                                       v1::SetTrafficResponse* response) override {
+    return ForwardInBackground(parts_, Method::kSetTraffic, context, request, response, admin_,
+                               &AdminHandler::SetTraffic);
+  }
   grpc::ServerUnaryReactor* ListSessions(grpc::CallbackServerContext* context,
                                          const v1::ListSessionsRequest* request,
-                                         v1::ListSessionsResponse* response) override;
+                                         v1::ListSessionsResponse* response) override {
+    return ForwardInBackground(parts_, Method::kListSessions, context, request, response, admin_,
+                               &AdminHandler::ListSessions);
+  }
   grpc::ServerUnaryReactor* Drain(grpc::CallbackServerContext* context,
                                   const v1::DrainRequest* request,
-                                  v1::DrainResponse* response) override;
+                                  v1::DrainResponse* response) override {
+    return ForwardInBackground(parts_, Method::kDrain, context, request, response, admin_,
+                               &AdminHandler::Drain);
+  }
   grpc::ServerUnaryReactor* GetHead(grpc::CallbackServerContext* context,
                                     const v1::GetHeadRequest* request,
-                                    v1::GetHeadResponse* response) override;
+                                    v1::GetHeadResponse* response) override {
+    return ForwardInBackground(parts_, Method::kGetHead, context, request, response, heads_,
+                               &HeadHandler::GetHead);
+  }
   grpc::ServerUnaryReactor* PromoteHead(grpc::CallbackServerContext* context,
                                         const v1::PromoteHeadRequest* request,
-                                        v1::PromoteHeadResponse* response) override;
+                                        v1::PromoteHeadResponse* response) override {
+    return ForwardInBackground(parts_, Method::kPromoteHead, context, request, response, heads_,
+                               &HeadHandler::PromoteHead);
+  }
   grpc::ServerUnaryReactor* RollbackHead(grpc::CallbackServerContext* context,
                                          const v1::RollbackHeadRequest* request,
-                                         v1::RollbackHeadResponse* response) override;
+                                         v1::RollbackHeadResponse* response) override {
+    return ForwardInBackground(parts_, Method::kRollbackHead, context, request, response, heads_,
+                               &HeadHandler::RollbackHead);
+  }
   grpc::ServerUnaryReactor* PauseLearning(grpc::CallbackServerContext* context,
                                           const v1::PauseLearningRequest* request,
-                                          v1::PauseLearningResponse* response) override;
+                                          v1::PauseLearningResponse* response) override {
+    return ForwardInBackground(parts_, Method::kPauseLearning, context, request, response, heads_,
+                               &HeadHandler::PauseLearning);
+  }
   grpc::ServerUnaryReactor* ResumeLearning(grpc::CallbackServerContext* context,
                                            const v1::ResumeLearningRequest* request,
-                                           v1::ResumeLearningResponse* response) override;
+                                           v1::ResumeLearningResponse* response) override {
+    return ForwardInBackground(parts_, Method::kResumeLearning, context, request, response, heads_,
+                               &HeadHandler::ResumeLearning);
+  }
 
  private:
   const ServiceParts parts_;
-  const PolicyAdminHandler* const admin_;
-  const HeadAdmin* const heads_;
+  const AdminHandler* const admin_;
+  const HeadHandler* const heads_;
 };
 
 }  // namespace spikeserve

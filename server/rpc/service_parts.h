@@ -1,4 +1,4 @@
-// What every call needs.
+// What every call needs, whatever its handler.
 #ifndef SERVER_RPC_SERVICE_PARTS_H_
 #define SERVER_RPC_SERVICE_PARTS_H_
 
@@ -6,7 +6,6 @@
 
 #include "core/base/clock.h"
 #include "server/access/authenticator.h"
-#include "server/agent/request_handler.h"
 #include "server/base/background_worker.h"
 #include "server/metrics/metrics.h"
 #include "server/rpc/call_tracker.h"
@@ -15,7 +14,6 @@ namespace spikeserve {
 
 // All must outlive the call, and are thread-safe.
 struct ServiceParts {
-  const RequestHandler* handler;
   CallTracker* calls;
   const Authenticator* authenticator;
   Metrics* metrics;

@@ -3,6 +3,7 @@
 #include <grpcpp/alarm.h>
 
 #include <chrono>
+#include <cstdint>
 #include <utility>
 
 #include "absl/time/time.h"
@@ -11,6 +12,10 @@
 
 namespace spikeserve {
 namespace {
+
+int64_t ByteSize(const google::protobuf::MessageLite& message) {
+  return static_cast<int64_t>(message.ByteSizeLong());
+}
 
 // Keeps a unary call on the books until gRPC has sent its answer. gRPC sends once the method has
 // returned, so what may wait is done in OnDone.
@@ -28,13 +33,13 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
 
   // Answers, and records the call. A refused caller waits for its answer, so that it cannot ask at
   // once again.
-  void End(const absl::StatusOr<const Credential*>& caller, const absl::Status& status) {
+  void End(const absl::StatusOr<const Credential*>& caller, const CallOutcome& outcome) {
     const absl::Duration now = parts_.clock->Now();
+    const absl::Status& status = outcome.status;
     parts_.metrics->ObserveRpc(method_, status.code(), now - start_);
-    const absl::Status& refusal = status.ok() ? deferred_.refusal() : status;
-    if (refusal.ok()) return Finish(grpc::Status::OK);
+    if (outcome.refusal.ok()) return Finish(ToGrpcStatus(status));
     RefusalPacer& refusals = parts_.authenticator->RefusalsOf(caller);
-    const absl::Duration rest = refusals.Rest(refusal, request_.ByteSizeLong(), now);
+    const absl::Duration rest = refusals.DelayFor(outcome.refusal, request_.ByteSizeLong(), now);
     if (rest == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
     alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
                [this, status](bool /*ok*/) { Finish(ToGrpcStatus(status)); });
@@ -60,26 +65,36 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   grpc::Alarm alarm_;
 };
 
-// Who makes the call, or why it is refused.
-absl::StatusOr<const Credential*> AdmitCall(const ServiceParts& parts,
-                                            const grpc::CallbackServerContext& context,
-                                            Method method, const UnaryCall& call) {
-  if (!call.accepted()) return DrainingError();
-  return Admit(*parts.authenticator, context, method);
+absl::StatusOr<const Credential*> AdmitAccepted(const ServiceParts& parts,
+                                                const grpc::CallbackServerContext& context,
+                                                Method method,
+                                                const google::protobuf::MessageLite& request,
+                                                const UnaryCall& call, absl::Status* status) {
+  auto caller = call.accepted() ? AdmitCaller(parts, context, method) : DrainingError();
+  *status = caller.status();
+  if (caller.ok()) *status = CheckSize(**caller, ByteSize(request), parts.max_message_bytes);
+  return caller;
 }
 
 }  // namespace
 
+absl::StatusOr<const Credential*> AdmitCaller(const ServiceParts& parts,
+                                              const grpc::CallbackServerContext& context,
+                                              Method method) {
+  const auto& metadata = context.client_metadata();
+  const auto header = metadata.find("authorization");
+  if (header == metadata.end()) return Admit(*parts.authenticator, "", method);
+  return Admit(*parts.authenticator, {header->second.data(), header->second.size()}, method);
+}
+
 grpc::ServerUnaryReactor* AnswerUnary(
     const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
     const google::protobuf::MessageLite& request,
-    absl::FunctionRef<absl::Status(const Credential& caller, DeferredWork*)> handle) {
+    absl::FunctionRef<CallOutcome(const Credential& caller, DeferredWork*)> handle) {
   auto* call = new UnaryCall(parts, method, request);
-  const auto caller = AdmitCall(parts, context, method, *call);
-  absl::Status status = caller.status();
-  if (status.ok()) status = CheckSize(**caller, request, parts.max_message_bytes);
-  if (status.ok()) status = handle(**caller, call->deferred());
-  call->End(caller, status);
+  absl::Status status;
+  const auto caller = AdmitAccepted(parts, context, method, request, *call, &status);
+  call->End(caller, status.ok() ? handle(**caller, call->deferred()) : CallOutcome(status));
   return call;
 }
 
@@ -88,14 +103,14 @@ grpc::ServerUnaryReactor* AnswerUnaryInBackground(
     const google::protobuf::MessageLite& request,
     std::function<absl::Status(const Credential& caller)> handle) {
   auto* call = new UnaryCall(parts, method, request);
-  const auto caller = AdmitCall(parts, context, method, *call);
-  absl::Status status = caller.status();
-  if (status.ok()) status = CheckSize(**caller, request, parts.max_message_bytes);
+  absl::Status status;
+  const auto caller = AdmitAccepted(parts, context, method, request, *call, &status);
   if (status.ok()) {
-    status = parts.worker->Submit(
-        [call, caller, handle = std::move(handle)] { call->End(caller, handle(**caller)); });
+    status = parts.worker->Submit([call, caller, handle = std::move(handle)] {
+      call->End(caller, CallOutcome(handle(**caller)));
+    });
   }
-  if (!status.ok()) call->End(caller, status);
+  if (!status.ok()) call->End(caller, CallOutcome(status));
   return call;
 }
 

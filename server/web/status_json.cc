@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json.h"
+#include "core/base/version.h"
 #include "nlohmann/json.hpp"
 #include "prometheus/metric_type.h"
 #include "proto/json.h"
@@ -126,7 +127,7 @@ absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamil
                                        bool serving) {
   const auto policies_json = MessageToJson(policies);
   if (!policies_json.ok()) return policies_json.status();
-  Json status = {{"time", time}, {"version", SPIKESERVE_VERSION}, {"serving", serving}};
+  Json status = {{"time", time}, {"version", std::string(Version())}, {"serving", serving}};
   status["policies"] = Json::parse(*policies_json)["policies"];
   for (const prometheus::MetricFamily& family : families) {
     Json& series = status["metrics"][family.name] = Json::array();

@@ -10,7 +10,7 @@
 #include "core/base/clock.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
-#include "server/agent/request_handler.h"
+#include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/metrics/metrics.h"
 #include "server/web/http_server.h"
@@ -23,7 +23,7 @@ class StatusPages {
   // What is shown; all must outlive the pages.
   struct Parts {
     const Authenticator* authenticator;
-    const RequestHandler* handler;
+    const PolicyHandler* handler;
     SessionStore* store;
     const Metrics* metrics;
     const Clock* clock;

@@ -60,11 +60,13 @@ TEST_F(SpikectlAdaptTest, PrintsTheCurve) {
 TEST_F(SpikectlAdaptTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(Adapt({"--perturb=force"}), "--perturb: expected NAME=VALUE");
   ExpectOneLineError(Adapt({"--perturb=glue=1"}), "--perturb: expected one of wind, length");
-  ExpectOneLineError(Adapt({"--scope=town"}), "--scope: expected session or fleet, got \"town\"");
-  ExpectOneLineError(Adapt({"--scope=fleet", "--fleet=0"}), "--fleet: expected 1 to 1000, got 0");
+  ExpectOneLineError(Adapt({"--scope=town"}),
+                     "--scope: expected session or fleet, received \"town\"");
+  ExpectOneLineError(Adapt({"--scope=fleet", "--fleet=0"}),
+                     "--fleet: expected 1 to 1000, received 0");
   ExpectOneLineError(Adapt({"--rule=habit"}), "learning.rule: expected");
   ExpectOneLineError(Adapt({"--learning_rate=-1"}), "learning.learning_rate: expected");
-  ExpectOneLineError(Adapt({"--episodes=0"}), "--episodes: expected at least 1, got 0");
+  ExpectOneLineError(Adapt({"--episodes=0"}), "--episodes: expected at least 1, received 0");
 }
 
 }  // namespace

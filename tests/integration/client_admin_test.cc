@@ -29,8 +29,9 @@ class SpikectlAdminTest : public ClientProgramTest {
 TEST_F(SpikectlAdminTest, RefusesAFlagThatWouldDoNothing) {
   ExpectOneLineError(Admin("reload", {"--policy=x"}),
                      "--policy: expected a flag that admin reload");
-  ExpectOneLineError(Admin("load", {"--policy=x", "--label=y"}),
-                     "--label: expected a flag that admin load has (--policy, --version), got y");
+  ExpectOneLineError(
+      Admin("load", {"--policy=x", "--label=y"}),
+      "--label: expected a flag that admin load has (--policy, --version), received y");
 }
 
 TEST_F(SpikectlAdminTest, AVersionFromLoadToUnload) {

@@ -130,19 +130,22 @@ TEST_F(SpikectlTest, ExplainsASessionOfSomebodyElse) {
   EXPECT_EQ(explained["session_id"], session);
   EXPECT_EQ(Metric("spikeserve_sessions"), 1.0);
   ExpectOneLineError(Spikectl("explain", {"--session=nobody"}), "nobody");
-  ExpectOneLineError(Spikectl("explain", {"--steps=0"}), "--steps: expected at least 1, got 0");
+  ExpectOneLineError(Spikectl("explain", {"--steps=0"}),
+                     "--steps: expected at least 1, received 0");
 }
 
 TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(
       Spikectl("fly"),
-      "command: expected one of policies, run, explain, adapt, replay, admin, got \"fly\"");
-  ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, got \"land\"");
+      "command: expected one of policies, run, explain, adapt, replay, admin, received \"fly\"");
+  ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, received \"land\"");
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
-  ExpectOneLineError(Spikectl("run", {"--episodes=0"}), "--episodes: expected at least 1, got 0");
+  ExpectOneLineError(Spikectl("run", {"--episodes=0"}),
+                     "--episodes: expected at least 1, received 0");
   ExpectOneLineError(Spikectl("run", {"--episodes=many"}), "Illegal value 'many'");
   ExpectOneLineError(Spikectl("run", {"--seed=-1"}), "Illegal value '-1'");
-  ExpectOneLineError(Spikectl("run", {"--version=-1"}), "--version: expected at least 0, got -1");
+  ExpectOneLineError(Spikectl("run", {"--version=-1"}),
+                     "--version: expected at least 0, received -1");
   ExpectOneLineError(Spikectl("run", {"--target_return=inf"}), "--target_return");
   ExpectOneLineError(Spikectl("run", {"--altitude=3"}), "Unknown command line flag 'altitude'");
   ExpectOneLineError(Spikectl("run", {"--policy=nobody"}), "no policy \"nobody\" is served");
@@ -156,7 +159,7 @@ TEST_F(SpikectlTest, RefusesAFlagThatWouldDoNothing) {
   ExpectOneLineError(Spikectl("policies", {"--seed=1"}),
                      "--seed: expected a flag that policies has");
   ExpectOneLineError(Spikectl("explain", {"--session=x", "--steps=3"}),
-                     "--steps: expected a flag that explain --session has (--session), got 3");
+                     "--steps: expected a flag that explain --session has (--session), received 3");
 }
 
 TEST_F(SpikectlTest, WithoutAPolicyForTheEnvironmentItSaysWhatThereIs) {

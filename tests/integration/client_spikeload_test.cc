@@ -51,19 +51,19 @@ TEST_F(SpikeloadTest, SessionsMayLearn) {
     }
   }
   ExpectOneLineError(Spikeload({"--learning_scope=town"}),
-                     "--learning_scope: expected session or fleet, got \"town\"");
+                     "--learning_scope: expected session or fleet, received \"town\"");
 }
 
 TEST_F(SpikeloadTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(Spikeload({"--mode=pigeon"}),
-                     "expected unary, stream or batch, got \"pigeon\"");
-  ExpectOneLineError(Spikeload({"--sessions=0"}), "--sessions: expected 1 to 1000000, got 0");
+                     "expected unary, stream or batch, received \"pigeon\"");
+  ExpectOneLineError(Spikeload({"--sessions=0"}), "--sessions: expected 1 to 1000000, received 0");
   ExpectOneLineError(Spikeload({"--streams=0"}), "--streams");
   ExpectOneLineError(Spikeload({"--duration=soon"}), "expected seconds");
   ExpectOneLineError(Spikeload({"--duration=-1"}), "--duration");
   ExpectOneLineError(Spikeload({"--episode_steps=0"}), "--episode_steps");
   ExpectOneLineError(Spikeload({"--policy=nobody"}), "\"nobody\"");
-  ExpectOneLineError(Spikeload({"now"}), "expected flags alone, got \"now\"");
+  ExpectOneLineError(Spikeload({"now"}), "expected flags alone, received \"now\"");
 }
 
 TEST_F(SpikeloadTest, RefusedSessionsEndTheTest) {

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/engine/spiking/kernels/targets.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"

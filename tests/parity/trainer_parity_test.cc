@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "core/action/action_head.h"
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/math/counter_random.h"
 #include "core/neuron/lif.h"
 #include "train/model/torch_model.h"

@@ -44,7 +44,7 @@ Json Answer(const Json& request, Environment& environment) {
     const auto state = request["state"].get<std::vector<double>>();
     if (state.size() != environment.state().size()) {
       throw std::invalid_argument("state: expected " + std::to_string(environment.state().size()) +
-                                  " numbers, got " + std::to_string(state.size()));
+                                  " numbers, received " + std::to_string(state.size()));
     }
     answer["observation"] = environment.ResetTo(state);
   } else {

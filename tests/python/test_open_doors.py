@@ -19,7 +19,7 @@ from serving import DEADLINE_SECONDS, running_server
         ),
         (["--tls_certificate=missing.pem"], "--tls_key: expected a file"),
         (["--tls_certificate=missing.pem", "--tls_key=missing.key"], "--tls_certificate: expected"),
-        (["--tokens=missing.json"], "--tokens: cannot read missing.json"),
+        (["--tokens=missing.json"], "--tokens: missing.json: expected a file that can be read"),
     ],
 )
 def test_an_open_door_is_not_served_by_accident(tmp_path, tokens, flags, message):

@@ -103,7 +103,7 @@ grpc::Status FakePolicyService::Decide(const v1::ActRequest& request, v1::ActRes
   }
   if (request.step() != state.step) {
     return {grpc::StatusCode::FAILED_PRECONDITION,
-            absl::StrCat("step: expected ", state.step, ", got ", request.step())};
+            absl::StrCat("step: expected ", state.step, ", received ", request.step())};
   }
   ++decisions_;
   response->set_session_id(request.session_id());

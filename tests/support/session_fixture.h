@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/model/policy.h"
 #include "core/session/agent_session.h"
 #include "core/session/served_policy.h"

@@ -11,7 +11,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
-#include "core/base/atomic_file.h"
+#include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "train/data/hdf5_file.h"
 
@@ -52,7 +53,7 @@ absl::StatusOr<std::string> DatasetId(const std::string& directory) {
     return id;
   }
   return absl::InvalidArgumentError(absl::StrCat(
-      directory, ": expected a directory named like a Minari dataset, NAME-v0, got ", id));
+      directory, ": expected a directory named like a Minari dataset, NAME-v0, received ", id));
 }
 
 // A Box without bounds: what a dataset holds, not what an environment may show. JSON as Python
@@ -215,7 +216,7 @@ absl::StatusOr<ActionSpace> ActionSpaceFromJson(const Json& json) {
   if (type == "Discrete") {
     if (json.value("start", 0) != 0) {
       return absl::InvalidArgumentError(absl::StrCat(
-          "action_space: expected Discrete from 0, got one from ", json["start"].get<int>()));
+          "action_space: expected Discrete from 0, received one from ", json["start"].get<int>()));
     }
     space = ActionSpace::Discrete(json.at("n"));
   } else if (type == "Box") {
@@ -223,10 +224,10 @@ absl::StatusOr<ActionSpace> ActionSpaceFromJson(const Json& json) {
     space = ActionSpace::Box(Bounds(json.at("low"), size), Bounds(json.at("high"), size));
   } else {
     return absl::InvalidArgumentError(
-        absl::StrCat("action_space: expected Discrete or Box, got ", type));
+        absl::StrCat("action_space: expected Discrete or Box, received ", type));
   }
   if (auto status = space.Validate(); !status.ok()) {
-    return absl::InvalidArgumentError(absl::StrCat("action_space: ", status.message()));
+    return Annotate(status, "action_space");
   }
   return space;
 }
@@ -235,11 +236,11 @@ absl::StatusOr<ActionSpace> ActionSpaceFromJson(const Json& json) {
 absl::StatusOr<Dataset> Description(const Json& metadata) {
   if (!metadata.contains("observation_space") || !metadata.contains("action_space")) {
     return absl::InvalidArgumentError(
-        "metadata: expected observation_space and action_space, got none");
+        "metadata: expected observation_space and action_space, received none");
   }
   const Json observations = ParsePython(metadata["observation_space"]);
   if (observations.at("type") != "Box") {
-    return absl::InvalidArgumentError(absl::StrCat("observation_space: expected Box, got ",
+    return absl::InvalidArgumentError(absl::StrCat("observation_space: expected Box, received ",
                                                    observations["type"].get<std::string>()));
   }
   const absl::StatusOr<ActionSpace> actions =
@@ -300,7 +301,7 @@ class Reader {
       episode.asked_return = *asked;
     }
     if (auto status = CheckEpisode(dataset_, episode); !status.ok()) {
-      return absl::InvalidArgumentError(absl::StrCat(group, ": ", status.message()));
+      return Annotate(status, group);
     }
     dataset_.episodes.push_back(std::move(episode));
     return absl::OkStatus();
@@ -387,8 +388,7 @@ absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory) {
   try {
     absl::StatusOr<Dataset> dataset = Read(directory);
     if (dataset.ok()) return dataset;
-    return absl::Status(dataset.status().code(),
-                        absl::StrCat(directory, ": ", dataset.status().message()));
+    return Annotate(dataset.status(), directory);
   } catch (const Json::exception& error) {
     return absl::InvalidArgumentError(
         absl::StrCat(directory, ": metadata that cannot be read: ", error.what()));

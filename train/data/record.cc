@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/environment/pendulum.h"
 #include "core/environment/position_only.h"
@@ -78,7 +79,7 @@ void WidenStart(const RecordOptions& options, uint64_t episode, std::vector<doub
 absl::Status CheckFraction(absl::string_view name, double fraction, double most = 1.0) {
   if (fraction >= 0.0 && fraction <= most) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat(name, ": expected 0 to ", most, ", got ", fraction));
+      absl::StrCat(name, ": expected 0 to ", most, ", received ", fraction));
 }
 
 // Records all the sources of a dataset, one after the other.
@@ -197,7 +198,7 @@ class Recorder {
 
 absl::Status RecordOptions::Validate() const {
   if (steps < 1) {
-    return absl::InvalidArgumentError(absl::StrCat("steps: expected at least 1, got ", steps));
+    return absl::InvalidArgumentError(absl::StrCat("steps: expected at least 1, received ", steps));
   }
   absl::Status status = CheckFraction("expert_fraction", expert_fraction);
   // The sum of shares such as 0.9 and 0.1 may round to a little more than 1.
@@ -208,11 +209,12 @@ absl::Status RecordOptions::Validate() const {
   if (!status.ok()) return status;
   if (longest_burst < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("longest_burst: expected at least 1, got ", longest_burst));
+        absl::StrCat("longest_burst: expected at least 1, received ", longest_burst));
   }
   if (wide_start_fraction > 0.0 && PositionOnly::InsideId(expert.environment) != Pendulum::kId) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "wide_start_fraction: expected 0 for ", expert.environment, ", got ", wide_start_fraction));
+    return absl::InvalidArgumentError(absl::StrCat("wide_start_fraction: expected 0 for ",
+                                                   expert.environment, ", received ",
+                                                   wide_start_fraction));
   }
   return absl::OkStatus();
 }

@@ -50,7 +50,7 @@ absl::Status Ablate(absl::string_view part, Policy* policy) {
     }
   } else {
     return absl::InvalidArgumentError(absl::StrCat(
-        "ablate: expected context, attention, phase, routing or return, got '", part, "'"));
+        "ablate: expected context, attention, phase, routing or return, received '", part, "'"));
   }
   return absl::OkStatus();
 }

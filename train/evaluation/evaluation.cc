@@ -7,7 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "train/data/policy_player.h"
 
@@ -41,7 +41,8 @@ double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed
 
 absl::Status EvaluationOptions::Validate() const {
   if (episodes >= 1) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("episodes: expected at least 1, got ", episodes));
+  return absl::InvalidArgumentError(
+      absl::StrCat("episodes: expected at least 1, received ", episodes));
 }
 
 double Evaluation::mean_return() const {

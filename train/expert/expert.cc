@@ -9,24 +9,24 @@ namespace spikeserve {
 absl::Status ExpertOptions::Validate() const {
   if (beam_width < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("beam_width: expected at least 1, got ", beam_width));
+        absl::StrCat("beam_width: expected at least 1, received ", beam_width));
   }
   if (coarsening != 1 && coarsening != 2 && coarsening != 4 && coarsening != 8) {
     return absl::InvalidArgumentError(
-        absl::StrCat("coarsening: expected 1, 2, 4 or 8, got ", coarsening));
+        absl::StrCat("coarsening: expected 1, 2, 4 or 8, received ", coarsening));
   }
   return absl::OkStatus();
 }
 
 absl::Status UnknownExpert(const ExpertOptions& options, absl::string_view expected) {
   return absl::NotFoundError(absl::StrCat("expert: expected ", expected, " for ",
-                                          options.environment, ", got '", options.name, "'"));
+                                          options.environment, ", received '", options.name, "'"));
 }
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options) {
   if (auto status = options.Validate(); !status.ok()) return status;
   // An expert acts by the state, whatever of it an agent sees.
-  const std::string_view environment = PositionOnly::InsideId(options.environment);
+  const absl::string_view environment = PositionOnly::InsideId(options.environment);
   if (environment == "CartPole-v1") return MakeCartPoleExpert(options);
   if (environment == "MountainCar-v0") return MakeMountainCarExpert(options);
   if (environment == "Pendulum-v1") return MakePendulumExpert(options);

@@ -30,7 +30,7 @@ absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
                                                    uint64_t first_seed) {
   if (episodes < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("episodes: expected at least 1, got ", episodes));
+        absl::StrCat("episodes: expected at least 1, received ", episodes));
   }
   if (auto status = MakeEnvironment(environment).status(); !status.ok()) return status;
   std::vector<double> returns(episodes);

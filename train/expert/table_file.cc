@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <system_error>
 
+#include "core/base/status.h"
 #include "core/model/safetensors.h"
 
 namespace spikeserve {
@@ -18,13 +19,13 @@ absl::StatusOr<std::vector<float>> ReadTable(const std::string& path, const std:
   absl::StatusOr<Safetensors> file = ReadSafetensors(path);
   if (absl::IsNotFound(file.status())) return file.status();
   if (!file.ok()) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": ", file.status().message()));
+    return Annotate(file.status(), path);
   }
   const auto tensor = file->tensors.find(kTensor);
   if (file->metadata[kName] != name || tensor == file->tensors.end() ||
       tensor->second.shape != shape) {
     return absl::InvalidArgumentError(
-        absl::StrCat(path, ": expected the full value table ", name, ", got another"));
+        absl::StrCat(path, ": expected the full value table ", name, ", received another"));
   }
   return std::move(tensor->second.values);
 }

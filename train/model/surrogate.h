@@ -5,11 +5,10 @@
 #ifndef TRAIN_MODEL_SURROGATE_H_
 #define TRAIN_MODEL_SURROGATE_H_
 
+#include <array>
 #include <cmath>
-#include <string_view>
 
-#include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
+#include "core/base/enum_names.h"
 #include "core/math/exp.h"
 
 namespace spikeserve {
@@ -19,6 +18,12 @@ namespace spikeserve {
 //   sigmoid           f (1 - f), f = 1 / (1 + e^{-k u})
 //   piecewise linear  max(0, 1 - k |u|)
 enum class SurrogateKind { kFastSigmoid, kSigmoid, kPiecewiseLinear };
+
+constexpr std::array<EnumName<SurrogateKind>, 3> EnumNames(SurrogateKind) {
+  return {{{SurrogateKind::kFastSigmoid, "fast_sigmoid"},
+           {SurrogateKind::kSigmoid, "sigmoid"},
+           {SurrogateKind::kPiecewiseLinear, "piecewise_linear"}}};
+}
 
 struct Surrogate {
   SurrogateKind kind = SurrogateKind::kFastSigmoid;
@@ -54,11 +59,6 @@ inline __attribute__((always_inline)) void WithDerivative(const Surrogate& surro
       return body([k](float u) { return PiecewiseLinearDerivative(k, u); });
   }
 }
-
-// "fast_sigmoid", "sigmoid", "piecewise_linear".
-std::string_view ToString(SurrogateKind kind);
-// INVALID_ARGUMENT names the value received and the three above.
-absl::StatusOr<SurrogateKind> ParseSurrogateKind(absl::string_view name);
 
 }  // namespace spikeserve
 

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/session/agent_session.h"
 #include "core/session/explanation.h"

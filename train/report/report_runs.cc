@@ -9,7 +9,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/base/atomic_file.h"
+#include "core/base/file.h"
 #include "core/model/policy_file.h"
 #include "train/data/record.h"
 #include "train/evaluation/evaluation.h"
@@ -100,8 +100,9 @@ class Runner {
     const std::string path = directory + "/result.json";
     if (auto result = ReadResult(path, run)) {
       if (result->command == Command(options_, run)) return *std::move(result);
-      return absl::FailedPreconditionError(absl::StrCat(
-          path, ": expected a run of ", Command(options_, run), ", got one of ", result->command));
+      return absl::FailedPreconditionError(absl::StrCat(path, ": expected a run of ",
+                                                        Command(options_, run),
+                                                        ", received one of ", result->command));
     }
     log(run.name());
     std::error_code error;

@@ -30,7 +30,7 @@ absl::Status Require(bool holds, absl::string_view option, absl::string_view exp
                      double received) {
   if (holds) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat(option, ": expected ", expected, ", got ", received));
+      absl::StrCat(option, ": expected ", expected, ", received ", received));
 }
 
 template <typename T>

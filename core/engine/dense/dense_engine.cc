@@ -44,7 +44,7 @@ class DensePass {
     Vector x = Embed(token);
     for (int layer = 0; layer < policy_.config.layers; ++layer) {
       const LayerWeights& weights = policy_.weights.layers[layer];
-      Remember(layers_[layer], token, Affine(weights.key, x), Affine(weights.value, x));
+      StoreKeysAndValues(layers_[layer], token, Affine(weights.key, x), Affine(weights.value, x));
       if (layer + 1 == policy_.config.layers && token.kind != TokenKind::kState) return {};
       const Vector merged = Attend(Affine(weights.query, x), layers_[layer],
                                    trace == nullptr ? nullptr : &trace->layers[layer]);
@@ -91,7 +91,7 @@ class DensePass {
     return x;
   }
 
-  void Remember(KeyValues& tokens, const Token& token, Vector key, Vector value) {
+  void StoreKeysAndValues(KeyValues& tokens, const Token& token, Vector key, Vector value) {
     const int64_t forgotten = token.timestep - policy_.config.context;
     while (!tokens.empty() && tokens.front().token.timestep <= forgotten) tokens.pop_front();
     tokens.push_back({{token.kind, token.timestep}, std::move(key), std::move(value)});

@@ -104,7 +104,7 @@ class TokenPass {
           visit(needs_output(*token_));
         }
       };
-      for_each_token([&](bool has_output) { Remember(layer, has_output); });
+      for_each_token([&](bool has_output) { StoreKeysAndValues(layer, has_output); });
       for_each_token([&](bool has_output) {
         if (has_output) Attend(layer);
       });
@@ -156,7 +156,7 @@ class TokenPass {
   }
 
   // Leaves the token's keys and values, and its query where its output is read.
-  void Remember(int layer, bool needs_query) {
+  void StoreKeysAndValues(int layer, bool needs_query) {
     Code(policy_.weights.layers[layer].coder, 2 * layer, Stage::kCoder);
     const uint64_t value_spikes = Project(packed_.layers[layer], needs_query);
     token_->context->caches[layer].Store(scratch_.keys.data(), scratch_.values.data(), value_spikes,

@@ -57,14 +57,17 @@ TEST(ActionSpace, TheWidestBoundsDoNotOverflow) {
 TEST(ActionSpace, ContainsNamesWhatIsWrong) {
   const ActionSpace discrete = ActionSpace::Discrete(2);
   EXPECT_TRUE(discrete.Contains(Index(1)).ok());
-  EXPECT_EQ(discrete.Contains(Index(2)).message(), "action: expected an index from 0 to 1, got 2");
+  EXPECT_EQ(discrete.Contains(Index(2)).message(),
+            "action: expected an index from 0 to 1, received 2");
   EXPECT_EQ(discrete.Contains(Index(-1)).code(), absl::StatusCode::kInvalidArgument);
 
   const ActionSpace box = ActionSpace::Box({-2.0f}, {2.0f});
   EXPECT_TRUE(box.Contains(Continuous({2.0f})).ok());
-  EXPECT_EQ(box.Contains(Continuous({})).message(), "action: expected 1 values, got 0");
-  EXPECT_EQ(box.Contains(Continuous({2.5f})).message(), "action[0]: expected -2 to 2, got 2.5");
-  EXPECT_EQ(box.Contains(Continuous({kNan})).message(), "action[0]: expected -2 to 2, got nan");
+  EXPECT_EQ(box.Contains(Continuous({})).message(), "action: expected 1 values, received 0");
+  EXPECT_EQ(box.Contains(Continuous({2.5f})).message(),
+            "action[0]: expected -2 to 2, received 2.5");
+  EXPECT_EQ(box.Contains(Continuous({kNan})).message(),
+            "action[0]: expected -2 to 2, received nan");
 }
 
 TEST(ActionSpace, ValidateNamesWhatIsWrong) {
@@ -74,18 +77,18 @@ TEST(ActionSpace, ValidateNamesWhatIsWrong) {
     ActionSpace space;
     std::string message;
   } cases[] = {
-      {ActionSpace::Discrete(0), "action_space.n: expected at least 1, got 0"},
-      {ActionSpace::Discrete(-3), "action_space.n: expected at least 1, got -3"},
+      {ActionSpace::Discrete(0), "action_space.n: expected at least 1, received 0"},
+      {ActionSpace::Discrete(-3), "action_space.n: expected at least 1, received -3"},
       {{.n = 2, .low = {0.0f}, .high = {1.0f}},
-       "action_space: expected n or bounds, got n = 2 with bounds"},
+       "action_space: expected n or bounds, received n = 2 with bounds"},
       {ActionSpace::Box({0.0f}, {1.0f, 2.0f}),
-       "action_space: expected low and high of one length, got 1 and 2"},
+       "action_space: expected low and high of one length, received 1 and 2"},
       {ActionSpace::Box({0.0f, 1.0f}, {1.0f, 1.0f}),
-       "action_space: expected finite bounds with low[1] < high[1], got 1 and 1"},
+       "action_space: expected finite bounds with low[1] < high[1], received 1 and 1"},
       {ActionSpace::Box({0.0f}, {kInfinity}),
-       "action_space: expected finite bounds with low[0] < high[0], got 0 and inf"},
+       "action_space: expected finite bounds with low[0] < high[0], received 0 and inf"},
       {ActionSpace::Box({kNan}, {1.0f}),
-       "action_space: expected finite bounds with low[0] < high[0], got nan and 1"},
+       "action_space: expected finite bounds with low[0] < high[0], received nan and 1"},
   };
   for (const auto& c : cases) {
     const absl::Status status = c.space.Validate();

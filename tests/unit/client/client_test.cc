@@ -91,7 +91,7 @@ TEST_F(ClientTest, ErrorsOfTheRequestAreNotRepeated) {
   const std::string id = OpenSession();
   const int before = fake_.calls();
   EXPECT_EQ(client_->Act(Request(id, 7)).status(),
-            absl::FailedPreconditionError("step: expected 0, got 7"));
+            absl::FailedPreconditionError("step: expected 0, received 7"));
   EXPECT_EQ(client_->GetSession("nobody").status(),
             absl::NotFoundError("session_id: no session \"nobody\""));
   EXPECT_EQ(fake_.calls(), before + 2);

@@ -49,7 +49,7 @@ TEST_F(RetryTest, NeverRepeatsWhatWouldFailAgain) {
   int calls = 0;
   const absl::Status status = CallWithRetries(Options(), "key", [&] {
     ++calls;
-    return absl::InvalidArgumentError("observation: expected 4 values, got 3");
+    return absl::InvalidArgumentError("observation: expected 4 values, received 3");
   });
   EXPECT_TRUE(absl::IsInvalidArgument(status));
   EXPECT_EQ(calls, 1);
@@ -83,7 +83,7 @@ TEST(RetryOptionsTest, ValidateNamesTheField) {
   };
   EXPECT_TRUE(RetryOptions().Validate().ok());
   EXPECT_EQ(message([](RetryOptions& o) { o.max_attempts = 0; }),
-            "max_attempts: expected at least 1, got 0");
+            "max_attempts: expected at least 1, received 0");
   EXPECT_THAT(message([](RetryOptions& o) { o.initial_backoff = absl::Seconds(-1); }),
               HasSubstr("initial_backoff"));
   EXPECT_THAT(message([](RetryOptions& o) { o.max_backoff = absl::Milliseconds(1); }),

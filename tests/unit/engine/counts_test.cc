@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 
 namespace spikeserve {
 namespace {

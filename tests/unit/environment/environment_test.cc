@@ -27,7 +27,7 @@ using ::testing::Le;
 Action Discrete(int index) { return {.discrete = index, .continuous = {}}; }
 Action Continuous(float value) { return {.discrete = 0, .continuous = {value}}; }
 
-std::unique_ptr<Environment> Make(std::string_view id) {
+std::unique_ptr<Environment> Make(absl::string_view id) {
   auto environment = MakeEnvironment(id);
   EXPECT_TRUE(environment.ok()) << environment.status();
   return *std::move(environment);
@@ -38,7 +38,7 @@ TEST(MakeEnvironmentTest, UnknownIdIsNotFoundAndNamesTheIdsThereAre) {
   ASSERT_EQ(environment.status().code(), absl::StatusCode::kNotFound);
   EXPECT_EQ(environment.status().message(),
             "environment: expected one of CartPole-v1, MountainCar-v0, Acrobot-v1, Pendulum-v1, "
-            "PositionOnlyCartPole-v1, PositionOnlyPendulum-v1, got \"LunarLander-v3\"");
+            "PositionOnlyCartPole-v1, PositionOnlyPendulum-v1, received \"LunarLander-v3\"");
 }
 
 struct Facts {

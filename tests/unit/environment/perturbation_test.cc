@@ -103,9 +103,9 @@ TEST(PerturbationTest, SaysWhatATaskHas) {
     return std::string(MakePerturbedEnvironment(id, perturbation).status().message());
   };
   EXPECT_THAT(message("MountainCar-v0", {.name = "wind", .value = 4}),
-              HasSubstr("expected one of force, gravity for MountainCar-v0, got \"wind\""));
+              HasSubstr("expected one of force, gravity for MountainCar-v0, received \"wind\""));
   EXPECT_THAT(message("Pendulum-v1", {.name = "mass", .value = 0}),
-              HasSubstr("expected a mass above 0, got 0"));
+              HasSubstr("expected a mass above 0, received 0"));
   EXPECT_THAT(message("Pong-v0", {.name = "mass", .value = 1}), HasSubstr("Pong-v0"));
 }
 

@@ -166,13 +166,13 @@ TEST(LoadOptionsTest, ValidateNamesTheFlag) {
   EXPECT_TRUE(LoadOptions().Validate().ok());
   EXPECT_THAT(message([](LoadOptions& o) { o.sessions = 0; }), HasSubstr("--sessions"));
   EXPECT_THAT(message([](LoadOptions& o) { o.streams = 2000; }),
-              HasSubstr("--streams: expected 1 to 1024, got 2000"));
+              HasSubstr("--streams: expected 1 to 1024, received 2000"));
   EXPECT_THAT(message([](LoadOptions& o) { o.episode_steps = 0; }), HasSubstr("--episode_steps"));
   EXPECT_THAT(message([](LoadOptions& o) { o.batch_size = -1; }), HasSubstr("--batch_size"));
   EXPECT_THAT(message([](LoadOptions& o) { o.duration = absl::InfiniteDuration(); }),
               HasSubstr("--duration"));
   EXPECT_THAT(message([](LoadOptions& o) { o.call_timeout = absl::ZeroDuration(); }),
-              HasSubstr("--call_timeout: expected more than 0 and at most 1h, got 0"));
+              HasSubstr("--call_timeout: expected more than 0 and at most 1h, received 0"));
   EXPECT_THAT(message([](LoadOptions& o) { o.observation_bound = -1.0; }),
               HasSubstr("--observation_bound"));
   EXPECT_THAT(message([](LoadOptions& o) { o.rate = -1.0; }), HasSubstr("--rate"));

@@ -11,21 +11,24 @@ namespace {
 
 TEST(ConfigNames, RoundTrip) {
   for (const char* name : {"baseline", "pos", "route", "full", "dense"}) {
-    ASSERT_TRUE(ParseMode(name).ok()) << name;
-    EXPECT_EQ(ToString(*ParseMode(name)), name);
+    ASSERT_TRUE(ParseEnum<Mode>("mode", name).ok()) << name;
+    EXPECT_EQ(ToString(*ParseEnum<Mode>("mode", name)), name);
   }
-  for (const char* name : {"lif", "bernoulli"}) EXPECT_EQ(ToString(*ParseCoderKind(name)), name);
+  for (const char* name : {"lif", "bernoulli"})
+    EXPECT_EQ(ToString(*ParseEnum<CoderKind>("coder", name)), name);
   for (const char* name : {"timestep", "window"}) {
-    EXPECT_EQ(ToString(*ParsePhaseClock(name)), name);
+    EXPECT_EQ(ToString(*ParseEnum<PhaseClock>("phase_clock", name)), name);
   }
-  for (const char* name : {"sum", "concat"}) EXPECT_EQ(ToString(*ParseMerge(name)), name);
-  for (const char* name : {"softmax", "sigmoid"}) EXPECT_EQ(ToString(*ParseGate(name)), name);
+  for (const char* name : {"sum", "concat"})
+    EXPECT_EQ(ToString(*ParseEnum<Merge>("merge", name)), name);
+  for (const char* name : {"softmax", "sigmoid"})
+    EXPECT_EQ(ToString(*ParseEnum<Gate>("gate", name)), name);
 }
 
 TEST(ConfigNames, UnknownNamesAreRefusedWithTheKnownOnes) {
-  EXPECT_EQ(ParseMode("Full").status().code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_EQ(ParseGate("relu").status().message(),
-            "gate: expected one of \"softmax\", \"sigmoid\", got \"relu\"");
+  EXPECT_EQ(ParseEnum<Mode>("mode", "Full").status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(ParseEnum<Gate>("gate", "relu").status().message(),
+            "gate: expected softmax or sigmoid, received \"relu\"");
 }
 
 TEST(ModelConfig, DefaultsAreThePapersAndValid) {
@@ -50,21 +53,21 @@ TEST(ModelConfig, ValidateNamesTheField) {
     ModelConfig config;
     std::string message;
   } cases[] = {
-      {{.hidden_size = 0}, "hidden_size: expected 1 to 4096, got 0"},
-      {{.hidden_size = 8192}, "hidden_size: expected 1 to 4096, got 8192"},
-      {{.hidden_size = 130}, "hidden_size: expected a multiple of heads = 4, got 130"},
-      {{.heads = -1}, "heads: expected 1 to 64, got -1"},
-      {{.heads = 128}, "heads: expected 1 to 64, got 128"},
-      {{.layers = 65}, "layers: expected 1 to 64, got 65"},
-      {{.ticks = 0}, "ticks: expected 1 to 256, got 0"},
-      {{.context = 0}, "context: expected 1 to 4096, got 0"},
-      {{.routing_hidden_size = 0}, "routing_hidden_size: expected 1 to 4096, got 0"},
-      {{.ffn_size = 16385}, "ffn_size: expected 1 to 16384, got 16385"},
-      {{.membrane_decay = -0.5f}, "membrane_decay: expected 0 to 1, got -0.5"},
-      {{.membrane_decay = 1.5f}, "membrane_decay: expected 0 to 1, got 1.5"},
-      {{.membrane_decay = nan}, "membrane_decay: expected 0 to 1, got nan"},
-      {{.threshold = 0.0f}, "threshold: expected a positive finite number, got 0"},
-      {{.threshold = infinity}, "threshold: expected a positive finite number, got inf"},
+      {{.hidden_size = 0}, "hidden_size: expected 1 to 4096, received 0"},
+      {{.hidden_size = 8192}, "hidden_size: expected 1 to 4096, received 8192"},
+      {{.hidden_size = 130}, "hidden_size: expected a multiple of heads = 4, received 130"},
+      {{.heads = -1}, "heads: expected 1 to 64, received -1"},
+      {{.heads = 128}, "heads: expected 1 to 64, received 128"},
+      {{.layers = 65}, "layers: expected 1 to 64, received 65"},
+      {{.ticks = 0}, "ticks: expected 1 to 256, received 0"},
+      {{.context = 0}, "context: expected 1 to 4096, received 0"},
+      {{.routing_hidden_size = 0}, "routing_hidden_size: expected 1 to 4096, received 0"},
+      {{.ffn_size = 16385}, "ffn_size: expected 1 to 16384, received 16385"},
+      {{.membrane_decay = -0.5f}, "membrane_decay: expected 0 to 1, received -0.5"},
+      {{.membrane_decay = 1.5f}, "membrane_decay: expected 0 to 1, received 1.5"},
+      {{.membrane_decay = nan}, "membrane_decay: expected 0 to 1, received nan"},
+      {{.threshold = 0.0f}, "threshold: expected a positive finite number, received 0"},
+      {{.threshold = infinity}, "threshold: expected a positive finite number, received inf"},
   };
   for (const auto& c : cases) {
     const absl::Status status = c.config.Validate();

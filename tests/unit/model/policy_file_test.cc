@@ -192,23 +192,24 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
       {[](auto& c) {
          c.tensors["head.weight"] = Tensor::Zeros({2, 9});
        },
-       "tensor \"head.weight\": expected shape [2, 8], got [2, 9] with 18 values"},
+       "tensor \"head.weight\": expected shape [2, 8], received [2, 9] with 18 values"},
       {[](auto& c) {
          c.tensors["head.weight"] = Tensor::Zeros({8, 2});
        },
-       "tensor \"head.weight\": expected shape [2, 8], got [8, 2] with 16 values"},
+       "tensor \"head.weight\": expected shape [2, 8], received [8, 2] with 16 values"},
       {[](auto& c) { c.tensors["head.bias"] = Tensor::Zeros({}); },
-       "tensor \"head.bias\": expected shape [2], got [] with 1 values"},
+       "tensor \"head.bias\": expected shape [2], received [] with 1 values"},
       {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({0}); },
-       "tensor \"observation.mean\": expected at least one value, got 0"},
+       "tensor \"observation.mean\": expected at least one value, received 0"},
       {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({4}); },
-       "tensor \"embed.state.weight\": expected shape [8, 4], got [8, 3] with 24 values"},
+       "tensor \"embed.state.weight\": expected shape [8, 4], received [8, 3] with 24 values"},
       {[](auto& c) { c.tensors["layers.0.attention.query.weight"].values[7] = kNan; },
-       "tensor \"layers.0.attention.query.weight\": expected finite numbers, got nan at index 7"},
+       "tensor \"layers.0.attention.query.weight\": expected finite numbers, received nan at index "
+       "7"},
       {[](auto& c) { c.tensors["phase.omega"].values[1] = kInfinity; },
-       "tensor \"phase.omega\": expected finite numbers, got inf at index 1"},
+       "tensor \"phase.omega\": expected finite numbers, received inf at index 1"},
       {[](auto& c) { c.tensors["observation.std"].values[2] = -1.0f; },
-       "tensor \"observation.std\" at index 2: expected a positive finite number, got -1"},
+       "tensor \"observation.std\" at index 2: expected a positive finite number, received -1"},
   });
 }
 
@@ -219,7 +220,7 @@ TEST_F(PolicyFileRefusalTest, ADenseTimestepEmbeddingOfNoRows) {
   ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
   EXPECT_EQ(ReadPolicyFile(Path()).status().message(),
             Path() +
-                ": tensor \"embed.timestep.weight\": expected shape [any, 8], got [0, 8] with "
+                ": tensor \"embed.timestep.weight\": expected shape [any, 8], received [0, 8] with "
                 "0 values");
 }
 
@@ -232,28 +233,28 @@ TEST_F(PolicyFileRefusalTest, Metadata) {
        {"format", "config", "action_space", "return_offset", "return_scale", "target_return",
         "modulator_mean", "modulator_std", "environment", "training"}) {
     refusals.push_back({[key](Safetensors& c) { c.metadata.erase(key); },
-                        "__metadata__: expected key \"" + std::string(key) + "\", got none"});
+                        "__metadata__: expected key \"" + std::string(key) + "\", received none"});
   }
   refusals.push_back({[](Safetensors& c) { c.metadata.clear(); },
-                      "__metadata__: expected key \"format\", got none"});
-  set("format", "pt", "format: expected \"spikeserve.policy.v1\", got \"pt\"");
+                      "__metadata__: expected key \"format\", received none"});
+  set("format", "pt", "format: expected \"spikeserve.policy.v1\", received \"pt\"");
   for (const char* text :
        {"", " 1", "1 ", "1x", "+1", "0x1", "one", "nan", "inf", "-inf", "1e39"}) {
     set("return_offset", text,
-        "return_offset: expected a finite number that fits float32, got \"" + std::string(text) +
-            "\"");
+        "return_offset: expected a finite number that fits float32, received \"" +
+            std::string(text) + "\"");
   }
-  set("return_scale", "0", "return_scale: expected a positive finite number, got 0");
-  set("return_scale", "-250", "return_scale: expected a positive finite number, got -250");
+  set("return_scale", "0", "return_scale: expected a positive finite number, received 0");
+  set("return_scale", "-250", "return_scale: expected a positive finite number, received -250");
   set("target_return", "nan",
-      "target_return: expected a finite number that fits float32, got \"nan\"");
+      "target_return: expected a finite number that fits float32, received \"nan\"");
   set("modulator_mean", "inf",
-      "modulator_mean: expected a finite number that fits float32, got \"inf\"");
-  set("modulator_std", "0", "modulator_std: expected a positive finite number, got 0");
-  set("training", "", "training: expected valid JSON in UTF-8, got an error at byte 1");
-  set("training", "[1, 2]", "training: expected a JSON object, got an array of 2");
+      "modulator_mean: expected a finite number that fits float32, received \"inf\"");
+  set("modulator_std", "0", "modulator_std: expected a positive finite number, received 0");
+  set("training", "", "training: expected valid JSON in UTF-8, received an error at byte 1");
+  set("training", "[1, 2]", "training: expected a JSON object, received an array of 2");
   set("training", R"({"seed": 1, "seed": 1})",
-      "training: expected every key once, got \"seed\" twice");
+      "training: expected every key once, received \"seed\" twice");
   ExpectRefused(refusals);
 }
 
@@ -262,37 +263,39 @@ TEST_F(PolicyFileRefusalTest, ActionSpace) {
   const auto set = [&](const std::string& value, const std::string& message) {
     refusals.push_back({[=](Safetensors& c) { c.metadata["action_space"] = value; }, message});
   };
-  set("Discrete(2)", "action_space: expected valid JSON in UTF-8, got an error at byte 1");
-  set("2", "action_space: expected a JSON object, got 2");
-  set("{}", "action_space.type: expected \"Discrete\" or \"Box\", got none");
+  set("Discrete(2)", "action_space: expected valid JSON in UTF-8, received an error at byte 1");
+  set("2", "action_space: expected a JSON object, received 2");
+  set("{}", "action_space.type: expected \"Discrete\" or \"Box\", received none");
   set(R"({"type": "MultiBinary", "n": 2})",
-      "action_space.type: expected \"Discrete\" or \"Box\", got \"MultiBinary\"");
-  set(R"({"type": "Discrete"})", "action_space: expected key \"n\", got none");
+      "action_space.type: expected \"Discrete\" or \"Box\", received \"MultiBinary\"");
+  set(R"({"type": "Discrete"})", "action_space: expected key \"n\", received none");
   set(R"({"type": "Discrete", "n": "2"})",
-      "action_space.n: expected an integer from 0 to 2147483647, got \"2\"");
+      "action_space.n: expected an integer from 0 to 2147483647, received \"2\"");
   set(R"({"type": "Discrete", "n": 2.0})",
-      "action_space.n: expected an integer from 0 to 2147483647, got 2.0");
+      "action_space.n: expected an integer from 0 to 2147483647, received 2.0");
   set(R"({"type": "Discrete", "n": -2})",
-      "action_space.n: expected an integer from 0 to 2147483647, got -2");
+      "action_space.n: expected an integer from 0 to 2147483647, received -2");
   set(R"({"type": "Discrete", "n": 4294967298})",
-      "action_space.n: expected an integer from 0 to 2147483647, got 4294967298");
-  set(R"({"type": "Discrete", "n": 0})", "action_space.n: expected at least 1, got 0");
+      "action_space.n: expected an integer from 0 to 2147483647, received 4294967298");
+  set(R"({"type": "Discrete", "n": 0})", "action_space.n: expected at least 1, received 0");
   set(R"({"type": "Discrete", "n": 2, "start": 1})",
-      "action_space: expected no other keys, got \"start\"");
+      "action_space: expected no other keys, received \"start\"");
   set(R"({"type": "Discrete", "n": 2147483647})",
-      "tensor \"embed.action.weight\": expected shape [8, 2147483647], got [8, 2] with 16 values");
-  set(R"({"type": "Box", "low": [-1]})", "action_space: expected key \"high\", got none");
+      "tensor \"embed.action.weight\": expected shape [8, 2147483647], received [8, 2] with 16 "
+      "values");
+  set(R"({"type": "Box", "low": [-1]})", "action_space: expected key \"high\", received none");
   set(R"({"type": "Box", "low": -1, "high": [1]})",
-      "action_space.low: expected an array of numbers, got -1");
+      "action_space.low: expected an array of numbers, received -1");
   set(R"({"type": "Box", "low": [-1, "x"], "high": [1, 1]})",
-      "action_space.low[1]: expected a number that fits float32, got \"x\"");
+      "action_space.low[1]: expected a number that fits float32, received \"x\"");
   set(R"({"type": "Box", "low": [-1e39], "high": [1]})",
-      "action_space.low[0]: expected a number that fits float32, got -1e+39");
+      "action_space.low[0]: expected a number that fits float32, received -1e+39");
   set(R"({"type": "Box", "low": [-1], "high": [1, 1]})",
-      "action_space: expected low and high of one length, got 1 and 2");
+      "action_space: expected low and high of one length, received 1 and 2");
   set(R"({"type": "Box", "low": [1], "high": [-1]})",
-      "action_space: expected finite bounds with low[0] < high[0], got 1 and -1");
-  set(R"({"type": "Box", "low": [], "high": []})", "action_space.n: expected at least 1, got 0");
+      "action_space: expected finite bounds with low[0] < high[0], received 1 and -1");
+  set(R"({"type": "Box", "low": [], "high": []})",
+      "action_space.n: expected at least 1, received 0");
   ExpectRefused(refusals);
 }
 
@@ -314,36 +317,38 @@ TEST_F(PolicyFileRefusalTest, Config) {
                           config.erase(key);
                           c.metadata["config"] = config.dump();
                         },
-                        "config: expected key \"" + std::string(key) + "\", got none"});
+                        "config: expected key \"" + std::string(key) + "\", received none"});
   }
   refusals.push_back({[](Safetensors& c) { c.metadata["config"] = "[]"; },
-                      "config: expected a JSON object, got an array of 0"});
-  set("dropout", 0.1, "config: expected no other keys, got \"dropout\"");
+                      "config: expected a JSON object, received an array of 0"});
+  set("dropout", 0.1, "config: expected no other keys, received \"dropout\"");
   set("mode", "half",
-      "config.mode: expected one of \"baseline\", \"pos\", \"route\", \"full\", \"dense\", got "
+      "config.mode: expected one of \"baseline\", \"pos\", \"route\", \"full\", \"dense\", "
+      "received "
       "\"half\"");
-  set("coder", "poisson", "config.coder: expected one of \"lif\", \"bernoulli\", got \"poisson\"");
+  set("coder", "poisson",
+      "config.coder: expected one of \"lif\", \"bernoulli\", received \"poisson\"");
   set("phase_clock", "tick",
-      "config.phase_clock: expected one of \"timestep\", \"window\", got \"tick\"");
-  set("merge", "mean", "config.merge: expected one of \"sum\", \"concat\", got \"mean\"");
-  set("gate", "relu", "config.gate: expected one of \"softmax\", \"sigmoid\", got \"relu\"");
-  set("gate", 1, "config.gate: expected a string, got 1");
+      "config.phase_clock: expected one of \"timestep\", \"window\", received \"tick\"");
+  set("merge", "mean", "config.merge: expected one of \"sum\", \"concat\", received \"mean\"");
+  set("gate", "relu", "config.gate: expected one of \"softmax\", \"sigmoid\", received \"relu\"");
+  set("gate", 1, "config.gate: expected a string, received 1");
   set("hidden_size", "8",
-      "config.hidden_size: expected an integer from 0 to 2147483647, got \"8\"");
-  set("heads", 2.5, "config.heads: expected an integer from 0 to 2147483647, got 2.5");
-  set("heads", nullptr, "config.heads: expected an integer from 0 to 2147483647, got null");
-  set("layers", -1, "config.layers: expected an integer from 0 to 2147483647, got -1");
-  set("layers", 1000000000, "layers: expected 1 to 64, got 1000000000");
-  set("hidden_size", 1 << 20, "hidden_size: expected 1 to 4096, got 1048576");
-  set("hidden_size", 9, "hidden_size: expected a multiple of heads = 2, got 9");
-  set("ticks", 0, "ticks: expected 1 to 256, got 0");
-  set("context", 100000, "context: expected 1 to 4096, got 100000");
+      "config.hidden_size: expected an integer from 0 to 2147483647, received \"8\"");
+  set("heads", 2.5, "config.heads: expected an integer from 0 to 2147483647, received 2.5");
+  set("heads", nullptr, "config.heads: expected an integer from 0 to 2147483647, received null");
+  set("layers", -1, "config.layers: expected an integer from 0 to 2147483647, received -1");
+  set("layers", 1000000000, "layers: expected 1 to 64, received 1000000000");
+  set("hidden_size", 1 << 20, "hidden_size: expected 1 to 4096, received 1048576");
+  set("hidden_size", 9, "hidden_size: expected a multiple of heads = 2, received 9");
+  set("ticks", 0, "ticks: expected 1 to 256, received 0");
+  set("context", 100000, "context: expected 1 to 4096, received 100000");
   set("membrane_decay", "0.95",
-      "config.membrane_decay: expected a number that fits float32, got \"0.95\"");
+      "config.membrane_decay: expected a number that fits float32, received \"0.95\"");
   set("membrane_decay", 1e39,
-      "config.membrane_decay: expected a number that fits float32, got 1e+39");
-  set("membrane_decay", 2, "membrane_decay: expected 0 to 1, got 2");
-  set("threshold", -1.0, "threshold: expected a positive finite number, got -1");
+      "config.membrane_decay: expected a number that fits float32, received 1e+39");
+  set("membrane_decay", 2, "membrane_decay: expected 0 to 1, received 2");
+  set("threshold", -1.0, "threshold: expected a positive finite number, received -1");
   set("layers", 3, "tensor \"layers.2.coder.gain\": expected, but missing");
   set("mode", "baseline",
       "tensor \"layers.0.routing.gate.bias\": not expected in a policy of "

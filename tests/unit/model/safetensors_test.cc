@@ -78,7 +78,7 @@ TEST_F(SafetensorsTest, RefusesAFileBeyondTheLimit) {
   WriteBytes(Path(), Container("{}", ""));
   std::filesystem::resize_file(Path(), kMaxSafetensorsFileBytes + 1);  // sparse
   EXPECT_THAT(std::string(ReadSafetensors(Path()).status().message()),
-              HasSubstr("file size: expected 8 to 4294967296 bytes, got 4294967297"));
+              HasSubstr("file size: expected 8 to 4294967296 bytes, received 4294967297"));
 }
 
 TEST_F(SafetensorsTest, RefusesABrokenFrame) {
@@ -87,24 +87,25 @@ TEST_F(SafetensorsTest, RefusesABrokenFrame) {
     std::string bytes;
     std::string fragment;
   } cases[] = {
-      {"", "file size: expected 8 to 4294967296 bytes, got 0"},
-      {"1234567", "file size: expected 8 to 4294967296 bytes, got 7"},
-      {std::string(8, '\0'), "header: expected it to begin with \"{\", got \"\""},
+      {"", "file size: expected 8 to 4294967296 bytes, received 0"},
+      {"1234567", "file size: expected 8 to 4294967296 bytes, received 7"},
+      {std::string(8, '\0'), "header: expected it to begin with \"{\", received \"\""},
       {std::string(8, '\xff') + "{}",
-       "header length: expected at most 2 bytes, got 18446744073709551615"},
-      {std::string("\x03\0\0\0\0\0\0\0{}", 10), "header length: expected at most 2 bytes, got 3"},
-      {Container(" {}", ""), "header: expected it to begin with \"{\", got \" \""},
-      {Container("[]", ""), "header: expected it to begin with \"{\", got \"[\""},
+       "header length: expected at most 2 bytes, received 18446744073709551615"},
+      {std::string("\x03\0\0\0\0\0\0\0{}", 10),
+       "header length: expected at most 2 bytes, received 3"},
+      {Container(" {}", ""), "header: expected it to begin with \"{\", received \" \""},
+      {Container("[]", ""), "header: expected it to begin with \"{\", received \"[\""},
       {Container("{}\n", ""), "header: expected \"}\" and then only spaces at its end"},
       {Container("{} x", ""), "header: expected \"}\" and then only spaces at its end"},
       {Container("{} }", ""), "header: expected valid JSON in UTF-8"},
       {Container(std::string("{}\0}", 4), ""), "header: expected valid JSON in UTF-8"},
       {Container("{\"\xc3\x28\":{}}", ""), "header: expected valid JSON in UTF-8"},
       {Container("{\"a\" 1}", ""), "header: expected valid JSON in UTF-8"},
-      {Container(entry, ""), "data_offsets with begin <= end <= 0, got [0, 4]"},
-      {Container(entry, "123"), "data_offsets with begin <= end <= 3, got [0, 4]"},
-      {Container(entry, "12345"), "data: expected the 4 bytes of its tensors, got 5"},
-      {Container("{}", "1"), "data: expected the 0 bytes of its tensors, got 1"},
+      {Container(entry, ""), "data_offsets with begin <= end <= 0, received [0, 4]"},
+      {Container(entry, "123"), "data_offsets with begin <= end <= 3, received [0, 4]"},
+      {Container(entry, "12345"), "data: expected the 4 bytes of its tensors, received 5"},
+      {Container("{}", "1"), "data: expected the 0 bytes of its tensors, received 1"},
   };
   for (const auto& c : cases) {
     WriteBytes(Path(), c.bytes);
@@ -121,7 +122,7 @@ TEST_F(SafetensorsTest, RefusesAHeaderBeyondTheLimit) {
   WriteBytes(Path(), bytes + "{}");
   std::filesystem::resize_file(Path(), 8 + size);  // sparse
   EXPECT_THAT(std::string(ReadSafetensors(Path()).status().message()),
-              HasSubstr("header length: expected at most 100000000 bytes, got 100000001"));
+              HasSubstr("header length: expected at most 100000000 bytes, received 100000001"));
 }
 
 TEST_F(SafetensorsTest, EveryTruncationIsRefused) {
@@ -155,64 +156,68 @@ class SafetensorsHeaderTest : public DirectoryTest {
 
 TEST_F(SafetensorsHeaderTest, RefusesBrokenEntries) {
   ExpectRefused({
-      {"{" + a + "," + a + "}", "every key once, got \"a\" twice"},
+      {"{" + a + "," + a + "}", "every key once, received \"a\" twice"},
       {R"({"a":{"dtype":"F32","dtype":"F32","shape":[4],"data_offsets":[0,16]}})",
-       "every key once, got \"dtype\" twice"},
-      {R"({"__metadata__":{},"__metadata__":{}})", "every key once, got \"__metadata__\" twice"},
-      {R"({"__metadata__":[]})", "__metadata__: expected an object, got an array of 0"},
-      {R"({"__metadata__":{"k":1}})", "__metadata__: \"k\": expected a string, got 1"},
-      {R"({"__metadata__":{"k":null}})", "__metadata__: \"k\": expected a string, got null"},
-      {R"({"a":3})", "tensor \"a\": expected an object, got 3"},
-      {R"({"a":{"shape":[4],"data_offsets":[0,16]}})", "expected a dtype, got none"},
-      {R"({"a":{"dtype":"F32","data_offsets":[0,16]}})", "expected a shape, got none"},
-      {R"({"a":{"dtype":"F32","shape":[4]}})", "expected a data_offsets, got none"},
+       "every key once, received \"dtype\" twice"},
+      {R"({"__metadata__":{},"__metadata__":{}})",
+       "every key once, received \"__metadata__\" twice"},
+      {R"({"__metadata__":[]})", "__metadata__: expected an object, received an array of 0"},
+      {R"({"__metadata__":{"k":1}})", "__metadata__: \"k\": expected a string, received 1"},
+      {R"({"__metadata__":{"k":null}})", "__metadata__: \"k\": expected a string, received null"},
+      {R"({"a":3})", "tensor \"a\": expected an object, received 3"},
+      {R"({"a":{"shape":[4],"data_offsets":[0,16]}})", "expected a dtype, received none"},
+      {R"({"a":{"dtype":"F32","data_offsets":[0,16]}})", "expected a shape, received none"},
+      {R"({"a":{"dtype":"F32","shape":[4]}})", "expected a data_offsets, received none"},
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":[0,16],"x":1}})",
-       "expected dtype, shape and data_offsets, got \"x\""},
+       "expected dtype, shape and data_offsets, received \"x\""},
       {R"({"a":{"dtype":"F64","shape":[2],"data_offsets":[0,16]}})",
-       "tensor \"a\": expected dtype \"F32\", got \"F64\""},
+       "tensor \"a\": expected dtype \"F32\", received \"F64\""},
       {R"({"a":{"dtype":"Q7","shape":[2],"data_offsets":[0,16]}})",
-       "tensor \"a\": expected dtype \"F32\", got \"Q7\""},
-      {R"({"a":{"dtype":32,"shape":[4],"data_offsets":[0,16]}})", "dtype \"F32\", got 32"},
-      {R"({"a":{"dtype":"F32","shape":4,"data_offsets":[0,16]}})", "expected a shape, got 4"},
-      {R"({"a":{"dtype":"F32","shape":[-4],"data_offsets":[0,16]}})", "in its shape, got -4"},
-      {R"({"a":{"dtype":"F32","shape":[4.0],"data_offsets":[0,16]}})", "in its shape, got 4.0"},
+       "tensor \"a\": expected dtype \"F32\", received \"Q7\""},
+      {R"({"a":{"dtype":32,"shape":[4],"data_offsets":[0,16]}})", "dtype \"F32\", received 32"},
+      {R"({"a":{"dtype":"F32","shape":4,"data_offsets":[0,16]}})", "expected a shape, received 4"},
+      {R"({"a":{"dtype":"F32","shape":[-4],"data_offsets":[0,16]}})", "in its shape, received -4"},
+      {R"({"a":{"dtype":"F32","shape":[4.0],"data_offsets":[0,16]}})",
+       "in its shape, received 4.0"},
       {R"({"a":{"dtype":"F32","shape":[2147483648],"data_offsets":[0,16]}})",
-       "lengths from 0 to 2147483647 in its shape, got 2147483648"},
+       "lengths from 0 to 2147483647 in its shape, received 2147483648"},
       {R"({"a":{"dtype":"F32","shape":[99999999999999999999],"data_offsets":[0,16]}})",
-       "in its shape, got 1e+20"},
+       "in its shape, received 1e+20"},
       // 4 * 65536^4 is 2^66, which wraps around to 0 in 64 bits.
       {R"({"a":{"dtype":"F32","shape":[65536,65536,65536,65536],"data_offsets":[0,0]}})",
-       "expected at most 16 bytes, got a shape that takes more"},
+       "expected at most 16 bytes, received a shape that takes more"},
       {R"({"a":{"dtype":"F32","shape":[5],"data_offsets":[0,16]}})",
-       "expected at most 16 bytes, got a shape that takes more"},
+       "expected at most 16 bytes, received a shape that takes more"},
       {R"({"a":{"dtype":"F32","shape":[3],"data_offsets":[0,16]}})",
-       "expected 12 bytes as its shape says, got data_offsets of 16"},
+       "expected 12 bytes as its shape says, received data_offsets of 16"},
   });
 }
 
 TEST_F(SafetensorsHeaderTest, RefusesBrokenOffsets) {
   ExpectRefused({
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":16}})",
-       "expected data_offsets [begin, end], got 16"},
+       "expected data_offsets [begin, end], received 16"},
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":[0,8,16]}})",
-       "expected data_offsets [begin, end], got an array of 3"},
+       "expected data_offsets [begin, end], received an array of 3"},
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":[-16,0]}})",
-       "expected data_offsets [begin, end], got an array of 2"},
+       "expected data_offsets [begin, end], received an array of 2"},
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":[16,0]}})",
-       "expected data_offsets with begin <= end <= 16, got [16, 0]"},
+       "expected data_offsets with begin <= end <= 16, received [16, 0]"},
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":[4,20]}})",
-       "expected data_offsets with begin <= end <= 16, got [4, 20]"},
+       "expected data_offsets with begin <= end <= 16, received [4, 20]"},
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":[18446744073709551612,12]}})",
-       "expected data_offsets with begin <= end <= 16, got [18446744073709551612, 12]"},
+       "expected data_offsets with begin <= end <= 16, received [18446744073709551612, 12]"},
       {"{" + a + R"(,"b":{"dtype":"F32","shape":[3],"data_offsets":[4,16]}})",
-       "tensor \"b\": expected its data to begin where the one before ends, at 8, got 4 (an "
+       "tensor \"b\": expected its data to begin where the one before ends, at 8, received 4 (an "
        "overlap)"},
-      {"{" + a + R"(,"b":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})", "got 0 (an overlap)"},
+      {"{" + a + R"(,"b":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})",
+       "received 0 (an overlap)"},
       {"{" + a + R"(,"b":{"dtype":"F32","shape":[1],"data_offsets":[12,16]}})",
-       "tensor \"b\": expected its data to begin where the one before ends, at 8, got 12 (a hole)"},
+       "tensor \"b\": expected its data to begin where the one before ends, at 8, received 12 (a "
+       "hole)"},
       {R"({"b":{"dtype":"F32","shape":[3],"data_offsets":[4,16]}})",
-       "expected its data to begin where the one before ends, at 0, got 4 (a hole)"},
-      {"{" + a + "}", "data: expected the 8 bytes of its tensors, got 16"},
+       "expected its data to begin where the one before ends, at 0, received 4 (a hole)"},
+      {"{" + a + "}", "data: expected the 8 bytes of its tensors, received 16"},
   });
 }
 
@@ -220,7 +225,8 @@ TEST_F(SafetensorsTest, WriterRefusesMetadataThatIsNotUtf8) {
   const absl::Status status =
       WriteSafetensors({.metadata = {{"k", "\xff"}}, .tensors = {}}, Path());
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_EQ(status.message(), Path() + ": expected names and metadata in UTF-8, got other bytes");
+  EXPECT_EQ(status.message(),
+            Path() + ": expected names and metadata in UTF-8, received other bytes");
   EXPECT_TRUE(std::filesystem::is_empty(directory()));
 }
 

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "core/action/action_head.h"
+#include "core/engine/factory/trace_decision.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 

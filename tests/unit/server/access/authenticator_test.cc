@@ -140,23 +140,23 @@ TEST(TenantTest, DecisionsAreLimitedWithAHint) {
   Tenant tenant("fleet");
   tenant.SetLimits({.max_sessions = 0, .decisions_per_second = 10.0, .max_message_bytes = 0});
   const absl::Duration start = absl::Seconds(100);
-  for (int i = 0; i < 10; ++i) EXPECT_TRUE(tenant.TakeDecision(start).ok()) << i;
-  const absl::Status refused = tenant.TakeDecision(start);
+  for (int i = 0; i < 10; ++i) EXPECT_TRUE(tenant.AcquireDecision(start).ok()) << i;
+  const absl::Status refused = tenant.AcquireDecision(start);
   EXPECT_EQ(refused.code(), absl::StatusCode::kResourceExhausted);
   ASSERT_TRUE(RetryDelay(refused).has_value());
   EXPECT_EQ(*RetryDelay(refused), absl::Milliseconds(100));
-  EXPECT_FALSE(tenant.TakeDecision(start + absl::Milliseconds(99)).ok());
-  EXPECT_TRUE(tenant.TakeDecision(start + absl::Milliseconds(100)).ok());
-  EXPECT_FALSE(tenant.TakeDecision(start + absl::Milliseconds(100)).ok());
+  EXPECT_FALSE(tenant.AcquireDecision(start + absl::Milliseconds(99)).ok());
+  EXPECT_TRUE(tenant.AcquireDecision(start + absl::Milliseconds(100)).ok());
+  EXPECT_FALSE(tenant.AcquireDecision(start + absl::Milliseconds(100)).ok());
 }
 
 TEST(TenantTest, SessionsAndMessagesAreLimited) {
   Tenant tenant("fleet");
   tenant.SetLimits({.max_sessions = 1, .decisions_per_second = 0.0, .max_message_bytes = 100});
-  EXPECT_TRUE(tenant.Take().ok());
-  EXPECT_EQ(tenant.Take().code(), absl::StatusCode::kResourceExhausted);
-  tenant.Return();
-  EXPECT_TRUE(tenant.Take().ok());
+  EXPECT_TRUE(tenant.Acquire().ok());
+  EXPECT_EQ(tenant.Acquire().code(), absl::StatusCode::kResourceExhausted);
+  tenant.Release();
+  EXPECT_TRUE(tenant.Acquire().ok());
   EXPECT_TRUE(tenant.CheckMessage(100).ok());
   EXPECT_EQ(tenant.CheckMessage(101).code(), absl::StatusCode::kResourceExhausted);
 }

@@ -18,7 +18,7 @@ TEST(RefusalPacerTest, WhatIsNoRefusalIsNotSlowedDown) {
   for (const absl::Status& status :
        {absl::OkStatus(), absl::NotFoundError(""), absl::InvalidArgumentError(""),
         absl::FailedPreconditionError(""), absl::UnavailableError("")}) {
-    EXPECT_EQ(pacer.Rest(status, 5 * kMiB, absl::Seconds(7)), absl::ZeroDuration());
+    EXPECT_EQ(pacer.DelayFor(status, 5 * kMiB, absl::Seconds(7)), absl::ZeroDuration());
   }
 }
 
@@ -26,7 +26,7 @@ TEST(RefusalPacerTest, WhoIsRefusedAloneWaitsForATenthOfASecond) {
   absl::Duration sum;
   for (int i = 0; i < 1000; ++i) {
     RefusalPacer pacer;
-    const absl::Duration rest = pacer.Rest(kRefusal, 20 * kMiB, absl::Seconds(i));
+    const absl::Duration rest = pacer.DelayFor(kRefusal, 20 * kMiB, absl::Seconds(i));
     EXPECT_GE(rest, absl::Milliseconds(50));
     EXPECT_LT(rest, kLongestAlone);
     sum += rest;
@@ -38,28 +38,29 @@ TEST(RefusalPacerTest, WhoIsRefusedAloneWaitsForATenthOfASecond) {
 TEST(RefusalPacerTest, HoweverManyAskSoManyASecondHaveTheirRefusal) {
   RefusalPacer pacer;
   std::vector<absl::Duration> rests;
-  for (int i = 0; i < 900; ++i) rests.push_back(pacer.Rest(kRefusal, 0, absl::Seconds(3)));
+  for (int i = 0; i < 900; ++i) rests.push_back(pacer.DelayFor(kRefusal, 0, absl::Seconds(3)));
   std::sort(rests.begin(), rests.end());
   for (int second = 0; second < 2; ++second) {
     const auto from = std::lower_bound(rests.begin(), rests.end(), absl::Seconds(second));
     const auto to = std::lower_bound(rests.begin(), rests.end(), absl::Seconds(second + 1));
     EXPECT_LE(to - from, 550) << "from second " << second;
   }
-  EXPECT_LT(pacer.Rest(kRefusal, 0, absl::Seconds(3 + 2)), kLongestAlone) << "the queue is over";
+  EXPECT_LT(pacer.DelayFor(kRefusal, 0, absl::Seconds(3 + 2)), kLongestAlone)
+      << "the queue is over";
 }
 
 TEST(RefusalPacerTest, NobodyWaitsForever) {
   RefusalPacer pacer;
   for (int i = 0; i < 100'000; ++i) {
-    ASSERT_LE(pacer.Rest(kRefusal, 0, absl::ZeroDuration()), absl::Seconds(2) + kLongestAlone);
+    ASSERT_LE(pacer.DelayFor(kRefusal, 0, absl::ZeroDuration()), absl::Seconds(2) + kLongestAlone);
   }
-  EXPECT_LT(pacer.Rest(kRefusal, 0, absl::Seconds(2.1)), kLongestAlone) << "the queue is over";
+  EXPECT_LT(pacer.DelayFor(kRefusal, 0, absl::Seconds(2.1)), kLongestAlone) << "the queue is over";
 }
 
 TEST(RefusalPacerTest, LongRequestsAreLongTurns) {
   RefusalPacer pacer;
-  EXPECT_LT(pacer.Rest(kRefusal, 4 * kMiB, absl::ZeroDuration()), kLongestAlone);
-  const absl::Duration second = pacer.Rest(kRefusal, 4 * kMiB, absl::ZeroDuration());
+  EXPECT_LT(pacer.DelayFor(kRefusal, 4 * kMiB, absl::ZeroDuration()), kLongestAlone);
+  const absl::Duration second = pacer.DelayFor(kRefusal, 4 * kMiB, absl::ZeroDuration());
   EXPECT_GE(second, absl::Milliseconds(1052));
   EXPECT_LT(second, absl::Milliseconds(1152));
 }
@@ -69,11 +70,11 @@ TEST(RefusalPacerTest, ThreadsTakeTurns) {
   std::vector<std::thread> threads;
   for (int i = 0; i < 4; ++i) {
     threads.emplace_back([&] {
-      for (int k = 0; k < 100; ++k) pacer.Rest(kRefusal, 0, absl::ZeroDuration());
+      for (int k = 0; k < 100; ++k) pacer.DelayFor(kRefusal, 0, absl::ZeroDuration());
     });
   }
   for (std::thread& thread : threads) thread.join();
-  const absl::Duration next = pacer.Rest(kRefusal, 0, absl::ZeroDuration());
+  const absl::Duration next = pacer.DelayFor(kRefusal, 0, absl::ZeroDuration());
   EXPECT_GE(next, absl::Milliseconds(850));
   EXPECT_LT(next, absl::Milliseconds(950));
 }

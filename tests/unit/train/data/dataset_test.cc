@@ -89,7 +89,7 @@ TEST(DatasetTest, BrokenFilesAreRefusedWithPathAndReason) {
   dataset.episodes[0].rewards.pop_back();
   ASSERT_TRUE(WriteDataset(dataset, path).ok());
   EXPECT_THAT(std::string(ReadDataset(path).status().message()),
-              HasSubstr("episode 0: rewards: expected 3, got 2"));
+              HasSubstr("episode 0: rewards: expected 3, received 2"));
   EXPECT_EQ(ReadDataset(path + ".none").status().code(), absl::StatusCode::kNotFound);
 }
 
@@ -110,15 +110,16 @@ TEST(RecordTest, HalfTheStepsAreTheExpertsAndNoSeedIsForEvaluation) {
 }
 
 TEST(RecordTest, BadOptionsAreNamed) {
-  EXPECT_EQ(RecordDataset({.steps = 0}).status().message(), "steps: expected at least 1, got 0");
+  EXPECT_EQ(RecordDataset({.steps = 0}).status().message(),
+            "steps: expected at least 1, received 0");
   EXPECT_EQ(RecordDataset({.expert_fraction = 1.5}).status().message(),
-            "expert_fraction: expected 0 to 1, got 1.5");
+            "expert_fraction: expected 0 to 1, received 1.5");
   EXPECT_EQ(RecordDataset({.disturbed_fraction = 0.6}).status().message(),
-            "disturbed_fraction: expected 0 to 0.5, got 0.6");
+            "disturbed_fraction: expected 0 to 0.5, received 0.6");
   EXPECT_EQ(RecordDataset({.longest_burst = 0}).status().message(),
-            "longest_burst: expected at least 1, got 0");
+            "longest_burst: expected at least 1, received 0");
   EXPECT_EQ(RecordDataset({.wide_start_fraction = 0.5}).status().message(),
-            "wide_start_fraction: expected 0 for CartPole-v1, got 0.5");
+            "wide_start_fraction: expected 0 for CartPole-v1, received 0.5");
 }
 
 TEST(RecordTest, DisturbedEpisodesAreLabelledByTheExpert) {
@@ -176,7 +177,7 @@ TEST(DatasetTest, PartsAreOfOneEnvironment) {
   Dataset other = DatasetOf({Counting(2)});
   other.environment = "Acrobot-v1";
   EXPECT_EQ(Concatenate({DatasetOf({Counting(2)}), other}).status().message(),
-            "data: expected all of CartPole-v1, got one of Acrobot-v1");
+            "data: expected all of CartPole-v1, received one of Acrobot-v1");
 }
 
 TEST(ClipSamplerTest, WeightsAreOfTheSteps) {

@@ -114,7 +114,7 @@ TEST(MinariTest, ADatasetFromElsewhereHasTheEnvironmentOfItsSpec) {
 TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
   const Dataset dataset = *RecordDataset({.steps = 50});
   EXPECT_THAT(std::string(WriteMinariDataset(dataset, "/tmp/plain").message()),
-              HasSubstr("NAME-v0, got plain"));
+              HasSubstr("NAME-v0, received plain"));
   const std::string directory = TemporaryDirectory("broken-v0");
   EXPECT_EQ(ReadMinariDataset(directory).status().code(), absl::StatusCode::kNotFound);
 
@@ -128,10 +128,10 @@ TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
                 testing::AllOf(HasSubstr(directory), HasSubstr(reason)));
   };
   expect_refusal(R"(\"type\":\"Discrete\")", R"(\"type\":\"MultiBinary\")",
-                 "action_space: expected Discrete or Box, got MultiBinary");
+                 "action_space: expected Discrete or Box, received MultiBinary");
   expect_refusal(R"(\"start\":0)", R"(\"start\":1)", "expected Discrete from 0");
   expect_refusal(R"(\"type\": \"Box\")", R"(\"type\": \"Dict\")",
-                 "observation_space: expected Box, got Dict");
+                 "observation_space: expected Box, received Dict");
   expect_refusal(R"(\"shape\": [4])", R"(\"shape\": [5])", "episode_0: observations: expected");
   expect_refusal("dataset_id", "id", "metadata that cannot be read");
   std::filesystem::remove(directory + "/data/main_data.hdf5");

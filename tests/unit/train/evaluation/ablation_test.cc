@@ -6,7 +6,7 @@
 #include <memory>
 #include <vector>
 
-#include "core/engine/engine.h"
+#include "core/engine/factory/engine_factory.h"
 
 namespace spikeserve {
 namespace {
@@ -83,7 +83,7 @@ TEST(AblationTest, WhatIsNotThereCannotBeSwitchedOff) {
   EXPECT_EQ(Ablate("attention", &dense).message(),
             "ablate: a policy of mode dense has no attention to switch off");
   EXPECT_EQ(Ablate("head", &baseline).message(),
-            "ablate: expected context, attention, phase, routing or return, got 'head'");
+            "ablate: expected context, attention, phase, routing or return, received 'head'");
 }
 
 }  // namespace

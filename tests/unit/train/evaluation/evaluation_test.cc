@@ -46,7 +46,7 @@ TEST(EvaluationTest, SameSeedsGiveTheSameReturns) {
 TEST(EvaluationTest, PolicyMustFitItsEnvironment) {
   const std::shared_ptr<Policy> policy = SmallPolicy();
   EXPECT_EQ(Evaluate(policy, {.episodes = 0}).status().message(),
-            "episodes: expected at least 1, got 0");
+            "episodes: expected at least 1, received 0");
   policy->environment = "Acrobot-v1";
   EXPECT_EQ(Evaluate(policy, {}).status().message(),
             "policy: expected the observations and actions of Acrobot-v1");

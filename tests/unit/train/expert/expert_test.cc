@@ -101,12 +101,13 @@ TEST(ExpertTest, TablesAreSolvedOnceAndReadAgain) {
 }
 
 TEST(ExpertTest, UnknownOnesAreNamed) {
-  EXPECT_EQ(MakeExpert({.environment = "Pendulum-v1", .name = "beam"}).status().message(),
-            "expert: expected value_iteration, robust or cautious for Pendulum-v1, got 'beam'");
+  EXPECT_EQ(
+      MakeExpert({.environment = "Pendulum-v1", .name = "beam"}).status().message(),
+      "expert: expected value_iteration, robust or cautious for Pendulum-v1, received 'beam'");
   EXPECT_THAT(std::string(MakeExpert({.environment = "Pong"}).status().message()),
               HasSubstr("none for 'Pong'"));
   EXPECT_EQ(MakeExpert({.beam_width = 0}).status().message(),
-            "beam_width: expected at least 1, got 0");
+            "beam_width: expected at least 1, received 0");
 }
 
 }  // namespace

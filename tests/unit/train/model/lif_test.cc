@@ -73,8 +73,8 @@ TEST(SurrogateTest, DerivativesAreAsStated) {
 }
 
 TEST(SurrogateTest, UnknownNameIsRefusedWithTheNamesThereAre) {
-  EXPECT_EQ(ParseSurrogateKind("arctan").status().message(),
-            "surrogate: expected fast_sigmoid, sigmoid or piecewise_linear, got 'arctan'");
+  EXPECT_EQ(ParseEnum<SurrogateKind>("surrogate", "arctan").status().message(),
+            "surrogate: expected fast_sigmoid, sigmoid or piecewise_linear, received \"arctan\"");
 }
 
 TEST(LifFunctionTest, PerTickSpikesEqualTheNeuronSteppedAlone) {

@@ -121,11 +121,11 @@ INSTANTIATE_TEST_SUITE_P(Modes, TrainerModeTest,
 TEST(TrainOptionsTest, BadOptionsAreNamed) {
   EXPECT_TRUE(TrainOptions{}.Validate().ok());
   EXPECT_EQ(With([](TrainOptions& o) { o.batch = 0; }).Validate().message(),
-            "batch: expected at least 1, got 0");
+            "batch: expected at least 1, received 0");
   EXPECT_EQ(With([](TrainOptions& o) { o.action_noise = 2.0; }).Validate().message(),
-            "action_noise: expected 0 to 1, got 2");
+            "action_noise: expected 0 to 1, received 2");
   EXPECT_EQ(With([](TrainOptions& o) { o.rate_targets.hidden = -0.01; }).Validate().message(),
-            "target_rate: expected 0 to 100 percent, got -1");
+            "target_rate: expected 0 to 100 percent, received -1");
 }
 
 }  // namespace

@@ -2,8 +2,8 @@
 // connections, so that everything an agent can ask is tested without a network.
 //
 // Thread-safe.
-#ifndef SERVER_AGENT_REQUEST_HANDLER_H_
-#define SERVER_AGENT_REQUEST_HANDLER_H_
+#ifndef SERVER_AGENT_POLICY_HANDLER_H_
+#define SERVER_AGENT_POLICY_HANDLER_H_
 
 #include <memory>
 #include <optional>
@@ -26,11 +26,11 @@ struct LabelLimits {
   static constexpr size_t kBytes = 256;  // of a key, a value or a routing key
 };
 
-class RequestHandler {
+class PolicyHandler {
  public:
   // All must outlive the handler. Without `recordings` no session is recorded.
-  RequestHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
-                 const Clock* clock, Recordings* recordings = nullptr);
+  PolicyHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
+                const Clock* clock, Recordings* recordings = nullptr);
 
   // A session belongs to the tenant that opened it and is NOT_FOUND for every other caller, but for
   // those who may see it, in the calls that only look: GetSession and Explain, which do not count
@@ -51,7 +51,7 @@ class RequestHandler {
   // At the step that the session expects, whatever `request` says, so nothing is ever a retry.
   absl::Status ActNext(const Credential& caller, const v1::ActRequest& request,
                        v1::ActResponse* response, DeferredWork* deferred) const;
-  // Answers item by item, and says by `deferred` whether one was refused for its tenant's limits.
+  // Answers item by item; an item that fails has its own code in `response`.
   absl::Status ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                         v1::ActBatchResponse* response, DeferredWork* deferred) const;
   absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
@@ -90,4 +90,4 @@ class RequestHandler {
 
 }  // namespace spikeserve
 
-#endif  // SERVER_AGENT_REQUEST_HANDLER_H_
+#endif  // SERVER_AGENT_POLICY_HANDLER_H_

@@ -1,5 +1,5 @@
 // What tests/python/test_fleet_learning.py cannot see over the wire.
-#include "server/admin/head_admin.h"
+#include "server/admin/head_handler.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -18,7 +18,7 @@ namespace {
 
 using ::testing::HasSubstr;
 
-class HeadAdminTest : public ::testing::Test {
+class HeadHandlerTest : public ::testing::Test {
  protected:
   std::shared_ptr<const ServedPolicy> Served(const std::string& name, int64_t version = 1) {
     return *registry_.get()->catalog()->Find(name, version);
@@ -44,10 +44,10 @@ class HeadAdminTest : public ::testing::Test {
   FakeClock clock_;
   SmallRegistry registry_{"a", "b"};
   SessionStore store_{10, &clock_};
-  HeadAdmin admin_{registry_.get(), &store_};
+  HeadHandler admin_{registry_.get(), &store_};
 };
 
-TEST_F(HeadAdminTest, APromotionNeverTakesANumberThatIsThere) {
+TEST_F(HeadHandlerTest, APromotionNeverTakesANumberThatIsThere) {
   Teach("a");
   // Served by nobody, and not even a policy.
   std::filesystem::create_directories(registry_.path() / "a" / "7");
@@ -60,7 +60,7 @@ TEST_F(HeadAdminTest, APromotionNeverTakesANumberThatIsThere) {
   EXPECT_EQ(Served("a", 8)->fleet->Read()->drift, 0.0);
 }
 
-TEST_F(HeadAdminTest, APromotionThatCannotBeWrittenChangesNothing) {
+TEST_F(HeadHandlerTest, APromotionThatCannotBeWrittenChangesNothing) {
   Teach("a");
   std::filesystem::remove_all(registry_.path() / "a");
   std::ofstream(registry_.path() / "a") << "in the way";
@@ -69,7 +69,7 @@ TEST_F(HeadAdminTest, APromotionThatCannotBeWrittenChangesNothing) {
   EXPECT_GT(Served("a")->fleet->Read()->drift, 0.0);
 }
 
-TEST_F(HeadAdminTest, ARollbackIsOfOneVersion) {
+TEST_F(HeadHandlerTest, ARollbackIsOfOneVersion) {
   Teach("a");
   Teach("b");
   ASSERT_TRUE(Promote("a", 1).ok());
@@ -84,7 +84,7 @@ TEST_F(HeadAdminTest, ARollbackIsOfOneVersion) {
   EXPECT_GT(Served("b")->fleet->Read()->drift, 0.0);
 }
 
-TEST_F(HeadAdminTest, APauseIsOfOnePolicyOrAllAndOfVersionsYetToCome) {
+TEST_F(HeadHandlerTest, APauseIsOfOnePolicyOrAllAndOfVersionsYetToCome) {
   const auto paused = [&](const std::string& name, int64_t version = 1) {
     return Served(name, version)->learning->paused();
   };
@@ -107,7 +107,7 @@ TEST_F(HeadAdminTest, APauseIsOfOnePolicyOrAllAndOfVersionsYetToCome) {
   EXPECT_TRUE(paused("a") && paused("a", 2) && paused("b"));
 }
 
-TEST_F(HeadAdminTest, NamesWhatIsNotServed) {
+TEST_F(HeadHandlerTest, NamesWhatIsNotServed) {
   v1::PauseLearningRequest pause;
   v1::PauseLearningResponse answer;
   pause.set_policy("nobody");

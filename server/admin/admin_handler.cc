@@ -1,4 +1,4 @@
-#include "server/admin/policy_admin_handler.h"
+#include "server/admin/admin_handler.h"
 
 #include <algorithm>
 #include <cstdint>
@@ -27,8 +27,8 @@ void ToProto(const std::vector<PolicyVersion>& versions, Proto* list) {
 
 }  // namespace
 
-absl::Status PolicyAdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
-                                            v1::LoadPolicyResponse* response) const {
+absl::Status AdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
+                                      v1::LoadPolicyResponse* response) const {
   const auto served =
       registry_->LoadVersion({.policy = request.policy(), .version = request.version()});
   if (!served.ok()) return served.status();
@@ -39,13 +39,13 @@ absl::Status PolicyAdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request
   return absl::OkStatus();
 }
 
-absl::Status PolicyAdminHandler::UnloadPolicy(const v1::UnloadPolicyRequest& request,
-                                              v1::UnloadPolicyResponse* /*response*/) const {
+absl::Status AdminHandler::UnloadPolicy(const v1::UnloadPolicyRequest& request,
+                                        v1::UnloadPolicyResponse* /*response*/) const {
   return registry_->Unload({.policy = request.policy(), .version = request.version()});
 }
 
-absl::Status PolicyAdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest& /*request*/,
-                                                v1::ReloadPoliciesResponse* response) const {
+absl::Status AdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest& /*request*/,
+                                          v1::ReloadPoliciesResponse* response) const {
   const auto report = registry_->Reload();
   if (!report.ok()) return report.status();
   ToProto(report->loaded, response->mutable_loaded());
@@ -57,27 +57,27 @@ absl::Status PolicyAdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest&
   return absl::OkStatus();
 }
 
-absl::Status PolicyAdminHandler::SetDefaultVersion(const v1::SetDefaultVersionRequest& request,
-                                                   v1::SetDefaultVersionResponse* response) const {
+absl::Status AdminHandler::SetDefaultVersion(const v1::SetDefaultVersionRequest& request,
+                                             v1::SetDefaultVersionResponse* response) const {
   const auto version = registry_->SetDefault(request.policy(), request.version());
   if (!version.ok()) return version.status();
   response->set_version(*version);
   return absl::OkStatus();
 }
 
-absl::Status PolicyAdminHandler::SetLabel(const v1::SetLabelRequest& request,
-                                          v1::SetLabelResponse* /*response*/) const {
+absl::Status AdminHandler::SetLabel(const v1::SetLabelRequest& request,
+                                    v1::SetLabelResponse* /*response*/) const {
   return registry_->SetLabel({.policy = request.policy(), .version = request.version()},
                              request.label());
 }
 
-absl::Status PolicyAdminHandler::RemoveLabel(const v1::RemoveLabelRequest& request,
-                                             v1::RemoveLabelResponse* /*response*/) const {
+absl::Status AdminHandler::RemoveLabel(const v1::RemoveLabelRequest& request,
+                                       v1::RemoveLabelResponse* /*response*/) const {
   return registry_->RemoveLabel(request.policy(), request.label());
 }
 
-absl::Status PolicyAdminHandler::SetTraffic(const v1::SetTrafficRequest& request,
-                                            v1::SetTrafficResponse* /*response*/) const {
+absl::Status AdminHandler::SetTraffic(const v1::SetTrafficRequest& request,
+                                      v1::SetTrafficResponse* /*response*/) const {
   std::vector<TrafficShare> shares;
   for (const v1::TrafficShare& share : request.shares()) {
     shares.push_back({.version = share.version(), .percent = share.percent()});
@@ -85,17 +85,17 @@ absl::Status PolicyAdminHandler::SetTraffic(const v1::SetTrafficRequest& request
   return registry_->SetTraffic(request.policy(), std::move(shares), request.shadow_version());
 }
 
-absl::Status PolicyAdminHandler::Drain(const v1::DrainRequest& request,
-                                       v1::DrainResponse* response) const {
+absl::Status AdminHandler::Drain(const v1::DrainRequest& request,
+                                 v1::DrainResponse* response) const {
   store_->SetDraining(!request.cancel());
   on_draining_(!request.cancel());
   response->set_open_sessions(store_->size());
   return absl::OkStatus();
 }
 
-absl::Status PolicyAdminHandler::ListSessions(const Credential& caller,
-                                              const v1::ListSessionsRequest& request,
-                                              v1::ListSessionsResponse* response) const {
+absl::Status AdminHandler::ListSessions(const Credential& caller,
+                                        const v1::ListSessionsRequest& request,
+                                        v1::ListSessionsResponse* response) const {
   if (request.page_size() < 0 || request.page_size() > kLargestPageSize) {
     return absl::InvalidArgumentError(absl::StrCat("page_size: expected 0 to ", kLargestPageSize,
                                                    ", received ", request.page_size()));

@@ -2,8 +2,8 @@
 // connections.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_POLICY_ADMIN_HANDLER_H_
-#define SERVER_ADMIN_POLICY_ADMIN_HANDLER_H_
+#ifndef SERVER_ADMIN_ADMIN_HANDLER_H_
+#define SERVER_ADMIN_ADMIN_HANDLER_H_
 
 #include <functional>
 #include <utility>
@@ -16,12 +16,11 @@
 
 namespace spikeserve {
 
-class PolicyAdminHandler {
+class AdminHandler {
  public:
   // Both must outlive the handler. `on_draining` hears what Drain has set, from its caller's
   // thread.
-  PolicyAdminHandler(PolicyRegistry* registry, SessionStore* store,
-                     std::function<void(bool)> on_draining)
+  AdminHandler(PolicyRegistry* registry, SessionStore* store, std::function<void(bool)> on_draining)
       : registry_(registry), store_(store), on_draining_(std::move(on_draining)) {}
 
   // Each fills in `response` and returns OK, or returns the error that policy_admin.proto names and
@@ -52,4 +51,4 @@ class PolicyAdminHandler {
 
 }  // namespace spikeserve
 
-#endif  // SERVER_ADMIN_POLICY_ADMIN_HANDLER_H_
+#endif  // SERVER_ADMIN_ADMIN_HANDLER_H_

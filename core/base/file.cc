@@ -1,4 +1,4 @@
-#include "core/base/atomic_file.h"
+#include "core/base/file.h"
 
 #include <fcntl.h>
 #include <stdlib.h>
@@ -8,6 +8,9 @@
 #include <cerrno>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 
@@ -67,6 +70,15 @@ absl::Status FlushDirectoryOf(const std::string& path) {
 }
 
 }  // namespace
+
+absl::StatusOr<std::string> ReadFile(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream content;
+  // Inserting nothing into a stream counts as a failure, so an empty file is a case of its own.
+  if (file && file.peek() == std::ifstream::traits_type::eof() && !file.bad()) return std::string();
+  if (file && content << file.rdbuf()) return std::move(content).str();
+  return absl::NotFoundError(absl::StrCat(path, ": expected a file that can be read"));
+}
 
 absl::Status WriteFileAtomically(const std::string& path,
                                  const std::vector<absl::string_view>& pieces) {

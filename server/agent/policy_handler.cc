@@ -1,4 +1,4 @@
-#include "server/agent/request_handler.h"
+#include "server/agent/policy_handler.h"
 
 #include <algorithm>
 #include <utility>
@@ -83,16 +83,16 @@ void SetError(const absl::Status& status, v1::ActResult* result) {
 
 }  // namespace
 
-RequestHandler::RequestHandler(const PolicyRegistry* registry, SessionStore* store,
-                               ShadowRunner* shadows, const Clock* clock, Recordings* recordings)
+PolicyHandler::PolicyHandler(const PolicyRegistry* registry, SessionStore* store,
+                             ShadowRunner* shadows, const Clock* clock, Recordings* recordings)
     : registry_(registry),
       store_(store),
       shadows_(shadows),
       clock_(clock),
       recordings_(recordings) {}
 
-absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
-                                          v1::ListPoliciesResponse* response) const {
+absl::Status PolicyHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
+                                         v1::ListPoliciesResponse* response) const {
   const auto catalog = registry_->catalog();
   for (const auto& [name, policy] : catalog->policies()) {
     for (const auto& [version, served] : policy.versions) {
@@ -102,15 +102,15 @@ absl::Status RequestHandler::ListPolicies(const v1::ListPoliciesRequest& /*reque
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::OpenSession(const Credential& caller,
-                                         const v1::OpenSessionRequest& request,
-                                         v1::OpenSessionResponse* response) const {
+absl::Status PolicyHandler::OpenSession(const Credential& caller,
+                                        const v1::OpenSessionRequest& request,
+                                        v1::OpenSessionResponse* response) const {
   return OpenSessionAs(caller, "", request, response);
 }
 
-absl::Status RequestHandler::OpenSessionAs(const Credential& caller, std::string session_id,
-                                           const v1::OpenSessionRequest& request,
-                                           v1::OpenSessionResponse* response) const {
+absl::Status PolicyHandler::OpenSessionAs(const Credential& caller, std::string session_id,
+                                          const v1::OpenSessionRequest& request,
+                                          v1::OpenSessionResponse* response) const {
   absl::StatusOr<std::string> id = std::move(session_id);
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();
@@ -146,7 +146,7 @@ absl::Status RequestHandler::OpenSessionAs(const Credential& caller, std::string
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::unique_ptr<EpisodeRecorder>> RequestHandler::NewRecorder(
+absl::StatusOr<std::unique_ptr<EpisodeRecorder>> PolicyHandler::NewRecorder(
     const std::shared_ptr<const ServedPolicy>& served, std::string* name) const {
   if (recordings_ == nullptr) {
     return absl::FailedPreconditionError(
@@ -156,25 +156,25 @@ absl::StatusOr<std::unique_ptr<EpisodeRecorder>> RequestHandler::NewRecorder(
   return recordings_->Record(served, *name);
 }
 
-absl::Status RequestHandler::Act(const Credential& caller, const v1::ActRequest& request,
-                                 v1::ActResponse* response, DeferredWork* deferred) const {
+absl::Status PolicyHandler::Act(const Credential& caller, const v1::ActRequest& request,
+                                v1::ActResponse* response, DeferredWork* deferred) const {
   return ActAt(caller, request.step(), request, response, deferred);
 }
 
-absl::Status RequestHandler::ActNext(const Credential& caller, const v1::ActRequest& request,
-                                     v1::ActResponse* response, DeferredWork* deferred) const {
+absl::Status PolicyHandler::ActNext(const Credential& caller, const v1::ActRequest& request,
+                                    v1::ActResponse* response, DeferredWork* deferred) const {
   return ActAt(caller, std::nullopt, request, response, deferred);
 }
 
-absl::StatusOr<std::shared_ptr<SessionEntry>> RequestHandler::FindForDecision(
+absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
     const Credential& caller, const v1::ActRequest& request) const {
-  if (auto status = caller.tenant()->TakeDecision(clock_->Now()); !status.ok()) return status;
+  if (auto status = caller.tenant()->AcquireDecision(clock_->Now()); !status.ok()) return status;
   return store_->Find(request.session_id(), caller.tenant()->name());
 }
 
-absl::Status RequestHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
-                                   const v1::ActRequest& request, v1::ActResponse* response,
-                                   DeferredWork* deferred) const {
+absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
+                                  const v1::ActRequest& request, v1::ActResponse* response,
+                                  DeferredWork* deferred) const {
   auto entry = FindForDecision(caller, request);
   if (!entry.ok()) return entry.status();
   ActItem item = {
@@ -185,9 +185,8 @@ absl::Status RequestHandler::ActAt(const Credential& caller, std::optional<int64
 }
 
 // In groups, which end where a session comes up again: its decisions are made in their order.
-absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
-                                      v1::ActBatchResponse* response,
-                                      DeferredWork* deferred) const {
+absl::Status PolicyHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
+                                     v1::ActBatchResponse* response, DeferredWork* deferred) const {
   absl::InlinedVector<ActItem, 1> group;
   absl::InlinedVector<v1::ActResult*, 1> results;  // of the group
   const auto answer_group = [&] {
@@ -207,7 +206,6 @@ absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBat
     auto entry = FindForDecision(caller, item);
     if (!entry.ok()) {
       SetError(entry.status(), result);
-      if (absl::IsResourceExhausted(entry.status())) deferred->set_refusal(entry.status());
       continue;
     }
     const bool again =
@@ -223,9 +221,9 @@ absl::Status RequestHandler::ActBatch(const Credential& caller, const v1::ActBat
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::EndEpisode(const Credential& caller,
-                                        const v1::EndEpisodeRequest& request,
-                                        v1::EndEpisodeResponse* response) const {
+absl::Status PolicyHandler::EndEpisode(const Credential& caller,
+                                       const v1::EndEpisodeRequest& request,
+                                       v1::EndEpisodeResponse* response) const {
   const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   EpisodeEnd end = {.reward = request.reward(),
@@ -241,16 +239,16 @@ absl::Status RequestHandler::EndEpisode(const Credential& caller,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::shared_ptr<SessionEntry>> RequestHandler::Look(const Credential& caller,
-                                                                   const std::string& id) const {
+absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::Look(const Credential& caller,
+                                                                  const std::string& id) const {
   auto entry = store_->Peek(id);
   if (entry != nullptr && caller.MaySee(entry->tenant)) return entry;
   return NoSuchSession(id);
 }
 
-absl::Status RequestHandler::GetSession(const Credential& caller,
-                                        const v1::GetSessionRequest& request,
-                                        v1::GetSessionResponse* response) const {
+absl::Status PolicyHandler::GetSession(const Credential& caller,
+                                       const v1::GetSessionRequest& request,
+                                       v1::GetSessionResponse* response) const {
   const auto entry = Look(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
@@ -258,16 +256,16 @@ absl::Status RequestHandler::GetSession(const Credential& caller,
   return absl::OkStatus();
 }
 
-absl::Status RequestHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
-                                     v1::ExplainResponse* response) const {
+absl::Status PolicyHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
+                                    v1::ExplainResponse* response) const {
   const auto entry = Look(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
 }
 
-absl::Status RequestHandler::CloseSession(const Credential& caller,
-                                          const v1::CloseSessionRequest& request,
-                                          v1::CloseSessionResponse* /*response*/) const {
+absl::Status PolicyHandler::CloseSession(const Credential& caller,
+                                         const v1::CloseSessionRequest& request,
+                                         v1::CloseSessionResponse* /*response*/) const {
   return store_->Close(request.session_id(), caller.tenant()->name());
 }
 

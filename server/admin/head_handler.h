@@ -2,8 +2,8 @@
 // whether a policy learns at all.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_HEAD_ADMIN_H_
-#define SERVER_ADMIN_HEAD_ADMIN_H_
+#ifndef SERVER_ADMIN_HEAD_HANDLER_H_
+#define SERVER_ADMIN_HEAD_HANDLER_H_
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
@@ -14,10 +14,10 @@
 
 namespace spikeserve {
 
-class HeadAdmin {
+class HeadHandler {
  public:
   // Both must outlive this object.
-  HeadAdmin(PolicyRegistry* registry, SessionStore* store) : registry_(registry), store_(store) {}
+  HeadHandler(PolicyRegistry* registry, SessionStore* store) : registry_(registry), store_(store) {}
 
   // Each fills in `response` and returns OK, or returns the error that policy_admin.proto names and
   // changes nothing. NOT_FOUND for a policy or version that is not served.
@@ -39,4 +39,4 @@ class HeadAdmin {
 
 }  // namespace spikeserve
 
-#endif  // SERVER_ADMIN_HEAD_ADMIN_H_
+#endif  // SERVER_ADMIN_HEAD_HANDLER_H_

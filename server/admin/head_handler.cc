@@ -1,4 +1,4 @@
-#include "server/admin/head_admin.h"
+#include "server/admin/head_handler.h"
 
 #include <algorithm>
 #include <cstdint>
@@ -54,8 +54,8 @@ absl::Status WriteNewVersion(const Policy& policy, const std::string& path) {
 
 }  // namespace
 
-absl::Status HeadAdmin::GetHead(const v1::GetHeadRequest& request,
-                                v1::GetHeadResponse* response) const {
+absl::Status HeadHandler::GetHead(const v1::GetHeadRequest& request,
+                                  v1::GetHeadResponse* response) const {
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
   const Policy& policy = (*served)->policy();
@@ -86,8 +86,8 @@ absl::Status HeadAdmin::GetHead(const v1::GetHeadRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status HeadAdmin::PromoteHead(const v1::PromoteHeadRequest& request,
-                                    v1::PromoteHeadResponse* response) const {
+absl::Status HeadHandler::PromoteHead(const v1::PromoteHeadRequest& request,
+                                      v1::PromoteHeadResponse* response) const {
   absl::MutexLock lock(&promote_mutex_);
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
@@ -110,21 +110,21 @@ absl::Status HeadAdmin::PromoteHead(const v1::PromoteHeadRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status HeadAdmin::RollbackHead(const v1::RollbackHeadRequest& request,
-                                     v1::RollbackHeadResponse* response) const {
+absl::Status HeadHandler::RollbackHead(const v1::RollbackHeadRequest& request,
+                                       v1::RollbackHeadResponse* response) const {
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
   response->set_drift((*served)->fleet->Rollback()->drift);
   return absl::OkStatus();
 }
 
-absl::Status HeadAdmin::PauseLearning(const v1::PauseLearningRequest& request,
-                                      v1::PauseLearningResponse* /*response*/) const {
+absl::Status HeadHandler::PauseLearning(const v1::PauseLearningRequest& request,
+                                        v1::PauseLearningResponse* /*response*/) const {
   return registry_->SetLearningPaused(request.policy(), true);
 }
 
-absl::Status HeadAdmin::ResumeLearning(const v1::ResumeLearningRequest& request,
-                                       v1::ResumeLearningResponse* /*response*/) const {
+absl::Status HeadHandler::ResumeLearning(const v1::ResumeLearningRequest& request,
+                                         v1::ResumeLearningResponse* /*response*/) const {
   return registry_->SetLearningPaused(request.policy(), false);
 }
 

@@ -1,4 +1,4 @@
-#include "core/engine/trace.h"
+#include "core/engine/factory/trace_decision.h"
 
 #include "core/engine/dense/dense_engine.h"
 #include "core/engine/reference/reference_engine.h"

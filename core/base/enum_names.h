@@ -1,0 +1,63 @@
+// Names of enumeration values, as they stand in files, on the wire and on command lines.
+//
+// An enumeration gets its names from one overload of EnumNames() beside its definition:
+//
+//   enum class Gate { kSoftmax, kSigmoid };
+//   constexpr std::array<EnumName<Gate>, 2> EnumNames(Gate) {
+//     return {{{Gate::kSoftmax, "softmax"}, {Gate::kSigmoid, "sigmoid"}}};
+//   }
+//
+// ToString(Gate::kSigmoid) is then "sigmoid", and ParseEnum<Gate>("gate", "sigmoid") is
+// Gate::kSigmoid. Pure functions; safe to call from many threads.
+#ifndef CORE_BASE_ENUM_NAMES_H_
+#define CORE_BASE_ENUM_NAMES_H_
+
+#include <array>
+#include <cstddef>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "core/base/json.h"
+
+namespace spikeserve {
+
+template <typename Enum>
+struct EnumName {
+  Enum value;
+  absl::string_view name;
+};
+
+template <typename Enum>
+concept NamedEnum = requires(Enum value) {
+  EnumNames(value);
+};
+
+// Returns the name of `value`, or "invalid" if it is not one of the enumeration's values.
+template <NamedEnum Enum>
+constexpr absl::string_view ToString(Enum value) {
+  for (const EnumName<Enum>& entry : EnumNames(value)) {
+    if (entry.value == value) return entry.name;
+  }
+  return "invalid";
+}
+
+// Returns the value called `name`. INVALID_ARGUMENT: "`field`: expected a, b or c, received ...".
+template <NamedEnum Enum>
+absl::StatusOr<Enum> ParseEnum(absl::string_view field, absl::string_view name) {
+  constexpr auto kNames = EnumNames(Enum());
+  std::string expected;
+  for (size_t i = 0; i < kNames.size(); ++i) {
+    if (kNames[i].name == name) return kNames[i].value;
+    const char* const separator = i == 0 ? "" : i + 1 == kNames.size() ? " or " : ", ";
+    absl::StrAppend(&expected, separator, kNames[i].name);
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat(field, ": expected ", expected, ", received ", Quoted(name)));
+}
+
+}  // namespace spikeserve
+
+#endif  // CORE_BASE_ENUM_NAMES_H_

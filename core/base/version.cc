@@ -1,0 +1,7 @@
+#include "core/base/version.h"
+
+namespace spikeserve {
+
+absl::string_view Version() { return SPIKESERVE_VERSION; }
+
+}  // namespace spikeserve

@@ -1,0 +1,21 @@
+#include "core/engine/factory/engine_factory.h"
+
+#include <utility>
+
+#include "core/engine/dense/dense_engine.h"
+#include "core/engine/reference/reference_engine.h"
+#include "core/engine/spiking/streaming_engine.h"
+
+namespace spikeserve {
+
+std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy) {
+  return policy->config.is_dense() ? MakeDenseReferenceEngine(std::move(policy))
+                                   : MakeSpikingReferenceEngine(std::move(policy));
+}
+
+std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy) {
+  return policy->config.is_dense() ? MakeDenseStreamingEngine(std::move(policy))
+                                   : MakeSpikingStreamingEngine(std::move(policy));
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,19 @@
+// Recomputes one decision and records what happened inside it.
+#ifndef CORE_ENGINE_FACTORY_TRACE_DECISION_H_
+#define CORE_ENGINE_FACTORY_TRACE_DECISION_H_
+
+#include "core/engine/engine.h"
+#include "core/engine/prefix_engine.h"
+#include "core/engine/trace.h"
+
+namespace spikeserve {
+
+// Recomputes the decision at the last token of `prefix`, a state token, with the reference engine
+// of the policy's mode. `prefix` holds the last HistorySize() timesteps, or the whole episode where
+// that is younger. Thread-safe.
+void TraceDecision(const Policy& policy, const PrefixContext& prefix, Engine::Output* output,
+                   Trace* trace);
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_FACTORY_TRACE_DECISION_H_

@@ -1,0 +1,21 @@
+// What each role may do.
+//
+// Pure functions; safe to call from many threads.
+#ifndef SERVER_ACCESS_PERMISSION_H_
+#define SERVER_ACCESS_PERMISSION_H_
+
+#include "absl/status/status.h"
+#include "server/base/method_table.h"
+#include "server/base/role.h"
+
+namespace spikeserve {
+
+// PERMISSION_DENIED if `role` may not call `method`.
+absl::Status CheckMayCall(Role role, Method method);
+
+// PERMISSION_DENIED if `role` may not read the status page and the metrics.
+absl::Status CheckMayWatch(Role role);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_ACCESS_PERMISSION_H_

@@ -1,0 +1,153 @@
+"""Checks that every include, import and link of the tree goes one way.
+
+usage: check_layers.py BUILD_DIR
+
+C++: BUILD_DIR/layers.json lists each library, its folder, its sources and the libraries that CMake links to it. A file
+may include a header of another folder only if its own library links that folder's library, directly or through what
+that one links publicly. No header may include itself through others, and the libraries must form no cycle.
+
+Python and JavaScript: the modules of one package must not import each other in a circle.
+"""
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
+JS_IMPORT = re.compile(r"""^\s*(?:import|export)\b[^'"]*?['"](\.[^'"]+)['"]""", re.MULTILINE)
+
+
+def tracked(*patterns):
+    """Returns the files of the tree that match git's patterns, relative to its root."""
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *patterns]
+    names = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return sorted(name for name in names.split("\0") if name and os.path.exists(os.path.join(ROOT, name)))
+
+
+def read(name):
+    with open(os.path.join(ROOT, name), encoding="utf-8") as file:
+        return file.read()
+
+
+def find_cycle(graph):
+    """Returns one cycle of `graph`, a dict from a node to its successors, as a list of nodes; empty if it has none."""
+    done, path = set(), []
+
+    def visit(node):
+        if node in done:
+            return []
+        if node in path:
+            return path[path.index(node) :] + [node]
+        path.append(node)
+        for successor in sorted(graph.get(node, ())):
+            if cycle := visit(successor):
+                return cycle
+        path.pop()
+        done.add(node)
+        return []
+
+    for node in sorted(graph):
+        if cycle := visit(node):
+            return cycle
+    return []
+
+
+def public_closure(libraries, name, seen):
+    """Adds `name` and every library that it links publicly to `seen`."""
+    if name in libraries and name not in seen:
+        seen.add(name)
+        for dependency in libraries[name]["public"]:
+            public_closure(libraries, dependency, seen)
+
+
+def check_cpp(layers):
+    """Returns complaints about includes across libraries that are not linked, and about cycles."""
+    libraries = {entry["name"]: entry for entry in layers}
+    complaints = []
+    graph = {n: [d for d in e["public"] + e["private"] if d in libraries] for n, e in libraries.items()}
+    if cycle := find_cycle(graph):
+        complaints.append("libraries link each other in a circle: " + " -> ".join(cycle))
+
+    folders = {}  # folder -> its libraries
+    for name, entry in libraries.items():
+        folders.setdefault(entry["folder"], set()).add(name)
+
+    def owners(path):
+        folder = os.path.dirname(path)
+        while folder and folder not in folders:
+            folder = os.path.dirname(folder)
+        return folders.get(folder, set())
+
+    headers = {}  # as included -> path in the tree
+    for path in tracked("*.h"):
+        headers[path] = path
+        headers[path.replace("client/include/", "")] = path
+
+    includes = {}
+    for path in tracked("*.h", "*.cc"):
+        includes[path] = [headers[h] for h in INCLUDE.findall(read(path)) if h in headers]
+        if path.startswith("tests/"):
+            continue
+        reachable = set()
+        for owner in owners(path):
+            for dependency in [owner, *libraries[owner]["public"], *libraries[owner]["private"]]:
+                public_closure(libraries, dependency, reachable)
+        for header in includes[path]:
+            needed = owners(header)
+            if needed and owners(path) and not needed & reachable:
+                complaints.append(f"{path} includes {header}: {'/'.join(owners(path))} does not link {'/'.join(needed)}")
+            if header.startswith("server/") and not path.startswith("server/"):
+                complaints.append(f"{path} includes {header}: only server/ may include server/")
+    if cycle := find_cycle(includes):
+        complaints.append("headers include each other in a circle: " + " -> ".join(cycle))
+    return complaints
+
+
+def python_imports(path, modules):
+    """Returns the modules of `modules` that the file imports, at any depth of its code."""
+    package = os.path.dirname(path)
+    for node in ast.walk(ast.parse(read(path))):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            names = [base] + [f"{base}.{alias.name}" if base else alias.name for alias in node.names]
+        for name in names:
+            file = os.path.join(package, name.split(".")[-1] + ".py")
+            if file in modules:
+                yield file
+
+
+def check_scripts():
+    """Returns complaints about circles among Python and JavaScript modules."""
+    complaints = []
+    python = set(tracked("*.py"))
+    graph = {p: set(python_imports(p, python)) - {p} for p in python if not p.endswith("__init__.py")}
+    if cycle := find_cycle(graph):
+        complaints.append("Python modules import each other in a circle: " + " -> ".join(cycle))
+    scripts = [p for p in tracked("*.js") if "/vendor/" not in p]
+    graph = {
+        p: [os.path.normpath(os.path.join(os.path.dirname(p), i)) for i in JS_IMPORT.findall(read(p))] for p in scripts
+    }
+    if cycle := find_cycle(graph):
+        complaints.append("JavaScript modules import each other in a circle: " + " -> ".join(cycle))
+    return complaints
+
+
+def main():
+    with open(os.path.join(sys.argv[1], "layers.json"), encoding="utf-8") as file:
+        layers = json.load(file)
+    complaints = check_cpp(layers) + check_scripts()
+    for complaint in complaints:
+        print(complaint, file=sys.stderr)
+    print(f"check_layers: {len(layers)} libraries, {len(complaints)} complaints")
+    sys.exit(1 if complaints else 0)
+
+
+if __name__ == "__main__":
+    main()
