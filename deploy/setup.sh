@@ -12,7 +12,7 @@ packages=(
   g++ make cmake ninja-build ccache git clang clang-format pkg-config
   # server, client, core
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
-  prometheus-cpp-dev libcpp-httplib-dev libhwy-dev nlohmann-json3-dev zlib1g-dev
+  prometheus-cpp-dev libcpp-httplib-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo

@@ -8,7 +8,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <iostream>
 #include <utility>
 #include <vector>
 
@@ -17,6 +16,7 @@
 #include "absl/time/time.h"
 #include "core/base/status.h"
 #include "grpc/health/v1/health.grpc.pb.h"
+#include "server/base/log.h"
 
 namespace spikeserve {
 namespace {
@@ -62,13 +62,13 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
       &report);
   if (!registry.ok()) return registry.status();
   for (const absl::Status& status : report.refused) {
-    std::cerr << "spikeserve: policy refused: " << status.message() << std::endl;
+    LogWarning("policy refused", {{"error", status.message()}});
   }
   for (const std::string& setting : report.waiting) {
-    std::cerr << "spikeserve: warning: " << setting << std::endl;
+    LogWarning("setting pending", {{"setting", setting}});
   }
   if ((*registry)->catalog()->policies().empty()) {
-    std::cerr << "spikeserve: no policy could be loaded from " << options.policies << std::endl;
+    LogWarning("no policy could be loaded", {{"policies", options.policies}});
   }
 
   std::unique_ptr<Recordings> recordings;
@@ -176,7 +176,7 @@ void Server::PublishHealth() {
 
 void Server::ReloadTokens() {
   if (auto status = authenticator_->Reload(); !status.ok()) {
-    std::cerr << absl::StrCat("spikeserve: tokens as before: ", status.message(), "\n");
+    LogError("token file not reloaded; the old tokens stay valid", {{"error", status.message()}});
   }
 }
 
@@ -205,8 +205,8 @@ void Server::Stop() {
   PublishHealth();
   absl::SleepFor(kDrainNotice);
   if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
-    std::cerr << "spikeserve: calls were still in flight after the drain timeout of "
-              << absl::FormatDuration(options_.drain_timeout) << std::endl;
+    LogWarning("calls were still in flight after the drain timeout",
+               {{"drain_timeout", absl::FormatDuration(options_.drain_timeout)}});
   }
   grpc_->Shutdown(std::chrono::system_clock::now());  // ends health watches, which never end alone
   grpc_.reset();

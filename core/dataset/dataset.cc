@@ -8,12 +8,43 @@
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
 #include "core/base/file.h"
+#include "core/base/json.h"
+#include "core/base/json_object.h"
 #include "core/base/status.h"
 
 namespace spikeserve {
-namespace {
 
 using Json = nlohmann::json;
+
+absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* served) {
+  JsonObject object(field, json);
+  object.Required("policy", &served->policy);
+  object.Required("version", &served->version);
+  object.Required("episode", &served->episode);
+  object.Required("target_return", &served->target_return);
+  object.Required("seed", &served->seed);
+  object.Required("learning", &served->learning);
+  object.Required("labels", &served->labels);
+  object.Required("returns_to_go", &served->returns_to_go);
+  object.Required("probabilities", &served->probabilities);
+  object.Required("spikes", &served->spikes);
+  object.Optional("temperature", &served->temperature);
+  return object.Finish();
+}
+
+absl::Status ReadJson(absl::string_view field, const Json& json, ActionSpace* space) {
+  JsonObject object(field, json);
+  if (json.contains("n")) {
+    object.Required("n", &space->n);
+  } else {
+    object.Required("low", &space->low);
+    object.Required("high", &space->high);
+  }
+  const auto status = object.Finish();
+  return status.ok() ? space->Validate() : status;
+}
+
+namespace {
 
 constexpr char kFormat[] = "spikeserve.dataset.v1";
 
@@ -40,23 +71,6 @@ Json ServedToJson(const ServedEpisode& served) {
   return json;
 }
 
-// May throw Json::exception on a field of the wrong type, like its caller.
-ServedEpisode ServedFromJson(const Json& json) {
-  ServedEpisode served;
-  json.at("policy").get_to(served.policy);
-  json.at("version").get_to(served.version);
-  json.at("episode").get_to(served.episode);
-  json.at("target_return").get_to(served.target_return);
-  json.at("seed").get_to(served.seed);
-  json.at("learning").get_to(served.learning);
-  json.at("labels").get_to(served.labels);
-  json.at("returns_to_go").get_to(served.returns_to_go);
-  json.at("probabilities").get_to(served.probabilities);
-  json.at("spikes").get_to(served.spikes);
-  if (json.contains("temperature")) served.temperature = json["temperature"].get<float>();
-  return served;
-}
-
 Json EpisodeToJson(const Episode& episode, bool discrete) {
   Json json = {{"actor", episode.actor},
                {"seed", episode.seed},
@@ -72,35 +86,44 @@ Json EpisodeToJson(const Episode& episode, bool discrete) {
   return json;
 }
 
-// May throw Json::exception on a field of the wrong type, like its caller.
-std::vector<Action> ActionsFromJson(const Json& list, bool discrete) {
-  std::vector<Action> actions;
-  for (const Json& item : list) {
-    Action& action = actions.emplace_back();
-    if (discrete) {
-      item.get_to(action.discrete);
+// Reads the member `key`, a list of indices or of vectors, as actions.
+void ReadActions(const char* key, bool discrete, bool required, JsonObject* object,
+                 std::vector<Action>* actions) {
+  const auto read = [&](auto* values) {
+    if (required) {
+      object->Required(key, values);
     } else {
-      item.get_to(action.continuous);
+      object->Optional(key, values);
+    }
+  };
+  if (discrete) {
+    std::vector<int> indices;
+    read(&indices);
+    for (const int index : indices) actions->push_back({.discrete = index, .continuous = {}});
+  } else {
+    std::vector<std::vector<float>> vectors;
+    read(&vectors);
+    for (auto& vector : vectors) {
+      actions->push_back({.discrete = 0, .continuous = std::move(vector)});
     }
   }
-  return actions;
 }
 
-// May throw Json::exception on a field of the wrong type; ReadDataset catches it.
-Episode EpisodeFromJson(const Json& json, bool discrete) {
-  Episode episode;
-  json.at("actor").get_to(episode.actor);
-  json.at("seed").get_to(episode.seed);
-  json.at("observations").get_to(episode.observations);
-  episode.actions = ActionsFromJson(json.at("actions"), discrete);
-  if (json.contains("labels")) episode.labels = ActionsFromJson(json["labels"], discrete);
-  if (json.contains("weights")) json["weights"].get_to(episode.weights);
-  if (json.contains("asked_return")) episode.asked_return = json["asked_return"].get<double>();
-  if (json.contains("served")) episode.served = ServedFromJson(json["served"]);
-  json.at("rewards").get_to(episode.rewards);
-  json.at("terminated").get_to(episode.terminated);
-  json.at("truncated").get_to(episode.truncated);
-  return episode;
+absl::Status ReadEpisode(absl::string_view field, const Json& json, bool discrete,
+                         Episode* episode) {
+  JsonObject object(field, json);
+  object.Required("actor", &episode->actor);
+  object.Required("seed", &episode->seed);
+  object.Required("observations", &episode->observations);
+  ReadActions("actions", discrete, /*required=*/true, &object, &episode->actions);
+  ReadActions("labels", discrete, /*required=*/false, &object, &episode->labels);
+  object.Optional("weights", &episode->weights);
+  object.Optional("asked_return", &episode->asked_return);
+  object.Optional("served", &episode->served);
+  object.Required("rewards", &episode->rewards);
+  object.Required("terminated", &episode->terminated);
+  object.Required("truncated", &episode->truncated);
+  return object.Finish();
 }
 
 absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, size_t steps) {
@@ -118,24 +141,31 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
 }
 
 absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
-  if (json.value("format", "") != kFormat) {
-    return absl::InvalidArgumentError(absl::StrCat("format: expected ", kFormat));
-  }
+  JsonObject object("dataset", json);
+  std::string format;
   Dataset dataset;
-  json.at("environment").get_to(dataset.environment);
-  json.at("observation_size").get_to(dataset.observation_size);
-  dataset.recipe = json.at("recipe");
-  const Json& space = json.at("action_space");
-  dataset.action_space = space.contains("n") ? ActionSpace::Discrete(space.at("n"))
-                                             : ActionSpace::Box(space.at("low"), space.at("high"));
-  for (const Json& item : json.at("episodes")) {
-    dataset.episodes.push_back(EpisodeFromJson(item, dataset.action_space.is_discrete()));
-    if (auto status = CheckEpisode(dataset, dataset.episodes.back()); !status.ok()) {
-      return Annotate(status, absl::StrCat("episode ", dataset.episodes.size() - 1));
-    }
+  std::vector<Json> episodes;
+  object.Required("format", &format);
+  object.Required("environment", &dataset.environment);
+  object.Required("observation_size", &dataset.observation_size, 1);
+  object.Required("recipe", &dataset.recipe);
+  object.Required("action_space", &dataset.action_space);
+  object.Required("episodes", &episodes);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  if (format != kFormat) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("format: expected ", kFormat, ", received ", Quoted(format)));
   }
-  if (dataset.episodes.empty())
-    return absl::InvalidArgumentError("episodes: expected at least one");
+  for (const Json& item : episodes) {
+    const std::string field = absl::StrCat("episode ", dataset.episodes.size());
+    Episode& episode = dataset.episodes.emplace_back();
+    auto status = ReadEpisode(field, item, dataset.action_space.is_discrete(), &episode);
+    if (!status.ok()) return status;
+    if (status = CheckEpisode(dataset, episode); !status.ok()) return Annotate(status, field);
+  }
+  if (dataset.episodes.empty()) {
+    return absl::InvalidArgumentError("episodes: expected at least one, received none");
+  }
   return dataset;
 }
 
@@ -209,13 +239,12 @@ absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {
 absl::StatusOr<Dataset> ReadDataset(const std::string& path) {
   const absl::StatusOr<std::string> bytes = ReadFile(path);
   if (!bytes.ok()) return bytes.status();
-  try {
-    absl::StatusOr<Dataset> dataset = DatasetFromJson(Json::from_cbor(*bytes));
-    if (dataset.ok()) return dataset;
-    return Annotate(dataset.status(), path);
-  } catch (const Json::exception& error) {
-    return absl::InvalidArgumentError(absl::StrCat(path, ": not a dataset: ", error.what()));
+  const Json json = Json::from_cbor(*bytes, /*strict=*/true, /*allow_exceptions=*/false);
+  if (json.is_discarded()) {
+    return absl::InvalidArgumentError(absl::StrCat(path, ": expected a dataset in CBOR"));
   }
+  absl::StatusOr<Dataset> dataset = DatasetFromJson(json);
+  return dataset.ok() ? std::move(dataset) : Annotate(dataset.status(), path);
 }
 
 }  // namespace spikeserve

@@ -2,14 +2,13 @@
 
 #include <charconv>
 #include <cmath>
-#include <limits>
-#include <set>
 #include <type_traits>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/json_object.h"
 
 namespace spikeserve {
 namespace {
@@ -55,42 +54,6 @@ absl::Status FieldError(absl::string_view field, absl::string_view expected,
       absl::StrCat(field, ": expected ", expected, ", received ", received));
 }
 
-absl::Status Parse(absl::string_view field, const json& value, int* number) {
-  constexpr int kLargest = std::numeric_limits<int>::max();
-  if (!value.is_number_unsigned() || value.get<uint64_t>() > kLargest) {
-    return FieldError(field, absl::StrCat("an integer from 0 to ", kLargest), Describe(value));
-  }
-  *number = value.get<int>();
-  return absl::OkStatus();
-}
-
-absl::Status Parse(absl::string_view field, const json& value, float* number) {
-  constexpr double kLargest = std::numeric_limits<float>::max();
-  if (!value.is_number() || std::abs(value.get<double>()) > kLargest) {
-    return FieldError(field, "a number that fits float32", Describe(value));
-  }
-  *number = value.get<float>();
-  return absl::OkStatus();
-}
-
-absl::Status Parse(absl::string_view field, const json& value, std::vector<float>* numbers) {
-  if (!value.is_array()) return FieldError(field, "an array of numbers", Describe(value));
-  numbers->resize(value.size());
-  for (size_t i = 0; i < value.size(); ++i) {
-    absl::Status status = Parse(absl::StrCat(field, "[", i, "]"), value[i], &(*numbers)[i]);
-    if (!status.ok()) return status;
-  }
-  return absl::OkStatus();
-}
-
-template <NamedEnum Enum>
-absl::Status Parse(absl::string_view field, const json& value, Enum* choice) {
-  if (!value.is_string()) return FieldError(field, "a string", Describe(value));
-  const absl::StatusOr<Enum> parsed = ParseEnum<Enum>(field, value.get_ref<const std::string&>());
-  if (parsed.ok()) *choice = *parsed;
-  return parsed.status();
-}
-
 // Numbers that are metadata of their own are strings.
 absl::Status Parse(absl::string_view field, const std::string& text, float* number) {
   const char* const end = text.data() + text.size();
@@ -104,42 +67,6 @@ std::string Format(float number) {
   const auto result = std::to_chars(text, text + sizeof(text), number);
   return std::string(text, result.ptr);
 }
-
-// Takes the members of a JSON object one by one, and remembers the first error and what it took.
-class ObjectReader {
- public:
-  ObjectReader(absl::string_view name, const json& object) : name_(name), object_(object) {}
-
-  template <typename Member>
-  void operator()(const char* key, Member& member) {
-    if (const json* value = Find(key)) status_.Update(Parse(Path(key), *value, &member));
-  }
-
-  // The first error; a member that nobody asked for is one.
-  absl::Status Finish() {
-    for (const auto& item : object_.items()) {
-      if (taken_.contains(item.key())) continue;
-      status_.Update(FieldError(name_, "no other keys", Quoted(item.key())));
-    }
-    return status_;
-  }
-
- private:
-  std::string Path(const char* key) const { return absl::StrCat(name_, ".", key); }
-
-  const json* Find(const char* key) {
-    taken_.insert(key);
-    const auto found = object_.find(key);
-    if (found != object_.end()) return &*found;
-    status_.Update(FieldError(name_, absl::StrCat("key \"", key, "\""), "none"));
-    return nullptr;
-  }
-
-  const std::string name_;
-  const json& object_;
-  std::set<std::string> taken_;
-  absl::Status status_;
-};
 
 std::string FormatConfig(const ModelConfig& config) {
   ordered_json object;
@@ -156,8 +83,15 @@ std::string FormatConfig(const ModelConfig& config) {
 absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
   const absl::StatusOr<json> object = ParseJsonObject("config", text);
   if (!object.ok()) return object.status();
-  ObjectReader reader("config", *object);
-  VisitConfig(*config, reader);
+  JsonObject reader("config", *object);
+  VisitConfig(*config, [&reader](const char* key, auto& member) {
+    // Sizes are never negative; ModelConfig::Validate() knows their bounds.
+    if constexpr (std::is_same_v<decltype(member), int&>) {
+      reader.Required(key, &member, 0);
+    } else {
+      reader.Required(key, &member);
+    }
+  });
   return reader.Finish();
 }
 
@@ -167,16 +101,16 @@ std::string FormatActionSpace(const ActionSpace& space) {
 }
 
 absl::Status ParseActionSpace(const std::string& text, ActionSpace* space) {
-  absl::StatusOr<json> object = ParseJsonObject("action_space", text);
+  const absl::StatusOr<json> object = ParseJsonObject("action_space", text);
   if (!object.ok()) return object.status();
-  const json type = object->value("type", json());
-  object->erase("type");
-  ObjectReader reader("action_space", *object);
+  JsonObject reader("action_space", *object);
+  json type;
+  reader.Optional("type", &type);
   if (type == "Discrete") {
-    reader("n", space->n);
+    reader.Required("n", &space->n, 0);
   } else if (type == "Box") {
-    reader("low", space->low);
-    reader("high", space->high);
+    reader.Required("low", &space->low);
+    reader.Required("high", &space->high);
   } else {
     return FieldError("action_space.type", "\"Discrete\" or \"Box\"",
                       type.is_null() ? "none" : Describe(type));

@@ -3,56 +3,23 @@
 #include <openssl/evp.h>
 
 #include <algorithm>
+#include <array>
 #include <memory>
+#include <optional>
 #include <set>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
-#include "core/base/strict_json.h"
+#include "core/base/json_object.h"
 
 namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
 
-absl::StatusOr<TenantLimits> ParseLimits(const std::string& field, const Json& json) {
-  if (auto status =
-          CheckKeys(field, json, {"max_sessions", "decisions_per_second", "max_message_bytes"});
-      !status.ok()) {
-    return status;
-  }
-  TenantLimits limits;
-  for (const auto& [key, value] : json.items()) {
-    const bool whole = key != "decisions_per_second";
-    if (whole ? !value.is_number_integer() : !value.is_number()) {
-      return UnexpectedJson(absl::StrCat(field, ".", key), whole ? "an integer" : "a number",
-                            value);
-    }
-    if (key == "max_sessions") limits.max_sessions = value.get<int64_t>();
-    if (key == "max_message_bytes") limits.max_message_bytes = value.get<int64_t>();
-    if (key == "decisions_per_second") limits.decisions_per_second = value.get<double>();
-  }
-  if (auto status = limits.Validate(); !status.ok()) {
-    return absl::InvalidArgumentError(absl::StrCat(field, ".", status.message()));
-  }
-  return limits;
-}
-
-// A member that is text; empty where it may be absent.
-absl::StatusOr<std::string> Text(const std::string& field, const Json& object, const char* key,
-                                 bool required) {
-  const auto member = object.find(key);
-  if (member == object.end() && !required) return std::string();
-  if (member == object.end() || !member->is_string()) {
-    return UnexpectedJson(absl::StrCat(field, ".", key), "text",
-                          member == object.end() ? Json() : *member);
-  }
-  return member->get<std::string>();
-}
-
-absl::StatusOr<Digest> ParseDigest(const std::string& field, const std::string& text) {
+absl::StatusOr<Digest> ParseDigest(absl::string_view field, const std::string& text) {
   Digest digest = {};
   if (text.size() != 2 * digest.size() ||
       !std::all_of(text.begin(), text.end(), [](char c) { return absl::ascii_isxdigit(c); })) {
@@ -64,50 +31,60 @@ absl::StatusOr<Digest> ParseDigest(const std::string& field, const std::string& 
   return digest;
 }
 
-absl::StatusOr<TokenEntry> ParseToken(const std::string& field, const Json& json,
-                                      const std::map<std::string, TenantLimits>& tenants) {
-  if (auto status = CheckKeys(field, json, {"sha256", "tenant", "role", "expires", "sees"});
-      !status.ok()) {
-    return status;
-  }
-  const auto hash = Text(field, json, "sha256", /*required=*/true);
-  const auto tenant = Text(field, json, "tenant", /*required=*/true);
-  const auto role = Text(field, json, "role", /*required=*/true);
-  const auto expires = Text(field, json, "expires", /*required=*/false);
-  const auto sees = Text(field, json, "sees", /*required=*/false);
-  for (const auto* text : {&hash, &tenant, &role, &expires, &sees}) {
-    if (!text->ok()) return text->status();
-  }
-  const auto digest = ParseDigest(field, *hash);
-  if (!digest.ok()) return digest.status();
-  TokenEntry entry = {.sha256 = *digest, .tenant = *tenant};
-  if (!tenants.contains(*tenant)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ".tenant: expected one of `tenants`, received ", Quoted(*tenant)));
-  }
-  const auto parsed_role = ParseEnum<Role>(absl::StrCat(field, ".role"), *role);
-  if (!parsed_role.ok()) return parsed_role.status();
-  entry.role = *parsed_role;
-  std::string ignored;
-  if (!expires->empty() &&
-      !absl::ParseTime(absl::RFC3339_full, *expires, &entry.expires, &ignored)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ".expires: expected a time such as 2027-01-31T00:00:00Z, received ",
-                     Quoted(*expires)));
-  }
-  entry.sees_all = *sees == "all";
-  if (!entry.sees_all && *sees != "tenant" && json.contains("sees")) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ".sees: expected tenant or all, received ", Quoted(*sees)));
-  }
-  if (entry.sees_all && entry.role == Role::kAgent) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ".sees: expected tenant for an agent, received \"all\""));
-  }
-  return entry;
+absl::StatusOr<absl::Time> ParseExpiry(absl::string_view field, const std::string& text) {
+  absl::Time expires;
+  std::string error;
+  if (absl::ParseTime(absl::RFC3339_full, text, &expires, &error)) return expires;
+  return absl::InvalidArgumentError(absl::StrCat(
+      field, ".expires: expected a time such as 2027-01-31T00:00:00Z, received ", Quoted(text)));
+}
+
+// Whose sessions a token may look at.
+enum class Sees { kTenant, kAll };
+
+constexpr std::array<EnumName<Sees>, 2> EnumNames(Sees) {
+  return {{{Sees::kTenant, "tenant"}, {Sees::kAll, "all"}}};
 }
 
 }  // namespace
+
+absl::Status ReadJson(absl::string_view field, const Json& json, TenantLimits* limits) {
+  JsonObject object(field, json);
+  object.Optional("max_sessions", &limits->max_sessions);
+  object.Optional("decisions_per_second", &limits->decisions_per_second);
+  object.Optional("max_message_bytes", &limits->max_message_bytes);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const auto valid = limits->Validate();
+  if (valid.ok()) return valid;
+  return absl::InvalidArgumentError(absl::StrCat(field, ".", valid.message()));
+}
+
+absl::Status ReadJson(absl::string_view field, const Json& json, TokenEntry* entry) {
+  JsonObject object(field, json);
+  std::string hash;
+  std::optional<std::string> expires;
+  Sees sees = Sees::kTenant;
+  object.Required("sha256", &hash);
+  object.Required("tenant", &entry->tenant);
+  object.Required("role", &entry->role);
+  object.Optional("expires", &expires);
+  object.Optional("sees", &sees);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const auto digest = ParseDigest(field, hash);
+  if (!digest.ok()) return digest.status();
+  entry->sha256 = *digest;
+  if (expires.has_value()) {
+    const auto time = ParseExpiry(field, *expires);
+    if (!time.ok()) return time.status();
+    entry->expires = *time;
+  }
+  entry->sees_all = sees == Sees::kAll;
+  if (entry->sees_all && entry->role == Role::kAgent) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ".sees: expected tenant for an agent, received \"all\""));
+  }
+  return absl::OkStatus();
+}
 
 Digest Sha256(absl::string_view bytes) {
   // Fetching the algorithm takes OpenSSL's global lock; a context that has it is used again.
@@ -126,30 +103,25 @@ Digest Sha256(absl::string_view bytes) {
 absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text) {
   const auto json = ParseJsonObject("tokens file", text);
   if (!json.ok()) return json.status();
-  if (auto status = CheckKeys("tokens file", *json, {"tenants", "tokens"}); !status.ok()) {
-    return status;
-  }
   TokenFile file;
-  const Json tenants = json->value("tenants", Json::object());
-  if (!tenants.is_object()) return UnexpectedJson("tenants", "an object", tenants);
-  for (const auto& [name, limits] : tenants.items()) {
-    if (name.empty()) return absl::InvalidArgumentError("tenants: expected names, received none");
-    auto parsed = ParseLimits(absl::StrCat("tenants.", name), limits);
-    if (!parsed.ok()) return parsed.status();
-    file.tenants.emplace(name, *parsed);
+  JsonObject object("", *json);
+  object.Optional("tenants", &file.tenants);
+  object.Optional("tokens", &file.tokens);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  if (file.tenants.contains("")) {
+    return absl::InvalidArgumentError("tenants: expected names, received an empty one");
   }
-  const Json tokens = json->value("tokens", Json::array());
-  if (!tokens.is_array()) return UnexpectedJson("tokens", "an array", tokens);
   std::set<Digest> seen;
-  for (size_t i = 0; i < tokens.size(); ++i) {
-    const std::string field = absl::StrCat("tokens[", i, "]");
-    auto entry = ParseToken(field, tokens[i], file.tenants);
-    if (!entry.ok()) return entry.status();
-    if (!seen.insert(entry->sha256).second) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(field, ".sha256: expected each hash once, received one again"));
+  for (size_t i = 0; i < file.tokens.size(); ++i) {
+    const TokenEntry& entry = file.tokens[i];
+    if (!file.tenants.contains(entry.tenant)) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "tokens[", i, "].tenant: expected one of `tenants`, received ", Quoted(entry.tenant)));
     }
-    file.tokens.push_back(*std::move(entry));
+    if (!seen.insert(entry.sha256).second) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("tokens[", i, "].sha256: expected each hash once, received one again"));
+    }
   }
   return file;
 }

@@ -21,6 +21,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "nlohmann/json.hpp"
 #include "server/access/tenant.h"
 #include "server/base/role.h"
 
@@ -40,6 +41,8 @@ struct TokenEntry {
 
   bool operator==(const TokenEntry&) const = default;
 };
+absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TokenEntry* entry);
+absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TenantLimits* limits);
 
 struct TokenFile {
   std::map<std::string, TenantLimits> tenants;

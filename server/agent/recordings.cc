@@ -3,7 +3,6 @@
 #include <unistd.h>
 
 #include <filesystem>
-#include <iostream>
 #include <system_error>
 #include <utility>
 
@@ -11,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "core/dataset/recordings.h"
+#include "server/base/log.h"
 
 namespace spikeserve {
 namespace {
@@ -60,7 +60,7 @@ RecordingOutcome Recordings::Write(const std::string& name, const Dataset& episo
       error ? absl::UnavailableError(absl::StrCat(path, ": ", error.message()))
             : WriteDataset(episode, path);
   if (status.ok()) return RecordingOutcome::kWritten;
-  std::cerr << "spikeserve: recording lost: " << status.message() << std::endl;
+  LogError("recording lost", {{"error", status.message()}});
   return RecordingOutcome::kWriteFailed;
 }
 

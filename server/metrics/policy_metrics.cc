@@ -1,8 +1,7 @@
 #include "server/metrics/policy_metrics.h"
 
-#include <iostream>
-
 #include "absl/strings/str_cat.h"
+#include "server/base/log.h"
 
 namespace spikeserve {
 
@@ -46,9 +45,9 @@ void PolicyMetrics::OnLearned(const LearningSummary& summary) {
   handles.watched_return->Set(summary.watched_return);
   if (!summary.rolled_back) return;
   handles.rollbacks->Increment();
-  std::cerr << absl::StrCat(
-      "spikeserve: policy ", name_, ": a ", std::string(ToString(summary.scope)),
-      " head was rolled back, its episodes had come to return ", summary.watched_return, "\n");
+  LogWarning("action head rolled back", {{"policy", name_},
+                                         {"scope", ToString(summary.scope)},
+                                         {"watched_return", absl::StrCat(summary.watched_return)}});
 }
 
 }  // namespace spikeserve

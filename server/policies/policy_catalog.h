@@ -19,9 +19,9 @@ namespace spikeserve {
 // What a new session asks for.
 struct VersionChoice {
   std::string policy;
-  int64_t version = 0;      // 0: not named
-  std::string label;        // empty: not named
-  std::string routing_key;  // equal keys get equal versions where traffic is divided
+  int64_t version = 0;           // 0: not named
+  std::string label = "";        // empty: not named
+  std::string routing_key = "";  // equal keys get equal versions where traffic is divided
 };
 
 // What it gets.

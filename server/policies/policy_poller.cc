@@ -1,15 +1,12 @@
 #include "server/policies/policy_poller.h"
 
-#include <iostream>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "server/base/log.h"
 
 namespace spikeserve {
 namespace {
-
-// One write, so that lines of several threads do not mix.
-void Log(const std::string& line) { std::cerr << absl::StrCat("spikeserve: ", line, "\n"); }
 
 std::string Named(const PolicyVersion& version) {
   return absl::StrCat(version.policy, "/", version.version);
@@ -31,14 +28,16 @@ void PolicyPoller::Poll() {
   const auto report = registry_->Reload();
   std::set<std::string> refused;
   if (report.ok()) {
-    for (const PolicyVersion& version : report->loaded) Log("policy loaded: " + Named(version));
-    for (const PolicyVersion& version : report->unloaded) Log("policy unloaded: " + Named(version));
+    for (const PolicyVersion& version : report->loaded)
+      LogInfo("policy loaded", {{"policy", Named(version)}});
+    for (const PolicyVersion& version : report->unloaded)
+      LogInfo("policy unloaded", {{"policy", Named(version)}});
     refused = Messages(report->refused);
   } else {
     refused.emplace(report.status().message());
   }
   for (const std::string& message : refused) {
-    if (!logged_.contains(message)) Log("policy refused: " + message);
+    if (!logged_.contains(message)) LogWarning("policy refused", {{"error", message}});
   }
   logged_ = std::move(refused);
 }

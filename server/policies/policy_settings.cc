@@ -1,84 +1,38 @@
 #include "server/policies/policy_settings.h"
 
 #include <filesystem>
-#include <fstream>
 #include <set>
-#include <sstream>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/json.h"
+#include "core/base/json_object.h"
 #include "core/base/status.h"
-#include "core/base/strict_json.h"
 
 namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
 
-absl::StatusOr<int64_t> ParseVersion(const std::string& field, const Json& json) {
-  if (!json.is_number_integer() || json.get<int64_t>() < 1) {
-    return UnexpectedJson(field, "a version of at least 1", json);
-  }
-  return json.get<int64_t>();
+constexpr int64_t kFirstVersion = 1;
+
+absl::Status CheckVersion(absl::string_view field, int64_t version) {
+  if (version >= kFirstVersion) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(field, ": expected an integer of at least ",
+                                                 kFirstVersion, ", received ", version));
 }
 
-absl::StatusOr<TrafficShare> ParseShare(const std::string& field, const Json& json) {
-  if (auto status = CheckKeys(field, json, {"version", "percent"}); !status.ok()) return status;
-  const auto version = ParseVersion(absl::StrCat(field, ".version"), json.value("version", Json()));
-  if (!version.ok()) return version.status();
-  const Json percent = json.value("percent", Json());
-  if (!percent.is_number_integer() || percent.get<int64_t>() < 0 || percent.get<int64_t>() > 100) {
-    return UnexpectedJson(absl::StrCat(field, ".percent"), "an integer in [0, 100]", percent);
-  }
-  return TrafficShare{.version = *version, .percent = percent.get<int>()};
-}
-
-absl::StatusOr<PolicySettings> ParsePolicy(const std::string& field, const Json& json) {
-  if (auto status =
-          CheckKeys(field, json,
-                    {"default_version", "labels", "shares", "shadow_version", "learning_paused"});
-      !status.ok()) {
-    return status;
-  }
-  PolicySettings settings;
-  const Json paused = json.value("learning_paused", Json(false));
-  if (!paused.is_boolean()) {
-    return UnexpectedJson(absl::StrCat(field, ".learning_paused"), "true or false", paused);
-  }
-  settings.learning_paused = paused.get<bool>();
-  for (const auto& [key, target] : {std::pair("default_version", &settings.default_version),
-                                    std::pair("shadow_version", &settings.shadow_version)}) {
-    if (!json.contains(key)) continue;
-    const auto version = ParseVersion(absl::StrCat(field, ".", key), json[key]);
-    if (!version.ok()) return version.status();
-    *target = *version;
-  }
-  const Json labels = json.value("labels", Json::object());
-  if (!labels.is_object()) {
-    return UnexpectedJson(absl::StrCat(field, ".labels"), "an object", labels);
-  }
-  for (const auto& [label, value] : labels.items()) {
+absl::Status CheckLabels(absl::string_view field, const std::map<std::string, int64_t>& labels) {
+  for (const auto& [label, version] : labels) {
     if (!IsPlainName(label)) {
       return absl::InvalidArgumentError(absl::StrCat(
-          field, ".labels: expected letters, digits, '.', '-', '_', received ", Quoted(label)));
+          field, ": expected letters, digits, '.', '-', '_', received ", Quoted(label)));
     }
-    const auto version = ParseVersion(absl::StrCat(field, ".labels.", label), value);
-    if (!version.ok()) return version.status();
-    settings.labels[label] = *version;
+    const auto status = CheckVersion(absl::StrCat(field, ".", label), version);
+    if (!status.ok()) return status;
   }
-  const Json shares = json.value("shares", Json::array());
-  if (!shares.is_array()) return UnexpectedJson(absl::StrCat(field, ".shares"), "an array", shares);
-  for (size_t i = 0; i < shares.size(); ++i) {
-    const auto share = ParseShare(absl::StrCat(field, ".shares[", i, "]"), shares[i]);
-    if (!share.ok()) return share.status();
-    settings.shares.push_back(*share);
-  }
-  if (auto status = CheckShares(settings.shares); !status.ok()) {
-    return absl::InvalidArgumentError(absl::StrCat(field, ".", status.message()));
-  }
-  return settings;
+  return absl::OkStatus();
 }
 
 Json PolicyJson(const PolicySettings& settings) {
@@ -94,6 +48,28 @@ Json PolicyJson(const PolicySettings& settings) {
 }
 
 }  // namespace
+
+absl::Status ReadJson(absl::string_view field, const Json& json, TrafficShare* share) {
+  JsonObject object(field, json);
+  object.Required("version", &share->version, kFirstVersion);
+  object.Required("percent", &share->percent, 0, 100);
+  return object.Finish();
+}
+
+absl::Status ReadJson(absl::string_view field, const Json& json, PolicySettings* settings) {
+  JsonObject object(field, json);
+  object.Optional("default_version", &settings->default_version, kFirstVersion);
+  object.Optional("shadow_version", &settings->shadow_version, kFirstVersion);
+  object.Optional("learning_paused", &settings->learning_paused);
+  object.Optional("labels", &settings->labels);
+  object.Optional("shares", &settings->shares);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const auto labels = CheckLabels(absl::StrCat(field, ".labels"), settings->labels);
+  if (!labels.ok()) return labels;
+  const auto shares = CheckShares(settings->shares);
+  if (shares.ok()) return shares;
+  return absl::InvalidArgumentError(absl::StrCat(field, ".", shares.message()));
+}
 
 std::string PolicySettings::UseOf(int64_t version) const {
   if (version == default_version) return "the default";
@@ -156,26 +132,17 @@ PolicySettings EffectiveSettings(const PolicySettings& settings, const std::set<
 absl::StatusOr<Settings> ParseSettings(absl::string_view text) {
   const auto json = ParseJsonObject("settings", text);
   if (!json.ok()) return json.status();
-  if (auto status = CheckKeys("settings", *json, {"policies", "unloaded"}); !status.ok()) {
-    return status;
-  }
   Settings settings;
-  const Json policies = json->value("policies", Json::object());
-  if (!policies.is_object()) return UnexpectedJson("policies", "an object", policies);
-  for (const auto& [name, value] : policies.items()) {
-    auto policy = ParsePolicy(absl::StrCat("policies.", name), value);
-    if (!policy.ok()) return policy.status();
-    settings.policies[name] = *std::move(policy);
-  }
-  const Json unloaded = json->value("unloaded", Json::object());
-  if (!unloaded.is_object()) return UnexpectedJson("unloaded", "an object", unloaded);
-  for (const auto& [name, versions] : unloaded.items()) {
-    const std::string field = absl::StrCat("unloaded.", name);
-    if (!versions.is_array()) return UnexpectedJson(field, "an array", versions);
-    for (const Json& value : versions) {
-      const auto version = ParseVersion(field, value);
-      if (!version.ok()) return version.status();
-      settings.unloaded.insert({.policy = name, .version = *version});
+  std::map<std::string, std::vector<int64_t>> unloaded;
+  JsonObject object("", *json);
+  object.Optional("policies", &settings.policies);
+  object.Optional("unloaded", &unloaded);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  for (const auto& [name, versions] : unloaded) {
+    for (const int64_t version : versions) {
+      const auto status = CheckVersion(absl::StrCat("unloaded.", name), version);
+      if (!status.ok()) return status;
+      settings.unloaded.insert({.policy = name, .version = version});
     }
   }
   return settings;

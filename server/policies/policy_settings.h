@@ -21,6 +21,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "nlohmann/json.hpp"
 #include "server/policies/policy_repository.h"
 
 namespace spikeserve {
@@ -32,12 +33,13 @@ struct TrafficShare {
 
   friend bool operator==(const TrafficShare&, const TrafficShare&) = default;
 };
+absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TrafficShare* share);
 
 struct PolicySettings {
   int64_t default_version = 0;  // 0: the highest
-  std::map<std::string, int64_t> labels;
-  std::vector<TrafficShare> shares;  // add up to 100; empty: all to the default
-  int64_t shadow_version = 0;        // 0: none
+  std::map<std::string, int64_t> labels = {};
+  std::vector<TrafficShare> shares = {};  // add up to 100; empty: all to the default
+  int64_t shadow_version = 0;             // 0: none
   bool learning_paused = false;
 
   // What is set to this version, such as "label stable"; empty where nothing is.
@@ -48,6 +50,8 @@ struct PolicySettings {
 
   friend bool operator==(const PolicySettings&, const PolicySettings&) = default;
 };
+absl::Status ReadJson(absl::string_view field, const nlohmann::json& json,
+                      PolicySettings* settings);
 
 struct Settings {
   std::map<std::string, PolicySettings> policies;

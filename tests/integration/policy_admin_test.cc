@@ -82,11 +82,11 @@ TEST_F(PolicyAdminTest, APolledDirectoryNeedsNoOperator) {
   while (Versions() != std::vector<int64_t>{1, 2}) {
   }
   EXPECT_EQ(server_->Stop(), 0);
-  EXPECT_THAT(server_->Log(), HasSubstr("spikeserve: policy loaded: discrete/4\n"));
-  EXPECT_THAT(server_->Log(), HasSubstr("spikeserve: policy unloaded: discrete/4\n"));
+  EXPECT_THAT(server_->Log(), HasSubstr(" info policy loaded policy=\"discrete/4\"\n"));
+  EXPECT_THAT(server_->Log(), HasSubstr(" info policy unloaded policy=\"discrete/4\"\n"));
   const std::string log = server_->Log();
   // Version 4's folder may be met before its file, which is refused, too.
-  const std::string line = "policy refused: " + FileOf(1).string();
+  const std::string line = "policy refused error=\"" + FileOf(1).string();
   const size_t refusal = log.find(line);
   EXPECT_NE(refusal, std::string::npos);
   EXPECT_EQ(log.find(line, refusal + 1), std::string::npos) << "logged once: " << log;

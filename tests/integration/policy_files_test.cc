@@ -37,7 +37,7 @@ class PolicyFilesTest : public ServerTest {
   void ExpectRefused(const std::string& path, const std::string& reason) {
     StartServer();
     const std::string log = server_->Log();
-    const std::string start = "spikeserve: policy refused: " + path + ": ";
+    const std::string start = " warning policy refused error=\"" + path + ": ";
     const size_t line = log.find(start);
     ASSERT_NE(line, std::string::npos) << log;
     EXPECT_THAT(log.substr(line, log.find('\n', line) - line), HasSubstr(reason));

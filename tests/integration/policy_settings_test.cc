@@ -100,7 +100,7 @@ TEST_F(PolicySettingsTest, ASettingWaitsForAVersionThatIsNotThere) {
   EXPECT_THAT(Held(), ElementsAre("1 stable 0%", "3 default 0%"));
   const std::string waits = ": waits for version 2, which is not served";
   for (const std::string setting : {"default_version", "labels.canary", "shares"}) {
-    EXPECT_THAT(server_->Log(), HasSubstr("spikeserve: warning: " + file_.string() +
+    EXPECT_THAT(server_->Log(), HasSubstr(" warning setting pending setting=\"" + file_.string() +
                                           ": policies.discrete." + setting + waits));
   }
   EXPECT_EQ(Reload().waiting_size(), 4);
@@ -146,7 +146,7 @@ TEST_F(PolicySettingsTest, AMistakeInTheFileKeepsTheServerFromStarting) {
       {R"({"policies": {"a": {"learning_paused": 1}}})",
        "policies.a.learning_paused: expected true or false"},
       {R"({"policies": {"a": {"default_version": 0}}})",
-       "policies.a.default_version: expected a version of at least 1"},
+       "policies.a.default_version: expected an integer of at least 1"},
       {R"({"policies": {"a": {"labels": {"a b": 1}}}})", "policies.a.labels: expected letters"},
       {R"({"policies": {"a": {"shares": [{"version": 1, "percent": 90}]}}})",
        "policies.a.shares: expected percents that add up to 100, received 90"},

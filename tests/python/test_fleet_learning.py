@@ -223,7 +223,7 @@ def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
             assert metric(addresses, "spikeserve_learning_rollbacks_total") == 1
             assert metric(addresses, "spikeserve_learning_return") == pytest.approx(6)
             assert metric(addresses, "spikeserve_head_drift_ratio") == 0
-    said = f"policy cartpole/1: a {scope} head was rolled back, its episodes had come to return 6\n"
+    said = f'warning action head rolled back policy="cartpole/1" scope="{scope}" watched_return="6"\n'
     assert path.read_text().count(said) == 1
 
 

@@ -2,8 +2,9 @@
 
 #include <cmath>
 #include <filesystem>
-#include <fstream>
+#include <functional>
 #include <limits>
+#include <numeric>
 #include <system_error>
 #include <utility>
 
@@ -12,6 +13,8 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "core/base/file.h"
+#include "core/base/json.h"
+#include "core/base/json_object.h"
 #include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "train/data/hdf5_file.h"
@@ -181,9 +184,9 @@ class Writer {
   absl::Status status_;
 };
 
-// Python's JSON has infinities and JSON proper has none; a number beyond any float stands for them.
-Json ParsePython(const std::string& text) {
-  return Json::parse(absl::StrReplaceAll(text, {{"Infinity", "1e300"}}));
+// Parses JSON as Python writes it, with infinities: a number beyond any float stands for them.
+absl::StatusOr<nlohmann::json> ParsePython(absl::string_view field, absl::string_view text) {
+  return ParseJsonObject(field, absl::StrReplaceAll(text, {{"Infinity", "1e300"}}));
 }
 
 float ToFloat(double x) {
@@ -191,73 +194,136 @@ float ToFloat(double x) {
   return finite ? static_cast<float>(x) : std::copysign(std::numeric_limits<float>::infinity(), x);
 }
 
-// A bound for each of `size` entries, from one number or a nested list. May throw Json::exception.
-std::vector<float> Bounds(const Json& json, int size) {
-  if (!json.is_array()) return std::vector<float>(size, ToFloat(json.get<double>()));
-  std::vector<float> bounds;
-  for (const Json& item : json) {
-    const std::vector<float> inner = Bounds(item, 1);
-    bounds.insert(bounds.end(), inner.begin(), inner.end());
-  }
-  return bounds;
-}
-
-// Entries of a Box of this "shape". May throw Json::exception.
-int BoxSize(const Json& space) {
-  int size = 1;
-  for (const Json& side : space.at("shape")) size *= side.get<int>();
-  return size;
-}
-
-// May throw Json::exception; ReadMinariDataset catches it.
-absl::StatusOr<ActionSpace> ActionSpaceFromJson(const Json& json) {
-  const std::string type = json.at("type");
-  ActionSpace space;
-  if (type == "Discrete") {
-    if (json.value("start", 0) != 0) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "action_space: expected Discrete from 0, received one from ", json["start"].get<int>()));
+// Appends `json`, a number or a nested list of numbers, to `bounds`.
+absl::Status AppendBounds(absl::string_view field, const nlohmann::json& json,
+                          std::vector<float>* bounds) {
+  if (json.is_array()) {
+    for (const nlohmann::json& item : json) {
+      if (auto status = AppendBounds(field, item, bounds); !status.ok()) return status;
     }
-    space = ActionSpace::Discrete(json.at("n"));
-  } else if (type == "Box") {
-    const int size = BoxSize(json);
-    space = ActionSpace::Box(Bounds(json.at("low"), size), Bounds(json.at("high"), size));
-  } else {
-    return absl::InvalidArgumentError(
-        absl::StrCat("action_space: expected Discrete or Box, received ", type));
+    return absl::OkStatus();
   }
-  if (auto status = space.Validate(); !status.ok()) {
-    return Annotate(status, "action_space");
+  double bound = 0.0;
+  auto status = ReadJson(field, json, &bound);
+  bounds->push_back(ToFloat(bound));
+  return status;
+}
+
+// A space as Gymnasium's serialisation in Minari describes it.
+struct SpaceDescription {
+  std::string type;
+  std::vector<int> shape;  // Box
+  nlohmann::json low;      // Box: a number, or a nested list of them
+  nlohmann::json high;
+  int n = 0;  // Discrete
+  int start = 0;
+
+  int size() const {
+    return std::accumulate(shape.begin(), shape.end(), 1, std::multiplies<int>());
   }
+
+  // Returns a bound for each entry of a Box.
+  absl::StatusOr<std::vector<float>> Bounds(absl::string_view field,
+                                            const nlohmann::json& json) const {
+    std::vector<float> bounds;
+    if (auto status = AppendBounds(field, json, &bounds); !status.ok()) return status;
+    if (bounds.size() == 1) bounds.resize(size(), bounds[0]);
+    return bounds;
+  }
+};
+
+absl::StatusOr<SpaceDescription> ParseSpace(absl::string_view field, absl::string_view text) {
+  const auto parsed = ParsePython(field, text);
+  if (!parsed.ok()) return parsed.status();
+  SpaceDescription space;
+  JsonObject object(field, *parsed);
+  object.AllowOtherKeys();
+  object.Required("type", &space.type);
+  if (space.type == "Box") {
+    object.Required("shape", &space.shape);
+    object.Required("low", &space.low);
+    object.Required("high", &space.high);
+  } else if (space.type == "Discrete") {
+    object.Required("n", &space.n);
+    object.Optional("start", &space.start);
+  }
+  if (auto status = object.Finish(); !status.ok()) return status;
   return space;
 }
 
-// Everything but the episodes. May throw Json::exception.
-absl::StatusOr<Dataset> Description(const Json& metadata) {
-  if (!metadata.contains("observation_space") || !metadata.contains("action_space")) {
+absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
+  ActionSpace space;
+  if (description.type == "Discrete") {
+    if (description.start != 0) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "action_space: expected Discrete from 0, received one from ", description.start));
+    }
+    space = ActionSpace::Discrete(description.n);
+  } else if (description.type == "Box") {
+    auto low = description.Bounds("action_space.low", description.low);
+    if (!low.ok()) return low.status();
+    auto high = description.Bounds("action_space.high", description.high);
+    if (!high.ok()) return high.status();
+    space = ActionSpace::Box(*std::move(low), *std::move(high));
+  } else {
     return absl::InvalidArgumentError(
-        "metadata: expected observation_space and action_space, received none");
+        absl::StrCat("action_space: expected Discrete or Box, received ", description.type));
   }
-  const Json observations = ParsePython(metadata["observation_space"]);
-  if (observations.at("type") != "Box") {
-    return absl::InvalidArgumentError(absl::StrCat("observation_space: expected Box, received ",
-                                                   observations["type"].get<std::string>()));
+  if (auto status = space.Validate(); !status.ok()) return Annotate(status, "action_space");
+  return space;
+}
+
+// What a dataset's metadata.json says.
+struct Description {
+  Dataset dataset;  // without episodes
+  int episodes = 0;
+  bool ours = false;  // whether this project wrote it
+};
+
+absl::StatusOr<Description> ReadDescription(const nlohmann::json& metadata) {
+  Description description;
+  std::string id, observation_space, action_space;
+  nlohmann::json own, environment;
+  JsonObject object("metadata", metadata);
+  object.AllowOtherKeys();
+  object.Required("dataset_id", &id);
+  object.Required("observation_space", &observation_space);
+  object.Required("action_space", &action_space);
+  object.Required("total_episodes", &description.episodes, 0);
+  object.Optional("env_spec", &environment);
+  object.Optional(kOwn, &own);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const auto observations = ParseSpace("observation_space", observation_space);
+  if (!observations.ok()) return observations.status();
+  if (observations->type != "Box") {
+    return absl::InvalidArgumentError(
+        absl::StrCat("observation_space: expected Box, received ", observations->type));
   }
-  const absl::StatusOr<ActionSpace> actions =
-      ActionSpaceFromJson(ParsePython(metadata["action_space"]));
+  const auto actions = ParseSpace("action_space", action_space);
   if (!actions.ok()) return actions.status();
-  Dataset dataset = {.environment = metadata.at("dataset_id"),
-                     .observation_size = BoxSize(observations),
-                     .action_space = *actions,
-                     .recipe = {{"minari", metadata.at("dataset_id")}},
-                     .episodes = {}};
-  if (metadata.contains(kOwn)) {
-    dataset.environment = metadata[kOwn].at("environment");
-    dataset.recipe = metadata[kOwn].at("recipe");
-  } else if (metadata.contains("env_spec") && metadata["env_spec"].is_string()) {
-    dataset.environment = ParsePython(metadata["env_spec"]).at("id");
+  auto space = ToActionSpace(*actions);
+  if (!space.ok()) return space.status();
+  Dataset& dataset = description.dataset;
+  dataset = {.environment = id,
+             .observation_size = observations->size(),
+             .action_space = *std::move(space),
+             .recipe = {{"minari", id}},
+             .episodes = {}};
+  description.ours = !own.is_null();
+  if (description.ours) {
+    JsonObject ours(kOwn, own);
+    ours.Required("environment", &dataset.environment);
+    ours.Required("recipe", &dataset.recipe);
+    if (auto status = ours.Finish(); !status.ok()) return status;
+  } else if (environment.is_string()) {
+    const auto spec = ParsePython("env_spec", environment.get_ref<const std::string&>());
+    if (!spec.ok()) return spec.status();
+    JsonObject of_gymnasium("env_spec", *spec);
+    of_gymnasium.AllowOtherKeys();
+    of_gymnasium.Required("id", &dataset.environment);
+    if (auto status = of_gymnasium.Finish(); !status.ok()) return status;
   }
-  return dataset;
+  return description;
 }
 
 class Reader {
@@ -349,17 +415,21 @@ class Reader {
 };
 
 absl::StatusOr<Dataset> Read(const std::string& directory) {
-  std::ifstream stream(directory + kMetadata);
-  if (!stream) return absl::NotFoundError("no data/metadata.json");
-  const Json metadata = Json::parse(stream);
-  absl::StatusOr<Dataset> dataset = Description(metadata);
-  if (!dataset.ok()) return dataset;
+  const auto text = ReadFile(directory + kMetadata);
+  if (!text.ok()) return text.status();
+  const auto metadata = ParseJsonObject("metadata", *text);
+  if (!metadata.ok()) return metadata.status();
+  absl::StatusOr<Description> description = ReadDescription(*metadata);
+  if (!description.ok()) return description.status();
   const absl::StatusOr<Hdf5File> file = Hdf5File::Open(directory + kData);
   if (!file.ok()) return file.status();
-  Reader reader(*file, metadata.contains(kOwn), &*dataset);
-  if (auto status = reader.Read(metadata.at("total_episodes")); !status.ok()) return status;
-  if (dataset->episodes.empty()) return absl::InvalidArgumentError("expected at least one episode");
-  return dataset;
+  Dataset& dataset = description->dataset;
+  Reader reader(*file, description->ours, &dataset);
+  if (auto status = reader.Read(description->episodes); !status.ok()) return status;
+  if (dataset.episodes.empty()) {
+    return absl::InvalidArgumentError("total_episodes: expected at least 1, received 0");
+  }
+  return std::move(dataset);
 }
 
 }  // namespace
@@ -385,14 +455,8 @@ bool IsMinariDataset(const std::string& path) {
 }
 
 absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory) {
-  try {
-    absl::StatusOr<Dataset> dataset = Read(directory);
-    if (dataset.ok()) return dataset;
-    return Annotate(dataset.status(), directory);
-  } catch (const Json::exception& error) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(directory, ": metadata that cannot be read: ", error.what()));
-  }
+  absl::StatusOr<Dataset> dataset = Read(directory);
+  return dataset.ok() ? std::move(dataset) : Annotate(dataset.status(), directory);
 }
 
 }  // namespace spikeserve

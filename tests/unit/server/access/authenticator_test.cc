@@ -7,6 +7,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "server/access/permission.h"
 #include "server/base/status_map.h"
 #include "tests/support/temporary_directory.h"
 

@@ -68,7 +68,9 @@ TEST(PolicyCatalog, AShareThatGrowsKeepsTheKeysItHad) {
   const PolicyCatalog before = with_percent(10), after = with_percent(40);
   for (int i = 0; i < 1'000; ++i) {
     const std::string key = absl::StrCat(i);
-    if (VersionOf(before, key) == 2) EXPECT_EQ(VersionOf(after, key), 2) << key;
+    if (VersionOf(before, key) == 2) {
+      EXPECT_EQ(VersionOf(after, key), 2) << key;
+    }
   }
 }
 

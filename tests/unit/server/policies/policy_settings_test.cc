@@ -64,25 +64,28 @@ TEST(PolicySettings, EveryWrongValueIsRefusedByItsField) {
     EXPECT_THAT(std::string(parsed.status().message()), HasSubstr(message));
   };
   refused("[]", "policies.p: expected an object, received an array of 0");
-  refused(R"({"defualt_version": 1})", "policies.p: expected no key \"defualt_version\"");
+  refused(R"({"defualt_version": 1})",
+          "policies.p: expected no other keys, received \"defualt_version\"");
   refused(R"({"default_version": 0})",
-          "policies.p.default_version: expected a version of at least 1");
-  refused(R"({"default_version": "1"})", "policies.p.default_version: expected a version");
-  refused(R"({"shadow_version": 1.5})", "policies.p.shadow_version: expected a version");
+          "policies.p.default_version: expected an integer of at least 1");
+  refused(R"({"default_version": "1"})",
+          "policies.p.default_version: expected an integer of at least 1");
+  refused(R"({"shadow_version": 1.5})",
+          "policies.p.shadow_version: expected an integer of at least 1");
   refused(R"({"learning_paused": 1})", "policies.p.learning_paused: expected true or false");
   refused(R"({"labels": {"a b": 1}})", "policies.p.labels: expected letters, digits");
-  refused(R"({"labels": {"a": -1}})", "policies.p.labels.a: expected a version");
+  refused(R"({"labels": {"a": -1}})", "policies.p.labels.a: expected an integer of at least 1");
   refused(R"({"shares": {}})", "policies.p.shares: expected an array, received an object");
   refused(R"({"shares": [{"version": 1, "percent": 101}]})",
-          "policies.p.shares[0].percent: expected an integer in [0, 100], received 101");
+          "policies.p.shares[0].percent: expected an integer from 0 to 100, received 101");
   refused(R"({"shares": [{"version": 1, "percent": 60}]})",
           "policies.p.shares: expected percents that add up to 100, received 60");
   refused(R"({"shares": [{"version": 1, "percent": 50}, {"version": 1, "percent": 50}]})",
           "policies.p.shares: expected each version once, received 1 twice");
   EXPECT_THAT(std::string(ParseSettings(R"({"policy": {}})").status().message()),
-              HasSubstr("settings: expected no key \"policy\""));
+              HasSubstr("expected no other keys, received \"policy\""));
   EXPECT_THAT(std::string(ParseSettings(R"({"unloaded": {"p": [0]}})").status().message()),
-              HasSubstr("unloaded.p: expected a version"));
+              HasSubstr("unloaded.p: expected an integer of at least 1"));
 }
 
 TEST(PolicySettings, SettingsOfVersionsThatAreNotServedArePending) {

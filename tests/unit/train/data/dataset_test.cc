@@ -84,7 +84,7 @@ TEST(DatasetTest, BrokenFilesAreRefusedWithPathAndReason) {
   const std::string path = TemporaryFile("broken.cbor");
   std::ofstream(path) << "not CBOR";
   EXPECT_THAT(std::string(ReadDataset(path).status().message()),
-              testing::AllOf(HasSubstr(path), HasSubstr("not a dataset")));
+              testing::AllOf(HasSubstr(path), HasSubstr("expected a dataset in CBOR")));
   Dataset dataset = DatasetOf({Counting(3)});
   dataset.episodes[0].rewards.pop_back();
   ASSERT_TRUE(WriteDataset(dataset, path).ok());

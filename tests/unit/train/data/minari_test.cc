@@ -133,7 +133,7 @@ TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
   expect_refusal(R"(\"type\": \"Box\")", R"(\"type\": \"Dict\")",
                  "observation_space: expected Box, received Dict");
   expect_refusal(R"(\"shape\": [4])", R"(\"shape\": [5])", "episode_0: observations: expected");
-  expect_refusal("dataset_id", "id", "metadata that cannot be read");
+  expect_refusal("dataset_id", "id", "metadata: expected key \"dataset_id\", received none");
   std::filesystem::remove(directory + "/data/main_data.hdf5");
   ASSERT_TRUE(WriteMinariDataset(dataset, directory).ok());
   std::ofstream(directory + "/data/main_data.hdf5") << "not HDF5";
