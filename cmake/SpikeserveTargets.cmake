@@ -28,19 +28,20 @@ function(spikeserve_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
   add_library(${name} STATIC ${ARG_SOURCES})
   target_link_libraries(${name} PUBLIC spikeserve_options ${ARG_DEPENDS} PRIVATE ${ARG_PRIVATE_DEPENDS})
-  spikeserve_note_layer(${name} "${ARG_DEPENDS}" "${ARG_PRIVATE_DEPENDS}")
+  spikeserve_note_layer(${name} "${ARG_SOURCES}" "${ARG_DEPENDS}" "${ARG_PRIVATE_DEPENDS}")
   set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LIBRARIES ${name})
 endfunction()
 
 # Appends a library or a program to the list that spikeserve_check_layers() writes.
-function(spikeserve_note_layer name public private)
+function(spikeserve_note_layer name sources public private)
   file(RELATIVE_PATH folder ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
-  list(TRANSFORM public REPLACE "(.+)" "\"\\1\"")
-  list(TRANSFORM private REPLACE "(.+)" "\"\\1\"")
-  list(JOIN public ", " public)
-  list(JOIN private ", " private)
-  set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LAYERS
-    "{\"name\": \"${name}\", \"folder\": \"${folder}\", \"public\": [${public}], \"private\": [${private}]}")
+  set(entry "\"name\": \"${name}\", \"folder\": \"${folder}\"")
+  foreach(list sources public private)
+    list(TRANSFORM ${list} REPLACE "(.+)" "\"\\1\"")
+    list(JOIN ${list} ", " ${list})
+    string(APPEND entry ", \"${list}\": [${${list}}]")
+  endforeach()
+  set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LAYERS "{${entry}}")
 endfunction()
 
 # spikeserve_program(NAME SOURCES file... [DEPENDS target...]): lands in <build>/bin.
@@ -48,7 +49,7 @@ function(spikeserve_program name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS})
-  spikeserve_note_layer(${name} "" "${ARG_DEPENDS}")
+  spikeserve_note_layer(${name} "${ARG_SOURCES}" "" "${ARG_DEPENDS}")
 endfunction()
 
 # spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...]): one ctest test for each

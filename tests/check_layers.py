@@ -73,10 +73,17 @@ def check_cpp(layers):
         complaints.append("libraries link each other in a circle: " + " -> ".join(cycle))
 
     folders = {}  # folder -> its libraries
+    stems = {}  # path of a source without its extension -> its library
     for name, entry in libraries.items():
         folders.setdefault(entry["folder"], set()).add(name)
+        for source in entry["sources"]:
+            stems[os.path.splitext(os.path.normpath(os.path.join(entry["folder"], source)))[0]] = name
 
     def owners(path):
+        """Returns the library that compiles the file or its .cc; without one, all of its folder."""
+        stem = os.path.splitext(path)[0].replace("client/include/spikeserve/", "client/src/")
+        if stem in stems:
+            return {stems[stem]}
         folder = os.path.dirname(path)
         while folder and folder not in folders:
             folder = os.path.dirname(folder)
