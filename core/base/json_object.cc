@@ -44,12 +44,16 @@ absl::Status ReadJson(absl::string_view field, const json& value, float* result)
 
 absl::Status ReadJsonInteger(absl::string_view field, const json& value, int64_t least,
                              uint64_t greatest, uint64_t* bits) {
-  const bool at_most =
-      value.is_number_unsigned() ? value.get<uint64_t>() <= greatest : value.is_number_integer();
-  const bool at_least = value.is_number_unsigned()
-                            ? least < 0 || value.get<uint64_t>() >= static_cast<uint64_t>(least)
-                            : value.is_number_integer() && value.get<int64_t>() >= least;
-  if (at_least && at_most) {
+  const auto within = [&] {
+    if (value.is_number_unsigned()) {
+      const auto number = value.get<uint64_t>();
+      return number <= greatest && (least < 0 || number >= static_cast<uint64_t>(least));
+    }
+    if (!value.is_number_integer()) return false;
+    const auto number = value.get<int64_t>();
+    return number >= least && (number < 0 || static_cast<uint64_t>(number) <= greatest);
+  };
+  if (within()) {
     *bits = value.is_number_unsigned() ? value.get<uint64_t>()
                                        : static_cast<uint64_t>(value.get<int64_t>());
     return absl::OkStatus();

@@ -72,7 +72,8 @@ TEST_F(PolicySettingsTest, SettingsOutliveTheServer) {
 }
 
 TEST_F(PolicySettingsTest, WhatCannotBeWrittenDownIsNotSet) {
-  StartServer({"--policy_settings=/nonexistent/settings.json"});
+  const std::string path = (kept_.path() / "no such folder" / "settings.json").string();
+  StartServer({"--policy_settings=" + path});
   Connect();
   v1::SetDefaultVersionRequest request;
   request.set_policy("discrete");
@@ -80,7 +81,7 @@ TEST_F(PolicySettingsTest, WhatCannotBeWrittenDownIsNotSet) {
   v1::SetDefaultVersionResponse response;
   const auto status = admin_->SetDefaultVersion(NewContext().get(), request, &response);
   EXPECT_FALSE(status.ok());
-  EXPECT_THAT(status.error_message(), HasSubstr("/nonexistent/settings.json"));
+  EXPECT_THAT(status.error_message(), HasSubstr(path));
   EXPECT_FALSE(TryUnload(1).ok());
   EXPECT_THAT(Versions(), ElementsAre(1, 2));
   EXPECT_EQ(DefaultVersion(), 2);

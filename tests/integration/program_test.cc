@@ -50,7 +50,7 @@ TEST_F(ProgramTest, BadSettings) {
       {R"({"policies": {"box": {"default_version": "1"}}})", "policies.box.default_version"},
       {R"({"policies": {"box": {"labels": {"stable": 0}}}})", "policies.box.labels.stable"},
       {R"({"policies": {"box": {"shares": [{"version": 1, "percent": 101}]}}})",
-       "policies.box.shares[0].percent: expected an integer in [0, 100], received 101"},
+       "policies.box.shares[0].percent: expected an integer from 0 to 100, received 101"},
       {R"({"policies": {"box": {"shadow": 1}}})", "policies.box: expected no other keys"},
       {R"({"unloaded": {"box": 1}})", "unloaded.box: expected an array"},
   };

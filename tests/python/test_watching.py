@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import os
+import pathlib
 import re
 import shutil
 import subprocess
@@ -18,7 +19,7 @@ from serving import DEADLINE_SECONDS, DEPLOY, Service, running_server
 
 PROMETHEUS_YML = DEPLOY / "prometheus" / "prometheus.yml"
 ALERTS_YML = DEPLOY / "prometheus" / "alerts.yml"
-UNIT = DEPLOY / "systemd" / "spikeserve.service"
+UNIT = DEPLOY / "systemd" / "spikeserve.service.in"
 DASHBOARD = json.loads((DEPLOY / "grafana" / "spikeserve.json").read_text())
 PANELS = [panel for panel in DASHBOARD["panels"] if panel["type"] != "row"]
 TARGETS = [(panel["title"], target) for panel in PANELS for target in panel["targets"]]
@@ -303,11 +304,14 @@ def test_promtool_is_content(arguments):
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 def test_systemd_is_content(tmp_path):
-    # It wants to find the program, which is not installed here.
-    unit = UNIT.read_text().replace("/usr/local/bin/spikeserve", os.environ["SPIKESERVE_PROGRAM"])
-    (tmp_path / UNIT.name).write_text(unit)
+    # The unit names what CMake installs; systemd wants to find the program and the user.
+    program = pathlib.Path(os.environ["SPIKESERVE_PROGRAM"])
+    text = UNIT.read_text().replace("@SPIKESERVE_BINDIR@", str(program.parent))
+    text = text.replace("@SPIKESERVE_DATADIR@", "/usr/share/spikeserve").replace("=spikeserve\n", "=nobody\n", 1)
+    unit = tmp_path / "spikeserve.service"
+    unit.write_text(text)
     finished = subprocess.run(
-        ["systemd-analyze", "verify", tmp_path / UNIT.name],
+        ["systemd-analyze", "verify", unit],
         capture_output=True,
         text=True,
         timeout=DEADLINE_SECONDS,

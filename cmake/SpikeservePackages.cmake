@@ -1,0 +1,82 @@
+# What `cmake --install` installs, and the Debian packages that `cpack` makes of it.
+#
+# | component | Debian package          | content                                                          |
+# | server    | spikeserve              | spikeserve, its systemd unit and user, the shipped policies      |
+# | client    | libspikeserve-dev       | the C++ client: headers, static libraries, CMake package, .pc    |
+# | tools     | spikeserve-tools        | spikectl and spikeload                                           |
+# | train     | spikeserve-train        | spiketrain                                                       |
+include(GNUInstallDirs)
+include(CMakePackageConfigHelpers)
+
+install(TARGETS spikeserve RUNTIME COMPONENT server)
+install(DIRECTORY deploy/policies DESTINATION ${CMAKE_INSTALL_DATADIR}/spikeserve COMPONENT server)
+install(TARGETS spikectl spikeload RUNTIME COMPONENT tools)
+set(components server client tools)
+if(SPIKESERVE_BUILD_TRAIN)
+  install(TARGETS spiketrain RUNTIME COMPONENT train)
+  list(APPEND components train)
+endif()
+
+# The unit names the prefix, which is known only when it is installed.
+install(CODE "
+  set(SPIKESERVE_BINDIR \${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_BINDIR})
+  set(SPIKESERVE_DATADIR \${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_DATADIR}/spikeserve)
+  configure_file(${PROJECT_SOURCE_DIR}/deploy/systemd/spikeserve.service.in
+                 ${CMAKE_BINARY_DIR}/spikeserve.service @ONLY)
+  file(INSTALL ${CMAKE_BINARY_DIR}/spikeserve.service
+       DESTINATION \${CMAKE_INSTALL_PREFIX}/lib/systemd/system)"
+  COMPONENT server)
+
+# The C++ client.
+set_target_properties(spikeserve_client PROPERTIES EXPORT_NAME client)
+set_target_properties(spikeserve_proto PROPERTIES EXPORT_NAME proto)
+install(TARGETS spikeserve_client spikeserve_proto EXPORT spikeserveTargets
+  ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT client
+  INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
+install(DIRECTORY client/include/spikeserve DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT client)
+install(DIRECTORY ${CMAKE_BINARY_DIR}/proto/spikeserve DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT client
+  FILES_MATCHING PATTERN "*.pb.h")
+set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/spikeserve)
+install(EXPORT spikeserveTargets NAMESPACE spikeserve:: DESTINATION ${package_dir} COMPONENT client)
+configure_package_config_file(cmake/package/spikeserveConfig.cmake.in ${CMAKE_BINARY_DIR}/spikeserveConfig.cmake
+  INSTALL_DESTINATION ${package_dir})
+write_basic_package_version_file(${CMAKE_BINARY_DIR}/spikeserveConfigVersion.cmake COMPATIBILITY SameMinorVersion)
+install(FILES ${CMAKE_BINARY_DIR}/spikeserveConfig.cmake ${CMAKE_BINARY_DIR}/spikeserveConfigVersion.cmake
+  DESTINATION ${package_dir} COMPONENT client)
+file(RELATIVE_PATH SPIKESERVE_PC_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
+configure_file(cmake/package/spikeserve.pc.in ${CMAKE_BINARY_DIR}/spikeserve.pc @ONLY)
+install(FILES ${CMAKE_BINARY_DIR}/spikeserve.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT client)
+
+set(package_server spikeserve)
+set(package_client libspikeserve-dev)
+set(package_tools spikeserve-tools)
+set(package_train spikeserve-train)
+foreach(component ${components})
+  string(TOUPPER ${component} upper)
+  install(FILES LICENSE NOTICE DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package_${component}} COMPONENT ${component})
+  set(CPACK_DEBIAN_${upper}_PACKAGE_NAME ${package_${component}})
+endforeach()
+
+set(CPACK_GENERATOR DEB)
+set(CPACK_PACKAGE_NAME spikeserve)
+set(CPACK_PACKAGE_CONTACT "the spikeserve maintainers <maintainers@spikeserve.invalid>")
+set(CPACK_PACKAGE_DIRECTORY ${CMAKE_BINARY_DIR}/packages)
+set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_COMPONENTS_ALL ${components})
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
+set(CPACK_DEBIAN_PACKAGE_SECTION net)
+set(CPACK_COMPONENT_SERVER_DESCRIPTION "Inference service for Spiking Decision Transformers")
+set(CPACK_COMPONENT_CLIENT_DESCRIPTION "C++ client library of spikeserve")
+set(CPACK_COMPONENT_TOOLS_DESCRIPTION "Command-line client and load generator of spikeserve")
+set(CPACK_COMPONENT_TRAIN_DESCRIPTION "Trains policies for spikeserve")
+set(CPACK_DEBIAN_CLIENT_PACKAGE_SECTION libdevel)
+set(CPACK_DEBIAN_CLIENT_PACKAGE_DEPENDS "libgrpc++-dev, libprotobuf-dev, libabsl-dev")
+set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS adduser)
+set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
+  ${PROJECT_SOURCE_DIR}/deploy/debian/postinst ${PROJECT_SOURCE_DIR}/deploy/debian/prerm
+  ${PROJECT_SOURCE_DIR}/deploy/debian/postrm)
+set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_STRICT_PERMISSION ON)
+include(CPack)

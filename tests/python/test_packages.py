@@ -1,0 +1,99 @@
+"""The Debian packages: installs the server's, starts it as its unit says, asks it something, removes it.
+
+Everything happens on an overlay of this machine's files in a mount namespace of its own, so that the machine stays as
+it was. Needs root.
+"""
+
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import textwrap
+
+import pytest
+
+BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
+VERSION = os.environ["SPIKESERVE_VERSION"]
+DEADLINE_SECONDS = 500
+
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="installing packages needs root")
+
+# Runs in the overlay: prints what the test looks at, and stops at the first command that fails.
+INSIDE = textwrap.dedent(
+    r"""
+    set -euo pipefail
+    dpkg --install /packages/spikeserve_*.deb /packages/spikeserve-tools_*.deb >/tmp/dpkg.log || cat /tmp/dpkg.log
+    echo "user $(getent passwd spikeserve | cut -d: -f1,6)"
+    unit=/usr/lib/systemd/system/spikeserve.service
+    systemd-analyze verify "$unit" && echo "unit verified"
+    # What systemd does for the unit: its StateDirectory, its user, its command line.
+    install -d -o spikeserve -g spikeserve /var/lib/spikeserve
+    line=$(sed -n 's/^ExecStart=//p' "$unit")
+    line=${line//%S//var/lib}
+    line=${line//\$SPIKESERVE_FLAGS/--listen=127.0.0.1:0 --http_listen=}
+    mkfifo /tmp/said
+    runuser -u spikeserve -- $line >/tmp/said &
+    server=$!
+    read -r said </tmp/said
+    spikectl policies --server="${said##* }" | grep -c cartpole
+    kill -TERM "$(pgrep -u spikeserve -x spikeserve)"
+    wait "$server" && echo "stopped cleanly"
+    dpkg --purge spikeserve spikeserve-tools >/dev/null
+    for left in /usr/bin/spikeserve /usr/bin/spikectl /usr/share/spikeserve "$unit" /var/lib/spikeserve; do
+      [[ ! -e $left ]] || echo "left behind: $left"
+    done
+    getent passwd spikeserve || echo "user gone"
+    """
+)
+
+OUTSIDE = textwrap.dedent(
+    r"""
+    set -euo pipefail
+    mkdir "$1"/{upper,work,root}
+    mount -t overlay overlay -o "lowerdir=/,upperdir=$1/upper,workdir=$1/work" "$1/root"
+    mount --rbind /dev "$1/root/dev"
+    mount --rbind /proc "$1/root/proc"
+    mkdir "$1/root/packages"
+    mount --bind "$2" "$1/root/packages"
+    exec chroot "$1/root" /bin/bash -c "$3"
+    """
+)
+
+
+@pytest.fixture(scope="module")
+def packages():
+    """The folder with the packages that cpack makes of the build."""
+    shutil.rmtree(BUILD / "packages", ignore_errors=True)
+    finished = subprocess.run(
+        ["cpack", "-G", "DEB"], cwd=BUILD, capture_output=True, text=True, timeout=DEADLINE_SECONDS
+    )
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    return BUILD / "packages"
+
+
+def test_every_component_is_a_package_of_the_one_version(packages):
+    names = {path.name.split("_")[0] for path in packages.glob(f"*_{VERSION}_*.deb")}
+    assert {"spikeserve", "libspikeserve-dev", "spikeserve-tools"} <= names
+
+
+def test_the_package_holds_no_path_of_the_machine_that_built_it(packages):
+    [package] = packages.glob("spikeserve_*.deb")
+    listed = subprocess.run(["dpkg-deb", "-c", package], capture_output=True, text=True, check=True)
+    paths = re.findall(r" \./(\S*)", listed.stdout)
+    assert all(path.startswith("usr/") or path in ("", "usr/") for path in paths), paths
+
+
+def test_the_server_installs_starts_answers_and_goes(packages, tmp_path):
+    finished = subprocess.run(
+        ["unshare", "--mount", "bash", "-c", OUTSIDE, "bash", tmp_path, packages, INSIDE],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_SECONDS,
+    )
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    lines = finished.stdout.splitlines()
+    assert lines[0] == "user spikeserve:/var/lib/spikeserve"
+    assert "unit verified" in lines
+    assert int(lines[2]) >= 1, "a policy named cartpole is served"
+    assert lines[3:] == ["stopped cleanly", "user gone"], finished.stdout + finished.stderr
