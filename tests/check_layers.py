@@ -6,6 +6,8 @@ C++: BUILD_DIR/layers.json lists each library, its folder, its sources and the l
 may include a header of another folder only if its own library links that folder's library, directly or through what
 that one links publicly. No header may include itself through others, and the libraries must form no cycle.
 
+CONTRIBUTING.md's map names every folder that holds a library, and no other.
+
 Python and JavaScript: the modules of one package must not import each other in a circle.
 """
 
@@ -114,6 +116,15 @@ def check_cpp(layers):
     return complaints
 
 
+def check_map(layers):
+    """Returns complaints about folders that CONTRIBUTING.md's map of the rooms does not name."""
+    rooms = set(re.findall(r"^\| `([^`]+)` \|", read("CONTRIBUTING.md"), re.MULTILINE))
+    folders = {entry["folder"] for entry in layers if not entry["folder"].startswith("tests")}
+    return [f"CONTRIBUTING.md: the map of the rooms does not name {folder}" for folder in sorted(folders - rooms)] + [
+        f"CONTRIBUTING.md: the map of the rooms names {room}, which is none" for room in sorted(rooms - folders)
+    ]
+
+
 def python_imports(path, modules):
     """Returns the modules of `modules` that the file imports, at any depth of its code."""
     package = os.path.dirname(path)
@@ -149,7 +160,7 @@ def check_scripts():
 def main():
     with open(os.path.join(sys.argv[1], "layers.json"), encoding="utf-8") as file:
         layers = json.load(file)
-    complaints = check_cpp(layers) + check_scripts()
+    complaints = check_cpp(layers) + check_map(layers) + check_scripts()
     for complaint in complaints:
         print(complaint, file=sys.stderr)
     print(f"check_layers: {len(layers)} libraries, {len(complaints)} complaints")
