@@ -1,4 +1,4 @@
-"""Compiles the wire contract into the package while it is built or installed."""
+"""Compiles the wire contract into the package when pip builds or installs it."""
 
 import pathlib
 import tempfile
@@ -11,10 +11,10 @@ DESCRIPTOR = "spikeserve/policy_service.binpb"
 
 
 class WireContract(BuildHookInterface):
-    """Puts the compiled PROTO beside the modules as DESCRIPTOR."""
+    """Compiles PROTO to DESCRIPTOR, beside the modules of the package."""
 
     def initialize(self, version, build_data):
-        """Writes into the source tree for an editable installation, into the wheel otherwise."""
+        """Writes to the source tree for an editable installation, and to the wheel otherwise."""
         if version == "editable":
             compile_proto(self._proto_root(), pathlib.Path(self.root, "src", DESCRIPTOR))
             return
@@ -24,21 +24,23 @@ class WireContract(BuildHookInterface):
         build_data["force_include"][str(compiled)] = DESCRIPTOR
 
     def finalize(self, version, build_data, artifact_path):
-        """Removes what the wheel has taken."""
+        """Removes the compiled file. The wheel has a copy."""
         if version != "editable":
             self._output.cleanup()
 
     def _proto_root(self):
-        """The repository's proto/, or its copy inside a source distribution."""
+        """Returns the proto/ of the repository, or its copy in a source distribution."""
         roots = [pathlib.Path(self.root, "proto"), pathlib.Path(self.root, "../../proto")]
         for root in roots:
             if (root / PROTO).is_file():
                 return root
-        raise FileNotFoundError(f"{PROTO}: expected in one of {[str(root) for root in roots]}")
+        raise FileNotFoundError(
+            f"{PROTO}: expected in one of {[str(root) for root in roots]}, received none"
+        )
 
 
 def compile_proto(root, output):
-    """Compiles PROTO, found below `root`, to a FileDescriptorSet."""
+    """Compiles PROTO, a path below `root`, to a FileDescriptorSet in the file `output`."""
     arguments = ["protoc", f"--proto_path={root}", f"--descriptor_set_out={output}", PROTO]
     if protoc.main(arguments) != 0:
         raise RuntimeError(f"protoc failed on {root / PROTO}")

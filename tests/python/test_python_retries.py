@@ -6,6 +6,7 @@ import inspect
 import pytest
 import spikeserve
 from flaky_server import FlakyServer
+from spikeserve.wire import METHODS
 
 ATTEMPTS = 4
 RETRY = spikeserve.RetryOptions(max_attempts=ATTEMPTS, initial_backoff=0, max_backoff=0)
@@ -145,6 +146,16 @@ def test_a_batch_is_repeated_as_a_whole(server, play):
     play(scenario)
 
 
+def test_a_method_called_by_its_name_is_repeated_too(server, play):
+    async def scenario(client, session):
+        server.faults["ListPolicies"] = ["unavailable"]
+        method = METHODS["ListPolicies"]
+        assert await finish(client.call(method.name, method.request())) == method.response()
+        assert server.calls["ListPolicies"] == 2
+
+    play(scenario)
+
+
 def test_learning_is_asked_for(server, play):
     async def scenario(client, session):
         (request,) = server.opened
@@ -170,14 +181,14 @@ def test_pauses_grow_to_their_limit():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"max_attempts": 0}, "max_attempts: expected at least 1, got 0"),
-        ({"initial_backoff": -1}, "initial_backoff: expected at least 0, got -1"),
-        ({"max_backoff": 0}, r"max_backoff: expected at least initial_backoff \(0.05\), got 0"),
-        ({"multiplier": 0.5}, "multiplier: expected at least 1, got 0.5"),
+        ({"max_attempts": 0}, "max_attempts: expected at least 1, received 0"),
+        ({"initial_backoff": -1}, "initial_backoff: expected at least 0, received -1"),
+        ({"max_backoff": 0}, r"max_backoff: expected at least initial_backoff \(0.05\), received 0"),
+        ({"multiplier": 0.5}, "multiplier: expected at least 1, received 0.5"),
     ],
 )
 def test_retry_options_are_checked(options, message):
     with pytest.raises(ValueError, match=message):
         spikeserve.RetryOptions(**options)
-    with pytest.raises(ValueError, match="timeout: expected more than 0, got 0"):
+    with pytest.raises(ValueError, match="timeout: expected more than 0, received 0"):
         spikeserve.ClientOptions(timeout=0)

@@ -192,18 +192,36 @@ def test_all_rows_move_on_or_none(client):
         assert [session.state().decisions for session in agents.sessions] == [2, 2, 2]
 
 
+def test_async_rows_end_although_another_row_fails(address):
+    async def scenario():
+        envs = make_rows("CartPole-v1", AutoresetMode.SAME_STEP)
+        observations, _ = envs.reset(seed=SEED)
+        async with spikeserve.AsyncClient(address) as client:
+            rows = await open_rows(client, envs)
+            await rows.act(observations)
+            await rows.sessions[1].close()
+            with pytest.raises(spikeserve.NotFoundError):
+                await rows.act(observations, np.ones(ROWS), [True] * ROWS)
+            assert [session.step for session in rows.sessions] == [0, 1, 0]
+
+    asyncio.run(scenario())
+
+
 def test_what_does_not_fit_is_refused(client):
     cartpole = make_rows("CartPole-v1", AutoresetMode.NEXT_STEP)
-    with pytest.raises(ValueError, match=r"'random_acrobot' takes shape \(6,\), .* has \(4,\)"):
+    mismatch = r"expected shape \(6,\) for policy 'random_acrobot', received \(4,\)"
+    with pytest.raises(ValueError, match=mismatch):
         spikeserve.VectorSession(client, "random_acrobot", cartpole)
     mountain_car = make_rows("MountainCar-v0", AutoresetMode.DISABLED)
-    with pytest.raises(ValueError, match="autoreset_mode: expected NextStep or SameStep, got Disa"):
+    disabled = "autoreset_mode: expected NextStep or SameStep, received Disabled"
+    with pytest.raises(ValueError, match=disabled):
         spikeserve.VectorSession(client, "random_mountaincar", mountain_car)
     with spikeserve.VectorSession(client, "cartpole", cartpole) as agents:
-        with pytest.raises(ValueError, match=r"observations: expected shape \(3, n\), got \(3,\)"):
+        one_dimension = r"observations: expected shape \(3, n\), received \(3,\)"
+        with pytest.raises(ValueError, match=one_dimension):
             agents.act([0, 0, 0])
         agents.act(np.zeros((ROWS, 4)))
-        with pytest.raises(ValueError, match="rewards: expected one a row"):
+        with pytest.raises(ValueError, match="rewards: expected one for each row"):
             agents.act(np.zeros((ROWS, 4)))
 
 

@@ -1,14 +1,18 @@
 """Client of spikeserve, the inference service for Spiking Decision Transformers.
 
-Start with `Client` and `Session`; `VectorSession` serves Gymnasium's vector environments,
-`AsyncClient` asyncio, `evaluate` plays whole episodes. `spikeserve.export` writes policy files.
+Start with `Client` and `Session`. `VectorSession` acts in Gymnasium vector environments.
+`AsyncClient` is the client for asyncio. `evaluate` plays whole episodes. The module
+`spikeserve.export` writes policy files.
 """
 
-from spikeserve.async_client import AsyncClient, AsyncSession
+import importlib.metadata
+
+from spikeserve.async_client import AsyncClient
+from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
 from spikeserve.async_vector_session import AsyncVectorSession
-from spikeserve.calls import ClientOptions
-from spikeserve.client import Client, Session
+from spikeserve.client import Client
+from spikeserve.connection import ClientOptions
 from spikeserve.errors import (
     DeadlineExceededError,
     FailedPreconditionError,
@@ -23,6 +27,7 @@ from spikeserve.errors import (
 )
 from spikeserve.evaluation import Evaluation, evaluate
 from spikeserve.retry import RetryOptions
+from spikeserve.session import Session
 from spikeserve.spaces import ActionSpace, Box, Discrete
 from spikeserve.stream import ActStream
 from spikeserve.values import (
@@ -37,6 +42,8 @@ from spikeserve.values import (
     Stats,
 )
 from spikeserve.vector_session import VectorSession
+
+__version__ = importlib.metadata.version("spikeserve")
 
 __all__ = [
     "ActStream",
@@ -72,5 +79,6 @@ __all__ = [
     "UnavailableError",
     "UnimplementedError",
     "VectorSession",
+    "__version__",
     "evaluate",
 ]

@@ -1,25 +1,22 @@
-"""`AsyncActStream`: ActStream, awaited."""
+"""`AsyncActStream`: the decisions of any number of sessions on one stream, with asyncio."""
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import grpc
 from numpy.typing import ArrayLike
 
-from spikeserve.calls import OpenRequests, stream_ended
+from spikeserve.async_session import AsyncSession
 from spikeserve.errors import SpikeserveError, error_of_call
+from spikeserve.open_requests import OpenRequests, stream_ended
 from spikeserve.values import Decision
-
-if TYPE_CHECKING:
-    from spikeserve.async_client import AsyncSession
 
 
 class AsyncActStream:
-    """ActStream for asyncio. One task at a time sends, and one receives.
+    """Asyncio form of ActStream. One task at a time may send, and one may receive.
 
-    A `receive` that is cancelled, by asyncio.timeout for example, ends the stream.
+    A `receive` that is cancelled, for example by asyncio.timeout, ends the stream.
     """
 
     def __init__(self, call: Any) -> None:
@@ -29,18 +26,13 @@ class AsyncActStream:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        exception_type: type[BaseException] | None,
-        exception: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self.close()
 
     async def send(
         self, session: AsyncSession, observation: ArrayLike, reward: float = 0.0
     ) -> None:
-        """ActStream.send."""
+        """Asyncio form of ActStream.send."""
         request = self._open.add(session, observation, reward)
         try:
             await self._call.write(request)
@@ -48,7 +40,7 @@ class AsyncActStream:
             raise error_of_call("ActStream", error) from error
 
     async def receive(self) -> tuple[AsyncSession, Decision | SpikeserveError]:
-        """ActStream.receive."""
+        """Asyncio form of ActStream.receive."""
         try:
             reply = await self._call.read()
         except grpc.RpcError as error:
@@ -60,7 +52,7 @@ class AsyncActStream:
     async def act(
         self, session: AsyncSession, observation: ArrayLike, reward: float = 0.0
     ) -> Decision:
-        """ActStream.act."""
+        """Asyncio form of ActStream.act."""
         self._open.check_empty()
         await self.send(session, observation, reward)
         _, result = await self.receive()
@@ -69,5 +61,5 @@ class AsyncActStream:
         return result
 
     def close(self) -> None:
-        """ActStream.close."""
+        """Ends the stream. Drops answers that were not received."""
         self._call.cancel()

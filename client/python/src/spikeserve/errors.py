@@ -1,6 +1,6 @@
-"""What a call raises: one class for each status that the server's contract names.
+"""The exceptions of calls: one class for each gRPC status that the wire contract names.
 
-The message is the server's own: it names the field, what was expected and what was received.
+The message comes from the server. It names the field, the expected value and the received value.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import grpc
 class SpikeserveError(Exception):
     """A call that failed.
 
-    `call` is the method's name, `code` gRPC's status code, `message` what the server said (or
-    gRPC itself, if no server was reached).
+    `call` is the name of the method and `code` the status code of gRPC. `message` comes from the
+    server, or from gRPC if no server was reached.
     """
 
     def __init__(self, call: str, code: grpc.StatusCode, message: str) -> None:
@@ -23,15 +23,15 @@ class SpikeserveError(Exception):
 
 
 class InvalidArgumentError(SpikeserveError):
-    """A field has a wrong value; the session is as it was."""
+    """A field has a wrong value. The session did not change."""
 
 
 class NotFoundError(SpikeserveError):
-    """There is no such session (it may have been idle for too long), policy or version."""
+    """The session, policy or version does not exist. The server closes idle sessions."""
 
 
 class FailedPreconditionError(SpikeserveError):
-    """The step is not the expected one, or an episode ended that never began."""
+    """The step is not the expected one, or the episode to end has no decision yet."""
 
 
 class ResourceExhaustedError(SpikeserveError):
@@ -39,7 +39,7 @@ class ResourceExhaustedError(SpikeserveError):
 
 
 class UnauthenticatedError(SpikeserveError):
-    """The server asks for credentials, or for others."""
+    """The credentials are missing, unknown or expired."""
 
 
 class PermissionDeniedError(SpikeserveError):
@@ -47,15 +47,15 @@ class PermissionDeniedError(SpikeserveError):
 
 
 class UnimplementedError(SpikeserveError):
-    """The server does not do that."""
+    """The server does not support this call."""
 
 
 class UnavailableError(SpikeserveError):
-    """No server was reached, or it is going away; every attempt failed."""
+    """Every attempt failed: the server was not reached, or it was shutting down."""
 
 
 class DeadlineExceededError(SpikeserveError):
-    """No answer came within the timeout; every attempt failed."""
+    """Every attempt failed: no response came within the timeout."""
 
 
 _CLASSES: dict[grpc.StatusCode, type[SpikeserveError]] = {
@@ -74,20 +74,20 @@ _CODES = {code.value[0]: code for code in grpc.StatusCode}
 
 
 def make_error(call: str, code: grpc.StatusCode, message: str) -> SpikeserveError:
-    """The exception for a status."""
+    """Returns the exception for a status."""
     return _CLASSES.get(code, SpikeserveError)(call, code, message)
 
 
 def error_of_call(call: str, error: grpc.RpcError) -> SpikeserveError:
-    """The exception for what grpc or grpc.aio raised."""
+    """Returns the exception for an error of grpc or grpc.aio."""
     return make_error(call, error.code(), error.details() or "")
 
 
 def error_of_item(call: str, code: int, message: str) -> SpikeserveError:
-    """The exception for one item of a batch; `code` is gRPC's number."""
+    """Returns the exception for one item of a batch or stream. `code` is a gRPC status number."""
     return make_error(call, _CODES.get(code, grpc.StatusCode.UNKNOWN), message)
 
 
 def is_retryable(error: SpikeserveError) -> bool:
-    """Whether nobody knows if the call was carried out."""
+    """Returns whether to repeat the call: the server may or may not have carried it out."""
     return isinstance(error, UnavailableError | DeadlineExceededError)

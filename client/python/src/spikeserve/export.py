@@ -6,8 +6,8 @@
                   action_space=env.action_space, environment="CartPole-v1",
                   return_offset=250, return_scale=250, target_return=500)
 
-Everything the server's strict reader would refuse is refused here, before anything is written.
-Needs the package `safetensors`, the extra `spikeserve[export]`; neither PyTorch nor a server.
+The exporter checks everything that the server checks, before it writes anything. It needs the
+package `safetensors` (`spikeserve[export]`), and neither PyTorch nor a server.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ import json
 import os
 import pathlib
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spikeserve.check import check
 from spikeserve.model_config import ModelConfig
 from spikeserve.spaces import ActionSpace, Discrete, as_action_space
 
@@ -30,7 +31,7 @@ __all__ = ["ModelConfig", "export_policy", "tensor_shapes"]
 
 FORMAT = "spikeserve.policy.v1"
 
-# A tensor's lengths; None is any length from 1.
+# The lengths of a tensor. None stands for any length from 1.
 Shape = tuple[int | None, ...]
 
 
@@ -48,18 +49,18 @@ def export_policy(
     modulator_std: float = 1.0,
     training: Mapping[str, Any] | None = None,
 ) -> None:
-    """Writes a policy to `path`, making its folder if need be.
+    """Writes a policy file to `path`. Creates its folder if it does not exist.
 
-    `tensors` holds every tensor of tensor_shapes() and no other: PyTorch tensors (anything with
-    detach().cpu().numpy()) or what NumPy can make an array of; they are stored as float32.
-    `action_space` is a Discrete or Box of Gymnasium or of spikeserve. The return token's input is
-    (G - return_offset) / return_scale. `training` is anything JSON can hold; its
-    evaluation.mean_return is what ListPolicies shows as the training return.
+    `tensors` holds exactly the tensors of tensor_shapes(), as PyTorch tensors (anything with
+    detach().cpu().numpy()) or as arguments of numpy.asarray. The file stores them as float32.
+    `action_space` is a Discrete or Box of Gymnasium or of spikeserve. The input of the return
+    token is (G - return_offset) / return_scale. `training` is a JSON object. ListPolicies shows
+    its evaluation.mean_return as the training return.
 
-    ValueError names the tensor or field, what was expected and what was received; nothing is
-    written then. A file at `path` is replaced all at once: no reader sees half a policy.
+    ValueError names the tensor or field, the expected value and the received value. An error
+    leaves the old file at `path` as it is. The write is atomic, so no reader sees a partial file.
     """
-    import safetensors.numpy  # an extra: agents have no need of it
+    import safetensors.numpy  # an optional dependency that agents do not need
 
     space = as_action_space(action_space)
     _check_space(space)
@@ -84,8 +85,9 @@ def export_policy(
 
 
 def tensor_shapes(config: ModelConfig, observation_size: int, action_size: int) -> dict[str, Shape]:
-    """The tensors of a policy file and their shapes. `action_size` is n of a Discrete space, the
-    length of a Box.
+    """Returns the shape of every tensor of a policy file, by name.
+
+    `action_size` is n of a Discrete space, or the length of a Box.
     """
     d = config.hidden_size
     shapes: dict[str, Shape] = {}
@@ -141,92 +143,72 @@ def _action_size(space: ActionSpace) -> int:
 
 def _check_space(space: ActionSpace) -> None:
     if isinstance(space, Discrete):
-        if space.n < 1:
-            raise ValueError(f"action_space.n: expected at least 1, got {space.n}")
+        check(space.n >= 1, "action_space.n", "at least 1", space.n)
         return
-    if not space.low or len(space.low) != len(space.high):
-        raise ValueError(
-            f"action_space: expected low and high of one length from 1, "
-            f"got {len(space.low)} and {len(space.high)}"
-        )
+    lows, highs = len(space.low), len(space.high)
+    fits = lows == highs >= 1
+    check(fits, "action_space", "low and high of one length from 1", f"{lows} and {highs}")
     for i, (low, high) in enumerate(zip(space.low, space.high, strict=True)):
-        if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            raise ValueError(
-                f"action_space: expected finite bounds with low[{i}] < high[{i}], "
-                f"got {low} and {high}"
-            )
+        fits = np.isfinite(low) and np.isfinite(high) and low < high
+        expected = f"finite bounds with low[{i}] < high[{i}]"
+        check(fits, "action_space", expected, f"{low} and {high}")
 
 
 def _float32(name: str, tensor: Any) -> NDArray[np.float32]:
     try:
         array = np.asarray(tensor.detach().cpu().numpy() if hasattr(tensor, "detach") else tensor)
     except (TypeError, ValueError) as error:
-        raise ValueError(f'tensor "{name}": expected an array of numbers, got {error}') from error
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f'tensor "{name}": expected real numbers, got dtype {array.dtype}')
-    with np.errstate(over="ignore"):  # what overflows is refused as infinite
+        received = f"{type(tensor).__name__} ({error})"
+        raise ValueError(f'tensor "{name}": expected real numbers, received {received}') from error
+    check(array.dtype.kind in "fiu", f'tensor "{name}"', "real numbers", f"dtype {array.dtype}")
+    with np.errstate(over="ignore"):  # an overflow becomes infinite, which _check_tensor rejects
         return np.ascontiguousarray(array, np.float32).reshape(array.shape)
 
 
 def _check_tensors(
     arrays: Mapping[str, NDArray[np.float32]], config: ModelConfig, action_size: int
 ) -> None:
-    if "observation.mean" not in arrays:
-        raise ValueError('tensor "observation.mean": expected, but missing')
+    mean = 'tensor "observation.mean"'
+    check("observation.mean" in arrays, mean, "a tensor", "none")
     observation_size = arrays["observation.mean"].size
-    if observation_size < 1:
-        raise ValueError('tensor "observation.mean": expected at least one value, got 0')
+    check(observation_size >= 1, mean, "at least one value", 0)
     expected = tensor_shapes(config, observation_size, action_size)
-    for problem in _name_problems(arrays, expected, config):
-        raise ValueError(problem)
+    for name in expected:
+        check(name in arrays, f'tensor "{name}"', "a tensor", "none")
+    for name in arrays:
+        check(name in expected, f'tensor "{name}"', f"no such tensor in mode {config.mode}", "one")
     for name, shape in expected.items():
         _check_tensor(name, arrays[name], shape)
-    deviation = arrays["observation.std"]
-    for i in np.flatnonzero(deviation <= 0)[:1]:
-        raise ValueError(
-            f'tensor "observation.std": expected positive numbers, got {deviation[i]} at index {i}'
-        )
-
-
-def _name_problems(
-    arrays: Mapping[str, Any], expected: Mapping[str, Shape], config: ModelConfig
-) -> Iterator[str]:
-    for name in expected:
-        if name not in arrays:
-            yield f'tensor "{name}": expected, but missing'
-    for name in arrays:
-        if name not in expected:
-            yield f'tensor "{name}": not expected in a policy of mode {config.mode}'
+    std = arrays["observation.std"]
+    for i in np.flatnonzero(std <= 0)[:1]:
+        check(False, 'tensor "observation.std"', "positive numbers", f"{std[i]} at index {i}")
 
 
 def _check_tensor(name: str, array: NDArray[np.float32], expected: Shape) -> None:
+    field = f'tensor "{name}"'
     fits = len(array.shape) == len(expected) and all(
         length >= 1 if wanted is None else length == wanted
         for length, wanted in zip(array.shape, expected, strict=True)
     )
-    if not fits:
-        wanted = ", ".join("any" if length is None else str(length) for length in expected)
-        raise ValueError(f'tensor "{name}": expected shape [{wanted}], got {list(array.shape)}')
-    for index in np.flatnonzero(~np.isfinite(array))[:1]:
-        raise ValueError(
-            f'tensor "{name}": expected numbers finite in float32, '
-            f"got {array.flat[index]} at index {index}"
-        )
+    lengths = ", ".join("any" if length is None else str(length) for length in expected)
+    check(fits, field, f"shape [{lengths}]", list(array.shape))
+    for i in np.flatnonzero(~np.isfinite(array))[:1]:
+        check(False, field, "numbers finite in float32", f"{array.flat[i]} at index {i}")
 
 
 def _json(field: str, value: Mapping[str, Any]) -> str:
     try:
         return json.dumps(dict(value), allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{field}: expected what JSON can hold, got {error}") from error
+        received = f"{type(value).__name__} ({error})"
+        raise ValueError(f"{field}: expected a JSON object, received {received}") from error
 
 
 def _number(field: str, value: float, positive: bool = False) -> str:
     with np.errstate(over="ignore"):
         number = np.float32(value)
-    if not np.isfinite(number) or (positive and number <= 0):
-        kind = "a positive finite number" if positive else "a finite number"
-        raise ValueError(f"{field}: expected {kind}, got {value}")
+    fits = bool(np.isfinite(number) and (number > 0 or not positive))
+    check(fits, field, "a positive finite number" if positive else "a finite number", value)
     return str(number)
 
 
@@ -236,7 +218,7 @@ def _write_atomically(path: pathlib.Path, contents: bytes) -> None:
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(contents)
-            os.fchmod(descriptor, 0o644)  # mkstemp lets only the owner read
+            os.fchmod(descriptor, 0o644)  # mkstemp gives read access to the owner only
             file.flush()
             os.fsync(descriptor)
         os.replace(temporary, path)

@@ -1,4 +1,4 @@
-"""The shape and the choices of one SNN-DT, as stored in a policy file."""
+"""The configuration of one SNN-DT model, as stored in a policy file."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from spikeserve.check import check
+
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """The `config` of a policy file. ValueError names the field, what was expected and what came.
+    """The `config` of a policy file.
 
-    Symbols: d hidden size, H heads, L layers, T ticks, N context in timesteps.
+    Symbols: d hidden size, H heads, L layers, T ticks, N context in timesteps. ValueError names the
+    field, the expected value and the received value.
     """
 
     mode: str = "full"  # baseline, pos, route, full or dense
@@ -37,7 +40,7 @@ class ModelConfig:
         "merge": ("sum", "concat"),
         "gate": ("softmax", "sigmoid"),
     }
-    # The largest sizes that the server's reader takes.
+    # The largest sizes that the server accepts.
     LIMITS: ClassVar[dict[str, int]] = {
         "hidden_size": 4096,
         "heads": 64,
@@ -51,43 +54,39 @@ class ModelConfig:
     def __post_init__(self) -> None:
         for field, names in self.CHOICES.items():
             value = getattr(self, field)
-            if value not in names:
-                raise ValueError(f"{field}: expected one of {', '.join(names)}, got {value!r}")
+            check(value in names, field, f"one of {', '.join(names)}", repr(value))
         for field, limit in self.LIMITS.items():
             value = getattr(self, field)
-            if type(value) is not int or not 1 <= value <= limit:
-                raise ValueError(f"{field}: expected an integer from 1 to {limit}, got {value!r}")
-        if self.hidden_size % self.heads != 0:
-            raise ValueError(
-                f"hidden_size: expected a multiple of heads = {self.heads}, got {self.hidden_size}"
-            )
-        if not 0 <= self.membrane_decay <= 1:
-            raise ValueError(f"membrane_decay: expected 0 to 1, got {self.membrane_decay}")
-        if not 0 < np.float32(self.threshold) < np.inf:
-            raise ValueError(f"threshold: expected a positive finite number, got {self.threshold}")
+            fits = type(value) is int and 1 <= value <= limit
+            check(fits, field, f"an integer from 1 to {limit}", repr(value))
+        divides = self.hidden_size % self.heads == 0
+        check(divides, "hidden_size", f"a multiple of heads = {self.heads}", self.hidden_size)
+        check(0 <= self.membrane_decay <= 1, "membrane_decay", "0 to 1", self.membrane_decay)
+        fits = bool(0 < np.float32(self.threshold) < np.inf)
+        check(fits, "threshold", "a positive finite number", self.threshold)
 
     @property
     def is_dense(self) -> bool:
-        """An ordinary decision transformer, for comparison."""
+        """Returns whether the model is a decision transformer without spikes, for comparison."""
         return self.mode == "dense"
 
     @property
     def has_phase(self) -> bool:
-        """With phase spikes."""
+        """Returns whether the model has phase spikes."""
         return self.mode in ("pos", "full")
 
     @property
     def has_routing(self) -> bool:
-        """With dendritic routing."""
+        """Returns whether the model has dendritic routing."""
         return self.mode in ("route", "full")
 
     @property
     def attention_inputs(self) -> int:
-        """Inputs of the query, key and value projections."""
+        """Returns the input size of the query, key and value projections."""
         return self.hidden_size + (self.heads if self.has_phase else 0)
 
     @property
     def merged_size(self) -> int:
-        """Inputs of the attention's output projection."""
-        side_by_side = self.is_dense or self.merge == "concat"
-        return self.hidden_size if side_by_side else self.hidden_size // self.heads
+        """Returns the input size of the output projection of the attention."""
+        concatenated = self.is_dense or self.merge == "concat"
+        return self.hidden_size if concatenated else self.hidden_size // self.heads

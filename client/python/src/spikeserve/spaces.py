@@ -1,4 +1,4 @@
-"""What a policy may answer: Gymnasium's Discrete and Box, without a need for Gymnasium."""
+"""Action spaces: the Discrete and Box of Gymnasium, without a dependency on Gymnasium."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikeserve.check import check
 from spikeserve.wire import Message
 
 
@@ -20,7 +21,7 @@ class Discrete:
 
 @dataclass(frozen=True)
 class Box:
-    """Vectors within finite bounds, in environment units."""
+    """Vectors within finite bounds, in environment units. One bound for each element."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]
@@ -30,29 +31,27 @@ ActionSpace = Discrete | Box
 
 
 def action_space_from_wire(message: Message) -> ActionSpace:
-    """From an ActionSpace of the wire contract."""
+    """Converts an ActionSpace of the wire contract."""
     if message.WhichOneof("kind") == "discrete":
         return Discrete(message.discrete.n)
     return Box(tuple(message.box.low), tuple(message.box.high))
 
 
 def as_action_space(space: Any) -> ActionSpace:
-    """A Discrete or Box of this module or of Gymnasium, as one of this module.
+    """Converts a Discrete or Box of Gymnasium to one of this module.
 
-    ValueError for anything else, for a Discrete that does not start at 0, and for a Box that has
-    not one dimension: the model's actions are none of these.
+    Returns a Discrete or Box of this module unchanged. ValueError for a Discrete that does not
+    start at 0, for a Box without exactly one dimension, and for other types: no policy has them.
     """
     if isinstance(space, Discrete | Box):
         return space
     if hasattr(space, "n") and hasattr(space, "start"):
-        if space.start != 0:
-            raise ValueError(f"action_space: expected Discrete from 0, got one from {space.start}")
+        check(space.start == 0, "action_space", "Discrete from 0", space)
         return Discrete(int(space.n))
     if hasattr(space, "low") and hasattr(space, "high"):
-        if np.ndim(space.low) != 1:
-            raise ValueError(f"action_space: expected Box of one dimension, got {space}")
+        check(np.ndim(space.low) == 1, "action_space", "Box of one dimension", space)
         return Box(_bounds(space.low), _bounds(space.high))
-    raise ValueError(f"action_space: expected Discrete or Box, got {space!r}")
+    raise ValueError(f"action_space: expected Discrete or Box, received {space!r}")
 
 
 def _bounds(values: Any) -> tuple[float, ...]:
@@ -62,8 +61,8 @@ def _bounds(values: Any) -> tuple[float, ...]:
 def stack_actions(
     actions: list[int | NDArray[np.float32] | None], space: ActionSpace
 ) -> NDArray[np.int64] | NDArray[np.float32]:
-    """One row an action; a row without one holds an action of the space that nobody will read."""
+    """Returns one row for each action. None becomes an action that the environment ignores."""
     if isinstance(space, Discrete):
         return np.array([0 if action is None else action for action in actions], np.int64)
-    unread = np.asarray(space.low, np.float32)
-    return np.stack([unread if action is None else np.asarray(action) for action in actions])
+    ignored = np.asarray(space.low, np.float32)
+    return np.stack([ignored if action is None else np.asarray(action) for action in actions])

@@ -5,27 +5,24 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterable
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import grpc
 from numpy.typing import ArrayLike
 
-from spikeserve.calls import OpenRequests, stream_ended
 from spikeserve.errors import SpikeserveError, error_of_call, make_error
+from spikeserve.open_requests import OpenRequests, stream_ended
+from spikeserve.session import Session
 from spikeserve.values import Decision
 from spikeserve.wire import Message
-
-if TYPE_CHECKING:
-    from spikeserve.client import Session
 
 
 class ActStream:
     """One ActStream call. Not thread-safe.
 
-    A session has at most one request under way; requests of different sessions need not wait for
-    each other. Nothing is repeated by itself: if the stream breaks, `receive` raises, and what was
-    not answered may be sent again on another stream, or asked with `Session.act`.
+    A session has at most one request under way. Requests of different sessions do not wait for each
+    other. The stream repeats nothing. If the stream breaks, `receive` raises, and requests without
+    an answer may be sent again on another stream or with Session.act.
     """
 
     def __init__(self, open_stream: Callable[[Iterable[Message]], Any]) -> None:
@@ -41,22 +38,18 @@ class ActStream:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exception_type: type[BaseException] | None,
-        exception: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def send(self, session: Session, observation: ArrayLike, reward: float = 0.0) -> None:
-        """Asks for the decision at the session's step; never waits."""
+        """Sends a request for the decision at the step of `session`. Does not wait."""
         self._requests.put(self._open.add(session, observation, reward))
 
     def receive(self, timeout: float | None = None) -> tuple[Session, Decision | SpikeserveError]:
-        """The next answer of any session, which has then moved on unless it is an error.
+        """Returns the next answer of any session: a decision, or the error of that request.
 
-        DeadlineExceededError if none came within `timeout` seconds (the stream goes on).
+        Raises DeadlineExceededError if no answer came within `timeout` seconds. The stream stays
+        open then.
         """
         try:
             reply = self._replies.get(timeout=timeout)
@@ -65,7 +58,7 @@ class ActStream:
                 "ActStream", grpc.StatusCode.DEADLINE_EXCEEDED, f"no answer within {timeout} s"
             ) from None
         if isinstance(reply, SpikeserveError):
-            self._replies.put(reply)  # whoever asks again hears it again
+            self._replies.put(reply)  # the next `receive` raises the same error
             raise reply
         return self._open.accept(reply)
 
@@ -76,7 +69,7 @@ class ActStream:
         reward: float = 0.0,
         timeout: float | None = None,
     ) -> Decision:
-        """`send` and `receive` where no other session's request is under way."""
+        """Sends and receives. ValueError if another request is under way."""
         self._open.check_empty()
         self.send(session, observation, reward)
         result = self.receive(timeout)[1]
@@ -85,7 +78,7 @@ class ActStream:
         return result
 
     def close(self) -> None:
-        """Ends the stream; answers that were not received are dropped."""
+        """Ends the stream. Drops answers that were not received."""
         self._requests.put(None)
         self._call.cancel()
         self._reader.join()

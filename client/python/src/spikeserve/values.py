@@ -1,4 +1,4 @@
-"""What calls take and return, as plain values. NumPy where there are arrays."""
+"""The arguments and results of calls as plain values. Arrays are NumPy arrays."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spikeserve.check import check
 from spikeserve.spaces import ActionSpace, action_space_from_wire
 from spikeserve.wire import Message, message_class
 
-# An index in [0, n) for a Discrete space; float32 values in environment units for a Box.
+# An index in [0, n) of a Discrete space, or float32 values in environment units of a Box.
 Action = int | NDArray[np.float32]
 
 
@@ -25,13 +26,13 @@ class Policy:
     action_space: ActionSpace
     context_length: int  # timesteps
     target_return: float
-    training_return: float | None  # mean return of the evaluation in the policy file, if any
-    environment: str  # Gymnasium's id
+    training_return: float | None  # mean return that the policy file records; None: not recorded
+    environment: str  # the id in Gymnasium
     mode: str
 
     @classmethod
     def from_wire(cls, message: Message) -> Policy:
-        """From a PolicyInfo."""
+        """Converts a PolicyInfo."""
         has_return = message.HasField("training_return")
         return cls(
             name=message.name,
@@ -49,31 +50,31 @@ class Policy:
 
 @dataclass(frozen=True)
 class Learning:
-    """How a session learns; what is None is the server's default."""
+    """How a session learns. None or an empty string selects the default of the server."""
 
-    scope: str = "SESSION"  # a private copy of the action head; or FLEET, the shared one
+    scope: str = "SESSION"  # SESSION: a private copy of the action head; FLEET: the shared head
     rule: str = ""  # policy_gradient (default) or hebbian
     learning_rate: float | None = None
     trace_decay: float | None = None
     clip: float | None = None
-    modulator: str = ""  # target (default) or realized
+    modulator: str = ""  # realized (default) or target
 
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """What a session is opened with; what is None is the policy's or the server's default."""
+    """The settings of a new session. None selects the default of the policy or the server."""
 
     version: int = 0  # 0: the default version
     target_return: float | None = None
     seed: int = 0
-    sample: bool = False  # draw the action instead of taking the best
-    temperature: float | None = None  # with `sample` only
-    learning: Learning | None = None  # None: frozen
+    sample: bool = False  # True: sample the action; False: take the most probable action
+    temperature: float | None = None  # of `sample`, more than 0
+    learning: Learning | None = None  # None: the action head does not change
     labels: dict[str, str] = field(default_factory=dict)
-    record: bool = False  # keep the episodes below the server's --record_dir
+    record: bool = False  # write the episodes to the --record_dir of the server
 
     def to_wire(self, policy: str) -> Message:
-        """As an OpenSessionRequest for `policy`."""
+        """Returns the OpenSessionRequest for `policy`."""
         return message_class("OpenSessionRequest")(
             policy=policy,
             version=self.version,
@@ -89,19 +90,19 @@ class SessionOptions:
 
 @dataclass(frozen=True)
 class Opening:
-    """What the server said when it opened a session."""
+    """The answer of the server to OpenSession."""
 
     policy: str
     version: int
     observation_size: int
     action_space: ActionSpace
-    context_length: int
+    context_length: int  # timesteps
     target_return: float
-    recording: str  # below the server's --record_dir; empty: not recorded
+    recording: str  # path below the --record_dir of the server; empty: not recorded
 
     @classmethod
     def from_wire(cls, message: Message) -> Opening:
-        """From an OpenSessionResponse."""
+        """Converts an OpenSessionResponse."""
         return cls(
             policy=message.policy,
             version=message.version,
@@ -112,14 +113,19 @@ class Opening:
             recording=message.recording,
         )
 
+    def check_action_space(self, space: ActionSpace) -> None:
+        """ValueError if `space`, that of an environment, differs from that of the policy."""
+        expected = f"{self.action_space} for policy {self.policy!r}"
+        check(space == self.action_space, "action space", expected, space)
+
 
 @dataclass(frozen=True)
 class Stats:
-    """What one decision spent. Energies are estimates."""
+    """The cost of one decision. Energies are estimates."""
 
     spikes: int
     synaptic_operations: int
-    energy_joules: float  # 5 pJ a spike; of a dense policy, which has none, horowitz_45nm
+    energy_joules: float  # 5 pJ a spike; a dense policy has no spikes and uses horowitz_45nm
     compute_seconds: float
     spikes_by_stage: dict[str, int]
     accumulates: int
@@ -129,7 +135,7 @@ class Stats:
 
     @classmethod
     def from_wire(cls, message: Message) -> Stats:
-        """From a DecisionStats."""
+        """Converts a DecisionStats."""
         stages = message.spikes_by_stage
         return cls(
             spikes=message.spikes,
@@ -150,13 +156,13 @@ class Decision:
 
     step: int
     action: Action
-    action_probabilities: NDArray[np.float32] | None  # [n], of a Discrete space
-    return_to_go: float  # what the decision was conditioned on
+    action_probabilities: NDArray[np.float32] | None  # [n]; None for a Box
+    return_to_go: float  # the input of the model at this step
     stats: Stats
 
     @classmethod
     def from_wire(cls, message: Message) -> Decision:
-        """From an ActResponse."""
+        """Converts an ActResponse."""
         discrete = message.action.WhichOneof("kind") == "discrete"
         probabilities = np.asarray(message.action_probabilities, np.float32)
         return cls(
@@ -172,7 +178,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class EpisodeSummary:
-    """An episode that has ended."""
+    """The totals of an episode that has ended."""
 
     episode_return: float
     steps: int
@@ -181,13 +187,13 @@ class EpisodeSummary:
 
     @classmethod
     def from_wire(cls, message: Message) -> EpisodeSummary:
-        """From an EndEpisodeResponse."""
+        """Converts an EndEpisodeResponse."""
         return cls(message.episode_return, message.steps, message.spikes, message.energy_joules)
 
 
 @dataclass(frozen=True)
 class SessionState:
-    """The server's view of a session."""
+    """The state of a session on the server."""
 
     session_id: str
     policy: str
@@ -197,23 +203,22 @@ class SessionState:
     episode_return: float
     return_to_go: float
     target_return: float
-    trace_norm: float
-    head_drift: float
-    spikes: int  # this and what follows: over the session's life
-    energy_joules: float
-    decisions: int
+    trace_norm: float  # Frobenius norm of the eligibility trace
+    head_drift: float  # |W - W_base| / |W_base| of the action head
+    spikes: int  # since the session was opened
+    energy_joules: float  # since the session was opened, estimate
+    decisions: int  # since the session was opened
     labels: dict[str, str]
 
     @classmethod
     def from_wire(cls, message: Message) -> SessionState:
-        """From a GetSessionResponse."""
+        """Converts a GetSessionResponse."""
         values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
         return cls(**(values | {"labels": dict(message.labels)}))
 
 
 def observation_array(observation: ArrayLike) -> NDArray[np.float32]:
-    """`observation` as a vector of float32. ValueError if it has not one dimension."""
+    """Converts an observation to float32. ValueError if it does not have exactly one dimension."""
     array = np.asarray(observation, np.float32)
-    if array.ndim != 1:
-        raise ValueError(f"observation: expected one dimension, got shape {array.shape}")
+    check(array.ndim == 1, "observation", "one dimension", f"shape {array.shape}")
     return array

@@ -1,63 +1,60 @@
-"""What the blocking and the asyncio vector session share: which rows end, which act, and with what.
+"""Which rows of a vector environment end, which rows act, and with what.
 
-Nothing here waits or sends.
+The blocking and the asyncio vector session share this module. Nothing in it sends or waits.
 
-Gymnasium 1.x resets an ended row by itself, in one of two ways:
+Gymnasium 1.x resets a row by itself after its episode has ended, in one of two modes:
 
-* NEXT_STEP, its default: the step that ends an episode returns the final observation, and the next
-  step ignores the row's action and returns the reset observation with reward 0. So the ended row
-  is not acted on: it gets an action that nobody reads.
-* SAME_STEP: the step that ends an episode returns the next episode's first observation already
-  (the final one is in `infos["final_obs"]`), so the row is acted on at once.
+* NEXT_STEP, the default: the step that ends an episode returns the final observation. The next
+  step ignores the action of that row and returns the reset observation with reward 0. The row does
+  not act in between. It gets an action that the environment ignores.
+* SAME_STEP: the step that ends an episode returns the first observation of the next episode, and
+  `infos["final_obs"]` holds the final observation. The row acts at once.
 
-Either way the ended episode gets its last reward, and no decision ever mixes two episodes.
+In both modes the ended episode gets its last reward, and no decision mixes two episodes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spikeserve.calls import SessionCursor
-from spikeserve.errors import SpikeserveError
+from spikeserve.calls import Call, SessionCursor, act_all
+from spikeserve.check import check
+from spikeserve.session_handle import AnySession
 from spikeserve.spaces import ActionSpace, as_action_space, stack_actions
-from spikeserve.values import Decision, EpisodeSummary, Opening, SessionOptions
+from spikeserve.values import Decision, EpisodeSummary, SessionOptions
 
 _NEXT_STEP = "NextStep"  # the values of gymnasium.vector.AutoresetMode
 _SAME_STEP = "SameStep"
 
-
-@dataclass(frozen=True)
-class Ending:
-    """How a row's episode ended: arguments of end_episode."""
-
-    row: int
-    reward: float
-    terminated: bool
-    truncated: bool
-    observation: NDArray[np.float32] | None
+# The actions of all rows: indices [rows], or values in environment units [rows, action size].
+Actions = NDArray[np.int64] | NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class VectorStep:
-    """What one step of the environments asks for: first these endings, then these decisions."""
+    """The calls of one step of the environments: first the endings, then the batch."""
 
-    endings: list[Ending]
-    rows: NDArray[np.int64]  # those that act, and their
+    endings: dict[int, Call[EpisodeSummary]]  # by row
+    rows: NDArray[np.int64]  # the rows that act; the other fields have one item for each of them
     cursors: list[SessionCursor]
     observations: list[NDArray[np.float32]]
     rewards: list[float]
 
+    def batch(self, timeout: float | None) -> Call[list[Decision]]:
+        """Describes the decisions of all rows that act. Valid only after the endings."""
+        return act_all(self.cursors, self.observations, self.rewards, timeout)
 
-class VectorRows:
-    """The rows of `envs`, a gymnasium.vector.VectorEnv, each with a session.
 
-    `ended` holds the summary of each episode that the last `act` ended, by row; `decisions` the
-    last decision of each row, None where it was not acted on.
+class VectorRows(Generic[AnySession]):
+    """The rows of `envs`, a gymnasium.vector.VectorEnv, with one session each.
+
+    `ended` holds the summary of each episode that the last `act` ended, by row. `decisions` holds
+    the decision of each row at the last `act`; None: the row did not act.
     """
 
     def __init__(self, envs: Any) -> None:
@@ -65,29 +62,29 @@ class VectorRows:
         self._acts_on_ended_rows = _autoreset_mode(envs) == _SAME_STEP
         self._observation_shape = tuple(envs.single_observation_space.shape)
         self._action_space: ActionSpace = as_action_space(envs.single_action_space)
-        self._cursors: list[SessionCursor] = []
+        self._sessions: list[AnySession] = []
         self.decisions: list[Decision | None] = [None] * self._num_envs
         self.ended: dict[int, EpisodeSummary] = {}
         self._newly_ended: dict[int, EpisodeSummary] = {}
 
+    @property
+    def sessions(self) -> Sequence[AnySession]:
+        """Returns the sessions in the order of the rows."""
+        return self._sessions
+
     def _row_options(self, options: SessionOptions | None) -> Iterator[SessionOptions]:
-        """What each row's session is opened with."""
         options = options or SessionOptions()
         for row in range(self._num_envs):
             yield replace(options, seed=options.seed + row)
 
-    def _check_fits(self, policy: Opening | None) -> None:
+    def _check_fits(self) -> None:
+        policy = self._sessions[0].opening
         assert policy is not None
-        if self._observation_shape != (policy.observation_size,):
-            raise ValueError(
-                f"observation space: policy {policy.policy!r} takes shape "
-                f"({policy.observation_size},), the environment has {self._observation_shape}"
-            )
-        if self._action_space != policy.action_space:
-            raise ValueError(
-                f"action space: policy {policy.policy!r} has {policy.action_space}, "
-                f"the environment has {self._action_space}"
-            )
+        shape = (policy.observation_size,)
+        expected = f"shape {shape} for policy {policy.policy!r}"
+        fits = self._observation_shape == shape
+        check(fits, "observation space", expected, self._observation_shape)
+        policy.check_action_space(self._action_space)
 
     def _begin(
         self,
@@ -102,24 +99,23 @@ class VectorRows:
         terminated = self._rows("terminations", self._flags(terminations), np.bool_)
         truncated = self._rows("truncations", self._flags(truncations), np.bool_)
         over = terminated | truncated
-        endings = [
-            Ending(
-                int(row),
-                float(rewarded[row]),
-                bool(terminated[row]),
-                bool(truncated[row]),
-                self._final_observation(int(row), observed, infos),
+        endings = {
+            int(row): self._sessions[row].cursor.end_episode(
+                rewarded[row],
+                terminated[row],
+                truncated[row],
+                observation=self._final_observation(int(row), observed, infos),
             )
             for row in np.flatnonzero(over)
-            # The others were ended by a call that failed later on, and was made again.
-            if self._cursors[row].step > 0
-        ]
+            # A row at step 0 was ended before, by a call that failed later and is made again.
+            if self._sessions[row].step > 0
+        }
         rows = np.arange(self._num_envs)
         rows = rows if self._acts_on_ended_rows else rows[~over]
         return VectorStep(
             endings,
             rows,
-            [self._cursors[row] for row in rows],
+            [self._sessions[row].cursor for row in rows],
             list(observed[rows]),
             rewarded[rows].tolist(),
         )
@@ -132,47 +128,43 @@ class VectorRows:
         final = None if infos is None else infos["final_obs"][row]
         return None if final is None else np.asarray(final, np.float32)
 
-    def _finish(
-        self, step: VectorStep, results: Sequence[Any]
-    ) -> NDArray[np.int64] | NDArray[np.float32]:
-        """All rows move on or, if any failed, none does."""
-        for cursor, result in zip(step.cursors, results, strict=True):
-            if isinstance(result, SpikeserveError):
-                raise result
-            cursor.check(result)
-        decisions: list[Decision | None] = [None] * self._num_envs
-        for row, cursor, result in zip(step.rows, step.cursors, results, strict=True):
-            decisions[row] = cursor.accept(result)
-        self.decisions = decisions
+    def _finish(self, step: VectorStep, decisions: list[Decision]) -> Actions:
+        by_row = dict(zip(step.rows.tolist(), decisions, strict=True))
+        self.decisions = [by_row.get(row) for row in range(self._num_envs)]
         self.ended, self._newly_ended = self._newly_ended, {}
         return stack_actions(
-            [None if decision is None else decision.action for decision in decisions],
+            [None if decision is None else decision.action for decision in self.decisions],
             self._action_space,
         )
+
+    def _truncations(self) -> list[Call[EpisodeSummary]]:
+        """Describes the calls that end every running episode without a last reward."""
+        cursors = [session.cursor for session in self._sessions if session.step > 0]
+        return [cursor.end_episode(reward=0.0, truncated=True) for cursor in cursors]
 
     def _rewards(self, rewards: ArrayLike | None) -> ArrayLike:
         if rewards is not None:
             return rewards
-        if any(cursor.step > 0 for cursor in self._cursors):
-            raise ValueError("rewards: expected one a row within an episode, got None")
+        at_start = all(session.step == 0 for session in self._sessions)
+        check(at_start, "rewards", "one for each row within an episode", None)
         return np.zeros(self._num_envs)
 
     def _flags(self, flags: ArrayLike | None) -> ArrayLike:
         return np.zeros(self._num_envs, np.bool_) if flags is None else flags
 
     def _rows(self, field: str, values: ArrayLike, dtype: Any) -> NDArray[Any]:
-        """`values` as an array of one row an environment."""
+        """Returns `values` as an array with one row for each environment."""
         array = np.asarray(values, dtype)
         dimensions = 2 if field == "observations" else 1
-        if array.ndim != dimensions or len(array) != self._num_envs:
-            expected = f"({self._num_envs},{' n' if dimensions == 2 else ''})"
-            raise ValueError(f"{field}: expected shape {expected}, got {array.shape}")
+        fits = array.ndim == dimensions and len(array) == self._num_envs
+        expected = f"shape ({self._num_envs},{' n' if dimensions == 2 else ''})"
+        check(fits, field, expected, array.shape)
         return array
 
 
 def _autoreset_mode(envs: Any) -> str:
     mode = envs.metadata.get("autoreset_mode", _NEXT_STEP)
     name = str(getattr(mode, "value", mode))
-    if name not in (_NEXT_STEP, _SAME_STEP):
-        raise ValueError(f"autoreset_mode: expected {_NEXT_STEP} or {_SAME_STEP}, got {name}")
+    known = (_NEXT_STEP, _SAME_STEP)
+    check(name in known, "autoreset_mode", " or ".join(known), name)
     return name

@@ -1,9 +1,8 @@
 """The messages and calls of `spikeserve.v1.PolicyService`.
 
-They are made from the compiled wire contract, not from generated code: generated code demands a
-protobuf runtime at least as new as its compiler, which would fight with whatever else an agent has
-installed. The descriptors live in a pool of their own, so that a program may also have classes
-generated from the same .proto.
+This module makes them at import time from the compiled wire contract. Generated code would need a
+protobuf runtime at least as new as its compiler, which may conflict with other packages of an
+agent. A separate descriptor pool allows a program to use classes generated from the same .proto.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ PACKAGE = "spikeserve.v1"
 SERVICE = f"{PACKAGE}.PolicyService"
 _COMPILED = "policy_service.binpb"
 
-# The classes exist at run time only.
+# A message of the wire contract. Its class exists at run time only, so type checkers see Any.
 Message = Any
 
 
@@ -41,13 +40,13 @@ _POOL = _make_pool(_FILES)
 
 
 def message_class(name: str) -> Message:
-    """The class of the message `name` of the package, for example `ActRequest`."""
+    """Returns the class of the message `name` of the package, for example `ActRequest`."""
     return message_factory.GetMessageClass(_POOL.FindMessageTypeByName(f"{PACKAGE}.{name}"))
 
 
 @dataclass(frozen=True)
 class Method:
-    """A call of the service: unary, or a stream in both directions."""
+    """A method of the service: unary, or a stream in both directions."""
 
     name: str
     request: Message
@@ -55,7 +54,7 @@ class Method:
     streams: bool
 
     def bind(self, channel: Any) -> Callable[..., Any]:
-        """What calls the method on `channel`, a channel of grpc or grpc.aio."""
+        """Returns a function that calls the method on `channel`, of grpc or grpc.aio."""
         make = channel.stream_stream if self.streams else channel.unary_unary
         call: Callable[..., Any] = make(
             f"/{SERVICE}/{self.name}",
@@ -66,7 +65,8 @@ class Method:
 
 
 def _methods() -> dict[str, Method]:
-    # From the files, since an older protobuf's descriptors do not tell what streams.
+    # Reads the file descriptors, because method descriptors of older protobuf versions do not say
+    # which methods are streams.
     return {
         method.name: Method(
             name=method.name,

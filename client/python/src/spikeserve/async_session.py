@@ -1,0 +1,53 @@
+"""`AsyncSession`: the session of one agent, with asyncio."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from numpy.typing import ArrayLike
+
+from spikeserve.connection import AsyncConnection
+from spikeserve.errors import SpikeserveError
+from spikeserve.session_handle import SessionHandle
+from spikeserve.values import Decision, EpisodeSummary, SessionState
+
+
+class AsyncSession(SessionHandle[AsyncConnection]):
+    """Asyncio form of Session. One call at a time. A cancelled call may be made again."""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, exception_type: type[BaseException] | None, *_: object) -> None:
+        try:
+            await self.close()
+        except SpikeserveError:
+            if exception_type is None:  # otherwise the first exception matters more
+                raise
+
+    async def act(
+        self, observation: ArrayLike, reward: float = 0.0, timeout: float | None = None
+    ) -> Decision:
+        """Asyncio form of Session.act."""
+        return await self._client.run(self.cursor.act(observation, reward, timeout))
+
+    async def end_episode(
+        self,
+        reward: float,
+        terminated: bool = False,
+        truncated: bool = False,
+        target_return: float | None = None,
+        observation: ArrayLike | None = None,
+    ) -> EpisodeSummary:
+        """Asyncio form of Session.end_episode."""
+        return await self._client.run(
+            self.cursor.end_episode(reward, terminated, truncated, target_return, observation)
+        )
+
+    async def state(self) -> SessionState:
+        """Asyncio form of Session.state."""
+        return await self._client.run(self.cursor.state())
+
+    async def close(self) -> None:
+        """Asyncio form of Session.close."""
+        await self._client.run(self.cursor.close())

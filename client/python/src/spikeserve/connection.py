@@ -1,0 +1,143 @@
+"""The connection of a client to its server: `Connection` blocks, `AsyncConnection` awaits.
+
+Only these two classes send unary calls, wait for responses and repeat failed attempts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self, TypeVar
+
+import grpc
+import grpc.aio
+
+from spikeserve.calls import Call
+from spikeserve.check import check
+from spikeserve.retry import Attempts, RetryOptions
+from spikeserve.wire import ACT_STREAM, METHODS, Message
+
+T = TypeVar("T")
+
+DEFAULT_SERVER = "127.0.0.1:50051"
+
+# The C++ client sets the same options. Each client has its own connection, and reconnects to a
+# restarted server within one second. The default of gRPC is two minutes.
+CHANNEL_OPTIONS = [
+    ("grpc.use_local_subchannel_pool", 1),
+    ("grpc.initial_reconnect_backoff_ms", 100),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+]
+
+
+@dataclass(frozen=True)
+class ClientOptions:
+    """Settings of a client. ValueError if a field is out of its range."""
+
+    timeout: float = 5.0  # seconds for each attempt of a call
+    retry: RetryOptions = field(default_factory=RetryOptions)
+    # Sent with every call. The default is the environment variable SPIKESERVE_TOKEN.
+    token: str = field(default_factory=lambda: os.environ.get("SPIKESERVE_TOKEN", ""), repr=False)
+
+    def __post_init__(self) -> None:
+        check(self.timeout > 0, "timeout", "more than 0", self.timeout)
+
+    @property
+    def metadata(self) -> tuple[tuple[str, str], ...]:
+        """Returns the gRPC metadata of every call."""
+        return (("authorization", f"Bearer {self.token}"),) if self.token else ()
+
+
+class _Channel:
+    """A gRPC channel and the methods of the service on it, blocking or not."""
+
+    _transport: ClassVar[Any]  # grpc or grpc.aio, whose functions have the same names
+
+    def __init__(
+        self,
+        server: str = DEFAULT_SERVER,
+        options: ClientOptions | None = None,
+        credentials: grpc.ChannelCredentials | None = None,
+    ) -> None:
+        self._options = options or ClientOptions()
+        if credentials is None:
+            self._channel = self._transport.insecure_channel(server, CHANNEL_OPTIONS)
+        else:
+            self._channel = self._transport.secure_channel(server, credentials, CHANNEL_OPTIONS)
+        self._methods = {name: method.bind(self._channel) for name, method in METHODS.items()}
+
+    def _send(self, call: Call[Any]) -> Any:
+        """Starts one attempt. Returns the response, or with grpc.aio an awaitable of it."""
+        timeout = self._options.timeout if call.timeout is None else call.timeout
+        metadata = self._options.metadata
+        return self._methods[call.method](call.request, timeout=timeout, metadata=metadata)
+
+    def _open_stream(self, *requests: Iterable[Message]) -> Any:
+        return self._methods[ACT_STREAM.name](*requests, metadata=self._options.metadata)
+
+
+class Connection(_Channel):
+    """Runs calls and blocks until they end. Thread-safe."""
+
+    _transport = grpc
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the connection. The server keeps every session that was not closed."""
+        self._channel.close()
+
+    def run(self, call: Call[T]) -> T:
+        """Returns the value of `call`. Repeats failed attempts as the options say."""
+        attempts = Attempts(call, self._options.retry)
+        while True:
+            try:
+                return call.decode(self._send(call))
+            except grpc.RpcError as error:
+                pause = attempts.pause_after(error)
+            if pause is None:
+                return call.decode(METHODS[call.method].response())
+            time.sleep(pause)
+
+    def call(self, name: str, request: Message, timeout: float | None = None) -> Message:
+        """Returns the response of the unary method `name`, for example of Explain."""
+        return self.run(Call(name, request, lambda response: response, timeout))
+
+
+class AsyncConnection(_Channel):
+    """Runs calls with asyncio, any number of them at once. Belongs to one event loop."""
+
+    _transport = grpc.aio
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Asyncio form of Connection.close."""
+        await self._channel.close()
+
+    async def run(self, call: Call[T]) -> T:
+        """Asyncio form of Connection.run."""
+        attempts = Attempts(call, self._options.retry)
+        while True:
+            try:
+                return call.decode(await self._send(call))
+            except grpc.RpcError as error:
+                pause = attempts.pause_after(error)
+            if pause is None:
+                return call.decode(METHODS[call.method].response())
+            await asyncio.sleep(pause)
+
+    async def call(self, name: str, request: Message, timeout: float | None = None) -> Message:
+        """Asyncio form of Connection.call."""
+        return await self.run(Call(name, request, lambda response: response, timeout))

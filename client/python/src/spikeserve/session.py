@@ -1,0 +1,68 @@
+"""`Session`: the session of one agent, blocking."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from numpy.typing import ArrayLike
+
+from spikeserve.connection import Connection
+from spikeserve.errors import SpikeserveError
+from spikeserve.session_handle import SessionHandle
+from spikeserve.values import Decision, EpisodeSummary, SessionState
+
+
+class Session(SessionHandle[Connection]):
+    """The session of one agent. Not thread-safe. Many sessions may share one client.
+
+    A session is a session id and a step. A restarted agent attaches to its old session with
+    Session(client, session_id, step). A request for the last answered step returns the stored
+    answer of that step. `opening` is None for an attached session.
+    """
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, exception_type: type[BaseException] | None, *_: object) -> None:
+        try:
+            self.close()
+        except SpikeserveError:
+            if exception_type is None:  # otherwise the first exception matters more
+                raise
+
+    def act(
+        self, observation: ArrayLike, reward: float = 0.0, timeout: float | None = None
+    ) -> Decision:
+        """Returns the decision at this step and moves to the next step.
+
+        `observation` is in environment units. `reward` is for the previous action; step 0 ignores
+        it. `timeout` replaces the client's, in seconds for each attempt. After an error the session
+        stays at its step, and the same call may be made again.
+        """
+        return self._client.run(self.cursor.act(observation, reward, timeout))
+
+    def end_episode(
+        self,
+        reward: float,
+        terminated: bool = False,
+        truncated: bool = False,
+        target_return: float | None = None,
+        observation: ArrayLike | None = None,
+    ) -> EpisodeSummary:
+        """Sends the last reward, ends the episode and moves to step 0 of the next episode.
+
+        `target_return` is for the next episode; None: the target return of the session.
+        `observation` is the final observation, which only recordings use. A repeated call is safe:
+        the server counts the end once and returns the same summary.
+        """
+        return self._client.run(
+            self.cursor.end_episode(reward, terminated, truncated, target_return, observation)
+        )
+
+    def state(self) -> SessionState:
+        """Returns the state of the session on the server."""
+        return self._client.run(self.cursor.state())
+
+    def close(self) -> None:
+        """Ends the session on the server."""
+        self._client.run(self.cursor.close())
