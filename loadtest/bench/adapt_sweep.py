@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""How dependably sessions learn: `spikectl adapt` for many seeds, each against a server of its own.
+"""Runs `spikectl adapt` for many seeds and prints the result of each, their medians and their range.
 
 usage: loadtest/bench/adapt_sweep.py --bin=build/release/bin [--seeds=10] [--jobs=2] FLAG...
 
-Every FLAG goes to `spikectl adapt`, so --env=CartPole-v1 --perturb=force=-1 --episodes=60 is one row of
-docs/learning.md. No two seeds share a start, in learning or in judging.
+Every FLAG goes to `spikectl adapt`. For example, --env=CartPole-v1 --perturb=force=-1 --episodes=60 is one row of
+docs/learning.md. Each seed has its own server. No two seeds share an initial state, in learning or in evaluation.
 """
 
 import argparse
@@ -16,20 +16,20 @@ import statistics
 import subprocess
 import sys
 
-POLICIES = pathlib.Path(__file__).parents[1] / "deploy/policies"
-STRIDE = 10_000_000  # more starts than a run of spikectl adapt takes
+POLICIES = pathlib.Path(__file__).parents[2] / "deploy/policies"
+STRIDE = 10_000_000  # more reset seeds than one run of spikectl adapt uses
 
 
 @contextlib.contextmanager
 def running_server(program, policies):
-    """HOST:PORT of a server."""
+    """Starts a server and yields its address, HOST:PORT."""
     command = [program, f"--policies={policies}", "--listen=127.0.0.1:0", "--http_listen="]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         line = server.stdout.readline()
         announcement = "spikeserve: serving gRPC on "
         if not line.startswith(announcement):
-            raise RuntimeError(f"{program} did not start, it said {line!r}")
+            raise RuntimeError(f"{program}: expected {announcement!r}, received {line!r}")
         yield line.removeprefix(announcement).strip()
     finally:
         server.terminate()
@@ -38,14 +38,14 @@ def running_server(program, policies):
 
 
 def adapt(arguments, flags, seed):
-    """What `spikectl adapt` reports for one seed."""
+    """Returns the report of `spikectl adapt` for one seed."""
     with running_server(arguments.bin / "spikeserve", arguments.policies) as address:
         command = [arguments.bin / "spikectl", "adapt", f"--server={address}", f"--seed={seed * STRIDE}", "--json"]
         return json.loads(subprocess.run([*command, *flags], check=True, stdout=subprocess.PIPE).stdout)
 
 
 def regained(result):
-    """The share of what the change cost; None where it cost nothing."""
+    """Returns the regained share of the lost return. None if the perturbation lost no return."""
     lost = result["unperturbed_return"] - result["frozen_return"]
     return (result["adapted_return"] - result["frozen_return"]) / lost if lost > 0 else None
 
@@ -64,11 +64,11 @@ def describe(name, results):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bin", type=pathlib.Path, required=True, help="where the programs lie")
+    parser.add_argument("--bin", type=pathlib.Path, required=True, help="folder of the programs")
     parser.add_argument("--policies", type=pathlib.Path, default=POLICIES)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first_seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="seeds at a time")
+    parser.add_argument("--jobs", type=int, default=2, help="number of seeds that run concurrently")
     arguments, flags = parser.parse_known_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     results = []

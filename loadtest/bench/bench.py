@@ -1,6 +1,7 @@
-"""The benchmark: every contestant in one run, in turn, round after round, so that ratios hold on a noisy machine.
+"""Measures every contestant of the benchmark and writes one JSON file and one Markdown page.
 
-Writes one JSON file and one Markdown page. Medians over rounds; a ratio is the median of the ratios within a round.
+Every round measures all contestants one after the other, so that load on the machine affects all of them. A result is
+the median over the rounds. A ratio is the median of the ratios within a round.
 """
 
 import argparse
@@ -25,34 +26,35 @@ SHIPPED = POLICIES / "cartpole/1/policy.safetensors"
 
 SESSIONS = [1, 8, 64, 512]
 BATCH = 64  # requests
-OBSERVATION_BOUND = 0.05  # where CartPole starts: what the shipped policy was trained to be silent on
+# Bound of the initial states of CartPole. The shipped policy was trained to emit few spikes there.
+OBSERVATION_BOUND = 0.05
 
 
 def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bin", type=pathlib.Path, required=True, help="where the programs lie")
-    parser.add_argument("--python", type=pathlib.Path, required=True, help="a Python with requirements.txt")
-    parser.add_argument("--json", type=pathlib.Path, required=True, help="the result, for machines")
-    parser.add_argument("--markdown", type=pathlib.Path, required=True, help="the result, for people")
+    parser.add_argument("--bin", type=pathlib.Path, required=True, help="folder of the programs")
+    parser.add_argument("--python", type=pathlib.Path, required=True, help="a Python with the packages of requirements.txt")
+    parser.add_argument("--json", type=pathlib.Path, required=True, help="output file for programs")
+    parser.add_argument("--markdown", type=pathlib.Path, required=True, help="output file for readers")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=1.0, help="of a round of a contestant")
-    parser.add_argument("--max_sessions", type=int, default=1_000_000, help="the most sessions open at once")
+    parser.add_argument("--seconds", type=float, default=1.0, help="seconds for each contestant in a round")
+    parser.add_argument("--max_sessions", type=int, default=1_000_000, help="largest number of open sessions")
     sections = ["engine", "growth", "sessions", "server", "learning"]
     parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     return parser.parse_args()
 
 
 def summarize(rounds):
-    """Medians over rounds, each a dict of numbers."""
+    """Returns the median of every key over the rounds, which are dicts of numbers."""
     return {key: statistics.median(r[key] for r in rounds) for key in rounds[0]}
 
 
 def run_contestants(commands, rounds, seconds):
-    """By name: medians of decisions_per_second and spikes_per_decision, and the rate of every round."""
+    """Returns, by name, the medians of decisions_per_second and spikes_per_decision, and the rate of every round."""
     results = {name: [] for name in commands}
     with programs.running_contestants(commands) as contestants:
         for contestant in contestants:
-            contestant.measure(seconds / 10)  # caches and clocks get warm
+            contestant.measure(seconds / 10)  # warms up caches and clock frequency
         for _ in range(rounds):
             for contestant in contestants:
                 measured = contestant.measure(seconds)
@@ -69,7 +71,7 @@ def run_contestants(commands, rounds, seconds):
 
 
 def engine_contestants(arguments, folder):
-    """Commands by name; what they need is written to `folder`."""
+    """Returns the commands by name. Writes the files that they need to `folder`."""
     engine, torch = arguments.bin / "engine_bench", arguments.bin / "torch_bench"
     shipped, dense = f"--policy={SHIPPED}", pathlib.Path(folder) / "dense.safetensors"
     export = [torch, f"--export={dense}"]
@@ -110,7 +112,7 @@ def growth_contestants(arguments):
 
 
 def measure_sessions(arguments):
-    """Memory a session, for a growing number of them."""
+    """Measures the memory of a session for growing numbers of sessions."""
     counts = [n for n in (1, 1000, 100_000, 1_000_000) if n <= arguments.max_sessions]
     results = []
     for count in counts:
@@ -121,7 +123,7 @@ def measure_sessions(arguments):
 
 
 def load_flags(mode, sessions):
-    """The flags of spikeload for a mode; batches are of BATCH requests, or of all sessions where there are fewer."""
+    """Returns the flags of spikeload for a mode. A batch holds BATCH requests, or all sessions if there are fewer."""
     streams = -(-sessions // BATCH) if mode == "batch" else min(8, sessions)
     flags = {"mode": mode, "sessions": sessions, "streams": streams}
     return {**flags, "policy": SHIPPED.parts[-3], "observation_bound": OBSERVATION_BOUND}
@@ -134,7 +136,7 @@ def running_spikeserve(arguments):
 
 @contextlib.contextmanager
 def running_servers(arguments):
-    """spikeserve, the echo service, and the echo service with the engine in it."""
+    """Starts spikeserve, the echo service, and the echo service that also runs the engine. Yields them by name."""
     echo = [arguments.bin / "echo_server"]
     with (
         running_spikeserve(arguments) as spikeserve_server,
@@ -145,7 +147,7 @@ def running_servers(arguments):
 
 
 def measure_learning(arguments):
-    """What it costs that 64 sessions learn, each against as many frozen ones in the same round."""
+    """Measures 64 sessions that learn, as a share of 64 frozen sessions in the same round."""
     spikeload, sessions = arguments.bin / "spikeload", 64
     cases = [(mode, scope) for mode in ("unary", "stream") for scope in ("fleet", "session")]
     rounds = {case: [] for case in cases}
@@ -165,7 +167,7 @@ def measure_learning(arguments):
 
 @contextlib.contextmanager
 def running_torch_server(arguments):
-    """The Python server."""
+    """Starts the Python server."""
     with tempfile.TemporaryDirectory() as stubs:
         proto = ROOT / "proto"
         subprocess.run(
@@ -179,13 +181,13 @@ def running_torch_server(arguments):
 
 
 def share(measured, case, key, name="spikeserve", of="echo"):
-    """The median over rounds of `name`'s figure as a share of `of`'s."""
+    """Returns the median over rounds of the ratio of `key` between the servers `name` and `of`."""
     pairs = zip(measured[name][case], measured[of][case], strict=True)
     return statistics.median(ours[key] / theirs[key] for ours, theirs in pairs)
 
 
 def measure_servers(arguments):
-    """Closed-loop rates by mode and sessions, then latencies of both servers at half of spikeserve's peak rate."""
+    """Measures closed-loop rates by mode and sessions, then latencies at half of the peak rate of spikeserve."""
     rounds, spikeload = min(arguments.rounds, 3), arguments.bin / "spikeload"
     duration, cost = f"{arguments.seconds}s", "processor_seconds_per_decision"
     cases = [(mode, sessions) for mode in ("unary", "stream", "batch") for sessions in SESSIONS]

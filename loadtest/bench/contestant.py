@@ -1,4 +1,4 @@
-"""The Python side of contestant.h: a process that measures itself in rounds."""
+"""The Python form of contestant.h: a process that measures itself in rounds."""
 
 import json
 import sys
@@ -6,7 +6,10 @@ import time
 
 
 def run(decide):
-    """Answers rounds, in each of which `decide()`, one decision, is called until the time is over."""
+    """Runs one round for each line of stdin, which holds its duration in seconds of processor time.
+
+    A round calls `decide()`, which makes one decision, until the time is over. Then it prints its counts as JSON.
+    """
     print("ready", flush=True)
     for line in sys.stdin:
         duration = float(line)

@@ -1,9 +1,9 @@
 """A contestant of the benchmark: a dense decision transformer of the paper's size in ONNX Runtime.
 
-usage: dense_onnx.py POLICY_FILE LOGITS   (what torch_bench --export wrote, and the JSON it printed)
+usage: dense_onnx.py POLICY_FILE LOGITS   (the file that torch_bench --export wrote, and the JSON that it printed)
 
-One decision computes its three new tokens a_{t-1}, G_t, s_t with a key/value cache, in steady state: the window is
-full. It is measured only if it gives the answers of the engine of dense mode. One thread.
+One decision computes its three new tokens a_{t-1}, G_t, s_t with a key/value cache, in one thread. The window is full.
+The program exits with an error unless its logits equal those of the engine in dense mode.
 """
 
 import json
@@ -28,7 +28,7 @@ UNSEEN = -1e9
 
 
 class Graph:
-    """Collects nodes and weights; every method returns the name of what it computes."""
+    """Collects nodes and weights. Every method returns the name of its output."""
 
     def __init__(self, tensors):
         self.tensors = tensors
@@ -64,16 +64,16 @@ class Graph:
 
 
 def band():
-    """What each new token may attend to: the last N timesteps up to itself."""
+    """Returns the attention mask: each new token attends to the last N timesteps up to itself."""
     mask = np.zeros((NEW, KEYS))
     for token in range(NEW):
         mask[token, PAST + token + 1 :] = UNSEEN
-    mask[1:, :3] = UNSEEN  # timestep t - N, which a_{t-1} still sees
+    mask[1:, :3] = UNSEEN  # timestep t - N, which is in the window of a_{t-1} only
     return mask
 
 
 def remember(graph, new, kind, layer):
-    """The keys or values of the window; what the next decision needs of them becomes an output."""
+    """Returns the keys or values of the window. Those that the next decision needs become an output."""
     window = graph.op("Concat", f"past_{kind}{layer}", new, axis=1)
     first, last, axis = (graph.constant([n], np.int64) for n in (NEW, KEYS, 1))
     graph.op("Slice", window, first, last, axis, output=f"next_{kind}{layer}")
@@ -133,7 +133,7 @@ def build_model(tensors):
 
 
 def logits_at_last(session, tensors, metadata, decisions):
-    """What the last of `decisions` is answered with; torch_bench.cc says what is asked."""
+    """Returns the logits of the last of `decisions`. The inputs are those of torch_bench.cc."""
     cache = {name.name: np.zeros(name.shape, np.float32) for name in session.get_inputs() if "past" in name.name}
     for t in range(decisions):
         observation = np.sin(0.3 * (t + np.arange(INPUTS["state"])))
@@ -152,7 +152,7 @@ def logits_at_last(session, tensors, metadata, decisions):
 
 
 class Player:
-    """Decides in closed loop with itself: the cache of one decision is the next one's, without copies."""
+    """Makes decisions one after the other. Two buffers swap roles as the old and the new cache, without copies."""
 
     def __init__(self, session, cache):
         self.session = session
@@ -188,7 +188,7 @@ def main():
     session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
     logits = logits_at_last(session, tensors, metadata, decisions=3 * CONTEXT)
     if not np.allclose(logits, json.loads(expected), rtol=0, atol=1e-3):
-        sys.exit(f"dense_onnx: logits: expected {expected}, got {logits}")
+        sys.exit(f"dense_onnx: logits: expected {expected}, received {logits}")
     contestant.run(Player(session, cache).decide)
 
 

@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
-"""What one tenant's flood does to another tenant's latency.
+"""Measures how a flood of requests from one tenant changes the latency of another tenant.
 
-Starts a server with two tenants, one of them limited. Measures the other's percentiles alone and beside each kind of
-flood, in turns, and prints the medians of all rounds as JSON, with the cores that the server kept busy. The kinds of flood:
+Starts a server with two tenants. One of them, the flood, has a limit. Measures the latency of the other tenant, the
+neighbour, alone and beside each kind of flood, in turn. Prints the medians over all rounds as JSON, with the number of
+cores that the server used. The kinds of flood:
 
-    within       no flood: 400 decisions a second, which the default limit allows
-    polite       the limited tenant's agents, far above their limit, rest 10 ms after a refusal
-    rude         the same on streams, and nobody rests
-    rude_unary   the same with a call for each request
-    oversized    requests of 5 MB, which gRPC refuses
+    within       400 decisions a second on streams, which the default limit allows
+    polite       agents far above their limit on streams, which wait 10 ms after a rejection
+    rude         the same without waiting
+    rude_unary   the same without waiting, with one call for each request
+    oversized    requests of 5 MB, which gRPC rejects
     wrong_token  calls with a token that the server does not know
 
-The last two need grpcio.
+The last two kinds need grpcio.
 
     build/venv/bin/python loadtest/bench/flood_bench.py --bin=build/release/bin --policies=deploy/policies
 """
@@ -93,7 +94,7 @@ def spikeload(arguments, address, token, sessions, seconds, flags):
 
 
 def flood(arguments, address, kind):
-    """A process that floods the server for longer than a measurement takes."""
+    """Starts a process that floods the server for longer than a measurement takes."""
     seconds = arguments.head_start + arguments.seconds + 1
     if kind in SPIKELOAD:
         flags = SPIKELOAD[kind]
@@ -103,12 +104,12 @@ def flood(arguments, address, kind):
 
 
 def hammer(arguments):
-    """Makes calls that are refused, several at a time, for a while; says how many."""
+    """Makes concurrent calls that the server rejects. Prints their number by status code as JSON."""
     import grpc
 
     token, size = HAMMER[arguments.hammer]
     metadata = (("authorization", f"Bearer {token}"),)
-    # Field 1, session_id, of an ActRequest, its length in four bytes.
+    # The wire format of an ActRequest whose field 1, session_id, has a length of four bytes.
     length = bytes([(size & 127) | 128, (size >> 7 & 127) | 128, (size >> 14 & 127) | 128, size >> 21])
     request = b"\x0a" + length + b"x" * size
     codes = {}
@@ -136,13 +137,13 @@ def hammer(arguments):
 
 
 def cpu_seconds(pid):
-    """Of a process, its threads included, since it started."""
+    """Returns the processor seconds of a process and its threads since it started."""
     fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def measure(arguments, address, pid, kind):
-    """The neighbour's report beside a flood of this kind, and the flood's own; `alone` is none."""
+    """Returns the report of the neighbour, and that of the flood; None for the kind `alone`."""
     flooding = None if kind == "alone" else flood(arguments, address, kind)
     time.sleep(arguments.head_start if flooding else 0)
     before = cpu_seconds(pid)
@@ -155,23 +156,26 @@ def measure(arguments, address, pid, kind):
 
 
 def quiet_p99(rounds):
-    """The lower quartile: what others do to the machine only ever adds to a latency."""
+    """Returns the lower quartile, because other load on the machine only increases a latency."""
     return sorted(r["p99_seconds"] for r in rounds)[len(rounds) // 4]
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--bin", type=pathlib.Path, default=pathlib.Path("build/release/bin"))
-    parser.add_argument("--server", type=pathlib.Path, help="another spikeserve than that in --bin")
+    parser.add_argument("--server", type=pathlib.Path, help="path of spikeserve, if it is not in --bin")
     parser.add_argument("--policies", default="deploy/policies")
-    parser.add_argument("--seconds", type=float, default=3, help="of each measurement")
+    parser.add_argument("--seconds", type=float, default=3, help="seconds of each measurement")
     parser.add_argument(
-        "--head_start", type=float, default=1, help="seconds of a flood before, for the burst that a limit allows"
+        "--head_start",
+        type=float,
+        default=1,
+        help="seconds of flood before a measurement, so that it uses up the burst that its limit allows",
     )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--flood", type=int, default=64, help="sessions of the tenant that floods")
-    parser.add_argument("--limit", type=float, default=500, help="its decisions a second")
-    parser.add_argument("--rate", type=float, help="the neighbour's decisions a second (as many as it can)")
+    parser.add_argument("--limit", type=float, default=500, help="limit of that tenant, decisions a second")
+    parser.add_argument("--rate", type=float, help="decisions a second of the neighbour (default: as many as possible)")
     parser.add_argument("--kinds", nargs="*", default=[*SPIKELOAD, *HAMMER])
     parser.add_argument("--hammer", choices=HAMMER, help=argparse.SUPPRESS)
     parser.add_argument("--address", help=argparse.SUPPRESS)

@@ -1,4 +1,4 @@
-"""Reads policy files for the contestants that are written in Python."""
+"""Reads policy files for the contestants in Python."""
 
 import json
 import math
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def read_policy_file(path):
-    """The tensors by name, as arrays, and the metadata."""
+    """Returns the tensors as arrays by name, and the metadata."""
     with open(path, "rb") as file:
         (size,) = struct.unpack("<Q", file.read(8))
         header = json.loads(file.read(size))

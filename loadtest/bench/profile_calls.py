@@ -1,9 +1,10 @@
-"""Where a call's processor time goes in spikeserve, in an echo and in an echo that decides: a Markdown table.
+"""Prints the processor time of a call by part, for spikeserve and both echo services, as a Markdown table.
 
 usage: profile_calls.py --bin=build/release/bin [--mode=unary] [--sessions=64] [--rate=0] [--rounds=7] [--seconds=1]
 
-Needs Linux's perf and the right to use it. Parts are told apart by library and symbol, so what gRPC and protobuf spend
-in malloc, memcpy and locks stands under libraries. Few samples a second: in a virtual machine each is dear.
+Needs perf of Linux and the permission to use it. The library and symbol of a sample decide its part. So the time of gRPC
+and protobuf in malloc, memcpy and locks counts as libraries. The sampling rate is low, because samples are expensive in
+a virtual machine.
 """
 
 import argparse
@@ -34,7 +35,7 @@ PARTS = ["engine", "spikeserve's own", "protobuf", "gRPC", "libraries", "kernel"
 def part_of(library, symbol):
     if library.startswith("[kernel"):
         return "kernel"
-    if symbol.startswith("[.] grpc"):  # also what its templates make of our messages
+    if symbol.startswith("[.] grpc"):  # includes templates of gRPC for messages of spikeserve
         return "gRPC"
     if "protobuf" in library or "google::protobuf" in symbol or "spikeserve::v1::" in symbol:
         return "protobuf"
@@ -42,12 +43,12 @@ def part_of(library, symbol):
         return "engine"
     if "prometheus" in library or "spikeserve::" in symbol:
         return "spikeserve's own"
-    # gRPC is linked into the programs.
+    # The programs link gRPC statically.
     return "gRPC" if library in ("spikeserve", "echo_server") else "libraries"
 
 
 def shares(recording):
-    """The share of each part in the samples."""
+    """Returns the share of each part in the samples."""
     columns = ["--sort=dso,sym", "--fields=overhead,dso,sym", "--field-separator=|"]
     command = ["perf", "report", "--stdio", f"--input={recording}", *columns]
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -61,7 +62,7 @@ def shares(recording):
 
 
 def measure(spikeload, server, flags):
-    """Microseconds a decision, by part; and the sum."""
+    """Returns the microseconds of processor time of a decision by part, and their sum."""
     with tempfile.NamedTemporaryFile() as recording:
         command = ["perf", "record", "-q", "-e", "cpu-clock", "-F", str(SAMPLES_PER_SECOND), "-p", str(server.pid)]
         perf = subprocess.Popen([*command, "-o", recording.name], stderr=subprocess.DEVNULL)
@@ -81,8 +82,8 @@ def main():
     parser.add_argument("--mode", choices=["unary", "stream"], default="unary")
     parser.add_argument("--sessions", type=int, default=64)
     parser.add_argument("--rate", type=float, default=0, help="calls a second; 0: closed loop")
-    parser.add_argument("--rounds", type=int, default=7, help="medians over these")
-    parser.add_argument("--seconds", type=float, default=1, help="of a server in a round")
+    parser.add_argument("--rounds", type=int, default=7, help="number of rounds; the result is their median")
+    parser.add_argument("--seconds", type=float, default=1, help="seconds for each server in a round")
     arguments = parser.parse_args()
     flags = bench.load_flags(arguments.mode, arguments.sessions)
     flags.update(rate=arguments.rate, duration=f"{arguments.seconds}s")

@@ -1,15 +1,15 @@
-"""Starts what the benchmark measures, each on the cores it is given."""
+"""Starts the programs of the benchmark, each on its own processor cores."""
 
 import contextlib
 import json
 import subprocess
 import time
 
-# The server and everything measured alone get the first core, load generators the others.
+# The first core runs the measured program, the other cores run the load generators.
 MEASURED_CORE = "0"
 LOAD_CORES = "1-"
 
-CPUCLOCK_SCHED = 2  # Linux: the kind of clock in the lowest bits of a process's clock id
+CPUCLOCK_SCHED = 2  # Linux: the lowest bits of the clock id of a process, which select its processor time
 
 
 def on_cores(cores, command):
@@ -19,7 +19,7 @@ def on_cores(cores, command):
 
 
 class Contestant:
-    """A process that measures itself in rounds; see contestant.h."""
+    """A process that measures itself in rounds. See contestant.h."""
 
     def __init__(self, name, command):
         self.name = name
@@ -29,16 +29,17 @@ class Contestant:
         )
 
     def wait_until_ready(self):
-        if self.process.stdout.readline() != "ready\n":
-            raise RuntimeError(f"{self.name} did not start")
+        line = self.process.stdout.readline()
+        if line != "ready\n":
+            raise RuntimeError(f"{self.name}: expected 'ready', received {line!r}")
 
     def measure(self, seconds):
-        """One round; its decisions, seconds and spikes."""
+        """Runs one round and returns its decisions, seconds and spikes."""
         self.process.stdin.write(f"{seconds}\n")
         self.process.stdin.flush()
         line = self.process.stdout.readline()
         if not line:
-            raise RuntimeError(f"{self.name} ended with status {self.process.wait()}")
+            raise RuntimeError(f"{self.name}: expected a result, received status {self.process.wait()}")
         return json.loads(line)
 
     def stop(self):
@@ -49,7 +50,7 @@ class Contestant:
 
 @contextlib.contextmanager
 def running_contestants(commands):
-    """`commands` by name."""
+    """Starts the contestants of `commands`, by name, and yields them."""
     contestants = []
     try:
         for name, command in commands.items():
@@ -63,25 +64,25 @@ def running_contestants(commands):
 
 
 class Server:
-    """A running server: where it listens, and what it has cost so far."""
+    """A running server. `address` is its HOST:PORT."""
 
     def __init__(self, pid, address):
         self.pid = pid
         self.address = address
 
     def processor_seconds(self):
-        """Of the process, its past threads included, to the nanosecond: what clock_getcpuclockid(3) names."""
+        """Returns the processor seconds of the process, including its ended threads, from clock_getcpuclockid(3)."""
         return time.clock_gettime(~self.pid << 3 | CPUCLOCK_SCHED)
 
 
 @contextlib.contextmanager
 def running_server(command, announcement):
-    """A Server, whose HOST:PORT follows `announcement` on the first line it prints."""
+    """Starts a server and yields it. Its first line of output is `announcement` and its HOST:PORT."""
     server = subprocess.Popen(on_cores(MEASURED_CORE, command), stdout=subprocess.PIPE, text=True)
     try:
         line = server.stdout.readline()
         if not line.startswith(announcement):
-            raise RuntimeError(f"{command[0]} did not start, it said {line!r}")
+            raise RuntimeError(f"{command[0]}: expected {announcement!r}, received {line!r}")
         yield Server(server.pid, line.removeprefix(announcement).strip())
     finally:
         server.terminate()
@@ -90,7 +91,7 @@ def running_server(command, announcement):
 
 
 def measure_load(spikeload, server, **flags):
-    """What spikeload reports of one run, and the processor time that a decision costs the server."""
+    """Returns the report of spikeload for one run, and the processor time of the server for each decision."""
     flags = {"server": server.address, **flags}
     command = [spikeload, "--json", *(f"--{name}={value}" for name, value in flags.items())]
     before = server.processor_seconds()

@@ -1,4 +1,4 @@
-"""Turns the benchmark's result into a page."""
+"""Writes the result of the benchmark as a Markdown page."""
 
 import statistics
 
@@ -25,7 +25,7 @@ def table(header, rows):
 
 
 def ratio(engine, contestant, other):
-    """The median over rounds of the ratio of two rates."""
+    """Returns the median over rounds of the ratio of two rates."""
     return statistics.median(
         a / b for a, b in zip(engine[contestant]["rates"], engine[other]["rates"], strict=True)
     )
@@ -93,7 +93,7 @@ def targets_section(result):
     for key, targets in of.items():
         if key in result:
             rows += targets(result[key])
-    return "## Against what was asked\n\n" + table(["figure", "measured", "asked", "met"], rows)
+    return "## Targets\n\n" + table(["figure", "measured", "target", "met"], rows)
 
 
 def engine_section(engine):
@@ -108,14 +108,15 @@ def engine_section(engine):
         for key, name in ENGINE_NAMES.items()
     ]
     header = ["contestant", "decisions/s", "µs a decision", "spikes a decision", "silent spikeserve is faster by"]
-    text = "\nThe cached dense models have one set of weights, and are timed only if they give the answers of the engine of "
-    text += "dense mode. What bounds this engine: [docs/architecture.md](architecture.md#what-bounds-a-decision).\n"
+    text = "\nBoth cached dense models have the same weights. The benchmark stops unless their answers equal those of the "
+    text += "engine in dense mode. [docs/architecture.md](architecture.md#what-bounds-a-decision) explains what limits this "
+    text += "engine.\n"
     return "## Engine, one core\n\n" + table(header, rows) + text
 
 
 def growth_section(growth):
-    text = "## Growth\n\nRandom, unregularised policies at the paper's size but for what is varied; episodes of 500 steps, "
-    text += "for N of 4 N. The length of episodes is varied with the shipped policy.\n\n"
+    text = "## Growth\n\nEach table varies one parameter of random, unregularised policies of the paper's size. Episodes have "
+    text += "500 steps; where the context N varies, 4 N steps. The table of episode lengths uses the shipped policy.\n\n"
     flags = dict.fromkeys(key.split("=")[0] for key in growth)
     for flag in flags:
         cases = [(key.split("=")[1], r) for key, r in growth.items() if key.split("=")[0] == flag]
@@ -138,8 +139,8 @@ def sessions_section(sessions):
         for s in sessions
     ]
     header = ["sessions", "bytes opened", "bytes active", "bytes idle", "process, MiB resident"]
-    text = "## Memory a session\n\nA single session pays for the store's empty shards alone. Idle: its history full, compacted."
-    return text + "\n\n" + table(header, rows)
+    text = "## Memory of a session\n\nWith one session, its figure includes the empty shards of the store. An idle session is "
+    return text + "compacted and has a full history.\n\n" + table(header, rows)
 
 
 def server_section(server):
@@ -159,8 +160,9 @@ def server_section(server):
     ]
     header = ["mode", "sessions", "spikeserve, decisions/s", "echo, calls/s", "share"]
     header += ["spikeserve, processor µs", "echo, processor µs", "share", "spikeserve p99, ms"]
-    text = "## Server on one core, load from the others, closed loop\n\nProcessor time is the server's, for a decision, "
-    text += "sessions opened and closed included: what it could do where it is the bottleneck.\n\n" + table(header, rows)
+    text = "## Server on one core, load from the others, closed loop\n\nProcessor time is that of the server for each decision, "
+    text += "including the opening and closing of sessions. It gives the rate of a server that is the bottleneck.\n\n"
+    text += table(header, rows)
     rows = [
         [
             case["mode"],
@@ -173,15 +175,15 @@ def server_section(server):
         ]
         for case in server["half_peak"]
     ]
-    text += f"\nAt half of spikeserve's peak rate, {server['half_peak'][0]['sessions']} sessions, on a schedule; latency "
-    text += "counts from when a request was due. The echo, asked on the same schedule, shows what of it is gRPC's, the load "
-    text += "generator's and the machine's own.\n\n"
+    text += f"\n{server['half_peak'][0]['sessions']} sessions send requests on a schedule at half of the peak rate of "
+    text += "spikeserve. Latency counts from the scheduled time of a request. The latency of the echo on the same schedule "
+    text += "is the part of gRPC, the load generator and the machine.\n\n"
     text += table(["mode", "decisions/s", "p50, ms", "echo p50, ms", "p99, ms", "echo p99, ms"], rows)
     rows = [
         [str(case["sessions"]), number(case["decisions_per_second"]), number(case["p99_seconds"] * 1e3)]
         for case in server["torch_server"]
     ]
-    text += "\nA Python gRPC server around the same policy in eager PyTorch, which recomputes the window, unary.\n\n"
+    text += "\nA gRPC server in Python with the same policy in eager PyTorch, which recomputes the window. Unary calls.\n\n"
     return text + table(["sessions", "decisions/s", "p99, ms"], rows)
 
 
@@ -196,9 +198,9 @@ def learning_section(learning):
         ]
         for case in learning
     ]
-    header = ["mode, whose head learns", "decisions/s", "share of frozen", "processor µs", "share of frozen"]
-    text = f"## Learning\n\n{learning[0]['sessions']} sessions that learn with the default settings, episodes of 200 steps, "
-    return text + "against as many frozen ones in the same round.\n\n" + table(header, rows)
+    header = ["mode, scope", "decisions/s", "share of frozen", "processor µs", "share of frozen"]
+    text = f"## Learning\n\n{learning[0]['sessions']} sessions learn with the default settings in episodes of 200 steps. The "
+    return text + "shares compare them with as many frozen sessions in the same round.\n\n" + table(header, rows)
 
 
 def bound_section(server, engine):
@@ -221,21 +223,21 @@ def bound_section(server, engine):
     ]
     header = ["mode", "echo, µs", "engine, µs", "echo with the engine in it, µs", "spikeserve, µs"]
     header += ["share at best", "share reached", "share of the best"]
-    text = "## What bounds the share\n\nProcessor time, 64 sessions. The bound is measured: an echo that decides, too, without "
-    text += "sessions to look after, limits, retries or metrics. It costs more than echo and engine alone add up to: "
-    text += "[docs/architecture.md](architecture.md#what-a-call-costs) says why.\n\n"
+    text = "## Upper bound of the share\n\nProcessor time with 64 sessions. The bound is measured with an echo that also runs "
+    text += "the engine, without sessions, limits, retries or metrics. It costs more than the sum of echo and engine. "
+    text += "[docs/architecture.md](architecture.md#what-a-call-costs) explains why.\n\n"
     return text + table(header, rows)
 
 
 def to_markdown(result):
     machine = result["machine"]
     caches = ", ".join(" ".join(pair) for pair in zip(machine["caches"][::2], machine["caches"][1::2], strict=False))
-    text = "# Performance\n\nWritten by `make bench`; do not edit. "
-    text += "[loadtest/bench](../loadtest/bench/bench.py) says how it is measured.\n\n"
+    text = "# Performance\n\n`make bench` writes this page. Do not edit it. "
+    text += "[loadtest/bench](../loadtest/bench/bench.py) makes the measurements.\n\n"
     text += f"Machine: {machine['processor']}, {machine['cores']} cores, {caches}; Linux {machine['kernel']}; load average "
-    text += f"before the run {machine['load_before']:.2f}. {result['rounds']} rounds, every contestant in each of them for "
-    text += f"{result['seconds']:g} s; medians. The run took {result['duration_seconds'] / 60:.1f} minutes. Engines are "
-    text += "timed in processor time.\n\n"
+    text += f"before the run {machine['load_before']:.2f}. Each of {result['rounds']} rounds measures every contestant for "
+    text += f"{result['seconds']:g} s. The figures are medians over the rounds. The run took "
+    text += f"{result['duration_seconds'] / 60:.1f} minutes. The figures of engines use processor time.\n\n"
     sections = [
         (engine_section, ["engine"]),
         (server_section, ["server"]),

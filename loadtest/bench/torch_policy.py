@@ -1,7 +1,7 @@
-"""model.md's SNN-DT in plain eager PyTorch, over a full window: what people run today.
+"""The SNN-DT model in eager PyTorch, which recomputes the full window: the usual way to serve it.
 
-Reads a policy file; computes the modes with phase spikes and routing (`full`), with the rate coder, summed heads and
-softmax gates, which is what the shipped policies use.
+Reads a policy file. Supports the configuration of the shipped policies only: mode `full` (phase spikes and routing),
+rate coder, summed heads and softmax gates.
 """
 
 import json
@@ -36,7 +36,7 @@ class TorchPolicy:
         return functional.layer_norm(x, x.shape[-1:], self.p[name + ".weight"], self.p[name + ".bias"])
 
     def fire(self, currents):
-        """LIF over the ticks of `currents` [T, tokens, neurons]."""
+        """Returns the spikes of LIF neurons for `currents`, both [T, tokens, neurons]."""
         membrane = torch.zeros_like(currents[0])
         spikes = []
         for current in currents:
@@ -60,7 +60,7 @@ class TorchPolicy:
         return torch.stack(embedded, 1).flatten(0, 1)
 
     def phase_spikes(self, timesteps):
-        """[T, tokens, H]"""
+        """Returns the phase spikes, [T, tokens, H]."""
         ticks = torch.arange(self.config["ticks"], dtype=torch.float64) / self.config["ticks"]
         tau = (timesteps.double() + ticks.unsqueeze(1)).unsqueeze(-1)
         angle = self.p["phase.omega"].double() * tau + self.p["phase.phi"].double()
@@ -87,7 +87,10 @@ class TorchPolicy:
 
     @torch.no_grad()
     def decide(self, first_timestep, returns, observations, actions):
-        """The greedy action at the last of n timesteps, and its probabilities; the last action is not looked at."""
+        """Returns the most probable action at the last of n timesteps, and the probabilities of all actions.
+
+        `actions` holds the n - 1 earlier actions.
+        """
         returns = torch.tensor(returns)
         count = len(returns)
         one_hot = functional.one_hot(torch.tensor(actions + [0]), self.actions).float()

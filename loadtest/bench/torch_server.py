@@ -1,8 +1,8 @@
-"""A Python gRPC server around the PyTorch model, with spikeserve's messages: what people run today.
+"""A gRPC server in Python for the PyTorch model, with the messages of spikeserve: the usual way to serve it.
 
-usage: torch_server.py POLICY_FILE STUBS   (the folder with the code that protoc made from the proto)
+usage: torch_server.py POLICY_FILE STUBS   (STUBS: the folder of the code that protoc generated from the proto)
 
-It keeps a session's window and recomputes it at every decision. Prints "listening on HOST:PORT".
+It stores the window of each session and recomputes it at every decision. Prints "listening on HOST:PORT".
 """
 
 import collections

@@ -1,4 +1,4 @@
-"""What several test files ask for."""
+"""Fixtures that several test files use."""
 
 import json
 
@@ -9,14 +9,14 @@ from serving import running_server
 
 @pytest.fixture(scope="module")
 def address():
-    """The gRPC address of a server with the shipped policies."""
+    """Starts a server with the shipped policies and yields its gRPC address."""
     with running_server() as addresses:
         yield addresses.grpc
 
 
 @pytest.fixture(scope="module")
 def tokens(tmp_path_factory):
-    """The file of security.TOKENS."""
+    """Writes security.TOKENS to a file and returns its path."""
     path = tmp_path_factory.mktemp("tokens") / "tokens.json"
     path.write_text(json.dumps(TOKENS))
     return path
@@ -24,14 +24,14 @@ def tokens(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def addresses(tokens):
-    """The Addresses of a server that asks for tokens."""
+    """Starts a server that requires tokens and yields its Addresses."""
     with running_server(flags=[f"--tokens={tokens}"]) as started:
         yield started
 
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory):
-    """An authority, and a certificate for each end that it signed."""
+    """Makes a certificate authority that signs a server and a client certificate. Returns the folder."""
     path = tmp_path_factory.mktemp("certificates")
     make_authority(path, "ca")
     for name in ("server", "client"):

@@ -1,4 +1,4 @@
-"""Runs the examples of a documentation page as a reader would."""
+"""Runs the examples of a documentation page in the way a reader runs them."""
 
 import os
 import pathlib
@@ -24,10 +24,10 @@ def run_examples(page, address):
 
 
 class Shell:
-    """The terminals of a reader who copies commands: one for the server, one for everything else.
+    """Runs the commands of a page: the server in the background, everything else in the foreground.
 
-    The commands are those of a fresh checkout after `make build`, but for the ports: the server takes free ones, and
-    what would call the page's calls those.
+    `directory` looks like a checkout after `make build`. Only the ports differ from the page: the server listens on
+    free ports, and the other commands call these ports.
     """
 
     def __init__(self, directory):
@@ -60,14 +60,15 @@ class Shell:
         self._stop()
 
     def run(self, page, edits=()):
-        """Runs every block of commands of docs/<page>, in order; yields what each printed. `edits` are pairs of a text
-        of the page and what stands for it.
+        """Runs every `bash` block of docs/<page>, in order, and yields the output of each.
+
+        `edits` are pairs of a text of the page and its replacement.
         """
         blocks = re.findall(r"^```bash\n(.*?)^```$", (DOCS / page).read_text(), re.MULTILINE | re.DOTALL)
         assert blocks
         for block in blocks:
-            for text, instead in edits:
-                block = block.replace(text, instead)
+            for text, replacement in edits:
+                block = block.replace(text, replacement)
             if block.startswith("spikeserve "):
                 self._start(block)
             else:

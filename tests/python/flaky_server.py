@@ -1,4 +1,4 @@
-"""A PolicyService in this process that fails on demand."""
+"""A PolicyService that runs in the process of the test and fails on demand."""
 
 import collections
 import concurrent.futures
@@ -10,13 +10,12 @@ from spikeserve.wire import METHODS, SERVICE
 
 
 class FlakyServer:
-    """Keeps one session by the contract: answers a repeated step, and a repeated end, with the
-    stored answer.
+    """Keeps one session. Answers a repeated step or a repeated end with the stored answer.
 
-    `faults` is what befalls the next calls of a method, in order: "unavailable" (refused before
-    anything is done), "lost" (done, but the answer does not arrive), "stuck" (done, then silent
-    until the caller gives up). `calls` counts the calls of each method, `seconds_left` holds the
-    deadline each of them came with.
+    `faults` holds the faults of the next calls of each method, in order: "unavailable" rejects the
+    call and does nothing, "lost" carries the call out but does not send the answer, "stuck"
+    carries the call out and then waits until the caller cancels. `calls` counts the calls of each
+    method. `seconds_left` holds the time to the deadline of each call.
     """
 
     def __init__(self):
@@ -32,7 +31,7 @@ class FlakyServer:
 
     @contextlib.contextmanager
     def serving(self):
-        """The address while it serves."""
+        """Serves on a free port and yields the address."""
         with concurrent.futures.ThreadPoolExecutor() as threads:
             server = grpc.server(threads)
             handlers = {name: self._handler(method) for name, method in METHODS.items()}
@@ -52,13 +51,13 @@ class FlakyServer:
             fault = faults.pop(0) if faults else None
             if fault == "unavailable":
                 context.abort(grpc.StatusCode.UNAVAILABLE, "the server is draining")
-            given_up = threading.Event()
-            context.add_callback(given_up.set)
+            cancelled = threading.Event()
+            context.add_callback(cancelled.set)
             response = getattr(self, method.name)(request, method.response(), context)
             if fault == "lost":
                 context.abort(grpc.StatusCode.UNAVAILABLE, "connection reset")
             if fault == "stuck":
-                given_up.wait()
+                cancelled.wait()
             return response
 
         return grpc.unary_unary_rpc_method_handler(

@@ -1,4 +1,4 @@
-"""Reads and writes policy files with NumPy alone: float32 tensors by name, and metadata strings."""
+"""Reads and writes policy files with NumPy only: float32 tensors by name, and metadata strings."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Policy files with random weights, written through spikeserve.export."""
+"""Writes policy files with random weights through spikeserve.export."""
 
 import numpy as np
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
@@ -8,7 +8,7 @@ DENSE_TIMESTEPS = 8
 
 
 def random_tensors(config, observation_size, action_size, seed=0):
-    """Weights under which neurons fire and actions vary with what is observed."""
+    """Returns weights for which neurons fire and the actions depend on the observations."""
     random = np.random.default_rng(seed)
     tensors = {}
     for name, shape in tensor_shapes(config, observation_size, action_size).items():
@@ -24,7 +24,7 @@ def random_tensors(config, observation_size, action_size, seed=0):
 
 
 def export_random(folder, name, environment, seed=0, **config):
-    """Version 1 of the policy `name` below `folder`, for a Gymnasium environment."""
+    """Writes version 1 of the policy `name` below `folder`, for a Gymnasium environment."""
     config = ModelConfig(**(SMALL | config))
     space = environment.action_space
     size = int(space.n) if hasattr(space, "n") else space.shape[0]

@@ -1,4 +1,4 @@
-"""Tokens, certificates, and callers that show them."""
+"""Tokens, certificates, and clients that use them."""
 
 import contextlib
 import hashlib
@@ -19,7 +19,7 @@ OBSERVATION = [0.01, -0.02, 0.03, 0.1]
 
 
 def entry(token, role, tenant="fleet", **more):
-    """A token as the file holds it."""
+    """Returns the entry of a token in the token file."""
     digest = hashlib.sha256(token.encode()).hexdigest()
     return {"sha256": digest, "tenant": tenant, "role": role, **more}
 
@@ -48,7 +48,7 @@ TOKENS = {
 
 
 class Bearer(grpc.UnaryUnaryClientInterceptor):
-    """Adds a token to every call."""
+    """Sends a token with every call."""
 
     def __init__(self, token):
         self._metadata = (("authorization", f"Bearer {token}"),)
@@ -95,10 +95,10 @@ def http_code(address, path, header=None):
 
 
 def until(condition):
-    """Waits for what the server does by itself."""
+    """Waits until `condition()` is true. Fails after DEADLINE_SECONDS."""
     deadline = time.monotonic() + DEADLINE_SECONDS
     while not condition():
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline, f"the condition was false for {DEADLINE_SECONDS} s"
 
 
 def openssl(*arguments, cwd):

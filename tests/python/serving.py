@@ -1,4 +1,4 @@
-"""A real server, and a client that needs no file of this repository."""
+"""Starts a real server. Provides a client that uses reflection and no file of this repository."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ DEADLINE_SECONDS = 30
 
 
 class Addresses(typing.NamedTuple):
-    """HOST:PORT of what a server listens on."""
+    """The addresses, HOST:PORT, on which a server listens."""
 
     grpc: str
     http: str
@@ -25,8 +25,9 @@ class Addresses(typing.NamedTuple):
 
 @contextlib.contextmanager
 def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
-    """Yields the Addresses of a server with the policies in a folder; SIGTERM must end it well. What it logs goes to
-    `log`, a file, if that is given.
+    """Starts a server with the policies of a folder and yields its Addresses.
+
+    Asserts that SIGTERM ends the server with status 0. The server logs to `log`, an open file; None: to stderr.
     """
     server = subprocess.Popen(
         [
@@ -44,7 +45,7 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
     def announced(protocol):
         announcement = f"spikeserve: serving {protocol} on "
         line = server.stdout.readline()
-        assert line.startswith(announcement), f"the server said {line!r}"
+        assert line.startswith(announcement), f"stdout: expected {announcement!r}, received {line!r}"
         return line.removeprefix(announcement).strip()
 
     try:
@@ -58,14 +59,16 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
 
 
 def message_class(channel, name):
-    """The class of a message that the server's reflection describes."""
+    """Returns the class of a message that the reflection of the server describes."""
     pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
 
 class Service:
-    """A service whose methods and messages come from the server's reflection over `channel`; its
-    calls go over `calls`, if that is given.
+    """Has one Python method for each unary method of a service.
+
+    The methods and messages come from the reflection of the server on `channel`. The calls use the channel `calls`, or
+    `channel` if it is None.
     """
 
     def __init__(self, channel, name, calls=None):

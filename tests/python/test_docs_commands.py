@@ -1,4 +1,4 @@
-"""The commands of documentation pages, copied in order into an empty directory."""
+"""Runs the commands of documentation pages, in order, in an empty directory."""
 
 import json
 import os

@@ -1,9 +1,9 @@
-"""Holds the C++ environments against Gymnasium's, step by step.
+"""Compares the C++ environments with those of Gymnasium, step by step.
 
-In lock-step the C++ environment starts every step from Gymnasium's own state, for near an unstable
-equilibrium an open-loop replay diverges from rounding alone. The time limit, which a restart would
-set back, is compared in episodes that both play through on their own, from motions that forgive
-rounding.
+In the comparison of steps, the C++ environment starts every step from the state of Gymnasium. Two
+separate simulations would diverge near an unstable equilibrium because of rounding. A restart also
+resets the time limit, so another test compares the time limit in whole episodes, with actions for
+which rounding errors do not grow.
 """
 
 import json
@@ -21,7 +21,7 @@ TOLERANCE = 1e-12
 
 
 class Stepper:
-    """The C++ environment, in a process of its own."""
+    """The C++ environment in a separate process."""
 
     def __init__(self, environment_id):
         self._process = subprocess.Popen(
@@ -72,7 +72,7 @@ def random_action(environment, observation):
 
 
 def scripted_action(environment, observation):
-    """Reaches the states random actions do not: upright for long, over the goal, at full speed."""
+    """Reaches states that random actions do not reach: long upright, at the goal, at full speed."""
     match environment.spec.id:
         case "CartPole-v1":
             return int(np.dot([0.1, 0.3, 3.0, 1.0], observation) > 0)
@@ -107,7 +107,7 @@ def test_every_step_of_an_episode_is_the_same(environment, stepper, choose_actio
 
 
 def test_a_seed_draws_the_same_initial_state(environment, stepper):
-    # Acrobot's first observation, and no other, is a float32 cosine of a float32 angle.
+    # Only the first observation of Acrobot is a float32 cosine of a float32 angle.
     ulp = 1 if environment.spec.id == "Acrobot-v1" else 0
     for seed in [*range(1000), 2**32 - 1, 2**32, 2**63]:
         observation, _ = environment.reset(seed=seed)
@@ -116,7 +116,7 @@ def test_a_seed_draws_the_same_initial_state(environment, stepper):
         np.testing.assert_array_max_ulp(ours["observation"], observation, maxulp=ulp)
 
 
-# Actions that no episode ends before its limit, and whose motion forgives rounding.
+# Actions with which no episode ends before its time limit, and rounding errors do not grow.
 UNENDING = {
     "CartPole-v1": scripted_action,
     "MountainCar-v0": lambda environment, observation: 1,

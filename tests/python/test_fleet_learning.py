@@ -1,4 +1,4 @@
-"""What an operator does with a head that a fleet has learned, and what nobody can do to it."""
+"""Tests the operations on the head that a fleet has learned, and its protection against bad input."""
 
 import concurrent.futures
 import json
@@ -31,7 +31,7 @@ class Server:
         return self.policy.OpenSession(policy="cartpole", **fields).session_id
 
     def play(self, session_id, steps=12, reward=lambda step: 1.0, **end):
-        """An episode of a made-up environment; the answers' probabilities."""
+        """Plays one episode of an artificial environment. Returns the probabilities and the end."""
         answers = []
         for step in range(steps):
             angles = np.sin(0.3 * step + np.arange(4)) * 0.1
@@ -62,7 +62,7 @@ def test_a_promoted_head_is_served_bit_for_bit_across_a_restart(folder, serve):
         server.teach()
         head = server.admin.GetHead(policy="cartpole", include_weights=True)
         promoted = server.admin.PromoteHead(policy="cartpole")
-        # A frozen session on what the fleet learned, and one on the new version.
+        # One frozen session starts with the learned head, another one uses the new version.
         learned = server.play(server.open(version=1, head_delta=head.delta))[0]
         served = server.play(server.open(version=promoted.version))[0]
         assert learned == served != server.play(server.open(version=1))[0]
@@ -84,7 +84,7 @@ def test_a_promoted_head_is_served_bit_for_bit_across_a_restart(folder, serve):
     assert lineage["delta_norm"] == pytest.approx(head.delta_norm)
     assert lineage["base_norm"] == pytest.approx(head.base_norm)
     assert "evaluation" in training["parent_training"]
-    # Version 2 is the default now, and unchanged.
+    # Version 2 is the default after the restart, and gives the same answers.
     assert serve(lambda server: server.play(server.open())[0]) == before
 
 
@@ -157,15 +157,15 @@ def test_absurd_rewards_harm_neither_others_nor_the_fleet_beyond_its_bound(serve
     serve(poison)
 
 
-MERGE_TOLERANCE = 1e-5  # a weight; FleetHead::kMergeTolerance
+MERGE_TOLERANCE = 1e-5  # absolute, for each weight; equal to FleetHead::kMergeTolerance
 
 
 def test_the_fleets_head_does_not_depend_on_who_ends_first(serve):
-    """64 sessions play an episode each on one head, then end together or one after the other."""
+    """64 sessions play one episode each on one head. They end concurrently or one by one."""
 
     def learn(server, end_all):
         server.admin.RollbackHead(policy="cartpole")
-        # So small a rate that neither the bound on drift nor a clip acts.
+        # With this small learning rate, neither the drift bound nor the clip applies.
         learning = FLEET | {"learning_rate": 0.003}
         sessions = [server.open(seed=seed, learning=learning, **SAMPLING) for seed in range(64)]
         for i, session_id in enumerate(sessions):
@@ -213,7 +213,7 @@ def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
             server = Server(channel)
             session_id = server.open(seed=1, learning={"scope": scope.upper()}, **SAMPLING)
             for episode in range(40):
-                reward = 1.0 if episode < 20 else 0.5  # the second window earns half
+                reward = 1.0 if episode < 20 else 0.5  # half the return in the second window
                 _, ended = server.play(session_id, reward=lambda step, r=reward: r, terminated=True)
                 assert ended.learning.rolled_back == (episode == 39)
                 assert (ended.learning.head_drift > 0) == (episode < 39)
@@ -223,8 +223,8 @@ def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
             assert metric(addresses, "spikeserve_learning_rollbacks_total") == 1
             assert metric(addresses, "spikeserve_learning_return") == pytest.approx(6)
             assert metric(addresses, "spikeserve_head_drift_ratio") == 0
-    said = f'warning action head rolled back policy="cartpole/1" scope="{scope}" watched_return="6"\n'
-    assert path.read_text().count(said) == 1
+    logged = f'warning action head rolled back policy="cartpole/1" scope="{scope}" watched_return="6"\n'
+    assert path.read_text().count(logged) == 1
 
 
 @pytest.mark.parametrize(

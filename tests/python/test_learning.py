@@ -1,9 +1,9 @@
-"""Holds a server's learning against eqs. 4.1 to 4.3 in NumPy, on episodes played over the wire.
+"""Compares the learning of a server with eqs. 4.1 to 4.3 in NumPy, on episodes over the network.
 
-What the head reads, the readout rates, comes from a second session of a policy with the same body
-and the identity as its head. So that both bodies see the same tokens, their action embeddings are
-zero. Nothing here trusts the server for more than its answers: every trace is kept, in double
-precision, and summed as the equations are written.
+The readout rates, which are the input of the head, come from a second session. Its policy has the
+same weights, except that its head is the identity. The action embeddings are zero, so both
+sessions compute with the same tokens. The test uses only the answers of the server. It keeps every
+trace in double precision and sums them as the equations are written.
 """
 
 import json
@@ -24,7 +24,7 @@ TOLERANCE = 1e-6
 
 @pytest.fixture(scope="module")
 def policies(tmp_path_factory):
-    """The head and modulator statistics of each policy, and the folder they lie in."""
+    """Writes the policies. Returns their folder, and the head and modulator statistics by policy."""
     folder = tmp_path_factory.mktemp("policies")
     tensors, metadata = read_policy(SHIPPED)
     size = tensors["head.weight"].shape[1]
@@ -76,13 +76,13 @@ def norm(matrix):
 
 
 class Plasticity:
-    """Eqs. 4.1 to 4.3 with every trace of the episode kept."""
+    """Eqs. 4.1 to 4.3. Keeps every trace of the episode."""
 
     def __init__(self, policy, temperature, config):
         self.base, self.bias = policy["weight"], policy["bias"]
         self.temperature = temperature
         self.realized = config["modulator"] == "realized"
-        # A target modulator begins with the policy's mean and deviation, worth 1,000 decisions.
+        # A target modulator starts with the mean and deviation of the policy, as 1,000 decisions.
         self.mean, self.variance, self.decisions = 0.0, 0.0, 0
         if not self.realized:
             self.mean, self.variance, self.decisions = policy["mean"], policy["std"] ** 2, 1000
@@ -112,7 +112,7 @@ class Plasticity:
         return exponentials / exponentials.sum()
 
     def postsynaptic(self, rates, action):
-        """The factor y of eq. 4.1; `action` as the wire has it."""
+        """Returns the factor y of eq. 4.1. `action` is an Action message."""
         hebbian = self.config["rule"] == "hebbian"
         if action.WhichOneof("kind") == "discrete":
             probabilities = self.probabilities(rates)
@@ -133,7 +133,7 @@ class Plasticity:
 
     def ended(self, rewards, terminated):
         discount = self.config["discount"] if self.realized else 1.0
-        # An episode that was cut off would have gone on at its mean reward.
+        # After a truncated episode, the future rewards are assumed to be its mean reward.
         following = 0.0
         if not terminated and discount < 1:
             following = np.mean(rewards) / (1 - discount)
@@ -150,7 +150,7 @@ class Plasticity:
         self.start_episode()
 
     def remember(self, returns):
-        """The past counts as at most 1,000 decisions."""
+        """Updates mean and variance. Earlier returns have the weight of at most 1,000 decisions."""
         total = self.decisions + len(returns)
         squares = self.decisions * (self.variance + self.mean**2) + np.sum(returns**2)
         self.mean = (self.decisions * self.mean + np.sum(returns)) / total
@@ -166,10 +166,10 @@ class Plasticity:
 
 
 class FleetMember(Plasticity):
-    """Gathers what an episode teaches and hands it over when it has ended."""
+    """Collects the updates of an episode and adds them to the head of the fleet at its end."""
 
     def __init__(self, policy, temperature, config, fleet):
-        self.fleet = fleet  # {"delta": W - W_base}, of all members
+        self.fleet = fleet  # {"delta": W - W_base}, shared by all members
         super().__init__(policy, temperature, config)
 
     def head_delta(self):
@@ -200,13 +200,13 @@ def assert_head(policy_service, session_id, plasticity):
 
 
 def play_episode(environment, policy_service, session_id, probe_id, plasticity, seed):
-    """Plays at most MOST_STEPS and compares after every answer."""
+    """Plays at most MOST_STEPS steps and compares the head after every answer."""
     observation, _ = environment.reset(seed=seed)
     reward, rewards, step, over = 0.0, [], 0, False
     while not over:
         request = {"step": step, "observation": observation.tolist(), "reward": reward}
         unit = policy_service.Act(session_id=probe_id, **request).action.continuous.values
-        # Spike counts over ten ticks, through tanh.
+        # The action of the probe is tanh(spike count / 10 ticks).
         rates = np.round(10 * np.arctanh(np.array(unit, "f8"))) / 10
         answer = policy_service.Act(session_id=session_id, **request)
         discrete = answer.action.WhichOneof("kind") == "discrete"
@@ -214,12 +214,12 @@ def play_episode(environment, policy_service, session_id, probe_id, plasticity, 
             probabilities = plasticity.probabilities(rates)
             assert np.abs(np.array(answer.action_probabilities) - probabilities).max() <= TOLERANCE
         plasticity.decided(rates, answer.action, answer.return_to_go)
-        if step % 7 == 0:  # a retry, which must not learn again
+        if step % 7 == 0:  # a repeated request must not learn again
             policy_service.Act(session_id=session_id, **request)
         assert_head(policy_service, session_id, plasticity)
         right = answer.action.discrete if discrete else answer.action.continuous.values[0] > 0
         observation, _, terminated, truncated, _ = environment.step(int(right))
-        # Rewards that tell steps apart, so that credit matters.
+        # The rewards differ between steps, so credit assignment changes the result.
         reward = 1.0 - 2.0 * abs(float(observation[2]))
         rewards.append(reward)
         step += 1
@@ -239,7 +239,7 @@ SETTINGS = {
     "own": {"learning_rate": 5e-3, "trace_decay": 0.7},
     "bounded": {"learning_rate": 0.05, "clip": 0.02, "max_drift": 0.03},
 }
-DISCOUNT = {"own": {"discount": 0.9}, "bounded": {"discount": 1.0}}  # of the realized modulator
+DISCOUNT = {"own": {"discount": 0.9}, "bounded": {"discount": 1.0}}  # realized modulator only
 
 
 @pytest.mark.parametrize("settings", SETTINGS)
@@ -273,7 +273,8 @@ def test_a_fleets_head_follows_the_equations(policies, policy_service, admin, po
     temperature = 0.5 if policy == "box" else 2.0
     config = {"rule": rule, "modulator": modulator}
     if policy == "box":
-        config["learning_rate"] = 1e-3  # near its bounds an action no longer tells its noise
+        # An action near its bound saturates, so it does not determine the noise. A small rate avoids this.
+        config["learning_rate"] = 1e-3
     opening = {"action_selection": "SAMPLE", "temperature": temperature, "target_return": 200.0}
     probe = policy_service.OpenSession(policy="probe", target_return=200.0).session_id
     fleet = {"delta": np.zeros_like(policies[1][policy]["weight"])}

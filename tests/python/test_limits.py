@@ -1,4 +1,4 @@
-"""What becomes of a tenant beyond its limits, and of its neighbours."""
+"""Limits of a tenant: the server rejects its excess calls and serves other tenants as before."""
 
 import grpc
 import pytest
@@ -7,7 +7,7 @@ from serving import DEADLINE_SECONDS, message_class
 
 
 def retry_delay(addresses, error):
-    """Seconds of google.rpc.RetryInfo among the details of a refused call."""
+    """Returns the seconds of google.rpc.RetryInfo in the details of a rejected call."""
     trailers = {entry.key: entry.value for entry in error.trailing_metadata()}
     with grpc.insecure_channel(addresses.grpc) as channel:
         status = message_class(channel, "google.rpc.Status")
@@ -31,7 +31,7 @@ def test_a_flood_and_too_many_sessions_are_resource_exhausted(addresses):
         refused = None
         for step in range(1000):
             other.Act(session_id=neighbour, step=step, observation=OBSERVATION)
-            try:  # retries of one step: they cost the server a call each, so they count
+            try:  # repeats one step: every repetition counts as a call
                 small.Act(session_id=sessions[0], step=0, observation=OBSERVATION)
             except grpc.RpcError as error:
                 refused = error
@@ -59,8 +59,8 @@ def test_a_stream_goes_on_after_a_refusal(addresses):
     assert stream.code() == grpc.StatusCode.OK
     assert len(answers) == 12
     refusals = [answer.error for answer in answers if answer.HasField("error")]
-    # 5 at once, then one for every 0.2 s; a refusal takes 0.1 s, so at most 2 of 3 are refused. Read on at once, all 7
-    # of the others would be.
+    # The limit allows 5 requests at once, then one every 0.2 s. A rejection takes 0.1 s, so the server rejects at most
+    # 2 of 3 requests. Without that delay it would reject all 7 requests after the first 5.
     assert 0 < len(refusals) <= 6
     for error in refusals:
         assert error.code == grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
@@ -79,7 +79,8 @@ def test_a_batch_over_the_limit_waits_for_its_answer(addresses):
         for _ in range(100):
             if is_refused():
                 break
-        # One for every 0.2 s; a refusal takes 0.05 s and more. Answered at once, all ten would be refused.
+        # The limit allows one request every 0.2 s, and a rejection takes at least 0.05 s. Without that delay the
+        # server would reject all ten requests.
         assert not all([is_refused() for _ in range(10)])
 
 
@@ -89,5 +90,5 @@ def test_an_oversized_message_is_resource_exhausted(addresses):
         exhausted = grpc.StatusCode.RESOURCE_EXHAUSTED
         assert code_of(small.OpenSession, policy="cartpole", labels=labels) == exhausted
         assert code_of(other.OpenSession, policy="cartpole", labels=labels) == grpc.StatusCode.OK
-        # The server's own bound.
+        # The limit of the server, --max_message_bytes.
         assert code_of(other.OpenSession, policy="x" * 5_000_000) == exhausted

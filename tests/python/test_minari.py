@@ -1,4 +1,4 @@
-"""Minari reads what spiketrain records, and spiketrain trains on what Minari wrote."""
+"""Minari reads the datasets of spiketrain, and spiketrain trains on datasets of Minari."""
 
 import os
 import pathlib

@@ -1,4 +1,4 @@
-"""What the server refuses to serve by accident."""
+"""The server does not start without tokens or TLS on a network address, unless a flag allows it."""
 
 import os
 import subprocess

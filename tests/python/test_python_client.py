@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import spikeserve
 
-FIRST_UNSEEN_SEED = 1_000_000  # training draws its starts below
+FIRST_UNSEEN_SEED = 1_000_000  # training uses smaller seeds
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
 
 

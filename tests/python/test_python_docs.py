@@ -1,4 +1,4 @@
-"""Every Python example of docs/python.md runs, in order, as a reader would run it."""
+"""Runs every Python example of docs/python.md, in order."""
 
 import numpy as np
 import spikeserve

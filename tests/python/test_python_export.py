@@ -1,4 +1,4 @@
-"""Policy files written by spikeserve.export, read by the real server."""
+"""A real server reads the policy files that spikeserve.export writes."""
 
 import json
 import os
@@ -24,7 +24,7 @@ SHAPES = [
 
 
 class TorchTensor:
-    """A PyTorch tensor as far as the exporter knows one; NumPy cannot read it without that."""
+    """Has the methods of a PyTorch tensor that the exporter calls. NumPy cannot convert it."""
 
     def __init__(self, array):
         self._array = array
@@ -49,7 +49,7 @@ def read(path):
 
 
 def play(client, policy):
-    """The stored answers of an episode longer than the context."""
+    """Plays more steps than the context holds. Returns the actions, probabilities and spikes."""
     random = np.random.default_rng(0)
     with client.open_session(policy) as session:
         decisions = [session.act(random.normal(0, 0.1, 4), reward=1.0) for _ in range(40)]

@@ -1,4 +1,4 @@
-"""Calls that fail on the way are repeated, and nothing happens twice. Both clients, one scenario."""
+"""Both clients repeat failed calls, and a repeated call takes effect only once."""
 
 import asyncio
 import inspect
@@ -16,7 +16,7 @@ OBSERVATION = [0.0]
 
 
 async def finish(result):
-    """What a call of either client returns."""
+    """Awaits `result` if it comes from the asyncio client. Returns its value."""
     return await result if inspect.isawaitable(result) else result
 
 
@@ -27,7 +27,7 @@ def server():
 
 @pytest.fixture(params=[spikeserve.Client, spikeserve.AsyncClient])
 def play(server, request):
-    """Runs scenario(client, session) against the server."""
+    """Returns a function that runs scenario(client, session) with the server."""
 
     def run(scenario, options=PATIENT, session_options=None):
         async def run_scenario():

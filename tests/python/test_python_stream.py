@@ -1,4 +1,4 @@
-"""Streams decide as single calls do, blocking and with asyncio."""
+"""Streams return the same decisions as single calls, blocking and with asyncio."""
 
 import asyncio
 
@@ -20,7 +20,7 @@ def observation(agent, step):
 
 
 def comparable(decision):
-    """All of a decision but how long it took."""
+    """Returns the fields of a decision that do not depend on time."""
     return (
         decision.step,
         decision.action,
@@ -32,7 +32,7 @@ def comparable(decision):
 
 @pytest.fixture
 def expected(client):
-    """What each agent is told step by step in calls of their own."""
+    """Returns the decisions of each agent from single calls."""
     decisions = []
     for agent in range(SESSIONS):
         with client.open_session("cartpole") as session:
@@ -44,15 +44,15 @@ def expected(client):
 
 def test_many_sessions_share_a_stream(client, expected):
     sessions = [client.open_session("cartpole") for _ in range(SESSIONS)]
-    told = [[] for _ in sessions]
+    received = [[] for _ in sessions]
     with client.act_stream() as stream:
         for step in range(STEPS):
             for agent, session in enumerate(sessions):
                 stream.send(session, observation(agent, step), 1.0)
             for _ in sessions:
                 session, decision = stream.receive(timeout=30)
-                told[sessions.index(session)].append(comparable(decision))
-    assert told == expected
+                received[sessions.index(session)].append(comparable(decision))
+    assert received == expected
     for session in sessions:
         assert session.step == STEPS
         session.close()
@@ -92,17 +92,17 @@ def test_the_async_stream(address, expected):
     async def play():
         async with spikeserve.AsyncClient(address) as client:
             sessions = [await client.open_session("cartpole") for _ in range(SESSIONS)]
-            told = [[] for _ in sessions]
+            received = [[] for _ in sessions]
             async with client.act_stream() as stream, asyncio.timeout(60):
                 for step in range(STEPS):
                     for agent, session in enumerate(sessions):
                         await stream.send(session, observation(agent, step), 1.0)
                     for _ in sessions:
                         session, decision = await stream.receive()
-                        told[sessions.index(session)].append(comparable(decision))
+                        received[sessions.index(session)].append(comparable(decision))
                 with pytest.raises(spikeserve.InvalidArgumentError):
                     await stream.act(sessions[0], [0.5])
                 assert (await stream.act(sessions[0], observation(0, STEPS))).step == STEPS
-            return told
+            return received
 
     assert asyncio.run(play()) == expected

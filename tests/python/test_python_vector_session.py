@@ -1,9 +1,9 @@
 """VectorSession plays real Gymnasium vector environments exactly as Session plays single ones.
 
-A vector environment's row that was reset with a seed draws its later episodes from the same
-generator as a single environment that was reset with that seed, so each row's episodes must be
-equal, spikes and all, to those a Session plays alone. One action too many, one reward lost or one
-observation of the wrong episode, and they are not.
+Each row of a vector environment uses the same random generator as a single environment with the
+same seed. So the episodes of each row must equal those of a single environment, including their
+spikes. They differ if one action is added, one reward is lost, or one observation belongs to the
+wrong episode.
 """
 
 import asyncio
@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from random_policy import export_random
 from serving import SHIPPED_POLICIES, running_server
 
-# CartPole's random policy ends its episodes at many different steps; the others at the limit.
+# Episodes of the random CartPole policy end at different steps. The others end at the time limit.
 POLICIES = {
     "random_cartpole": "CartPole-v1",
     "random_mountaincar": "MountainCar-v0",
@@ -55,7 +55,7 @@ def make_rows(env_id, mode):
 
 
 def play_alone(client, policy, env_id, seed, episodes):
-    """The summaries of consecutive episodes of one environment, and every action."""
+    """Returns the summaries of consecutive episodes of one environment, and every action."""
     environment = make(env_id)
     summaries, actions = [], []
     with client.open_session(policy) as session:
@@ -72,7 +72,7 @@ def play_alone(client, policy, env_id, seed, episodes):
 
 
 def play_rows(agents, envs):
-    """The summaries and the actions of each row."""
+    """Returns the summaries and the actions of each row."""
     summaries = [[] for _ in range(ROWS)]
     actions = [[] for _ in range(ROWS)]
     observations, _ = envs.reset(seed=SEED)
@@ -109,15 +109,15 @@ def test_every_row_plays_as_if_alone(client, policy, env_id, mode):
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_the_async_rows_play_the_same(client, address, mode):
     def play(step):
-        """What `step`, which takes arguments of act, is told."""
+        """Returns all results of `step`, which takes the arguments of act."""
         envs = make_rows("CartPole-v1", mode)
         observations, _ = envs.reset(seed=SEED)
-        outcome, told = (), []
+        outcome, received = (), []
         for _ in range(STEPS):
             chosen, ended = step(observations, *outcome)
-            told.append((chosen.tolist(), ended))
+            received.append((chosen.tolist(), ended))
             observations, *outcome, _ = envs.step(chosen)
-        return told
+        return received
 
     envs = make_rows("CartPole-v1", mode)
     with spikeserve.VectorSession(client, "random_cartpole", envs) as agents:
@@ -125,13 +125,13 @@ def test_the_async_rows_play_the_same(client, address, mode):
     with asyncio.Runner() as runner:
         other = spikeserve.AsyncClient(address)
         rows = runner.run(open_rows(other, envs))
-        told = play(lambda *outcome: (runner.run(rows.act(*outcome)), rows.ended))
+        received = play(lambda *outcome: (runner.run(rows.act(*outcome)), rows.ended))
         runner.run(rows.reset())
         assert [session.step for session in rows.sessions] == [0] * ROWS
         runner.run(rows.close())
         runner.run(other.close())
-    assert told == expected
-    assert any(ended for _, ended in told)
+    assert received == expected
+    assert any(ended for _, ended in received)
 
 
 async def open_rows(client, envs):

@@ -1,4 +1,4 @@
-"""Episodes that a server recorded, converted by spiketrain, as Minari itself reads them."""
+"""Minari reads the episodes that a server recorded and spiketrain converted."""
 
 import json
 import os
@@ -24,7 +24,7 @@ def run(program, *arguments):
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory):
-    """A directory of recordings, and what was observed, done and got in each episode."""
+    """Plays and records episodes. Returns the folder of recordings, and the values of each episode."""
     folder = tmp_path_factory.mktemp("recordings")
     with (
         running_server(flags=[f"--record_dir={folder}"]) as server,
@@ -39,7 +39,7 @@ def played(tmp_path_factory):
 
 
 def play_sequence(client, environment, sequence_id, seed):
-    """Plays an episode as a sequence; returns its recording's name, observations and actions."""
+    """Plays an episode as a sequence. Returns the name of the recording, observations and actions."""
     observation, _ = environment.reset(seed=seed)
     observations, actions, recording = [observation], [], None
     reward, start, over = 0.0, True, False
@@ -86,7 +86,7 @@ def test_sequences_of_tritons_client_are_recorded(tmp_path, monkeypatch):
     run("SPIKETRAIN_PROGRAM", "dataset", f"--recordings={folder}", f"--out={out}")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     (read,) = minari.load_dataset("sequence-v0").iterate_episodes()
-    # The observation that came with sequence_end is the last, and what was answered to it is not.
+    # The recording has the observation of the request with sequence_end, but not its answer.
     np.testing.assert_array_equal(read.observations, np.stack(observations))
     np.testing.assert_array_equal(read.actions, actions)
     np.testing.assert_array_equal(read.rewards, np.ones(len(actions)))

@@ -1,7 +1,7 @@
-"""Plays the real Gymnasium against a real server, knowing nothing of it but its address.
+"""Plays the real Gymnasium with a real server. Needs only the address of the server.
 
-The message classes are built from what the server's reflection says, so that a client outside this
-repository is shown to need no file of it.
+The reflection of the server provides the message classes. This shows that a client needs no file of
+this repository.
 """
 
 import grpc
@@ -10,7 +10,7 @@ import pytest
 
 from serving import Service
 
-# Training draws its starts below a million.
+# Training uses smaller seeds.
 FIRST_UNSEEN_SEED = 1_000_000
 EPISODES = 3
 
@@ -59,7 +59,7 @@ def test_a_repeated_step_gets_the_identical_answer(policy_service):
 
 
 def play_episode(environment, policy_service, session_id, seed):
-    """Returns the episode's return and the spikes its decisions reported."""
+    """Plays one episode and returns its return."""
     observation, _ = environment.reset(seed=seed)
     reward, episode_return, step, spikes, over = 0.0, 0.0, 0, 0, False
     while not over:

@@ -1,4 +1,4 @@
-"""The clients of this repository against a server with TLS and tokens."""
+"""The clients of this repository call a server that requires TLS and tokens."""
 
 import os
 import subprocess

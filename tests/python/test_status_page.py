@@ -1,6 +1,6 @@
-"""Looks at the status page as people do: in a browser, by keyboard alone, by day and by night.
+"""Opens the status page in a browser. Uses only the keyboard, in light and in dark mode.
 
-With SPIKESERVE_SCREENSHOTS=DIR it leaves the pictures of docs/ there.
+With SPIKESERVE_SCREENSHOTS=DIR it writes the pictures of docs/ to DIR.
 """
 
 import base64
@@ -25,14 +25,14 @@ SCREENSHOTS = os.environ.get("SPIKESERVE_SCREENSHOTS")
 
 
 def copy_policies(directory):
-    """The shipped CartPole policy under two names, of which "busy" will decide more."""
+    """Copies the shipped CartPole policy under two names. "busy" will make more decisions."""
     for name in ("busy", "quiet"):
         shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", directory / name / "1")
     return directory
 
 
 class Traffic:
-    """A thousand sessions, some of which go on deciding until the end of the block."""
+    """Opens 1,000 sessions. Some of them make decisions until the end of the block."""
 
     def __init__(self, service):
         self._service = service
@@ -73,23 +73,23 @@ def server(tmp_path_factory):
 
 
 class Browser:
-    """A headless Chromium, driven by the keyboard."""
+    """A headless Chromium that the test controls with the keyboard."""
 
     def __init__(self, driver):
         self.driver = driver
 
     def wait_for(self, script, what):
-        """Waits until a script's answer is true, and returns it."""
+        """Waits until the result of a script is true, and returns it."""
         wait = WebDriverWait(self.driver, DEADLINE_SECONDS, poll_frequency=0.1)
         return wait.until(lambda driver: driver.execute_script(f"return {script}"), what)
 
     def tab_to(self, script, key=Keys.TAB):
-        """Presses Tab until `script` says yes to the element `e` that has the focus."""
+        """Presses Tab until `script` is true for the element `e` that has the focus."""
         for _ in range(200):
             self.press(key)
             if self.driver.execute_script(f"const e = document.activeElement; return {script}"):
                 return
-        pytest.fail(f"the keyboard never came to where {script}")
+        pytest.fail(f"the focus: expected an element with {script} within 200 key presses")
 
     def press(self, *keys):
         webdriver.ActionChains(self.driver).send_keys(*keys).perform()
@@ -102,7 +102,7 @@ class Browser:
         return [entry for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
     def screenshot(self, name, selector="body", height=None, scale=1.0):
-        """Of an element, down to a height, whether it is in view or not."""
+        """Writes a picture of an element. `height` limits its height in CSS pixels."""
         if not SCREENSHOTS:
             return
         clip = self.driver.execute_script(
@@ -123,7 +123,7 @@ class Browser:
 def chromium():
     options = webdriver.ChromeOptions()
     options.binary_location = "/usr/bin/chromium"
-    # Tests run as root in containers, where Chromium's own sandbox does not start.
+    # The sandbox of Chromium does not start as root in a container, where the tests may run.
     for argument in ("headless=new", "no-sandbox", "disable-dev-shm-usage", "hide-scrollbars", "window-size=1280,900"):
         options.add_argument(f"--{argument}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
@@ -143,7 +143,7 @@ def browser():
 
 @pytest.fixture
 def page(browser, server):
-    """The page, once it has figures."""
+    """Opens the page and waits until it shows numbers."""
     addresses, _ = server
     browser.prefer("light")
     browser.driver.get(f"http://{addresses.http}/")
@@ -281,7 +281,7 @@ def test_what_cannot_be_explained_is_said(page, server):
         page.press(Keys.ENTER)
         page.wait_for("document.querySelector('#decision-error').textContent.includes('step 0')", "error")
         service.CloseSession(session_id=session)
-    # Chromium itself reports a 409 in its console; that is the one.
+    # Chromium reports the expected HTTP status 409 in its console.
     assert all("409" in entry["message"] for entry in page.problems())
 
 
@@ -304,7 +304,7 @@ return ['body', '.note', 'td', 'th button', 'footer a', '#totals dt', 'figcaptio
 """
 
 
-# In the colour of the first policy.
+# Counts the pixels in the colour of the first policy.
 LINE_IS_DRAWN = """(() => {
   const canvas = document.querySelector('#chart-decisions canvas');
   const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
@@ -322,8 +322,8 @@ def test_text_can_be_read_by_day_and_by_night(page, scheme):
     page.wait_for(LINE_IS_DRAWN, "a line in the first chart")
     for selector, contrast, ground in page.driver.execute_script(CONTRAST):
         assert contrast >= 4.5, f"WCAG's contrast of {selector}"
-        assert (ground > 0.5) == (scheme == "light"), f"the ground of {selector}"
-    if SCREENSHOTS:  # of charts that have something to show
+        assert (ground > 0.5) == (scheme == "light"), f"the background of {selector}"
+    if SCREENSHOTS:  # waits until the charts have 20 samples
         asked = "performance.getEntriesByType('resource').filter((entry) => entry.name.endsWith('status.json'))"
         page.wait_for(f"{asked}.length > 20", "twenty samples")
     page.screenshot(f"status-{scheme}.png", height=1360)

@@ -1,4 +1,4 @@
-"""Whose sessions: what a tenant sees and touches of another's."""
+"""A tenant can neither see nor use the sessions of another tenant."""
 
 import json
 
@@ -58,7 +58,7 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
         theirs.OpenSession(policy="cartpole")
     rivals = json.loads(http_body(addresses.http, query, "Bearer watchman"))["sessions"]
     assert {entry["tenant"] for entry in rivals} == {"rival"}
-    # To look is not to touch.
+    # A token that sees a session cannot use it.
     with service_with(addresses, "rival-operator") as other:
         assert code_of(other.CloseSession, session_id=session) == not_found
         assert code_of(other.Act, session_id=session, observation=OBSERVATION) == not_found

@@ -1,4 +1,4 @@
-"""TLS and mutual TLS, over gRPC and HTTP."""
+"""TLS and mutual TLS, with gRPC and with HTTP."""
 
 import http.client
 import urllib.error
@@ -27,7 +27,7 @@ def reaches(address, channel_credentials):
 def can_connect(channel):
     try:
         return Service(channel, HEALTH).Check().status == SERVING
-    except (grpc.RpcError, KeyError):  # reflection finds nothing where nobody answers
+    except (grpc.RpcError, KeyError):  # KeyError: reflection received no answer
         return False
 
 
@@ -63,7 +63,7 @@ def test_the_status_page_speaks_tls_too(certificates, tokens):
         assert https_code(certificates, addresses.http, "/status.json", header=viewer) == 200
         with pytest.raises((urllib.error.URLError, http.client.HTTPException, OSError)):
             http_code(addresses.http, "/healthz")
-        # What is left of a handshake that went wrong stands in nobody's way.
+        # A failed handshake does not block later connections.
         assert https_code(certificates, addresses.http) == 200
 
 

@@ -1,4 +1,4 @@
-"""Who may call what, by token and role."""
+"""The token and its role decide which calls are allowed."""
 
 import base64
 import json
@@ -122,5 +122,5 @@ def test_a_changed_file_takes_effect_and_a_broken_one_does_not(tmp_path):
         path.write_text(json.dumps(changed))
         until(lambda: code_of(new.ListPolicies) == grpc.StatusCode.OK)
         assert code_of(old.ListPolicies) == grpc.StatusCode.UNAUTHENTICATED
-        # The tenant's sessions are still the tenant's.
+        # The sessions of the tenant stay usable with the new token.
         assert new.Act(session_id=session, observation=OBSERVATION).step == 0

@@ -1,4 +1,4 @@
-"""Triton's own client, unmodified, against a real server."""
+"""The unmodified client of Triton calls a real server."""
 
 import queue
 import shutil
@@ -18,7 +18,7 @@ from tritonclient.grpc import service_pb2
 from tritonclient.utils import InferenceServerException
 
 MODEL = "cartpole"
-# Training draws its starts below a million.
+# Training uses smaller seeds.
 FIRST_UNSEEN_SEED = 1_000_000
 OBSERVATION = [0.01, -0.02, 0.03, 0.04]
 
@@ -31,7 +31,7 @@ def client(address):
 
 
 def tensors(observation, reward=0.0, batched=False):
-    """The two inputs as Triton's client wants them, which sends them raw."""
+    """Returns the two inputs of the client of Triton, which sends them as raw bytes."""
     inputs = []
     for name, values in (("observation", observation), ("reward", [reward])):
         array = numpy.asarray([values] if batched else values, numpy.float32)
@@ -41,7 +41,7 @@ def tensors(observation, reward=0.0, batched=False):
 
 
 def unary(client):
-    """One decision a call."""
+    """Returns a function that makes one decision with one call."""
 
     def infer(inputs, **sequence):
         return client.infer(MODEL, inputs, client_timeout=DEADLINE_SECONDS, **sequence)
@@ -50,7 +50,7 @@ def unary(client):
 
 
 def streamed(client):
-    """One decision a request of one stream."""
+    """Returns a function that makes one decision with one request of a stream."""
     replies = queue.Queue()
     client.start_stream(lambda result, error: replies.put((result, error)))
 
@@ -65,7 +65,7 @@ def streamed(client):
 
 
 def play_episode(infer, sequence_id, seed):
-    """Returns the episode's return; its last observation and reward go with sequence_end."""
+    """Plays one episode and returns its return. Sends the last reward with sequence_end."""
     environment = gymnasium.make("CartPole-v1")
     observation, _ = environment.reset(seed=seed)
     reward, episode_return, start, over = 0.0, 0.0, True, False
@@ -100,7 +100,7 @@ def refusal(infer, *arguments, **fields):
 
 
 def test_answers_agree_with_the_native_protocol(client):
-    """The outputs of a step are what their names and shapes say."""
+    """The outputs of a step have the expected types, shapes and values."""
     result = unary(client)(tensors(OBSERVATION), sequence_id=1, sequence_start=True)
     action, probabilities = result.as_numpy("action"), result.as_numpy("probabilities")
     assert action.dtype == numpy.int64 and action.shape == (1,)
@@ -207,7 +207,7 @@ def test_unknown_models_and_versions(client):
 
 
 def version(client):
-    """The one that sequences start with."""
+    """Returns the policy version that a new sequence uses."""
     result = unary(client)(
         tensors(OBSERVATION), sequence_id=12, sequence_start=True, sequence_end=True
     )
@@ -286,7 +286,7 @@ def test_models_come_and_go_while_sequences_run(tmp_path):
 
 
 def test_names_and_numbers_are_the_public_ones(address):
-    """Every message this server knows is a part of the one that Triton's client knows."""
+    """Every field of the server's messages has the same number and type in Triton's messages."""
     with grpc.insecure_channel(address) as channel:
         pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
         service = pool.FindServiceByName("inference.GRPCInferenceService")

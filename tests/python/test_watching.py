@@ -1,4 +1,4 @@
-"""Checks the shipped dashboard and alerts against a real server, scraped by a real Prometheus."""
+"""Checks the shipped dashboard and alerts with a real server that a real Prometheus scrapes."""
 
 import contextlib
 import json
@@ -24,10 +24,10 @@ DASHBOARD = json.loads((DEPLOY / "grafana" / "spikeserve.json").read_text())
 PANELS = [panel for panel in DASHBOARD["panels"] if panel["type"] != "row"]
 TARGETS = [(panel["title"], target) for panel in PANELS for target in panel["targets"]]
 
-# A method that Service, whose calls are unary, cannot call.
+# The tests make no such call, because Service calls unary methods only.
 ABSENT = {"ActStream"}
 
-# What Prometheus adds to everything it scrapes.
+# The labels that Prometheus adds to every series.
 SCRAPE_LABELS = {"job", "instance"}
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
 
@@ -39,23 +39,23 @@ def get(url, **parameters):
 
 
 def wait_for(condition, what):
-    """Asks until the answer is true, and returns it."""
+    """Calls `condition` until its result is true, and returns the result."""
     deadline = time.monotonic() + DEADLINE_SECONDS
     while time.monotonic() < deadline:
         if answer := condition():
             return answer
         time.sleep(0.05)
-    pytest.fail(f"{what} did not happen in {DEADLINE_SECONDS} s")
+    pytest.fail(f"{what}: expected within {DEADLINE_SECONDS} s, received none")
 
 
 class Prometheus:
-    """Prometheus's HTTP API."""
+    """The HTTP API of Prometheus."""
 
     def __init__(self, address):
         self._url = f"http://{address}/api/v1"
 
     def query(self, expression):
-        """The series of an instant vector or scalar, as (labels, value) pairs."""
+        """Returns the series of an instant vector or scalar, as (labels, value) pairs."""
         data = json.loads(get(f"{self._url}/query", query=expression))["data"]
         return [(series["metric"], float(series["value"][1])) for series in data["result"]]
 
@@ -66,7 +66,7 @@ class Prometheus:
 
 @contextlib.contextmanager
 def running_prometheus(directory, target):
-    """Yields a Prometheus with the shipped configuration, but of this target and in a hurry."""
+    """Starts Prometheus with the shipped configuration, another target and shorter intervals."""
     configuration = PROMETHEUS_YML.read_text()
     for shipped, here in (("127.0.0.1:9464", target), ("_interval: 15s", "_interval: 200ms")):
         assert shipped in configuration
@@ -101,7 +101,7 @@ def running_prometheus(directory, target):
 
 
 def play(service):
-    """Two episodes, and each of the mistakes that an agent can make; leaves its session open."""
+    """Plays two episodes and makes one call for each kind of error. Leaves its session open."""
     session = service.OpenSession(policy="cartpole").session_id
     for _ in range(2):
         for step in range(5):
@@ -119,7 +119,7 @@ def play(service):
 
 @pytest.fixture(scope="module")
 def server():
-    """The addresses of a server that somebody has played with."""
+    """Starts a server, plays with it and yields its addresses."""
     with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
         play(Service(channel, "spikeserve.v1.PolicyService"))
         yield addresses
@@ -127,7 +127,7 @@ def server():
 
 @pytest.fixture(scope="module")
 def scraped(server):
-    """What /metrics says: for each metric, the list of its series' labels."""
+    """Reads /metrics. Returns the labels of every series, by metric."""
     metrics = {}
     for line in get(f"http://{server.http}/metrics").splitlines():
         if not line.startswith("#"):
@@ -138,9 +138,9 @@ def scraped(server):
 
 @pytest.fixture(scope="module")
 def prometheus(server, tmp_path_factory):
-    """A Prometheus that has seen the server before and after another round of play."""
+    """Starts a Prometheus that scrapes the server before and after the second `play`."""
     with running_prometheus(tmp_path_factory.mktemp("prometheus"), server.http) as api:
-        # A rate needs a sample from before, of every series.
+        # A rate needs two samples of every series.
         errors = 'spikeserve_rpc_duration_seconds_count{code="INVALID_ARGUMENT"}'
         [(_, before)] = wait_for(lambda: api.query(errors), "the first scrape")
         with grpc.insecure_channel(server.grpc) as channel:
@@ -151,7 +151,7 @@ def prometheus(server, tmp_path_factory):
 
 
 def fill_in(expression, instance):
-    """A panel's expression as Grafana would send it."""
+    """Returns the expression of a panel with the variables replaced, as Grafana sends it."""
     for variable, value in (
         ("$policy", "cartpole"),
         ("$version", "1"),
@@ -159,12 +159,12 @@ def fill_in(expression, instance):
         ("$__rate_interval", "1m"),
     ):
         expression = expression.replace(variable, value)
-    assert "$" not in expression, f"a variable without a value: {expression}"
+    assert "$" not in expression, f"expression: expected known variables, received {expression}"
     return expression
 
 
 def names_and_labels(expression):
-    """The metrics an expression reads, each with its label matchers, and the labels it groups by."""
+    """Returns the metrics of an expression with their label matchers, and its grouping labels."""
     selectors = re.findall(r"\b((?:spikeserve|process)_\w+)(?:\{([^}]*)\})?", expression)
     matchers = [
         (name, re.findall(r'(\w+)\s*(=~|!~|!=|=)\s*"([^"]*)"', braces)) for name, braces in selectors
@@ -175,7 +175,7 @@ def names_and_labels(expression):
 
 
 def check_expression(expression, scraped):
-    """Every metric, label and label value that it reads is in what the server says."""
+    """Asserts that the server exports every metric, label and label value of an expression."""
     metrics, grouped_by = names_and_labels(expression)
     known = set(SCRAPE_LABELS)
     for name, matchers in metrics:
@@ -215,11 +215,11 @@ def test_a_panel_shows_data(title, target, prometheus, server):
 
 
 def test_the_dashboard_can_be_imported():
-    """What Grafana's import asks of a file, as far as it can be told without Grafana."""
+    """Checks the requirements of the import in Grafana that can be checked without Grafana."""
     assert DASHBOARD["schemaVersion"] >= 36  # Grafana 9: data sources by type and uid
     assert DASHBOARD["uid"]
     assert DASHBOARD["title"]
-    assert "__inputs" not in DASHBOARD  # that is for exports that ask for a data source
+    assert "__inputs" not in DASHBOARD  # only dashboards that ask for a data source have inputs
     ids = [panel["id"] for panel in DASHBOARD["panels"]]
     assert len(set(ids)) == len(ids)
     taken = set()
@@ -228,7 +228,7 @@ def test_the_dashboard_can_be_imported():
         assert place["x"] + place["w"] <= 24
         for x in range(place["x"], place["x"] + place["w"]):
             for y in range(place["y"], place["y"] + place["h"]):
-                assert (x, y) not in taken, f"{panel['title']} lies on another panel"
+                assert (x, y) not in taken, f"{panel['title']} overlaps another panel"
                 taken.add((x, y))
     source = {"type": "prometheus", "uid": "${datasource}"}
     for panel in PANELS:
@@ -279,7 +279,7 @@ def test_every_alert_is_explained_and_tested(prometheus):
             assert f"`{rule['name']}`" in page
             assert f'alertname="{rule["name"]}"' in tests
     for panel in PANELS:
-        assert panel["title"] in page, f"docs/watching.md says nothing of panel {panel['title']}"
+        assert panel["title"] in page, f"docs/watching.md does not describe panel {panel['title']}"
 
 
 def test_the_server_is_up(prometheus):
@@ -304,7 +304,7 @@ def test_promtool_is_content(arguments):
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 def test_systemd_is_content(tmp_path):
-    # The unit names what CMake installs; systemd wants to find the program and the user.
+    # The unit has placeholders that CMake fills in. systemd-analyze checks that the program and the user exist.
     program = pathlib.Path(os.environ["SPIKESERVE_PROGRAM"])
     text = UNIT.read_text().replace("@SPIKESERVE_BINDIR@", str(program.parent))
     text = text.replace("@SPIKESERVE_DATADIR@", "/usr/share/spikeserve").replace("=spikeserve\n", "=nobody\n", 1)
