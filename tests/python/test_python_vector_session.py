@@ -8,6 +8,7 @@ wrong episode.
 
 import asyncio
 
+import grpc
 import gymnasium
 import numpy as np
 import pytest
@@ -192,17 +193,32 @@ def test_all_rows_move_on_or_none(client):
         assert [session.state().decisions for session in agents.sessions] == [2, 2, 2]
 
 
+class FailsToEnd(spikeserve.AsyncClient):
+    """Raises without a delay when it should end the episode of the session `session_id`."""
+
+    session_id = None
+
+    async def run(self, call):
+        if call.method == "EndEpisode" and call.request.session_id == self.session_id:
+            raise spikeserve.UnavailableError(call.method, grpc.StatusCode.UNAVAILABLE, "broken")
+        return await super().run(call)
+
+
 def test_async_rows_end_although_another_row_fails(address):
     async def scenario():
         envs = make_rows("CartPole-v1", AutoresetMode.SAME_STEP)
         observations, _ = envs.reset(seed=SEED)
-        async with spikeserve.AsyncClient(address) as client:
+        async with FailsToEnd(address) as client:
             rows = await open_rows(client, envs)
             await rows.act(observations)
-            await rows.sessions[1].close()
-            with pytest.raises(spikeserve.NotFoundError):
+            client.session_id = rows.sessions[0].session_id
+            with pytest.raises(spikeserve.UnavailableError):
                 await rows.act(observations, np.ones(ROWS), [True] * ROWS)
-            assert [session.step for session in rows.sessions] == [0, 1, 0]
+            assert [session.step for session in rows.sessions] == [1, 0, 0]
+            client.session_id = None
+            await rows.act(observations, np.ones(ROWS), [True] * ROWS)
+            assert sorted(rows.ended) == [0, 1, 2]
+            await rows.close()
 
     asyncio.run(scenario())
 
