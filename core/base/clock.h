@@ -1,6 +1,5 @@
-// Time as something that is passed in, so that tests can hold it still.
-//
-// A clock is safe to use from many threads.
+// Provides time through an interface, so that tests can replace the machine's clock with one that
+// they control.
 #ifndef CORE_BASE_CLOCK_H_
 #define CORE_BASE_CLOCK_H_
 
@@ -10,15 +9,17 @@
 
 namespace spikeserve {
 
+// Tells the time. Implementations are thread-safe.
 class Clock {
  public:
   virtual ~Clock() = default;
 
-  // Time since a fixed point that means nothing by itself. Never goes back.
+  // Returns the time since an arbitrary fixed origin, so only differences are meaningful. Never
+  // decreases.
   virtual absl::Duration Now() const = 0;
 };
 
-// The machine's monotonic clock.
+// Reads the machine's monotonic clock.
 class SteadyClock final : public Clock {
  public:
   absl::Duration Now() const override {

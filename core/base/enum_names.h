@@ -1,14 +1,14 @@
-// Names of enumeration values, as they stand in files, on the wire and on command lines.
+// Converts enumeration values to and from the names that files, messages and command lines use.
 //
-// An enumeration gets its names from one overload of EnumNames() beside its definition:
+// An enumeration declares its names with one overload of EnumNames() beside its definition:
 //
 //   enum class Gate { kSoftmax, kSigmoid };
 //   constexpr std::array<EnumName<Gate>, 2> EnumNames(Gate) {
 //     return {{{Gate::kSoftmax, "softmax"}, {Gate::kSigmoid, "sigmoid"}}};
 //   }
 //
-// ToString(Gate::kSigmoid) is then "sigmoid", and ParseEnum<Gate>("gate", "sigmoid") is
-// Gate::kSigmoid. Pure functions; safe to call from many threads.
+// ToString(Gate::kSigmoid) then returns "sigmoid", and ParseEnum<Gate>("gate", "sigmoid") returns
+// Gate::kSigmoid. All functions are pure and thread-safe.
 #ifndef CORE_BASE_ENUM_NAMES_H_
 #define CORE_BASE_ENUM_NAMES_H_
 
@@ -30,6 +30,7 @@ struct EnumName {
   absl::string_view name;
 };
 
+// Is satisfied by enumerations that have an overload of EnumNames().
 template <typename Enum>
 concept NamedEnum = requires(Enum value) {
   EnumNames(value);
@@ -44,7 +45,8 @@ constexpr absl::string_view ToString(Enum value) {
   return "invalid";
 }
 
-// Returns the value called `name`. INVALID_ARGUMENT: "`field`: expected a, b or c, received ...".
+// Returns the value whose name is `name`. INVALID_ARGUMENT if there is none, with the message
+// "`field`: expected a, b or c, received ...".
 template <NamedEnum Enum>
 absl::StatusOr<Enum> ParseEnum(absl::string_view field, absl::string_view name) {
   constexpr auto kNames = EnumNames(Enum());

@@ -21,7 +21,7 @@ absl::Status SystemError(absl::string_view what, const std::string& path) {
   return absl::ErrnoToStatus(errno, absl::StrCat(path, ": cannot ", what));
 }
 
-// Owns a file descriptor.
+// Owns a file descriptor and closes it on destruction.
 class Descriptor {
  public:
   explicit Descriptor(int fd) : fd_(fd) {}
@@ -52,13 +52,14 @@ absl::Status WriteAndFlush(int fd, const std::string& path,
   for (const absl::string_view piece : pieces) {
     if (!WriteAll(fd, piece)) return SystemError("write", path);
   }
-  // mkstemp lets only the owner read; a policy is as public as any other file.
+  // mkostemp creates files that only their owner can read, but policies and datasets are not
+  // secret.
   if (fchmod(fd, 0644) != 0) return SystemError("set the permissions", path);
   if (fsync(fd) != 0) return SystemError("flush", path);
   return absl::OkStatus();
 }
 
-// Makes the rename itself survive a crash.
+// Flushes the directory that contains `path`, so that a rename in it survives a crash.
 absl::Status FlushDirectoryOf(const std::string& path) {
   const std::filesystem::path parent = std::filesystem::path(path).parent_path();
   const Descriptor directory(
@@ -74,7 +75,8 @@ absl::Status FlushDirectoryOf(const std::string& path) {
 absl::StatusOr<std::string> ReadFile(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   std::ostringstream content;
-  // Inserting nothing into a stream counts as a failure, so an empty file is a case of its own.
+  // Inserting an empty stream buffer into a stream sets its failbit, so an empty file is handled
+  // separately.
   if (file && file.peek() == std::ifstream::traits_type::eof() && !file.bad()) return std::string();
   if (file && content << file.rdbuf()) return std::move(content).str();
   return absl::NotFoundError(absl::StrCat(path, ": expected a file that can be read"));

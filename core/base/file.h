@@ -1,7 +1,7 @@
-// Reads whole files, and replaces files so that readers see the old content or the new, never a
-// part.
+// Reads and replaces whole files. Replacement is atomic: a reader sees either the old content or
+// the new content, never a part of it.
 //
-// Safe to call from many threads.
+// All functions are thread-safe.
 #ifndef CORE_BASE_FILE_H_
 #define CORE_BASE_FILE_H_
 
@@ -14,14 +14,14 @@
 
 namespace spikeserve {
 
-// Returns the content of the file at `path`. NOT_FOUND if it cannot be opened or read, as when it
-// is a directory; the message starts with the path.
+// Returns the content of the file at `path`. NOT_FOUND if it cannot be opened or read, for example
+// because it is a directory; the message starts with the path.
 absl::StatusOr<std::string> ReadFile(const std::string& path);
 
-// Writes the concatenated `pieces` to a temporary file beside `path`, flushes it to disk, renames
-// it to `path` and flushes the directory. On an error, `path` keeps its old content and the
-// temporary file is removed; the message starts with the path. If several threads write the same
-// path, the last rename wins.
+// Replaces the file at `path` with the concatenation of `pieces`: writes a temporary file in the
+// same directory, flushes it to disk, renames it to `path` and flushes the directory. If an error
+// occurs before the rename, `path` keeps its old content and the temporary file is removed. Error
+// messages start with the path. If several threads write the same path, the last rename wins.
 absl::Status WriteFileAtomically(const std::string& path,
                                  const std::vector<absl::string_view>& pieces);
 

@@ -11,8 +11,8 @@ namespace {
 
 using nlohmann::json;
 
-// Checks a document event by event and keeps nothing but the keys of the objects that are open. The
-// parser proper would silently let the last of two equal keys win.
+// Checks a document event by event and stores only the keys of the objects that are open. Needed
+// because nlohmann's parser accepts an object that contains a key twice and keeps the last value.
 class StrictChecker : public nlohmann::json_sax<json> {
  public:
   bool null() override { return CountValue(); }
@@ -56,7 +56,7 @@ class StrictChecker : public nlohmann::json_sax<json> {
     return true;
   }
 
-  std::vector<std::set<std::string>> keys_;  // one set a level
+  std::vector<std::set<std::string>> keys_;  // one set per open object or array
   int values_ = 0;
   std::string error_;
 };
@@ -64,7 +64,7 @@ class StrictChecker : public nlohmann::json_sax<json> {
 }  // namespace
 
 absl::StatusOr<json> ParseJsonObject(absl::string_view field, absl::string_view text) {
-  // The parser takes a zero byte for the end of its input and would not look at what follows.
+  // The parser treats a zero byte as the end of its input and ignores the text after it.
   if (const size_t zero = text.find('\0'); zero != text.npos) {
     return absl::InvalidArgumentError(absl::StrCat(
         field, ": expected valid JSON in UTF-8, received a zero byte at byte ", zero + 1));

@@ -1,6 +1,7 @@
-// JSON as policy files hold it: strict, bounded, and without exceptions.
+// Parses JSON strictly and within limits: repeated keys and text around the document are errors. No
+// function throws.
 //
-// Free functions without shared state; safe to call from many threads.
+// All functions are pure and thread-safe.
 #ifndef CORE_BASE_JSON_H_
 #define CORE_BASE_JSON_H_
 
@@ -12,19 +13,21 @@
 
 namespace spikeserve {
 
-// What a document may ask for; legitimate policy files stay far below.
+// Limits on the nesting and on the number of values of one document. Valid policy files stay far
+// below both.
 inline constexpr int kMaxJsonDepth = 32;
 inline constexpr int kMaxJsonValues = 1'000'000;
 
-// Parses `text`, one JSON object in UTF-8 with nothing but white space around it. INVALID_ARGUMENT
-// on anything else, on a key that appears twice in an object, and beyond the limits above; the
-// message starts with `field`.
+// Parses `text` as one JSON object in UTF-8, with nothing but white space around it.
+// INVALID_ARGUMENT if `text` is anything else, if an object contains a key twice, or if the
+// document exceeds the limits above; the message starts with `field`.
 absl::StatusOr<nlohmann::json> ParseJsonObject(absl::string_view field, absl::string_view text);
 
-// `text` in quotes for an error message: escaped to ASCII, and cut where it is long.
+// Returns `text` in double quotes for an error message: escaped to ASCII, and cut after 80 bytes.
 std::string Quoted(absl::string_view text);
 
-// What `value` is, for an error message: "an object", or the value itself where it is short.
+// Describes `value` for an error message: "an object", "an array of N", or the value itself. Cuts a
+// long string as Quoted() does.
 std::string Describe(const nlohmann::json& value);
 
 }  // namespace spikeserve

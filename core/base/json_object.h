@@ -1,13 +1,15 @@
-// Reads the members of JSON objects into typed values, strictly: every error names the field, what
-// was expected and what was received, and nothing is guessed.
+// Reads the members of JSON objects into typed values, strictly: nothing is guessed, and every
+// error names the field, the expected value and the received value.
 //
 //   JsonObject share("shares[0]", json);
 //   share.Required("version", &version, 1);   // an integer of at least 1
 //   share.Optional("note", &note);            // a string, or absent
 //   if (auto status = share.Finish(); !status.ok()) return status;
 //
-// A type of your own becomes readable by an overload `absl::Status ReadJson(absl::string_view
-// field, const nlohmann::json& value, T* result)` in its namespace. Not thread-safe.
+// To make a type T readable, declare `absl::Status ReadJson(absl::string_view field, const
+// nlohmann::json& value, T* result)` in its namespace.
+//
+// A JsonObject is not thread-safe; the functions are.
 #ifndef CORE_BASE_JSON_OBJECT_H_
 #define CORE_BASE_JSON_OBJECT_H_
 
@@ -32,19 +34,19 @@
 
 namespace spikeserve {
 
-// INVALID_ARGUMENT: "`field`: expected `expected`, received ...".
+// Returns INVALID_ARGUMENT with the message "`field`: expected `expected`, received ...".
 absl::Status UnexpectedJson(absl::string_view field, absl::string_view expected,
                             const nlohmann::json& received);
 
-// Each stores `value` in `result` and returns OK, or returns INVALID_ARGUMENT and leaves `result`
-// as it was or partly read.
+// Stores `value` in `result`. INVALID_ARGUMENT if it has another type or is out of range; `result`
+// may be partly written then.
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& value, bool* result);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& value, std::string* result);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& value, nlohmann::json* result);
-// A number; for a float, one that fits float32. CBOR also holds numbers that are not a number.
+// Reads a number; for a float, one that fits float32. Accepts NaN, which CBOR can contain.
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& value, double* result);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& value, float* result);
-// An integer from `least` to `greatest`.
+// Stores an integer from `least` to `greatest` in `bits`, in two's complement if it is negative.
 absl::Status ReadJsonInteger(absl::string_view field, const nlohmann::json& value, int64_t least,
                              uint64_t greatest, uint64_t* bits);
 
@@ -84,7 +86,7 @@ absl::Status ReadJson(absl::string_view field, const nlohmann::json& value,
   result->resize(value.size());
   for (size_t i = 0; i < value.size(); ++i) {
     if constexpr (std::is_arithmetic_v<T> && !std::is_same_v<T, bool>) {
-      // Arrays of numbers are long: their elements get a name only if there is an error to report.
+      // Arrays of numbers are long, so the name of an element is built only if there is an error.
       if (ReadJson(field, value[i], &(*result)[i]).ok()) continue;
     }
     auto status = ReadJson(absl::StrCat(field, "[", i, "]"), value[i], &(*result)[i]);
@@ -93,7 +95,7 @@ absl::Status ReadJson(absl::string_view field, const nlohmann::json& value,
   return absl::OkStatus();
 }
 
-// An object whose members are all values of one type.
+// Reads an object whose members all have one type.
 template <typename T>
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& value,
                       std::map<std::string, T>* result) {
@@ -105,14 +107,15 @@ absl::Status ReadJson(absl::string_view field, const nlohmann::json& value,
   return absl::OkStatus();
 }
 
+// Reads one object, member by member. Stores the first error.
 class JsonObject {
  public:
-  // `value` must outlive the reader. Members are named "`field`.KEY" in errors, or "KEY" if `field`
-  // is empty.
+  // `value` must outlive this object. Errors name a member "`field`.KEY", or "KEY" if `field` is
+  // empty.
   JsonObject(absl::string_view field, const nlohmann::json& value);
 
-  // Reads the member `key`, which must be there. After the first error nothing more is read.
-  // `bounds` are the least and the greatest integer allowed, as ReadJson takes them.
+  // Reads the member `key`; its absence is an error. Does nothing after the first error. `bounds`
+  // are the least and the greatest integer allowed, as for ReadJson.
   template <typename T, typename... Bounds>
   void Required(const char* key, T* result, Bounds... bounds) {
     if (const nlohmann::json* member = Find(key, /*required=*/true)) {
@@ -120,7 +123,7 @@ class JsonObject {
     }
   }
 
-  // As Required, but leaves `result` as it was if there is no such member.
+  // As Required, but leaves `result` unchanged if there is no such member.
   template <typename T, typename... Bounds>
   void Optional(const char* key, T* result, Bounds... bounds) {
     if (const nlohmann::json* member = Find(key, /*required=*/false)) {
@@ -128,10 +131,11 @@ class JsonObject {
     }
   }
 
-  // Keeps members that nobody read from being an error, for files that others write.
+  // Accepts members that are not read, for files that other programs write.
   void AllowOtherKeys() { allow_other_keys_ = true; }
 
-  // The first error; a member that was not read is one.
+  // Returns the first error. A member that was not read is an error, unless AllowOtherKeys was
+  // called.
   absl::Status Finish();
 
   const absl::Status& status() const { return status_; }
@@ -143,7 +147,8 @@ class JsonObject {
 
   std::string Prefix() const { return field_.empty() ? "" : absl::StrCat(field_, ": "); }
 
-  // The member, or null. Reports a missing one if it is required.
+  // Returns the member, or null if there is none or an error has occurred. If it is `required`, its
+  // absence is an error.
   const nlohmann::json* Find(const char* key, bool required);
 
   const std::string field_;

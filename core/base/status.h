@@ -1,6 +1,6 @@
-// Adds to a status the place that it came from.
+// Adds context to the message of a status.
 //
-// Pure functions; safe to call from many threads.
+// All functions are pure and thread-safe.
 #ifndef CORE_BASE_STATUS_H_
 #define CORE_BASE_STATUS_H_
 
@@ -9,8 +9,10 @@
 
 namespace spikeserve {
 
-// Returns `status` with "`prefix`: " before its message, the same code and the same payloads; OK if
-// it is OK. Annotate(NotFound("no such file"), "--tokens") says "--tokens: no such file".
+// Returns `status` with "`prefix`: " added before its message, and with the same code and payloads.
+// Returns OK unchanged.
+//
+//   Annotate(absl::NotFoundError("no such file"), "--tokens")  // "--tokens: no such file"
 absl::Status Annotate(const absl::Status& status, absl::string_view prefix);
 
 }  // namespace spikeserve

@@ -1,4 +1,5 @@
-// The version of every program and package, as CMake's project() states it.
+// Provides the version of all programs and packages, which is set by project() in the root
+// CMakeLists.txt.
 #ifndef CORE_BASE_VERSION_H_
 #define CORE_BASE_VERSION_H_
 
@@ -6,7 +7,7 @@
 
 namespace spikeserve {
 
-// Returns MAJOR.MINOR.PATCH, such as "0.1.0".
+// Returns "MAJOR.MINOR.PATCH", for example "0.1.0".
 absl::string_view Version();
 
 }  // namespace spikeserve
