@@ -1,5 +1,10 @@
-// A counter-based generator: the draw for a key is a pure function of the key, so that nothing
-// depends on how many draws came before, on threads, or on whether a token is computed again.
+// Generates random numbers from keys instead of a mutable state. A draw is a pure function of its
+// key, so it does not depend on the number of earlier draws, on threads, or on whether a token is
+// computed again:
+//
+//   const float draw = UniformFloat(RandomBits({seed, step, neuron}));
+//
+// All functions are pure and thread-safe.
 #ifndef CORE_MATH_COUNTER_RANDOM_H_
 #define CORE_MATH_COUNTER_RANDOM_H_
 
@@ -8,8 +13,8 @@
 
 namespace spikeserve {
 
-// SplitMix64's finaliser (Steele, Lea & Flood, "Fast splittable pseudorandom number generators",
-// OOPSLA 2014).
+// Scrambles 64 bits with the finaliser of SplitMix64 (Steele, Lea & Flood, "Fast splittable
+// pseudorandom number generators", OOPSLA 2014).
 constexpr uint64_t MixBits(uint64_t x) {
   x += 0x9e3779b97f4a7c15ull;
   x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9ull;
@@ -17,17 +22,17 @@ constexpr uint64_t MixBits(uint64_t x) {
   return x ^ (x >> 31);
 }
 
-// 64 random bits for a key of any length; the order of its parts matters.
+// Returns 64 random bits for a key of any length. The order of the key's parts matters.
 constexpr uint64_t RandomBits(std::initializer_list<uint64_t> key) {
   uint64_t state = 0;
   for (const uint64_t part : key) state = MixBits(state ^ MixBits(part));
   return state;
 }
 
-// Uniform in [0, 1) with 24 bits, exact in float32.
+// Maps random bits to a float32 that is uniform in [0, 1). Uses 24 bits, so the result is exact.
 constexpr float UniformFloat(uint64_t bits) { return static_cast<float>(bits >> 40) * 0x1p-24f; }
 
-// Uniform in [0, 1) with 53 bits.
+// Maps random bits to a double that is uniform in [0, 1). Uses 53 bits, so the result is exact.
 constexpr double UniformDouble(uint64_t bits) { return static_cast<double>(bits >> 11) * 0x1p-53; }
 
 }  // namespace spikeserve

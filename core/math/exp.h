@@ -1,7 +1,9 @@
-// One exponential for every engine, processor and SIMD width.
+// Computes the exponential with equal bits in every engine, on every processor and at every SIMD
+// width.
 //
-// The C library's expf differs between versions and processors in its last bit, and one bit can
-// become a spike. This one is only float32 additions and multiplications in a fixed order.
+// The C library's expf differs in its last bit between versions and processors, and that bit can
+// decide whether a neuron fires. The functions below use only float32 arithmetic in a fixed order.
+// All are pure and thread-safe.
 #ifndef CORE_MATH_EXP_H_
 #define CORE_MATH_EXP_H_
 
@@ -10,13 +12,13 @@
 
 namespace spikeserve {
 
-// e^x to within 2 units in the last place; inputs are clamped to [-87, 88], so the result is finite
-// and positive. Range reduction by powers of two, then the polynomial of Cephes' expf (S. L.
-// Moshier, Methods and Programs for Mathematical Functions, 1989).
+// Returns e^x to within 2 units in the last place. Clamps x to [-87, 88], so the result is finite
+// and positive. Reduces the range by powers of two, then evaluates the polynomial of Cephes' expf
+// (S. L. Moshier, Methods and Programs for Mathematical Functions, 1989).
 inline float Exp(float x) {
   x = x < -87.0f ? -87.0f : x;
   x = x > 88.0f ? 88.0f : x;
-  constexpr float kRoundToInteger = 12582912.0f;  // 1.5 * 2^23: adding it leaves no fraction bits
+  constexpr float kRoundToInteger = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer
   const float n = (x * 1.44269504088896341f + kRoundToInteger) - kRoundToInteger;
   x = x - n * 0.693359375f;
   x = x - n * -2.12194440e-4f;

@@ -5,6 +5,7 @@
 namespace spikeserve {
 namespace {
 
+// Returns the sum of the partial sums, folded in halves. Overwrites `partial`.
 float FoldLanes(float (&partial)[kSumLanes]) {
   for (int half = kSumLanes / 2; half > 0; half /= 2) {
     for (int lane = 0; lane < half; ++lane) partial[lane] += partial[lane + half];
