@@ -1,11 +1,15 @@
-// The period of a LIF neuron under a constant current, in closed form.
+// Looks up the period of a LIF neuron under a constant current, without simulating the neuron.
 //
-// The membrane after n ticks never falls when the current grows: a product with a factor that is
-// not negative and a sum are monotone in float32, rounding included. So "fires within n ticks" is
-// "the current reaches a threshold", found once by bisection over the floats, and a period is a
-// count of comparisons that equals the simulated one bit for bit.
+// The membrane after n ticks never decreases when the current increases: in float32, multiplication
+// by a factor that is not negative and addition are monotone, rounding included. A neuron therefore
+// fires within n ticks if and only if its current reaches a threshold. The constructor finds the
+// threshold of each n by bisection over the floats; a lookup counts the thresholds that the current
+// does not reach. The result equals the simulated period bit for bit:
 //
-// Immutable; safe to share between threads.
+//   const PeriodTable table(lif, ticks);
+//   table.Period(0.3f);  // equals lif.Period(0.3f, ticks)
+//
+// Immutable and thread-safe.
 #ifndef CORE_NEURON_PERIOD_TABLE_H_
 #define CORE_NEURON_PERIOD_TABLE_H_
 
@@ -24,22 +28,23 @@ class PeriodTable {
     for (int n = 1; n <= ticks; ++n) thresholds_.push_back(SmallestCurrent(lif, n));
   }
 
-  // The same as Lif::Period(current, ticks).
+  // Returns the same value as Lif::Period(current, ticks).
   int Period(float current) const {
     int period = 1;
     for (const float threshold : thresholds_) period += current < threshold;
     return period > static_cast<int>(thresholds_.size()) ? 0 : period;
   }
 
-  // thresholds()[n - 1] is the smallest current that fires within n ticks; falls as n grows.
-  // [ticks]
+  // Returns the thresholds, [ticks]. Element n - 1 is the smallest current that fires within n
+  // ticks, so the elements never increase with n.
   const std::vector<float>& thresholds() const { return thresholds_; }
 
  private:
-  // Positive floats are ordered as their bits are.
+  // Returns the smallest current that fires within `ticks` ticks. Bisects over bit patterns,
+  // because positive floats are ordered like their bits.
   static float SmallestCurrent(const Lif& lif, int ticks) {
     uint32_t silent = 0;                                   // a current of zero never fires
-    auto firing = std::bit_cast<uint32_t>(lif.threshold);  // this one fires at once
+    auto firing = std::bit_cast<uint32_t>(lif.threshold);  // this current fires at tick 1
     while (firing - silent > 1) {
       const uint32_t middle = silent + (firing - silent) / 2;
       (lif.Period(std::bit_cast<float>(middle), ticks) > 0 ? firing : silent) = middle;

@@ -1,6 +1,6 @@
-// Phase-shifted positional spikes (eq. 4.4).
+// Defines phase-shifted positional spikes (eq. 4.4).
 //
-// Pure functions; safe to call from many threads.
+// All functions are pure and thread-safe.
 #ifndef CORE_NEURON_PHASE_H_
 #define CORE_NEURON_PHASE_H_
 
@@ -10,17 +10,18 @@
 
 namespace spikeserve {
 
-// The generators' time at tick index `tick` (0 ... ticks-1) of a timestep: the clock that carries
-// position.
+// Returns the time tau of the generators at `tick` (0 ... ticks-1) of a timestep. This clock
+// encodes the position of the timestep in the episode.
 inline double TimestepPhaseTime(int64_t timestep, int tick, int ticks) {
   return static_cast<double>(timestep) + static_cast<double>(tick) / ticks;
 }
 
-// The literal clock of eq. 4.5, t in {1, ..., T}: the same for every token.
+// Returns the time tau of eq. 4.5's literal clock, which runs over {1, ..., T} for every token and
+// so encodes no position. `tick` counts from 0.
 inline double WindowPhaseTime(int tick) { return tick + 1.0; }
 
-// s(tau) = 1[sin(omega tau + phi) > 0]. The sign is read from the fraction of a turn, which needs
-// no sine and so is the same on every machine.
+// Returns s(tau) = 1[sin(omega tau + phi) > 0]. Reads the sign of the sine from the fractional part
+// of the phase in turns: a library's sine may differ between machines.
 inline bool PhaseSpike(float omega, float phi, double tau) {
   const double turns =
       (static_cast<double>(omega) * tau + static_cast<double>(phi)) / (2.0 * std::numbers::pi);
