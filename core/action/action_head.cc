@@ -40,7 +40,7 @@ int SampleIndex(const std::vector<float>& probabilities, uint64_t random) {
   return static_cast<int>(probabilities.size()) - 1;
 }
 
-// A standard normal draw (Box & Muller, 1958).
+// Returns a standard normal draw (Box & Muller, 1958).
 float Normal(uint64_t random, size_t index) {
   const double u = 1.0 - UniformDouble(RandomBits({random, index, 0}));  // in (0, 1]
   const double v = UniformDouble(RandomBits({random, index, 1}));

@@ -1,7 +1,9 @@
-// The action head: from readout rates to an action. The only part of the model that plasticity may
-// change, which is why it stands outside the engine.
+// Maps readout rates to an action.
 //
-// Free functions, safe to call from many threads.
+// The action head is the only part of the model that plasticity may change, so it is kept outside
+// the engine.
+//
+// All functions are thread-safe.
 #ifndef CORE_ACTION_ACTION_HEAD_H_
 #define CORE_ACTION_ACTION_HEAD_H_
 
@@ -14,29 +16,34 @@
 
 namespace spikeserve {
 
+// How an action is chosen from the head's logits z.
 struct ActionSelection {
-  bool sample = false;  // greedy otherwise
-  float temperature =
-      1.0f;  // > 0; divides the logits, or is the deviation of the noise before tanh
+  bool sample = false;  // false: greedy
+  // Divides the logits of a Discrete space, or is the standard deviation of the noise that is added
+  // before tanh for a Box; > 0.
+  float temperature = 1.0f;
 };
 
+// A chosen action, and the values that it was chosen from.
 struct ActionChoice {
   Action action;
   std::vector<float> logits;  // [act]: z = W r + b
-  std::vector<float>
-      probabilities;         // [act]: softmax(z), at temperature when sampling; empty for a Box
-  std::vector<float> noise;  // [act]: a sampled Box action is tanh(z + temperature * noise), noise
-                             // standard normal; empty otherwise
+  // [act]: softmax(z), or softmax(z / temperature) when sampling; empty for a Box.
+  std::vector<float> probabilities;
+  // [act]: the standard normal noise of a sampled Box action, which is
+  // tanh(z + temperature * noise) mapped to the bounds; empty otherwise.
+  std::vector<float> noise;
 };
 
-// Greedy: the first maximum of z, or tanh(z) mapped to the bounds. Sampled: a draw from softmax(z /
-// temperature), or Gaussian noise on z before tanh; `random` is a stateless draw key (see
-// session.h), so that a decision computed again draws the same action. `readout` is [d].
+// Chooses an action from `readout` [d]. Greedy: the first maximum of z, or tanh(z) mapped to the
+// bounds. Sampled: a draw from softmax(z / temperature), or tanh of z plus Gaussian noise, mapped
+// to the bounds. `random` is the key of the draws (see session.h), so a decision that is computed
+// again draws the same action.
 ActionChoice ChooseAction(const Linear& head, const ActionSpace& space,
                           absl::Span<const float> readout, const ActionSelection& selection,
                           uint64_t random);
 
-// The same, into a choice whose memory is used again.
+// As above, but writes into `choice`, reusing its memory.
 void ChooseAction(const Linear& head, const ActionSpace& space, absl::Span<const float> readout,
                   const ActionSelection& selection, uint64_t random, ActionChoice* choice);
 

@@ -7,7 +7,7 @@
 
 namespace spikeserve {
 
-// Both maps are computed in double, so that bounds near the ends of float32 cannot overflow.
+// Encode and FromUnit compute in double, because high - low can overflow float32.
 void ActionSpace::Encode(const Action& action, absl::Span<float> encoded) const {
   if (is_discrete()) {
     std::fill(encoded.begin(), encoded.end(), 0.0f);

@@ -1,6 +1,6 @@
-// What a policy may answer: Gymnasium's Discrete or Box action space.
+// Defines the actions of a policy: Gymnasium's Discrete and Box action spaces.
 //
-// Plain values; const members are safe to call from many threads.
+// Plain values; const members are thread-safe.
 #ifndef CORE_ACTION_ACTION_SPACE_H_
 #define CORE_ACTION_ACTION_SPACE_H_
 
@@ -13,14 +13,15 @@ namespace spikeserve {
 
 // One action in environment units.
 struct Action {
-  int discrete = 0;               // index, where the space is Discrete
-  std::vector<float> continuous;  // [low.size()], where the space is a Box; empty otherwise
+  int discrete = 0;               // index of the action, if the space is Discrete
+  std::vector<float> continuous;  // [low.size()], if the space is a Box; empty otherwise
 
   friend bool operator==(const Action&, const Action&) = default;
 };
 
+// A Discrete space of n actions, or a Box with bounds.
 struct ActionSpace {
-  int n = 0;               // Discrete: number of actions; 0 where the space is a Box
+  int n = 0;               // Discrete: number of actions; 0 for a Box
   std::vector<float> low;  // Box: bounds in environment units, both [size()]
   std::vector<float> high;
 
@@ -30,23 +31,26 @@ struct ActionSpace {
   }
 
   bool is_discrete() const { return n > 0; }
-  // Outputs of the action head, and inputs of the action embedding.
+  // Returns the number of outputs of the action head, which is the number of inputs of the action
+  // embedding.
   int size() const { return is_discrete() ? n : static_cast<int>(low.size()); }
 
-  // Writes the action token's input into `encoded` [size()]: one-hot for a Discrete space, the
-  // affine map of [low, high] to [-1, 1] for a Box. REQUIRES: Contains(action).
+  // Writes the action token's input into `encoded` [size()]: one-hot for a Discrete space; for a
+  // Box, the values mapped affinely from [low, high] to [-1, 1]. REQUIRES: Contains(action) is OK.
   void Encode(const Action& action, absl::Span<float> encoded) const;
 
-  // The affine map of [-1, 1] to [low[i], high[i]] for every element, clamped to the bounds.
-  // REQUIRES: a Box space; `unit` is [size()].
+  // Maps each element of `unit` [size()] affinely from [-1, 1] to [low[i], high[i]] and clamps it
+  // to these bounds. REQUIRES: a Box space.
   std::vector<float> FromUnit(absl::Span<const float> unit) const;
-  // Of element i alone.
+  // As above, for one element `unit` at index i.
   float FromUnit(float unit, size_t i) const;
 
-  // OK if `action` is of this space: an index in [0, n), or finite values within the bounds.
+  // Returns OK if `action` belongs to this space: an index in [0, n), or finite values within the
+  // bounds. INVALID_ARGUMENT otherwise.
   absl::Status Contains(const Action& action) const;
 
-  // INVALID_ARGUMENT unless n >= 1 alone, or finite bounds of one length with low < high.
+  // Returns INVALID_ARGUMENT unless the space has either n >= 1 and no bounds, or n = 0 and finite
+  // bounds of equal length with low < high.
   absl::Status Validate() const;
 
   friend bool operator==(const ActionSpace&, const ActionSpace&) = default;
