@@ -1,6 +1,6 @@
-// Recorded episodes: what offline training learns from, and what can be replayed.
+// Defines recorded episodes, which offline training learns from and which can be replayed.
 //
-// Plain values and free functions; safe to call from many threads on distinct data.
+// Plain values and free functions; thread-safe on distinct data.
 #ifndef CORE_DATASET_DATASET_H_
 #define CORE_DATASET_DATASET_H_
 
@@ -17,61 +17,69 @@
 
 namespace spikeserve {
 
-// What a server knows of an episode that it decided: whose decisions they were, and what they said
-// beside the actions.
+// What a server adds to the recording of an episode that it decided: the session, and the values
+// beside each action.
 struct ServedEpisode {
   std::string policy;
   int64_t version = 0;
-  int64_t episode = 0;               // of its session, counts from 0
+  int64_t episode = 0;               // index within the session, from 0
   double target_return = 0.0;        // G_0
-  uint64_t seed = 0;                 // of its session
-  std::optional<float> temperature;  // of the draws; absent: greedy
-  bool learning = false;             // its head was not the policy's: it learned, or had
+  uint64_t seed = 0;                 // of the session
+  std::optional<float> temperature;  // of sampled actions; absent: greedy
+  // Whether the session learned, or started from a head that differs from the policy's.
+  bool learning = false;
   std::map<std::string, std::string> labels;
-  std::vector<float> returns_to_go;  // [steps], what each decision was conditioned on
+  std::vector<float> returns_to_go;  // [steps]: what each decision was conditioned on
   std::vector<float> probabilities;  // [steps, n]; Discrete spaces only
   std::vector<uint64_t> spikes;      // [steps]
 };
 
+// One episode of `steps` actions.
 struct Episode {
-  std::string actor;  // who acted: "expert", "disturbed", "student", "random" or "served"
-  uint64_t seed = 0;  // of Environment::Reset
-  // [steps + 1, obs], environment units; the last one not a number where nobody told it.
+  std::string actor;  // source: "expert", "disturbed", "student", "random" or "served"
+  uint64_t seed = 0;  // argument of Environment::Reset
+  // [steps + 1, obs], in environment units. The last observation is NaN if it is unknown.
   std::vector<float> observations;
   std::vector<Action> actions;      // [steps], as executed
-  std::vector<Action> labels = {};  // [steps], what to imitate; empty where that is `actions`
-  std::vector<float> weights = {};  // [steps], of the labels in the loss; empty where all are 1
+  std::vector<Action> labels = {};  // [steps]: actions to imitate; empty if they are `actions`
+  std::vector<float> weights = {};  // [steps]: loss weights of the labels; empty if all are 1
   std::vector<double> rewards;      // [steps]
   bool terminated = false;
   bool truncated = false;
-  // What the actor was asked for, where it was; returns-to-go count down from it then, else from
-  // what the episode returned.
+  // The return that the actor was asked to reach, or nothing. If set, the returns-to-go start from
+  // it; otherwise they start from the return of the episode.
   std::optional<double> asked_return = std::nullopt;
   std::optional<ServedEpisode> served = std::nullopt;
 
-  // What to imitate at a step.
+  // Returns the action to imitate at `step`.
   const Action& label(int step) const { return labels.empty() ? actions[step] : labels[step]; }
+  // Returns the weight of that action in the loss.
   float weight(int step) const { return weights.empty() ? 1.0f : weights[step]; }
   int steps() const { return static_cast<int>(actions.size()); }
 };
 
+// Episodes of one environment.
 struct Dataset {
   std::string environment;  // Gymnasium's id
   int observation_size = 0;
   ActionSpace action_space;
-  nlohmann::json recipe = nlohmann::json::object();  // how it was recorded
+  nlohmann::json recipe = nlohmann::json::object();  // how the episodes were recorded
   std::vector<Episode> episodes;
 };
 
-// INVALID_ARGUMENT if an array of the episode is not of the length that the others and the
-// dataset's observations ask for, or an action is not of its action space.
+// Returns INVALID_ARGUMENT if the length of an array of `episode` does not match the number of
+// steps and the dataset's observation size, or if an action is outside the dataset's action space.
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode);
 
-// The episodes of all, which are of the same environment, in their order. REQUIRES: at least one.
+// Returns one dataset with the episodes of all `datasets`, in order. INVALID_ARGUMENT if their
+// environments differ. REQUIRES: at least one dataset.
 absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets);
 
-// A dataset file is CBOR, one object with the fields above. Errors start with the path.
+// Writes `dataset` as a CBOR file, one object with the fields above. Error messages start with the
+// path.
 absl::Status WriteDataset(const Dataset& dataset, const std::string& path);
+// Reads a file that WriteDataset wrote. NOT_FOUND if it cannot be read, INVALID_ARGUMENT if it is
+// not a valid dataset; messages start with the path.
 absl::StatusOr<Dataset> ReadDataset(const std::string& path);
 
 }  // namespace spikeserve

@@ -1,7 +1,7 @@
-// The files a server leaves in --record_dir: DIR/<recording>/<episode>.cbor, one dataset of one
-// episode each. A recording is a session.
+// Finds the files that a server writes to --record_dir: DIR/<recording>/<episode>.cbor. A recording
+// holds the episodes of one session; each file is a dataset of one episode.
 //
-// Free functions; safe to call from many threads.
+// All functions are thread-safe.
 #ifndef CORE_DATASET_RECORDINGS_H_
 #define CORE_DATASET_RECORDINGS_H_
 
@@ -15,13 +15,13 @@
 
 namespace spikeserve {
 
-// Names sort as the episodes follow each other.
+// Returns the path of one episode's file. File names sort in the order of the episodes.
 std::string RecordingPath(absl::string_view directory, absl::string_view recording,
                           int64_t episode);
 
-// The episodes in `path`: one file, one recording, or a whole directory of them; in the order of
-// their names, one dataset each. With an `environment`, only those of it. NOT_FOUND if there is
-// none.
+// Reads the episodes under `path`, which is a file, a recording or a directory of recordings.
+// Returns one dataset per file, sorted by file name. Skips the datasets of other environments if
+// `environment` is not empty. NOT_FOUND if no dataset is left.
 absl::StatusOr<std::vector<Dataset>> ReadRecordings(const std::string& path,
                                                     absl::string_view environment = "");
 
