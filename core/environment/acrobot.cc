@@ -18,7 +18,7 @@ constexpr double kMaxVelocity2 = 9 * pi;
 
 using State = std::array<double, 4>;
 
-// The time derivative of `s` under `torque`.
+// Returns the time derivative of `s` under `torque`.
 State Derivative(const AcrobotParameters& parameters, double torque, const State& s) {
   const auto& [m1, m2, l1, lc1, lc2, i1, i2, g, full_torque] = parameters;
   const auto& [theta1, theta2, dtheta1, dtheta2] = s;
@@ -36,25 +36,25 @@ State Derivative(const AcrobotParameters& parameters, double torque, const State
   return {dtheta1, dtheta2, ddtheta1, ddtheta2};
 }
 
-// y + step * k
-State Along(const State& y, double step, const State& k) {
+// Returns y + step * k.
+State AddScaled(const State& y, double step, const State& k) {
   State result;
   for (int i = 0; i < 4; ++i) result[i] = y[i] + step * k[i];
   return result;
 }
 
-// One step of the classical fourth-order Runge-Kutta method.
+// Returns the state after one step of the classical fourth-order Runge-Kutta method from `y`.
 State RungeKutta4(const AcrobotParameters& parameters, double torque, const State& y) {
   const State k1 = Derivative(parameters, torque, y);
-  const State k2 = Derivative(parameters, torque, Along(y, kTimeStep / 2, k1));
-  const State k3 = Derivative(parameters, torque, Along(y, kTimeStep / 2, k2));
-  const State k4 = Derivative(parameters, torque, Along(y, kTimeStep, k3));
+  const State k2 = Derivative(parameters, torque, AddScaled(y, kTimeStep / 2, k1));
+  const State k3 = Derivative(parameters, torque, AddScaled(y, kTimeStep / 2, k2));
+  const State k4 = Derivative(parameters, torque, AddScaled(y, kTimeStep, k3));
   State slope;
   for (int i = 0; i < 4; ++i) slope[i] = k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i];
-  return Along(y, kTimeStep / 6, slope);
+  return AddScaled(y, kTimeStep / 6, slope);
 }
 
-// The same angle in [-pi, pi].
+// Returns the angle in [-pi, pi].
 double Wrap(double angle) {
   while (angle > pi) angle -= 2 * pi;
   while (angle < -pi) angle += 2 * pi;
@@ -73,7 +73,7 @@ Acrobot::Acrobot(const AcrobotParameters& parameters)
 
 std::vector<double> Acrobot::DrawInitialState(NumpyRandom& random) const {
   std::vector<double> state(4);
-  // Gymnasium rounds this state, and no other, to float32.
+  // Gymnasium rounds only this state to float32.
   for (double& value : state) value = static_cast<float>(random.Uniform(-0.1, 0.1));
   return state;
 }

@@ -1,12 +1,12 @@
-// CartPole-v1: keep a pole upright on a cart that is pushed left (0) or right (1).
+// CartPole-v1: balance a pole on a cart by pushing the cart to the left (action 0) or right (1).
 //
 // A. G. Barto, R. S. Sutton, C. W. Anderson, "Neuronlike Adaptive Elements That Can Solve Difficult
 // Learning Control Problems", IEEE Trans. SMC 13(5), 1983, in Gymnasium's form (R. V. Florian's
-// equations, explicit Euler of 0.02 s).
-// - State and observation [4]: position [m], velocity [m/s], pole angle from upright [rad], angular
-//   velocity [rad/s].
-// - Reward: 1 a step, the last one included.
-// - End: beyond 2.4 m or 12 degrees; limit 500 steps.
+// equations, explicit Euler steps of 0.02 s).
+// - State and observation [4]: cart position [m], cart velocity [m/s], pole angle from upright
+//   [rad], angular velocity [rad/s].
+// - Reward: 1 per step, including the last one.
+// - Termination: the position exceeds 2.4 m or the angle 12 degrees. Time limit: 500 steps.
 #ifndef CORE_ENVIRONMENT_CART_POLE_H_
 #define CORE_ENVIRONMENT_CART_POLE_H_
 
@@ -17,14 +17,14 @@
 
 namespace spikeserve {
 
-// Gymnasium's physical constants.
+// Physical constants; the defaults are Gymnasium's.
 struct CartPoleParameters {
   double gravity = 9.8;      // m/s^2
   double cart_mass = 1.0;    // kg
   double pole_mass = 0.1;    // kg
   double half_length = 0.5;  // m, from the hinge to the pole's centre of mass
-  double force = 10.0;       // N, of a push
-  double wind = 0.0;         // N, on the cart at every step, to the right
+  double force = 10.0;       // N, of one push
+  double wind = 0.0;         // N, constant force on the cart, positive to the right
 };
 
 class CartPole final : public ClassicControl {

@@ -1,10 +1,11 @@
-// What the classic-control tasks share: the state in float64, the episode's step count and its time
-// limit.
+// Implements what the classic-control tasks have in common: the state in float64, the step count of
+// the episode and the time limit.
 //
-// A task adds four functions: where an episode starts, how the state moves, where it ends, and what
-// of it is observed. Each computes in the order of operations of Gymnasium 1.x, so that a step
-// differs from Gymnasium's by the rounding of sine and cosine at most. Not thread-safe; copying an
-// environment forks its episode.
+// A task defines four functions: the initial state, the dynamics, the terminal states and the
+// observation. Each function computes in the order of operations of Gymnasium 1.x, so that a step
+// differs from Gymnasium's only by the rounding of sine and cosine.
+//
+// Not thread-safe. A copy of an environment continues the episode independently.
 #ifndef CORE_ENVIRONMENT_CLASSIC_CONTROL_H_
 #define CORE_ENVIRONMENT_CLASSIC_CONTROL_H_
 
@@ -19,6 +20,7 @@
 
 namespace spikeserve {
 
+// Base class of the classic-control tasks.
 class ClassicControl : public Environment {
  public:
   absl::string_view id() const final { return spec_.id; }
@@ -31,10 +33,11 @@ class ClassicControl : public Environment {
   std::vector<float> ResetTo(absl::Span<const double> state) final;
   StepResult Step(const Action& action) final;
 
-  // The model itself, apart from any episode, for planners; pure, safe to call from many threads.
-  // Moves `state` [state_size] one step on and returns the reward.
+  // Advances `state` [state_size] by one step and returns the reward. Independent of the running
+  // episode, so that planners can call it; pure and thread-safe.
   virtual double Advance(const Action& action, absl::Span<double> state) const = 0;
-  // Whether an episode that arrives in `state` [state_size] ends there.
+  // Returns whether an episode terminates when it reaches `state` [state_size]. Pure and
+  // thread-safe.
   virtual bool IsTerminal(absl::Span<const double> state) const = 0;
 
  protected:
@@ -48,16 +51,16 @@ class ClassicControl : public Environment {
 
   explicit ClassicControl(Spec spec);
 
-  // Draws the state an episode starts from. Returns [state_size].
+  // Draws the initial state of an episode, [state_size].
   virtual std::vector<double> DrawInitialState(NumpyRandom& random) const = 0;
-  // What an agent sees of `state`. Returns [observation_size].
+  // Returns the observation of `state`, [observation_size].
   virtual std::vector<float> Observe(absl::Span<const double> state) const = 0;
 
  private:
   Spec spec_;
   std::vector<double> state_;  // [state_size]
-  int steps_ = 0;              // taken in this episode
-  bool running_ = false;       // between a reset and the end of its episode
+  int steps_ = 0;              // number of steps in this episode
+  bool running_ = false;       // true from a reset to the end of the episode
 };
 
 }  // namespace spikeserve

@@ -1,12 +1,12 @@
-// MountainCar-v0: rock an underpowered car out of a valley; push left (0), coast (1) or push right
-// (2).
+// MountainCar-v0: drive an underpowered car out of a valley by pushing it to the left (action 0),
+// coasting (1) or pushing it to the right (2).
 //
 // A. W. Moore, "Efficient Memory-based Learning for Robot Control", PhD thesis, Cambridge, 1990, in
 // Gymnasium's form.
 // - State and observation [2]: position in [-1.2, 0.6], velocity in [-0.07, 0.07], in the task's
 //   own units.
-// - Reward: -1 a step.
-// - End: position 0.5 or beyond, moving right or at rest; limit 200 steps.
+// - Reward: -1 per step.
+// - Termination: the position is at least 0.5 and the velocity at least 0. Time limit: 200 steps.
 #ifndef CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
 #define CORE_ENVIRONMENT_MOUNTAIN_CAR_H_
 
@@ -17,7 +17,7 @@
 
 namespace spikeserve {
 
-// Gymnasium's physical constants, as velocity gained a step.
+// Physical constants, as the change of velocity per step; the defaults are Gymnasium's.
 struct MountainCarParameters {
   double force = 0.001;
   double gravity = 0.0025;

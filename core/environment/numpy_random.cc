@@ -6,7 +6,7 @@
 namespace spikeserve {
 namespace {
 
-// SeedSequence's constants and names, as in numpy/random/bit_generator.pyx.
+// Constants of SeedSequence, with their names in numpy/random/bit_generator.pyx.
 constexpr uint32_t kInitA = 0x43b0d7e5;
 constexpr uint32_t kMultA = 0x931e8875;
 constexpr uint32_t kInitB = 0x8b51f9dd;
@@ -18,7 +18,7 @@ constexpr int kPoolSize = 4;
 
 using Pool = std::array<uint32_t, kPoolSize>;
 
-// Hashes a word; `constant` moves on, so that equal words hash differently.
+// Hashes a word. Changes `constant`, so that equal words hash differently.
 uint32_t HashMix(uint32_t value, uint32_t multiplier, uint32_t& constant) {
   value ^= constant;
   constant *= multiplier;
@@ -31,9 +31,9 @@ uint32_t Mix(uint32_t x, uint32_t y) {
   return result ^ (result >> kXShift);
 }
 
-// SeedSequence(seed).pool
+// Returns SeedSequence(seed).pool.
 Pool MixEntropy(uint64_t seed) {
-  // A 64-bit seed has at most two words; SeedSequence hashes zeros for the rest of the pool.
+  // A 64-bit seed has at most two words. SeedSequence fills the rest of the pool by hashing zeros.
   const Pool entropy = {static_cast<uint32_t>(seed), static_cast<uint32_t>(seed >> 32), 0, 0};
   uint32_t constant = kInitA;
   Pool pool;
@@ -47,7 +47,7 @@ Pool MixEntropy(uint64_t seed) {
   return pool;
 }
 
-// SeedSequence(seed).generate_state(4, numpy.uint64)
+// Returns SeedSequence(seed).generate_state(4, numpy.uint64).
 std::array<uint64_t, 4> GenerateState(const Pool& pool) {
   std::array<uint64_t, 4> state;
   uint32_t constant = kInitB;
@@ -59,7 +59,7 @@ std::array<uint64_t, 4> GenerateState(const Pool& pool) {
   return state;
 }
 
-// The multiplier of PCG's default 128-bit generator.
+// Multiplier of PCG's default 128-bit generator.
 constexpr absl::uint128 kMultiplier = absl::MakeUint128(0x2360ed051fc65da4, 0x4385df649fccf645);
 
 }  // namespace

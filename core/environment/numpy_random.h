@@ -1,13 +1,14 @@
-// NumPy's default random generator, bit for bit: numpy.random.default_rng(seed).
+// Generates the numbers of NumPy's default random generator, numpy.random.default_rng(seed), bit
+// for bit.
 //
-// The seed is spread by SeedSequence (M. E. O'Neill's seed_seq_fe128: "Developing a seed_seq
-// Alternative", 2015; NumPy: numpy/random/bit_generator.pyx), the bits come from PCG64, the 128-bit
-// linear congruential generator with XSL-RR output (M. E. O'Neill, "PCG: A Family of Simple Fast
-// Space-Efficient Statistically Good Algorithms for Random Number Generation", HMC-CS-2014-0905;
-// NumPy: numpy/random/src/pcg64), and Uniform is Generator.uniform. NumPy's compatibility policy
-// (NEP 19) keeps the streams of SeedSequence and PCG64 as they are.
+// SeedSequence expands the seed (M. E. O'Neill's seed_seq_fe128: "Developing a seed_seq
+// Alternative", 2015; NumPy: numpy/random/bit_generator.pyx). PCG64, the 128-bit linear
+// congruential generator with XSL-RR output, generates the bits (M. E. O'Neill, "PCG: A Family of
+// Simple Fast Space-Efficient Statistically Good Algorithms for Random Number Generation",
+// HMC-CS-2014-0905; NumPy: numpy/random/src/pcg64). Uniform is Generator.uniform. NumPy's
+// compatibility policy (NEP 19) guarantees that the streams of SeedSequence and PCG64 never change.
 //
-// A value: copying it forks the stream. Not thread-safe.
+// A copy of a generator continues the stream independently. Not thread-safe.
 #ifndef CORE_ENVIRONMENT_NUMPY_RANDOM_H_
 #define CORE_ENVIRONMENT_NUMPY_RANDOM_H_
 
@@ -18,8 +19,8 @@
 
 namespace spikeserve {
 
-// A UniformRandomBitGenerator, so the standard distributions and std::shuffle accept it too (their
-// draws are not NumPy's).
+// Satisfies UniformRandomBitGenerator, so the standard distributions and std::shuffle accept it,
+// but their draws differ from NumPy's.
 class NumpyRandom {
  public:
   using result_type = uint64_t;
@@ -29,10 +30,11 @@ class NumpyRandom {
   static constexpr uint64_t min() { return 0; }
   static constexpr uint64_t max() { return std::numeric_limits<uint64_t>::max(); }
 
-  // The next 64 raw bits: PCG64.random_raw().
+  // Returns the next 64 random bits (PCG64.random_raw()).
   uint64_t operator()();
 
-  // Uniform on [low, high), with 53 random bits: Generator.uniform(low, high).
+  // Returns a number that is uniform in [low, high), with 53 random bits
+  // (Generator.uniform(low, high)).
   double Uniform(double low, double high);
 
  private:

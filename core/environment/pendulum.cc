@@ -13,7 +13,8 @@ using std::numbers::pi;
 constexpr double kTimeStep = 0.05;  // s
 constexpr float kMaxTorque = 2.0F;  // N m
 
-// The same angle in [-pi, pi), by Python's modulo, whose result has the divisor's sign.
+// Returns the angle in [-pi, pi). Computes the modulo like Python, whose result has the sign of the
+// divisor.
 double Normalize(double angle) {
   double turn = std::fmod(angle + pi, 2 * pi);
   if (turn < 0) turn += 2 * pi;
@@ -42,8 +43,9 @@ double Pendulum::Advance(const Action& action, absl::Span<double> state) const {
   const float torque = std::clamp(action.continuous[0], -kMaxTorque, kMaxTorque);
 
   const double angle = Normalize(theta);
-  // NumPy squares the float32 torque by powf, which now and then rounds unlike torque * torque; an
-  // exponent the compiler cannot see keeps it from turning the one into the other.
+  // NumPy squares the float32 torque with powf, which sometimes rounds differently from
+  // torque * torque. The exponent is volatile so that the compiler cannot replace the call by a
+  // product.
   const volatile float two = 2.0F;
   const float torque_cost = 0.001F * std::pow(torque, two);
   const double cost = angle * angle + 0.1 * (velocity * velocity) + torque_cost;

@@ -1,13 +1,13 @@
-// Pendulum-v1: swing a pendulum up and hold it there by a torque in [-2, 2] N m, too weak to lift
-// it at once.
+// Pendulum-v1: swing a pendulum up and balance it with a torque in [-2, 2] N m, which is too weak
+// to lift it directly.
 //
-// Gymnasium's form: semi-implicit Euler of 0.05 s. The action is float32, and so are the two
-// products in which NumPy keeps it so: a torque's acceleration and its cost.
+// Gymnasium's form: semi-implicit Euler steps of 0.05 s. The action is float32. The acceleration by
+// the torque and the cost of the torque are computed in float32 too, as NumPy does.
 // - State [2]: angle from upright [rad, not wrapped], angular velocity [rad/s, in [-8, 8]].
-// - Observation [3]: cosine and sine of the angle, the velocity.
-// - Reward: -(angle^2 + 0.1 velocity^2 + 0.001 torque^2) of the state before the step, the angle
-//   wrapped to [-pi, pi).
-// - End: never; limit 200 steps.
+// - Observation [3]: cosine and sine of the angle, angular velocity.
+// - Reward: -(angle^2 + 0.1 velocity^2 + 0.001 torque^2), of the state before the step, with the
+//   angle wrapped to [-pi, pi).
+// - Termination: never. Time limit: 200 steps.
 #ifndef CORE_ENVIRONMENT_PENDULUM_H_
 #define CORE_ENVIRONMENT_PENDULUM_H_
 
@@ -18,12 +18,12 @@
 
 namespace spikeserve {
 
-// Gymnasium's physical constants.
+// Physical constants; the defaults are Gymnasium's.
 struct PendulumParameters {
   double gravity = 10.0;  // m/s^2
   double mass = 1.0;      // kg
   double length = 1.0;    // m
-  double force = 1.0;     // torque on the pendulum for a torque of 1 asked for
+  double force = 1.0;     // torque on the pendulum per unit of the action
 };
 
 class Pendulum final : public ClassicControl {

@@ -16,7 +16,7 @@
 namespace spikeserve {
 namespace {
 
-// How a perturbation changes the constants of one task.
+// The effect of one perturbation on the constants of a task.
 template <typename Parameters>
 struct Change {
   const char* name;
@@ -112,7 +112,7 @@ absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
   if (id == MountainCar::kId) return Make<MountainCar>(perturbation, MountainCarChanges());
   if (id == Acrobot::kId) return Make<Acrobot>(perturbation, AcrobotChanges());
   if (id == Pendulum::kId) return Make<Pendulum>(perturbation, PendulumChanges());
-  return MakeEnvironment(id).status();  // which names the ids there are
+  return MakeEnvironment(id).status();  // NOT_FOUND, with the known ids
 }
 
 }  // namespace spikeserve

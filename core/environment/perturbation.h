@@ -1,7 +1,7 @@
-// The tasks under other physics than those they were trained for: what plasticity has to make up
-// for.
+// Makes the classic-control tasks with other physical constants than those that a policy was
+// trained on, to measure how far plasticity makes up for the change.
 //
-// Free functions, safe to call from many threads.
+// All functions are thread-safe.
 #ifndef CORE_ENVIRONMENT_PERTURBATION_H_
 #define CORE_ENVIRONMENT_PERTURBATION_H_
 
@@ -14,22 +14,24 @@
 
 namespace spikeserve {
 
-// One physical constant of a task, changed:
-//   wind     newtons on the cart, to the right (CartPole)
-//   length   factor on every length, moments of inertia along (not MountainCar)
-//   mass     factor on every mass, moments of inertia along (not MountainCar)
-//   force    factor on what the actuator does with an action; -1 reverses it
+// The change of one physical constant of a task. Names and values:
+//
+//   wind     force on the cart in newtons, positive to the right (CartPole)
+//   length   factor on every length, with the moments of inertia adapted (not MountainCar)
+//   mass     factor on every mass, with the moments of inertia adapted (not MountainCar)
+//   force    factor on the actuator's effect; -1 reverses it
 //   gravity  factor on gravity
 struct Perturbation {
   std::string name;
   double value = 0.0;
 };
 
-// From "NAME=VALUE". INVALID_ARGUMENT unless VALUE is a finite number.
+// Parses "NAME=VALUE". INVALID_ARGUMENT unless VALUE is a finite number.
 absl::StatusOr<Perturbation> ParsePerturbation(absl::string_view text);
 
-// MakeEnvironment with one constant changed. NOT_FOUND names the ids there are; INVALID_ARGUMENT
-// the perturbations this task has, or that a length or mass must be above 0.
+// Makes the environment called `id` with one constant changed. NOT_FOUND for an unknown id; the
+// message lists the known ids. INVALID_ARGUMENT if the task has no such perturbation, in which case
+// the message lists those it has, or if a length or mass is not above 0.
 absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
     absl::string_view id, const Perturbation& perturbation);
 

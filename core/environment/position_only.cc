@@ -27,19 +27,19 @@ PositionOnly::PositionOnly(absl::string_view id, std::unique_ptr<Environment> in
                            std::vector<int> kept)
     : id_(id), inside_(std::move(inside)), kept_(std::move(kept)) {}
 
-std::vector<float> PositionOnly::Reset(uint64_t seed) { return Shown(inside_->Reset(seed)); }
+std::vector<float> PositionOnly::Reset(uint64_t seed) { return KeepEntries(inside_->Reset(seed)); }
 
 std::vector<float> PositionOnly::ResetTo(absl::Span<const double> state) {
-  return Shown(inside_->ResetTo(state));
+  return KeepEntries(inside_->ResetTo(state));
 }
 
 StepResult PositionOnly::Step(const Action& action) {
   StepResult result = inside_->Step(action);
-  result.observation = Shown(result.observation);
+  result.observation = KeepEntries(result.observation);
   return result;
 }
 
-std::vector<float> PositionOnly::Shown(const std::vector<float>& observation) const {
+std::vector<float> PositionOnly::KeepEntries(const std::vector<float>& observation) const {
   std::vector<float> shown;
   for (const int index : kept_) shown.push_back(observation[index]);
   return shown;

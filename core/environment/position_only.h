@@ -1,9 +1,9 @@
-// An environment whose observations keep some entries and hide the others: without velocities, one
-// observation does not tell the state, and an agent has to remember.
+// Wraps an environment and hides some entries of its observation. Without velocities, one
+// observation does not determine the state, so an agent needs memory.
 //
-// What Gymnasium users write with ObservationWrapper, and POPGym (S. Morad et al., ICLR 2023) calls
-// PositionOnlyCartPole and PositionOnlyPendulum. State, actions, rewards and endings are those of
-// the environment inside.
+// Equivalent to a Gymnasium ObservationWrapper. POPGym (S. Morad et al., ICLR 2023) calls these
+// tasks PositionOnlyCartPole and PositionOnlyPendulum. State, actions, rewards and ends of episodes
+// are those of the wrapped environment.
 #ifndef CORE_ENVIRONMENT_POSITION_ONLY_H_
 #define CORE_ENVIRONMENT_POSITION_ONLY_H_
 
@@ -15,20 +15,22 @@
 
 namespace spikeserve {
 
+// An environment with a shortened observation. Not thread-safe.
 class PositionOnly final : public Environment {
  public:
   static constexpr absl::string_view kCartPoleId = "PositionOnlyCartPole-v1";
   static constexpr absl::string_view kPendulumId = "PositionOnlyPendulum-v1";
 
-  // The id of the environment that this one hides entries of; any other id is its own.
+  // Returns the id of the environment that `id` wraps, or `id` itself if it wraps none.
   static absl::string_view InsideId(absl::string_view id);
 
-  // CartPole-v1 whose observation [2] is the cart's position and the pole's angle.
+  // Makes CartPole-v1 with the observation [2]: cart position, pole angle.
   static std::unique_ptr<Environment> MakeCartPole();
-  // Pendulum-v1 whose observation [2] is the angle's cosine and sine.
+  // Makes Pendulum-v1 with the observation [2]: cosine and sine of the angle.
   static std::unique_ptr<Environment> MakePendulum();
 
-  // `kept` are indices of the entries of `inside`'s observation that are shown, in this order.
+  // Wraps `inside`. `kept` lists the indices of the visible entries of its observation, in the
+  // order of the new observation.
   PositionOnly(absl::string_view id, std::unique_ptr<Environment> inside, std::vector<int> kept);
 
   absl::string_view id() const override { return id_; }
@@ -42,7 +44,8 @@ class PositionOnly final : public Environment {
   StepResult Step(const Action& action) override;
 
  private:
-  std::vector<float> Shown(const std::vector<float>& observation) const;
+  // Returns the kept entries of `observation`.
+  std::vector<float> KeepEntries(const std::vector<float>& observation) const;
 
   const absl::string_view id_;
   const std::unique_ptr<Environment> inside_;
