@@ -1,6 +1,6 @@
-// The shape and the choices of one SNN-DT, as stored in a policy file.
+// Defines the sizes and variants of one SNN-DT, as stored in a policy file.
 //
-// Plain values, safe to copy and to share between threads.
+// Plain values; safe to copy and to share between threads.
 #ifndef CORE_MODEL_CONFIG_H_
 #define CORE_MODEL_CONFIG_H_
 
@@ -11,23 +11,26 @@
 
 namespace spikeserve {
 
-// The paper's ablation (section 5.3), and an ordinary decision transformer for comparison.
+// The variants of the paper's ablation (section 5.3), and an ordinary decision transformer (kDense)
+// for comparison.
 enum class Mode { kBaseline, kPos, kRoute, kFull, kDense };
 
-// How an analog vector becomes spikes: a constant current into LIF neurons, or Bernoulli draws.
+// How an analog vector is converted to spikes: as a constant current into LIF neurons, or by
+// Bernoulli draws.
 enum class CoderKind { kLif, kBernoulli };
 
-// The clock of the phase generators (eq. 4.4): kTimestep carries position, kWindow is the literal
-// formula, which gives every token the same code.
+// The clock of the phase generators (eq. 4.4). kTimestep encodes the position in the episode.
+// kWindow is the paper's literal formula, which gives every token the same code.
 enum class PhaseClock { kTimestep, kWindow };
 
-// How the gated heads become one vector: their sum (eq. 4.11), or side by side.
+// How the gated heads are merged into one vector: summed (eq. 4.11), or concatenated.
 enum class Merge { kSum, kConcat };
 
-// How routing scores become gates: softmax over heads (eq. 4.10), or the appendix's sigmoid.
+// How routing scores are converted to gates: by a softmax over the heads (eq. 4.10), or by the
+// appendix's sigmoid.
 enum class Gate { kSoftmax, kSigmoid };
 
-// Names as they stand in policy files and on command lines; see enum_names.h.
+// Names in policy files and on command lines; see enum_names.h.
 constexpr std::array<EnumName<Mode>, 5> EnumNames(Mode) {
   return {{{Mode::kBaseline, "baseline"},
            {Mode::kPos, "pos"},
@@ -68,20 +71,24 @@ struct ModelConfig {
   bool is_dense() const { return mode == Mode::kDense; }
   bool has_phase() const { return mode == Mode::kPos || mode == Mode::kFull; }
   bool has_routing() const { return mode == Mode::kRoute || mode == Mode::kFull; }
-  // Inputs of the query, key and value projections: d, or d + H with phase spikes (eq. 4.6).
+  // Returns the number of inputs of the query, key and value projections: d, or d + H with phase
+  // spikes (eq. 4.6).
   int attention_inputs() const { return hidden_size + (has_phase() ? heads : 0); }
-  // Inputs of the attention's output projection: d_h, or d where heads stand side by side.
+  // Returns the number of inputs of the attention's output projection: d_h, or d if the heads are
+  // concatenated.
   int merged_size() const {
     return is_dense() || merge == Merge::kConcat ? hidden_size : head_size();
   }
 
-  // INVALID_ARGUMENT names the field, what was expected and what came.
+  // Returns INVALID_ARGUMENT if a value is out of range. The message names the field, the expected
+  // and the received value.
   absl::Status Validate() const;
 
   friend bool operator==(const ModelConfig&, const ModelConfig&) = default;
 };
 
-// The largest sizes a policy may ask for; they bound what a hostile file can allocate.
+// The largest sizes that a policy may have. They bound the memory that a malicious file can
+// allocate.
 struct ModelLimits {
   static constexpr int kHiddenSize = 4096;
   static constexpr int kHeads = 64;

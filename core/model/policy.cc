@@ -80,7 +80,8 @@ absl::Status CheckWeights(const Policy& policy) {
     return absl::InvalidArgumentError(
         "tensor \"observation.mean\": expected at least one value, received 0");
   }
-  // The slots are only read here, and the number of layers is right, so nothing is resized.
+  // The const_cast is safe: this loop only reads the slots, and TensorSlots resizes nothing,
+  // because the number of layers was checked above.
   for (const TensorSlot& slot :
        TensorSlots(policy.config, policy.observation_size(), policy.action_space.size(),
                    const_cast<Weights*>(&weights))) {
@@ -94,9 +95,9 @@ absl::Status CheckWeights(const Policy& policy) {
   return absl::OkStatus();
 }
 
-// The random numbers of one tensor. Number i is a pure function of the seed, the tensor's name and
-// i, by integer arithmetic alone, so neither the C library nor the order of the tensors has a say
-// in it.
+// Generates the random numbers of one tensor. Number i is a function of the seed, the tensor's name
+// and i in integer arithmetic, so it depends neither on the C library nor on the order of the
+// tensors.
 class TensorRandom {
  public:
   TensorRandom(uint64_t seed, absl::string_view name) {
@@ -104,13 +105,14 @@ class TensorRandom {
     for (const char c : name) stream_ = RandomBits({stream_, static_cast<unsigned char>(c)});
   }
 
-  // Uniform in [low, high).
+  // Returns a number that is uniform in [low, high).
   float Uniform(uint64_t i, double low, double high) const {
     return static_cast<float>(low + (high - low) * UniformDouble(RandomBits({stream_, i})));
   }
 
-  // Normal with mean 0, as the sum of twelve 16-bit uniform numbers (variance 1/12 each): no
-  // logarithm, no cosine, and no value beyond six deviations.
+  // Returns a normally distributed number with mean 0, as the sum of twelve 16-bit uniform numbers
+  // (variance 1/12 each). Uses neither logarithm nor cosine; the result stays within six
+  // deviations.
   float Normal(uint64_t i, double deviation) const {
     uint64_t sum = 0;
     for (uint64_t word = 0; word < 3; ++word) {
@@ -134,14 +136,15 @@ void FillUniform(const TensorRandom& random, double low, double high, Tensor* te
   }
 }
 
-// Projections whose outputs are currents into LIF neurons.
+// Returns whether the tensor belongs to a projection whose outputs are currents into LIF neurons.
 bool FeedsNeurons(const ModelConfig& config, absl::string_view name) {
   if (config.is_dense()) return false;
   return absl::StrContains(name, ".query.") || absl::StrContains(name, ".key.") ||
          absl::StrContains(name, ".value.") || absl::StrContains(name, ".ffn.hidden.");
 }
 
-// `fan_in` is the number of inputs of the linear map the tensor belongs to.
+// Fills one tensor with its initial values (see RandomPolicy). `fan_in` is the number of inputs of
+// the linear map that the tensor belongs to.
 void Initialise(const ModelConfig& config, uint64_t seed, int fan_in, const TensorSlot& slot) {
   const std::string& name = slot.name;
   Tensor* const tensor = slot.tensor;
@@ -193,7 +196,7 @@ Policy RandomPolicy(const ModelConfig& config, int observation_size,
       if (length < 0) length = kDenseTimesteps;
     }
     *slot.tensor = Tensor::Zeros(slot.shape);
-    if (slot.shape.size() == 2) fan_in = slot.shape[1];  // a bias follows its weight
+    if (slot.shape.size() == 2) fan_in = slot.shape[1];  // a bias comes right after its weight
     Initialise(config, seed, fan_in, slot);
   }
   return policy;

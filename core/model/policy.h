@@ -1,7 +1,7 @@
-// A policy: a model with its weights, and what is needed to talk to its environment.
+// Defines a policy: a model with its weights, and the constants that connect it to its environment.
 //
-// Immutable once built and shared as std::shared_ptr<const Policy>, so that a swap never waits for
-// a reader.
+// Immutable once built, and shared as std::shared_ptr<const Policy>, so that replacing a policy
+// never waits for a reader.
 #ifndef CORE_MODEL_POLICY_H_
 #define CORE_MODEL_POLICY_H_
 
@@ -21,34 +21,42 @@ struct Policy {
   ActionSpace action_space;
   Weights weights;
 
-  float return_offset = 0.0f;  // the return token's input is (G - return_offset) / return_scale
+  // The return token's input is (G - return_offset) / return_scale.
+  float return_offset = 0.0f;
   float return_scale = 1.0f;
-  float target_return = 0.0f;   // G_0 unless a session asks for another
+  float target_return = 0.0f;   // G_0 of sessions that set no other
   float modulator_mean = 0.0f;  // mu and sigma of eq. 4.2
   float modulator_std = 1.0f;
 
-  std::string environment;      // Gymnasium's id, for example "CartPole-v1"
+  std::string environment;      // Gymnasium id, for example "CartPole-v1"
   std::string training = "{}";  // JSON object: command, seed, data recipe, evaluation
 
   int observation_size() const { return static_cast<int>(weights.observation_mean.values.size()); }
 
-  // INVALID_ARGUMENT unless config and action space are valid, every tensor has the shape they call
-  // for, every number is finite, the scales and deviations are positive, and `training` is a JSON
-  // object.
+  // Returns INVALID_ARGUMENT unless the config and the action space are valid, every tensor has the
+  // shape that they require, every number is finite, the scales and deviations are positive, and
+  // `training` is a JSON object.
   absl::Status Validate() const;
 };
 
-// A policy with random weights (QKV and FFN-in normal with deviation 0.3/sqrt(fan-in), bias 0.1;
-// coders 0.5 and 0.2; omega in U(0.1, 10), phi in U(0, 2 pi); c_h 1/sqrt(d_h); norms 1 and 0; the
-// rest, and QKV and FFN-in of a dense model, U(+-1/sqrt(fan-in))), observations standardised by
-// mean 0 and deviation 1. The same seed gives the same policy on every machine: every number is a
-// function of seed, tensor name and index by integer arithmetic. REQUIRES: a valid config and
-// action space, observation_size >= 1.
+// Returns a policy with random weights:
+// - query, key, value and FFN-in of a spiking model: normal with deviation 0.3/sqrt(fan-in),
+//   bias 0.1
+// - coders: gain 0.5, bias 0.2
+// - phase: omega uniform in [0.1, 10), phi uniform in [0, 2 pi)
+// - attention scale c_h: 1/sqrt(d_h)
+// - norms: weight 1, bias 0
+// - observation: mean 0, deviation 1
+// - everything else: uniform in [-1/sqrt(fan-in), 1/sqrt(fan-in))
+//
+// Equal seeds give equal policies on every machine, because every number is a function of seed,
+// tensor name and index in integer arithmetic. REQUIRES: a valid config and action space,
+// observation_size >= 1.
 Policy RandomPolicy(const ModelConfig& config, int observation_size,
                     const ActionSpace& action_space, uint64_t seed);
 
-// The mean return of the evaluation stored in the policy, `evaluation.mean_return` of `training`;
-// nothing if it has none.
+// Returns the mean return of the evaluation after training, which is stored as
+// `evaluation.mean_return` in `training`, or nullopt if it is not stored.
 std::optional<double> TrainingReturn(const Policy& policy);
 
 }  // namespace spikeserve

@@ -11,13 +11,14 @@
 namespace spikeserve {
 namespace {
 
-// The observation's length is whatever observation.mean says; 0 if there is no such tensor.
+// Returns the length of observation.mean, which determines the observation size, or 0 if there is
+// no such tensor.
 int ObservationSize(const Safetensors& contents) {
   const auto found = contents.tensors.find("observation.mean");
   return found == contents.tensors.end() ? 0 : static_cast<int>(found->second.values.size());
 }
 
-// Moves every tensor to its place. Shapes and numbers are for Policy::Validate.
+// Moves every tensor to its place in `policy`. Policy::Validate checks the shapes and the numbers.
 absl::Status TakeTensors(Safetensors& contents, Policy* policy) {
   const int observation_size = ObservationSize(contents);
   for (const TensorSlot& slot : TensorSlots(policy->config, observation_size,
@@ -40,7 +41,7 @@ absl::StatusOr<Policy> Read(const std::string& path) {
   if (!contents.ok()) return contents.status();
   Policy policy;
   absl::Status status = ParsePolicyMetadata(contents->metadata, &policy);
-  // Before the sizes in the config make anything grow.
+  // Validates the sizes before they determine how much memory is allocated.
   if (status.ok()) status = policy.config.Validate();
   if (status.ok()) status = policy.action_space.Validate();
   if (status.ok()) status = TakeTensors(*contents, &policy);

@@ -1,6 +1,7 @@
-// Policy files: safetensors with the metadata of a policy (`format` = `spikeserve.policy.v1`).
+// Reads and writes policy files: safetensors with the metadata of a policy (`format` =
+// `spikeserve.policy.v1`).
 //
-// Free functions without shared state; safe to call from many threads.
+// All functions are thread-safe.
 #ifndef CORE_MODEL_POLICY_FILE_H_
 #define CORE_MODEL_POLICY_FILE_H_
 
@@ -12,14 +13,15 @@
 
 namespace spikeserve {
 
-// Reads and checks a whole policy. Nothing is guessed: a missing, unknown or misshapen tensor, a
-// dtype other than F32, a number that is not finite, an unknown metadata key of `config` or a
-// broken container is an error whose message starts with the path. NOT_FOUND if there is no such
-// file, INVALID_ARGUMENT otherwise.
+// Reads and validates a policy. Strict: a missing, unknown or misshapen tensor, a dtype other than
+// F32, a number that is not finite, an unknown key in `config` or a malformed container is an
+// error. NOT_FOUND if there is no such file, INVALID_ARGUMENT otherwise; messages start with the
+// path.
 absl::StatusOr<Policy> ReadPolicyFile(const std::string& path);
 
-// Writes to a temporary file beside `path`, then renames it, so that a reader never sees half a
-// policy. INVALID_ARGUMENT if the policy is not valid (nothing is written).
+// Writes `policy` to a temporary file in the same directory and renames it to `path`, so that a
+// reader never sees a part of a policy. INVALID_ARGUMENT if the policy is not valid; in that case
+// nothing is written.
 absl::Status WritePolicyFile(const Policy& policy, const std::string& path);
 
 }  // namespace spikeserve

@@ -18,8 +18,8 @@ using nlohmann::ordered_json;
 
 constexpr char kFormat[] = "spikeserve.policy.v1";
 
-// The keys of `config`, for the reader and the writer: visit(key, member). `Config` is ModelConfig,
-// const or not.
+// Calls visit(key, member) for every key of `config`; the reader and the writer share this list.
+// `Config` is ModelConfig or const ModelConfig.
 template <typename Config, typename Visitor>
 void VisitConfig(Config& config, Visitor&& visit) {
   visit("mode", config.mode);
@@ -38,7 +38,7 @@ void VisitConfig(Config& config, Visitor&& visit) {
   visit("gate", config.gate);
 }
 
-// The numbers that stand beside `config`: visit(key, member).
+// Calls visit(key, member) for every number that has a metadata key of its own, beside `config`.
 template <typename AnyPolicy, typename Visitor>
 void VisitNumbers(AnyPolicy& policy, Visitor&& visit) {
   visit("return_offset", policy.return_offset);
@@ -54,7 +54,7 @@ absl::Status FieldError(absl::string_view field, absl::string_view expected,
       absl::StrCat(field, ": expected ", expected, ", received ", received));
 }
 
-// Numbers that are metadata of their own are strings.
+// Parses a number that has a metadata key of its own; metadata values are strings.
 absl::Status Parse(absl::string_view field, const std::string& text, float* number) {
   const char* const end = text.data() + text.size();
   const auto [rest, error] = std::from_chars(text.data(), end, *number);
@@ -63,7 +63,7 @@ absl::Status Parse(absl::string_view field, const std::string& text, float* numb
 }
 
 std::string Format(float number) {
-  char text[32];  // the shortest form that reads back as the same float32 has at most 15 characters
+  char text[32];  // the shortest form that parses to the same float32 has at most 15 characters
   const auto result = std::to_chars(text, text + sizeof(text), number);
   return std::string(text, result.ptr);
 }
@@ -74,7 +74,7 @@ std::string FormatConfig(const ModelConfig& config) {
     if constexpr (std::is_enum_v<std::decay_t<decltype(value)>>) {
       object[key] = std::string(ToString(value));
     } else {
-      object[key] = value;  // a float32 as a double: exact
+      object[key] = value;  // exact: every float32 is a double
     }
   });
   return object.dump();
@@ -85,7 +85,7 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
   if (!object.ok()) return object.status();
   JsonObject reader("config", *object);
   VisitConfig(*config, [&reader](const char* key, auto& member) {
-    // Sizes are never negative; ModelConfig::Validate() knows their bounds.
+    // Sizes are never negative; ModelConfig::Validate() checks their other bounds.
     if constexpr (std::is_same_v<decltype(member), int&>) {
       reader.Required(key, &member, 0);
     } else {
@@ -136,7 +136,7 @@ std::map<std::string, std::string> FormatPolicyMetadata(const Policy& policy) {
 absl::Status ParsePolicyMetadata(const std::map<std::string, std::string>& metadata,
                                  Policy* policy) {
   absl::Status status;
-  // The value of a key; empty, with an error in `status`, if there is none.
+  // Returns the value of a key. Returns an empty string and sets `status` if there is no such key.
   const auto take = [&](const char* key) {
     const auto found = metadata.find(key);
     if (found != metadata.end()) return found->second;

@@ -1,6 +1,7 @@
-// The `__metadata__` of a policy file: everything of a policy but its weights, as strings.
+// Converts all of a policy except its weights to and from the `__metadata__` strings of a policy
+// file.
 //
-// Free functions without shared state; safe to call from many threads.
+// All functions are pure and thread-safe.
 #ifndef CORE_MODEL_POLICY_METADATA_H_
 #define CORE_MODEL_POLICY_METADATA_H_
 
@@ -12,12 +13,13 @@
 
 namespace spikeserve {
 
-// Numbers are written so that reading them gives the same float32. REQUIRES: a valid policy.
+// Returns the metadata of `policy`. A number is formatted so that parsing it gives the same
+// float32. REQUIRES: a valid policy.
 std::map<std::string, std::string> FormatPolicyMetadata(const Policy& policy);
 
-// Fills in all of `policy` but its weights. INVALID_ARGUMENT names the field: every key must be
-// there, and `config` and `action_space` may hold no others; other annotations beside them are left
-// alone. What the values mean together is for Policy::Validate.
+// Sets all of `policy` except its weights. INVALID_ARGUMENT, naming the field, if a key is missing,
+// a value cannot be parsed, or `config` or `action_space` contains an unknown key; other unknown
+// keys are ignored. Policy::Validate checks whether the values are consistent.
 absl::Status ParsePolicyMetadata(const std::map<std::string, std::string>& metadata,
                                  Policy* policy);
 

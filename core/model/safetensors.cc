@@ -25,7 +25,7 @@ static_assert(std::endian::native == std::endian::little, "the file's byte order
 constexpr char kMetadataKey[] = "__metadata__";
 constexpr uint64_t kPrefixBytes = sizeof(uint64_t);
 
-// Where one tensor lies in the data section.
+// The name, the shape and the byte range of one tensor in the data section.
 struct Entry {
   std::string name;
   std::vector<int> shape;
@@ -81,7 +81,7 @@ absl::StatusOr<std::string> ReadHeader(std::ifstream& file, uint64_t file_size) 
         absl::StrCat("header: expected it to begin with \"{\", received ",
                      Quoted(absl::string_view(header).substr(0, 1))));
   }
-  // The JSON parser would let any white space pass here.
+  // The JSON parser accepts any white space at the end; safetensors allows only spaces.
   const size_t last = header.find_last_not_of(' ');
   if (header[last] != '}') {
     return absl::InvalidArgumentError(
@@ -122,7 +122,7 @@ absl::Status ParseShape(const json& shape, Entry* entry) {
   return absl::OkStatus();
 }
 
-// The bytes a tensor of this shape takes, or one more than `limit` if they are more.
+// Returns the size of a tensor of this shape in bytes, or limit + 1 if it is larger than `limit`.
 uint64_t SizeInBytes(const std::vector<int>& shape, uint64_t limit) {
   if (std::find(shape.begin(), shape.end(), 0) != shape.end()) return 0;
   uint64_t size = sizeof(float);
@@ -174,7 +174,8 @@ absl::StatusOr<Entry> ParseEntry(const std::string& name, const json& value, uin
   return entry;
 }
 
-// The tensors in the order of their data, which they cover without overlap, hole or rest.
+// Returns the tensors in the order of their data. INVALID_ARGUMENT unless they cover the data
+// section without overlap, hole or remainder.
 absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t data_size) {
   std::vector<Entry> entries;
   for (const auto& [name, value] : header.items()) {
@@ -233,7 +234,7 @@ absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path) {
 absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path) {
   nlohmann::ordered_json header = nlohmann::ordered_json::object();
   if (!contents.metadata.empty()) header[kMetadataKey] = contents.metadata;
-  std::vector<absl::string_view> pieces(2);  // the prefix and the header, known only at the end
+  std::vector<absl::string_view> pieces(2);  // the length prefix and the header, set at the end
   uint64_t offset = 0;
   for (const auto& [name, tensor] : contents.tensors) {
     const uint64_t size = tensor.values.size() * sizeof(float);
@@ -245,7 +246,7 @@ absl::Status WriteSafetensors(const Safetensors& contents, const std::string& pa
   std::string text;
   try {
     text = header.dump();
-  } catch (const json::exception&) {  // the one thing dump() throws for
+  } catch (const json::exception&) {  // dump() throws only for strings that are not UTF-8
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": expected names and metadata in UTF-8, received other bytes"));
   }

@@ -1,12 +1,12 @@
-// The safetensors container: named float32 tensors and string metadata in one file.
+// Reads and writes the safetensors container: named float32 tensors and string metadata in one
+// file.
 //
 // Layout: N, an unsigned 64-bit little-endian integer; N bytes of UTF-8 JSON that begin with `{`
 // and may end in spaces; then the tensors' data, row-major, packed and little-endian. The JSON maps
 // each tensor's name to `dtype`, `shape` and `data_offsets` [begin, end), counted from byte 8 + N,
-// and
-// `__metadata__` to strings.
+// and `__metadata__` to a map from strings to strings.
 //
-// Free functions without shared state; safe to call from many threads.
+// All functions are thread-safe.
 #ifndef CORE_MODEL_SAFETENSORS_H_
 #define CORE_MODEL_SAFETENSORS_H_
 
@@ -21,7 +21,7 @@
 namespace spikeserve {
 
 inline constexpr uint64_t kMaxSafetensorsHeaderBytes = 100'000'000;
-// 2^30 values, so that counting them never leaves an int.
+// 2^30 float32 values, so that every count of values fits in an int.
 inline constexpr uint64_t kMaxSafetensorsFileBytes = uint64_t{1} << 32;
 
 struct Safetensors {
@@ -29,15 +29,15 @@ struct Safetensors {
   std::map<std::string, Tensor> tensors;
 };
 
-// Reads a container whose every tensor is F32. No size in the file is believed before it was held
-// against the file's own size, and no byte may belong to two tensors or to none. NOT_FOUND if there
-// is no such file, INVALID_ARGUMENT on anything that breaks the format; the message names the
-// tensor or field, but not the path.
+// Reads a container in which every tensor is F32. Compares every size in the file with the size of
+// the file before it is used, and requires that every data byte belongs to exactly one tensor.
+// NOT_FOUND if there is no such file, INVALID_ARGUMENT if the format is violated; the message names
+// the tensor or field, but not the path.
 absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path);
 
-// Writes the layout of the reference implementation: tensors by name (they share one dtype), the
-// header padded with spaces to a multiple of 8. Replaces `path` in one step (see atomic_file.h).
-// REQUIRES: every tensor holds as many values as its shape says.
+// Writes the layout of the reference implementation: tensors sorted by name (all have the same
+// dtype), and the header padded with spaces to a multiple of 8 bytes. Replaces `path` atomically
+// (see file.h). REQUIRES: the number of values of every tensor matches its shape.
 absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path);
 
 }  // namespace spikeserve

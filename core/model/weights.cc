@@ -5,7 +5,7 @@
 namespace spikeserve {
 namespace {
 
-// Collects the slots of one policy in the order of the policy file's table.
+// Collects the tensor slots of one policy, in the order of the calls of Add.
 class SlotList {
  public:
   void Add(std::string name, std::vector<int> shape, Tensor* tensor) {

@@ -1,8 +1,8 @@
-// The parameters of one SNN-DT, as plain row-major float32 arrays named as in the policy file.
+// Defines the parameters of one SNN-DT, as row-major float32 arrays named as in the policy file.
 //
 // Symbols: d hidden size, H heads, L layers, m routing hidden size, F FFN size, obs observation
-// length, act action head outputs, in = d + H with phase spikes and d without. Immutable once a
-// policy holds them, and then shared by every thread.
+// length, act outputs of the action head, in = d + H with phase spikes and d without. Immutable
+// once they belong to a policy, and then shared by all threads.
 #ifndef CORE_MODEL_WEIGHTS_H_
 #define CORE_MODEL_WEIGHTS_H_
 
@@ -16,17 +16,19 @@
 
 namespace spikeserve {
 
+// The parameters of a LayerNorm.
 struct Norm {
   Tensor weight;  // [d]
   Tensor bias;    // [d]
 };
 
-// x * gain + bias is the constant current into the coder's neurons.
+// The parameters of a rate coder: its neurons receive the constant current x * gain + bias.
 struct Coder {
   Tensor gain;  // [d]
   Tensor bias;  // [d]
 };
 
+// An affine embedding, followed by its LayerNorm.
 struct Embedding {
   Linear linear;  // [d, 1 | obs | act], [d]
   Norm norm;
@@ -37,10 +39,10 @@ struct LayerWeights {
   Linear query;             // [d, in], [d]
   Linear key;               // [d, in], [d]
   Linear value;             // [d, in], [d]
-  Tensor scale;             // c_h [H]; not in dense mode, where the scale is 1/sqrt(d_h)
+  Tensor scale;             // [H]: c_h; not in dense mode, where the scale is 1/sqrt(d_h)
   Linear routing_hidden;    // [m, d], [m]; modes with routing
   Linear routing_gate;      // [H, m], [H]; modes with routing
-  Linear attention_output;  // [d, d_h] ([d, d] for concat and dense), [d]
+  Linear attention_output;  // [d, d_h] ([d, d] if heads are concatenated, and in dense mode), [d]
   Norm attention_norm;
   Coder ffn_coder;    // not in dense mode
   Linear ffn_hidden;  // [F, d], [F]
@@ -52,10 +54,11 @@ struct Weights {
   Embedding embed_return;
   Embedding embed_state;
   Embedding embed_action;
-  Tensor embed_timestep;  // [K, d]; dense mode only. Timestep t uses row min(t, K-1), added before
-                          // the norm.
-  Tensor phase_omega;     // [H]; modes with phase
-  Tensor phase_phi;       // [H]; modes with phase
+  // [K, d]; dense mode only. Row min(t, K-1) is added to the tokens of timestep t before their
+  // norm.
+  Tensor embed_timestep;
+  Tensor phase_omega;  // [H]; modes with phase
+  Tensor phase_phi;    // [H]; modes with phase
   std::vector<LayerWeights> layers;
   Coder readout_coder;      // not in dense mode
   Linear head;              // [act, d], [act]
@@ -63,19 +66,20 @@ struct Weights {
   Tensor observation_std;   // [obs], > 0
 };
 
-// Rows of the timestep embedding a dense model is given where nothing says otherwise.
+// Default number of rows of a dense model's timestep embedding.
 inline constexpr int kDenseTimesteps = 1024;
 
-// One named tensor of a policy file and the shape its config calls for (-1: any positive length).
+// One tensor of a policy file: its name, the shape that the config requires (-1: any positive
+// length), and its place in the weights.
 struct TensorSlot {
   std::string name;
   std::vector<int> shape;
   Tensor* tensor;
 };
 
-// Every tensor a policy of this shape has, in a fixed order, each bound to its place in `weights`;
-// resizes `weights->layers`. This list is the one place that knows the names: the reader, the
-// writer, the trainer and random initialisation all walk it.
+// Returns every tensor of a policy with this config, in a fixed order, each with a pointer to its
+// place in `weights`; resizes `weights->layers`. This function alone defines the names of the
+// tensors: the reader, the writer, the trainer and RandomPolicy iterate over its result.
 std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_size,
                                     int action_size, Weights* weights);
 
