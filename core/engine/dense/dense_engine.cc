@@ -5,6 +5,7 @@
 #include <deque>
 #include <utility>
 
+#include "core/engine/counting.h"
 #include "core/engine/prefix_engine.h"
 #include "core/engine/token.h"
 #include "core/math/exp.h"
@@ -56,10 +57,14 @@ class DensePass {
     return x;
   }
 
-  // The action head's operations, for the output of the last state token.
-  void CountHead(const Vector& readout) { Affine(policy_.weights.head, readout); }
+  // Counts the operations of the action head, which is applied to the output of the state token.
+  void CountHead(const Vector& readout) {
+    counts_.multiply_accumulates += CountProducts(policy_.weights.head, readout);
+  }
 
  private:
+  // Returns W x + b. Counts the products in the same loop, because a second pass over the weights
+  // (CountProducts) would slow down this engine in comparisons with the spiking engine.
   Vector Affine(const Linear& linear, const Vector& input) {
     Vector output = linear.bias.values;
     for (size_t i = 0; i < output.size(); ++i) {

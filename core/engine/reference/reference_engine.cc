@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/engine/counting.h"
 #include "core/engine/prefix_engine.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"
@@ -14,23 +15,6 @@
 
 namespace spikeserve {
 namespace {
-
-uint64_t CountSpikes(const SpikeTrain& train) {
-  uint64_t count = 0;
-  for (const auto& tick : train) count += std::count(tick.begin(), tick.end(), 1);
-  return count;
-}
-
-// Nonzero weights that meet a nonzero input.
-uint64_t CountProducts(const Linear& linear, const auto& input) {
-  uint64_t count = 0;
-  for (size_t i = 0; i < linear.bias.values.size(); ++i) {
-    for (size_t j = 0; j < input.size(); ++j) {
-      count += input[j] != 0 && linear.weight.at(static_cast<int>(i), static_cast<int>(j)) != 0.0f;
-    }
-  }
-  return count;
-}
 
 // W x + b: starts at the bias and adds the products in ascending order of the input.
 std::vector<float> Affine(const Linear& linear, const std::vector<float>& input) {
