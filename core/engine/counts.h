@@ -1,8 +1,8 @@
-// What a decision spends: spikes by stage, synaptic operations by kind, and energy estimates.
+// Stores what a decision costs: spikes by stage, synaptic operations by kind, and energy estimates.
 //
-// Plain values. A decision's counts are those of its new tokens a_{t-1}, G_t and s_t (G_0 and s_0
-// at step 0), whenever they were computed, and of the phase spikes of timestep t. Nothing that is
-// spent is left out.
+// Plain values. The counts of the decision at timestep t are those of its new tokens a_{t-1}, G_t
+// and s_t (G_0 and s_0 at step 0), whenever these were computed, and of the phase spikes of
+// timestep t. They are complete: no spike or operation is left out.
 #ifndef CORE_ENGINE_COUNTS_H_
 #define CORE_ENGINE_COUNTS_H_
 
@@ -13,7 +13,7 @@
 
 namespace spikeserve {
 
-// The neuron populations a spike can come from.
+// The neuron populations that emit spikes.
 enum class Stage { kCoder, kPhase, kQuery, kKey, kValue, kFfnIn, kFfnHidden, kReadout };
 inline constexpr int kStages = 8;
 
@@ -28,34 +28,36 @@ constexpr std::array<EnumName<Stage>, kStages> EnumNames(Stage) {
            {Stage::kReadout, "readout"}}};
 }
 
+// Numbers of spikes and operations; see counting.h for their definition.
 struct Counts {
   std::array<uint64_t, kStages> spikes_by_stage = {};
-  // Synaptic operations as NeuroBench counts them, biases left out.
-  uint64_t accumulates = 0;           // binary input x nonzero weight
+  // Synaptic operations as NeuroBench counts them, without biases.
+  uint64_t accumulates = 0;           // input spike x nonzero weight
   uint64_t multiply_accumulates = 0;  // nonzero analog input x nonzero weight
-  // Nonzero products inside attention (q & k, and p * v), which NeuroBench's hooks do not see.
+  // Nonzero products inside attention (q & k, and p * v), which NeuroBench's hooks do not count.
   uint64_t attention_products = 0;
 
   uint64_t& spikes(Stage stage) { return spikes_by_stage[static_cast<size_t>(stage)]; }
   uint64_t spikes(Stage stage) const { return spikes_by_stage[static_cast<size_t>(stage)]; }
   uint64_t total_spikes() const;
-  // Accumulates and multiply-accumulates; attention products stand beside, not inside.
+  // Returns accumulates plus multiply-accumulates. Attention products are reported separately.
   uint64_t synaptic_operations() const { return accumulates + multiply_accumulates; }
 
   Counts& operator+=(const Counts& other);
   friend bool operator==(const Counts&, const Counts&) = default;
 };
 
-// Estimates in joules. The models answer different questions and are never summed with one another.
-// They leave out memory traffic.
+// Estimates in joules, without memory traffic. The two models answer different questions, so never
+// add them up.
 struct Energy {
-  double spike_5pj = 0.0;  // the paper's: 5 pJ a spike
-  double horowitz_45nm =
-      0.0;  // 0.9 pJ an accumulate (attention's too), 4.6 pJ a multiply-accumulate, 45 nm CMOS
+  double spike_5pj = 0.0;  // the paper's model: 5 pJ per spike
+  // 45 nm CMOS: 0.9 pJ per accumulate, including those of attention, and 4.6 pJ per
+  // multiply-accumulate.
+  double horowitz_45nm = 0.0;
 };
 
-// `dense` counts attention products as multiply-accumulates: both of their factors are analog
-// there.
+// Estimates the energy of `counts`. If `dense`, attention products are counted as
+// multiply-accumulates, because both of their factors are analog.
 Energy EstimateEnergy(const Counts& counts, bool dense);
 
 }  // namespace spikeserve

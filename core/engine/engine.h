@@ -1,9 +1,12 @@
-// An engine computes decisions of one policy.
+// Computes the decisions of one policy.
 //
-// Engines are immutable and safe to share between threads; everything that changes lives in a
-// Context, which one caller at a time may use. A context is a cache: it can be rebuilt from the
-// last `history_size` timesteps, bit for bit, because a token's keys and values depend on nothing
-// older.
+//   std::unique_ptr<Engine::Context> context = engine.NewContext(seed);
+//   engine.Decide(*context, return_to_go, observation, &output);  // writes output.readout
+//   engine.AppendAction(*context, encoded_action);                // advances to timestep t + 1
+//
+// Engines are immutable and thread-safe. All state that changes is in a Context, which one caller
+// at a time may use. A context is a cache: it can be rebuilt bit for bit from the last
+// HistorySize() timesteps, because a token's keys and values do not depend on anything older.
 //
 // Symbols: d hidden size, obs observation length, act action head outputs, t timestep within the
 // episode.
@@ -20,23 +23,25 @@
 
 namespace spikeserve {
 
+// Interface of all engines.
 class Engine {
  public:
-  // The tokens of one episode seen so far, in whatever form the engine needs them. A context holds
-  // no reference to its engine, but may be passed only to the engine that made it.
+  // Stores the tokens of one episode so far, in the form that the engine needs. A context holds no
+  // reference to its engine, but may be passed only to the engine that created it.
   class Context {
    public:
     virtual ~Context() = default;
   };
 
-  // What the model says at a state token.
+  // The result of one decision, computed from the state token.
   struct Output {
-    std::vector<float> readout;  // [d]: firing rates in [0, 1] (spike count / T); dense mode: the
-                                 // last layer's output
-    Counts counts;  // of this decision, the policy's own action head included; see counts.h
+    // [d]: firing rates in [0, 1] (spike count / T); in dense mode, the output of the last layer.
+    std::vector<float> readout;
+    // Cost of this decision, including the policy's own action head; see counts.h.
+    Counts counts;
   };
 
-  // One of several decisions made together.
+  // The arguments of one Decide among several that are made together.
   struct Decision {
     Context* context = nullptr;
     float return_to_go = 0.0f;
@@ -44,7 +49,7 @@ class Engine {
     Output* output = nullptr;
   };
 
-  // One of several actions taken in together.
+  // The arguments of one AppendAction among several that are made together.
   struct TakenAction {
     Context* context = nullptr;
     absl::Span<const float> encoded_action;
@@ -54,29 +59,30 @@ class Engine {
 
   virtual const Policy& policy() const = 0;
 
-  // An empty context whose first token will be that of `first_timestep`. `seed` keys the Bernoulli
-  // coder and is not used otherwise.
+  // Creates an empty context whose first token will belong to timestep `first_timestep`. `seed` is
+  // part of the key of the Bernoulli coder; other coders do not use it.
   virtual std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep = 0) const = 0;
 
-  // Takes in G_t and s_t and writes the decision of timestep t into `output`.
-  // `return_to_go` and `observation` [obs] are in environment units.
-  // REQUIRES: NewContext or AppendAction was the last call on `context`; finite inputs.
+  // Appends the tokens G_t and s_t to `context` and writes the decision of timestep t into
+  // `output`. `return_to_go` and `observation` [obs] are in environment units. REQUIRES: the last
+  // call on `context` was NewContext or AppendAction; the inputs are finite.
   virtual void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
                       Output* output) const = 0;
 
-  // Takes in a_t, `encoded_action` [act] as ActionSpace::Encode writes it, and moves on to timestep
-  // t + 1. What it spends is counted in the next decision. Nobody waits for it: it may run after
-  // the answer was sent. REQUIRES: Decide was the last call on `context`.
+  // Appends the token a_t to `context`, which advances to timestep t + 1. `encoded_action` [act] is
+  // the output of ActionSpace::Encode. The cost is included in the counts of the next decision. May
+  // run after the answer was sent. REQUIRES: the last call on `context` was Decide.
   virtual void AppendAction(Context& context, absl::Span<const float> encoded_action) const = 0;
 
-  // The same for many contexts, all distinct, with equal bits; an engine may fetch its weights once
-  // for all of them.
+  // As Decide and AppendAction, for several different contexts, with results that are equal bit for
+  // bit. An engine may load its weights once for all contexts.
   virtual void DecideTogether(absl::Span<const Decision> decisions) const;
   virtual void AppendActionsTogether(absl::Span<const TakenAction> actions) const;
 };
 
-// Timesteps that the decision at t depends on: L bands of N timesteps, overlapping by one, so L (N
-// - 1) + 1; at least 2, since it pays for a_{t-1} too.
+// Returns the number of timesteps that the decision at t depends on: L (N - 1) + 1, because each of
+// the L layers looks back N - 1 timesteps. At least 2, because the counts of a decision include
+// those of a_{t-1}.
 int HistorySize(const ModelConfig& config);
 
 }  // namespace spikeserve

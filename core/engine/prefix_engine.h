@@ -1,4 +1,4 @@
-// What engines that recompute have in common: the tokens of the episode so far.
+// Base class of the engines that recompute the whole episode at every decision.
 #ifndef CORE_ENGINE_PREFIX_ENGINE_H_
 #define CORE_ENGINE_PREFIX_ENGINE_H_
 
@@ -11,15 +11,15 @@
 
 namespace spikeserve {
 
-// Every token of an episode, oldest first. Not thread-safe.
+// Stores every token of an episode, oldest first. Not thread-safe.
 class PrefixContext : public Engine::Context {
  public:
   PrefixContext(uint64_t seed, int64_t first_timestep) : seed_(seed), timestep_(first_timestep) {}
 
   uint64_t seed() const { return seed_; }
   const std::vector<Token>& tokens() const { return tokens_; }
-  // Index of the first token whose cost the running decision bears: a_{t-1}, or G_t where it opens
-  // the context.
+  // Returns the index of the first token whose cost belongs to the current decision: a_{t-1}, or
+  // G_t if the context starts at timestep t.
   size_t first_new_token() const;
 
   void AppendReturnAndState(const Policy& policy, float return_to_go,
@@ -32,7 +32,8 @@ class PrefixContext : public Engine::Context {
   std::vector<Token> tokens_;
 };
 
-// An engine whose decision is a function of the whole prefix. Thread-safety as in engine.h.
+// An engine whose decision is a function of all tokens of the context. Thread-safe, like every
+// engine.
 class PrefixEngine : public Engine {
  public:
   explicit PrefixEngine(std::shared_ptr<const Policy> policy) : policy_(std::move(policy)) {}
@@ -44,7 +45,7 @@ class PrefixEngine : public Engine {
   void AppendAction(Context& context, absl::Span<const float> encoded_action) const final;
 
  private:
-  // The decision at the last token of `prefix`, a state token.
+  // Computes the decision at the last token of `prefix`, which is a state token.
   virtual void Compute(const PrefixContext& prefix, Output* output) const = 0;
 
   std::shared_ptr<const Policy> policy_;

@@ -1,4 +1,6 @@
-// The tokens of an episode.
+// Defines the tokens of an episode and their inputs.
+//
+// All functions are pure and thread-safe.
 #ifndef CORE_ENGINE_TOKEN_H_
 #define CORE_ENGINE_TOKEN_H_
 
@@ -10,16 +12,18 @@
 
 namespace spikeserve {
 
-// The three tokens of a timestep, in the order in which they stand.
+// The three tokens of a timestep, in the order of the sequence.
 enum class TokenKind { kReturn, kState, kAction };
 inline constexpr int kTokensPerTimestep = 3;
 
+// One element of the model's input sequence.
 struct Token {
   TokenKind kind = TokenKind::kReturn;
   int64_t timestep = 0;
-  std::vector<float> input;  // [1], [obs] or [act]: what the embedding takes, already standardised
+  std::vector<float> input;  // [1], [obs] or [act]: input of the embedding, already standardised
 };
 
+// Returns the embedding of tokens of this kind.
 inline const Embedding& EmbeddingOf(const Weights& weights, TokenKind kind) {
   switch (kind) {
     case TokenKind::kReturn:
@@ -32,12 +36,12 @@ inline const Embedding& EmbeddingOf(const Weights& weights, TokenKind kind) {
   return weights.embed_action;
 }
 
-// (G - offset) / scale.
+// Returns (return_to_go - offset) / scale.
 inline float StandardizeReturn(const Policy& policy, float return_to_go) {
   return (return_to_go - policy.return_offset) / policy.return_scale;
 }
 
-// input[i] = (observation[i] - mean[i]) / std[i].
+// Sets input[i] = (observation[i] - mean[i]) / std[i].
 inline void StandardizeObservation(const Policy& policy, absl::Span<const float> observation,
                                    std::vector<float>* input) {
   input->resize(observation.size());

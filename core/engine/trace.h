@@ -1,7 +1,8 @@
-// One decision from the inside: every spike that it paid for, its attention and its routing gates.
+// Records the inside of one decision: the spikes of its new tokens, its attention and its routing
+// gates.
 //
-// Plain values, recorded by the reference engines on request; the engine that serves knows nothing
-// of them. Symbols: T ticks, H heads, L layers, N timesteps of context, t the decision's timestep.
+// Plain values. The reference engines record a trace on request; the streaming engine cannot.
+// Symbols: T ticks, H heads, L layers, N timesteps of context, t the decision's timestep.
 #ifndef CORE_ENGINE_TRACE_H_
 #define CORE_ENGINE_TRACE_H_
 
@@ -13,9 +14,10 @@
 
 namespace spikeserve {
 
-// Spikes of a population over the ticks of one token: [T][neurons] of 0 and 1.
+// The spikes of a population over the ticks of one token: [T][neurons], each 0 or 1.
 using SpikeTrain = std::vector<std::vector<uint8_t>>;
 
+// Identifies a token of an episode.
 struct TokenName {
   TokenKind kind = TokenKind::kReturn;
   int64_t timestep = 0;
@@ -23,10 +25,11 @@ struct TokenName {
   friend bool operator==(const TokenName&, const TokenName&) = default;
 };
 
+// The layer of a population that belongs to no layer.
 inline constexpr int kNoLayer = -1;
 
-// What one population emitted for one of the tokens a_{t-1}, G_t and s_t. Phase spikes are those of
-// timestep t, which its tokens share; they stand with the token s_t.
+// The spikes of one population for one of the tokens a_{t-1}, G_t and s_t. The phase spikes of
+// timestep t, which its tokens share, are recorded with s_t.
 struct PopulationTrace {
   Stage stage = Stage::kCoder;
   int layer = kNoLayer;  // [0, L); kNoLayer for phase and readout
@@ -34,20 +37,22 @@ struct PopulationTrace {
   SpikeTrain spikes;
 };
 
+// Attention and routing of one layer.
 struct LayerTrace {
-  // Attention of the token s_t: [T, H, keys] row-major, adding up to 1 over the keys. In dense mode
-  // there are no ticks, and T is 1.
+  // Attention weights of the token s_t: [T, H, keys] row-major, which sum to 1 over the keys. In
+  // dense mode there are no ticks, and T is 1.
   std::vector<TokenName> keys;
   std::vector<float> attention;
-  // Routing gates, [gated, T, H] row-major, of every token on which the decision depends through
-  // this layer's output: the window in the first of two layers, s_t alone in the last. Empty
-  // without routing. Eq. 4.8 to 4.10.
+  // Routing gates (eq. 4.8 to 4.10), [gated, T, H] row-major, of every token whose output of this
+  // layer the decision depends on. With two layers, these are the tokens of the last N timesteps in
+  // the first layer, and only s_t in the last. Empty without routing.
   std::vector<TokenName> gated;
   std::vector<float> gates;
 };
 
+// The recording of one decision.
 struct Trace {
-  std::vector<PopulationTrace> populations;  // by layer as computed; empty in dense mode
+  std::vector<PopulationTrace> populations;  // in the order of computation; empty in dense mode
   std::vector<LayerTrace> layers;            // [L]
 };
 

@@ -16,13 +16,14 @@ namespace {
 
 using Vector = std::vector<float>;
 
+// The key and the value of one token in one layer.
 struct KeyValue {
   TokenName token;
   Vector key;    // [d]
   Vector value;  // [d]
 };
 
-// Tokens of one layer that a query may attend to, oldest first.
+// The keys and values of one layer that a query may attend to, oldest first.
 using KeyValues = std::deque<KeyValue>;
 
 float Gelu(float x) {
@@ -30,7 +31,8 @@ float Gelu(float x) {
   return 0.5f * x * (1.0f + Tanh(kSqrtTwoOverPi * (x + 0.044715f * x * x * x)));
 }
 
-// Computes one token at a time, in order; `layers` [L] holds what earlier tokens left.
+// Computes one token at a time, in the order of the sequence. `layers` [L] stores the keys and
+// values of the earlier tokens.
 class DensePass {
  public:
   DensePass(const Policy& policy, std::vector<KeyValues>& layers)
@@ -39,8 +41,9 @@ class DensePass {
   const Counts& counts() const { return counts_; }
   void ResetCounts() { counts_ = Counts(); }
 
-  // The token's output of the last layer [d]; empty where nobody reads it. Its attention is
-  // recorded in `trace`, unless null.
+  // Returns the token's output of the last layer [d], or an empty vector for returns and actions,
+  // whose output of the last layer is not used. Records the token's attention in `trace` unless it
+  // is null.
   Vector Run(const Token& token, Trace* trace = nullptr) {
     Vector x = Embed(token);
     for (int layer = 0; layer < policy_.config.layers; ++layer) {
@@ -144,7 +147,7 @@ class DenseContext : public Engine::Context {
 
   std::vector<KeyValues> layers;  // [L]
   int64_t timestep;               // of the next token
-  Counts action_counts;           // of the last action token, borne by the next decision
+  Counts action_counts;           // of the last action token; added to the next decision
 };
 
 class DenseReferenceEngine final : public PrefixEngine {

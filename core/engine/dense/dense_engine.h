@@ -1,10 +1,12 @@
-// `dense` mode: an ordinary decision transformer (Chen et al., 2021) of the same size, for
+// Computes `dense` mode: an ordinary decision transformer (Chen et al., 2021) of the same size, for
 // comparison.
 //
-// Tokens, band and residual structure are the SNN-DT's; a learned timestep embedding is added
-// before the modality's LayerNorm, attention is softmax(q k / sqrt(d_h)) v over analog vectors,
-// heads stand side by side, and the FFN is a GELU (tanh form; Hendrycks & Gimpel, 2016). Every
-// product is a multiply-accumulate. Thread-safety as in engine.h.
+// Tokens, attention band and residual structure are those of the SNN-DT. A learned timestep
+// embedding is added before the LayerNorm of each modality, attention is softmax(q k / sqrt(d_h)) v
+// over analog vectors, heads are concatenated, and the FFN is a GELU (tanh form; Hendrycks &
+// Gimpel, 2016). Every product is a multiply-accumulate.
+//
+// All engines and functions are thread-safe.
 #ifndef CORE_ENGINE_DENSE_DENSE_ENGINE_H_
 #define CORE_ENGINE_DENSE_DENSE_ENGINE_H_
 
@@ -16,16 +18,16 @@
 
 namespace spikeserve {
 
-// Recomputes every token of the episode at every decision.
-// REQUIRES: a valid policy of dense mode.
+// Creates an engine that recomputes every token of the episode at every decision. REQUIRES: a valid
+// policy of dense mode.
 std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> policy);
 
-// Keeps keys and values of the last N timesteps and computes only the new tokens.
-// REQUIRES: a valid policy of dense mode.
+// Creates an engine that stores the keys and values of the last N timesteps and computes only the
+// new tokens. REQUIRES: a valid policy of dense mode.
 std::unique_ptr<Engine> MakeDenseStreamingEngine(std::shared_ptr<const Policy> policy);
 
-// The decision at the last token of `prefix`, a state token; its attention is recorded in `trace`,
-// unless null, whose `layers` has L elements. Thread-safe.
+// Computes the decision at the last token of `prefix`, a state token. Records its attention in
+// `trace` unless `trace` is null; trace->layers must have L elements. Thread-safe.
 void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
                            Engine::Output* output, Trace* trace);
 

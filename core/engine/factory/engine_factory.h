@@ -1,6 +1,6 @@
-// Makes an engine for any policy, whatever its mode.
+// Creates the engine that fits a policy's mode.
 //
-// Free functions, safe to call from many threads.
+// All functions are thread-safe.
 #ifndef CORE_ENGINE_FACTORY_ENGINE_FACTORY_H_
 #define CORE_ENGINE_FACTORY_ENGINE_FACTORY_H_
 
@@ -10,12 +10,13 @@
 
 namespace spikeserve {
 
-// The equations as naive loops that recompute the whole episode at every decision: the definition
-// of what every other engine must equal bit for bit. For tests. `policy` must be valid.
+// Creates an engine that evaluates the equations in naive loops and recomputes the whole episode at
+// every decision. Its results define the bits that every other engine must produce. For tests.
+// REQUIRES: a valid policy.
 std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy);
 
-// Computes only the new tokens, on bit-packed keys and values: the engine that serves. `policy`
-// must be valid.
+// Creates the engine that the server uses. It stores the keys and values of earlier tokens,
+// bit-packed in spiking modes, and computes only the new tokens. REQUIRES: a valid policy.
 std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy);
 
 }  // namespace spikeserve

@@ -1,4 +1,4 @@
-// Recomputes one decision and records what happened inside it.
+// Recomputes one decision and records its spikes, attention and gates.
 #ifndef CORE_ENGINE_FACTORY_TRACE_DECISION_H_
 #define CORE_ENGINE_FACTORY_TRACE_DECISION_H_
 
@@ -9,8 +9,8 @@
 namespace spikeserve {
 
 // Recomputes the decision at the last token of `prefix`, a state token, with the reference engine
-// of the policy's mode. `prefix` holds the last HistorySize() timesteps, or the whole episode where
-// that is younger. Thread-safe.
+// of the policy's mode. Writes the result into `output` and the recording into `trace`. `prefix`
+// holds the last HistorySize() timesteps, or the whole episode if it is shorter. Thread-safe.
 void TraceDecision(const Policy& policy, const PrefixContext& prefix, Engine::Output* output,
                    Trace* trace);
 

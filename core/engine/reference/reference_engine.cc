@@ -16,7 +16,7 @@
 namespace spikeserve {
 namespace {
 
-// W x + b: starts at the bias and adds the products in ascending order of the input.
+// Returns W x + b. Starts with the bias and adds the products in ascending order of the input.
 std::vector<float> Affine(const Linear& linear, const std::vector<float>& input) {
   std::vector<float> output = linear.bias.values;
   for (size_t i = 0; i < output.size(); ++i) {
@@ -31,17 +31,18 @@ void Normalize(const Norm& norm, std::vector<float>& x) {
   LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
 }
 
-// What a coder says about one token. A rate coder's neurons form groups by their period; Bernoulli
-// draws have none, and all of a tick's spikes form one group.
+// The coder spikes of one token. Neurons whose weights are added together form a group: neurons of
+// equal period for the rate coder, neurons that fire at the same tick for the Bernoulli coder,
+// which has no periods.
 struct CodedToken {
-  bool periodic = false;
-  std::vector<std::vector<int>> groups;  // [T]: neurons of period 1 ... T, or that fire at tick 1
-                                         // ... T; ascending
-  SpikeTrain spikes;                     // [T][d]
+  bool periodic = false;  // true for the rate coder
+  // [T]: the neurons of period n, or those that fire at tick n, for n = 1 ... T; ascending.
+  std::vector<std::vector<int>> groups;
+  SpikeTrain spikes;  // [T][d]
 };
 
-// The computation of one decision over the whole episode. Rows of [d] per token; symbols as in
-// model.md.
+// Computes one decision over the whole episode. Symbols: T ticks, H heads, d hidden size, d_h head
+// size, R coder spikes, P phase spikes.
 class ReferencePass {
  public:
   ReferencePass(const Policy& policy, const PrefixContext& context, Trace* trace)
@@ -78,7 +79,7 @@ class ReferencePass {
     if (trace_ != nullptr) trace_->populations.push_back({stage, layer, Name(token), train});
   }
 
-  // Whether the decision depends on this token through the layer's output: each later layer looks
+  // Returns whether the decision depends on this token's output of `layer`. Each later layer looks
   // back N - 1 timesteps.
   bool IsRead(size_t token, int layer) const {
     const int64_t reach = int64_t{config_.layers - 1 - layer} * (config_.context - 1);
@@ -103,7 +104,7 @@ class ReferencePass {
     x_.push_back(std::move(x));
   }
 
-  // Eq. 4.4 at every tick of a timestep: [T][H], or [T][0] without phase spikes.
+  // Returns the phase spikes of a timestep (eq. 4.4): [T][H], or [T][0] without phase generators.
   SpikeTrain PhaseSpikes(int64_t timestep) const {
     SpikeTrain train(config_.ticks);
     if (!config_.has_phase()) return train;
@@ -119,7 +120,7 @@ class ReferencePass {
     return train;
   }
 
-  // Emitted once a timestep, whoever hears them.
+  // Counts the phase spikes once per timestep, although several tokens and layers receive them.
   void CountPhase() {
     if (!config_.has_phase()) return;
     AddSpikes(tokens_.size() - 1, Stage::kPhase, kNoLayer, PhaseSpikes(tokens_.back().timestep));
@@ -155,9 +156,9 @@ class ReferencePass {
     return coded;
   }
 
-  // The current into output neuron i at tick 1 ... T, in the canonical order: the bias, then for
-  // each period n that divides the tick, ascending, the sum over its neurons, ascending; then the
-  // phase spikes by head.
+  // Returns the current into output neuron i at `tick` (1 ... T), summed in the canonical order:
+  // the bias; then, for each period n that divides the tick, ascending, the sum over the neurons of
+  // that period, ascending; then the phase spikes by head.
   float Current(const Linear& linear, int i, const CodedToken& coded, const SpikeTrain& phase,
                 int tick) const {
     float current = linear.bias.values[i];
@@ -175,7 +176,7 @@ class ReferencePass {
     return current;
   }
 
-  // LIF(W [R || P] + b): [T][out].
+  // Returns LIF(W [R || P] + b): [T][out].
   SpikeTrain Project(const Linear& linear, const CodedToken& coded, const SpikeTrain& phase,
                      size_t token) {
     const int outputs = static_cast<int>(linear.bias.values.size());
@@ -209,7 +210,7 @@ class ReferencePass {
       AddSpikes(i, Stage::kCoder, layer, coded.spikes);
       AddSpikes(i, Stage::kKey, layer, keys_[i]);
       AddSpikes(i, Stage::kValue, layer, values_[i]);
-      // Nobody reads the other tokens' output of the last layer.
+      // In the last layer, only the state token's output is used.
       if (last_layer && tokens_[i].kind != TokenKind::kState) continue;
       const SpikeTrain query = Project(weights.query, coded, phase, i);
       AddSpikes(i, Stage::kQuery, layer, query);
@@ -218,14 +219,15 @@ class ReferencePass {
     }
   }
 
-  // Whether token i may attend to token j, which stands before it or is it.
+  // Returns whether token i may attend to token j <= i.
   bool IsInBand(size_t i, size_t j) const {
     return tokens_[j].timestep > tokens_[i].timestep - config_.context;
   }
 
-  // y_h(t) of one token at one tick and head: [d_h]. Scores are integers, so weights depend only on
-  // how far a key's overlap is from the best one; each distance is summed as a count before it
-  // meets its weight.
+  // Returns y_h(t) of one token at one tick and head: [d_h]. Scores are integers times c_h, so the
+  // softmax weight of a key depends only on the distance between its overlap and the best overlap.
+  // The values of all keys at one distance are counted as integers first, and then multiplied by
+  // their common weight.
   std::vector<float> AttendHead(int layer, const SpikeTrain& query, size_t i, int tick, int head) {
     const float scale = policy_.weights.layers[layer].scale.values[head];
     const int size = config_.head_size();
@@ -267,7 +269,7 @@ class ReferencePass {
     return y;
   }
 
-  // Gates over heads (eq. 4.8 to 4.10) for u = concat_h y_h(t) [d]: [H].
+  // Returns the gates over the heads (eq. 4.8 to 4.10) for u = concat_h y_h(t) [d]: [H].
   std::vector<float> Gates(const LayerWeights& weights, const std::vector<float>& u, size_t token) {
     const auto heads = static_cast<float>(config_.heads);
     if (!config_.has_routing()) {
@@ -291,12 +293,12 @@ class ReferencePass {
     }
     for (float& gate : gates) {
       gate /= sum;
-      if (config_.merge == Merge::kConcat) gate *= heads;  // so that uniform gates are 1
+      if (config_.merge == Merge::kConcat) gate *= heads;  // makes uniform gates 1
     }
     return gates;
   }
 
-  // Called for the token whose heads are about to attend.
+  // Records which tokens the last token attends to. Called once per layer, before its heads attend.
   void RecordKeys(int layer, size_t i) {
     if (trace_ == nullptr || i + 1 != tokens_.size()) return;
     for (size_t j = 0; j <= i; ++j) {
@@ -304,7 +306,7 @@ class ReferencePass {
     }
   }
 
-  // Called at every tick of a token.
+  // Records the gates of token i at one tick. Called for every tick in ascending order.
   void RecordGates(int layer, size_t i, const std::vector<float>& gates) {
     if (trace_ == nullptr || !config_.has_routing() || !IsRead(i, layer)) return;
     LayerTrace& trace = trace_->layers[layer];
@@ -312,8 +314,8 @@ class ReferencePass {
     trace.gates.insert(trace.gates.end(), gates.begin(), gates.end());
   }
 
-  // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O), yhat(t) the gated heads (eq. 4.11), summed or
-  // side by side.
+  // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O), where yhat(t) is the sum (eq. 4.11) or the
+  // concatenation of the gated heads.
   void Attention(int layer, const SpikeTrain& query, size_t i) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     RecordKeys(layer, i);
@@ -364,7 +366,7 @@ class ReferencePass {
   const uint64_t seed_;
   Trace* const trace_;                 // may be null
   std::vector<std::vector<float>> x_;  // [tokens][d]
-  std::vector<SpikeTrain> keys_;       // of the running layer, [tokens][T][d]
+  std::vector<SpikeTrain> keys_;       // of the current layer, [tokens][T][d]
   std::vector<SpikeTrain> values_;
   Counts counts_;
 };

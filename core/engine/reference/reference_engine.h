@@ -1,4 +1,5 @@
-// The SNN-DT as naive loops straight from the equations: the definition of every sum's order.
+// Computes the SNN-DT in naive loops that follow the equations. This engine defines the order of
+// every sum.
 #ifndef CORE_ENGINE_REFERENCE_REFERENCE_ENGINE_H_
 #define CORE_ENGINE_REFERENCE_REFERENCE_ENGINE_H_
 
@@ -10,13 +11,13 @@
 
 namespace spikeserve {
 
-// Recomputes the whole episode at every decision, and shares no arithmetic with the streaming
-// engine beyond the neuron, LayerNorm and the exponential. Slow by design; for tests. REQUIRES: a
-// valid policy of a spiking mode.
+// Creates an engine that recomputes the whole episode at every decision. It shares no arithmetic
+// with the streaming engine except the neuron, LayerNorm and the exponential. Slow by design; for
+// tests. REQUIRES: a valid policy of a spiking mode.
 std::unique_ptr<Engine> MakeSpikingReferenceEngine(std::shared_ptr<const Policy> policy);
 
-// The decision at the last token of `prefix`, a state token; recorded in `trace`, unless null,
-// whose `layers` has L elements. Thread-safe.
+// Computes the decision at the last token of `prefix`, a state token. Records it in `trace` unless
+// `trace` is null; trace->layers must have L elements. Thread-safe.
 void ComputeSpikingReference(const Policy& policy, const PrefixContext& prefix,
                              Engine::Output* output, Trace* trace);
 
