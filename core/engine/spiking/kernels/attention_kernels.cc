@@ -6,7 +6,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/attention_kernels.cc"
 // clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles what follows once per target
+#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -15,7 +15,7 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-// overlaps[slot] = popcount(q & k) of one tick and head; keys [W][S].
+// Sets overlaps[slot] = popcount(q & k) for all slots at one tick and head; keys [W][S].
 HWY_INLINE void Overlaps(const uint32_t* keys, const uint32_t* query, int words, int slots,
                          uint32_t* overlaps) {
   const U32 du;
@@ -29,7 +29,7 @@ HWY_INLINE void Overlaps(const uint32_t* keys, const uint32_t* query, int words,
   }
 }
 
-// The slots of one 32-slot block whose overlap is `overlap`, as bits.
+// Returns the slots of one 32-slot block whose overlap is `overlap`, as bits.
 HWY_INLINE uint32_t SlotsAt(const uint32_t* overlaps, uint32_t overlap) {
   const U32 du;
   uint32_t mask = 0;
@@ -40,8 +40,8 @@ HWY_INLINE uint32_t SlotsAt(const uint32_t* overlaps, uint32_t overlap) {
   return mask;
 }
 
-// How many of the slots in `members` [blocks] have value bit `lane` ... `lane` + kVector - 1;
-// values [blocks][lanes].
+// Returns, for each of the value bits `lane` ... `lane` + kVector - 1, how many of the slots in
+// `members` [blocks] have it; values [blocks][lanes].
 HWY_INLINE VecF CountValues(const uint32_t* values, const uint32_t* members, int blocks, int lanes,
                             int lane) {
   const I32 di;
@@ -54,7 +54,7 @@ HWY_INLINE VecF CountValues(const uint32_t* values, const uint32_t* members, int
   return hn::ConvertTo(F32(), hn::BitCast(di, count));
 }
 
-// Whether any of `count` words has a bit set.
+// Returns whether any of `count` words has a bit set.
 HWY_INLINE bool AnyBit(const uint32_t* words, int count) {
   uint32_t any = 0;
   for (int i = 0; i < count; ++i) any |= words[i];
@@ -68,8 +68,8 @@ HWY_INLINE void Clear(float* values, int size) {
   for (; i < size; ++i) values[i] = 0.0f;
 }
 
-// Attention at one tick and head after the other. `scratch` has room for S overlaps, then S / 32
-// words of members; `sums` for 32 W sums.
+// Computes attention at one tick and head at a time. `scratch` has room for S overlaps, followed by
+// S / 32 words of members; `sums` has room for 32 W sums.
 class HeadAttention {
  public:
   HeadAttention(const AttentionWindow& window, uint32_t* scratch, float* sums)
@@ -81,18 +81,19 @@ class HeadAttention {
         members_(scratch + window.slots),
         sums_(sums) {}
 
-  // Turns to the tick and head that stand as number `index` in the window.
+  // Selects the tick and head with number `index` in the window.
   void MoveTo(int index) {
     keys_ = window_.keys + static_cast<size_t>(index) * window_.words * window_.slots;
     values_ = window_.values + static_cast<size_t>(index) * blocks_ * lanes_;
     occupied_ = window_.occupied + static_cast<size_t>(index) * blocks_;
   }
 
-  // Whether any valid slot has a value here. If none has, y is zero whatever the query.
-  bool IsHeard() const { return MeetsOccupied(window_.valid); }
+  // Returns whether any valid slot has a value at this tick and head. If none has, y is zero for
+  // every query.
+  bool HasValues() const { return MeetsOccupied(window_.valid); }
 
-  // y for a query without a spike, to which all keys are equal.
-  void AttendSilently(float* y) {
+  // Computes y for a query without spikes: all overlaps are 0, so all keys have equal weights.
+  void AttendUniformly(float* y) {
     const F32 d;
     for (int lane = 0; lane < lanes_; lane += kVector) {
       hn::StoreU(CountValues(values_, window_.valid, blocks_, lanes_, lane), d, sums_ + lane);
@@ -100,8 +101,8 @@ class HeadAttention {
     Scale(1.0f / static_cast<float>(valid_count_), y);
   }
 
-  // The values of each group of slots with one overlap, times the group's weight, from the best
-  // overlap to the worst. Returns the sum of overlaps.
+  // Computes y: for each distance from the best overlap to the worst, adds the value counts of the
+  // slots at that distance times its weight. Returns the sum of the overlaps.
   uint64_t Attend(const uint32_t* query, const float* weight, bool largest_is_best, float* y) {
     const F32 d;
     Overlaps(keys_, query, window_.words, window_.slots, overlaps_);
@@ -112,7 +113,7 @@ class HeadAttention {
     int remaining = valid_count_;
     for (uint32_t distance = 0; remaining > 0; ++distance) {
       const uint32_t overlap = largest_is_best ? best - distance : best + distance;
-      const int count = Members(overlap);
+      const int count = FindMembers(overlap);
       if (count == 0) continue;
       remaining -= count;
       products += static_cast<uint64_t>(overlap) * count;
@@ -128,7 +129,7 @@ class HeadAttention {
     return products;
   }
 
-  // The sum of overlaps alone.
+  // Returns the sum of the overlaps of the valid slots.
   uint64_t SumOverlaps(const uint32_t* query) {
     Overlaps(keys_, query, window_.words, window_.slots, overlaps_);
     const U32 du;
@@ -161,8 +162,8 @@ class HeadAttention {
     return any != 0;
   }
 
-  // Collects the valid slots at this overlap.
-  int Members(uint32_t overlap) {
+  // Writes the valid slots whose overlap is `overlap` to members_. Returns their number.
+  int FindMembers(uint32_t overlap) {
     for (int b = 0; b < blocks_; ++b) {
       members_[b] = window_.valid[b] & SlotsAt(overlaps_ + 32 * b, overlap);
     }
@@ -173,7 +174,7 @@ class HeadAttention {
     return MaskFromBits(U32(), window_.valid[slot / 32] >> (slot % 32));
   }
 
-  // Over the valid slots.
+  // Returns the smallest overlap of a valid slot.
   uint32_t LowestOverlap() const {
     const U32 du;
     auto low = hn::Set(du, ~0u);
@@ -184,6 +185,7 @@ class HeadAttention {
     return hn::GetLane(hn::MinOfLanes(du, low));
   }
 
+  // Returns the largest overlap of a valid slot.
   uint32_t HighestOverlap() const {
     const U32 du;
     auto high = hn::Zero(du);
@@ -197,9 +199,9 @@ class HeadAttention {
   const int blocks_;
   const int lanes_;
   const int valid_count_;
-  const uint32_t* keys_ = nullptr;      // of the tick and head at hand
-  const uint32_t* values_ = nullptr;    // likewise
-  const uint32_t* occupied_ = nullptr;  // likewise
+  const uint32_t* keys_ = nullptr;      // of the selected tick and head
+  const uint32_t* values_ = nullptr;    // of the selected tick and head
+  const uint32_t* occupied_ = nullptr;  // of the selected tick and head
   uint32_t* overlaps_;
   uint32_t* members_;
   float* sums_;
@@ -214,26 +216,26 @@ Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const 
   HeadAttention attention(window, scratch.data(), sums.data());
   Attended attended;
   for (int tick = 0; tick < window.ticks; ++tick) {
-    bool is_any_heard = false;
+    bool any_has_values = false;
     for (int head = 0; head < window.heads; ++head) {
       attention.MoveTo(tick * window.heads + head);
       float* const head_y = y + static_cast<size_t>(head) * window.head_size;
-      const bool is_heard = attention.IsHeard();
-      const bool asks = AnyBit(query, window.words);
-      if (!is_heard) {
+      const bool has_values = attention.HasValues();
+      const bool query_fires = AnyBit(query, window.words);
+      if (!has_values) {
         Clear(head_y, window.head_size);
-        if (asks) attended.products += attention.SumOverlaps(query);
-      } else if (!asks) {
-        attention.AttendSilently(head_y);
+        if (query_fires) attended.products += attention.SumOverlaps(query);
+      } else if (!query_fires) {
+        attention.AttendUniformly(head_y);
       } else {
         attended.products +=
             attention.Attend(query, weight + static_cast<size_t>(head) * (window.head_size + 1),
                              scale[head] >= 0.0f, head_y);
       }
-      is_any_heard |= is_heard;
+      any_has_values |= has_values;
       query += window.words;
     }
-    if (!is_any_heard) continue;
+    if (!any_has_values) continue;
     y += static_cast<size_t>(window.heads) * window.head_size;
     ++attended.ticks;
   }
@@ -251,7 +253,8 @@ void StoreValuesImpl(const uint32_t* bits, int slot, const AttentionWindow& wind
   values += static_cast<size_t>(slot / 32) * lanes;
   for (int i = 0; i < window.ticks * window.heads; ++i) {
     const bool occupies = AnyBit(bits, window.words);
-    if (occupies || (*occupied & slot_bit) != 0) {  // else it was silent, and still is
+    // Otherwise the slot has no value bit before and after.
+    if (occupies || (*occupied & slot_bit) != 0) {
       *occupied = occupies ? *occupied | slot_bit : *occupied & ~slot_bit;
       for (int lane = 0; lane < lanes; lane += kVector) {
         const auto others = hn::AndNot(bit, hn::LoadU(du, values + lane));

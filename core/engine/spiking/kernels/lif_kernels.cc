@@ -6,7 +6,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/lif_kernels.cc"
 // clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles what follows once per target
+#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -15,15 +15,16 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-// Vectors of neurons that run together: enough for their chains to overlap, few enough for
-// membranes and currents to stay in the target's registers.
+// Number of vectors of neurons that run together: enough for their dependency chains to overlap,
+// and few enough for membranes and currents to stay in the target's registers.
 constexpr int kLifVectors = std::max(kVectorsPerWord, HWY_TARGET <= HWY_AVX3 ? 8 : 4);
 
-// Vectors of a row that are added up in one pass over the rows: the longer a stretch of memory, the
-// better it is fetched ahead.
+// Number of vectors of a row that are added in one pass over the rows. The processor prefetches
+// long contiguous reads better.
 constexpr int kSumVectors = std::max(kVectorsPerWord, HWY_TARGET <= HWY_AVX3 ? 16 : 8);
 
-// The period is one more than the number of thresholds the current fails to reach.
+// Returns the periods: one more than the number of thresholds that the current does not reach, or 0
+// if it reaches none.
 HWY_INLINE hn::Vec<I32> Periods(VecF current, const std::vector<float>& thresholds) {
   const F32 d;
   const I32 di;
@@ -60,7 +61,7 @@ void CoderPeriodsImpl(const PeriodTable& table, const float* x, const float* gai
   }
 }
 
-// Adds up kVectors vectors of each row from `lane` on.
+// Adds kVectors vectors of each row, from `lane` on.
 template <int kVectors>
 HWY_INLINE void SumBlock(const PackedLinear& linear, const int32_t* members, int count, int lane,
                          float* sum) {
@@ -84,7 +85,8 @@ void SumRowsImpl(const PackedLinear& linear, const int32_t* members, int count, 
   });
 }
 
-// Runs kVectors vectors of neurons from `lane` on; calls on_spike(tick, v, mask) for each of them.
+// Runs kVectors vectors of neurons, from `lane` on. Calls on_spike(tick, v, mask) for each vector
+// at each tick.
 template <int kVectors, class OnSpike>
 HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive& drive, int lane,
                        OnSpike on_spike) {

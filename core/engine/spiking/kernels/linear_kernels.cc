@@ -9,7 +9,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/linear_kernels.cc"
 // clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles what follows once per target
+#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -18,19 +18,20 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-// Appends the numbers of the lanes set in `bits`, counted from `first`.
+// Appends `first` + i to `lanes` for every bit i set in `bits`.
 HWY_INLINE void AppendLanes(uint32_t bits, int first, std::vector<int32_t>& lanes) {
   for (; bits != 0; bits &= bits - 1) lanes.push_back(first + __builtin_ctz(bits));
 }
 
-// Inputs that are not zero at one of the ticks, ascending, and the products they take part in.
+// The inputs that are nonzero at one tick or more, ascending, and the number of their nonzero
+// products.
 struct ActiveInputs {
   std::vector<int32_t> inputs;
   uint64_t products = 0;
 };
 
-// Finds the active inputs of `ticks` rows [stride]; the result is valid until the thread's next
-// call.
+// Finds the active inputs of `ticks` rows [stride]. The result is valid until the next call on this
+// thread.
 HWY_INLINE const ActiveInputs& FindActive(const PackedLinear& linear, const float* input,
                                           int stride, int ticks) {
   const F32 d;
@@ -83,7 +84,7 @@ uint64_t AffineImpl(const PackedLinear& linear, const float* input, float* outpu
   return active.products;
 }
 
-// kTicks rows at once, so that a weight is loaded once for all of them.
+// Computes kTicks rows at once, so that a weight is loaded once for all of them.
 template <int kTicks>
 HWY_INLINE void AffineBlock(const PackedLinear& linear, const std::vector<int32_t>& active,
                             const float* input, int stride, float* output) {
@@ -116,7 +117,8 @@ uint64_t AffineTicksImpl(const PackedLinear& linear, const float* input, int str
   return active.products;
 }
 
-// The sum of kSumLanes interleaved partial sums of term(i), folded as in core/math/layer_norm.h.
+// Returns the sum of term(i) over kSumLanes interleaved partial sums, folded as in
+// core/math/layer_norm.h.
 template <class Term>
 HWY_INLINE float OrderedSum(int size, Term term) {
   const F32 d;

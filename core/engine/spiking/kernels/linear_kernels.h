@@ -1,7 +1,7 @@
-// Products of analog vectors with packed weights, and LayerNorm.
+// Multiplies analog vectors by packed weights, and computes LayerNorm.
 //
-// Every sum is per lane, or in the one order the reference fixes, so that each SIMD target gives
-// the same bits. Pure functions on plain arrays; safe to call from many threads.
+// Every sum is computed per lane, or in the order of the reference engine, so that every SIMD
+// target gives equal bits. All functions are thread-safe on distinct arrays.
 #ifndef CORE_ENGINE_SPIKING_KERNELS_LINEAR_KERNELS_H_
 #define CORE_ENGINE_SPIKING_KERNELS_LINEAR_KERNELS_H_
 
@@ -11,16 +11,17 @@
 
 namespace spikeserve::kernels {
 
-// output[lane] = bias + the products with nonzero inputs, inputs ascending; lane < linear.width.
-// Returns the number of products of a nonzero input and a nonzero weight.
+// Sets output[lane] to the bias plus the products with the nonzero inputs, in ascending order of
+// the inputs, for lane < linear.width. Returns the number of products of a nonzero input and a
+// nonzero weight.
 uint64_t Affine(const PackedLinear& linear, const float* input, float* output);
 
-// Affine for `ticks` inputs at once: input [ticks][stride], output [ticks][linear.width], of which
-// lanes from linear.outputs on may be left as they were.
+// As Affine, for `ticks` inputs at once. `input` is [ticks][stride]; `output` is
+// [ticks][linear.width], in which the lanes from linear.outputs on may stay unchanged.
 uint64_t AffineTicks(const PackedLinear& linear, const float* input, int stride, int ticks,
                      float* output);
 
-// The LayerNorm of core/math, same bits.
+// Equals the LayerNorm of core/math bit for bit.
 void LayerNorm(const float* weight, const float* bias, float* x, int size);
 
 }  // namespace spikeserve::kernels

@@ -6,7 +6,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/routing_kernels.cc"
 // clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles what follows once per target
+#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -15,7 +15,7 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-// spikeserve::Exp of every lane, same bits.
+// Equals spikeserve::Exp bit for bit in every lane.
 HWY_INLINE VecF Exp(VecF x) {
   const F32 d;
   const I32 di;

@@ -1,7 +1,7 @@
-// Dendritic routing: gates over heads, and the gated heads (eq. 4.10 and 4.11).
+// Computes dendritic routing: gates over the heads, and the gated heads (eq. 4.10 and 4.11).
 //
-// Every sum is per lane, or in the one order the reference fixes, so that each SIMD target gives
-// the same bits. Pure functions on plain arrays; safe to call from many threads.
+// Every sum is computed per lane, or in the order of the reference engine, so that every SIMD
+// target gives equal bits. All functions are thread-safe on distinct arrays.
 #ifndef CORE_ENGINE_SPIKING_KERNELS_ROUTING_KERNELS_H_
 #define CORE_ENGINE_SPIKING_KERNELS_ROUTING_KERNELS_H_
 
@@ -11,26 +11,27 @@
 
 namespace spikeserve::kernels {
 
-// The softmax of the first `size` entries of every row [stride], in place; `stride` is a multiple
-// of kLanes, and the other entries of a row are overwritten.
+// Replaces the first `size` entries of each of `count` rows [stride] by their softmax. Overwrites
+// the other entries of a row with unspecified values. REQUIRES: `stride` is a multiple of kLanes.
 void Softmax(float* rows, int count, int stride, int size);
 
-// What the heads say about one token, at those ticks at which one of them says anything:
-// [ticks][heads][head_size].
+// The outputs of the heads for one token, at the ticks at which at least one of them can be
+// nonzero: [ticks][heads][head_size].
 struct HeadOutputs {
-  int ticks = 0;
+  int ticks = 0;      // number of these ticks
   int all_ticks = 0;  // T
   int heads = 0;
   int head_size = 0;
   const float* y = nullptr;
 
+  // Returns the output of one head at one of these ticks, [head_size].
   const float* at(int tick, int head) const {
     return y + (static_cast<size_t>(tick) * heads + head) * head_size;
   }
 };
 
-// merged = mean over all ticks of the heads times their gates [ticks][stride], summed [head_size]
-// (eq. 4.11) or side by side [heads * head_size].
+// Sets `merged` to the mean over all T ticks of the head outputs times their gates [ticks][stride]:
+// summed over the heads, [head_size] (eq. 4.11), or if `concat`, concatenated, [heads * head_size].
 void GateHeads(const HeadOutputs& heads, const float* gates, int stride, bool concat,
                float* merged);
 

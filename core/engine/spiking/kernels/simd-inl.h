@@ -1,4 +1,5 @@
-// Types and small helpers of the kernels, compiled once per SIMD target; included by kernels only.
+// Defines types and small helpers for the kernels. Compiled once per SIMD target; only kernels may
+// include it.
 #include <cstdint>
 #include <cstring>
 #include <type_traits>
@@ -6,7 +7,7 @@
 #include "core/engine/spiking/packed_weights.h"
 #include "hwy/highway.h"
 
-// Highway's toggle: the guard falls with every new target.
+// Highway's include guard, which admits this file once per target.
 #if defined(CORE_ENGINE_SPIKING_KERNELS_SIMD_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef CORE_ENGINE_SPIKING_KERNELS_SIMD_INL_H_
 #undef CORE_ENGINE_SPIKING_KERNELS_SIMD_INL_H_
@@ -27,7 +28,7 @@ using VecF = hn::Vec<F32>;
 constexpr int kVector = static_cast<int>(hn::MaxLanes(F32()));
 constexpr int kVectorsPerWord = kLanes / kVector;
 
-// One bit a lane.
+// Returns `mask` as bits, one per lane.
 template <class D, class Mask>
 HWY_INLINE uint32_t MaskBits(D d, Mask mask) {
   uint8_t bytes[8] = {};
@@ -37,21 +38,22 @@ HWY_INLINE uint32_t MaskBits(D d, Mask mask) {
   return bits;
 }
 
+// Returns the mask that has the lanes set in `bits`.
 template <class D>
 HWY_INLINE auto MaskFromBits(D d, uint32_t bits) {
   const uint8_t bytes[8] = {static_cast<uint8_t>(bits), static_cast<uint8_t>(bits >> 8)};
   return hn::LoadMaskBits(d, bytes);
 }
 
-// The same address, of whose origin the compiler knows nothing: GCC hoists the offset of each
-// vector of a row out of the loop over rows, and then has no registers left for sums.
+// Returns `address`, but hides its origin from the compiler. Otherwise GCC moves the offset of each
+// vector of a row out of the loop over rows, and has no registers left for the sums.
 HWY_INLINE const float* Opaque(const float* address) {
   asm("" : "+r"(address));
   return address;
 }
 
-// Stores the mask of vector number `v` of a row of vectors whose bits start at `bytes`, in
-// ascending order of v.
+// Stores the mask of vector number `v` of a row. `bytes` is the start of the row's bits. Calls for
+// one row must be in ascending order of v.
 template <class D, class Mask>
 HWY_INLINE void StoreMask(D d, Mask mask, uint8_t* bytes, int v) {
   if constexpr (kVector >= 8) {
@@ -64,8 +66,9 @@ HWY_INLINE void StoreMask(D d, Mask mask, uint8_t* bytes, int v) {
   }
 }
 
-// Calls block(lane, count<V>) over [lane, width), both multiples of kLanes: blocks of kVectors
-// vectors, so that their chains of additions overlap, then of half as many, down to kLanes.
+// Calls block(lane, count<V>) for the lanes [lane, width), both multiples of kLanes, in blocks of V
+// vectors. V is kVectors first, so that the chains of additions overlap, and then halves down to
+// kLanes lanes.
 template <int kVectors, class Block>
 HWY_INLINE void ForEachBlock(int lane, int width, Block block) {
   constexpr int kBlock = kVectorsPerWord > kVectors ? kVectorsPerWord : kVectors;

@@ -1,4 +1,5 @@
-// The SIMD targets of the kernels, for tests and for saying what a server runs on.
+// Lists and selects the SIMD targets of the kernels, for tests and for reporting what a server runs
+// on.
 #ifndef CORE_ENGINE_SPIKING_KERNELS_TARGETS_H_
 #define CORE_ENGINE_SPIKING_KERNELS_TARGETS_H_
 
@@ -7,11 +8,12 @@
 
 namespace spikeserve::kernels {
 
-// Names of the targets this processor can run, best first; the first is the one in use.
+// Returns the names of the targets that this processor supports, best first. The first one is in
+// use unless a test forces another.
 std::vector<std::string> SupportedTargets();
 
-// Lets every kernel run on the named target, or on the best again where `name` is empty. For tests:
-// not to be called while another thread computes.
+// Makes every kernel run on the target `name`, or on the best target again if `name` is empty. For
+// tests only. Not thread-safe: no other thread may run a kernel during the call.
 void ForceTargetForTest(const std::string& name);
 
 }  // namespace spikeserve::kernels
