@@ -1,4 +1,5 @@
-// A vector that starts on a cache line, so that no SIMD load of a row of whole lines straddles two.
+// Defines a vector that starts on a cache line. If the length of a row is a multiple of a cache
+// line, no SIMD load of the row crosses a line boundary.
 #ifndef CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_
 #define CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_
 

@@ -7,6 +7,7 @@
 namespace spikeserve {
 namespace {
 
+// Returns the number of nonzero weights of each input, [in].
 std::vector<uint32_t> NonzeroByInput(const Linear& linear) {
   const int outputs = linear.weight.shape[0];
   const int inputs = linear.weight.shape[1];
@@ -17,6 +18,7 @@ std::vector<uint32_t> NonzeroByInput(const Linear& linear) {
   return nonzero;
 }
 
+// Returns exp(-|c_h| distance) for every head and distance, [H][d_h + 1].
 std::vector<float> AttentionWeights(const ModelConfig& config, const Tensor& scale) {
   std::vector<float> weights;
   for (int head = 0; head < config.heads; ++head) {

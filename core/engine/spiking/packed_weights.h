@@ -1,7 +1,7 @@
-// Weights laid out for the streaming engine: one contiguous row per input, lanes are output
-// neurons.
+// Stores weights in the layout of the streaming engine: one contiguous row per input, in which each
+// lane is an output neuron.
 //
-// Immutable once built; safe to share between threads.
+// Immutable once built, and thread-safe.
 #ifndef CORE_ENGINE_SPIKING_PACKED_WEIGHTS_H_
 #define CORE_ENGINE_SPIKING_PACKED_WEIGHTS_H_
 
@@ -15,41 +15,47 @@
 
 namespace spikeserve {
 
-// Outputs are padded with zero weights to a multiple of this, so that spikes fill whole 32-bit
-// words. A padded neuron never fires: its current is zero and thresholds are positive.
+// Outputs are padded to a multiple of this number with zero weights, so that spikes fill whole
+// 32-bit words. A padding neuron never fires, because its current is zero and thresholds are
+// positive.
 inline constexpr int kLanes = 32;
 
 constexpr int PadToLanes(int n) { return (n + kLanes - 1) / kLanes * kLanes; }
 
+// One or several affine maps in this layout.
 struct PackedLinear {
   int inputs = 0;
-  int outputs = 0;                  // lanes up to the last one that is not padding
-  int width = 0;                    // all lanes
+  int outputs = 0;                  // number of lanes up to the last one that is not padding
+  int width = 0;                    // number of all lanes
   AlignedVector<float> rows;        // [inputs][width]
   AlignedVector<float> bias;        // [width]
-  AlignedVector<uint32_t> nonzero;  // [inputs]: nonzero weights an input meets
+  AlignedVector<uint32_t> nonzero;  // [inputs]: number of nonzero weights of an input
 
+  // Returns the weights of one input, [width].
   const float* row(int input) const { return rows.data() + static_cast<size_t>(input) * width; }
 };
 
-// Several linears of equal inputs side by side, each padded on its own.
+// Packs several affine maps of equal inputs side by side. Pads each of them separately.
 PackedLinear Pack(std::initializer_list<const Linear*> linears);
 
+// The packed weights of one layer.
 struct PackedLayer {
-  PackedLinear key_value_query;  // [in][3 pad(d)]; a token that leaves only keys and values uses
-                                 // the first two thirds
-  std::vector<uint32_t> nonzero_query;  // [in]: the query's share of key_value_query.nonzero
+  // [in][3 pad(d)]. A token that needs no query uses only the first two thirds.
+  PackedLinear key_value_query;
+  std::vector<uint32_t> nonzero_query;  // [in]: the query's part of key_value_query.nonzero
   PackedLinear routing_hidden;          // modes with routing
-  PackedLinear routing_gate;
-  // Nonzero products of routing_gate at a tick at which no head says anything.
+  PackedLinear routing_gate;            // modes with routing
+  // Number of nonzero products of routing_gate at a tick at which the outputs of all heads are
+  // zero.
   uint64_t silent_gate_products = 0;
   PackedLinear attention_output;
   PackedLinear ffn_hidden;
   PackedLinear ffn_output;
-  std::vector<float>
-      attention_weight;  // [H][d_h + 1]: exp(-|c_h| distance), distance from the best overlap
+  // [H][d_h + 1]: exp(-|c_h| distance), where the distance is that of an overlap from the best one.
+  std::vector<float> attention_weight;
 };
 
+// The packed weights of a policy, and the period table of its coders.
 struct PackedWeights {
   explicit PackedWeights(const Policy& policy);
 
@@ -57,8 +63,8 @@ struct PackedWeights {
   PackedLinear embed_state;
   PackedLinear embed_action;
   std::vector<PackedLayer> layers;
-  std::vector<uint32_t> head_nonzero;  // [d]
-  PeriodTable periods;                 // of the coders' neurons
+  std::vector<uint32_t> head_nonzero;  // [d]: number of nonzero weights of an input
+  PeriodTable periods;                 // of the coder neurons
 };
 
 }  // namespace spikeserve

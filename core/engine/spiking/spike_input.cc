@@ -85,7 +85,7 @@ void SpikeInput::Rates(std::vector<float>* rates) const {
   rates->assign(neurons_, 0.0f);
   for (const Group& group : groups_) {
     for (int m = group.first; m < group.first + group.count; ++m) {
-      (*rates)[members_[m]] += static_cast<float>(group.spikes);  // integers, exact
+      (*rates)[members_[m]] += static_cast<float>(group.spikes);  // integers, so the sum is exact
     }
   }
   for (float& rate : *rates) rate /= static_cast<float>(ticks_);
@@ -107,7 +107,9 @@ const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
   }
   drive_.ticks = ticks_;
   drive_.offsets.assign(ticks_ + 1, 0);
-  const size_t terms =  // and room for one that does not fire
+  // One more than the terms that can fire, because the loop below also writes groups that do not
+  // fire, and then overwrites them.
+  const size_t terms =
       ticks_ * groups_.size() + (phase == nullptr ? 0 : phase->generators.size()) + 1;
   if (drive_.terms.size() < terms) drive_.terms.resize(terms);
   const float** term = drive_.terms.data();
@@ -115,7 +117,7 @@ const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
     for (Afferent& afferent : afferents_) {
       const bool fires = afferent.next == tick;
       *term = afferent.sum;
-      term += fires;  // without a branch, which could not be foretold
+      term += fires;  // branch-free, because the branch would be unpredictable
       afferent.next += fires ? afferent.period : 0;
     }
     if (phase != nullptr) {

@@ -27,27 +27,27 @@ class StreamingContext : public Engine::Context {
   int64_t timestep;  // of the next token
   AttentionBand band;
   std::vector<AttentionCache> caches;  // [L]
-  PhaseSpikes phase;                   // of the running timestep
-  Counts action_counts;                // of the last action token, borne by the next decision
+  PhaseSpikes phase;                   // of the current timestep
+  Counts action_counts;                // of the last action token; added to the next decision
 };
 
-// A token on its way through the layers.
+// A token that is being computed.
 struct NewToken {
   StreamingContext* context = nullptr;
-  Counts* counts = nullptr;  // of the decision that pays for it
+  Counts* counts = nullptr;  // of the decision that the token's cost belongs to
   TokenKind kind = TokenKind::kReturn;
   AlignedVector<float> x;         // [pad(d)]
-  AlignedVector<uint32_t> query;  // [T][H][W], of the running layer
-  AttentionBand band;             // what it may attend to: the band up to and with itself
+  AlignedVector<uint32_t> query;  // [T][H][W], of the current layer
+  AttentionBand band;             // the tokens it may attend to: the band up to itself, inclusive
 
   int slot() const { return band.Slot(context->timestep, kind); }
 };
 
-// Buffers of a running computation; nothing in them outlives a call.
+// Buffers of one thread, reused by its calls. Their contents do not outlive a call.
 struct Scratch {
   std::vector<NewToken> tokens;
   std::vector<float> input;      // a token's embedding input
-  SpikeInput spikes;             // into the population at hand
+  SpikeInput spikes;             // into the current population
   AlignedVector<uint32_t> bits;  // [T][pad(d) / 32]: keys, values or queries
   AlignedVector<uint32_t> keys;  // [T][H][W]
   AlignedVector<uint32_t> values;
@@ -64,7 +64,8 @@ Scratch& ThreadScratch() {
   return scratch;
 }
 
-// Computes tokens of one timestep each, of any number of contexts.
+// Computes new tokens of any number of contexts. The tokens of one context belong to the same
+// timestep.
 class TokenPass {
  public:
   TokenPass(const Policy& policy, const PackedWeights& packed)
@@ -74,8 +75,8 @@ class TokenPass {
         packed_(packed),
         scratch_(ThreadScratch()) {}
 
-  // Takes in the next token of a context's timestep, for which `counts` pays; `input` is what its
-  // embedding takes.
+  // Adds the next token of the context's timestep and computes its embedding from `input`. Its cost
+  // is added to `counts`.
   void Add(StreamingContext& context, Counts& counts, TokenKind kind,
            absl::Span<const float> input) {
     if (scratch_.tokens.size() <= token_count_) scratch_.tokens.resize(token_count_ + 1);
@@ -89,12 +90,12 @@ class TokenPass {
     Normalize(EmbeddingOf(policy_.weights, kind).norm);
   }
 
-  // Takes the tokens through all layers, matrix by matrix, so that one is fetched once for all of
-  // them. A token's keys and values are stored before its elders attend, whose bands are without
-  // it.
+  // Computes all layers of the tokens, one matrix after the other, so that a matrix is loaded once
+  // for all tokens. The keys and values of a token are stored before older tokens of its timestep
+  // attend. They do not see them, because their bands do not contain the new token.
   void Run() {
     for (int layer = 0; layer < config_.layers; ++layer) {
-      // Nobody reads the other tokens' output of the last layer.
+      // In the last layer, only the state token's output is used.
       const auto needs_output = [&](const NewToken& token) {
         return layer + 1 < config_.layers || token.kind == TokenKind::kState;
       };
@@ -114,8 +115,8 @@ class TokenPass {
     }
   }
 
-  // Firing rates of the token that was added as number `index`: the presynaptic activity of the
-  // action head.
+  // Writes the firing rates of the token that was added as number `index`. They are the presynaptic
+  // activity of the action head.
   void Readout(size_t index, std::vector<float>* readout) {
     token_ = &scratch_.tokens[index];
     Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout);
@@ -155,7 +156,7 @@ class TokenPass {
     counts().spikes(stage) += scratch_.spikes.total();
   }
 
-  // Leaves the token's keys and values, and its query where its output is read.
+  // Computes and stores the token's keys and values, and its query if its output is used.
   void StoreKeysAndValues(int layer, bool needs_query) {
     Code(policy_.weights.layers[layer].coder, 2 * layer, Stage::kCoder);
     const uint64_t value_spikes = Project(packed_.layers[layer], needs_query);
@@ -179,8 +180,8 @@ class TokenPass {
     AddResidual(weights.attention_norm);
   }
 
-  // Keys, values and, where the token's output is read, queries: LIF(W [R || P] + b).
-  // Returns the number of value spikes.
+  // Computes keys, values and, if `needs_query`, queries: LIF(W [R || P] + b). Returns the number
+  // of value spikes.
   uint64_t Project(const PackedLayer& packed, bool needs_query) {
     const PackedLinear& linear = packed.key_value_query;
     const int section = PadToLanes(config_.hidden_size);
@@ -199,13 +200,14 @@ class TokenPass {
     return value_spikes;
   }
 
-  // The spikes of the d neurons from lane `first` on, by heads, [T][H][W]; returns their number.
+  // Computes the spikes of the d neurons from lane `first` on and groups them by head, [T][H][W].
+  // Returns the number of spikes.
   uint64_t RunSection(const PackedLinear& linear, const kernels::Drive& drive, int first,
                       int section, AlignedVector<uint32_t>& heads) {
     const int size = config_.head_size();
     const int words = (size + 31) / 32;
     heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
-    if (size % 32 == 0) {  // a head is whole words, as it comes
+    if (size % 32 == 0) {  // a head consists of whole words, so nothing has to be moved
       kernels::LifBits(lif_, linear.bias.data(), drive, first, section, heads.data());
     } else {
       scratch_.bits.resize(static_cast<size_t>(config_.ticks) * section / kLanes);
@@ -223,7 +225,7 @@ class TokenPass {
     return kernels::CountBits(heads.data(), static_cast<int>(heads.size()));
   }
 
-  // `count` (1 to 32) bits of `row` from bit `first` on.
+  // Returns `count` (1 to 32) bits of `row`, starting at bit `first`.
   static uint32_t TakeBits(const uint32_t* row, int first, int count) {
     const int shift = first % 32;
     uint64_t bits = row[first / 32] >> shift;
@@ -231,8 +233,9 @@ class TokenPass {
     return static_cast<uint32_t>(bits & ((uint64_t{1} << count) - 1));
   }
 
-  // mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or side by side. scratch_.y has the
-  // `ticks` at which they say anything; the others add nothing, whatever their gates.
+  // Computes mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or concatenated. scratch_.y
+  // contains only the `ticks` ticks at which a head's output is not zero; the other ticks add
+  // nothing, whatever their gates are.
   void Merge(const PackedLayer& packed, int ticks) {
     const int stride = PadToLanes(config_.heads);
     scratch_.gates.resize(static_cast<size_t>(ticks) * stride);
@@ -249,8 +252,8 @@ class TokenPass {
         scratch_.gates.data(), stride, config_.merge == Merge::kConcat, scratch_.merged.data());
   }
 
-  // The gates of those ticks, [ticks][stride]. The equations have gates at the others too, whose
-  // operations count.
+  // Computes the gates of the `ticks` ticks in scratch_.y, [ticks][stride]. The equations define
+  // gates at the other ticks too, so their operations are counted, although they are not computed.
   void Route(const PackedLayer& packed, int ticks, int stride) {
     const PackedLinear& hidden = packed.routing_hidden;
     scratch_.routing.resize(static_cast<size_t>(ticks) * hidden.width);
@@ -266,8 +269,8 @@ class TokenPass {
     }
     kernels::Softmax(scratch_.gates.data(), ticks, stride, config_.heads);
     if (config_.merge != Merge::kConcat) return;
-    for (float& gate : scratch_.gates)
-      gate *= static_cast<float>(config_.heads);  // so that uniform gates are 1
+    // Makes uniform gates 1.
+    for (float& gate : scratch_.gates) gate *= static_cast<float>(config_.heads);
   }
 
   // x <- LayerNorm(x + W2 (spike count / T) + b2).
@@ -296,7 +299,7 @@ class TokenPass {
   const PackedWeights& packed_;
   Scratch& scratch_;
   size_t token_count_ = 0;
-  NewToken* token_ = nullptr;  // the one at hand
+  NewToken* token_ = nullptr;  // the current token
 };
 
 class StreamingEngine final : public Engine {
@@ -329,7 +332,7 @@ class StreamingEngine final : public Engine {
       counts = std::exchange(context.action_counts, Counts());
       context.band.Advance(context.timestep);
       context.phase.Set(*policy_, context.timestep);
-      counts.spikes(Stage::kPhase) += context.phase.generators.size();  // whoever hears them
+      counts.spikes(Stage::kPhase) += context.phase.generators.size();  // once per timestep
       const float standard_return = StandardizeReturn(*policy_, decision.return_to_go);
       pass.Add(context, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
       std::vector<float>& input = ThreadScratch().input;

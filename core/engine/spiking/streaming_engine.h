@@ -1,4 +1,4 @@
-// The engine that serves: computes only a decision's new tokens.
+// Computes only the new tokens of a decision. This is the engine that the server uses.
 #ifndef CORE_ENGINE_SPIKING_STREAMING_ENGINE_H_
 #define CORE_ENGINE_SPIKING_STREAMING_ENGINE_H_
 
@@ -8,10 +8,10 @@
 
 namespace spikeserve {
 
-// Earlier tokens live on as bits: a token's keys and values never change, so attention over the
-// band reads them from a ring of N timesteps. A rate coder's neuron is one small integer (its
-// period), and every weight row is read once per token, not once per spike. REQUIRES: a valid
-// policy of a spiking mode.
+// Creates a streaming engine. The keys and values of earlier tokens never change, so they are kept
+// as bits in a ring of N timesteps, which attention reads. A rate coder's neuron is one small
+// integer, its period, and every weight row is read once per token instead of once per spike.
+// REQUIRES: a valid policy of a spiking mode.
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy);
 
 }  // namespace spikeserve
