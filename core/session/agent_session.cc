@@ -14,7 +14,7 @@
 namespace spikeserve {
 namespace {
 
-// Beyond float32's range, which is what the model reads, a number counts as infinite.
+// Returns whether `value` is finite as a float32, the type that the model reads.
 bool IsFiniteFloat(double value) {
   return std::abs(value) <= static_cast<double>(std::numeric_limits<float>::max());
 }
@@ -46,7 +46,8 @@ absl::Status CheckReward(double reward, double next_return_to_go) {
   return absl::OkStatus();
 }
 
-// Puts what belongs to one policy version side by side, and calls `visit` with each version's part.
+// Sorts `all` by policy version, and calls `visit` once per version with the elements of that
+// version.
 template <typename T, typename VersionOf, typename Visit>
 void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
   std::ranges::sort(all, std::less<>(), version_of);
@@ -103,7 +104,7 @@ bool AgentSession::IsNewDecision(ActCall& call) {
 }
 
 void AgentSession::Decide(absl::Span<ActCall* const> calls) {
-  // The memory of the thread's last decisions serves these.
+  // Reused by the decisions of a thread, so that a warm decision allocates no memory.
   thread_local std::vector<AgentSession*> sessions;
   thread_local std::vector<Engine::Decision> decisions;
   thread_local std::vector<Engine::Output> outputs;
@@ -120,7 +121,7 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
   if (outputs.size() < calls.size()) outputs.resize(calls.size());
   for (size_t i = 0; i < calls.size(); ++i) {
     AgentSession& session = *calls[i]->session;
-    const double return_to_go = session.NextReturnToGo(session.UsedReward(calls[i]->reward));
+    const double return_to_go = session.NextReturnToGo(session.CountedReward(calls[i]->reward));
     decisions.push_back({session.context_.get(), static_cast<float>(return_to_go),
                          calls[i]->observation, &outputs[i]});
     session.action_pending_ = true;
@@ -133,7 +134,7 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
   for (size_t i = 0; i < calls.size(); ++i) {
     ActCall& call = *calls[i];
     AgentSession& session = *call.session;
-    const double reward = session.UsedReward(call.reward);
+    const double reward = session.CountedReward(call.reward);
     const double return_to_go = session.NextReturnToGo(reward);
     Answer answer = session.Choose(outputs[i], return_to_go, reward);
     const absl::Duration chosen = clock.Now();
@@ -158,12 +159,13 @@ absl::Status AgentSession::CheckRequest(int64_t step, absl::Span<const float> ob
   return step == 0 ? absl::OkStatus() : CheckReward(reward, NextReturnToGo(reward));
 }
 
-// G_{t+1} = G_t - r_t, kept in double so that rounding does not add up over an episode.
+// Returns G_{t+1} = G_t - r_t, in double precision so that rounding errors do not accumulate over
+// an episode.
 double AgentSession::NextReturnToGo(double reward) const {
   return session_.step == 0 ? session_.target_return : session_.return_to_go - reward;
 }
 
-// The session's last answer gives its memory to the new one.
+// Reuses the memory of the session's last answer.
 Answer AgentSession::Choose(const Engine::Output& output, double return_to_go, double reward) {
   thread_local ActionChoice choice;
   Answer answer = session_.last_answer.has_value() ? *std::move(session_.last_answer) : Answer();
@@ -198,7 +200,9 @@ void AgentSession::ChooseWithHead(absl::Span<const float> readout, ActionChoice*
   choose(head_ ? *head_ : served_->policy().weights.head);
 }
 
-// A fleet session's updates are gathered; only what becomes of their sum concerns the head.
+// Updates the private head and reports the outcome to the observer. An update that a fleet session
+// applies to its contribution is not reported here: the merge at the end of the episode reports the
+// outcome for the fleet head.
 void AgentSession::TakeOutcome(std::optional<UpdateOutcome> outcome) {
   if (!outcome.has_value()) return;
   if (*outcome == UpdateOutcome::kApplied) {
@@ -264,7 +268,8 @@ absl::Span<const float> AgentSession::EncodedAction(const Action& action,
   return *encoded;
 }
 
-// Replays the history: the same calls with the same numbers leave the same keys and values.
+// Replays the history: the same calls with the same numbers leave the same keys and values in the
+// context.
 void AgentSession::RebuildContext() {
   const Engine& engine = *served_->engine;
   const auto first_timestep = session_.step - static_cast<int64_t>(session_.history.size());
@@ -335,13 +340,13 @@ std::optional<LearningSummary> AgentSession::LearnFromEpisode(const EpisodeEnd& 
                              .updates = learner.updates,
                              .rejected = learner.rejected,
                              .returns = learner.returns};
-  InFleet() ? GiveToFleet(episode_return, &summary) : KeepToItself(episode_return, &summary);
+  InFleet() ? MergeIntoFleet(episode_return, &summary) : WatchPrivateHead(episode_return, &summary);
   learner.StartEpisode(options);
   served_->observer->OnLearned(summary);
   return summary;
 }
 
-void AgentSession::GiveToFleet(double episode_return, LearningSummary* summary) {
+void AgentSession::MergeIntoFleet(double episode_return, LearningSummary* summary) {
   FleetHead& fleet = *served_->fleet;
   std::shared_ptr<const FleetHead::Snapshot> snapshot;
   const auto merge = [&] {
@@ -356,7 +361,7 @@ void AgentSession::GiveToFleet(double episode_return, LearningSummary* summary) 
   summary->watched_return = snapshot->level.mean;
 }
 
-void AgentSession::KeepToItself(double episode_return, LearningSummary* summary) {
+void AgentSession::WatchPrivateHead(double episode_return, LearningSummary* summary) {
   Learner& learner = *session_.learner;
   if (!learner.suspended) {
     summary->rolled_back = learner.Watch(*session_.options.learning, episode_return);

@@ -1,9 +1,14 @@
-// What an agent's requests do to its session, with no network in sight.
+// Applies an agent's requests to its session, without any network code.
 //
-// Beside the session's value stand caches: the engine's context, rebuilt from the history whenever
-// it is absent, and a head of its own, rebuilt from its delta. No answer depends on whether they
-// were. A fleet session's head is not its own: each decision is made with the fleet's as it stands,
-// and the session holds no more than what its running episode has to give to it.
+//   AgentSession agent(served, NewSession(id, options), clock);
+//   absl::StatusOr<const Answer*> answer = agent.Act(/*step=*/0, observation, /*reward=*/0.0);
+//   agent.AppendPendingAction();  // after the answer was sent
+//
+// An AgentSession holds the session's value and two caches: the engine's context, which is rebuilt
+// from the history if it is absent, and a private head, which is rebuilt from its delta. Answers do
+// not depend on whether the caches are present. A session of scope fleet has no private head: each
+// decision uses the current fleet head, and the session stores only what its running episode will
+// contribute to it.
 //
 // Not thread-safe: one caller at a time.
 #ifndef CORE_SESSION_AGENT_SESSION_H_
@@ -27,83 +32,88 @@
 
 namespace spikeserve {
 
+// One agent's session on one policy version.
 class AgentSession {
  public:
-  // Goes on from `session`, which may be new or restored; a new one that learns gets its learner.
-  // `clock` times decisions and must outlive this object. REQUIRES: `session` was opened on this
-  // policy, or restored from one that was.
+  // Continues `session`, which is new or restored. Creates its learner if it learns and has none.
+  // `clock` measures `compute_seconds` and must outlive this object. REQUIRES: `session` was opened
+  // on this policy, or restored from a session that was.
   AgentSession(std::shared_ptr<const ServedPolicy> served, Session session, const Clock* clock);
 
-  // Decides timestep `step` from `observation` [obs], in environment units, and the reward of the
-  // action before it, which is ignored at step 0. The returned answer lives until the next call
-  // that changes the session.
+  // Decides timestep `step` from `observation` [obs], in environment units, and from `reward`,
+  // which the previous action earned and which is ignored at step 0. The returned answer is valid
+  // until the next call that changes the session.
   //
-  // The last answered step again is a retry: it gets the stored answer, whatever else the request
-  // carries, and nothing is counted twice. Errors leave the session as it was: FAILED_PRECONDITION
-  // for any other step; INVALID_ARGUMENT for an observation of another length or a number that is
-  // not finite.
+  // A request for the step that was answered last is a retry: it returns the stored answer,
+  // whatever its other arguments are, and nothing is counted twice. Errors do not change the
+  // session: FAILED_PRECONDITION for any other step than the next one; INVALID_ARGUMENT for an
+  // observation of the wrong length or a number that is not finite.
   absl::StatusOr<const Answer*> Act(int64_t step, absl::Span<const float> observation,
                                     double reward);
 
-  // Takes a_t into the context, if that is still to be done. Act does it where nobody has; calling
-  // this once the answer has been sent keeps it out of the next answer's latency.
+  // Appends the last action to the engine's context if that is still to be done. Act does it
+  // otherwise: a call after the answer was sent keeps this work out of the latency of the next
+  // answer.
   void AppendPendingAction();
 
-  // One of several calls of Act.
+  // The arguments and the result of one Act among several.
   struct ActCall {
     AgentSession* session = nullptr;
     int64_t step = 0;
     absl::Span<const float> observation;
     double reward = 0.0;
-    absl::StatusOr<const Answer*> answer = nullptr;  // what Act would have returned
-    bool is_retry = false;                           // and so nothing was decided
+    absl::StatusOr<const Answer*> answer = nullptr;  // what Act would return
+    bool is_retry = false;                           // true: `answer` is the stored one
   };
 
-  // Act and AppendPendingAction for several sessions, all distinct, with equal bits: those of one
-  // policy version fetch its weights once. What that takes is divided evenly between their answers'
-  // `compute_seconds`.
+  // As Act and AppendPendingAction, for several different sessions, with results that are equal bit
+  // for bit. Sessions of one policy version load its weights once. The time of their common work is
+  // divided evenly between the `compute_seconds` of their answers.
   static void ActTogether(absl::Span<ActCall> calls);
   static void AppendPendingActions(absl::Span<AgentSession* const> sessions);
 
-  // Replaces the action of the last answer in the history: the window then sees what was really
-  // done. The answer itself stays as it was, for retries. REQUIRES: Act was the last call.
+  // Replaces the action of the last answer in the history by the action that was really executed,
+  // so that later decisions take it into account. Does not change the stored answer, which retries
+  // return. REQUIRES: the last call was Act.
   void OverrideLastAction(const Action& action) { session_.history.ReplaceLastAction(action); }
 
-  // Ends the running episode and makes the session ready for the next, whose first step is 0.
+  // Ends the running episode. The next step is step 0 of the next episode.
   //
-  // The last end again, before the next decision, is a retry: it gets the stored summary, and
-  // nothing is counted or learned twice. Any other end without a decision since the last one is
-  // FAILED_PRECONDITION; a number that is not finite, or an observation of another length, is
-  // INVALID_ARGUMENT. Errors leave the session as it was.
+  // If the last end is repeated before the next decision, it is a retry: the stored summary is
+  // returned, and nothing is counted or learned twice. Errors do not change the session:
+  // FAILED_PRECONDITION for any other end without a decision since the last one; INVALID_ARGUMENT
+  // for a number that is not finite or an observation of the wrong length.
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
 
-  // Has the episodes from the next one on recorded.
+  // Records the episodes that start after this call.
   void RecordTo(std::unique_ptr<EpisodeRecorder> recorder) { recorder_ = std::move(recorder); }
 
-  // Gives the cache back; the next decision rebuilds it.
+  // Frees the engine's context. The next decision rebuilds it.
   void DropContext();
 
-  // For a session that is not used for a while: gives back all memory that its value does not need.
+  // Frees all memory that the session's value does not need. For sessions that have been idle.
   void Compact();
 
   const Session& session() const { return session_; }
 
-  // W - W_base of the head the next decision is made with, [act, d]; empty where it is the
-  // policy's.
+  // Returns W - W_base of the head that the next decision uses, [act, d]; empty if it is the
+  // policy's head.
   std::vector<float> HeadDelta() const;
-  // |W - W_base| / |W_base|.
+  // Returns |W - W_base| / |W_base| of that head.
   double HeadDrift() const;
-  // Of the head it learns, by a guard or an operator; 0 for a frozen session.
+  // Returns how often a guard or an operator rolled back the head that this session learns; 0 for a
+  // frozen session.
   int64_t Rollbacks() const;
 
  private:
   absl::Status CheckRequest(int64_t step, absl::Span<const float> observation, double reward) const;
-  // Of a request for the next step: the reward of step 0 is nobody's.
-  double UsedReward(double reward) const { return session_.step == 0 ? 0.0 : reward; }
+  // Returns the reward that a request for the next step counts: 0 at step 0, where no action was
+  // taken before.
+  double CountedReward(double reward) const { return session_.step == 0 ? 0.0 : reward; }
   double NextReturnToGo(double reward) const;
-  // Whether `call` asks for a new decision; otherwise it has its answer.
+  // Returns whether `call` requires a new decision. Otherwise sets its answer.
   static bool IsNewDecision(ActCall& call);
-  // Decides for sessions of one version.
+  // Decides for sessions of one policy version.
   static void Decide(absl::Span<ActCall* const> calls);
   void RebuildContext();
   absl::Span<const float> EncodedAction(const Action& action, std::vector<float>* encoded) const;
@@ -112,28 +122,29 @@ class AgentSession {
   void ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const;
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
   std::optional<LearningSummary> LearnFromEpisode(const EpisodeEnd& end, double episode_return);
-  void GiveToFleet(double episode_return, LearningSummary* summary);
-  void KeepToItself(double episode_return, LearningSummary* summary);
+  void MergeIntoFleet(double episode_return, LearningSummary* summary);
+  void WatchPrivateHead(double episode_return, LearningSummary* summary);
   void Record(Answer answer, absl::Span<const float> observation, double return_to_go,
               double reward);
 
   std::shared_ptr<const ServedPolicy> served_;
   const Clock* clock_;
   Session session_;
-  std::unique_ptr<Engine::Context> context_;  // null: to be rebuilt
-  std::optional<Linear> head_;  // its own; absent where the policy's or fleet's serves
+  std::unique_ptr<Engine::Context> context_;  // null: rebuilt by the next decision
+  std::optional<Linear> head_;  // private head; absent: the policy's or the fleet's head is used
   std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded
-  bool action_pending_ = false;                // the context still lacks the last timestep's action
+  bool action_pending_ = false;                // true: the context lacks the last timestep's action
 };
 
-// A new session's value, at step 0 of its first episode.
+// Returns the value of a new session at step 0 of its first episode.
 Session NewSession(std::string id, SessionOptions options);
 
-// INVALID_ARGUMENT names `field` unless `target_return` is finite as the float the model reads.
+// Returns INVALID_ARGUMENT unless `target_return` is finite as a float32, the type that the model
+// reads.
 absl::Status CheckTargetReturn(double target_return);
 
-// The figure a decision's `energy_joules` reports: spike_5pj, or horowitz_45nm for a dense policy,
-// which has no spikes. An estimate.
+// Returns the estimate that `energy_joules` of a decision reports: spike_5pj, or horowitz_45nm for
+// a dense policy, which has no spikes.
 double PrimaryEnergy(const Counts& counts, bool dense);
 
 }  // namespace spikeserve

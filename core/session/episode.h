@@ -1,4 +1,4 @@
-// How an episode ends, and what it came to.
+// Defines the end of an episode and its summary. Plain values.
 #ifndef CORE_SESSION_EPISODE_H_
 #define CORE_SESSION_EPISODE_H_
 
@@ -11,38 +11,40 @@
 
 namespace spikeserve {
 
-// How an episode ends.
+// The arguments of EndEpisode.
 struct EpisodeEnd {
-  double reward = 0.0;      // for the last action
-  bool terminated = false;  // unless the episode was cut off; see learner.h
-  std::optional<double> target_return = std::nullopt;  // G_0 of the next; absent: the session's own
-  // For recordings alone.
+  double reward = 0.0;      // of the last action
+  bool terminated = false;  // false: the episode was cut off; see learner.h
+  // G_0 of the next episode; absent: the session's default.
+  std::optional<double> target_return = std::nullopt;
+  // Used only by recordings:
   bool truncated = false;
-  std::vector<float> observation = {};  // [obs], what the last action led to; empty: unknown
+  std::vector<float> observation = {};  // [obs]: observation after the last action; empty: unknown
 
   friend bool operator==(const EpisodeEnd&, const EpisodeEnd&) = default;
 };
 
-// What a learning session took from an episode.
+// What a session learned in an episode.
 struct LearningSummary {
   Scope scope = Scope::kSession;
-  int64_t updates = 0;          // of the head; scope fleet: gathered for it
-  int64_t rejected = 0;         // updates refused as not finite
-  double head_drift = 0.0;      // of the head the session plays on
-  ReturnStatistics returns;     // mu and sigma^2, the episode taken in
-  bool rolled_back = false;     // the guard put back the last good head
+  int64_t updates = 0;          // applied to the head; scope fleet: to the contribution
+  int64_t rejected = 0;         // updates that were refused because they were not finite
+  double head_drift = 0.0;      // of the head that the session uses
+  ReturnStatistics returns;     // mu and sigma^2, with this episode included
+  bool rolled_back = false;     // the guard restored the last good head
   double watched_return = 0.0;  // level of the guard's last window; see return_guard.h
 };
 
+// The totals of an episode.
 struct EpisodeSummary {
   double episode_return = 0.0;
   int64_t steps = 0;
   uint64_t spikes = 0;
-  double energy_joules = 0.0;               // estimate, see PrimaryEnergy()
+  double energy_joules = 0.0;               // estimate; see PrimaryEnergy()
   std::optional<LearningSummary> learning;  // absent for a frozen session
 };
 
-// An end and its answer, kept so that a retry gets it again.
+// The end of an episode and its summary, stored so that a retry gets the same summary.
 struct EndedEpisode {
   EpisodeEnd end;
   EpisodeSummary summary;

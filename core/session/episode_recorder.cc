@@ -71,7 +71,7 @@ void EpisodeRecorder::OnEnd(double reward, absl::Span<const float> observation, 
   }
   episode.terminated = terminated;
   episode.truncated = truncated || !terminated;
-  HandIn();
+  PassToSink();
 }
 
 void EpisodeRecorder::CutOff() {
@@ -84,10 +84,10 @@ void EpisodeRecorder::CutOff() {
   served.probabilities.resize(served.probabilities.size() / (steps + 1) * steps);
   served.spikes.pop_back();
   episode.truncated = true;
-  HandIn();
+  PassToSink();
 }
 
-void EpisodeRecorder::HandIn() {
+void EpisodeRecorder::PassToSink() {
   Dataset dataset = *std::move(running_);
   running_.reset();
   if (dataset.episodes[0].steps() > 0) sink_(std::move(dataset));

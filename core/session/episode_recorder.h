@@ -1,6 +1,6 @@
-// Collects the episodes of one session while they are played, for a file or whoever wants them.
+// Records the episodes of one session while they are played.
 //
-// Not thread-safe: it is used where its session is.
+// Not thread-safe: protected by the same lock as its session.
 #ifndef CORE_SESSION_EPISODE_RECORDER_H_
 #define CORE_SESSION_EPISODE_RECORDER_H_
 
@@ -15,41 +15,43 @@
 
 namespace spikeserve {
 
+// Passes every finished episode to a sink.
 class EpisodeRecorder {
  public:
-  // An episode of more steps is cut off there, to bound what one client can make the server keep.
+  // A longer episode is cut off after this number of steps, to limit the memory that one client can
+  // occupy.
   static constexpr int kLongestEpisode = 100'000;
 
-  // Gets every episode with at least one whole step, as a dataset of one. Called where a decision
-  // may wait for it, so it must be quick and never block.
+  // Receives every episode of at least one complete step, as a dataset of one episode. A decision
+  // may wait for the sink, so it must be quick and must never block.
   using Sink = std::function<void(Dataset)>;
 
   EpisodeRecorder(std::shared_ptr<const ServedPolicy> served, Sink sink);
 
-  // Hands in what was cut off.
+  // Cuts off the running episode and passes it to the sink.
   ~EpisodeRecorder();
   EpisodeRecorder(const EpisodeRecorder&) = delete;
   EpisodeRecorder& operator=(const EpisodeRecorder&) = delete;
 
-  // `session` has just answered with its last_answer; `reward` was for the action before. Recording
-  // begins with an episode.
+  // Records the answer that `session` has just given, its last_answer. `reward` was earned by the
+  // action before it. Ignores decisions until the first step 0.
   void OnDecision(const Session& session, absl::Span<const float> observation, double reward);
 
-  // `reward` and `observation` are what the last action led to; without an observation the last one
-  // is recorded as not a number. What has not terminated is recorded as truncated.
+  // Ends the running episode. `reward` and `observation` are the results of the last action; if
+  // `observation` is empty, NaN is recorded in its place. An episode that has not terminated is
+  // recorded as truncated.
   void OnEnd(double reward, absl::Span<const float> observation, bool terminated, bool truncated);
 
  private:
   void Start(const Session& session);
-  void HandIn();
+  void PassToSink();
 
-  // Nobody will tell the last action's reward any more: the episode is recorded, truncated, up to
-  // the observation before that action.
+  // Ends the running episode as truncated, without its last action, whose reward is not known.
   void CutOff();
 
   const std::shared_ptr<const ServedPolicy> served_;
   const Sink sink_;
-  std::optional<Dataset> running_;  // of one episode; absent where none is recorded
+  std::optional<Dataset> running_;  // of one episode; absent: none is being recorded
 };
 
 }  // namespace spikeserve

@@ -10,7 +10,7 @@
 namespace spikeserve {
 namespace {
 
-// The history's tokens up to the last state.
+// Returns the tokens of the session's history, up to the last state token.
 PrefixContext TokensOf(const Policy& policy, const Session& session) {
   const auto timesteps = static_cast<int64_t>(session.history.size());
   PrefixContext prefix(session.options.seed, session.step - timesteps);

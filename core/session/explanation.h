@@ -1,4 +1,4 @@
-// A session's last decision from the inside, recomputed from the session's value alone.
+// Explains a session's last decision by recomputing it from the session's value.
 #ifndef CORE_SESSION_EXPLANATION_H_
 #define CORE_SESSION_EXPLANATION_H_
 
@@ -11,14 +11,15 @@
 
 namespace spikeserve {
 
+// The recomputed decision with its trace.
 struct Explanation {
-  std::vector<float> readout;  // [d]: what the action head saw
+  std::vector<float> readout;  // [d]: input of the action head
   Trace trace;                 // its spikes add up, stage by stage, to the answer's counts
 };
 
-// Explains `session.last_answer`, which `policy` gave. Takes about a thousand times as long
-// as the decision did. Thread-safe. FAILED_PRECONDITION where the running episode has no decision
-// yet; INTERNAL if the decision comes out otherwise than it was answered.
+// Recomputes `session.last_answer`, which `policy` gave. Takes about a thousand times as long as
+// the decision. Thread-safe. FAILED_PRECONDITION if the running episode has no decision yet;
+// INTERNAL if the counts of the recomputed decision differ from those of the answer.
 absl::StatusOr<Explanation> Explain(const Policy& policy, const Session& session);
 
 }  // namespace spikeserve

@@ -1,7 +1,7 @@
-// Values with fields (session_fields.h) as JSON arrays of their members, and back.
+// Converts values with fields (session_fields.h) to JSON arrays of their members, and back.
 //
-// Names do not outweigh numbers, and numbers are exact: CBOR keeps the bits of a double, and every
-// float is one.
+// Arrays are compact, because they do not contain the names of the members. Numbers are exact,
+// because CBOR keeps the bits of a double and every float is a double.
 #ifndef CORE_SESSION_FIELD_CODEC_H_
 #define CORE_SESSION_FIELD_CODEC_H_
 
@@ -30,7 +30,7 @@ namespace spikeserve::codec {
 
 using Json = nlohmann::json;
 
-// Writing.
+// Write() returns the JSON form of a value.
 
 template <typename T>
 Json Write(const T& value) {
@@ -66,8 +66,7 @@ Json Write(const T& value) {
   return json;
 }
 
-// Reading: the first thing that is wrong becomes the status, named by its path.
-
+// Reads values from JSON. Stores the first error, which names the path of the wrong value.
 class Reader {
  public:
   const absl::Status& status() const { return status_; }

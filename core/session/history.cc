@@ -42,7 +42,8 @@ void History::Append(float return_to_go, absl::Span<const float> observation, co
   }
   size_t row = oldest_;
   if (size() < limit) {
-    // The newest is the last row as long as the ring is not closed, and stays so.
+    // Until the ring is full, the newest timestep is the last row. Rotating restores this order if
+    // an earlier call had a smaller limit.
     std::rotate(cells_.begin(), cells_.begin() + static_cast<ptrdiff_t>(oldest_ * stride_),
                 cells_.end());
     oldest_ = 0;

@@ -1,4 +1,5 @@
-// One policy version as it is served: its engine, and who is told what its sessions do.
+// Defines one policy version as it is served: its engine, the learning that its sessions share, and
+// the observer of its sessions.
 #ifndef CORE_SESSION_SERVED_POLICY_H_
 #define CORE_SESSION_SERVED_POLICY_H_
 
@@ -18,9 +19,9 @@
 
 namespace spikeserve {
 
-// Told once of everything that counts: retries, failed requests and rebuilt caches are not heard
-// of. Implementations are safe to call from many threads, quick, and never call back into a
-// session.
+// Observes the sessions of a policy. Every event is reported once; retries, failed requests and
+// rebuilt caches are not reported. Implementations are thread-safe, return quickly, and never call
+// back into a session.
 class SessionObserver {
  public:
   virtual ~SessionObserver() = default;
@@ -29,23 +30,24 @@ class SessionObserver {
   virtual void OnDecision(const Answer& /*answer*/) {}
   virtual void OnEpisodeEnd(double /*episode_return*/) {}
   virtual void OnHeadUpdate(UpdateOutcome /*outcome*/) {}
-  virtual void OnLearned(const LearningSummary& /*summary*/) {}  // a learning episode has ended
+  virtual void OnLearned(const LearningSummary& /*summary*/) {}  // end of an episode with learning
   virtual void OnClose() {}
 };
 
-// Whether the sessions of a policy learn. Thread-safe.
+// Pauses and resumes the learning of a policy's sessions. Thread-safe.
 class LearningSwitch {
  public:
   bool paused() const { return paused_.load(std::memory_order_relaxed); }
 
-  // Waits for the merges under way: once it returns, a paused policy's shared heads stand still.
+  // Sets the switch. Waits for running merges, so after a pause no shared head of the policy
+  // changes any more.
   void set_paused(bool paused) ABSL_LOCKS_EXCLUDED(merging_) {
     const absl::WriterMutexLock lock(&merging_);
     paused_.store(paused, std::memory_order_relaxed);
   }
 
-  // Calls `merge`, which changes a shared head, beside those of other threads. False, and it is not
-  // called, where learning is paused.
+  // Calls `merge`, which changes a shared head, and returns true. Returns false without calling it
+  // if learning is paused. Several threads may merge at the same time.
   bool MergeUnlessPaused(absl::FunctionRef<void()> merge) ABSL_LOCKS_EXCLUDED(merging_) {
     const absl::ReaderMutexLock lock(&merging_);
     if (paused()) return false;
@@ -58,15 +60,15 @@ class LearningSwitch {
   std::atomic<bool> paused_ = false;
 };
 
-// Immutable and shared, but for what its sessions learn together; a session holds on to the version
-// it was opened with.
+// Immutable and shared, except for what its sessions learn together. A session keeps the version
+// that it was opened with.
 struct ServedPolicy {
   std::string name;
   int64_t version = 0;  // >= 1
   std::shared_ptr<const Engine> engine;
   std::shared_ptr<SessionObserver> observer;
   std::shared_ptr<FleetHead> fleet;
-  // Of all versions of the policy that are served at a time.
+  // Shared by all versions of the policy that are served at the same time.
   std::shared_ptr<LearningSwitch> learning = std::make_shared<LearningSwitch>();
 
   const Policy& policy() const { return engine->policy(); }

@@ -18,7 +18,7 @@ using codec::Json;
 constexpr char kFormat[] = "spikeserve.session.v1";
 constexpr int kMaxDepth = 8;
 
-// Refuses what is nested deeper than any session, before a recursive parser goes down there.
+// Rejects input that is nested deeper than any session, before the recursive parser reads it.
 class DepthChecker : public nlohmann::json_sax<Json> {
  public:
   bool null() override { return true; }
@@ -46,7 +46,7 @@ absl::Status Inconsistent(absl::string_view field, absl::string_view expected, i
       absl::StrCat("session.", field, ": expected ", expected, ", received ", received));
 }
 
-// What holds of every learner: one size for everything of the head's shape.
+// Checks that all arrays of the head's shape have one size, and the ranges of the other members.
 absl::Status CheckLearner(const LearningOptions& options, const Learner& learner) {
   const auto size = static_cast<int64_t>(learner.head_delta.size());
   const int64_t sums = options.modulator == Modulator::kRealized ? size : 0;
@@ -74,7 +74,7 @@ absl::Status CheckLearner(const LearningOptions& options, const Learner& learner
   return absl::OkStatus();
 }
 
-// What holds of every session between two requests.
+// Checks the invariants of a session between two requests.
 absl::Status CheckInvariants(const Session& session) {
   if (session.options.version < 1) {
     return Inconsistent("options.version", "at least 1", session.options.version);

@@ -1,7 +1,8 @@
-// A session as a plain value: everything that one remote agent's past means for its future.
+// Defines a session as a plain value: all of an agent's past that influences its future.
 //
-// It can be written out, moved to another process and restored, and goes on bit for bit as it would
-// have. Keys and values are not here: they are a cache (Engine::Context) that the history rebuilds.
+// It can be serialized, moved to another process and restored, and then continues bit for bit as it
+// would have. Keys and values are not part of it: they are a cache (Engine::Context) that is
+// rebuilt from the history.
 #ifndef CORE_SESSION_SESSION_H_
 #define CORE_SESSION_SESSION_H_
 
@@ -23,7 +24,7 @@
 
 namespace spikeserve {
 
-// The answer to one Act, kept so that a retry gets it byte for byte.
+// The answer to one Act, stored so that a retry gets the same bytes.
 struct Answer {
   int64_t step = 0;
   Action action;
@@ -31,52 +32,54 @@ struct Answer {
   float return_to_go = 0.0f;         // what the decision was conditioned on
   Counts counts;
   double compute_seconds = 0.0;
-  std::vector<float> logits;  // of the head as it was when it decided
+  std::vector<float> logits;  // of the head at the time of the decision
 
   friend bool operator==(const Answer&, const Answer&) = default;
 };
 
-// What is fixed when a session opens.
+// The properties of a session that are fixed when it is opened.
 struct SessionOptions {
   std::string policy;
   int64_t version = 0;         // resolved, >= 1
-  double target_return = 0.0;  // G_0 of each episode that names no other
+  double target_return = 0.0;  // G_0 of every episode that sets no other
   uint64_t seed = 0;
   ActionSelection action_selection;
   std::map<std::string, std::string> labels;
-  std::string tenant;  // whose session it is; empty where the server has no tenants
-  std::optional<LearningOptions> learning;  // absent: the head stays as it is
-  std::vector<float> head_delta;  // [act, d]: what the head starts as beyond W_base; empty: W_base
+  std::string tenant;  // owner of the session; empty if the server has no tenants
+  std::optional<LearningOptions> learning;  // absent: the head is frozen
+  // [act, d]: initial value of W - W_base; empty: zero.
+  std::vector<float> head_delta;
 };
 
+// The value of a session.
 struct Session {
   std::string id;
   SessionOptions options;
 
   // The running episode.
-  int64_t episode = 0;         // counts from 0
-  int64_t step = 0;            // decisions answered in this episode, so also the step expected next
-  double target_return = 0.0;  // G_0 of this episode
-  double return_to_go = 0.0;   // of the last answered decision; target_return before the first
-  double episode_return = 0.0;  // rewards received so far
+  int64_t episode = 0;  // index of the episode, from 0
+  int64_t step = 0;     // decisions answered in this episode, which is the next step expected
+  double target_return = 0.0;   // G_0 of this episode
+  double return_to_go = 0.0;    // of the last answered decision; target_return before the first
+  double episode_return = 0.0;  // sum of the rewards received so far
   uint64_t episode_spikes = 0;
   double episode_energy_joules = 0.0;
-  History history;  // the last timesteps, at most HistorySize() of them
+  History history;  // last timesteps, at most HistorySize()
   std::optional<Answer> last_answer;
-  // Of the episode before, until this one's first decision; null otherwise.
+  // End of the previous episode, until the first decision of this one; null otherwise.
   std::shared_ptr<const EndedEpisode> last_end;
 
   // Over the session's life.
-  uint64_t decisions =
-      0;  // also the counter of its random draws, keyed by (options.seed, decisions)
+  uint64_t decisions = 0;  // all decisions; with options.seed, the key of its random draws
   uint64_t spikes = 0;
   double energy_joules = 0.0;
-  std::optional<Learner> learner;  // present where options.learning is
+  std::optional<Learner> learner;  // present if and only if options.learning is
 };
 
-// A compact binary form (CBOR) and back, equal bit for bit. INVALID_ARGUMENT if `bytes` is not such
-// a form.
+// Converts a session to a compact binary form (CBOR).
 std::string SerializeSession(const Session& session);
+// Converts the binary form back to a session that is equal bit for bit. INVALID_ARGUMENT if `bytes`
+// is not such a form or not a possible session.
 absl::StatusOr<Session> ParseSession(const std::string& bytes);
 
 }  // namespace spikeserve

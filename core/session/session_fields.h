@@ -1,6 +1,6 @@
-// What a session's binary form holds: the members of every struct in it, in their order.
+// Lists the members of every struct in a session's binary form, in order.
 //
-// Writer and reader share these lists. A change of one is a change of the format.
+// The writer and the reader share these lists. Changing a list changes the format.
 #ifndef CORE_SESSION_SESSION_FIELDS_H_
 #define CORE_SESSION_SESSION_FIELDS_H_
 
@@ -11,7 +11,7 @@
 
 namespace spikeserve {
 
-// `visit(name, member)` for every member in turn; `T` is S or const S.
+// Each function below calls `visit(name, member)` for every member in order. `T` is S or const S.
 template <typename T, typename S>
 concept Is = std::same_as<std::remove_const_t<T>, S>;
 
@@ -185,6 +185,7 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("learner", session.learner);
 }
 
+// Is satisfied by types that have an overload of VisitFields().
 template <typename T>
 concept HasFields = requires(T& value) {
   VisitFields(value, [](const char*, auto&) {});

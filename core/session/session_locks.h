@@ -1,4 +1,4 @@
-// Several sessions' locks, held at a time.
+// Locks several sessions at once.
 #ifndef CORE_SESSION_SESSION_LOCKS_H_
 #define CORE_SESSION_SESSION_LOCKS_H_
 
@@ -13,12 +13,16 @@
 
 namespace spikeserve {
 
-// Takes the locks by address, whatever the order of the entries, so that two who want the same
-// sessions never wait for each other. An entry may be there twice. Clang cannot follow a lock that
-// is one of many: whoever uses a session asserts it.
+// Takes the locks in the order of their addresses, whatever the order of the entries is, so that
+// two threads that lock the same sessions cannot deadlock. An entry may occur twice. Clang's
+// thread-safety analysis cannot follow locks in a container, so callers assert the lock of a
+// session before they use it:
+//
+//   const SessionLocks locks(entries);
+//   entries[0]->mutex.AssertHeld();
 class SessionLocks {
  public:
-  // REQUIRES: the thread holds no session's lock.
+  // REQUIRES: the calling thread holds no session's lock.
   explicit SessionLocks(absl::Span<const std::shared_ptr<SessionEntry>> entries)
       ABSL_NO_THREAD_SAFETY_ANALYSIS {
     for (const auto& entry : entries) held_.push_back(entry);

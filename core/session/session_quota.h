@@ -1,4 +1,4 @@
-// How many sessions somebody may have open at a time.
+// Limits how many sessions may be open at a time.
 #ifndef CORE_SESSION_SESSION_QUOTA_H_
 #define CORE_SESSION_SESSION_QUOTA_H_
 
@@ -6,15 +6,15 @@
 
 namespace spikeserve {
 
-// Implementations are safe to call from many threads, and quick.
+// Implementations are thread-safe and return quickly.
 class SessionQuota {
  public:
   virtual ~SessionQuota() = default;
 
-  // Counts a session that opens. RESOURCE_EXHAUSTED where there may be no more.
+  // Counts a session that is opened. RESOURCE_EXHAUSTED if the limit is reached.
   virtual absl::Status Acquire() = 0;
 
-  // Counts the end of one that was taken.
+  // Counts the end of a session for which Acquire returned OK.
   virtual void Release() = 0;
 };
 

@@ -1,4 +1,4 @@
-// Compacts the idle sessions of a store, and in the end takes them out, in a thread of its own.
+// Compacts the idle sessions of a store and finally removes them, in a thread of its own.
 #ifndef CORE_SESSION_SESSION_REAPER_H_
 #define CORE_SESSION_SESSION_REAPER_H_
 
@@ -12,17 +12,17 @@
 
 namespace spikeserve {
 
-// What becomes of a session that nobody uses, and when.
+// Idle times after which a session is compacted and removed.
 struct IdleLimits {
   absl::Duration compact_after;
   absl::Duration time_to_live;
 };
 
+// Runs the thread from construction to destruction.
 class SessionReaper {
  public:
-  // Looks through `store` four times within the shorter limit, and tells `on_reaped` how many
-  // sessions went, where any did. `store` must outlive the reaper; `on_reaped` is called from its
-  // thread.
+  // Scans `store` four times within the shorter of the two limits. If sessions were removed, calls
+  // `on_reaped` with their number, from the reaper's thread. `store` must outlive the reaper.
   SessionReaper(SessionStore* store, const IdleLimits& limits,
                 std::function<void(int64_t)> on_reaped);
 

@@ -16,8 +16,8 @@
 namespace spikeserve {
 namespace {
 
-// Tells those who count that a session has left the store.
-void Ended(const SessionEntry& entry) {
+// Tells the observer and the quota that a session has left the store.
+void NotifyClosed(const SessionEntry& entry) {
   entry.served->observer->OnClose();
   if (entry.quota != nullptr) entry.quota->Release();
 }
@@ -109,7 +109,7 @@ std::shared_ptr<SessionEntry> SessionStore::Peek(absl::string_view id) {
 }
 
 absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant) {
-  std::shared_ptr<SessionEntry> entry;  // released outside the lock
+  std::shared_ptr<SessionEntry> entry;  // destroyed outside the lock
   Shard& shard = ShardOf(id);
   {
     absl::MutexLock lock(&shard.mutex);
@@ -119,7 +119,7 @@ absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant)
     shard.slots.erase(it);
   }
   size_.fetch_sub(1);
-  Ended(*entry);
+  NotifyClosed(*entry);
   return absl::OkStatus();
 }
 
@@ -139,20 +139,20 @@ std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const Sessi
 
 int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
   const absl::Duration oldest = clock_->Now() - time_to_live;
-  std::vector<std::shared_ptr<SessionEntry>> idle;  // released outside the locks
+  std::vector<std::shared_ptr<SessionEntry>> idle;  // destroyed outside the locks
   for (Shard& shard : shards_) {
     absl::MutexLock lock(&shard.mutex);
     absl::erase_if(shard.slots, [&](auto& item) {
       Slot& slot = item.second;
-      // New holders come through Find alone, which needs this mutex, so a count of one is the
-      // store's and stays so.
+      // References are taken only under this mutex, so a count of one is the store's own and stays
+      // one.
       if (slot.last_used > oldest || slot.entry.use_count() > 1) return false;
       idle.push_back(std::move(slot.entry));
       return true;
     });
   }
   size_.fetch_sub(static_cast<int64_t>(idle.size()));
-  for (const auto& entry : idle) Ended(*entry);
+  for (const auto& entry : idle) NotifyClosed(*entry);
   return static_cast<int64_t>(idle.size());
 }
 

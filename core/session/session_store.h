@@ -1,8 +1,8 @@
-// The live sessions of a server, by id.
+// Stores the open sessions of a server by id.
 //
-// Thread-safe. Ids are spread over shards, each with a mutex that is held for a lookup only; a
-// decision holds the mutex of its own session and no other. Lock order: no mutex of the store is
-// ever held while a session's is taken.
+// Thread-safe. Ids are distributed over shards, each with a mutex that is held only for a lookup. A
+// decision holds only the mutex of its session. Lock order: a thread that takes a session's mutex
+// holds no mutex of the store.
 #ifndef CORE_SESSION_SESSION_STORE_H_
 #define CORE_SESSION_SESSION_STORE_H_
 
@@ -29,8 +29,8 @@
 
 namespace spikeserve {
 
-// A session with the lock that lets one request at a time use it. Outlives its place in the store
-// for as long as a request holds on to it.
+// A session, and the lock that admits one request at a time. Outlives its place in the store as
+// long as a request holds a reference.
 struct SessionEntry {
   SessionEntry(std::shared_ptr<const ServedPolicy> policy, Session session, const Clock* clock)
       : served(policy),
@@ -38,71 +38,77 @@ struct SessionEntry {
         agent(std::move(policy), std::move(session), clock) {}
 
   const std::shared_ptr<const ServedPolicy> served;
-  const std::string tenant;  // whose it is
-  // Null: none. Set before anyone else sees the entry.
+  const std::string tenant;  // owner of the session
+  // Null: none. Set before the entry is shared.
   std::shared_ptr<ShadowSession> shadow;
   std::shared_ptr<SessionQuota> quota;
   absl::Mutex mutex;
   AgentSession agent ABSL_GUARDED_BY(mutex);
-  std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);  // that the shadow is still to see
+  // Steps that the shadow has not processed yet.
+  std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);
 };
 
-// What a session may be opened with, beside its policy and options.
+// Optional properties of a new session, beside its policy and options.
 struct SessionExtras {
-  std::string id;                                       // from NewSessionId(); empty: a new one
-  std::shared_ptr<ShadowSession> shadow;                // null: none
-  std::shared_ptr<SessionQuota> quota;                  // that it counts against; null: none
+  std::string id;                         // from NewSessionId(); empty: created by Open
+  std::shared_ptr<ShadowSession> shadow;  // null: none
+  std::shared_ptr<SessionQuota> quota;    // quota that the session counts against; null: none
   std::unique_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
 };
 
-// NOT_FOUND: nobody the caller may know of has this id.
+// Returns NOT_FOUND: no session with this id is visible to the caller.
 absl::Status NoSuchSession(absl::string_view id);
 
-// 128 random bits in hexadecimal, from the kernel, so that nobody can guess another agent's
-// session.
+// Returns 128 random bits from the kernel in hexadecimal, so that the ids of other agents' sessions
+// cannot be guessed.
 absl::StatusOr<std::string> NewSessionId();
 
-// One line of SessionStore::List.
+// One element of the result of SessionStore::List.
 struct ListedSession {
   std::string id;
   std::shared_ptr<SessionEntry> entry;
   absl::Duration idle;  // since the last Find
 };
 
+// A sharded map from ids to sessions.
 class SessionStore {
  public:
   // `clock` must outlive the store and every entry.
   SessionStore(int64_t max_sessions, const Clock* clock);
 
-  // Opens a session and returns its id. RESOURCE_EXHAUSTED where max_sessions are open or the quota
-  // is used up; ALREADY_EXISTS where one of its id is open; UNAVAILABLE while draining.
+  // Opens a session and returns its id. RESOURCE_EXHAUSTED if max_sessions are open or the quota is
+  // used up; ALREADY_EXISTS if a session with the id of `extras` is open; UNAVAILABLE while
+  // draining.
   absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
                                    SessionOptions options, SessionExtras extras = {});
 
-  // Whether sessions can be opened; those that are open go on either way.
+  // Refuses new sessions while `draining`. Open sessions continue.
   void SetDraining(bool draining) { draining_.store(draining, std::memory_order_relaxed); }
   bool draining() const { return draining_.load(std::memory_order_relaxed); }
 
-  // The session, marked as used now. NOT_FOUND where `tenant` has none of this id.
+  // Looks up a session of `tenant` and resets its idle timer. NOT_FOUND if the tenant has no
+  // session with this id.
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id,
                                                      absl::string_view tenant = "");
 
-  // The session, whoever's it is, without counting as a use; null where there is none of this id.
+  // Looks up a session of any tenant without resetting its idle timer. Returns null if the id is
+  // unknown.
   std::shared_ptr<SessionEntry> Peek(absl::string_view id);
 
-  // Takes the session out. NOT_FOUND where `tenant` has none of this id.
+  // Removes a session of `tenant`. NOT_FOUND if the tenant has no session with this id.
   absl::Status Close(absl::string_view id, absl::string_view tenant = "");
 
-  // The open sessions that `wanted` says yes to, by id. Leaves when they were used last as it is.
-  // `wanted` is called under a lock, must be quick, and leaves the session's own lock alone.
+  // Returns the open sessions for which `wanted` returns true, sorted by id, without resetting
+  // their idle timers. `wanted` is called under a lock of the store: it must be quick and must not
+  // take a session's lock.
   std::vector<ListedSession> List(absl::FunctionRef<bool(const SessionEntry&)> wanted);
 
-  // Takes out every session that nobody holds and nobody has used for `time_to_live`; returns how
-  // many.
+  // Removes every session that no request holds and that was not used for `time_to_live`. Returns
+  // how many.
   int64_t RemoveIdle(absl::Duration time_to_live);
 
-  // Compacts every session that nobody holds and nobody has used for `idle_for`, once until it is
-  // used again; returns how many. It goes on bit for bit as it would have.
+  // Compacts every session that no request holds and that was not used for `idle_for`, once until
+  // it is used again. Returns how many. Does not change the sessions' answers.
   int64_t CompactIdle(absl::Duration idle_for);
 
   int64_t size() const { return size_.load(std::memory_order_relaxed); }
@@ -110,8 +116,8 @@ class SessionStore {
  private:
   struct Slot {
     std::shared_ptr<SessionEntry> entry;
-    absl::Duration last_used;  // on the clock
-    bool compacted = false;    // since then
+    absl::Duration last_used;  // time of the clock
+    bool compacted = false;    // since `last_used`
   };
   struct Shard {
     absl::Mutex mutex;

@@ -15,7 +15,7 @@ std::shared_ptr<const ServedPolicy> Unobserved(const ServedPolicy& candidate) {
 
 SessionOptions ShadowOptions(const ServedPolicy& candidate, SessionOptions options) {
   options.version = candidate.version;
-  options.learning = std::nullopt;  // its head must not drift by rewards of another's actions
+  options.learning = std::nullopt;  // the rewards are those of the serving version's actions
   return options;
 }
 

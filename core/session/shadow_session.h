@@ -1,5 +1,6 @@
-// A candidate version beside a session that another version serves: it decides what it would have
-// answered, and goes on with the action that was really taken. Nobody is ever sent its answers.
+// Runs a candidate version beside a session that another version serves. The candidate decides what
+// it would have answered, and then continues with the action that was really taken. Its answers are
+// never sent to a client.
 //
 // Not thread-safe: one caller at a time.
 #ifndef CORE_SESSION_SHADOW_SESSION_H_
@@ -16,35 +17,38 @@
 
 namespace spikeserve {
 
-// One decision of the session that serves.
+// One decision of the serving session.
 struct ShadowStep {
   int64_t episode = 0;
   int64_t step = 0;
   std::vector<float> observation;  // environment units
   double reward = 0.0;
   double target_return = 0.0;  // of the episode
-  Answer served;               // what was answered
+  Answer served;               // the answer that was sent
 };
 
+// The candidate's session.
 class ShadowSession {
  public:
-  // `candidate` has the spaces of the policy that serves; `options` are those of its session.
-  // `clock` must outlive this object.
+  // `candidate` must have the observation and action spaces of the serving policy; `options` are
+  // those of the serving session. `clock` must outlive this object.
   ShadowSession(const ServedPolicy& candidate, const SessionOptions& options, const Clock* clock);
 
-  // The candidate's answer to `step`, which lives until the next call. Step 0 starts an episode.
-  // FAILED_PRECONDITION where a step before it is missing: then the rest of the episode is lost.
+  // Returns the candidate's answer to `step`, which is valid until the next call. Step 0 starts an
+  // episode. FAILED_PRECONDITION if an earlier step of the episode is missing; the rest of this
+  // episode cannot be shadowed then.
   absl::StatusOr<const Answer*> Act(const ShadowStep& step);
 
   const ServedPolicy& candidate() const { return *candidate_; }
 
  private:
-  const std::shared_ptr<const ServedPolicy> candidate_;  // with an observer that counts nothing
+  const std::shared_ptr<const ServedPolicy> candidate_;  // with an observer that ignores all events
   AgentSession agent_;
-  int64_t episode_ = 0;  // of the session that serves
+  int64_t episode_ = 0;  // of the serving session
 };
 
-// Whether two answers are the same action; for a Box, within 1% of the range of every element.
+// Returns whether two actions agree: equal indices, or for a Box, a difference of at most 1% of the
+// range in every element.
 bool Agree(const Action& a, const Action& b, const ActionSpace& space);
 
 }  // namespace spikeserve
