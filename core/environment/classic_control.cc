@@ -21,7 +21,7 @@ std::vector<float> ClassicControl::ResetTo(absl::Span<const double> state) {
 }
 
 StepResult ClassicControl::Step(const Action& action) {
-  assert(running_ && "Step needs a Reset first, and again after an episode's end");
+  assert(running_ && "call Reset before the first Step, and again after the end of an episode");
   const double reward = Advance(action, absl::MakeSpan(state_));
   ++steps_;
   StepResult result = {.observation = Observe(state_),

@@ -39,9 +39,9 @@ absl::StatusOr<Explanation> Explain(const Policy& policy, const Session& session
   TraceDecision(policy, TokensOf(policy, session), &output, &explanation.trace);
   if (output.counts != session.last_answer->counts) {
     return absl::InternalError(
-        absl::StrCat("the decision at step ", session.last_answer->step, " was answered with ",
-                     session.last_answer->counts.total_spikes(), " spikes and recomputed with ",
-                     output.counts.total_spikes(), ", or its operations differ"));
+        absl::StrCat("counts: expected those of the answer at step ", session.last_answer->step,
+                     " (", session.last_answer->counts.total_spikes(), " spikes), received ",
+                     output.counts.total_spikes(), " spikes, or other operations"));
   }
   explanation.readout = std::move(output.readout);
   return explanation;

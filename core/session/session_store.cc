@@ -45,7 +45,8 @@ SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
 absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolicy> served,
                                                SessionOptions options, SessionExtras extras) {
   if (draining()) {
-    return absl::UnavailableError("draining: the server takes no new sessions; try another");
+    return absl::UnavailableError(
+        "draining: this server opens no new sessions; try another server");
   }
   absl::StatusOr<std::string> id = std::move(extras.id);
   if (id->empty()) id = NewSessionId();

@@ -33,7 +33,8 @@ absl::StatusOr<const Answer*> ShadowSession::Act(const ShadowStep& step) {
   }
   if (step.step == 0) episode_ = step.episode;
   if (step.episode != episode_) {
-    return absl::FailedPreconditionError("step: the episode's first decision was missed");
+    return absl::FailedPreconditionError(
+        "step: expected an episode that was shadowed from step 0, received a later step");
   }
   const auto answer = agent_.Act(step.step, step.observation, step.reward);
   if (answer.ok()) agent_.OverrideLastAction(step.served.action);
