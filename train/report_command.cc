@@ -74,10 +74,12 @@ absl::Status ReportCommand(const std::string& command_line) {
   if (!sweeps.ok()) return sweeps.status();
   const Report report = WriteReport(*options, command_line, *modes, *sweeps);
   absl::Status status = WriteFileAtomically(options->directory + "/report.md", {report.markdown});
-  status.Update(WriteFileAtomically(options->directory + "/report.html", {report.html}));
+  status.Update(
+      WriteFileAtomically(options->directory + "/figures.json", {report.figures.dump(1), "\n"}));
   if (!status.ok()) return status;
-  std::printf("%s/report.md\n%s/report.html\n", options->directory.c_str(),
-              options->directory.c_str());
+  std::printf("%s/report.md\n%s/figures.json\nDraw the figures with: %s\n",
+              options->directory.c_str(), options->directory.c_str(),
+              PlotCommand(options->directory).c_str());
   return absl::OkStatus();
 }
 

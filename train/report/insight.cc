@@ -11,7 +11,7 @@
 namespace spikeserve {
 namespace {
 
-// [gated, T, H] as means over ticks, [H][gated].
+// Averages the layer's gates [gated, T, H] over ticks. Returns [H][gated].
 std::vector<std::vector<double>> MeanGates(const LayerTrace& layer, const ModelConfig& config) {
   if (layer.gates.empty()) return {};
   std::vector<std::vector<double>> means(config.heads, std::vector<double>(layer.gated.size()));

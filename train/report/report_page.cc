@@ -3,30 +3,21 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 #include <numeric>
-#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "core/neuron/lif.h"
-#include "train/report/document.h"
-#include "train/report/svg_chart.h"
+#include "train/report/figure_data.h"
 
 namespace spikeserve {
 namespace {
 
-using Key = std::pair<std::string, Mode>;  // environment, mode
-using Group = std::vector<const ReportResult*>;
-
-constexpr Mode kModes[] = {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull, Mode::kDense};
-
-// What the paper prints for its four spiking modes, in the order of kModes.
+// The paper's results for its four spiking modes, in the order of kReportModes.
 struct PaperRow {
   const char* environment;
-  double returns[4];  // its Table 4, over 50 episodes
-  double optimum;     // dynamic programming and search, Gymnasium's seeds 0 to 999
+  double returns[4];  // its Table 4, means over 50 episodes
+  double optimum;     // by dynamic programming and search, mean over Gymnasium's seeds 0 to 999
 };
 constexpr PaperRow kPaper[] = {{"CartPole-v1", {452.3, 474.1, 479.2, 492.3}, 500.0},
                                {"MountainCar-v0", {-120.2, -111.5, -109.8, -102.4}, -97.56},
@@ -51,31 +42,43 @@ std::string Text(const Interval& interval, int digits) {
   return absl::StrFormat("%s ± %.*f", mean, digits, interval.half_width);
 }
 
-// Bars over equal intervals of the values' range, named by where they begin.
-std::string Histogram(const ChartText& text, const std::vector<int64_t>& values) {
-  constexpr int kBins = 8;
-  if (values.empty()) return "";
-  const auto [least, most] = std::minmax_element(values.begin(), values.end());
-  const int64_t width = (*most - *least) / kBins + 1;
-  std::vector<std::string> begins;
-  Series bars;
-  for (int i = 0; i < kBins; ++i) {
-    begins.push_back(absl::StrCat(*least + i * width));
-    bars.points.emplace_back(0.0, 0.0);
+// A Markdown text that grows at its end.
+class Markdown {
+ public:
+  void Title(const std::string& text) { absl::StrAppend(&text_, "# ", text, "\n\n"); }
+  void Heading(const std::string& text) { absl::StrAppend(&text_, "## ", text, "\n\n"); }
+  void Paragraph(const std::string& text) { absl::StrAppend(&text_, text, "\n\n"); }
+  void Code(const std::string& text) { absl::StrAppend(&text_, "```\n", text, "\n```\n\n"); }
+  void Image(const std::string& text, const std::string& file) {
+    absl::StrAppend(&text_, "![", text, "](", file, ")\n\n");
   }
-  for (const int64_t value : values) bars.points[(value - *least) / width].second += 1.0;
-  return BarChart(text, begins, {bars});
-}
+  // REQUIRES: every row is as long as `header`.
+  void Table(const std::vector<std::string>& header,
+             const std::vector<std::vector<std::string>>& rows) {
+    Row(header);
+    Row(std::vector<std::string>(header.size(), "---"));
+    for (const std::vector<std::string>& row : rows) Row(row);
+    absl::StrAppend(&text_, "\n");
+  }
+
+  const std::string& text() const { return text_; }
+
+ private:
+  void Row(const std::vector<std::string>& cells) {
+    absl::StrAppend(&text_, "| ", absl::StrJoin(cells, " | "), " |\n");
+  }
+
+  std::string text_;
+};
 
 class Writer {
  public:
   Writer(const ReportOptions& options, const std::vector<ReportResult>& modes,
          const std::vector<ReportResult>& sweeps)
-      : options_(options), sweeps_(sweeps) {
-    for (const ReportResult& result : modes) {
-      groups_[{result.run.environment, result.run.config.mode}].push_back(&result);
-    }
-  }
+      : options_(options),
+        sweeps_(sweeps),
+        groups_(GroupRuns(modes)),
+        figures_(FigureData(options, groups_)) {}
 
   Report Write(const std::string& command) {
     Introduction(command);
@@ -87,11 +90,11 @@ class Writer {
     Gates();
     Membrane();
     Commands();
-    return {page_.Markdown(), page_.Html()};
+    return {page_.text(), figures_};
   }
 
  private:
-  // A number of every seed of a group, as an interval.
+  // Returns the interval of one number over the seeds of a task and mode.
   template <typename Value>
   Interval Over(const std::string& environment, Mode mode, Value value) const {
     std::vector<double> values;
@@ -102,20 +105,27 @@ class Writer {
   }
   static double Return(const ReportResult& result) { return result.evaluation.at("mean_return"); }
 
+  // Links to the figure if there is data for it.
+  void Figure(const std::string& name, const std::string& text) {
+    if (figures_.contains(name)) page_.Image(text, name + ".png");
+  }
+
   void Introduction(const std::string& command) {
     page_.Title("The paper's experiments, measured");
     page_.Paragraph(absl::StrFormat(
-        "Every mode on every task, %d seed(s) each: %d steps of data, %g %% of them the expert's, "
-        "%g %% the expert's disturbed by bursts of random actions, the rest random; %d iterations "
-        "of %d clips, d = %d, T = %d, N = %d. Returns are over %d starts a seed that training "
-        "never saw, from environment seed 2000000 on. ± is half a 95 %% confidence interval by "
-        "Student's t over seeds. The figures are in report.html.",
+        "Every mode on every task from %d seed(s). The data of a seed are %d steps: %g %% from the "
+        "expert, %g %% from the expert disturbed by bursts of random actions, and the rest from "
+        "random actions. Training takes %d iterations of %d clips; d = %d, T = %d, N = %d. Returns "
+        "are means over %d starts a seed that training never saw, from environment seed 2000000 "
+        "on. ± is half the width of a 95 %% confidence interval by Student's t over seeds; a "
+        "difference that is larger than it is called significant.",
         options_.seeds, options_.data.steps, 100.0 * options_.data.expert_fraction,
         100.0 * options_.data.disturbed_fraction, options_.training.iterations,
         options_.training.batch, options_.config.hidden_size, options_.config.ticks,
         options_.config.context, options_.episodes));
-    page_.Paragraph("Made by:");
-    page_.Code(command);
+    page_.Paragraph(
+        "These commands make the report; the second one draws the figures from figures.json:");
+    page_.Code(absl::StrCat(command, "\n", PlotCommand(options_.directory)));
   }
 
   void Returns() {
@@ -123,15 +133,16 @@ class Writer {
     std::vector<std::vector<std::string>> rows;
     for (const std::string& environment : options_.environments) {
       const PaperRow* paper = PaperOf(environment);
-      for (size_t m = 0; m < std::size(kModes); ++m) {
-        rows.push_back({environment, Name(kModes[m]), Text(Over(environment, kModes[m], Return), 1),
+      for (size_t m = 0; m < std::size(kReportModes); ++m) {
+        rows.push_back({environment, Name(kReportModes[m]),
+                        Text(Over(environment, kReportModes[m], Return), 1),
                         paper != nullptr && m < 4 ? absl::StrFormat("%.1f", paper->returns[m]) : "",
                         paper != nullptr ? absl::StrFormat("%.1f", paper->optimum) : ""});
       }
     }
     page_.Table({"task", "mode", "return", "the paper's", "optimum"}, rows);
     for (const std::string& environment : options_.environments) {
-      page_.Paragraph(absl::StrCat(environment, ", seed by seed on the same data: ",
+      page_.Paragraph(absl::StrCat(environment, ", paired by seed and data: ",
                                    Compare(environment, Mode::kPos, Mode::kBaseline), "; ",
                                    Compare(environment, Mode::kRoute, Mode::kBaseline), "; ",
                                    Compare(environment, Mode::kFull, Mode::kBaseline), "; ",
@@ -139,87 +150,66 @@ class Writer {
     }
   }
 
-  // How much more one mode returns than another, and whether that is more than chance: Student's
-  // paired t over seeds, for a seed is also that of the data.
+  // Says how much more one mode returns than another, and whether the difference is significant by
+  // Student's paired t over seeds. The pairs are the seeds, which also determine the data.
   std::string Compare(const std::string& environment, Mode mode, Mode other) const {
-    const Group &a = groups_.at({environment, mode}), &b = groups_.at({environment, other});
+    const auto &a = groups_.at({environment, mode}), &b = groups_.at({environment, other});
     std::vector<double> differences;
     for (size_t i = 0; i < a.size(); ++i) differences.push_back(Return(*a[i]) - Return(*b[i]));
     const Interval difference = IntervalOf(differences);
     const bool apart = std::abs(difference.mean) > difference.half_width;
-    return absl::StrFormat("%s returns %.1f ± %.1f %s than %s, which is %s chance", Name(mode),
+    return absl::StrFormat("%s returns %.1f ± %.1f %s than %s (%s)", Name(mode),
                            std::abs(difference.mean), difference.half_width,
                            difference.mean < 0.0 ? "less" : "more", Name(other),
-                           apart ? "more than" : "not told from");
+                           apart ? "significant" : "not significant");
   }
 
   void Losses() {
     page_.Heading("Loss on held-out episodes (the paper's Table 2)");
     std::vector<std::vector<std::string>> rows;
     for (const std::string& environment : options_.environments) {
-      std::vector<Series> series;
-      for (size_t m = 0; m < std::size(kModes); ++m) {
-        const Group& group = groups_.at({environment, kModes[m]});
-        if (group[0]->losses.empty()) continue;
+      for (size_t m = 0; m < std::size(kReportModes); ++m) {
+        if (groups_.at({environment, kReportModes[m]})[0]->losses.empty()) continue;
         rows.push_back(
-            {environment, Name(kModes[m]),
-             Text(Over(environment, kModes[m],
+            {environment, Name(kReportModes[m]),
+             Text(Over(environment, kReportModes[m],
                        [](const ReportResult& result) { return result.losses.back().loss; }),
                   4),
              m < 4 ? absl::StrFormat("%.2f", kPaperLoss[m]) : ""});
-        Series& line = series.emplace_back(Series{Name(kModes[m]), {}});
-        for (const LossPoint& point : group[0]->losses) {
-          line.points.emplace_back(point.iteration, point.loss);
-        }
       }
-      page_.Figure(LineChart({environment + ", seed 1", "iteration", "loss"}, series));
     }
+    Figure("losses", "Loss on held-out episodes over the iterations of training, by mode, seed 1");
     page_.Table({"task", "mode", "loss at the end", "the paper's, one figure for all tasks"}, rows);
   }
 
   void Spikes() {
     page_.Heading("Spikes and latency by mode (the paper's Table 3)");
     page_.Paragraph(
-        "The paper gives spikes per inference, a full window; a decision here computes its three "
-        "new tokens alone. Milliseconds are of one decision of the streaming engine and the "
-        "environment's step on the machine that made this report; the paper's are of a forward and "
-        "backward pass on another.");
+        "The paper counts the spikes of one inference, which computes a full window; a decision "
+        "here computes only its three new tokens. Milliseconds are the time of one decision of the "
+        "streaming engine and one step of the environment, on the machine that made this report; "
+        "the paper's are the time of a forward and a backward pass on another machine.");
     std::vector<std::vector<std::string>> rows;
     for (const std::string& environment : options_.environments) {
-      std::vector<Series> by_stage;
-      std::vector<std::string> stages;
-      for (size_t m = 0; m < std::size(kModes); ++m) {
-        if (kModes[m] == Mode::kDense) continue;
+      for (size_t m = 0; m < std::size(kReportModes); ++m) {
+        const Mode mode = kReportModes[m];
+        if (mode == Mode::kDense) continue;
         const auto field = [](const char* name) {
           return [name](const ReportResult& r) { return r.evaluation.at(name).get<double>(); };
         };
-        rows.push_back({environment, Name(kModes[m]),
-                        Text(Over(environment, kModes[m], field("spikes_per_decision")), 1),
-                        Text(Over(environment, kModes[m], field("spikes_per_window")), 1),
+        const auto seconds = [](const ReportResult& r) { return r.seconds_per_decision; };
+        rows.push_back({environment, Name(mode),
+                        Text(Over(environment, mode, field("spikes_per_decision")), 1),
+                        Text(Over(environment, mode, field("spikes_per_window")), 1),
                         absl::StrFormat("%.0f", kPaperSpikes[m]),
-                        absl::StrFormat("%.3f", 1e3 * Over(environment, kModes[m],
-                                                           [](const ReportResult& r) {
-                                                             return r.seconds_per_decision;
-                                                           })
-                                                          .mean),
+                        absl::StrFormat("%.3f", 1e3 * Over(environment, mode, seconds).mean),
                         absl::StrFormat("%.1f", kPaperMilliseconds[m])});
-        stages.clear();
-        Series& bars = by_stage.emplace_back(Series{Name(kModes[m]), {}});
-        const ReportResult& first = *groups_.at({environment, kModes[m]})[0];
-        for (const auto& [stage, spikes] :
-             first.evaluation.at("spikes_per_decision_by_stage").items()) {
-          stages.push_back(stage);
-          bars.points.emplace_back(0.0, spikes.get<double>());
-        }
       }
-      page_.Figure(
-          BarChart({environment + ", seed 1", "stage", "spikes per decision"}, stages, by_stage));
     }
-    for (const std::string& environment : options_.environments) {
-      page_.Figure(Histogram(
-          {environment + ", full, seed 1: decisions of one episode", "spikes", "decisions"},
-          groups_.at({environment, Mode::kFull})[0]->insight.spikes));
-    }
+    Figure("spikes_by_stage",
+           "Mean spikes per decision in each stage of the model, by mode, seed 1");
+    Figure("spikes_per_decision",
+           "Histogram of the spikes of the decisions of one episode, full mode, seed 1");
     page_.Table({"task", "mode", "spikes per decision", "spikes per window",
                  "the paper's spikes per inference", "milliseconds", "the paper's"},
                 rows);
@@ -242,44 +232,22 @@ class Writer {
   void Phases() {
     page_.Heading("Phase generators");
     page_.Paragraph(
-        "Figures: frequency and phase of every generator after training, and the spikes of the "
-        "first task's over a window.");
-    std::vector<Series> scatter;
-    for (const std::string& environment : options_.environments) {
-      Series& dots = scatter.emplace_back(Series{environment.substr(0, environment.find('-')), {}});
-      for (const ReportResult* result : groups_.at({environment, Mode::kFull})) {
-        for (size_t h = 0; h < result->omega.size(); ++h) {
-          dots.points.emplace_back(result->omega[h], result->phi[h]);
-        }
-      }
-    }
-    page_.Figure(
-        ScatterChart({"Learned frequencies and phases, full mode", "omega", "phi"}, scatter));
-    const ReportResult& first = *groups_.at({options_.environments[0], Mode::kFull})[0];
-    std::vector<std::vector<double>> rows(first.omega.size());
-    for (size_t h = 0; h < rows.size(); ++h) {
-      for (int i = 0; i < options_.config.context * options_.config.ticks; ++i) {
-        const double tau = static_cast<double>(i) / options_.config.ticks;
-        const double angle =
-            static_cast<double>(first.omega[h]) * tau + static_cast<double>(first.phi[h]);
-        if (std::sin(angle) > 0.0) rows[h].push_back(tau);
-      }
-    }
-    page_.Figure(RasterChart(
-        {options_.environments[0] + ": phase spikes of a window, seed 1", "timestep", "head"},
-        rows));
+        "The frequency and phase of every generator after training, in full mode, and the spikes "
+        "of the first task's generators over one window, seed 1.");
+    Figure("phases", "Frequency and phase of every phase generator after training, by task");
+    Figure("phase_spikes", "Spikes of every head's phase generator over one window");
   }
 
   void Gates() {
     page_.Heading("Routing gates");
     page_.Paragraph(
-        "Means over ticks of the first layer's gates, full mode, seed 1, over the window of the "
-        "last decision of an episode (the paper's heatmap). Uniform gates would be 1/H.");
+        "The gates of the first layer as means over ticks, over the window of the last decision of "
+        "an episode, in full mode, seed 1 (the paper's heatmap). Uniform gates equal 1/H.");
+    Figure("gates", "Mean gate of every head for every token of the window, by task");
     std::vector<std::vector<std::string>> rows;
     for (const std::string& environment : options_.environments) {
       const auto& gates = groups_.at({environment, Mode::kFull})[0]->insight.gates;
       if (gates.empty()) continue;
-      page_.Figure(HeatChart({environment, "token", "head"}, gates));
       double least = 1.0, most = 0.0, variation = 0.0;
       for (const auto& head : gates) {
         const auto [low, high] = std::minmax_element(head.begin(), head.end());
@@ -293,27 +261,16 @@ class Writer {
     page_.Table({"task", "least gate", "largest gate", "most that one head's gate varies"}, rows);
   }
 
-  // Of model.md's neuron itself; nothing here was trained.
   void Membrane() {
     page_.Heading("The neuron");
-    page_.Paragraph("Figure: its membrane potential under three constant currents.");
-    constexpr int kTicks = 40;
-    const Lif lif = {options_.config.membrane_decay, options_.config.threshold};
-    std::vector<Series> lines;
-    for (const float current : {0.04f, 0.1f, 0.3f}) {
-      Series& line = lines.emplace_back(Series{absl::StrFormat("I = %g", current), {{0.0, 0.0}}});
-      float membrane = 0.0f;
-      for (int tick = 1; tick <= kTicks; ++tick) {
-        lif.Step(current, membrane);
-        line.points.emplace_back(tick, membrane);
-      }
-    }
-    page_.Figure(LineChart(
-        {"Membrane potential under constant currents, after each tick", "tick", "V"}, lines));
+    page_.Paragraph(
+        "The membrane potential of one neuron under three constant input currents. The neuron has "
+        "no trained parameters.");
+    Figure("membrane", "Membrane potential after each tick under three constant input currents");
   }
 
   void Commands() {
-    page_.Heading("Every row again");
+    page_.Heading("The command of every run");
     std::vector<std::string> lines;
     for (const auto& [key, group] : groups_) {
       for (const ReportResult* result : group) lines.push_back(result->command);
@@ -324,8 +281,9 @@ class Writer {
 
   const ReportOptions& options_;
   const std::vector<ReportResult>& sweeps_;
-  std::map<Key, Group> groups_;
-  Document page_;
+  const ReportGroups groups_;
+  const nlohmann::ordered_json figures_;
+  Markdown page_;
 };
 
 }  // namespace
@@ -342,6 +300,10 @@ Interval IntervalOf(const std::vector<double>& values) {
   const double t = kT[std::min(values.size() - 2, std::size(kT) - 1)];
   interval.half_width = t * std::sqrt(squares / (count - 1.0) / count);
   return interval;
+}
+
+std::string PlotCommand(const std::string& directory) {
+  return absl::StrCat("python train/report/plot.py ", directory);
 }
 
 Report WriteReport(const ReportOptions& options, const std::string& command,

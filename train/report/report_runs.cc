@@ -22,7 +22,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr uint64_t kFirstUnseenSeed = 2'000'000;
-constexpr int kValidations = 20;  // of a run
+constexpr int kValidations = 20;  // points of a run's loss curve
 
 Json ResultToJson(const ReportResult& result) {
   Json losses = Json::array();
@@ -39,7 +39,7 @@ Json ResultToJson(const ReportResult& result) {
           {"seconds_per_decision", result.seconds_per_decision}};
 }
 
-// May throw Json::exception.
+// Throws Json::exception if a field is missing or has another type.
 ReportResult FromJson(const Json& json, const ReportRun& run) {
   ReportResult result;
   result.run = run;
@@ -55,7 +55,7 @@ ReportResult FromJson(const Json& json, const ReportRun& run) {
   return result;
 }
 
-// Nothing if there is no readable result.
+// Returns nullopt if the file does not hold a result.
 absl::optional<ReportResult> ReadResult(const std::string& path, const ReportRun& run) {
   std::ifstream file(path);
   const Json json = Json::parse(file, nullptr, /*allow_exceptions=*/false);
@@ -124,7 +124,7 @@ class Runner {
   }
 
  private:
-  // Recorded once for a seed.
+  // Returns the run's dataset. Records it once for all runs of the same environment and seed.
   absl::StatusOr<const Dataset*> Data(const ReportRun& run) {
     auto& dataset = datasets_[{run.environment, run.seed}];
     if (dataset == nullptr) {
@@ -164,7 +164,7 @@ class Runner {
     return trainer.CurrentPolicy();
   }
 
-  // The part of an interrupted run's curve that its checkpoint knows.
+  // Reads an interrupted run's loss curve up to the iteration of its checkpoint.
   static void ReadLosses(const std::string& path, int iteration, std::vector<LossPoint>* losses) {
     std::ifstream file(path);
     const Json json = Json::parse(file, nullptr, /*allow_exceptions=*/false);
@@ -206,7 +206,7 @@ std::string ReportRun::name() const {
 std::vector<ReportRun> ModeRuns(const ReportOptions& options) {
   std::vector<ReportRun> runs;
   for (const std::string& environment : options.environments) {
-    for (const Mode mode : {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull, Mode::kDense}) {
+    for (const Mode mode : kReportModes) {
       for (int seed = 1; seed <= options.seeds; ++seed) {
         ReportRun& run = runs.emplace_back(ReportRun{environment, options.config});
         run.config.mode = mode;
@@ -227,6 +227,14 @@ std::vector<ReportRun> SweepRuns(const ReportOptions& options) {
   for (const int ticks : options.ticks) add(&ModelConfig::ticks, ticks);
   for (const int context : options.contexts) add(&ModelConfig::context, context);
   return runs;
+}
+
+ReportGroups GroupRuns(const std::vector<ReportResult>& results) {
+  ReportGroups groups;
+  for (const ReportResult& result : results) {
+    groups[{result.run.environment, result.run.config.mode}].push_back(&result);
+  }
+  return groups;
 }
 
 absl::StatusOr<std::vector<ReportResult>> RunAll(

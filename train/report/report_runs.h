@@ -1,14 +1,19 @@
 // The runs of the paper's experiments: every task in every mode from several seeds, on the paper's
 // own data, and sweeps of ticks and context.
 //
-// A run lives in a directory of its own and is kept: one that is finished is read, one that was
-// interrupted goes on from its checkpoint.
+// Each run has a directory of its own, which is kept. A finished run is read from its result.json,
+// and an interrupted run continues from its checkpoint.
+//
+// Thread-safety: ModeRuns, SweepRuns and GroupRuns are pure functions. RunAll may run at the same
+// time in several processes that share a directory, each with other environments.
 #ifndef TRAIN_REPORT_REPORT_RUNS_H_
 #define TRAIN_REPORT_REPORT_RUNS_H_
 
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -24,22 +29,26 @@ struct ReportOptions {
   std::string directory;
   std::vector<std::string> environments = {"CartPole-v1", "MountainCar-v0", "Acrobot-v1",
                                            "Pendulum-v1"};
-  int seeds = 3;                     // of data and training: 1, 2, ...
-  RecordOptions data;                // all but environment and seed; by default the paper's recipe
-  TrainOptions training;             // all but the seed
-  int episodes = 200;                // unseen starts for each seed
-  ModelConfig config;                // all but the mode
-  std::vector<int> ticks = {5, 20};  // the sweep of T, beside config's own
-  std::vector<int> contexts = {10, 50};  // the sweep of N, beside config's own
+  int seeds = 3;          // number of seeds of data and training: 1, 2, ...
+  RecordOptions data;     // environment and seed are ignored; the default is the paper's recipe
+  TrainOptions training;  // the seed is ignored
+  int episodes = 200;     // evaluation starts for each seed, which training never saw
+  ModelConfig config;     // the mode is ignored
+  std::vector<int> ticks = {5, 20};      // values of T in the sweep, besides config.ticks
+  std::vector<int> contexts = {10, 50};  // values of N in the sweep, besides config.context
 };
 
-// One trained policy.
+// The modes of the report, in the order of its tables and figures.
+inline constexpr Mode kReportModes[] = {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull,
+                                        Mode::kDense};
+
+// Names one policy to train.
 struct ReportRun {
   std::string environment;
   ModelConfig config;
   uint64_t seed = 0;
 
-  // Names the run and its directory.
+  // Returns the run's name, which is also the name of its directory.
   std::string name() const;
 };
 
@@ -50,22 +59,31 @@ struct LossPoint {
 
 struct ReportResult {
   ReportRun run;
-  std::string command;  // trains the same policy
-  std::vector<LossPoint> losses;
-  nlohmann::ordered_json evaluation;  // as `spiketrain eval --json` prints it
-  std::vector<double> returns;        // per episode
-  std::vector<float> omega, phi;      // [H] of a mode with phase spikes; else empty
-  Insight insight;                    // of the first start
-  double seconds_per_decision = 0.0;  // of the streaming engine, with the environment's step
+  std::string command;                // the spiketrain command that trains the same policy
+  std::vector<LossPoint> losses;      // empty without held-out episodes
+  nlohmann::ordered_json evaluation;  // the output of `spiketrain eval --json`
+  std::vector<double> returns;        // one per episode
+  std::vector<float> omega, phi;      // [H], rad per timestep and rad; empty without phase spikes
+  Insight insight;                    // from the first start
+  double seconds_per_decision = 0.0;  // streaming engine and environment step together
 };
 
-// Every environment in every mode from every seed.
+// The results of every task and mode, each in the order of its seeds.
+using ReportGroups =
+    std::map<std::pair<std::string, Mode>, std::vector<const ReportResult*>>;  // environment, mode
+
+// Returns the runs of every environment in every mode from every seed.
 std::vector<ReportRun> ModeRuns(const ReportOptions& options);
-// The first environment in full mode, with each of the options' ticks and contexts.
+// Returns the runs of the first environment in full mode, with each of the options' ticks and
+// contexts.
 std::vector<ReportRun> SweepRuns(const ReportOptions& options);
 
-// Trains and plays what is missing of `runs`. `log` gets a line for every run that is begun.
-// FAILED_PRECONDITION names a finished run that was made with other options.
+// Groups the results of ModeRuns. The groups point into `results`.
+ReportGroups GroupRuns(const std::vector<ReportResult>& results);
+
+// Trains and plays every run of `runs` that has no result yet, and returns the results of all.
+// Calls `log` with the name of each run that it starts. Returns FAILED_PRECONDITION, naming the
+// run, if a finished run was made with other options.
 absl::StatusOr<std::vector<ReportResult>> RunAll(
     const ReportOptions& options, const std::vector<ReportRun>& runs,
     const std::function<void(const std::string&)>& log);

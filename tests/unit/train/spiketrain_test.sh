@@ -55,7 +55,7 @@ refuses "ablate: expected context, attention, phase, routing or return, received
 # The paper's experiments in little, then again from what is there.
 "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 >/dev/null 2>&1
 grep -q '| Pendulum-v1 | full | ' report/report.md || fail "report.md"
-grep -q '<svg' report/report.html || fail "report.html"
+grep -q '"membrane"' report/figures.json || fail "figures.json"
 rm report/CartPole-v1-full-T4-N4-seed1/result.json  # interrupted after training
 "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 2>&1 |
   grep -c 'training' | grep -qx 1 || fail "report trains what is there"

@@ -1,0 +1,33 @@
+// The data of the report's figures, which train/report/plot.py draws with matplotlib.
+//
+// Pure functions of plain values.
+#ifndef TRAIN_REPORT_FIGURE_DATA_H_
+#define TRAIN_REPORT_FIGURE_DATA_H_
+
+#include "nlohmann/json.hpp"
+#include "train/report/report_runs.h"
+
+namespace spikeserve {
+
+// Returns an object with one member for each figure. The member's name is the name of the figure's
+// file without ".png". A figure without data has no member. Tasks stand in the order of
+// `options.environments`, and every run is that of seed 1 unless stated otherwise.
+//
+//   losses              {task: {"unit": string, "modes": {mode: [[iteration, loss], ...]}}}
+//   spikes_by_stage     {task: {mode: {stage: mean spikes per decision}}}, spiking modes
+//   spikes_per_decision {task: {"edges": [bins + 1], "decisions": [bins]}}, a histogram of one
+//                       episode in full mode; bin i holds edges[i] <= spikes < edges[i + 1]
+//   phases              {task: [[omega in rad per timestep, phi in rad], ...]}, every generator of
+//                       every seed in full mode
+//   phase_spikes        {"task": string, "timesteps": N, "heads": [[time in timesteps, ...], ...]},
+//                       the first task's generators over a window of N timesteps, in full mode
+//   gates               {task: [H][tokens]}, see Insight::gates, in full mode
+//   membrane            {"threshold": V_th, "potentials": [[input current, [V before the first
+//                       tick, V after tick 1, ...]], ...]}, one untrained neuron
+//
+// REQUIRES: `groups` holds every mode of every task.
+nlohmann::ordered_json FigureData(const ReportOptions& options, const ReportGroups& groups);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_REPORT_FIGURE_DATA_H_
