@@ -13,6 +13,7 @@ from PIL import Image, ImageChops
 
 ROOT = pathlib.Path(__file__).parents[2]
 PLOT = ROOT / "train/report/plot.py"
+COMMITTED = ROOT / "docs/report"
 FIGURES = {"gates", "losses", "membrane", "phase_spikes", "phases", "spikes_by_stage", "spikes_per_decision"}
 
 
@@ -65,6 +66,15 @@ def test_a_figure_shows_its_data(report, tmp_path):
     assert plot(changed).returncode == 0
     different = {name for name in FIGURES if not same_pixels(report / f"{name}.png", changed / f"{name}.png")}
     assert different == {"gates", "losses"}
+
+
+def test_the_committed_figures_are_those_of_the_committed_data(tmp_path):
+    shutil.copy(COMMITTED / "figures.json", tmp_path)
+    assert plot(tmp_path).returncode == 0
+    drawn = {path.name for path in tmp_path.glob("*.png")}
+    assert {path.name for path in COMMITTED.glob("*.png")} == linked_images(COMMITTED) == drawn
+    for name in drawn:
+        assert same_pixels(COMMITTED / name, tmp_path / name), f"{name}: run python train/report/plot.py docs/report"
 
 
 def same_pixels(a, b):
