@@ -1,5 +1,7 @@
 # The front door. `make demo` and `make test` need nothing but a bare Debian 12 and root.
-BUILD := build/release
+# The CMake preset that is built: `make test PRESET=clang`.
+PRESET := release
+BUILD := build/$(PRESET)
 BIN := $(BUILD)/bin
 # Lets the compiler cache serve every clone, wherever it lies.
 export CCACHE_BASEDIR := $(CURDIR)
@@ -7,14 +9,19 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test build train bench sanitize format clean setup configure
+.PHONY: demo test test-slow build train bench sanitize format clean setup configure
 
 demo: configure
 	cmake --build $(BUILD) --target spikeserve spikectl
 	deploy/demo.sh $(BIN)
 
 test: build
-	ctest --preset release
+	ctest --preset $(PRESET)
+
+# The tests that `make test` leaves out because they take an hour and more: clang-tidy over the whole tree, and the
+# experts over every seed of their tables.
+test-slow: build
+	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 
 build: configure
 	cmake --build $(BUILD)
@@ -46,4 +53,4 @@ setup:
 	deploy/setup.sh build
 
 configure: setup
-	cmake --preset release $(if $(VERBOSE),,--log-level=WARNING)
+	cmake --preset $(PRESET) $(if $(VERBOSE),,--log-level=WARNING)
