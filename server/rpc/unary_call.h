@@ -21,6 +21,7 @@ namespace spikeserve {
 
 // How a call ended.
 struct CallOutcome {
+  // NOLINTNEXTLINE(google-explicit-constructor): a handler returns a plain status as its outcome.
   CallOutcome(absl::Status ended) : status(ended), refusal(std::move(ended)) {}
   CallOutcome(absl::Status ended, absl::Status refused)
       : status(std::move(ended)), refusal(std::move(refused)) {}

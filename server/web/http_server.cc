@@ -54,7 +54,7 @@ void Answer(const HttpServer::Page& page, const httplib::Request& request,
                                 : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
   response.status = answer.code;
   if (answer.code == 401) response.set_header("WWW-Authenticate", "Basic realm=\"spikeserve\"");
-  response.set_content(std::move(answer.body), answer.content_type);
+  response.set_content(answer.body, answer.content_type);
 }
 
 }  // namespace

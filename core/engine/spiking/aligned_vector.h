@@ -17,6 +17,7 @@ struct CacheLineAllocator {
 
   CacheLineAllocator() = default;
   template <class U>
+  // NOLINTNEXTLINE(google-explicit-constructor): containers convert allocators implicitly.
   CacheLineAllocator(const CacheLineAllocator<U>&) {}
 
   T* allocate(size_t count) {
