@@ -1,5 +1,5 @@
-// Decides whether a call may proceed: the caller's token, what its role may do, and how long its
-// request is. Knows nothing of the transport that carried the call.
+// Decides whether a call may proceed, by the caller's token, its role and the length of its
+// request. Independent of the transport: gRPC and HTTP use the same checks.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_ACCESS_ADMISSION_H_
@@ -15,24 +15,25 @@
 
 namespace spikeserve {
 
-// Returns the caller that sent the `authorization` header, which may be empty. UNAUTHENTICATED
-// without a valid token, PERMISSION_DENIED if the token's role may not call `method`.
+// Returns the caller that sent the `authorization` header, which may be empty. Returns
+// UNAUTHENTICATED without a valid token, PERMISSION_DENIED if the token's role may not call
+// `method`.
 absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
                                         absl::string_view authorization, Method method);
 
-// Returns the caller that sent the `authorization` header over HTTP, which may be empty.
+// Returns the caller that sent the `authorization` header over HTTP, which may be empty. Returns
 // UNAUTHENTICATED without a valid token, PERMISSION_DENIED unless the role may read the status
 // page.
 absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticator,
                                                absl::string_view authorization);
 
-// Checks a further request on a stream whose caller was admitted. UNAUTHENTICATED if the token has
-// expired or was revoked since; otherwise as CheckSize.
+// Checks a further request on a stream whose caller was admitted. Returns UNAUTHENTICATED if the
+// token has expired or was revoked since then, and otherwise the errors of CheckSize.
 absl::Status CheckStillAdmitted(const Credential& caller, int64_t request_bytes,
                                 int64_t max_message_bytes);
 
-// RESOURCE_EXHAUSTED if the request is longer than `max_message_bytes`, the server's limit, or than
-// the limit of the caller's tenant.
+// Returns RESOURCE_EXHAUSTED if the request is longer than `max_message_bytes`, which is the limit
+// of the server, or than the limit of the caller's tenant.
 absl::Status CheckSize(const Credential& caller, int64_t request_bytes, int64_t max_message_bytes);
 
 }  // namespace spikeserve

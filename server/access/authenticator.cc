@@ -24,7 +24,7 @@ absl::Status Credential::CheckValid() const {
 }
 
 size_t Authenticator::DigestHash::operator()(const Digest& digest) const {
-  size_t hash;  // a part of SHA-256 is as good a hash as any
+  size_t hash;  // the bits of a SHA-256 digest are uniform, so its first bytes serve as the hash
   std::memcpy(&hash, digest.data(), sizeof(hash));
   return hash;
 }
@@ -36,7 +36,7 @@ bool Authenticator::DigestEqual::operator()(const Digest& a, const Digest& b) co
 absl::StatusOr<std::unique_ptr<Authenticator>> Authenticator::Create(const std::string& path) {
   auto authenticator = std::unique_ptr<Authenticator>(new Authenticator(path));
   if (path.empty()) {
-    authenticator->everybody_ = std::make_unique<Credential>(std::make_shared<Tenant>(""),
+    authenticator->anonymous_ = std::make_unique<Credential>(std::make_shared<Tenant>(""),
                                                              TokenEntry{.role = Role::kOperator});
     return authenticator;
   }
@@ -45,14 +45,15 @@ absl::StatusOr<std::unique_ptr<Authenticator>> Authenticator::Create(const std::
 }
 
 absl::StatusOr<const Credential*> Authenticator::Authenticate(absl::string_view token) const {
-  if (everybody_ != nullptr) return everybody_.get();
+  if (anonymous_ != nullptr) return anonymous_.get();
   if (token.empty()) {
     return absl::UnauthenticatedError("authorization: expected \"Bearer TOKEN\", received none");
   }
   const Table& table = *table_.load(std::memory_order_acquire);
   const auto found = table.find(Sha256(token));
   if (found == table.end()) {
-    return absl::UnauthenticatedError("authorization: expected a token that this server knows");
+    return absl::UnauthenticatedError(
+        "authorization: expected a token of the tokens file, received an unknown one");
   }
   if (auto status = found->second->CheckValid(); !status.ok()) return status;
   return found->second.get();

@@ -1,8 +1,12 @@
-// Who makes a call.
+// Finds the caller that a bearer token belongs to.
 //
-// Thread-safe. Looking a token up takes no lock and allocates nothing: readers follow one pointer
-// to an immutable table. Tables that a changed file replaced are kept, so that what was handed out
-// stays valid; they are small and files change rarely.
+//   auto authenticator = Authenticator::Create("tokens.json");
+//   auto caller = (*authenticator)->Authenticate(token);
+//   if (caller.ok() && (*caller)->role() == Role::kOperator) ...
+//
+// Thread-safe. Authenticate takes no lock and allocates nothing: readers follow one pointer to an
+// immutable table. When the file changes, the old table is kept, because pointers to its
+// credentials stay in use; tables are small and files change rarely.
 #ifndef SERVER_ACCESS_AUTHENTICATOR_H_
 #define SERVER_ACCESS_AUTHENTICATOR_H_
 
@@ -27,22 +31,22 @@
 
 namespace spikeserve {
 
-// Whose a token is and what it allows; lives as long as the authenticator.
+// The tenant and the role of a token. Lives as long as the authenticator. Thread-safe.
 class Credential {
  public:
-  // `tenant` is the one that `entry` names.
+  // REQUIRES: `tenant` is the tenant that `entry` names.
   Credential(std::shared_ptr<Tenant> tenant, TokenEntry entry)
       : tenant_(std::move(tenant)), entry_(std::move(entry)) {}
 
   const std::shared_ptr<Tenant>& tenant() const { return tenant_; }
   Role role() const { return entry_.role; }
 
-  // Whether sessions of this tenant may be looked at: listed, shown, explained.
+  // Returns true if this caller may read the sessions of `tenant`: list, get and explain them.
   bool MaySee(absl::string_view tenant) const {
     return entry_.sees_all || tenant == tenant_->name();
   }
 
-  // UNAUTHENTICATED once it has expired or the file has it no more.
+  // Returns UNAUTHENTICATED if the token has expired or was removed from the file.
   absl::Status CheckValid() const;
 
  private:
@@ -55,25 +59,27 @@ class Credential {
 
 class Authenticator {
  public:
-  // Without a file everybody is an operator of one tenant without name or limits. Errors of reading
-  // or parsing the file name it.
+  // Reads the tokens file at `path`. If `path` is empty, every caller is an operator of one tenant
+  // that has an empty name and no limits. Errors name the file.
   static absl::StatusOr<std::unique_ptr<Authenticator>> Create(const std::string& path);
 
-  // The holder of `token`, which is empty where none came. UNAUTHENTICATED for a token that is
-  // missing, unknown or expired.
+  // Returns the credential of `token`; an empty token means that the caller sent none. Returns
+  // UNAUTHENTICATED if the token is missing, unknown, expired or revoked.
   absl::StatusOr<const Credential*> Authenticate(absl::string_view token) const;
 
-  // Of the caller that Authenticate, or a check after it, let in or refused: its tenant's, or that
-  // of all who were not let in.
+  // Returns the pacer that delays refusals of `caller`: the pacer of its tenant, or, for a caller
+  // that could not be authenticated, one pacer that all such callers share.
   RefusalPacer& RefusalsOf(const absl::StatusOr<const Credential*>& caller) const {
-    return caller.ok() ? (*caller)->tenant()->refusals() : strangers_;
+    return caller.ok() ? (*caller)->tenant()->refusals() : unauthenticated_;
   }
 
-  // Reads the file again if it changed. On an error what was read before stays in force.
+  // Reads the file again and applies it if its text has changed. On an error the tokens that were
+  // read before stay valid.
   absl::Status Reload();
 
  private:
-  // Looked up by a hash that an attacker cannot aim at bytes of, and compared in constant time.
+  // Tokens are looked up by their SHA-256 digest, whose bytes an attacker cannot choose, and
+  // digests are compared in constant time, so timing reveals nothing about stored tokens.
   struct DigestHash {
     size_t operator()(const Digest& digest) const;
   };
@@ -88,19 +94,20 @@ class Authenticator {
   std::shared_ptr<Tenant> TenantOf(const std::string& name) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const std::string path_;                 // empty: no tokens
-  std::unique_ptr<Credential> everybody_;  // null where tokens are asked for
+  std::unique_ptr<Credential> anonymous_;  // every caller's; null if tokens are required
   std::atomic<const Table*> table_ = nullptr;
-  mutable RefusalPacer strangers_;
+  mutable RefusalPacer unauthenticated_;
 
-  absl::Mutex mutex_;  // for changes
+  absl::Mutex mutex_;  // taken by writers only
   std::string text_ ABSL_GUARDED_BY(mutex_);
   std::vector<std::unique_ptr<const Table>> tables_ ABSL_GUARDED_BY(mutex_);
-  // By name, and never dropped: a tenant keeps its sessions over a change of the file.
+  // By name. Tenants are never removed, so that sessions keep their tenant when the file changes.
   std::map<std::string, std::shared_ptr<Tenant>> tenants_ ABSL_GUARDED_BY(mutex_);
 };
 
-// The token of "Bearer TOKEN", or the password of HTTP's "Basic", so that a browser can show the
-// status page; empty where there is none.
+// Returns the token of an `authorization` header: TOKEN of "Bearer TOKEN", or the password of HTTP
+// Basic authentication, which lets a browser show the status page. Returns an empty view if the
+// header has neither. The result points into `authorization` or `buffer`.
 absl::string_view TokenOf(absl::string_view authorization, std::string* buffer);
 
 }  // namespace spikeserve

@@ -1,4 +1,4 @@
-// What each role may do.
+// Checks what a role may do.
 //
 // Pure functions; safe to call from many threads.
 #ifndef SERVER_ACCESS_PERMISSION_H_
@@ -10,10 +10,10 @@
 
 namespace spikeserve {
 
-// PERMISSION_DENIED if `role` may not call `method`.
+// Returns PERMISSION_DENIED if `role` may not call `method`.
 absl::Status CheckMayCall(Role role, Method method);
 
-// PERMISSION_DENIED if `role` may not read the status page and the metrics.
+// Returns PERMISSION_DENIED if `role` may not read the status page and the metrics.
 absl::Status CheckMayWatch(Role role);
 
 }  // namespace spikeserve

@@ -14,13 +14,13 @@ absl::Duration RateLimit::Acquire(absl::Duration now) {
   const int64_t period = period_ns_.load(std::memory_order_relaxed);
   if (period == 0) return absl::ZeroDuration();
   const int64_t now_ns = absl::ToInt64Nanoseconds(now);
-  // A limit below one a second still lets one through.
+  // max(): below one event a second the period is longer than the burst, and one event must fit.
   const int64_t latest = now_ns + std::max(kBurstNs, period);
-  int64_t full_until = full_until_ns_.load(std::memory_order_relaxed);
+  int64_t arrival = theoretical_arrival_ns_.load(std::memory_order_relaxed);
   while (true) {
-    const int64_t next = std::max(full_until, now_ns) + period;
+    const int64_t next = std::max(arrival, now_ns) + period;
     if (next > latest) return absl::Nanoseconds(next - latest);
-    if (full_until_ns_.compare_exchange_weak(full_until, next, std::memory_order_relaxed)) {
+    if (theoretical_arrival_ns_.compare_exchange_weak(arrival, next, std::memory_order_relaxed)) {
       return absl::ZeroDuration();
     }
   }

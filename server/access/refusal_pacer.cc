@@ -27,7 +27,7 @@ absl::Duration RefusalPacer::DelayFor(const absl::Status& status, size_t request
   int64_t free_at = free_at_ns_.load(std::memory_order_relaxed);
   do {
     queue = std::max(absl::Nanoseconds(free_at) - now, absl::ZeroDuration());
-    if (queue > longest) break;  // and stay outside, or the queue would never end
+    if (queue > longest) break;  // takes no turn; otherwise the queue would grow without bound
   } while (!free_at_ns_.compare_exchange_weak(free_at, absl::ToInt64Nanoseconds(now + queue + turn),
                                               std::memory_order_relaxed));
   return std::min(queue, longest) + absl::Milliseconds(absl::Uniform(bits, 50.0, 150.0));

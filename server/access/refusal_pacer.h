@@ -1,4 +1,5 @@
-// How long a caller who was refused waits, so that refusing costs the others nothing.
+// Delays replies to refused callers, so that callers who retry at once cannot take the server's
+// time from the others.
 //
 // Thread-safe, without locks.
 #ifndef SERVER_ACCESS_REFUSAL_PACER_H_
@@ -13,20 +14,22 @@
 
 namespace spikeserve {
 
-// One for each who is refused together: a tenant, or all whose token is not good. However many
-// callers go on asking, it lets 500 of them a second, or 4 MiB of what they send, have their
-// refusal, one after the other.
+// Spaces the refusals of one group of callers: at most 500 a second or 4 MiB of requests a second.
+// A group is a tenant, or all callers without a valid token.
+//
+//   absl::Duration delay = pacer.DelayFor(status, request.ByteSizeLong(), clock.Now());
+//   // Send `status` after `delay`; send it now if `delay` is zero.
 class RefusalPacer {
  public:
-  // How long whoever is answered with `status` to a request of so many bytes waits, from `now` on;
-  // zero where it is no refusal: of a token that is not good, or of more than a caller's share.
-  // A tenth of a second on average for the first, of random length, so that callers who were
-  // refused together do not come back together; longer for those who come behind others, at most 2
-  // seconds and one more for each MiB. `now` is on any clock that never goes back, always the same.
+  // Returns how long to delay the reply to a request of `request_bytes`, counted from `now`.
+  // Returns zero unless `status` is a refusal: UNAUTHENTICATED, PERMISSION_DENIED or
+  // RESOURCE_EXHAUSTED. The delay is the time until the group's earlier refusals have been sent, at
+  // most 2 s plus 1 s a MiB, plus a random 50 to 150 ms, so that callers who were refused together
+  // do not retry together. `now` is the time of a monotonic clock, the same clock in every call.
   absl::Duration DelayFor(const absl::Status& status, size_t request_bytes, absl::Duration now);
 
  private:
-  std::atomic<int64_t> free_at_ns_ = 0;  // when those before will have had their turn
+  std::atomic<int64_t> free_at_ns_ = 0;  // when the next refusal may be sent
 };
 
 }  // namespace spikeserve

@@ -33,7 +33,7 @@ absl::Status Tenant::Acquire() {
     return absl::OkStatus();
   }
   sessions_.fetch_sub(1, std::memory_order_relaxed);
-  // How long depends on the tenant's own sessions; a second keeps a careless client quiet.
+  // When a session will close is unknown. One second keeps clients from retrying at once.
   return WithRetryDelay(
       absl::ResourceExhaustedError(absl::StrCat("max_sessions: expected fewer than ", limit,
                                                 " open sessions of tenant ", name_, "; close one")),

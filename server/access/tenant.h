@@ -1,6 +1,6 @@
-// Somebody who shares the server with others: the owner of sessions, with limits of their own.
+// A tenant: one of the users that share a server. Owns sessions and has its own limits.
 //
-// Thread-safe; a decision takes no lock.
+// Thread-safe. AcquireDecision and CheckMessage take no lock.
 #ifndef SERVER_ACCESS_TENANT_H_
 #define SERVER_ACCESS_TENANT_H_
 
@@ -17,13 +17,13 @@
 
 namespace spikeserve {
 
-// 0: no limit but the server's own.
+// The limits of one tenant. 0 means that only the limits of the server apply.
 struct TenantLimits {
-  int64_t max_sessions = 0;           // open at a time
-  double decisions_per_second = 0.0;  // in the long run; a second's worth may come at once
+  int64_t max_sessions = 0;           // open at the same time
+  double decisions_per_second = 0.0;  // on average; one second's decisions may come at once
   int64_t max_message_bytes = 0;      // of one request
 
-  // INVALID_ARGUMENT names the field, what was expected and what came.
+  // Returns INVALID_ARGUMENT that names the field, the expected and the received value.
   absl::Status Validate() const;
 };
 
@@ -33,20 +33,20 @@ class Tenant final : public SessionQuota {
 
   const std::string& name() const { return name_; }
 
-  // Sessions that are open already stay so.
+  // Replaces the limits. Open sessions stay open, even if there are more than the new limit.
   void SetLimits(const TenantLimits& limits);
 
   absl::Status Acquire() override;
   void Release() override { sessions_.fetch_sub(1, std::memory_order_relaxed); }
 
-  // RESOURCE_EXHAUSTED, with google.rpc.RetryInfo, where there were too many decisions before
-  // `now`, which is on any clock that never goes back, always the same one.
+  // Counts one decision at time `now` of a monotonic clock, the same clock in every call. Returns
+  // RESOURCE_EXHAUSTED with google.rpc.RetryInfo if decisions_per_second is exceeded.
   absl::Status AcquireDecision(absl::Duration now);
 
-  // RESOURCE_EXHAUSTED for a request that is too long.
+  // Returns RESOURCE_EXHAUSTED if a request of `bytes` is longer than max_message_bytes.
   absl::Status CheckMessage(int64_t bytes) const;
 
-  // Of everybody who comes with a token of this tenant.
+  // Delays the refusals of all callers of this tenant.
   RefusalPacer& refusals() { return refusals_; }
 
  private:

@@ -11,7 +11,7 @@
 namespace spikeserve {
 namespace {
 
-// gRPC reads the files again this often.
+// The interval at which gRPC reads the files again.
 constexpr unsigned kRefreshSeconds = 2;
 
 template <auto kFree>
@@ -26,7 +26,7 @@ using Certificate = std::unique_ptr<X509, Free<X509_free>>;
 using Key = std::unique_ptr<EVP_PKEY, Free<EVP_PKEY_free>>;
 using Store = std::unique_ptr<X509_STORE, Free<X509_STORE_free>>;
 
-absl::Status NotOf(const char* flag, const std::string& path, const char* expected) {
+absl::Status NotPem(const char* flag, const std::string& path, const char* expected) {
   ERR_clear_error();
   return absl::InvalidArgumentError(
       absl::StrCat(flag, ": expected ", expected, " in PEM form, received ", path));
@@ -38,7 +38,7 @@ absl::StatusOr<Certificate> ReadCertificate(const char* flag, const std::string&
     Certificate certificate(PEM_read_bio_X509(file.get(), nullptr, nullptr, nullptr));
     if (certificate != nullptr) return certificate;
   }
-  return NotOf(flag, path, "a certificate");
+  return NotPem(flag, path, "a certificate");
 }
 
 absl::StatusOr<Key> ReadKey(const std::string& path) {
@@ -48,27 +48,28 @@ absl::StatusOr<Key> ReadKey(const std::string& path) {
     Key key(PEM_read_bio_PrivateKey(file.get(), nullptr, nullptr, no_password));
     if (key != nullptr) return key;
   }
-  return NotOf("--tls_key", path, "a private key without a password");
+  return NotPem("--tls_key", path, "a private key without a password");
 }
 
-bool AskForClientCertificate(SSL* connection, const std::string& authorities) {
+bool RequireClientCertificate(SSL* connection, const std::string& authorities) {
   const Store store(X509_STORE_new());
   auto* names = SSL_load_client_CA_file(authorities.c_str());
   if (names == nullptr || X509_STORE_load_file(store.get(), authorities.c_str()) != 1) return false;
-  SSL_set_client_CA_list(connection, names);  // which takes them
+  SSL_set_client_CA_list(connection, names);  // takes ownership of `names`
   SSL_set1_verify_cert_store(connection, store.get());
   SSL_set_verify(connection, SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, nullptr);
   return true;
 }
 
-// OpenSSL asks before each handshake; 1 goes on with it, 0 ends it.
+// Loads the files into a connection. OpenSSL calls this before each handshake and fails the
+// handshake if it returns 0.
 int UseFiles(SSL* connection, void* tls_files) {
   const auto& files = *static_cast<const TlsFiles*>(tls_files);
   const bool good =
       SSL_use_certificate_chain_file(connection, files.certificate.c_str()) == 1 &&
       SSL_use_PrivateKey_file(connection, files.key.c_str(), SSL_FILETYPE_PEM) == 1 &&
       SSL_check_private_key(connection) == 1 &&
-      (files.client_ca.empty() || AskForClientCertificate(connection, files.client_ca));
+      (files.client_ca.empty() || RequireClientCertificate(connection, files.client_ca));
   if (!good) ERR_clear_error();
   return good ? 1 : 0;
 }
@@ -78,12 +79,13 @@ int UseFiles(SSL* connection, void* tls_files) {
 absl::Status TlsFiles::Validate() const {
   if (certificate.empty() != key.empty()) {
     return absl::InvalidArgumentError(absl::StrCat(
-        certificate.empty() ? "--tls_certificate" : "--tls_key", ": expected a file beside ",
+        certificate.empty() ? "--tls_certificate" : "--tls_key", ": expected a file together with ",
         certificate.empty() ? "--tls_key" : "--tls_certificate", ", received none"));
   }
   if (!client_ca.empty() && !enabled()) {
     return absl::InvalidArgumentError(
-        "--tls_client_ca: expected --tls_certificate and --tls_key beside it, received neither");
+        "--tls_client_ca: expected it together with --tls_certificate and --tls_key, received "
+        "neither of these");
   }
   return absl::OkStatus();
 }
@@ -116,7 +118,7 @@ absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
 void SetUpTls(const TlsFiles* files, ssl_ctx_st* context) {
   SSL_CTX_set_min_proto_version(context, TLS1_2_VERSION);
   SSL_CTX_set_default_passwd_cb(context, [](char*, int, int, void*) { return 0; });
-  // A session that was agreed on under old files is not taken up again under new ones.
+  // Without resumption, every connection is checked against the current files.
   SSL_CTX_set_session_cache_mode(context, SSL_SESS_CACHE_OFF);
   SSL_CTX_set_options(context, SSL_OP_NO_TICKET);
   SSL_CTX_set_cert_cb(context, &UseFiles, const_cast<TlsFiles*>(files));

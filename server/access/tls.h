@@ -14,27 +14,28 @@ struct ssl_ctx_st;  // OpenSSL's SSL_CTX
 
 namespace spikeserve {
 
-// PEM files, looked at again every few seconds while the server runs, so that certificates are
-// renewed without a restart. All empty: plain text.
+// Paths of PEM files. The server reads them again while it runs, so certificates can be renewed
+// without a restart. If all paths are empty, the server speaks plain text.
 struct TlsFiles {
-  std::string certificate;  // the server's chain, its own first
-  std::string key;
-  std::string client_ca;  // set: clients must show a certificate that these signed
+  std::string certificate;  // the server's chain, leaf certificate first
+  std::string key;          // the private key of `certificate`, without a password
+  std::string client_ca;    // if set, clients must present a certificate that one of these signed
 
   bool enabled() const { return !certificate.empty(); }
 
-  // INVALID_ARGUMENT names the flag, what was expected and what came.
+  // Returns INVALID_ARGUMENT that names the flag if only some of the required paths are set.
   absl::Status Validate() const;
 };
 
-// INVALID_ARGUMENT, naming flag and file, where a file cannot be read as what it is to be, or
-// certificate and key do not belong together: gRPC itself would fail every handshake in silence.
+// Returns the credentials of the gRPC port. gRPC reads the files again every 2 seconds. Returns
+// INVALID_ARGUMENT, which names flag and file, if a file has another content than expected or the
+// key does not belong to the certificate: gRPC would fail every handshake without an error message.
 absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
     const TlsFiles& files);
 
-// Serves HTTPS with the same files, which are read for each connection, and the same demand for
-// client certificates. A file that has gone bad fails the connections until it is good again.
-// `files` must outlive `context`.
+// Configures HTTPS with the same files and the same requirement for client certificates. The files
+// are read for each connection; while a file is invalid, handshakes fail. `files` must outlive
+// `context`.
 void SetUpTls(const TlsFiles* files, ssl_ctx_st* context);
 
 }  // namespace spikeserve

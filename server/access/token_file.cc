@@ -87,7 +87,8 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TokenEntry* ent
 }
 
 Digest Sha256(absl::string_view bytes) {
-  // Fetching the algorithm takes OpenSSL's global lock; a context that has it is used again.
+  // Fetching the algorithm takes a global lock of OpenSSL, so it is fetched once, and each thread
+  // reuses one context.
   static const EVP_MD* const kSha256 = EVP_MD_fetch(nullptr, "SHA256", nullptr);
   struct Free {
     void operator()(EVP_MD_CTX* context) const { EVP_MD_CTX_free(context); }

@@ -1,4 +1,4 @@
-// The file that says which tokens are good, whose they are and what they allow:
+// Parses the tokens file, which lists the valid tokens with their tenants, roles and limits:
 //
 //   {"tenants": {"fleet-a": {"max_sessions": 100, "decisions_per_second": 5000,
 //                            "max_message_bytes": 65536}},
@@ -6,9 +6,9 @@
 //                "expires": "2027-01-31T00:00:00Z"},
 //               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all"}]}
 //
-// Limits that are left out do not apply; a token without `expires` is good until it is removed; one
-// without `sees` sees the sessions of its "tenant" alone. The file holds hashes, so that whoever
-// reads it cannot call.
+// An absent limit does not apply. A token without `expires` is valid until it is removed. `sees`
+// tells whose sessions the token may read: those of its "tenant" (the default) or "all". The file
+// holds hashes of tokens, so reading the file does not give access to the server.
 #ifndef SERVER_ACCESS_TOKEN_FILE_H_
 #define SERVER_ACCESS_TOKEN_FILE_H_
 
@@ -29,7 +29,8 @@ namespace spikeserve {
 
 using Digest = std::array<uint8_t, 32>;
 
-// SHA-256. Safe to call from many threads; allocates and locks only in a thread's first call.
+// Returns the SHA-256 digest of `bytes`. Safe to call from many threads; allocates and locks only
+// in the first call of a thread.
 Digest Sha256(absl::string_view bytes);
 
 struct TokenEntry {
@@ -37,7 +38,7 @@ struct TokenEntry {
   std::string tenant = "";
   Role role = Role::kAgent;
   absl::Time expires = absl::InfiniteFuture();
-  bool sees_all = false;  // the sessions of every tenant, to look at
+  bool sees_all = false;  // may read the sessions of every tenant
 
   bool operator==(const TokenEntry&) const = default;
 };
@@ -49,8 +50,8 @@ struct TokenFile {
   std::vector<TokenEntry> tokens;
 };
 
-// Nothing is guessed: an unknown key, role or tenant, a hash that comes twice or is not one, is an
-// error that names the field, what was expected and what came.
+// Parses the text of a tokens file. Returns INVALID_ARGUMENT that names the field, the expected and
+// the received value, for an unknown key, role or tenant, a malformed hash or a duplicate hash.
 absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text);
 
 }  // namespace spikeserve

@@ -1,4 +1,4 @@
-// HOST:PORT, as flags name an endpoint.
+// Network endpoints written as HOST:PORT, the form that flags take.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_BASE_ADDRESS_H_
@@ -13,15 +13,16 @@ namespace spikeserve {
 
 struct Address {
   std::string host;  // a name, an IPv4 address, or an IPv6 address in brackets
-  int port = 0;      // 0 picks a free one
+  int port = 0;      // 0: the system picks a free port
 
   std::string ToString() const;
 
-  // Whether only this machine can connect to it.
+  // Returns true if only this machine can connect to the address.
   bool is_loopback() const;
 };
 
-// INVALID_ARGUMENT names `field`, what was expected and what came.
+// Parses HOST:PORT. Returns INVALID_ARGUMENT with the expected and the received text, prefixed with
+// `field`, if `text` has another form.
 absl::StatusOr<Address> ParseAddress(absl::string_view field, absl::string_view text);
 
 }  // namespace spikeserve

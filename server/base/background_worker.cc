@@ -29,14 +29,14 @@ absl::Status BackgroundWorker::Submit(std::function<void()> work) {
   absl::MutexLock lock(&mutex_);
   if (waiting_.size() >= max_waiting_) {
     return absl::UnavailableError(absl::StrCat("overloaded: expected fewer than ", max_waiting_,
-                                               " requests to be waiting; ask again later"));
+                                               " waiting requests; ask again later"));
   }
   waiting_.push_back(std::move(work));
   return absl::OkStatus();
 }
 
 void BackgroundWorker::Run() {
-  // On Linux a thread has a priority of its own.
+  // On Linux, PRIO_PROCESS with a thread id sets the priority of that thread alone.
   setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), kNice);
   absl::MutexLock lock(&mutex_);
   while (true) {

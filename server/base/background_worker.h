@@ -1,5 +1,5 @@
-// One thread for work that may wait: it runs at a lower priority than the threads that decide, and
-// refuses work rather than letting it pile up.
+// Runs long work on one thread of lower priority than the threads that compute decisions. The queue
+// is bounded: work beyond it is refused.
 //
 // Thread-safe.
 #ifndef SERVER_BASE_BACKGROUND_WORKER_H_
@@ -17,15 +17,16 @@ namespace spikeserve {
 
 class BackgroundWorker {
  public:
-  // At most `max_waiting` pieces of work wait.
+  // Bounds the queue to `max_waiting` work items. The item that runs does not count.
   explicit BackgroundWorker(size_t max_waiting);
 
-  // Finishes all accepted work.
+  // Blocks until all accepted work has run.
   ~BackgroundWorker();
   BackgroundWorker(const BackgroundWorker&) = delete;
   BackgroundWorker& operator=(const BackgroundWorker&) = delete;
 
-  // Runs `work` once, later. UNAVAILABLE where too much is waiting; then it never runs.
+  // Queues `work`, which runs once. Returns UNAVAILABLE if the queue is full; `work` then never
+  // runs.
   absl::Status Submit(std::function<void()> work);
 
  private:

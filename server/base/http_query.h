@@ -1,4 +1,4 @@
-// What stands behind the question mark of an HTTP request.
+// The query parameters of an HTTP request.
 #ifndef SERVER_BASE_HTTP_QUERY_H_
 #define SERVER_BASE_HTTP_QUERY_H_
 
@@ -11,19 +11,21 @@
 
 namespace spikeserve {
 
-// Parameters by name, each at most once. A plain value.
+// Holds the query parameters by name. Each name occurs at most once. A plain value.
 class HttpQuery {
  public:
   HttpQuery() = default;
 
-  // INVALID_ARGUMENT names a parameter that comes twice or is not one of `known`.
+  // Returns INVALID_ARGUMENT, which names the parameter, if a parameter occurs twice or is not in
+  // `known`.
   static absl::StatusOr<HttpQuery> Parse(const std::multimap<std::string, std::string>& parameters,
                                          std::initializer_list<absl::string_view> known);
 
-  // The parameter, or `otherwise` where there is none.
+  // Returns the value of `name`, or `otherwise` if the parameter is absent.
   std::string Get(const std::string& name, absl::string_view otherwise = "") const;
 
-  // INVALID_ARGUMENT unless it is a whole number within [lowest, highest].
+  // As Get, but converts the value to an integer. Returns INVALID_ARGUMENT if the value is not an
+  // integer in [lowest, highest].
   absl::StatusOr<int64_t> GetInteger(const std::string& name, int64_t otherwise, int64_t lowest,
                                      int64_t highest) const;
 

@@ -1,7 +1,7 @@
-// The methods of PolicyService, PolicyAdmin and GRPCInferenceService: their names in metrics, and
-// the roles that may call them.
+// Lists the methods of PolicyService, PolicyAdmin and GRPCInferenceService, with their names in
+// metrics and the roles that may call them.
 //
-// A new method needs one enumerator and one row. Immutable.
+// To add a method, add one enumerator and one row. Immutable.
 #ifndef SERVER_BASE_METHOD_TABLE_H_
 #define SERVER_BASE_METHOD_TABLE_H_
 
@@ -12,7 +12,7 @@
 
 namespace spikeserve {
 
-// In the order of kMethodTable.
+// REQUIRES: the same order as kMethodTable.
 enum class Method {
   kListPolicies,
   kOpenSession,

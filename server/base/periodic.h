@@ -1,4 +1,4 @@
-// A thread that does one thing every so often.
+// Runs a function at regular intervals on its own thread.
 #ifndef SERVER_BASE_PERIODIC_H_
 #define SERVER_BASE_PERIODIC_H_
 
@@ -12,10 +12,11 @@ namespace spikeserve {
 
 class Periodic {
  public:
-  // Calls `work` from its thread whenever `interval` has passed since it last returned.
+  // Calls `work` each time `interval` has passed since its last call returned. The first call comes
+  // one `interval` after construction.
   Periodic(absl::Duration interval, std::function<void()> work);
 
-  // Waits for work under way.
+  // Stops the thread. Blocks until a running `work` has returned.
   ~Periodic();
 
  private:

@@ -1,4 +1,4 @@
-// What a token allows its holder to do.
+// The roles that a token can have.
 #ifndef SERVER_BASE_ROLE_H_
 #define SERVER_BASE_ROLE_H_
 
@@ -9,7 +9,7 @@
 namespace spikeserve {
 
 enum class Role {
-  kAgent,     // opens sessions, and uses the sessions of its tenant
+  kAgent,     // opens sessions and uses the sessions of its tenant
   kViewer,    // reads policies, sessions, heads, metrics and the status page
   kOperator,  // may call every method
 };

@@ -10,7 +10,7 @@
 namespace spikeserve {
 namespace {
 
-// Abseil took its codes from gRPC, number for number.
+// ToGrpcCode casts: Abseil's codes have the same numbers as gRPC's.
 static_assert(static_cast<int>(absl::StatusCode::kCancelled) == grpc::StatusCode::CANCELLED);
 static_assert(static_cast<int>(absl::StatusCode::kUnauthenticated) ==
               grpc::StatusCode::UNAUTHENTICATED);

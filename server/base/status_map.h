@@ -1,4 +1,6 @@
-// The one place where absl::Status becomes what gRPC says.
+// Converts absl::Status to grpc::Status. All RPC code converts here.
+//
+// Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_BASE_STATUS_MAP_H_
 #define SERVER_BASE_STATUS_MAP_H_
 
@@ -13,13 +15,15 @@ namespace spikeserve {
 
 grpc::StatusCode ToGrpcCode(absl::StatusCode code);
 
-// A retry delay becomes google.rpc.RetryInfo among the status's details.
+// Keeps code and message. Puts a retry delay, see WithRetryDelay, into the details of the status as
+// google.rpc.RetryInfo.
 grpc::Status ToGrpcStatus(const absl::Status& status);
 
-// `status` with a hint of when the call may be tried again. REQUIRES: not OK.
+// Returns `status` with `delay` attached: the time after which the caller may retry. REQUIRES:
+// `status` is not OK.
 absl::Status WithRetryDelay(absl::Status status, absl::Duration delay);
 
-// The hint, if `status` has one.
+// Returns the delay that WithRetryDelay attached to `status`, if any.
 std::optional<absl::Duration> RetryDelay(const absl::Status& status);
 
 }  // namespace spikeserve
