@@ -7,7 +7,7 @@
 namespace spikeserve {
 namespace {
 
-// What the shadow of a session is to see of the decision that was just made.
+// Returns the step that the session's shadow will replay for the decision that was just made.
 ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
   return {.episode = session.episode,
           .step = session.last_answer->step,

@@ -1,4 +1,4 @@
-// Decisions for several sessions at a time.
+// Computes decisions for several sessions at once.
 #ifndef SERVER_AGENT_ACT_TOGETHER_H_
 #define SERVER_AGENT_ACT_TOGETHER_H_
 
@@ -14,21 +14,22 @@
 
 namespace spikeserve {
 
-// Requests that are decided together. More would save no more of the weights' traffic, and keep
-// more sessions from whoever else asks for them.
+// The largest number of requests that are decided together. More requests would not reduce the
+// memory traffic of the weights further, and would lock more sessions against other callers.
 inline constexpr size_t kDecidedTogether = 16;
 
-// A request, its session and the place of its answer.
+// One request of a group, its session and its response.
 struct ActItem {
   const v1::ActRequest* request = nullptr;
-  std::optional<int64_t> step;  // absent: the one that the session expects, so never a retry
+  std::optional<int64_t> step;  // absent: the step that the session expects, so never a retry
   std::shared_ptr<SessionEntry> entry;
   v1::ActResponse* response = nullptr;
   absl::Status status = absl::OkStatus();
 };
 
-// Fills in each item's `response` or `status`, as if one after the other, bit for bit. Thread-safe.
-// REQUIRES: no session is there twice.
+// Computes the decision of each item and sets its `response`, or its `status` to the error. The
+// results equal those of deciding the items one after the other, bit for bit. Thread-safe.
+// REQUIRES: each session occurs at most once in `items`.
 void ActTogether(absl::Span<ActItem> items);
 
 }  // namespace spikeserve

@@ -14,7 +14,7 @@
 namespace spikeserve {
 namespace {
 
-// `evaluation.mean_return` of the policy file's training record, where it has one.
+// Returns `evaluation.mean_return` of a policy file's training record, if the record has it.
 std::optional<double> TrainingReturn(const std::string& training) {
   const auto json = nlohmann::json::parse(training, /*cb=*/nullptr, /*allow_exceptions=*/false);
   const auto evaluation = json.is_object() ? json.find("evaluation") : json.end();
@@ -24,7 +24,8 @@ std::optional<double> TrainingReturn(const std::string& training) {
   return mean->get<double>();
 }
 
-// What an answer consists of is written in place, where the response's arena serves it.
+// The parts of an answer are written through mutable_*() into the response, so that they are
+// allocated on the response's arena.
 
 void ToProto(const Action& action, bool discrete, v1::Action* proto) {
   if (discrete) return proto->set_discrete(action.discrete);
@@ -56,7 +57,7 @@ void ToProto(const Answer& answer, bool dense, v1::DecisionStats* proto) {
   proto->set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
 }
 
-// Fields that would do nothing are refused.
+// Refuses fields that would have no effect with the other options.
 absl::Status CheckApplies(const v1::LearningConfig& config, const LearningOptions& options) {
   const auto unset = [](const char* field, absl::string_view unless, double received) {
     return absl::InvalidArgumentError(absl::StrCat("learning.", field, ": expected unset unless ",
@@ -67,11 +68,11 @@ absl::Status CheckApplies(const v1::LearningConfig& config, const LearningOption
   }
   if (options.scope == Scope::kSession) return absl::OkStatus();
   if (config.has_max_drift()) {
-    return unset("max_drift", "scope is SESSION, since the server bounds what is shared",
+    return unset("max_drift", "scope is SESSION, because the server bounds shared heads",
                  config.max_drift());
   }
   if (config.has_guard_margin()) {
-    return unset("guard_margin", "scope is SESSION, since the server guards what is shared",
+    return unset("guard_margin", "scope is SESSION, because the server guards shared heads",
                  config.guard_margin());
   }
   return absl::OkStatus();
@@ -93,7 +94,8 @@ absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest&
         absl::StrCat("temperature: expected unset unless action_selection is SAMPLE, received ",
                      request.temperature()));
   }
-  // Decisions divide by it in float32, where the smallest doubles are zero.
+  // Decisions divide by the temperature in float32, where doubles below kSmallest are subnormal or
+  // zero.
   constexpr double kSmallest = std::numeric_limits<float>::min();
   constexpr double kLargest = std::numeric_limits<float>::max();
   if (!(request.temperature() >= kSmallest && request.temperature() <= kLargest)) {

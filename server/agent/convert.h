@@ -1,4 +1,4 @@
-// Between the wire's messages and core's values. No rules of the game here, only translation.
+// Converts between protobuf messages and the values of core. Contains no session logic.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_AGENT_CONVERT_H_
@@ -19,31 +19,35 @@
 
 namespace spikeserve {
 
-// INVALID_ARGUMENT for an unknown selection, or a temperature that is not positive or comes without
-// SAMPLE.
+// Converts how a session selects actions. Returns INVALID_ARGUMENT for an unknown selection, for a
+// temperature that is not a positive float32, or for a temperature without SAMPLE.
 absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request);
 
-// Unset fields get the defaults of LearningOptions. INVALID_ARGUMENT for an unknown name, a field
-// that would do nothing, and whatever LearningOptions::Validate refuses.
+// Converts learning options; unset fields get the defaults of LearningOptions. Returns
+// INVALID_ARGUMENT for an unknown name, for a field that would have no effect, and for options that
+// LearningOptions::Validate refuses.
 absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& config,
                                                   const ActionSpace& space,
                                                   const ActionSelection& selection);
 
-// The head's start beyond W_base, [act, d] or empty. INVALID_ARGUMENT names the field.
+// Returns the initial W - W_base of the session's action head: shape [act, d], or empty if the
+// request has none. Returns INVALID_ARGUMENT, which names the field, for another size, for values
+// that are not finite, and for a session that learns with scope FLEET.
 absl::StatusOr<std::vector<float>> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
                                                       const Policy& policy);
 
 v1::ActionSpace ToProto(const ActionSpace& space);
-// `entry` is that of the policy `served` is a version of.
+// REQUIRES: `entry` is the policy that `served` is a version of.
 v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served);
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary);
 v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta);
 
-// Equal answers give equal bytes. `policy` made the answer.
+// Fills in the response to one decision. Equal answers give equal bytes. REQUIRES: `policy`
+// computed `answer`.
 void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
              v1::ActResponse* response);
 
-// A reply on a stream to a request that failed.
+// Fills in the reply on a stream to a request that failed with `status`.
 void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
                   v1::ActResponse* response);
 

@@ -1,4 +1,4 @@
-// Work of a call that does not delay its answer.
+// Work of a call that runs after its answer was sent.
 #ifndef SERVER_AGENT_DEFERRED_WORK_H_
 #define SERVER_AGENT_DEFERRED_WORK_H_
 
@@ -11,16 +11,25 @@
 
 namespace spikeserve {
 
-// Work that a call leaves until its answer has been sent: the action tokens of the sessions that
-// decided, and the steps that their shadow policies play. Not thread-safe: one call owns it.
+// Collects the sessions that decided during a call. Run() appends the action tokens of their
+// decisions to their contexts and submits the steps that their shadows replay. Neither is needed
+// for the answer.
+//
+//   DeferredWork deferred;
+//   handler.Act(caller, request, &response, &deferred);
+//   Send(response);
+//   deferred.Run();
+//
+// Not thread-safe: one call owns it.
 class DeferredWork {
  public:
-  // `shadows` must outlive this object.
+  // Adds a session that decided. `shadows` must outlive this object.
   void Add(std::shared_ptr<SessionEntry> entry, ShadowRunner* shadows) {
     entries_.push_back(std::move(entry));
     shadows_ = shadows;
   }
-  // REQUIRES: the thread holds no session's lock.
+  // Does the work of all added sessions, then forgets them. REQUIRES: the calling thread holds no
+  // session lock.
   void Run();
 
  private:

@@ -1,4 +1,4 @@
-// Explanations as messages.
+// Explains decisions and converts the explanations to messages.
 #ifndef SERVER_AGENT_EXPLAIN_CONVERT_H_
 #define SERVER_AGENT_EXPLAIN_CONVERT_H_
 
@@ -11,12 +11,14 @@
 
 namespace spikeserve {
 
-// REQUIRES: `explanation` is of `session`, which has an answer, and `served` gave it. Thread-safe.
+// Converts an explanation to a message. REQUIRES: `served` gave session.last_answer, and
+// `explanation` explains it. Thread-safe.
 v1::ExplainResponse ToProto(const ServedPolicy& served, const Session& session,
                             const Explanation& explanation);
 
-// Explains the last decision of a session. Takes long, but holds the session's lock for a moment
-// only. Errors as Explain's of explanation.h. Thread-safe.
+// Explains the last decision of a session. Takes about a thousand times as long as the decision,
+// but holds the session's lock only while it copies the session. Errors: see Explain in
+// explanation.h. Thread-safe.
 absl::Status ExplainSession(SessionEntry& entry, v1::ExplainResponse* response);
 
 }  // namespace spikeserve

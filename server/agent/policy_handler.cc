@@ -58,7 +58,8 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   return options;
 }
 
-// The version a new session gets. Without a routing key the session's id divides the traffic.
+// Chooses the version that a new session is opened on. Without a routing key, the session's id
+// decides its share of the traffic.
 absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const std::string& id,
                                   const PolicyCatalog& catalog) {
   const std::string& key = request.routing_key();
@@ -184,7 +185,8 @@ absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_
   return item.status;
 }
 
-// In groups, which end where a session comes up again: its decisions are made in their order.
+// Decides the items in groups. A group ends before an item whose session is in the group already,
+// so that the decisions of one session are made in the order of the request.
 absl::Status PolicyHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                                      v1::ActBatchResponse* response, DeferredWork* deferred) const {
   absl::InlinedVector<ActItem, 1> group;

@@ -1,5 +1,5 @@
-// Answers the requests of PolicyService. Knows messages and sessions, but no calls, streams or
-// connections, so that everything an agent can ask is tested without a network.
+// Answers the requests of PolicyService. Works on messages and sessions, independent of calls,
+// streams and connections, so that it can be tested without a network.
 //
 // Thread-safe.
 #ifndef SERVER_AGENT_POLICY_HANDLER_H_
@@ -20,7 +20,7 @@
 
 namespace spikeserve {
 
-// Bounds on what one OpenSession can make the server keep or hash.
+// Limits on the labels and the routing key of one OpenSession, which the server stores or hashes.
 struct LabelLimits {
   static constexpr int kLabels = 32;
   static constexpr size_t kBytes = 256;  // of a key, a value or a routing key
@@ -28,55 +28,58 @@ struct LabelLimits {
 
 class PolicyHandler {
  public:
-  // All must outlive the handler. Without `recordings` no session is recorded.
+  // All arguments must outlive the handler. If `recordings` is null, sessions cannot be recorded.
   PolicyHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
                 const Clock* clock, Recordings* recordings = nullptr);
 
-  // A session belongs to the tenant that opened it and is NOT_FOUND for every other caller, but for
-  // those who may see it, in the calls that only look: GetSession and Explain, which do not count
-  // as a use of it.
+  // A session belongs to the tenant that opened it; callers of other tenants receive NOT_FOUND. The
+  // exceptions are GetSession and Explain, which also serve callers that may read the session
+  // (Credential::MaySee). Both leave the idle time of the session unchanged.
   //
-  // Each fills in `response` and returns OK, or returns the error that api.md names and leaves the
-  // session as it was.
+  // Each method fills in `response` and returns OK. On an error it leaves the session unchanged and
+  // returns the status that policy_service.proto names.
   absl::Status ListPolicies(const v1::ListPoliciesRequest& request,
                             v1::ListPoliciesResponse* response) const;
   absl::Status OpenSession(const Credential& caller, const v1::OpenSessionRequest& request,
                            v1::OpenSessionResponse* response) const;
-  // Under an id that the caller picks; ALREADY_EXISTS where it is taken.
+  // As OpenSession, with an id that the caller chooses; an empty id gets a new random one. Returns
+  // ALREADY_EXISTS if a session with this id is open.
   absl::Status OpenSessionAs(const Credential& caller, std::string id,
                              const v1::OpenSessionRequest& request,
                              v1::OpenSessionResponse* response) const;
   absl::Status Act(const Credential& caller, const v1::ActRequest& request,
                    v1::ActResponse* response, DeferredWork* deferred) const;
-  // At the step that the session expects, whatever `request` says, so nothing is ever a retry.
+  // As Act, but ignores request.step and decides at the step that the session expects, so a request
+  // is never a retry.
   absl::Status ActNext(const Credential& caller, const v1::ActRequest& request,
                        v1::ActResponse* response, DeferredWork* deferred) const;
-  // Answers item by item; an item that fails has its own code in `response`.
+  // Answers each item. An item that fails has its own code in `response`; the call returns OK.
   absl::Status ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                         v1::ActBatchResponse* response, DeferredWork* deferred) const;
   absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
-  // Takes long; holds the session's lock for a moment only.
+  // Takes about a thousand times as long as a decision; see ExplainSession.
   absl::Status Explain(const Credential& caller, const v1::ExplainRequest& request,
                        v1::ExplainResponse* response) const;
   absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response) const;
 
  private:
-  // A session that `caller` may see, not marked as used.
+  // Returns a session that `caller` may read, without resetting its idle time.
   absl::StatusOr<std::shared_ptr<SessionEntry>> Look(const Credential& caller,
                                                      const std::string& id) const;
 
-  // Records a session of `served` under a new `name`.
+  // Returns a recorder for a session of `served`, and sets `name` to a new name for the recording.
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
       const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;
 
-  // The session that `request` may decide for now, within its tenant's limits.
+  // Counts one decision of the caller's tenant and returns the session of `request`. Returns
+  // RESOURCE_EXHAUSTED if the tenant exceeds its limit.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindForDecision(
       const Credential& caller, const v1::ActRequest& request) const;
-  // At the step that the session expects where `step` is nothing.
+  // Decides at `step`, or at the step that the session expects if `step` is empty.
   absl::Status ActAt(const Credential& caller, std::optional<int64_t> step,
                      const v1::ActRequest& request, v1::ActResponse* response,
                      DeferredWork* deferred) const;

@@ -15,7 +15,7 @@
 namespace spikeserve {
 namespace {
 
-// Episodes that wait for the disk.
+// The largest number of episodes that wait to be written.
 constexpr size_t kLongestQueue = 4096;
 
 }  // namespace
@@ -25,8 +25,8 @@ absl::StatusOr<std::unique_ptr<Recordings>> Recordings::Create(const std::string
   std::error_code error;
   std::filesystem::create_directories(directory, error);
   if (error || access(directory.c_str(), W_OK | X_OK) != 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--record_dir: expected a directory that can be written, received ", directory));
+    return absl::InvalidArgumentError(
+        absl::StrCat("--record_dir: expected a writable directory, received ", directory));
   }
   return std::unique_ptr<Recordings>(new Recordings(directory, metrics));
 }

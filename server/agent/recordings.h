@@ -1,5 +1,5 @@
-// Writes recorded episodes below --record_dir, in a thread of its own, so that no answer waits for
-// a disk. What it cannot keep up with is dropped and counted.
+// Writes recorded episodes below --record_dir, on its own thread, so that no answer waits for the
+// disk. If the queue is full, episodes are dropped and counted.
 //
 // Thread-safe.
 #ifndef SERVER_AGENT_RECORDINGS_H_
@@ -18,14 +18,15 @@ namespace spikeserve {
 
 class Recordings {
  public:
-  // Makes `directory` if need be. `metrics` must outlive the recordings, and these the recorders.
+  // Creates `directory` if it does not exist. Returns INVALID_ARGUMENT if it cannot be written to.
+  // `metrics` must outlive the returned object, which must outlive its recorders.
   static absl::StatusOr<std::unique_ptr<Recordings>> Create(const std::string& directory,
                                                             Metrics* metrics);
 
-  // A name that no recording has yet.
+  // Returns a new name: <policy>-<version>-<16 random hexadecimal digits>.
   static std::string NewName(const ServedPolicy& served);
 
-  // Records a session below <directory>/<name>/.
+  // Returns a recorder that writes the episodes of one session below <directory>/<name>/.
   std::unique_ptr<EpisodeRecorder> Record(std::shared_ptr<const ServedPolicy> served,
                                           const std::string& name);
 
@@ -37,7 +38,7 @@ class Recordings {
 
   const std::string directory_;
   Metrics* const metrics_;
-  BackgroundWorker worker_;  // last: its work uses everything above
+  BackgroundWorker worker_;  // declared last, because its work uses the members above
 };
 
 }  // namespace spikeserve

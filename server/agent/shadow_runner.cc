@@ -31,17 +31,17 @@ prometheus::Labels With(prometheus::Labels labels, const char* name, const char*
 ShadowRunner::ShadowRunner(prometheus::Registry& registry)
     : decisions_(BuildCounter()
                      .Name("spikeserve_shadow_decisions_total")
-                     .Help("Decisions that a shadow version was asked for beside the one that "
-                           "serves, by whether it would have answered the same.")
+                     .Help("Decisions that a shadow version computed for comparison with the "
+                           "serving version, by whether both chose the same action.")
                      .Register(registry)),
       spikes_(BuildCounter()
                   .Name("spikeserve_shadow_spikes_total")
-                  .Help("Spikes of the decisions that both versions made, by side.")
+                  .Help("Spikes of the compared decisions, by side: served or shadow.")
                   .Register(registry)),
       dropped_(BuildCounter()
                    .Name("spikeserve_shadow_dropped_total")
-                   .Help("Decisions that a shadow version did not see, because it could not keep "
-                         "up or had missed one before.")
+                   .Help("Decisions that a shadow version skipped, because its queue was full or "
+                         "it had missed an earlier step of the episode.")
                    .Register(registry)),
       thread_([this] { Run(); }) {}
 
@@ -74,14 +74,15 @@ void ShadowRunner::WaitUntilIdle() {
 }
 
 void ShadowRunner::Run() {
-  // On Linux this is the thread's own priority. Without it shadows merely compete for processors.
+  // On Linux, PRIO_PROCESS with a thread id sets the priority of that thread alone. If it fails,
+  // shadows compete with decisions for processors, which is harmless.
   (void)setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), kLowestPriority);
   absl::MutexLock lock(&mutex_);
-  const auto has_news = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+  const auto can_continue = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     return stop_ || !queue_.empty();
   };
   while (true) {
-    mutex_.Await(absl::Condition(&has_news));
+    mutex_.Await(absl::Condition(&can_continue));
     if (stop_) return;
     const Job job = std::move(queue_.front());
     queue_.pop_front();

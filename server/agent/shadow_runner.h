@@ -1,5 +1,5 @@
-// Plays the traffic of sessions to their shadows, in a thread of its own and of low priority, so
-// that no answer waits for it; what cannot be kept up with is dropped and counted.
+// Replays the decisions of sessions on their shadow policies, on a thread of low priority, so that
+// no answer waits for a shadow. If the queue is full, steps are dropped and counted.
 //
 // Thread-safe.
 #ifndef SERVER_AGENT_SHADOW_RUNNER_H_
@@ -25,22 +25,22 @@ class ShadowRunner {
  public:
   static constexpr size_t kLongestQueue = 10'000;  // steps
 
-  // Counts into `registry`, which must outlive the runner:
-  // spikeserve_shadow_decisions_total{policy,version,shadow_version,agreement} (agree or differ),
-  // spikeserve_shadow_spikes_total{policy,version,shadow_version,side} (served or shadow, of the
-  // same decisions) and spikeserve_shadow_dropped_total{policy,version,shadow_version}.
+  // Registers these counters in `registry`, which must outlive the runner:
+  //   spikeserve_shadow_decisions_total{policy,version,shadow_version,agreement}: agree or differ
+  //   spikeserve_shadow_spikes_total{policy,version,shadow_version,side}: served or shadow
+  //   spikeserve_shadow_dropped_total{policy,version,shadow_version}
   explicit ShadowRunner(prometheus::Registry& registry);
 
-  // Finishes the step under way.
+  // Blocks until the current step is finished. Drops the steps that are still queued.
   ~ShadowRunner();
   ShadowRunner(const ShadowRunner&) = delete;
   ShadowRunner& operator=(const ShadowRunner&) = delete;
 
-  // The next steps of a session that `served_version` serves, in their order.
+  // Queues the next steps, in their order, of a session that `served_version` serves.
   void Submit(const std::shared_ptr<ShadowSession>& shadow, int64_t served_version,
               std::vector<ShadowStep> steps);
 
-  // Waits until everything that was submitted has been played; for tests.
+  // Blocks until all submitted steps have been replayed. For tests.
   void WaitUntilIdle();
 
  private:
@@ -62,7 +62,7 @@ class ShadowRunner {
   std::deque<Job> queue_ ABSL_GUARDED_BY(mutex_);
   bool playing_ ABSL_GUARDED_BY(mutex_) = false;
   bool stop_ ABSL_GUARDED_BY(mutex_) = false;
-  std::thread thread_;  // last: it uses everything above
+  std::thread thread_;  // declared last, because it uses the members above
 };
 
 }  // namespace spikeserve

@@ -31,7 +31,7 @@ Buckets RpcSeconds() {
 
 Buckets Spikes() { return {10, 25, 50, 100, 200, 350, 500, 1000, 2000, 3500, 5000, 10000, 100000}; }
 
-// Both signs: many tasks pay for time, and their returns are below zero.
+// Covers both signs: tasks that give a negative reward for each step have negative returns.
 Buckets Returns() {
   return {-2000, -1000, -500, -300, -200, -150, -120, -100, -90, -80, -70, -60, -50,
           -20,   0,     20,   50,   100,  200,  300,  400,  450, 490, 500, 1000};
@@ -40,70 +40,74 @@ Buckets Returns() {
 }  // namespace
 
 Metrics::Metrics()
-    : decisions_(Register(BuildCounter(), "spikeserve_decisions_total",
-                          "Decisions computed; a retry is not computed again.")),
+    : decisions_(
+          Register(BuildCounter(), "spikeserve_decisions_total",
+                   "Decisions computed. Retries are answered from storage and not counted.")),
       spikes_per_decision_(Register(BuildHistogram(), "spikeserve_spikes_per_decision",
-                                    "Spikes of one decision's new tokens.")),
+                                    "Spikes of the new tokens of one decision.")),
       spikes_(Register(BuildCounter(), "spikeserve_spikes_total",
                        "Spikes emitted, by neuron population.")),
       synaptic_operations_(Register(
           BuildCounter(), "spikeserve_synaptic_operations_total",
           "Effective synaptic operations as NeuroBench counts them: accumulate has a binary input, "
-          "multiply_accumulate an analog one; attention products stand beside them and belong to "
-          "neither.")),
+          "multiply_accumulate an analog one. Attention products are counted separately, as kind "
+          "attention.")),
       energy_(Register(
           BuildCounter(), "spikeserve_energy_joules_total",
-          "Estimated energy, not measured, memory traffic left out. spike_5pj: 5 pJ a spike; "
-          "horowitz_45nm: 0.9 pJ an accumulate, 4.6 pJ a multiply-accumulate. The models are "
-          "alternatives: do not add them up.")),
+          "Energy, estimated from counted events, not measured; without memory traffic. spike_5pj: "
+          "5 pJ a spike; horowitz_45nm: 0.9 pJ an accumulate, 4.6 pJ a multiply-accumulate. The "
+          "models are alternatives: do not add them.")),
       decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
-                                  "Time to compute one decision, without network or queues.")),
+                                  "Time to compute one decision, without network and queueing.")),
       sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
-      episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Episodes ended.")),
+      episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Ended episodes.")),
       episode_return_(Register(BuildHistogram(), "spikeserve_episode_return",
-                               "Return of each episode ended, in the environment's units.")),
+                               "Return of each ended episode, in the environment's units.")),
       episode_return_mean_(
           Register(BuildGauge(), "spikeserve_episode_return_mean",
-                   "Running mean of the return over the episodes ended since the server started.")),
+                   "Mean return of the episodes that ended since the server started.")),
       learning_updates_(Register(BuildCounter(), "spikeserve_learning_updates_total",
-                                 "Updates of action heads by sessions that learn.")),
+                                 "Action-head updates applied by sessions that learn.")),
       learning_rejected_(Register(BuildCounter(), "spikeserve_learning_rejected_total",
-                                  "Updates of action heads refused, the head left as it was.")),
-      head_drift_(Register(BuildGauge(), "spikeserve_head_drift_ratio",
-                           "|W - W_base| / |W_base| of the action head, where the session that "
-                           "learned last ended its episode; scope fleet: of the shared head.")),
+                                  "Action-head updates rejected; the head stays unchanged.")),
+      head_drift_(
+          Register(BuildGauge(), "spikeserve_head_drift_ratio",
+                   "|W - W_base| / |W_base| of the action head when the last learning "
+                   "episode ended. Scope session: the head of that session; scope fleet: the "
+                   "shared head.")),
       modulator_mean_(Register(BuildGauge(), "spikeserve_modulator_mean",
                                "mu of eq. 4.2: running mean of the returns that follow a decision, "
-                               "of the session that learned last.")),
+                               "for the session whose learning episode ended last.")),
       modulator_std_(Register(BuildGauge(), "spikeserve_modulator_std",
-                              "sigma of eq. 4.2, the deviation of those returns.")),
+                              "sigma of eq. 4.2: standard deviation of the returns whose mean is "
+                              "spikeserve_modulator_mean.")),
       watched_return_(Register(BuildGauge(), "spikeserve_learning_return",
-                               "Interquartile mean of the episode returns in the last whole window "
-                               "that a guard judged.")),
+                               "Interquartile mean of the episode returns in the last complete "
+                               "window that a guard evaluated.")),
       rollbacks_(Register(BuildCounter(), "spikeserve_learning_rollbacks_total",
-                          "Times that a guard put back the last good action head.")),
+                          "Rollbacks of an action head to its last good state by a guard.")),
       policy_info_(Register(BuildGauge(), "spikeserve_policy_info",
                             "Copies of a policy version in memory: 1 from its load until it "
                             "is unloaded and its last session has ended, then 0.")),
       rpc_duration_(Register(
           BuildHistogram(), "spikeserve_rpc_duration_seconds",
-          "Time to handle one call as the server sees it, by method and gRPC status code; for "
-          "ActStream, one request on the stream.")),
+          "Time to handle one call, measured on the server, by method and gRPC status code. For "
+          "ActStream and ModelStreamInfer: one request on the stream.")),
       reaped_idle_(&Register(BuildCounter(), "spikeserve_sessions_reaped_total",
-                             "Sessions the server ended by itself.")
+                             "Sessions that the server ended, by reason.")
                         .Add({{"reason", "idle"}})),
       sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
-                                "Sessions that may be open at a time, all policies together.")
+                                "Limit on the open sessions of all policies together.")
                            .Add({})) {
   auto& recorded = Register(BuildCounter(), "spikeserve_recorded_episodes_total",
-                            "Episodes of recorded sessions, by what became of them: written, or "
-                            "lost because the queue was full or the disk refused.");
+                            "Episodes of recorded sessions, by outcome: written, queue_full or "
+                            "write_failed. Episodes that are not written are lost.");
   static constexpr const char* kOutcomes[kRecordingOutcomes] = {"written", "queue_full",
                                                                 "write_failed"};
   for (size_t i = 0; i < kRecordingOutcomes; ++i) {
     recorded_episodes_[i] = &recorded.Add({{"outcome", kOutcomes[i]}});
   }
-  Register(BuildGauge(), "spikeserve_build_info", "1 for the version that runs.")
+  Register(BuildGauge(), "spikeserve_build_info", "1 for the running version.")
       .Add({{"version", std::string(Version())}})
       .Set(1);
 }
@@ -160,8 +164,8 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
   auto& slot = rpc_durations_[static_cast<size_t>(method)][static_cast<size_t>(code)];
   prometheus::Histogram* histogram = slot.load(std::memory_order_acquire);
   if (histogram == nullptr) {
-    // Two threads may get here; the family gives both the same histogram. Abseil's names of the
-    // codes are gRPC's.
+    // Two threads may reach this at once; the family returns the same histogram to both. Abseil's
+    // names of the codes are those of gRPC.
     histogram = &rpc_duration_.Add(
         {{"method", std::string(InfoOf(method).name)}, {"code", absl::StatusCodeToString(code)}},
         RpcSeconds());

@@ -1,6 +1,11 @@
-// What the server tells Prometheus.
+// The metrics that the server exports to Prometheus.
 //
-// Thread-safe. Every handle is made before it is needed, so that a decision looks nothing up.
+//   Metrics metrics;
+//   metrics.ObserveRpc(Method::kAct, absl::StatusCode::kOk, absl::Microseconds(80));
+//   std::string page = metrics.ToText();
+//
+// Thread-safe. Time series are created before a decision needs them, so that a decision looks
+// nothing up.
 #ifndef SERVER_METRICS_METRICS_H_
 #define SERVER_METRICS_METRICS_H_
 
@@ -24,7 +29,7 @@
 
 namespace spikeserve {
 
-// What became of an episode that was to be recorded.
+// The outcome of recording one episode.
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
 inline constexpr int kRecordingOutcomes = 3;
 
@@ -34,33 +39,35 @@ class Metrics {
   Metrics(const Metrics&) = delete;
   Metrics& operator=(const Metrics&) = delete;
 
-  // The figures of one policy version; must not outlive these metrics.
+  // Returns an observer that counts what the sessions of one policy version do. The observer must
+  // not outlive this object.
   std::shared_ptr<SessionObserver> NewPolicyObserver(const std::string& name, int64_t version,
                                                      const Policy& policy);
 
-  // One call as the server saw it; for ActStream, one request and its reply.
+  // Records the duration of one call. For ActStream and ModelStreamInfer: of one request.
   void ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration);
 
-  // Sessions that were idle for their time-to-live.
+  // Counts sessions that were closed because they were idle for the time-to-live.
   void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
 
   void CountRecordedEpisode(RecordingOutcome outcome) {
     recorded_episodes_[static_cast<size_t>(outcome)]->Increment();
   }
 
-  // How many sessions may be open at a time.
+  // Exports the limit on open sessions.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
 
-  // For figures that are kept elsewhere; what they belong to must not outlive these metrics.
+  // Returns the registry, for metrics that other classes own. Those classes must not outlive this
+  // object.
   prometheus::Registry& registry() { return registry_; }
 
-  // Everything, this process's use of its machine included; and the same in Prometheus's text
-  // format.
+  // Returns all metrics, including those of CollectProcessMetrics.
   std::vector<prometheus::MetricFamily> Collect() const;
+  // As Collect, in the text format of Prometheus.
   std::string ToText() const;
 
  private:
-  static constexpr int kCodes = 17;  // gRPC's
+  static constexpr int kCodes = 17;  // gRPC status codes
 
   auto& Register(auto builder, const char* name, const char* help) {
     return builder.Name(name).Help(help).Register(registry_);
@@ -89,7 +96,7 @@ class Metrics {
   prometheus::Counter* reaped_idle_;
   prometheus::Gauge* sessions_limit_;
   std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
-  // Made when a method first answers with a code, since most pairs never occur.
+  // Created when a method first returns a code, because most pairs never occur.
   std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
 };
 

@@ -1,4 +1,5 @@
-// Counts what the sessions of one policy version do, and logs each rollback of a guard.
+// Counts decisions, spikes, energy, episodes and learning of the sessions of one policy version,
+// and logs each rollback by a guard.
 //
 // Thread-safe.
 #ifndef SERVER_METRICS_POLICY_METRICS_H_
@@ -21,14 +22,15 @@ namespace spikeserve {
 
 class PolicyMetrics final : public SessionObserver {
  public:
-  // One time series each, all of this policy version.
-  struct LearningHandles {  // of one Scope
+  // Time series of this policy version for one learning scope.
+  struct LearningHandles {
     prometheus::Gauge* head_drift;
     prometheus::Gauge* modulator_mean;
     prometheus::Gauge* modulator_std;
     prometheus::Gauge* watched_return;
     prometheus::Counter* rollbacks;
   };
+  // Time series of this policy version.
   struct Handles {
     prometheus::Gauge* info;
     prometheus::Counter* decisions;
@@ -46,11 +48,11 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Gauge* episode_return_mean;
     prometheus::Counter* learning_updates;
     prometheus::Counter* learning_rejected_non_finite;
-    std::array<LearningHandles, 2> learning;  // by Scope
+    std::array<LearningHandles, 2> learning;  // indexed by Scope
   };
 
-  // `name` is what the log calls the policy version. `dense` as EstimateEnergy takes it. The
-  // handles must outlive this object.
+  // `name` stands for the policy version in log lines. `dense`: see EstimateEnergy. The handles
+  // must outlive this object.
   PolicyMetrics(std::string name, const Handles& handles, bool dense)
       : name_(std::move(name)), handles_(handles), dense_(dense) {
     handles_.info->Increment();

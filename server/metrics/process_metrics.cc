@@ -32,7 +32,7 @@ MetricFamily Family(const char* name, const char* help, MetricType type, double 
   return {.name = name, .help = help, .type = type, .metric = {metric}};
 }
 
-// Seconds since the epoch at which the machine started, or 0.
+// Returns the boot time of the machine in seconds since the Unix epoch, or 0 if it is unknown.
 double BootSeconds() {
   std::ifstream stat("/proc/stat");
   for (std::string word; stat >> word;) {
@@ -43,13 +43,14 @@ double BootSeconds() {
   return 0;
 }
 
-// The fields of proc(5)'s /proc/self/stat by their numbers there, 4 to 24; empty where it cannot be
-// read.
+// Returns fields 4 to 24 of /proc/self/stat, indexed by their numbers in proc(5). Returns an empty
+// vector if the file cannot be read.
 std::vector<double> ReadStat() {
   std::ifstream file("/proc/self/stat");
   std::string line;
   std::getline(file, line);
-  // Field 2 is the program's name in parentheses, which may hold any letter; field 3 is one letter.
+  // Field 2 is the program's name in parentheses, which may contain spaces and parentheses, so
+  // parsing starts after the last one. Field 3 is one letter.
   std::istringstream rest(line.substr(line.rfind(')') + 1));
   char state = 0;
   rest >> state;
@@ -58,7 +59,7 @@ std::vector<double> ReadStat() {
   return rest ? fields : std::vector<double>();
 }
 
-// 0 where /proc does not say.
+// Returns the number of open file descriptors, or 0 if /proc cannot be read.
 int64_t CountOpenFiles() {
   std::error_code error;
   std::filesystem::directory_iterator file("/proc/self/fd", error);
@@ -78,18 +79,18 @@ std::vector<MetricFamily> CollectProcessMetrics() {
     const double user_ticks = stat[14], system_ticks = stat[15], start_ticks = stat[22];
     const double resident_pages = stat[24];
     const auto ticks_per_second = static_cast<double>(sysconf(_SC_CLK_TCK));
-    add("process_cpu_seconds_total", "User and system CPU time spent.", MetricType::Counter,
+    add("process_cpu_seconds_total", "User and system CPU time.", MetricType::Counter,
         (user_ticks + system_ticks) / ticks_per_second);
-    add("process_resident_memory_bytes", "Resident memory.", MetricType::Gauge,
+    add("process_resident_memory_bytes", "Resident memory size.", MetricType::Gauge,
         resident_pages * static_cast<double>(sysconf(_SC_PAGESIZE)));
-    add("process_start_time_seconds", "When the process started, since the Unix epoch.",
+    add("process_start_time_seconds", "Start time of the process since the Unix epoch.",
         MetricType::Gauge, BootSeconds() + start_ticks / ticks_per_second);
   }
   if (const int64_t open = CountOpenFiles(); open > 0) {
     add("process_open_fds", "Open file descriptors.", MetricType::Gauge, static_cast<double>(open));
   }
   if (rlimit limit; getrlimit(RLIMIT_NOFILE, &limit) == 0) {
-    add("process_max_fds", "File descriptors that may be open.", MetricType::Gauge,
+    add("process_max_fds", "Limit on open file descriptors.", MetricType::Gauge,
         static_cast<double>(limit.rlim_cur));
   }
   return families;

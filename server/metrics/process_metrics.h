@@ -1,4 +1,4 @@
-// What this process takes from its machine, under the names that Prometheus's own clients use.
+// Resource use of this process, under the metric names of the official Prometheus clients.
 #ifndef SERVER_METRICS_PROCESS_METRICS_H_
 #define SERVER_METRICS_PROCESS_METRICS_H_
 
@@ -8,9 +8,9 @@
 
 namespace spikeserve {
 
-// process_cpu_seconds_total, process_resident_memory_bytes, process_open_fds, process_max_fds and
-// process_start_time_seconds, as Linux's /proc has them now; what /proc does not say is left out.
-// Thread-safe.
+// Returns process_cpu_seconds_total, process_resident_memory_bytes, process_open_fds,
+// process_max_fds and process_start_time_seconds, read from /proc now. Omits values that /proc does
+// not provide. Thread-safe.
 std::vector<prometheus::MetricFamily> CollectProcessMetrics();
 
 }  // namespace spikeserve
