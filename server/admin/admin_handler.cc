@@ -34,7 +34,7 @@ absl::Status AdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
   if (!served.ok()) return served.status();
   const auto catalog = registry_->catalog();
   const auto policy = catalog->FindPolicy(request.policy());
-  if (!policy.ok()) return policy.status();  // unloaded since, by somebody else
+  if (!policy.ok()) return policy.status();  // another call has unloaded it since
   *response->mutable_policy() = spikeserve::ToProto(**policy, **served);
   return absl::OkStatus();
 }
@@ -107,8 +107,8 @@ absl::Status AdminHandler::ListSessions(const Credential& caller,
     return (request.policy().empty() || request.policy() == entry.served->name) &&
            (request.version() == 0 || request.version() == entry.served->version);
   });
-  // A page's token is the id of its last session, so pages stay in order while sessions come and
-  // go.
+  // A page token is the id of the last session of the page before, so pages neither skip nor repeat
+  // a session while others open and close.
   const auto first = std::find_if(sessions.begin(), sessions.end(), [&](const auto& session) {
     return session.id > request.page_token();
   });

@@ -1,5 +1,5 @@
-// Answers the requests of PolicyAdmin. Knows messages, policies and sessions, but no calls or
-// connections.
+// Answers the requests of PolicyAdmin about policies and sessions; HeadHandler answers those about
+// learning. Independent of calls and connections, so that it can be tested without a network.
 //
 // Thread-safe.
 #ifndef SERVER_ADMIN_ADMIN_HANDLER_H_
@@ -18,13 +18,13 @@ namespace spikeserve {
 
 class AdminHandler {
  public:
-  // Both must outlive the handler. `on_draining` hears what Drain has set, from its caller's
-  // thread.
+  // `registry` and `store` must outlive the handler. Drain calls `on_draining` with the new
+  // draining state, on the thread of its caller.
   AdminHandler(PolicyRegistry* registry, SessionStore* store, std::function<void(bool)> on_draining)
       : registry_(registry), store_(store), on_draining_(std::move(on_draining)) {}
 
-  // Each fills in `response` and returns OK, or returns the error that policy_admin.proto names and
-  // changes nothing.
+  // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
+  // status that policy_admin.proto names.
   absl::Status LoadPolicy(const v1::LoadPolicyRequest& request,
                           v1::LoadPolicyResponse* response) const;
   absl::Status UnloadPolicy(const v1::UnloadPolicyRequest& request,
@@ -38,7 +38,7 @@ class AdminHandler {
                            v1::RemoveLabelResponse* response) const;
   absl::Status SetTraffic(const v1::SetTrafficRequest& request,
                           v1::SetTrafficResponse* response) const;
-  // Of the sessions that `caller` may see.
+  // Lists the sessions that `caller` may read; see Credential::MaySee.
   absl::Status ListSessions(const Credential& caller, const v1::ListSessionsRequest& request,
                             v1::ListSessionsResponse* response) const;
   absl::Status Drain(const v1::DrainRequest& request, v1::DrainResponse* response) const;

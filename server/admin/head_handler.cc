@@ -17,8 +17,9 @@ namespace {
 
 using nlohmann::json;
 
-// The policy with the shared head for its own. Its training record is where the head comes from;
-// the evaluation of the parent's head, which is within `parent_training`, is not its own.
+// Returns the policy with the shared head as its action head. Its training record holds the lineage
+// of the head and, as `parent_training`, the record of the parent, whose evaluation does not apply
+// to the new head.
 Policy Promoted(const ServedPolicy& served, const FleetHead::Snapshot& snapshot) {
   Policy policy = served.policy();
   policy.weights.head = snapshot.head;
@@ -34,7 +35,7 @@ Policy Promoted(const ServedPolicy& served, const FleetHead::Snapshot& snapshot)
   return policy;
 }
 
-// One above every version in the directory, so that no folder is ever written to twice.
+// Returns the highest version in the directory plus one, so that no existing folder is overwritten.
 absl::StatusOr<int64_t> NextVersion(const std::string& directory, const std::string& policy) {
   const auto folders = ListPolicyFolders(directory);
   if (!folders.ok()) return folders.status();
@@ -94,8 +95,8 @@ absl::Status HeadHandler::PromoteHead(const v1::PromoteHeadRequest& request,
   const auto snapshot = (*served)->fleet->Read();
   if (snapshot->drift == 0.0) {
     return absl::FailedPreconditionError(
-        absl::StrCat("version: expected one whose fleet has learned something, received ",
-                     (*served)->version, ", whose shared head is its own"));
+        absl::StrCat("version: expected one whose shared head has learned, received ",
+                     (*served)->version, ", whose shared head equals that of its file"));
   }
   const auto next = NextVersion(registry_->directory(), (*served)->name);
   if (!next.ok()) return next.status();

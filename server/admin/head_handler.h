@@ -1,5 +1,5 @@
-// Answers PolicyAdmin's requests about what sessions learn: the heads that fleets share, and
-// whether a policy learns at all.
+// Answers the requests of PolicyAdmin about learning: reads, promotes and rolls back the heads that
+// fleets share, and pauses and resumes learning.
 //
 // Thread-safe.
 #ifndef SERVER_ADMIN_HEAD_HANDLER_H_
@@ -16,11 +16,11 @@ namespace spikeserve {
 
 class HeadHandler {
  public:
-  // Both must outlive this object.
+  // `registry` and `store` must outlive this object.
   HeadHandler(PolicyRegistry* registry, SessionStore* store) : registry_(registry), store_(store) {}
 
-  // Each fills in `response` and returns OK, or returns the error that policy_admin.proto names and
-  // changes nothing. NOT_FOUND for a policy or version that is not served.
+  // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
+  // status that policy_admin.proto names; NOT_FOUND if the policy or version is not served.
   absl::Status GetHead(const v1::GetHeadRequest& request, v1::GetHeadResponse* response) const;
   absl::Status PromoteHead(const v1::PromoteHeadRequest& request,
                            v1::PromoteHeadResponse* response) const;
@@ -34,7 +34,7 @@ class HeadHandler {
  private:
   PolicyRegistry* const registry_;
   SessionStore* const store_;
-  mutable absl::Mutex promote_mutex_;  // so that two promotions never pick one version number
+  mutable absl::Mutex promote_mutex_;  // keeps two promotions from choosing the same version number
 };
 
 }  // namespace spikeserve

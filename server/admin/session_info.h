@@ -1,4 +1,4 @@
-// One line of a list of sessions.
+// Converts listed sessions to messages.
 #ifndef SERVER_ADMIN_SESSION_INFO_H_
 #define SERVER_ADMIN_SESSION_INFO_H_
 
@@ -7,7 +7,7 @@
 
 namespace spikeserve {
 
-// Holds the session's lock for a moment. Thread-safe.
+// Fills in `info`. Holds the session's lock only while it copies the values. Thread-safe.
 void ToProto(const ListedSession& listed, v1::SessionInfo* info);
 
 }  // namespace spikeserve

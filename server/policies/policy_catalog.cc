@@ -15,14 +15,16 @@ std::string Keys(const Map& map) {
       map, ", ", [](std::string* out, const auto& item) { absl::StrAppend(out, item.first); });
 }
 
-// FNV-1a (Fowler, Noll & Vo), so that a key means the same on every replica and after a restart.
+// FNV-1a (Fowler, Noll & Vo). Gives a key the same hash on every replica and after a restart, which
+// std::hash does not promise.
 uint64_t HashOfText(absl::string_view text) {
   uint64_t hash = 0xcbf29ce484222325ull;
   for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3ull;
   return hash;
 }
 
-// The policy's name is part of the hash, so that a robot is not in the first share of every policy.
+// Returns the version whose share the routing key falls into. The hash includes the policy's name,
+// so that one key falls into independent shares of different policies.
 int64_t ShareOf(const std::vector<TrafficShare>& shares, const VersionChoice& choice) {
   const uint64_t bits = RandomBits({HashOfText(choice.policy), HashOfText(choice.routing_key)});
   auto place = static_cast<int>(bits % 100);

@@ -1,6 +1,9 @@
-// Which policy versions are served, and which of them a new session gets: a snapshot.
+// A snapshot of the served policy versions. Chooses the version that a new session is opened on.
 //
-// A value: the registry changes a copy and publishes it, so readers share one without a lock.
+//   auto route = registry.catalog()->Choose({.policy = "cartpole", .routing_key = "robot-7"});
+//
+// A plain value. The registry changes a copy and publishes it, so readers share a const snapshot
+// without a lock.
 #ifndef SERVER_POLICIES_POLICY_CATALOG_H_
 #define SERVER_POLICIES_POLICY_CATALOG_H_
 
@@ -16,7 +19,7 @@
 
 namespace spikeserve {
 
-// What a new session asks for.
+// The request of a new session for a policy version.
 struct VersionChoice {
   std::string policy;
   int64_t version = 0;           // 0: not named
@@ -24,14 +27,14 @@ struct VersionChoice {
   std::string routing_key = "";  // equal keys get equal versions where traffic is divided
 };
 
-// What it gets.
+// The versions that a new session is given.
 struct Route {
   std::shared_ptr<const ServedPolicy> served;
-  std::shared_ptr<const ServedPolicy> shadow;  // null: none, or `served` itself
+  std::shared_ptr<const ServedPolicy> shadow;  // null if there is none or it equals `served`
 };
 
-// The versions of one policy, and what holds of an operator's settings: every version that they
-// name is in `versions`.
+// The served versions of one policy, and the settings of operators that are in force. Every version
+// that the settings name is in `versions`.
 struct CatalogPolicy {
   std::map<int64_t, std::shared_ptr<const ServedPolicy>> versions;  // never empty
   PolicySettings settings;
@@ -41,18 +44,21 @@ struct CatalogPolicy {
 
 class PolicyCatalog {
  public:
-  // A version, or the default for 0. NOT_FOUND says which policies or versions there are.
+  // Returns version `version` of policy `name`, or the default version for 0. Returns NOT_FOUND,
+  // which lists the known policies or versions.
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> Find(const std::string& name,
                                                            int64_t version) const;
 
-  // The version a new session is opened on, and the one that shadows it. INVALID_ARGUMENT for a
-  // choice of both version and label; NOT_FOUND says which policies, versions or labels there are.
+  // Returns the version that a new session is opened on, and the version that shadows it. Returns
+  // INVALID_ARGUMENT if `choice` has both a version and a label, and NOT_FOUND, which lists the
+  // known policies, versions or labels.
   absl::StatusOr<Route> Choose(const VersionChoice& choice) const;
 
-  // NOT_FOUND says which policies there are.
+  // Returns policy `name`. The pointer is valid as long as this catalog. Returns NOT_FOUND, which
+  // lists the known policies.
   absl::StatusOr<const CatalogPolicy*> FindPolicy(const std::string& name) const;
 
-  // Every policy by name.
+  // Returns all policies by name.
   const std::map<std::string, CatalogPolicy>& policies() const { return policies_; }
   std::map<std::string, CatalogPolicy>& policies() { return policies_; }
 
@@ -60,7 +66,8 @@ class PolicyCatalog {
   std::map<std::string, CatalogPolicy> policies_;
 };
 
-// Whether a version can stand in for another: equal observations and actions.
+// Returns true if both versions have the same observation size and action space, so that one can
+// replace or shadow the other.
 bool SameSpaces(const ServedPolicy& a, const ServedPolicy& b);
 
 }  // namespace spikeserve

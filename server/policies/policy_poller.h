@@ -1,4 +1,5 @@
-// Keeps a registry in line with its directory, in a thread of its own, and logs what changes.
+// Reloads a registry from its directory at regular intervals, on its own thread, and logs changes
+// and refused files.
 #ifndef SERVER_POLICIES_POLICY_POLLER_H_
 #define SERVER_POLICIES_POLICY_POLLER_H_
 
@@ -15,8 +16,8 @@ namespace spikeserve {
 
 class PolicyPoller {
  public:
-  // `registry` must outlive the poller. What is in `known`, the refusals that were logged before,
-  // is not logged again.
+  // `registry` must outlive the poller. `known` holds the refusals that are logged already; they
+  // are not logged again.
   PolicyPoller(PolicyRegistry* registry, absl::Duration interval,
                const std::vector<absl::Status>& known);
 
@@ -24,7 +25,7 @@ class PolicyPoller {
   void Poll();
 
   PolicyRegistry* const registry_;
-  std::set<std::string> logged_;  // the thread's own once it runs
+  std::set<std::string> logged_;  // used only by the thread once it runs
   Periodic thread_;
 };
 

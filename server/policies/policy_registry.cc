@@ -9,14 +9,15 @@
 namespace spikeserve {
 namespace {
 
-// NOT_FOUND unless the policy has this version.
+// Returns NOT_FOUND unless the policy has this version.
 absl::Status CheckVersion(const CatalogPolicy& policy, const std::string& name, int64_t version) {
   if (policy.versions.contains(version)) return absl::OkStatus();
-  return absl::NotFoundError(absl::StrCat("version: expected one that is served of policy ", name,
-                                          ", received ", version));
+  return absl::NotFoundError(
+      absl::StrCat("version: expected a served version of policy ", name, ", received ", version));
 }
 
-// The shadow must fit every version that gets sessions without naming one.
+// Returns FAILED_PRECONDITION unless the shadow has the spaces of every version that sessions can
+// be routed to without naming a version.
 absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name,
                          std::vector<TrafficShare> shadowed, int64_t shadow_version) {
   if (shadow_version == 0) return absl::OkStatus();
@@ -61,11 +62,11 @@ std::vector<std::string> PolicyRegistry::ApplySettings(PolicyCatalog* catalog) c
       for (const auto& [version, served] : policy->second.versions) versions.insert(version);
     }
     std::vector<std::string> lines;
-    PolicySettings holding = EffectiveSettings(settings, versions, &lines);
+    PolicySettings effective = EffectiveSettings(settings, versions, &lines);
     for (const std::string& line : lines) {
       waiting.push_back(absl::StrCat(settings_path_, ": policies.", name, ".", line));
     }
-    if (!versions.empty()) policy->second.settings = std::move(holding);
+    if (!versions.empty()) policy->second.settings = std::move(effective);
   }
   return waiting;
 }
@@ -88,7 +89,7 @@ void PolicyRegistry::Publish(PolicyCatalog catalog) {
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     const PolicyVersion& version) {
-  // The stamp first: a file that changes while it is read is read again.
+  // The stamp is taken before reading, so that a file that changes while it is read is read again.
   KnownFile& file = files_[version];
   file.stamp = StampOf(PolicyFilePath(directory_, version));
   std::shared_ptr<LearningSwitch>& learning = learning_[version.policy];
@@ -196,7 +197,7 @@ absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
   }
   if (const std::string use = policy.settings.UseOf(version.version); !use.empty()) {
     return absl::FailedPreconditionError(
-        absl::StrCat("version: expected one that nothing was set to, received ", version.version,
+        absl::StrCat("version: expected one that no setting uses, received ", version.version,
                      ", which is ", use));
   }
   Settings settings = settings_;

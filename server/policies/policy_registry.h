@@ -1,9 +1,10 @@
-// The policy versions a server serves, live: versions come and go while sessions run.
+// Loads, replaces and unloads policy versions while sessions run, and applies the settings of
+// operators.
 //
-// Thread-safe. Readers take a snapshot and keep it for as long as they like; changes are made one
-// at a time, files are read outside of the readers' lock, and a session keeps the version it was
-// opened on. What an operator sets is written to a file before it holds, where there is one, so
-// that it outlives the server.
+// Thread-safe. catalog() returns an immutable snapshot that a reader may keep. Changes run one at a
+// time and read files without blocking readers. A session keeps the version it was opened on. If
+// there is a settings file, a setting is written to it before it takes effect, so that it survives
+// a restart.
 #ifndef SERVER_POLICIES_POLICY_REGISTRY_H_
 #define SERVER_POLICIES_POLICY_REGISTRY_H_
 
@@ -24,69 +25,70 @@
 
 namespace spikeserve {
 
-// What Reload did.
+// The result of Reload.
 struct ReloadReport {
-  std::vector<PolicyVersion> loaded;    // new, or read again because the file changed
-  std::vector<PolicyVersion> unloaded;  // their files are gone
-  std::vector<absl::Status> refused;    // everything that is amiss now; the path comes first
-  std::vector<std::string> waiting;  // settings whose version is not served; the path comes first
+  std::vector<PolicyVersion> loaded;    // new versions, and versions whose file changed
+  std::vector<PolicyVersion> unloaded;  // versions whose files were removed
+  std::vector<absl::Status> refused;    // all current problems; messages start with the path
+  std::vector<std::string> waiting;     // settings whose version is not served; start with the path
 };
 
 class PolicyRegistry {
  public:
-  // Loads what can be loaded, and puts back what operators have set as `settings_path` tells, if it
-  // is not empty. What cannot be is told in `report`; everything else is served. A setting whose
-  // version is not there is kept, and holds once the version is. NOT_FOUND if there is no such
-  // directory, INVALID_ARGUMENT for settings that cannot be read.
+  // Loads the policies of `directory`, and the settings at `settings_path` unless it is empty.
+  // Files that cannot be loaded are listed in `report`; all others are served. A setting whose
+  // version is not served is kept and takes effect when the version is loaded. Returns NOT_FOUND if
+  // there is no such directory, INVALID_ARGUMENT if the settings file is not valid.
   static absl::StatusOr<std::unique_ptr<PolicyRegistry>> Load(const std::string& directory,
                                                               const std::string& settings_path,
                                                               NewObserver new_observer,
                                                               ReloadReport* report);
 
-  // What is served now. Never null.
+  // Returns the current snapshot. Never null.
   std::shared_ptr<const PolicyCatalog> catalog() const;
 
   const std::string& directory() const { return directory_; }
 
-  // Brings the catalog in line with the directory: reads new and changed files, and drops versions
-  // whose files are gone unless an operator set something to them. A file that is refused changes
-  // nothing: the version that was read before goes on. NOT_FOUND if the directory cannot be read;
-  // then nothing changes.
+  // Updates the catalog from the directory: loads new and changed files, and unloads versions whose
+  // files were removed, unless a setting uses them. If a changed file is refused, the version that
+  // was loaded before stays. Returns NOT_FOUND and changes nothing if the directory cannot be read.
   absl::StatusOr<ReloadReport> Reload();
 
-  // Reads this version now, whatever was served under its number. NOT_FOUND without a file,
-  // INVALID_ARGUMENT where it is refused; then nothing changes.
+  // Loads this version now and replaces a version of the same number, even if its file has not
+  // changed. Returns NOT_FOUND if there is no file and INVALID_ARGUMENT if it is refused; then
+  // nothing changes.
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadVersion(const PolicyVersion& version);
 
-  // Each NOT_FOUND for a policy or version that is not served, and then nothing changes.
+  // The methods below return NOT_FOUND and change nothing if the policy or version is not served.
 
-  // Drops a version, and keeps it out of reloads until LoadVersion names it. FAILED_PRECONDITION
-  // while an operator's setting points at it.
+  // Unloads a version. Reload does not load it again until LoadVersion was called for it. Returns
+  // FAILED_PRECONDITION while a setting of an operator uses it.
   absl::Status Unload(const PolicyVersion& version);
 
-  // The default; 0 makes it the highest version, now and later. Returns what it is now.
+  // Sets the default version; 0 makes the default follow the highest version. Returns the version
+  // that is the default now.
   absl::StatusOr<int64_t> SetDefault(const std::string& policy, int64_t version);
 
-  // INVALID_ARGUMENT unless the label is plain.
+  // Points `label` at a version. Returns INVALID_ARGUMENT unless IsPlainName(label).
   absl::Status SetLabel(const PolicyVersion& version, const std::string& label);
   absl::Status RemoveLabel(const std::string& policy, const std::string& label);
 
-  // How new sessions that name no version are divided (none: to the default), and which version
-  // shadows the others (0: none). INVALID_ARGUMENT unless every share is in [0, 100], no version
-  // comes twice and they add up to 100; FAILED_PRECONDITION for a shadow whose observations or
-  // actions are not those of the versions it would shadow.
+  // Sets how new sessions that name no version are divided between versions (empty: all to the
+  // default), and the version that shadows the others (0: none). Returns INVALID_ARGUMENT unless
+  // `shares` passes CheckShares, and FAILED_PRECONDITION if the shadow has other observations or
+  // actions than a version it would shadow.
   absl::Status SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
                           int64_t shadow_version);
 
-  // Stops or resumes learning in every version of one policy, or of all that are served (empty).
-  // Once a pause has returned, their shared heads stand still.
+  // Pauses or resumes learning in all versions of a policy, or of all served policies if `policy`
+  // is empty. After a pause has returned, their shared heads do not change.
   absl::Status SetLearningPaused(const std::string& policy, bool paused);
 
  private:
-  // A version's file when it was last read.
+  // The state of a version's file when it was last read.
   struct KnownFile {
     FileStamp stamp;
-    absl::Status status;  // why it was refused
+    absl::Status status;  // OK, or why the file was refused
   };
 
   PolicyRegistry(std::string directory, std::string settings_path, NewObserver new_observer)
@@ -96,14 +98,15 @@ class PolicyRegistry {
 
   void Publish(PolicyCatalog catalog) ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Lets hold what can of the settings. Returns what waits.
+  // Puts into force the settings whose versions are in `catalog`. Returns one line for each setting
+  // that waits for its version.
   std::vector<std::string> ApplySettings(PolicyCatalog* catalog) const
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
-  // Writes the settings down, where there is a file for them.
+  // Writes the settings to their file, if there is one.
   absl::Status Save(const Settings& settings) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
-  // Applies `change` to what is set for the policy, writes it down and lets it hold.
+  // Applies `change` to the settings of the policy, saves them and puts them into force.
   absl::Status Change(
       const std::string& policy,
       absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)>
@@ -117,17 +120,18 @@ class PolicyRegistry {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   const std::string directory_;
-  const std::string settings_path_;  // empty: nothing is written
+  const std::string settings_path_;  // empty: settings are not saved
   const NewObserver new_observer_;
 
-  absl::Mutex change_mutex_;  // held for a whole change, taken before mutex_
+  absl::Mutex change_mutex_;  // held during a whole change; taken before mutex_
   std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
-  // What operators have set, also what waits; the catalog has what holds.
+  // All settings of operators, including those that wait for a version; the catalog has those that
+  // are in force.
   Settings settings_ ABSL_GUARDED_BY(change_mutex_);
-  // By policy: one for all its versions, so that a pause misses none, whenever it is read.
+  // By policy: all versions share one switch, so that a pause also covers versions loaded later.
   std::map<std::string, std::shared_ptr<LearningSwitch>> learning_ ABSL_GUARDED_BY(change_mutex_);
 
-  mutable absl::Mutex mutex_;  // held for a copy of the pointer
+  mutable absl::Mutex mutex_;  // held only to copy or swap the pointer
   std::shared_ptr<const PolicyCatalog> catalog_ ABSL_GUARDED_BY(mutex_) =
       std::make_shared<const PolicyCatalog>();
 };

@@ -21,13 +21,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// The folders in `directory` by name, hidden ones left out.
+// Returns the folders in `directory`, sorted by name, without hidden ones.
 absl::StatusOr<std::vector<fs::path>> ListFolders(const fs::path& directory) {
   std::error_code error;
   std::vector<fs::path> folders;
   fs::directory_iterator it(directory, error);
   for (; !error && it != fs::directory_iterator(); it.increment(error)) {
-    std::error_code ignored;  // a dangling link is no folder
+    std::error_code ignored;  // is_directory fails for a dangling link, which is skipped
     const bool hidden = it->path().filename().native().starts_with('.');
     if (!hidden && it->is_directory(ignored)) folders.push_back(it->path());
   }
@@ -38,7 +38,8 @@ absl::StatusOr<std::vector<fs::path>> ListFolders(const fs::path& directory) {
   return folders;
 }
 
-// Decimal digits without a leading zero, so that no two folders are one version.
+// Parses the name of a version folder. Accepts only decimal digits without a leading zero, so that
+// no two folders stand for the same version.
 absl::StatusOr<int64_t> ParseVersion(const fs::path& folder) {
   const std::string name = folder.filename().string();
   int64_t version = 0;
@@ -49,6 +50,8 @@ absl::StatusOr<int64_t> ParseVersion(const fs::path& folder) {
   return version;
 }
 
+// Makes one decision, so that all data that a decision touches is in memory before the first
+// request. Returns INVALID_ARGUMENT if the result is not finite.
 absl::Status WarmUp(const Engine& engine, const std::string& path) {
   const Policy& policy = engine.policy();
   const std::vector<float> observation(static_cast<size_t>(policy.observation_size()), 0.0f);
@@ -58,7 +61,7 @@ absl::Status WarmUp(const Engine& engine, const std::string& path) {
                                   [](float value) { return std::isfinite(value); });
   if (finite) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat(path, ": expected a finite first decision, received one that is not"));
+      absl::StrCat(path, ": expected a finite first decision, received NaN or infinity"));
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// The policy directory: DIR/<policy>/<version>/policy.safetensors.
+// Reads the policy directory: DIR/<policy>/<version>/policy.safetensors.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_POLICIES_POLICY_REPOSITORY_H_
@@ -25,28 +25,28 @@ struct PolicyVersion {
   friend auto operator<=>(const PolicyVersion&, const PolicyVersion&) = default;
 };
 
-// Tells whether a file was replaced or written to.
+// Identifies the state of a file. Two stamps differ if the file was replaced or written in between.
 struct FileStamp {
   int64_t modified_ns = 0;
   uint64_t inode = 0;
-  int64_t size = -1;  // -1: there is no file
+  int64_t size = -1;  // bytes; -1 if there is no file
 
   friend bool operator==(const FileStamp&, const FileStamp&) = default;
 };
 
 FileStamp StampOf(const std::string& path);
 
-// What a policy directory holds.
+// The contents of a policy directory.
 struct PolicyFolders {
   std::vector<PolicyVersion> versions;  // by policy, then version
-  std::vector<absl::Status> refused;    // folders whose names say nothing; paths come first
+  std::vector<absl::Status> refused;    // folders with invalid names; messages start with the path
 };
 
-// NOT_FOUND if there is no such directory.
+// Lists the policies and versions in `directory`. Returns NOT_FOUND if there is no such directory.
 absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory);
 
-// Whether `name` may be that of a policy or a label: it becomes part of paths and metrics, so it
-// stays plain.
+// Returns true if `name` is valid for a policy or a label: letters, digits, '.', '-' and '_', not
+// starting with '.'. Names become part of paths and metric labels.
 bool IsPlainName(const std::string& name);
 
 std::string PolicyFilePath(const std::string& directory, const PolicyVersion& version);
@@ -55,9 +55,10 @@ std::string PolicyFilePath(const std::string& directory, const PolicyVersion& ve
 using NewObserver = std::function<std::shared_ptr<SessionObserver>(
     const std::string& name, int64_t version, const Policy& policy)>;
 
-// Reads a version and decides once with it, so that whatever a first decision touches is there and
-// a policy that cannot decide is refused here. Errors of ReadPolicyFile, whose message starts with
-// the path. `learning` is what pauses the version, with all others that have it.
+// Reads a version and makes one decision with it, so that all data that a decision touches is in
+// memory. Returns the errors of ReadPolicyFile, and INVALID_ARGUMENT if the decision is not finite;
+// messages start with the path. `learning` pauses this version together with the others that share
+// the switch.
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version,
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer);

@@ -111,22 +111,22 @@ absl::Status CheckShares(const std::vector<TrafficShare>& shares) {
 
 PolicySettings EffectiveSettings(const PolicySettings& settings, const std::set<int64_t>& versions,
                                  std::vector<std::string>* waiting) {
-  PolicySettings holding = settings;
+  PolicySettings effective = settings;
   const auto waits = [&](const std::string& setting, int64_t version) {
     if (version == 0 || versions.contains(version)) return false;
     waiting->push_back(
         absl::StrCat(setting, ": waits for version ", version, ", which is not served"));
     return true;
   };
-  if (waits("default_version", settings.default_version)) holding.default_version = 0;
+  if (waits("default_version", settings.default_version)) effective.default_version = 0;
   for (const auto& [label, version] : settings.labels) {
-    if (waits(absl::StrCat("labels.", label), version)) holding.labels.erase(label);
+    if (waits(absl::StrCat("labels.", label), version)) effective.labels.erase(label);
   }
   for (const TrafficShare& share : settings.shares) {
-    if (waits("shares", share.version)) holding.shares.clear();
+    if (waits("shares", share.version)) effective.shares.clear();
   }
-  if (waits("shadow_version", settings.shadow_version)) holding.shadow_version = 0;
-  return holding;
+  if (waits("shadow_version", settings.shadow_version)) effective.shadow_version = 0;
+  return effective;
 }
 
 absl::StatusOr<Settings> ParseSettings(absl::string_view text) {

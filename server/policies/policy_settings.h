@@ -1,4 +1,4 @@
-// What an operator has set about policies' versions, and the file that keeps it over a restart:
+// The settings of operators for policy versions, and the file that keeps them over a restart:
 //
 //   {"policies": {"cartpole": {"default_version": 1,
 //                              "labels": {"stable": 1, "canary": 2},
@@ -26,7 +26,7 @@
 
 namespace spikeserve {
 
-// A version's part of the new sessions.
+// The share of new sessions that a version gets.
 struct TrafficShare {
   int64_t version = 0;
   int percent = 0;
@@ -42,10 +42,10 @@ struct PolicySettings {
   int64_t shadow_version = 0;             // 0: none
   bool learning_paused = false;
 
-  // What is set to this version, such as "label stable"; empty where nothing is.
+  // Returns the first setting that uses `version`, such as "label stable"; empty if none does.
   std::string UseOf(int64_t version) const;
 
-  // Of the new sessions, where there are shares.
+  // Returns the share of `version` in percent; 0 if `shares` does not name it.
   int PercentOf(int64_t version) const;
 
   friend bool operator==(const PolicySettings&, const PolicySettings&) = default;
@@ -55,28 +55,30 @@ absl::Status ReadJson(absl::string_view field, const nlohmann::json& json,
 
 struct Settings {
   std::map<std::string, PolicySettings> policies;
-  std::set<PolicyVersion> unloaded;  // kept out until an operator loads them
+  std::set<PolicyVersion> unloaded;  // not loaded until an operator loads them
 };
 
-// INVALID_ARGUMENT unless there are none, or every percent is in [0, 100], no version comes twice
-// and they add up to 100.
+// Returns INVALID_ARGUMENT unless `shares` is empty, or every percent is in [0, 100], each version
+// occurs once and the percents sum to 100.
 absl::Status CheckShares(const std::vector<TrafficShare>& shares);
 
-// The part of `settings` that holds while these versions are served. What names another one waits
-// for it, and gets a line in `waiting`: shares wait together, everything else by itself.
+// Returns the part of `settings` that is in force while `versions` are served. A setting that names
+// another version waits for it and adds a line to `waiting`. If one share waits, all shares wait.
 PolicySettings EffectiveSettings(const PolicySettings& settings, const std::set<int64_t>& versions,
                                  std::vector<std::string>* waiting);
 
-// Nothing is guessed: an unknown key or a value of another type is INVALID_ARGUMENT, which names
-// the field, what was expected and what came. Whether the versions are served is not looked at.
+// Parses the text of a settings file. Returns INVALID_ARGUMENT, which names the field, the expected
+// and the received value, for an unknown key or a value of another type. Does not check whether the
+// versions are served.
 absl::StatusOr<Settings> ParseSettings(absl::string_view text);
 
 std::string ToJson(const Settings& settings);
 
-// Nothing where there is no such file. Errors name the path.
+// Reads a settings file. Returns empty settings if there is no such file. Errors name the path.
 absl::StatusOr<Settings> ReadSettings(const std::string& path);
 
-// A reader meets the old file or the new one. Errors name the path.
+// Replaces the settings file atomically: readers find the old file or the new one. Errors name the
+// path.
 absl::Status WriteSettings(const Settings& settings, const std::string& path);
 
 }  // namespace spikeserve
