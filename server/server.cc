@@ -21,23 +21,25 @@
 namespace spikeserve {
 namespace {
 
-// How long a stopping server goes on refusing calls with UNAVAILABLE, so that busy clients and
-// health watchers hear that it leaves. gRPC itself answers a call that comes after its shutdown
-// with CANCELLED, which no client expects.
+// How long a stopping server keeps refusing calls with UNAVAILABLE, so that busy clients and health
+// watchers learn that it stops. After Shutdown(), gRPC itself would answer calls with CANCELLED,
+// which clients do not retry.
 constexpr absl::Duration kDrainNotice = absl::Milliseconds(250);
 
-// Calls that take long, such as Explain, run one at a time, and so do operators' calls, some of
-// which read and write files; so many of each may wait.
+// Calls that take long, such as Explain, run one at a time on one worker; the calls of operators,
+// some of which read and write files, on another. This many calls may wait for each worker.
 constexpr size_t kLongCallsWaiting = 16;
 
-// How often the file of tokens is read again.
+// The interval at which the tokens file is read again.
 constexpr absl::Duration kTokensInterval = absl::Seconds(1);
 
-// gRPC reads a message to its end before it refuses it for its length. So up to this one we refuse
-// it, whose refusals rest, and gRPC only what is longer still.
-constexpr int64_t kLongestRead = 64 << 20;
+// The largest message that gRPC passes to the services. gRPC reads a message completely before it
+// refuses it for its length, and refuses it without delay. Messages up to this limit are refused by
+// the services instead, which delay the refusal (RefusalPacer).
+constexpr int64_t kLargestReceived = 64 << 20;
 
-// gRPC reports a port it cannot have in its log, at length; we report it in one line.
+// Silences the many lines that gRPC logs for a port that is in use; StartGrpc reports it in one
+// line.
 std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
   gpr_set_log_function([](gpr_log_func_args*) {});
   auto server = builder.BuildAndStart();
@@ -141,10 +143,11 @@ ServiceParts Server::Parts(BackgroundWorker* worker) {
 absl::Status Server::StartGrpc() {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
-  // gRPC answers health checks without its messages; naming one links them, so reflection has them.
+  // gRPC implements health checks without the generated messages. Using one of them links them into
+  // the program, so that reflection can describe them.
   grpc::health::v1::HealthCheckRequest::descriptor();
   grpc::ServerBuilder builder;
-  // Otherwise two servers would share a port, and a client would meet either.
+  // With SO_REUSEPORT a second server could listen on the same port and take some of the calls.
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
   auto address = ParseAddress("--listen", options_.listen);
   if (!address.ok()) return address.status();
@@ -153,7 +156,7 @@ absl::Status Server::StartGrpc() {
   if (!credentials.ok()) return credentials.status();
   builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
   builder.SetMaxReceiveMessageSize(
-      static_cast<int>(std::max(options_.max_message_bytes, kLongestRead)));
+      static_cast<int>(std::max(options_.max_message_bytes, kLargestReceived)));
   builder.RegisterService(&service_);
   builder.RegisterService(&inference_service_);
   builder.RegisterService(&admin_service_);
@@ -201,14 +204,14 @@ void Server::Stop() {
   poller_.reset();
   token_reloader_.reset();
   stopping_ = true;
-  calls_.Drain();  // before the news spreads, so that nobody who has heard it is still served
+  calls_.Drain();  // before health turns NOT_SERVING: a client that sees it is not served any more
   PublishHealth();
   absl::SleepFor(kDrainNotice);
   if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
     LogWarning("calls were still in flight after the drain timeout",
                {{"drain_timeout", absl::FormatDuration(options_.drain_timeout)}});
   }
-  grpc_->Shutdown(std::chrono::system_clock::now());  // ends health watches, which never end alone
+  grpc_->Shutdown(std::chrono::system_clock::now());  // also ends health watches, which have no end
   grpc_.reset();
   http_.reset();
 }

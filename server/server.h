@@ -1,4 +1,4 @@
-// A running server: every part of it, put together, started and stopped in the right order.
+// A running server: creates all parts of the server, and starts and stops them in order.
 #ifndef SERVER_SERVER_H_
 #define SERVER_SERVER_H_
 
@@ -37,22 +37,27 @@
 
 namespace spikeserve {
 
-// One thread starts and stops it.
+//   ServerOptions options;
+//   options.policies = "deploy/policies";
+//   auto server = Server::Start(options);
+//   if (server.ok()) std::cout << (*server)->grpc_address();
+//
+// Not thread-safe: one thread starts and stops it.
 class Server {
  public:
-  // Loads the policies and serves once it returns. Policies that cannot be loaded are logged, one
-  // line each.
+  // Loads the policies and starts serving before it returns. Logs one line for each policy that
+  // cannot be loaded. Errors name the flag that is wrong.
   static absl::StatusOr<std::unique_ptr<Server>> Start(const ServerOptions& options);
 
-  // Stops, if Stop() was not called.
+  // Calls Stop() if it was not called.
   ~Server();
 
-  // Where clients find it, HOST:PORT; the second is empty without HTTP.
+  // The addresses that the server listens on, as HOST:PORT. Without HTTP, http_address() is empty.
   std::string grpc_address() const { return grpc_address_.ToString(); }
   std::string http_address() const { return http_ == nullptr ? "" : http_->address().ToString(); }
 
-  // Health turns NOT_SERVING, new calls are refused with UNAVAILABLE, and calls in flight get their
-  // answers, up to ServerOptions::drain_timeout.
+  // Stops gracefully: refuses new calls with UNAVAILABLE, sets health to NOT_SERVING, and waits at
+  // most ServerOptions::drain_timeout for the answers of calls in flight.
   void Stop();
 
  private:
@@ -72,7 +77,7 @@ class Server {
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
   const std::unique_ptr<PolicyRegistry> registry_;
-  const std::unique_ptr<Recordings> recordings_;  // null: nothing is recorded. Outlives the store
+  const std::unique_ptr<Recordings> recordings_;  // null without --record_dir; outlives the store
   ShadowRunner shadows_;
   SessionStore store_;
   SessionReaper reaper_;
@@ -92,7 +97,7 @@ class Server {
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
   std::unique_ptr<HttpServer> http_;
-  // Last: they use what is above.
+  // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;
   std::unique_ptr<Periodic> token_reloader_;
 };

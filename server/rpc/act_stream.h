@@ -1,4 +1,4 @@
-// One ActStream call.
+// Answers one ActStream call.
 #ifndef SERVER_RPC_ACT_STREAM_H_
 #define SERVER_RPC_ACT_STREAM_H_
 
@@ -12,7 +12,7 @@
 
 namespace spikeserve {
 
-// Thread-safe as AnswerStream is.
+// Answers each request with PolicyHandler::Act. Thread-safety: see AnswerStream.
 class ActStream final : public AnswerStream<v1::ActRequest, v1::ActResponse> {
  public:
   // `handler` must outlive the call.

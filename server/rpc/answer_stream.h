@@ -1,5 +1,5 @@
-// One bidirectional call that reads a request, answers it, and so on, until the client or the
-// server has had enough. After a refusal it rests before it reads on.
+// A bidirectional call that answers one request at a time, until the client ends the call or the
+// server drains. After a refusal it waits before it reads the next request.
 #ifndef SERVER_RPC_ANSWER_STREAM_H_
 #define SERVER_RPC_ANSWER_STREAM_H_
 
@@ -24,41 +24,46 @@
 
 namespace spikeserve {
 
-// Keeps itself alive from Begin() until gRPC is done with it. One operation is under way at a time,
-// so the messages need no lock; Drain() may come from any thread in between.
+// The state machine of one call: read a request, answer it, write the reply, read the next one.
+// Derived classes implement Answer().
+//
+//   return AnswerStream::Begin(std::make_shared<ActStream>(parts, caller, handler));
+//
+// Keeps itself alive from Begin() until OnDone(). One operation runs at a time, so the messages
+// need no lock. Drain() is thread-safe; gRPC calls the On...() methods.
 template <typename Request, typename Response>
 class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public CallTracker::Stream {
  public:
-  // `caller` is what Admit() said. A token that expires later fails the requests that come then.
+  // `caller` is the result of Admit(). If the token expires later, the requests that follow fail.
   AnswerStream(const ServiceParts& parts, absl::StatusOr<const Credential*> caller)
       : parts_(parts), caller_(std::move(caller)) {}
 
-  // Reads the first request of `stream`, or refuses the call where the server drains or the caller
-  // was not let in.
+  // Starts the call: reads the first request, or refuses the call if the server drains or the
+  // caller was not admitted.
   static AnswerStream* Begin(std::shared_ptr<AnswerStream> stream);
 
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
   void OnDone() override;
 
-  // Ends the call with UNAVAILABLE, after the reply that is under way, if one is.
+  // Ends the call with UNAVAILABLE. A reply that is being written is sent first.
   void Drain() override;
 
  protected:
   const ServiceParts& parts() const { return parts_; }
-  // REQUIRES: they were let in, or the call would have ended.
+  // REQUIRES: the caller was admitted, which holds in every call of Answer().
   const Credential& caller() const { return **caller_; }
 
-  // Fills in `response`, which is empty, also for a request that fails. Returns what became of the
-  // request.
+  // Answers one request. Fills in `response`, which is empty before, also if the request fails.
+  // Returns the status of the request, which decides how long the next read is delayed.
   virtual absl::Status Answer(const Request& request, Response* response,
                               DeferredWork* deferred) = 0;
 
  private:
-  enum class State { kReading, kReplying, kResting, kFinished };
+  enum class State { kReading, kReplying, kDelaying, kFinished };
 
-  // Goes on with `next` after the rest, unless the call has ended by then.
-  void RestLocked(absl::Duration rest, std::function<void(AnswerStream&)> next)
+  // Calls `next` after `delay`, unless the call has ended by then.
+  void DelayLocked(absl::Duration delay, std::function<void(AnswerStream&)> next)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void ReadLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     state_ = State::kReading;
@@ -70,7 +75,7 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
     this->Finish(ToGrpcStatus(status));
   }
 
-  absl::Duration RestAfter(const absl::Status& status, size_t request_bytes) {
+  absl::Duration DelayAfter(const absl::Status& status, size_t request_bytes) {
     return parts_.authenticator->RefusalsOf(caller_).DelayFor(status, request_bytes,
                                                               parts_.clock->Now());
   }
@@ -80,10 +85,10 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
   std::shared_ptr<AnswerStream> self_;
   Request request_;
   Response response_;
-  absl::Duration rest_;  // after the reply that is under way
+  absl::Duration delay_;  // between the current reply and the next read
   grpc::Alarm alarm_;
 
-  absl::Mutex mutex_;  // held for a change of state only, never for a decision
+  absl::Mutex mutex_;  // held only while the state changes, never during a decision
   State state_ ABSL_GUARDED_BY(mutex_) = State::kReading;
   bool draining_ ABSL_GUARDED_BY(mutex_) = false;
 };
@@ -97,12 +102,12 @@ AnswerStream<Request, Response>* AnswerStream<Request, Response>::Begin(
   if (!accepted) {
     stream->FinishLocked(DrainingError());
   } else if (!stream->caller_.ok()) {
-    const auto refuse = [status = stream->caller_.status()](AnswerStream& rested) {
-      absl::MutexLock again(&rested.mutex_);
-      if (rested.state_ == State::kResting) rested.FinishLocked(status);
+    const auto refuse = [status = stream->caller_.status()](AnswerStream& delayed) {
+      absl::MutexLock again(&delayed.mutex_);
+      if (delayed.state_ == State::kDelaying) delayed.FinishLocked(status);
     };
-    stream->RestLocked(stream->RestAfter(stream->caller_.status(), 0), refuse);
-  } else if (stream->state_ == State::kReading) {  // else drained since
+    stream->DelayLocked(stream->DelayAfter(stream->caller_.status(), 0), refuse);
+  } else if (stream->state_ == State::kReading) {  // otherwise Drain() has ended the call already
     stream->StartRead(&stream->request_);
   }
   return stream.get();
@@ -119,7 +124,7 @@ void AnswerStream<Request, Response>::OnReadDone(bool ok) {
   DeferredWork deferred;
   response_.Clear();
   const absl::Status status = Answer(request_, &response_, &deferred);
-  rest_ = status.ok() ? absl::ZeroDuration() : RestAfter(status, request_.ByteSizeLong());
+  delay_ = status.ok() ? absl::ZeroDuration() : DelayAfter(status, request_.ByteSizeLong());
   this->StartWrite(&response_);
   deferred.Run();
 }
@@ -127,21 +132,23 @@ void AnswerStream<Request, Response>::OnReadDone(bool ok) {
 template <typename Request, typename Response>
 void AnswerStream<Request, Response>::OnWriteDone(bool ok) {
   absl::MutexLock lock(&mutex_);
-  if (!ok) return FinishLocked(absl::CancelledError("the client is gone"));
+  if (!ok) return FinishLocked(absl::CancelledError("the client has disconnected"));
   if (draining_) return FinishLocked(DrainingError());
-  if (rest_ == absl::ZeroDuration()) return ReadLocked();
-  request_ = Request();  // the next keeps its memory, and this may have been refused for its length
-  RestLocked(rest_, [](AnswerStream& rested) {
-    absl::MutexLock again(&rested.mutex_);
-    if (rested.state_ == State::kResting) rested.ReadLocked();
+  if (delay_ == absl::ZeroDuration()) return ReadLocked();
+  // Frees the request's memory, which the next read would reuse: it may have been refused for its
+  // length.
+  request_ = Request();
+  DelayLocked(delay_, [](AnswerStream& delayed) {
+    absl::MutexLock again(&delayed.mutex_);
+    if (delayed.state_ == State::kDelaying) delayed.ReadLocked();
   });
 }
 
 template <typename Request, typename Response>
-void AnswerStream<Request, Response>::RestLocked(absl::Duration rest,
-                                                 std::function<void(AnswerStream&)> next) {
-  state_ = State::kResting;
-  alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
+void AnswerStream<Request, Response>::DelayLocked(absl::Duration delay,
+                                                  std::function<void(AnswerStream&)> next) {
+  state_ = State::kDelaying;
+  alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(delay),
              [weak = std::weak_ptr<AnswerStream>(self_), next = std::move(next)](bool /*ok*/) {
                if (const auto stream = weak.lock()) next(*stream);
              });
@@ -151,13 +158,13 @@ template <typename Request, typename Response>
 void AnswerStream<Request, Response>::Drain() {
   absl::MutexLock lock(&mutex_);
   draining_ = true;
-  if (state_ == State::kReading || state_ == State::kResting) FinishLocked(DrainingError());
+  if (state_ == State::kReading || state_ == State::kDelaying) FinishLocked(DrainingError());
 }
 
 template <typename Request, typename Response>
 void AnswerStream<Request, Response>::OnDone() {
   parts_.calls->EndStream(this);
-  const auto last = std::move(self_);  // destroyed on return, unless Drain() is just at work
+  const auto last = std::move(self_);  // destroyed on return, or when a running Drain() returns
 }
 
 }  // namespace spikeserve

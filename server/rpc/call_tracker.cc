@@ -5,7 +5,7 @@
 namespace spikeserve {
 
 absl::Status DrainingError() {
-  return absl::UnavailableError("draining: the server is about to stop; try another");
+  return absl::UnavailableError("draining: the server is stopping; call another server");
 }
 
 bool CallTracker::Begin() {

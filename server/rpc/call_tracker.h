@@ -1,6 +1,11 @@
-// The calls in flight, so that a server can stop without cutting one off.
+// Tracks the calls in flight, so that a server can stop without interrupting one.
 //
-// Thread-safe. A stream's own mutex is never taken while the tracker's is held.
+//   if (!calls.Begin()) return DrainingError();  // and call End() later
+//   ...
+//   calls.Drain();
+//   calls.WaitUntilIdle(absl::Seconds(30));
+//
+// Thread-safe. Lock order: the tracker calls no stream while it holds its own mutex.
 #ifndef SERVER_RPC_CALL_TRACKER_H_
 #define SERVER_RPC_CALL_TRACKER_H_
 
@@ -15,29 +20,29 @@
 
 namespace spikeserve {
 
-// What a call that comes while the server drains is answered with: UNAVAILABLE.
+// Returns the status of calls that arrive while the server drains: UNAVAILABLE.
 absl::Status DrainingError();
 
 class CallTracker {
  public:
-  // A call that its client may keep open for ever, so that it has to be told to end.
+  // A call without an end of its own, which the server has to end when it drains.
   class Stream {
    public:
     virtual ~Stream() = default;
     virtual void Drain() = 0;
   };
 
-  // Every call begins and ends once. Returns false while draining: the call is to be refused, and
-  // still to end.
+  // Registers a call. Returns false while draining: the caller must then refuse the call. Each
+  // Begin() needs one End(), and each BeginStream() one EndStream(), also for refused calls.
   bool Begin();
   bool BeginStream(const std::shared_ptr<Stream>& stream);
   void End();
   void EndStream(const Stream* stream);
 
-  // From here on calls are refused; tells the open streams.
+  // Refuses calls from now on, and calls Drain() of the open streams.
   void Drain();
 
-  // Waits until no call is in flight; false if `timeout` passes first.
+  // Blocks until no call is in flight. Returns false if `timeout` passes first.
   bool WaitUntilIdle(absl::Duration timeout);
 
  private:

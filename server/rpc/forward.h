@@ -1,7 +1,7 @@
-// Forwards a service's methods to the handler that answers them.
+// Forwards the methods of a service to its handler.
 //
-// A handler's method has one of three forms, (request, response), (caller, request, response) or
-// (caller, request, response, deferred work), and returns absl::Status:
+// A handler method returns absl::Status and takes (request, response), (caller, request, response)
+// or (caller, request, response, deferred work):
 //
 //   return Forward(parts_, Method::kAct, context, request, response, handler_,
 //   &PolicyHandler::Act);
@@ -18,6 +18,7 @@
 
 namespace spikeserve {
 
+// Calls `handler.*call` with the arguments that its form takes.
 template <typename Handler, typename Call, typename Request, typename Response>
 absl::Status Invoke(Handler& handler, Call call, const Credential& caller, const Request& request,
                     Response* response, DeferredWork* deferred) {
@@ -43,7 +44,7 @@ grpc::ServerUnaryReactor* Forward(const ServiceParts& parts, Method method,
                      });
 }
 
-// As Forward, for a method that takes long: it runs on the background worker.
+// As Forward, but runs `handler.*call` on the background worker. For methods that take long.
 template <typename Handler, typename Call, typename Request, typename Response>
 grpc::ServerUnaryReactor* ForwardInBackground(const ServiceParts& parts, Method method,
                                               const grpc::CallbackServerContext* context,

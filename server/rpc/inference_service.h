@@ -1,4 +1,5 @@
-// inference.GRPCInferenceService on gRPC's callback API: forwards every method to InferenceHandler.
+// inference.GRPCInferenceService (Open Inference Protocol v2) on gRPC's callback API. Forwards
+// every method to InferenceHandler.
 #ifndef SERVER_RPC_INFERENCE_SERVICE_H_
 #define SERVER_RPC_INFERENCE_SERVICE_H_
 

@@ -1,5 +1,5 @@
-// PolicyAdmin on gRPC's callback API: forwards every method to AdminHandler or HeadHandler, in the
-// background, since some of them read and write files.
+// PolicyAdmin on gRPC's callback API. Forwards every method to AdminHandler or HeadHandler on the
+// background worker, because some methods read and write files.
 #ifndef SERVER_RPC_POLICY_ADMIN_SERVICE_H_
 #define SERVER_RPC_POLICY_ADMIN_SERVICE_H_
 

@@ -1,4 +1,4 @@
-// PolicyService on gRPC's callback API: forwards every method to PolicyHandler.
+// PolicyService on gRPC's callback API. Forwards every method to PolicyHandler.
 #ifndef SERVER_RPC_POLICY_SERVICE_H_
 #define SERVER_RPC_POLICY_SERVICE_H_
 

@@ -20,7 +20,7 @@ void SetNotFound(const std::string& what, v1::ServerReflectionResponse* response
   response->mutable_error_response()->set_error_message(absl::StrCat(what, ": not found"));
 }
 
-// The file and everything that it imports, each once.
+// Adds the file and all files that it imports, each once.
 void AddFiles(const FileDescriptor& file, std::set<const FileDescriptor*>* added,
               v1::FileDescriptorResponse* response) {
   if (!added->insert(&file).second) return;
@@ -84,15 +84,15 @@ void Answer(const v1::ServerReflectionRequest& request, const std::vector<std::s
     case v1::ServerReflectionRequest::MESSAGE_REQUEST_NOT_SET:
       response->mutable_error_response()->set_error_code(grpc::StatusCode::INVALID_ARGUMENT);
       response->mutable_error_response()->set_error_message(
-          "message_request: expected a question, received none");
+          "message_request: expected one of its fields, received none");
   }
 }
 
-// One call: answers each question in turn.
-class Conversation final
+// Answers the requests of one call in order. Deletes itself when the call is over.
+class ReflectionCall final
     : public grpc::ServerBidiReactor<v1::ServerReflectionRequest, v1::ServerReflectionResponse> {
  public:
-  explicit Conversation(const std::vector<std::string>& services) : services_(services) {
+  explicit ReflectionCall(const std::vector<std::string>& services) : services_(services) {
     StartRead(&request_);
   }
 
@@ -117,7 +117,7 @@ class Conversation final
 
 grpc::ServerBidiReactor<v1::ServerReflectionRequest, v1::ServerReflectionResponse>*
 ReflectionService::ServerReflectionInfo(grpc::CallbackServerContext* /*context*/) {
-  return new Conversation(services_);
+  return new ReflectionCall(services_);
 }
 
 }  // namespace spikeserve

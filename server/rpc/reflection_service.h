@@ -1,7 +1,7 @@
-// grpc.reflection.v1: tells tools which services there are and what their messages look like.
+// grpc.reflection.v1: describes the services and their messages to tools such as grpcurl.
 //
-// Debian's gRPC has v1alpha alone, which older tools ask for; today's ask for v1 first, and some
-// for nothing else. Thread-safe: it reads what was linked.
+// Debian's gRPC implements only v1alpha, which older tools use. Newer tools try v1 first, and some
+// support only v1. Thread-safe: reads the descriptors that are linked into the program.
 #ifndef SERVER_RPC_REFLECTION_SERVICE_H_
 #define SERVER_RPC_REFLECTION_SERVICE_H_
 
@@ -15,7 +15,7 @@ namespace spikeserve {
 
 class ReflectionService final : public grpc::reflection::v1::ServerReflection::CallbackService {
  public:
-  // `services` are the full names of those that are served.
+  // `services` are the full names of the served services.
   explicit ReflectionService(std::vector<std::string> services) : services_(std::move(services)) {}
 
   grpc::ServerBidiReactor<grpc::reflection::v1::ServerReflectionRequest,

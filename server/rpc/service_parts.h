@@ -1,4 +1,4 @@
-// What every call needs, whatever its handler.
+// The objects that every call uses, independent of its handler.
 #ifndef SERVER_RPC_SERVICE_PARTS_H_
 #define SERVER_RPC_SERVICE_PARTS_H_
 
@@ -12,14 +12,14 @@
 
 namespace spikeserve {
 
-// All must outlive the call, and are thread-safe.
+// All are thread-safe and must outlive the call.
 struct ServiceParts {
   CallTracker* calls;
   const Authenticator* authenticator;
   Metrics* metrics;
   const Clock* clock;
-  BackgroundWorker* worker;   // of calls that may take long
-  int64_t max_message_bytes;  // of one request, whoever sends it
+  BackgroundWorker* worker;   // runs the calls that take long
+  int64_t max_message_bytes;  // of one request of any tenant
 };
 
 }  // namespace spikeserve

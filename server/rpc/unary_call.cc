@@ -17,8 +17,8 @@ int64_t ByteSize(const google::protobuf::MessageLite& message) {
   return static_cast<int64_t>(message.ByteSizeLong());
 }
 
-// Keeps a unary call on the books until gRPC has sent its answer. gRPC sends once the method has
-// returned, so what may wait is done in OnDone.
+// Keeps a unary call in the tracker until gRPC has sent its answer. gRPC sends the answer after the
+// method has returned, so deferred work runs in OnDone.
 class UnaryCall final : public grpc::ServerUnaryReactor {
  public:
   UnaryCall(const ServiceParts& parts, Method method, const google::protobuf::MessageLite& request)
@@ -31,40 +31,43 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   bool accepted() const { return accepted_; }
   DeferredWork* deferred() { return &deferred_; }
 
-  // Answers, and records the call. A refused caller waits for its answer, so that it cannot ask at
-  // once again.
+  // Records the call and sends its status, now or, if the call was refused, after a delay, so that
+  // the caller cannot retry at once.
   void End(const absl::StatusOr<const Credential*>& caller, const CallOutcome& outcome) {
     const absl::Duration now = parts_.clock->Now();
     const absl::Status& status = outcome.status;
     parts_.metrics->ObserveRpc(method_, status.code(), now - start_);
     if (outcome.refusal.ok()) return Finish(ToGrpcStatus(status));
     RefusalPacer& refusals = parts_.authenticator->RefusalsOf(caller);
-    const absl::Duration rest = refusals.DelayFor(outcome.refusal, request_.ByteSizeLong(), now);
-    if (rest == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
-    alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(rest),
+    const absl::Duration delay = refusals.DelayFor(outcome.refusal, request_.ByteSizeLong(), now);
+    if (delay == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
+    alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(delay),
                [this, status](bool /*ok*/) { Finish(ToGrpcStatus(status)); });
   }
 
   void OnDone() override {
     deferred_.Run();
     parts_.calls->End();
-    delete this;  // gRPC's reactors own themselves
+    delete this;  // gRPC calls OnDone once and does not use the reactor afterwards
   }
 
-  // Otherwise gRPC wakes another thread for OnDone. It means this for its own reactions, which
-  // never wait; ours may wait for a decision of the same session, for as long as that takes.
+  // Lets gRPC run OnDone on the thread that has sent the answer instead of waking another one. gRPC
+  // intends this for reactors that never block. This one may block on a session's lock, for as long
+  // as a decision of that session takes.
   bool InternalInlineable() override { return true; }
 
  private:
   const ServiceParts& parts_;
   const Method method_;
-  const google::protobuf::MessageLite& request_;  // gRPC keeps it until OnDone
+  const google::protobuf::MessageLite& request_;  // owned by gRPC, valid until OnDone
   const absl::Duration start_;
   const bool accepted_;
   DeferredWork deferred_;
   grpc::Alarm alarm_;
 };
 
+// Returns the caller, or why it is not admitted. Sets `status` to the first error of the admission
+// and of the size check, or to OK.
 absl::StatusOr<const Credential*> AdmitAccepted(const ServiceParts& parts,
                                                 const grpc::CallbackServerContext& context,
                                                 Method method,

@@ -19,7 +19,7 @@
 
 namespace spikeserve {
 
-// How a call ended.
+// The result of a call.
 struct CallOutcome {
   // NOLINTNEXTLINE(google-explicit-constructor): a handler returns a plain status as its outcome.
   CallOutcome(absl::Status ended) : status(ended), refusal(std::move(ended)) {}
@@ -27,24 +27,25 @@ struct CallOutcome {
       : status(std::move(ended)), refusal(std::move(refused)) {}
 
   absl::Status status;   // sent to the caller
-  absl::Status refusal;  // decides how long the answer is delayed; a batch that succeeds may hold
-                         // items that were refused
+  absl::Status refusal;  // decides how long the answer is delayed; differs from `status` for a
+                         // batch that succeeds but contains refused items
 };
 
-// Returns the caller of `method`, or why it is refused.
+// Returns the caller of `method`, or the error of Admit().
 absl::StatusOr<const Credential*> AdmitCaller(const ServiceParts& parts,
                                               const grpc::CallbackServerContext& context,
                                               Method method);
 
-// Answers a call with the outcome of `handle`, which fills in the response, and records it. Refuses
-// the call if the server drains or the caller may not make it. `parts` must outlive the call. The
-// work that `handle` defers is done after the answer has been sent.
+// Answers a call with the outcome of `handle`, which fills in the response, and records the call in
+// the metrics. Refuses the call if the server drains, the caller is not admitted or the request is
+// too long. The work that `handle` defers runs after the answer has been sent. `parts` must outlive
+// the call.
 grpc::ServerUnaryReactor* AnswerUnary(
     const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
     const google::protobuf::MessageLite& request,
     absl::FunctionRef<CallOutcome(const Credential& caller, DeferredWork*)> handle);
 
-// As AnswerUnary, for a call that takes long: `handle` runs on the background worker. Refuses the
+// As AnswerUnary, but runs `handle` on the background worker. For calls that take long. Refuses the
 // call with UNAVAILABLE if the worker's queue is full.
 grpc::ServerUnaryReactor* AnswerUnaryInBackground(
     const ServiceParts& parts, const grpc::CallbackServerContext& context, Method method,
