@@ -43,7 +43,7 @@ void FillConfig(const ServedPolicy& served, absl::Duration session_ttl,
       static_cast<uint64_t>(absl::ToInt64Microseconds(session_ttl)));
 }
 
-// Every policy version that is served, by name, then version.
+// Returns all served policy versions, ordered by name, then version.
 std::vector<std::shared_ptr<const ServedPolicy>> ListServed(const PolicyRegistry& registry) {
   std::vector<std::shared_ptr<const ServedPolicy>> list;
   const auto catalog = registry.catalog();
@@ -56,7 +56,7 @@ std::vector<std::shared_ptr<const ServedPolicy>> ListServed(const PolicyRegistry
 absl::Status CheckRepository(const std::string& name) {
   if (name.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(
-      "repository_name: expected none, since there is one repository, received ", Quoted(name)));
+      "repository_name: expected none, because there is one repository, received ", Quoted(name)));
 }
 
 void FillTensor(const TensorSpec& spec,
@@ -169,7 +169,7 @@ absl::Status InferenceHandler::RepositoryModelLoad(
   if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
   if (!request.parameters().empty()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("parameters: expected none, since a model is what its file says, received ",
+        absl::StrCat("parameters: expected none, because a model is defined by its file, received ",
                      Quoted(request.parameters().begin()->first)));
   }
   const auto folders = ListPolicyFolders(registry_->directory());
@@ -196,9 +196,9 @@ absl::Status InferenceHandler::RepositoryModelUnload(
   for (const auto& [version, served] : (*policy)->versions) {
     if (const std::string use = (*policy)->settings.UseOf(version); !use.empty()) {
       return absl::FailedPreconditionError(
-          absl::StrCat("model_name: expected a policy of which no version is set to anything, "
+          absl::StrCat("model_name: expected a policy without a version that a setting uses, "
                        "received one whose version ",
-                       version, " is (", use, ")"));
+                       version, " is ", use));
     }
   }
   for (const auto& [version, served] : (*policy)->versions) {
@@ -214,7 +214,7 @@ absl::Status InferenceHandler::ModelInfer(const Credential& caller,
   const absl::Duration start = clock_->Now();
   auto sequence = ReadSequence(request);
   if (!sequence.ok()) return sequence.status();
-  // Tenants pick their ids without knowing of each other.
+  // The tenant is part of the session id, so that tenants may use equal sequence ids.
   if (const std::string& tenant = caller.tenant()->name(); !tenant.empty()) {
     sequence->session_id = absl::StrCat(tenant, "/", sequence->session_id);
   }
@@ -251,7 +251,7 @@ absl::Status InferenceHandler::Start(const Credential& caller, const ModelInferR
                                      ModelInferResponse* response) const {
   const auto opening = ReadOpening(request);
   if (!opening.ok()) return opening.status();
-  // Whatever ran under this id before; its agent has forgotten it.
+  // Closes a sequence of the same id that still runs: its agent has started anew.
   if (auto status = Close(caller, sequence); !status.ok() && !absl::IsNotFound(status))
     return status;
   v1::OpenSessionResponse opened;
@@ -275,14 +275,14 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
     return absl::NotFoundError(absl::StrCat(
         "parameters.sequence_id: expected a running sequence of model ",
         Quoted(request.model_name()), ", received ", Quoted(sequence.id),
-        "; send sequence_start with the first request. A sequence that nobody used for ",
+        "; send sequence_start with the first request. A sequence without a request for ",
         absl::FormatDuration(session_ttl_), " is ended"));
   }
   const auto& served = (*entry)->served;
   if (*version == 0 || *version == served->version) return served;
   return absl::InvalidArgumentError(
-      absl::StrCat("model_version: expected ", served->version,
-                   ", with which the sequence started, or nothing, received ", *version));
+      absl::StrCat("model_version: expected none, or ", served->version,
+                   ", which the sequence was started on, received ", *version));
 }
 
 absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInferRequest& request,
@@ -294,7 +294,7 @@ absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInfer
   }
   if (!sequence.start && !input.reward.has_value()) {
     return absl::InvalidArgumentError(
-        "inputs: expected reward, for the previous action, with every request but the first of a "
+        "inputs: expected reward, for the previous action, in every request after the first of a "
         "sequence, received none");
   }
   v1::ActRequest act;
@@ -306,7 +306,8 @@ absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInfer
 
 absl::Status InferenceHandler::End(const Credential& caller,
                                    const SequenceRequest& sequence) const {
-  // Nobody acts on the last decision, so a recording ends with its observation.
+  // The action of the last decision is not carried out, so a recording ends with the observation of
+  // that decision.
   if (const auto entry = store_->Find(sequence.session_id, caller.tenant()->name()); entry.ok()) {
     absl::MutexLock lock(&(*entry)->mutex);
     (*entry)->agent.RecordTo(nullptr);

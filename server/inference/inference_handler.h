@@ -1,9 +1,9 @@
-// Answers the requests of the Open Inference Protocol with what PolicyHandler does for
-// PolicyService: a model is a policy, a sequence a session of one episode.
+// Answers the requests of the Open Inference Protocol v2 (KServe, Triton) through PolicyHandler: a
+// model is a policy, a sequence is a session of one episode.
 //
-// The id of a sequence's session is made of the model and the sequence id, so there is no table to
-// keep: a sequence that nobody used for the time-to-live is reaped like any session. Requests carry
-// no step, so one that is sent again is a new timestep.
+// The session id is derived from tenant, model and sequence id, so no table of sequences is needed,
+// and a sequence that is idle for the time-to-live is closed like any session. Requests carry no
+// step, so a request that is sent twice counts as two timesteps.
 //
 // Thread-safe.
 #ifndef SERVER_INFERENCE_INFERENCE_HANDLER_H_
@@ -28,7 +28,8 @@ namespace spikeserve {
 
 class InferenceHandler {
  public:
-  // All must outlive the handler. A sequence ends after `session_ttl` without a request.
+  // The pointers must outlive the handler. `session_ttl` is the time without a request after which
+  // the store ends a sequence; it appears in ModelConfig and in messages.
   InferenceHandler(PolicyRegistry* registry, SessionStore* store, const PolicyHandler* sessions,
                    const Clock* clock, absl::Duration session_ttl)
       : registry_(registry),
@@ -37,8 +38,8 @@ class InferenceHandler {
         clock_(clock),
         session_ttl_(session_ttl) {}
 
-  // Each fills in `response` and returns OK, or returns an error and leaves every sequence as it
-  // was.
+  // Each method fills in `response` and returns OK. On an error it leaves all sequences unchanged,
+  // except as ModelInfer describes.
   absl::Status ServerLive(const inference::ServerLiveRequest& request,
                           inference::ServerLiveResponse* response) const;
   absl::Status ServerReady(const inference::ServerReadyRequest& request,
@@ -55,24 +56,27 @@ class InferenceHandler {
                                inference::ModelStatisticsResponse* response) const;
   absl::Status RepositoryIndex(const inference::RepositoryIndexRequest& request,
                                inference::RepositoryIndexResponse* response) const;
-  // Where some versions cannot be read the others are, and the first error is returned. NOT_FOUND
-  // for a model without a version in the policy directory.
+  // Loads all versions of a model. If some cannot be loaded, loads the others and returns the first
+  // error. Returns NOT_FOUND if the policy directory has no version of the model.
   absl::Status RepositoryModelLoad(const inference::RepositoryModelLoadRequest& request,
                                    inference::RepositoryModelLoadResponse* response) const;
-  // FAILED_PRECONDITION while an operator's setting points at one of its versions; then all stay.
+  // Unloads all versions of a model. Returns FAILED_PRECONDITION and unloads none while a setting
+  // of an operator uses one of them.
   absl::Status RepositoryModelUnload(const inference::RepositoryModelUnloadRequest& request,
                                      inference::RepositoryModelUnloadResponse* response) const;
 
-  // One decision. INVALID_ARGUMENT without a sequence id; NOT_FOUND for a sequence that does not
-  // run, where the request does not start it. A start ends a sequence of the same id that still
-  // runs, even if the request then fails. An end takes its observation and reward in, and ends the
-  // sequence once the answer is made.
+  // Makes one decision. sequence_start starts the sequence, and first ends a running sequence of
+  // the same id, even if the request then fails. sequence_end ends the sequence after the decision,
+  // which uses the observation and reward of the request. Returns INVALID_ARGUMENT without a
+  // sequence id, and NOT_FOUND if the sequence does not run and the request does not start it.
   absl::Status ModelInfer(const Credential& caller, const inference::ModelInferRequest& request,
                           inference::ModelInferResponse* response, DeferredWork* deferred);
 
  private:
+  // Returns a served version; an empty `version` means the default.
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindPolicy(const std::string& name,
                                                                  const std::string& version) const;
+  // Returns the policy version that the running sequence of `request` was started on.
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindRunning(
       const Credential& caller, const inference::ModelInferRequest& request,
       const SequenceRequest& sequence) const;

@@ -10,7 +10,7 @@ namespace {
 using inference::InferParameter;
 using inference::ModelInferRequest;
 
-// Bounds what one request can make the server keep.
+// The longest sequence id in bytes, which bounds what the server stores for one request.
 constexpr size_t kMaxIdBytes = 256;
 
 absl::Status BadParameter(absl::string_view name, absl::string_view expected,
@@ -49,9 +49,9 @@ absl::StatusOr<SequenceRequest> ReadSequence(const ModelInferRequest& request) {
     return BadParameter("sequence_id", "an int64_param or a string_param", *id);
   } else {
     return absl::InvalidArgumentError(
-        "parameters.sequence_id: expected an integer other than 0 or a string, received none; a "
-        "policy decides from what came before, so every request belongs to a sequence: send "
-        "sequence_id, and sequence_start with the first");
+        "parameters.sequence_id: expected an integer other than 0 or a string, received none. A "
+        "policy decides from earlier requests, so every request belongs to a sequence: send "
+        "sequence_id with every request and sequence_start with the first one");
   }
   sequence.session_id = absl::StrCat("sequence:", request.model_name(), ":", sequence.id);
   absl::Status status = ReadFlag(request, "sequence_start", &sequence.start);

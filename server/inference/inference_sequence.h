@@ -1,6 +1,6 @@
-// What the parameters of a ModelInfer request say about its sequence: sequence_id (a string, or an
-// integer other than 0), sequence_start and sequence_end; and, where one starts, target_return,
-// seed and record, as OpenSession has them.
+// Reads the parameters of a ModelInfer request that describe its sequence: sequence_id (a string,
+// or an integer other than 0), sequence_start and sequence_end. A request that starts a sequence
+// may also have target_return, seed and record; see OpenSessionRequest.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_INFERENCE_INFERENCE_SEQUENCE_H_
@@ -15,20 +15,22 @@
 namespace spikeserve {
 
 struct SequenceRequest {
-  std::string id;  // for messages: 7, or "seven" in quotes
-  // Of the session behind it, `sequence:<model>:<id>`. 7 and "7" are two sequences.
+  std::string id;  // as written in messages: 7, or "seven" in quotes
+  // The id of the sequence's session: `sequence:<model>:<id>`. 7 and "7" are different sequences.
   std::string session_id;
   bool start = false;
   bool end = false;
 };
 
-// INVALID_ARGUMENT names the parameter, what was expected and what came.
+// Returns the sequence of a request, or INVALID_ARGUMENT that names the parameter, the expected and
+// the received value.
 absl::StatusOr<SequenceRequest> ReadSequence(const inference::ModelInferRequest& request);
 
-// What opens the session of a sequence that starts.
+// Returns the request that opens the session of a new sequence. Errors: as ReadSequence.
 absl::StatusOr<v1::OpenSessionRequest> ReadOpening(const inference::ModelInferRequest& request);
 
-// An empty version is 0, the default.
+// Parses a version number. Returns 0, the default version, for an empty string, and
+// INVALID_ARGUMENT unless the number is positive.
 absl::StatusOr<int64_t> ReadVersion(const std::string& version);
 
 }  // namespace spikeserve

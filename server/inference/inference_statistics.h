@@ -1,4 +1,4 @@
-// What came through ModelInfer and ModelStreamInfer, by policy version, for ModelStatistics.
+// Counts the requests of ModelInfer and ModelStreamInfer by policy version, for ModelStatistics.
 //
 // Thread-safe.
 #ifndef SERVER_INFERENCE_INFERENCE_STATISTICS_H_
@@ -18,14 +18,16 @@ namespace spikeserve {
 
 class InferenceStatistics {
  public:
-  // One request that was answered at wall time `when`: how long it took, and of that, to decide.
+  // Counts a request that was answered at wall time `when`. `duration` is the time for the request,
+  // `compute` the part of it that the decision took.
   void CountSuccess(const std::string& policy, int64_t version, absl::Time when,
                     absl::Duration duration, absl::Duration compute);
 
-  // One that was not.
+  // Counts a request that failed after `duration`.
   void CountFailure(const std::string& policy, int64_t version, absl::Duration duration);
 
-  // A decision is an inference and an execution, and a batch of one.
+  // Returns the statistics of one version. A decision counts as one inference and as one execution
+  // with a batch size of 1.
   inference::ModelStatistics Get(const std::string& policy, int64_t version) const;
 
  private:

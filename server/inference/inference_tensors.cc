@@ -13,7 +13,7 @@
 namespace spikeserve {
 namespace {
 
-// Raw contents are little-endian, and copied as they are.
+// Raw contents are little-endian and are copied without conversion.
 static_assert(std::endian::native == std::endian::little);
 
 using inference::ModelInferRequest;
@@ -28,7 +28,8 @@ std::string ShapeToString(const InputTensor& tensor) {
   return absl::StrCat("[", absl::StrJoin(tensor.shape(), ", "), "]");
 }
 
-// The elements of a tensor of shape [n] or [1, n]. `raw` is null where they are in its contents.
+// Returns the elements of an FP32 tensor of shape [n] or [1, n]. `raw` holds them as bytes; if it
+// is null, they are in the contents of the tensor.
 absl::StatusOr<std::vector<float>> ReadFloats(const InputTensor& tensor, const std::string* raw) {
   if (tensor.datatype() != "FP32") {
     return BadInput(tensor,
@@ -58,6 +59,7 @@ absl::StatusOr<std::vector<float>> ReadFloats(const InputTensor& tensor, const s
   return values;
 }
 
+// Checks that the request has either raw contents, one for each input, or typed contents.
 absl::Status CheckContents(const ModelInferRequest& request) {
   const int raw = request.raw_input_contents_size();
   if (raw == 0) return absl::OkStatus();
@@ -73,8 +75,8 @@ absl::Status CheckContents(const ModelInferRequest& request) {
   return absl::OkStatus();
 }
 
-// Adds the tensors that a request names to its response, typed or raw, with or without a batch
-// dimension.
+// Adds to the response the output tensors that the request names. Uses raw bytes and a batch
+// dimension if the inputs did.
 class OutputWriter {
  public:
   OutputWriter(const ModelInferRequest& request, const InferenceInput& input,
@@ -184,8 +186,9 @@ absl::StatusOr<InferenceInput> ReadInputs(const ModelInferRequest& request) {
 absl::Status CheckOutputs(const ModelInferRequest& request, const std::vector<TensorSpec>& specs) {
   for (const auto& output : request.outputs()) {
     if (output.parameters().contains("shared_memory_region")) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "output ", Quoted(output.name()), ": expected none in shared memory, received one"));
+      return absl::InvalidArgumentError(
+          absl::StrCat("output ", Quoted(output.name()),
+                       ": expected contents, received a shared memory region"));
     }
     if (absl::c_any_of(specs, [&](const TensorSpec& spec) { return spec.name == output.name(); })) {
       continue;
@@ -208,7 +211,7 @@ void WriteOutputs(const v1::ActResponse& answer, const ModelInferRequest& reques
   } else {
     writer.Add("action", action.continuous().values());
   }
-  const auto return_to_go = static_cast<float>(answer.return_to_go());  // exact: it was a float
+  const auto return_to_go = static_cast<float>(answer.return_to_go());  // exact: widened from float
   writer.Add("return_to_go", absl::MakeConstSpan(&return_to_go, 1));
   writer.Add("spikes", static_cast<int64_t>(answer.stats().spikes()));
 }

@@ -1,9 +1,14 @@
-// Between the Open Inference Protocol's tensors and what an agent sends and gets.
+// Converts between tensors of the Open Inference Protocol and the values of a decision.
 //
-// Inputs: "observation" FP32 [obs], environment units; "reward" FP32 [1], for the previous action.
-// Outputs: "action" INT64 [1], an index, of a Discrete space, or FP32 [size], environment units, of
-// a Box; "probabilities" FP32 [n], Discrete spaces only; "return_to_go" FP32 [1]; "spikes" INT64
-// [1]. A request whose observation has a batch dimension of 1 in front gets answers that have one.
+// Inputs:
+//   "observation"    FP32 [obs], environment units
+//   "reward"         FP32 [1], for the previous action
+// Outputs:
+//   "action"         Discrete space: INT64 [1], an index. Box: FP32 [size], environment units
+//   "probabilities"  FP32 [n], Discrete spaces only
+//   "return_to_go"   FP32 [1]
+//   "spikes"         INT64 [1]
+// If the observation has a leading batch dimension of 1, so have the outputs.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_INFERENCE_INFERENCE_TENSORS_H_
@@ -29,28 +34,29 @@ struct TensorSpec {
   bool optional = false;
 };
 
+// The tensors that requests of a policy may have, and those of its responses.
 std::vector<TensorSpec> InputSpecs(const Policy& policy);
 std::vector<TensorSpec> OutputSpecs(const Policy& policy);
 
-// "FP32" and the like.
+// Returns the name of a data type in the protocol: "FP32" or "INT64".
 std::string DataTypeName(inference::DataType type);
 
 struct InferenceInput {
   std::vector<float> observation;
   std::optional<float> reward;
   bool batched = false;  // the observation has a batch dimension of 1
-  bool raw = false;      // the tensors came as bytes, so the answer's go as bytes
+  bool raw = false;      // the inputs are raw bytes, so the outputs are too
 };
 
-// INVALID_ARGUMENT names the input or field, what was expected and what came. How long the
-// observation has to be is left to the session.
+// Reads the inputs of a request. Returns INVALID_ARGUMENT that names the input or field, the
+// expected and the received value. Does not check the length of the observation; the session does.
 absl::StatusOr<InferenceInput> ReadInputs(const inference::ModelInferRequest& request);
 
-// INVALID_ARGUMENT for an output that `request` names and `specs` does not.
+// Returns INVALID_ARGUMENT if `request` names an output that is not in `specs`.
 absl::Status CheckOutputs(const inference::ModelInferRequest& request,
                           const std::vector<TensorSpec>& specs);
 
-// Adds the outputs that `request` names; all of them where it names none.
+// Adds the outputs that `request` names to `response`, or all outputs if it names none.
 void WriteOutputs(const v1::ActResponse& answer, const inference::ModelInferRequest& request,
                   const InferenceInput& input, inference::ModelInferResponse* response);
 

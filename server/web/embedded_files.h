@@ -1,4 +1,4 @@
-// The files of the status page, which travel inside the program; see cmake/EmbedFiles.cmake.
+// The files of the status page, which are compiled into the program; see cmake/EmbedFiles.cmake.
 //
 // Thread-safe.
 #ifndef SERVER_WEB_EMBEDDED_FILES_H_
@@ -10,7 +10,8 @@
 
 namespace spikeserve {
 
-// Bytes by name, as below server/web: "index.html", "vendor/uplot/uPlot.min.css".
+// Returns the contents of the files by their path below server/web/static, such as "index.html" or
+// "vendor/uplot/uPlot.min.css".
 const std::map<absl::string_view, absl::string_view>& EmbeddedFiles();
 
 }  // namespace spikeserve

@@ -17,11 +17,10 @@ namespace {
 
 constexpr int kThreads = 8;
 
-// How long a connection may take to send its request, or a thread to wait for one.
-constexpr int kPatienceSeconds = 5;
+// The timeout for reading a request, for writing a response and for an idle connection.
+constexpr int kTimeoutSeconds = 5;
 
-// A page may load nothing but what this server sends, be framed by nobody, and is always fetched
-// anew.
+// Allows a page to load only from this server, forbids framing, and disables caching.
 httplib::Headers PageHeaders() {
   return {{"Content-Security-Policy",
            "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src "
@@ -39,7 +38,8 @@ std::unique_ptr<httplib::Server> MakeServer(const TlsFiles* tls) {
   });
 }
 
-// Unlike the library's own choice, lets nobody else listen on the port.
+// Replaces the default of the library, which sets SO_REUSEPORT and so lets another process listen
+// on the same port.
 void SetSocketOptions(socket_t socket) {
   const int yes = 1;
   setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
@@ -61,12 +61,12 @@ void Answer(const HttpServer::Page& page, const httplib::Request& request,
 
 HttpServer::HttpServer(const TlsFiles& tls, Page page)
     : tls_(tls), page_(std::move(page)), server_(MakeServer(&tls_)) {
-  server_->new_task_queue = [] { return new httplib::ThreadPool(kThreads); };  // the library's own
+  server_->new_task_queue = [] { return new httplib::ThreadPool(kThreads); };  // owned by server_
   server_->set_socket_options(SetSocketOptions);
   server_->set_keep_alive_max_count(1);
-  server_->set_keep_alive_timeout(kPatienceSeconds);
-  server_->set_read_timeout(kPatienceSeconds);
-  server_->set_write_timeout(kPatienceSeconds);
+  server_->set_keep_alive_timeout(kTimeoutSeconds);
+  server_->set_read_timeout(kTimeoutSeconds);
+  server_->set_write_timeout(kTimeoutSeconds);
   server_->set_default_headers(PageHeaders());
   server_->set_pre_routing_handler(
       [this](const httplib::Request& request, httplib::Response& response) {
@@ -92,7 +92,7 @@ absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& lis
                                                errno == 0 ? "no such address" : strerror(errno)));
   }
   server->listener_ = std::thread([&http] { http.listen_after_bind(); });
-  // Before that it could not be stopped.
+  // stop() has no effect before the server runs, so the destructor relies on this wait.
   while (!http.is_running()) absl::SleepFor(absl::Milliseconds(1));
   return server;
 }

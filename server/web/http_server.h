@@ -1,4 +1,8 @@
-// A small HTTP or HTTPS server for pages that a function writes.
+// A small HTTP or HTTPS server. One function answers all requests.
+//
+//   auto server = HttpServer::Start(address, tls, [](const HttpRequest& request) {
+//     return HttpResponse{.body = "hello\n"};
+//   });
 //
 // Thread-safe.
 #ifndef SERVER_WEB_HTTP_SERVER_H_
@@ -20,35 +24,35 @@ class Server;
 
 namespace spikeserve {
 
-// A GET; a HEAD is answered alike, its body left out.
+// A GET or HEAD request. The server leaves out the body of the answer to a HEAD.
 struct HttpRequest {
   std::string path;                                    // decoded
-  std::multimap<std::string, std::string> parameters;  // behind the question mark, decoded
-  std::string authorization;                           // the header, empty where none came
+  std::multimap<std::string, std::string> parameters;  // of the query, decoded
+  std::string authorization;                           // the header; empty if absent
 };
 
 struct HttpResponse {
-  int code = 200;  // 401 makes a browser ask for name and password
+  int code = 200;  // with 401 the server asks for HTTP Basic authentication
   std::string content_type = "text/plain; charset=utf-8";
   std::string body;
 };
 
 class HttpServer {
  public:
-  // Answers a request; called from many threads.
+  // Answers a request. Called from several threads at once.
   using Page = std::function<HttpResponse(const HttpRequest& request)>;
 
-  // Speaks TLS where `tls` is enabled, whose files must have been found good. UNAVAILABLE if the
-  // address cannot be listened on.
+  // Starts a server on `listen`, with TLS if `tls` is enabled. Returns UNAVAILABLE if it cannot
+  // listen on the address. REQUIRES: MakeServerCredentials(tls) succeeded.
   static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen,
                                                            const TlsFiles& tls, Page page);
 
-  // Finishes the answers under way.
+  // Stops the server. Blocks until the requests that are being answered have been answered.
   ~HttpServer();
   HttpServer(const HttpServer&) = delete;
   HttpServer& operator=(const HttpServer&) = delete;
 
-  // Where it listens, with the port that was picked.
+  // The address that the server listens on, with the actual port.
   const Address& address() const { return address_; }
 
  private:

@@ -41,17 +41,17 @@ Json SeriesToJson(const prometheus::ClientMetric& metric, prometheus::MetricType
       series["sum"] = metric.histogram.sample_sum;
       series["buckets"] = Json::array();
       for (const auto& bucket : metric.histogram.bucket) {
-        // An infinite bound is dumped as null.
+        // The library writes an infinite bound as null.
         series["buckets"].push_back({bucket.upper_bound, bucket.cumulative_count});
       }
       break;
-    default:  // this server has no others
+    default:  // the server exports no other types
       break;
   }
   return series;
 }
 
-// Orders two sessions by one of the columns.
+// Compares two sessions by one column.
 using Less = std::function<bool(const SessionInfo&, const SessionInfo&)>;
 
 template <typename Field>
@@ -107,7 +107,8 @@ absl::StatusOr<Less> OrderOf(const HttpQuery& query) {
       absl::StrCat("order: expected ascending or descending, received ", Quoted(order)));
 }
 
-// Whether the id, "policy/version", "tenant=name" or a label holds the text, upper case or lower.
+// Returns true if the id, "policy/version", "tenant=name" or a "key=value" label of the session
+// contains the text, ignoring case.
 bool Matches(const SessionInfo& session, absl::string_view lower_case) {
   const auto holds = [&](absl::string_view text) {
     return absl::StrContains(absl::AsciiStrToLower(text), lower_case);

@@ -1,4 +1,4 @@
-// What the status page reads, as JSON. docs/watching.md describes it.
+// Writes the JSON that the status page reads. docs/watching.md describes the format.
 //
 // Free functions, safe to call from many threads.
 #ifndef SERVER_WEB_STATUS_JSON_H_
@@ -16,21 +16,22 @@
 
 namespace spikeserve {
 
-// `{"time", "version", "serving", "policies", "metrics"}`: `time` in seconds of a clock that never
-// goes back; `policies` as ListPolicies answers; `metrics` the families of /metrics by name, each a
-// list of {"labels", "value"}, or {"labels", "count", "sum", "buckets"} with cumulative
-// [upper bound, count] pairs, whose last bound, infinity, is null.
+// Returns {"time", "version", "serving", "policies", "metrics"}. "time" is in seconds of a
+// monotonic clock. "policies" is the list of ListPolicies. "metrics" maps the name of each metric
+// family to a list of {"labels", "value"}, or of {"labels", "count", "sum", "buckets"}, where
+// "buckets" holds cumulative [upper bound, count] pairs and the last bound, infinity, is null.
 absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamily>& families,
                                        const v1::ListPoliciesResponse& policies, double time,
                                        bool serving);
 
-// `{"open", "matching", "sessions"}`: of the open sessions that `caller` may see those that match
-// `filter`, sorted, and of them `limit` from `offset` on, as SessionInfo. INVALID_ARGUMENT names
-// the parameter that is wrong.
+// Returns {"open", "matching", "sessions"}. "open" is the number of sessions that `caller` may
+// read, "matching" the number of those that match the parameter `filter`. "sessions" holds a page
+// of the matching ones as SessionInfo, sorted by `sort` and `order`: at most `limit`, starting at
+// `offset`. Returns INVALID_ARGUMENT, which names the parameter, if a parameter is not valid.
 absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& caller,
                                          const HttpQuery& query);
 
-// `{"code", "message"}`: the code's name.
+// Returns {"code", "message"} of an error; "code" is the name of the status code.
 std::string ErrorJson(const absl::Status& status);
 
 }  // namespace spikeserve

@@ -24,7 +24,7 @@ absl::string_view ContentTypeOf(absl::string_view file) {
   return "text/plain; charset=utf-8";
 }
 
-// The file of the status page at `path`.
+// Returns the file of the status page at `path`, or 404.
 HttpResponse FileResponse(absl::string_view path) {
   const absl::string_view name = path == "/" ? "index.html" : absl::StripPrefix(path, "/");
   const auto file = EmbeddedFiles().find(name);

@@ -1,4 +1,4 @@
-// What a server shows over HTTP: /metrics, /healthz, and the status page with the JSON it reads.
+// Answers HTTP requests: /metrics, /healthz, and the status page with the JSON that it reads.
 #ifndef SERVER_WEB_STATUS_PAGES_H_
 #define SERVER_WEB_STATUS_PAGES_H_
 
@@ -20,7 +20,7 @@ namespace spikeserve {
 // Thread-safe.
 class StatusPages {
  public:
-  // What is shown; all must outlive the pages.
+  // The objects whose state the pages show. All must outlive the pages.
   struct Parts {
     const Authenticator* authenticator;
     const PolicyHandler* handler;
@@ -33,16 +33,15 @@ class StatusPages {
 
   explicit StatusPages(Parts parts) : parts_(std::move(parts)) {}
 
-  // The one entry: every request over HTTP comes through here. 401 without a good token, 403 with
-  // an agent's, 404 where there is no such page. /healthz is everybody's, and 503 unless the server
-  // serves.
+  // Answers a request: 401 without a valid token, 403 for a token of an agent, 404 for an unknown
+  // path. /healthz needs no token and answers 503 while the server does not serve.
   HttpResponse Answer(const HttpRequest& request) const;
 
  private:
   HttpResponse Health() const;
   absl::StatusOr<std::string> Status() const;
   absl::StatusOr<std::string> Sessions(const Credential& caller, const HttpRequest& request) const;
-  // Waits for the background worker.
+  // Blocks until the background worker has explained the decision.
   absl::StatusOr<std::string> Explain(const Credential& caller, const HttpRequest& request) const;
 
   const Parts parts_;
