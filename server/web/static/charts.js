@@ -1,4 +1,4 @@
-// The charts over time: one line a policy version.
+// The charts over time, with one line per policy version.
 import {si} from './format.js';
 import {policyRows} from './policies.js';
 
@@ -9,9 +9,9 @@ const CHARTS = [
   ['chart-latency', (row) => row.p99 ?? undefined],
 ];
 const HEIGHT = 170;
-const SECONDS = 60;  // the least that a chart spans, so that it does not rush while the page is new
-const LINES = 8;  // more cannot be told apart; the tables hold them all
-// Okabe and Ito's colours, which the colour-blind can tell apart, on light and on dark ground.
+const SECONDS = 60;  // the shortest time that a chart spans, so that a new chart does not rescale every second
+const LINES = 8;  // more lines cannot be told apart; the tables show all versions
+// Colours by Okabe and Ito, distinguishable for the colour-blind, on a light and a dark background.
 const COLOURS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#8a8f00', '#888888'];
 
 export class Charts {
@@ -20,7 +20,7 @@ export class Charts {
     this.plots = [];
     this.known = new WeakMap();
     const rebuild = () => {
-      this.keys = [];  // so that show makes new ones
+      this.keys = [];  // makes show() build the charts again
       if (this.shown) this.show(...this.shown);
     };
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', rebuild);
@@ -42,14 +42,15 @@ export class Charts {
       }));
       const plot = this.plots[i];
       plot.setData([times, ...lines]);
-      // Unless somebody points at others the legend holds the latest figures, once uPlot has drawn and cleared it.
+      // Shows the latest values in the legend unless the cursor is on the chart. uPlot clears the legend when it draws,
+      // so this waits for the next frame.
       requestAnimationFrame(() => {
         if (plot.cursor.idx == null) plot.setLegend({idx: times.length - 1});
       });
     });
   }
 
-  /** What a sample said does not change, so it is worked out once. */
+  /** Returns the rows of a window. They do not change for a given sample, so they are cached by sample. */
   rowsOf(window, energyModel) {
     let known = this.known.get(window.to);
     if (known?.energyModel !== energyModel) {

@@ -1,8 +1,8 @@
-// One decision from the inside: rasters by layer and stage, phase spikes, routing gates, attention.
+// Shows one decision: spike rasters by layer and stage, phase spikes, routing gates and attention.
 import {count, fixed, si} from './format.js';
 import {STAGES} from './policies.js';
 
-const RASTER_WIDTH = 165;  // pixels, so that a layer's six stand in one row
+const RASTER_WIDTH = 165;  // pixels, so that the six rasters of a layer fit in one row
 const SYMBOLS = {RETURN_TO_GO: 'G', STATE: 's', ACTION: 'a'};
 
 function tokenName(token) {
@@ -30,7 +30,7 @@ export class Explanation {
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.draw());
   }
 
-  /** Loads and shows a session's last decision, and takes the keyboard there. */
+  /** Loads and shows the last decision of a session, and moves the keyboard focus to it. */
   async show(session) {
     this.section.hidden = false;
     await this.load(session);
@@ -84,7 +84,7 @@ function summary(decision) {
     ['Session', decision.session_id], ['Policy', `${decision.policy}/${decision.version} (${decision.mode})`],
     ['Episode and step', `${decision.episode}, ${answer.step}`], ['Observation', list(decision.observation)],
     ['Return-to-go', fixed(answer.return_to_go, 2)], ['Action', action],
-    ['Probabilities', list(answer.action_probabilities) || 'none: a continuous action'],
+    ['Probabilities', list(answer.action_probabilities) || 'none (continuous action)'],
     ['Logits', list(decision.logits)], ['Spikes', count(Number(answer.stats.spikes))],
     ['Energy (estimates)', `${si(answer.stats.horowitz_energy_joules, 'J')} by horowitz_45nm` +
       (decision.rasters.length ? `, ${si(answer.stats.energy_joules, 'J')} by spike_5pj` : '')],
@@ -99,9 +99,11 @@ function summary(decision) {
 }
 
 /**
- * A map of `rows` x `columns` cells: `shade(row, column)` in [0, 1]; vertical lines before the columns of `lines`.
+ * Returns a canvas of `rows` x `columns` cells of `cell` = [width, height] pixels. `shade(row, column)` in [0, 1] is
+ * the opacity of a cell. Draws a vertical line before each column in `lines`. `description` is the text for screen
+ * readers.
  */
-function map(rows, columns, cell, shade, lines, description) {
+function heatMap(rows, columns, cell, shade, lines, description) {
   const canvas = element('canvas', {className: 'map', width: columns * cell[0], height: rows * cell[1]});
   canvas.setAttribute('role', 'img');
   canvas.setAttribute('aria-label', description);
@@ -127,7 +129,7 @@ function figure(title, canvas, axis) {
                  element('p', {className: 'axis', textContent: axis}));
 }
 
-/** Neurons downwards, ticks to the right, the tokens side by side. */
+/** Draws the spikes of one stage: one row per neuron, one column per tick, the tokens side by side. */
 function rasterFigure(stage, rasters, ticks) {
   const fired = new Set();
   let spikes = 0;
@@ -141,9 +143,10 @@ function rasterFigure(stage, rasters, ticks) {
   const width = Math.max(4, Math.floor(RASTER_WIDTH / columns));
   const height = population <= 16 ? 12 : population <= 160 ? 2 : 1;
   const title = `${stage}: ${spikes} spike${spikes === 1 ? '' : 's'}`;
-  const canvas = map(population, columns, [width, height],
-                     (neuron, column) => (fired.has(`${neuron} ${column}`) ? 1 : 0), rasters.map((_, i) => i * ticks),
-                     `${title} of ${population} neurons over ${ticks} ticks of ${names}`);
+  const canvas = heatMap(population, columns, [width, height],
+                         (neuron, column) => (fired.has(`${neuron} ${column}`) ? 1 : 0),
+                         rasters.map((_, i) => i * ticks),
+                         `${title} of ${population} neurons over ${ticks} ticks of ${names}`);
   const axis = `${population} neurons ↓, ${ticks} ticks → of ${names}`;
   return figure(title, canvas, axis);
 }
@@ -154,15 +157,16 @@ function routing(decision) {
   const figures = decision.routing.map(({layer, tokens, gates}) => {
     const columns = tokens.length * ticks;
     const largest = Math.max(...gates);
-    const canvas = map(heads, columns, [Math.max(1, Math.min(14, Math.floor(900 / columns))), 14],
-                       (head, column) => gates[column * heads + head] / largest,
-                       tokens.map((_, i) => i * ticks),
-                       `routing gates of layer ${layer}, ${heads} heads over the ticks of ${tokens.length} tokens`);
+    const canvas = heatMap(heads, columns, [Math.max(1, Math.min(14, Math.floor(900 / columns))), 14],
+                           (head, column) => gates[column * heads + head] / largest,
+                           tokens.map((_, i) => i * ticks),
+                           `routing gates of layer ${layer}, ${heads} heads over the ticks of ${tokens.length} tokens`);
     const last = gates.slice(-ticks * heads);
     const means = Array.from({length: heads}, (_, head) =>
       last.filter((__, i) => i % heads === head).reduce((sum, gate) => sum + gate, 0) / ticks);
     return figure(`Layer ${layer}`, canvas, `${heads} heads ↓, ticks → of ${tokenName(tokens[0])} to ` +
-      `${tokenName(tokens[tokens.length - 1])}; mean of the last: ${means.map((x) => fixed(x, 2)).join(', ')}`);
+      `${tokenName(tokens[tokens.length - 1])}; means for the last token: ` +
+      means.map((x) => fixed(x, 2)).join(', '));
   });
   return section('Routing gates', figures);
 }
@@ -171,16 +175,17 @@ function attention(decision) {
   const {heads} = decision;
   const figures = decision.attention.map(({layer, ticks, keys, weights}) => {
     const n = keys.length;
-    // A row for each tick of the first head, then of the second, and so on.
+    // Rows: all ticks of the first head, then all ticks of the second, and so on.
     const weight = (row, key) => weights[((row % ticks) * heads + Math.floor(row / ticks)) * n + key];
     const rows = heads * ticks;
     const largest = Math.max(...weights);
-    const canvas = map(rows, n, [Math.max(2, Math.min(14, Math.floor(700 / n))), Math.max(4, Math.floor(160 / rows))],
-                       (row, key) => weight(row, key) / largest,
-                       keys.flatMap((key, i) => (key.kind === 'RETURN_TO_GO' ? [i] : [])),
-                       `attention of layer ${layer}, ${rows} rows of heads and ticks over ${n} keys`);
+    const canvas = heatMap(rows, n,
+                           [Math.max(2, Math.min(14, Math.floor(700 / n))), Math.max(4, Math.floor(160 / rows))],
+                           (row, key) => weight(row, key) / largest,
+                           keys.flatMap((key, i) => (key.kind === 'RETURN_TO_GO' ? [i] : [])),
+                           `attention of layer ${layer}, ${rows} rows of heads and ticks over ${n} keys`);
     return figure(`Layer ${layer}`, canvas, `${heads} heads of ${ticks} ticks ↓, keys → ${tokenName(keys[0])} to ` +
-      `${tokenName(keys[n - 1])}; full colour is ${fixed(largest, 3)}`);
+      `${tokenName(keys[n - 1])}; full colour: ${fixed(largest, 3)}`);
   });
   return section('Attention of the state token', figures);
 }

@@ -1,4 +1,4 @@
-// Numbers as people read them.
+// Formats numbers for display.
 
 const PREFIXES = [[1e9, 'G'], [1e6, 'M'], [1e3, 'k'], [1, ''], [1e-3, 'm'], [1e-6, 'µ'], [1e-9, 'n'], [1e-12, 'p']];
 export const NOTHING = '–';
@@ -7,7 +7,7 @@ export function isNumber(x) {
   return typeof x === 'number' && Number.isFinite(x);
 }
 
-/** `x` with `digits` after the point, or a dash where there is no number. */
+/** Returns `x` with `digits` decimal places, or a dash if it is not a number. */
 export function fixed(x, digits = 1) {
   return isNumber(x) ? x.toFixed(digits) : NOTHING;
 }
@@ -16,7 +16,7 @@ export function count(x) {
   return isNumber(x) ? Math.round(x).toLocaleString('en') : NOTHING;
 }
 
-/** `x` with an SI prefix: 6.5e-10, 'J' is "650 pJ". */
+/** Returns `x` with an SI prefix: 6.5e-10, 'J' becomes "650 pJ". */
 export function si(x, unit) {
   if (!isNumber(x)) return NOTHING;
   if (x === 0) return `0 ${unit}`.trim();
@@ -24,7 +24,7 @@ export function si(x, unit) {
   return `${Number((x / scale).toPrecision(3))} ${prefix}${unit}`.trim();
 }
 
-/** A bucket bound stands for what a histogram cannot tell: null is beyond the last one. */
+/** Returns a quantile of a histogram as text. null means that it lies beyond the last finite bucket bound. */
 export function seconds(x) {
   return x === null ? 'off scale' : si(x, 's');
 }

@@ -1,4 +1,4 @@
-// Asks the server once a second and hands what it says to the parts of the page.
+// Fetches the status of the server once a second and passes it to the parts of the page.
 import {Charts} from './charts.js';
 import {Explanation} from './explain.js';
 import {Policies} from './policies.js';
@@ -22,11 +22,11 @@ const windowChoice = document.getElementById('window');
 const energyModel = document.getElementById('energy-model');
 
 function showProblem(error) {
-  setHealth(`no answer: ${error.message}`, false);
+  setHealth(`no answer from the server: ${error.message}`, false);
 }
 
 function setHealth(text, good) {
-  // Written only when it changes, so that a screen reader does not say it every second.
+  // Written only when it changes, so that a screen reader does not repeat it every second.
   if (health.textContent !== text) health.textContent = text;
   health.classList.toggle('bad', !good);
 }
@@ -43,7 +43,7 @@ async function update() {
   const status = await response.json();
   samples.add(status);
   document.getElementById('version').textContent = status.version;
-  setHealth(status.serving ? 'serving' : 'not serving: it drains', status.serving);
+  setHealth(status.serving ? 'serving' : 'not serving (draining)', status.serving);
   draw();
   await sessions.refresh();
 }

@@ -1,13 +1,13 @@
-// The tables of policies, returns, stages and calls, the totals, and which policy costs the most energy.
+// The tables of policies, returns, stages and calls, the totals, and the policy that uses the most energy.
 import {NOTHING, count, fixed, isNumber, seconds, si} from './format.js';
 import {quantile} from './samples.js';
 import {Table} from './table.js';
 
 export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
-const JOULES_PER_SPIKE = 5e-12;  // energy model spike_5pj, the only one that is counted by stage
+const JOULES_PER_SPIKE = 5e-12;  // of energy model spike_5pj, the only one that is counted by stage
 const QUANTILES = [['p50', 0.5], ['p90', 0.9], ['p99', 0.99], ['p99.9', 0.999]];
 
-/** The figures of every policy version over a window. */
+/** Returns one row for each policy version with its figures over a window. */
 export function policyRows(window, energyModel) {
   const rows = window.to.status.policies.map((policy) => policyRow(policy, window, energyModel));
   const power = rows.reduce((sum, row) => sum + (row.power || 0), 0);
@@ -89,7 +89,7 @@ export class Policies {
     this.calls = new Table(document.getElementById('calls-table'), [
       {key: 'method', label: 'Method', value: (row) => row.method, text: (row) => row.method, isText: true},
       numberColumn('rate', 'Calls per second', fixed),
-      numberColumn('failures', 'Not answered OK per second', fixed),
+      numberColumn('failures', 'Failed calls per second', fixed),
       ...quantileColumns,
     ], {sort: 'rate', descending: true, key: (row) => row.method});
   }
@@ -128,8 +128,8 @@ function showTotals(rows, window) {
   const totals = [
     ['Sessions', count(sum('sessions'))],
     ['Decisions per second', timed ? fixed(sum('decisionRate')) : NOTHING],
-    ['Time to decide, p50', seconds(quantile(durations, 0.5))],
-    ['Time to decide, p99', seconds(quantile(durations, 0.99))],
+    ['Decision time, p50', seconds(quantile(durations, 0.5))],
+    ['Decision time, p99', seconds(quantile(durations, 0.99))],
     ['Energy per second (estimate)', timed ? si(sum('power'), 'J/s') : NOTHING],
   ];
   document.getElementById('totals').replaceChildren(...totals.map(([label, value]) => {
@@ -146,12 +146,12 @@ function showMostEnergy(rows, energyModel) {
   const top = (list, key) => list.reduce((best, row) => (row[key] > (best?.[key] ?? 0) ? row : best), undefined);
   const most = top(running, 'power') ?? top(rows, 'energyTotal');
   if (!most) {
-    line.textContent = 'No policy has spent energy yet.';
+    line.textContent = 'No policy has used energy yet.';
     return;
   }
   const figure = isNumber(most.power) && most.power > 0
-    ? `${si(most.power, 'J/s')}, ${fixed(100 * most.powerShare, 0)} % of all`
-    : `${si(most.energyTotal, 'J')} since the server started; nothing in this window`;
+    ? `${si(most.power, 'J/s')}, ${fixed(100 * most.powerShare, 0)} % of the total`
+    : `${si(most.energyTotal, 'J')} since the server started, none in this window`;
   line.replaceChildren('Most energy: ', Object.assign(document.createElement('strong'), {textContent: most.key}),
                        ` (${figure}; estimated by ${energyModel}).`);
 }

@@ -1,5 +1,5 @@
-// What /status.json said over time, and figures over a window of it: every rate is a difference of
-// two samples, every quantile one of the differences of histogram buckets.
+// Keeps the last samples of /status.json and computes figures over a window of them: rates from the difference of two
+// samples, quantiles from the differences of histogram buckets.
 
 const KEPT_SECONDS = 600;
 
@@ -14,14 +14,14 @@ export class Samples {
 
   add(status) {
     const sample = {time: status.time, status, series: index(status.metrics)};
-    // A clock that went back, or a counter that fell: another server answers now.
+    // The clock or a counter is behind the last sample: the server was restarted, or another one answers.
     const before = this.latest;
     if (before && (sample.time < before.time || total(sample) < total(before))) this.samples = [];
     this.samples.push(sample);
     while (this.samples[0].time < sample.time - KEPT_SECONDS) this.samples.shift();
   }
 
-  /** The figures over the last `seconds`, or since the server started for Infinity. */
+  /** Returns the window of the last `seconds`; with Infinity, since the server started. */
   window(seconds) {
     const to = this.latest;
     if (seconds === Infinity) return new Window(null, to);
@@ -29,13 +29,13 @@ export class Samples {
     return new Window(from, to);
   }
 
-  /** The figures between each sample and the one before. */
+  /** Returns one window for each pair of successive samples. */
   steps() {
     return this.samples.slice(1).map((to, i) => ({time: to.time, window: new Window(this.samples[i], to)}));
   }
 }
 
-/** The series of each metric by their labels, as one string. */
+/** Returns a map from metric name to a map from labels, as one string, to series. */
 function index(metrics) {
   const byName = new Map();
   for (const [name, list] of Object.entries(metrics)) {
@@ -54,14 +54,15 @@ function total(sample) {
   return sum;
 }
 
+/** The figures between two samples. */
 class Window {
-  /** `from` null: since the server started. */
+  /** If `from` is null, the window starts when the server started. */
   constructor(from, to) {
     this.from = from;
     this.to = to;
   }
 
-  /** Undefined where there is no time between the samples, or not known how much. */
+  /** The length of the window in seconds. Undefined if it is zero or unknown. */
   get duration() {
     const duration = this.from ? this.to.time - this.from.time : this.uptime();
     return duration > 0 ? duration : undefined;
@@ -72,7 +73,7 @@ class Window {
     return started === undefined ? undefined : Date.now() / 1000 - started;
   }
 
-  /** The series of a metric whose labels include these. */
+  /** Returns the series of a metric whose labels include `labels`. */
   matching(name, labels = {}) {
     const wanted = Object.entries(labels);
     return [...(this.to.series.get(name)?.entries() ?? [])]
@@ -83,7 +84,7 @@ class Window {
     return this.from?.series.get(name)?.get(key);
   }
 
-  /** By how much counters grew, those of these labels together. */
+  /** Returns the increase of a counter over the window, summed over the series whose labels include `labels`. */
   increase(name, labels) {
     return this.matching(name, labels)
       .reduce((sum, [key, series]) => sum + series.value - (this.before(name, key)?.value ?? 0), 0);
@@ -98,7 +99,7 @@ class Window {
     return values.length ? values.reduce((a, b) => a + b, 0) : undefined;
   }
 
-  /** {count, sum, buckets} of histograms of these labels together, over the window. */
+  /** Returns {count, sum, buckets} over the window, summed over the histograms whose labels include `labels`. */
   histogram(name, labels) {
     const result = {count: 0, sum: 0, buckets: []};
     for (const [key, series] of this.matching(name, labels)) {
@@ -115,8 +116,8 @@ class Window {
 }
 
 /**
- * The q-quantile as Prometheus estimates it, by interpolation inside a bucket. Undefined without observations, null
- * beyond the last finite bound.
+ * Returns the q-quantile as Prometheus estimates it, by interpolation within a bucket. Returns undefined without
+ * observations, and null if the quantile lies beyond the last finite bucket bound.
  */
 export function quantile(histogram, q) {
   if (histogram.count === 0) return undefined;

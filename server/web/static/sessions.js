@@ -1,11 +1,11 @@
-// The table of sessions. The server filters, sorts and cuts it into pages, so it is as quick with a hundred thousand.
+// The table of sessions. The server filters, sorts and pages it, so the page stays fast with 100,000 sessions.
 import {count, fixed, si} from './format.js';
 import {Table} from './table.js';
 
 const PAGE_SIZE = 50;
 
 export class Sessions {
-  /** `choose(id)` is called for the session that somebody wants to look into. */
+  /** `choose(id)` is called when the user selects a session. */
   constructor(choose) {
     this.offset = 0;
     this.filter = document.getElementById('filter');
@@ -34,7 +34,7 @@ export class Sessions {
        text: (row) => fixed(row.decisions > 0 ? row.spikes / row.decisions : undefined)},
       number('energy_joules', 'Energy so far (estimate)', (x) => si(x, 'J')),
       number('head_drift', 'Head drift', (x) => fixed(x, 4)),
-      number('idle_seconds', 'Idle, seconds', fixed),
+      number('idle_seconds', 'Idle (s)', fixed),
       {key: 'labels', label: 'Labels', isText: true,
        text: (row) => Object.entries(row.tenant ? {...row.labels, tenant: row.tenant} : row.labels)
          .map(([key, value]) => `${key}=${value}`).join(' ')},
@@ -58,9 +58,9 @@ export class Sessions {
     const response = await fetch(`sessions.json?${query}`);
     if (!response.ok) throw new Error((await response.json()).message);
     const {open, matching, sessions} = await response.json();
-    if (this.asked !== query.toString()) return;  // somebody has asked for another page since
+    if (this.asked !== query.toString()) return;  // another request was sent in the meantime
     if (sessions.length === 0 && this.offset > 0) {
-      this.go(0);  // the page has gone with its sessions
+      this.go(0);  // the sessions of this page were closed
       return;
     }
     this.table.show(sessions);

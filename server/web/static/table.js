@@ -1,10 +1,10 @@
-// Tables that are sorted by the heads of their columns and redrawn in place, so that the keyboard's focus stays where
-// it is.
+// A table that the user sorts by selecting a column heading. It updates its cells in place, so that the keyboard focus
+// is kept.
 
 /**
- * columns: {key, label, value(row), text(row), share(row), isText, fill(cell, row)}. Where `value` is missing the
- * column cannot be sorted by; `share` in [0, 1] draws a bar; `fill` fills in a cell that was just made.
- * options: {sort, descending, key(row), onSort(sort, descending)}. With onSort somebody else sorts.
+ * columns: a list of {key, label, value(row), text(row), share(row), isText, fill(cell, row)}. A column without `value`
+ * cannot be sorted. `share` in [0, 1] draws a bar. `fill` fills in a new cell once.
+ * options: {sort, descending, key(row), onSort(sort, descending)}. With onSort, the caller of show() sorts the rows.
  */
 export class Table {
   constructor(element, columns, options) {
@@ -44,7 +44,7 @@ export class Table {
   }
 
   sortBy(column) {
-    // The first click on a column of numbers puts the largest on top.
+    // The first click on a column of numbers sorts the largest first.
     this.descending = this.sort === column.key ? !this.descending : !column.isText;
     this.sort = column.key;
     this.markSort();
@@ -83,7 +83,7 @@ export class Table {
   sorted(rows) {
     const column = this.columns.find(({key}) => key === this.sort);
     const sign = this.descending ? -1 : 1;
-    // What has no value stands last, whichever way.
+    // Rows without a value are last in both orders.
     const missing = (x) => x === undefined || x === null || Number.isNaN(x);
     return [...rows].sort((a, b) => {
       const [x, y] = [column.value(a), column.value(b)];
