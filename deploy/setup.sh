@@ -12,11 +12,12 @@ packages=(
   g++ make cmake ninja-build ccache git clang clang-format clang-tidy pkg-config
   # server, client, core
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
-  prometheus-cpp-dev libcpp-httplib-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev
+  prometheus-cpp-dev libcpp-httplib-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo
   libgtest-dev libgmock-dev prometheus ca-certificates curl python3 python3-venv chromium chromium-driver
+  mandoc zsh fish
 )
 
 missing=()

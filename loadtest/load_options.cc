@@ -18,7 +18,7 @@ absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name) {
   if (name == "stream") return LoadMode::kStream;
   if (name == "batch") return LoadMode::kBatch;
   return absl::InvalidArgumentError(
-      absl::StrCat("--mode: expected unary, stream or batch, received \"", name, "\""));
+      absl::StrCat("expected unary, stream or batch, received \"", name, "\""));
 }
 
 absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
@@ -27,7 +27,7 @@ absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
   if (name == "session") return v1::LearningConfig::SESSION;
   if (name == "fleet") return v1::LearningConfig::FLEET;
   return absl::InvalidArgumentError(
-      absl::StrCat("--learning_scope: expected session or fleet, received \"", name, "\""));
+      absl::StrCat("expected session or fleet, received \"", name, "\""));
 }
 
 absl::Status LoadOptions::Validate() const {

@@ -18,11 +18,10 @@ namespace spikeserve {
 // How requests travel: one Act call each, a stream per caller, or ActBatch calls.
 enum class LoadMode { kUnary, kStream, kBatch };
 
-// "unary", "stream" or "batch". INVALID_ARGUMENT names these and what came.
+// Parses "unary", "stream" or "batch". INVALID_ARGUMENT reads "expected X, received Y".
 absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name);
 
-// "session", "fleet", or "" for sessions that are frozen. INVALID_ARGUMENT names these and what
-// came.
+// Parses "session", "fleet", or "" for sessions that are frozen. Errors as above.
 absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(absl::string_view name);
 
 struct LoadOptions {
@@ -43,7 +42,7 @@ struct LoadOptions {
   double observation_bound = 1.0;  // of the random observations' absolute values
   uint64_t seed = 0;               // of the observations
 
-  // INVALID_ARGUMENT names the flag, what was expected and what came.
+  // Returns INVALID_ARGUMENT, which names the flag, what was expected and what was received.
   absl::Status Validate() const;
 };
 

@@ -1,4 +1,4 @@
-// How a server is asked to run.
+// How a server runs. Plain data, safe to read from many threads.
 #ifndef SERVER_OPTIONS_H_
 #define SERVER_OPTIONS_H_
 
@@ -12,25 +12,25 @@
 namespace spikeserve {
 
 struct ServerOptions {
-  std::string policies;                    // DIR of DIR/<policy>/<version>/policy.safetensors
-  std::string listen = "127.0.0.1:50051";  // gRPC; port 0 picks one
-  std::string http_listen =
-      "127.0.0.1:9464";          // metrics, status page; port 0 picks one; empty: none
-  absl::Duration poll_policies;  // how often to look for changed policies; 0: only when asked to
-  std::string policy_settings;   // file that keeps what operators set; empty: until the end
-  absl::Duration session_ttl = absl::Minutes(10);
-  absl::Duration compact_after = absl::Seconds(10);  // idle sessions shrink to their history
-  int64_t max_sessions = 100'000;
-  int64_t max_message_bytes = 4 << 20;  // of one request over gRPC, whoever sends it
-  std::string record_dir;  // where sessions that ask for it are recorded; empty: nowhere
-  absl::Duration drain_timeout = absl::Seconds(30);
+  std::string listen = "127.0.0.1:50051";      // gRPC; port 0 picks a free one
+  std::string http_listen = "127.0.0.1:9464";  // status page, metrics; port 0 as above; or empty
+  int64_t max_message_bytes = 4 << 20;         // of one request over gRPC, from any caller
+  absl::Duration drain_timeout = absl::Seconds(30);  // for calls in flight when the server stops
 
-  TlsFiles tls;  // for gRPC and HTTP
-  std::string
-      tokens;  // file of bearer tokens, see token_file.h; empty: everybody may do everything
-  bool insecure_network = false;  // serve others than this machine without the two above
+  std::string policies;          // directory of <policy>/<version>/policy.safetensors
+  absl::Duration poll_policies;  // interval of looking for changed policies; 0: on request only
+  std::string policy_settings;   // file that keeps what operators set; empty: not kept
 
-  // INVALID_ARGUMENT names the flag, what was expected and what came.
+  absl::Duration session_ttl = absl::Minutes(10);    // idle time that ends a session
+  absl::Duration compact_after = absl::Seconds(10);  // idle time that shrinks one to its history
+  int64_t max_sessions = 100'000;                    // open at a time
+  std::string record_dir;  // where sessions are recorded that ask for it; empty: nowhere
+
+  TlsFiles tls;        // for gRPC and HTTP
+  std::string tokens;  // file of bearer tokens, see token_file.h; empty: any caller may do anything
+  bool insecure_network = false;  // serve other machines without TLS or without tokens
+
+  // Returns INVALID_ARGUMENT, which names the flag, what was expected and what was received.
   absl::Status Validate() const;
 };
 

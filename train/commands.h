@@ -1,30 +1,30 @@
-// The subcommands of spiketrain, each reading its flags; every error names the flag or the file it
-// is about.
+// The subcommands of spiketrain.
+//
+// Each function adds one to `program`: its flags, and an action. Errors name the flag or the file
+// that is wrong.
 #ifndef TRAIN_COMMANDS_H_
 #define TRAIN_COMMANDS_H_
 
-#include <string>
-
-#include "absl/status/status.h"
+#include "core/cli/program.h"
 
 namespace spikeserve {
 
 // Records a dataset and writes it to --out.
-absl::Status DatasetCommand();
+void AddDatasetCommand(Program& program);
 
 // Plays the expert of --env and prints its mean return.
-absl::Status ExpertCommand();
+void AddExpertCommand(Program& program);
 
-// Trains a policy, evaluates it, and writes policy.safetensors and checkpoint.pt into --out.
-// `command_line` goes into the policy file.
-absl::Status TrainCommand(const std::string& command_line);
+// Trains a policy, evaluates it, and writes policy.safetensors and checkpoint.pt into --out. The
+// policy file holds the command line.
+void AddTrainCommand(Program& program);
 
 // Plays --policy in closed loop.
-absl::Status EvalCommand();
+void AddEvalCommand(Program& program);
 
 // Trains what is missing of the paper's experiments in --out and writes report.md and report.html
-// there. `command_line` goes into the report.
-absl::Status ReportCommand(const std::string& command_line);
+// there. The report holds the command line.
+void AddReportCommand(Program& program);
 
 }  // namespace spikeserve
 

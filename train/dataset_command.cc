@@ -1,59 +1,79 @@
 #include <cstdio>
 #include <filesystem>
+#include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
-#include "absl/flags/flag.h"
-#include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/dataset/recordings.h"
 #include "train/commands.h"
-#include "train/common_flags.h"
 #include "train/data/minari_file.h"
-#include "train/data/record.h"
-
-ABSL_FLAG(
-    std::string, recordings, "",
-    "dataset: episodes that a server recorded (its --record_dir, or one session in it) instead "
-    "of new ones; with --env, only those of it");
+#include "train/record_flags.h"
 
 namespace spikeserve {
 namespace {
 
-absl::StatusOr<Dataset> FromRecordings(const std::string& path) {
-  auto recordings = ReadRecordings(path, absl::GetFlag(FLAGS_env).value_or(""));
-  if (!recordings.ok()) {
-    return absl::Status(recordings.status().code(),
-                        absl::StrCat("recordings: ", recordings.status().message()));
-  }
+constexpr char kRecording[] = "Recording, without --recordings";
+
+struct DatasetFlags {
+  std::string out;
+  std::string recordings;          // what a server recorded; empty: new episodes
+  std::optional<std::string> env;  // absent: every environment of the recordings, or CartPole-v1
+  RecordFlags record;
+  bool json = false;
+};
+
+absl::StatusOr<Dataset> FromRecordings(const std::string& path, const std::string& environment) {
+  auto recordings = ReadRecordings(path, environment);
+  if (!recordings.ok()) return Annotate(recordings.status(), "--recordings");
   const size_t episodes = recordings->size();
   absl::StatusOr<Dataset> dataset = Concatenate(*std::move(recordings));
   if (dataset.ok()) dataset->recipe = {{"recordings", path}, {"episodes", episodes}};
   return dataset;
 }
 
-absl::StatusOr<Dataset> FromExpert() {
-  const absl::StatusOr<RecordOptions> options = RecordOptionsFromFlags();
-  if (!options.ok()) return options.status();
-  return RecordDataset(*options);
+absl::StatusOr<Dataset> MakeDataset(const DatasetFlags& flags) {
+  if (!flags.recordings.empty()) return FromRecordings(flags.recordings, flags.env.value_or(""));
+  RecordFlags record = flags.record;
+  record.options.expert.environment = flags.env.value_or(record.options.expert.environment);
+  return RecordFromFlags(record, flags.out);
+}
+
+absl::Status WriteNewDataset(const DatasetFlags& flags) {
+  if (auto status = RequireOut(flags.out, "a .cbor file or a directory to write"); !status.ok()) {
+    return status;
+  }
+  const absl::StatusOr<Dataset> dataset = MakeDataset(flags);
+  if (!dataset.ok()) return dataset.status();
+  const bool cbor = std::filesystem::path(flags.out).extension() == ".cbor";
+  const absl::Status written =
+      cbor ? WriteDataset(*dataset, flags.out) : WriteMinariDataset(*dataset, flags.out);
+  if (!written.ok()) return written;
+  nlohmann::ordered_json summary = {{"environment", dataset->environment}};
+  summary.update(dataset->recipe);
+  std::printf("%s\n", summary.dump(flags.json ? 2 : -1).c_str());
+  return absl::OkStatus();
 }
 
 }  // namespace
 
-absl::Status DatasetCommand() {
-  const absl::StatusOr<std::string> out = RequiredOut("a .cbor file or a directory to write");
-  if (!out.ok()) return out.status();
-  const std::string recordings = absl::GetFlag(FLAGS_recordings);
-  const absl::StatusOr<Dataset> dataset =
-      recordings.empty() ? FromExpert() : FromRecordings(recordings);
-  if (!dataset.ok()) return dataset.status();
-  const bool cbor = std::filesystem::path(*out).extension() == ".cbor";
-  const absl::Status written =
-      cbor ? WriteDataset(*dataset, *out) : WriteMinariDataset(*dataset, *out);
-  if (!written.ok()) return written;
-  nlohmann::ordered_json summary = {{"environment", dataset->environment}};
-  summary.update(dataset->recipe);
-  std::printf("%s\n", summary.dump(absl::GetFlag(FLAGS_json) ? 2 : -1).c_str());
-  return absl::OkStatus();
+void AddDatasetCommand(Program& program) {
+  const Command command = program.root().AddCommand(
+      "dataset", "Records a dataset, or takes one that a server recorded");
+  const auto flags = std::make_shared<DatasetFlags>();
+  command.Flags("Dataset")
+      .Add("out", "FILE", &flags->out, "A .cbor file, or a directory in Minari's layout")
+      .Add("env", "ID", &flags->env, kEnvironmentHelp)
+      .Add("recordings", "DIR", &flags->recordings,
+           "Record directory of a server, or one session of it")
+      .AddSwitch("json", &flags->json, "Print the summary on several lines");
+  FlagGroup recording = command.Flags(kRecording);
+  recording.Add("seed", "N", &flags->record.options.seed, "Seed of every random draw");
+  AddRecordFlags(recording, &flags->record);
+  AddTablesFlag(recording, &flags->record.options.expert);
+  command.RefuseBeside("recordings", kRecording);
+  command.SetAction([flags] { return WriteNewDataset(*flags); });
 }
 
 }  // namespace spikeserve

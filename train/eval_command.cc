@@ -1,80 +1,99 @@
 #include <cmath>
 #include <cstdio>
 #include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/model/policy_file.h"
 #include "train/commands.h"
-#include "train/common_flags.h"
 #include "train/evaluation/ablation.h"
 #include "train/evaluation/evaluation.h"
 #include "train/evaluation/return_response.h"
-
-ABSL_FLAG(std::string, policy, "", "eval: the policy file to play");
-ABSL_FLAG(std::vector<std::string>, target_returns, {},
-          "eval: the returns to ask for, comma-separated (default: the policy's own)");
-ABSL_FLAG(std::vector<std::string>, ablate, {},
-          "eval: parts of the policy to switch off, comma-separated: context (of one timestep), "
-          "attention (uniform), phase, routing (uniform), return");
+#include "train/record_flags.h"
 
 namespace spikeserve {
-
 namespace {
 
-absl::StatusOr<std::vector<double>> TargetReturnsFromFlags() {
+struct EvalFlags {
+  std::string policy;
+  std::optional<std::string> env;  // absent: the policy's
+  EvaluationOptions options;
+  std::vector<std::string> target_returns;  // none: the policy's own
+  std::vector<std::string> ablate;
+  bool json = false;
+};
+
+absl::StatusOr<std::vector<double>> ParseTargetReturns(const EvalFlags& flags) {
   std::vector<double> targets;
-  for (const std::string& text : absl::GetFlag(FLAGS_target_returns)) {
+  for (const std::string& text : flags.target_returns) {
     double target = 0.0;
     if (!absl::SimpleAtod(text, &target) || !std::isfinite(target)) {
       return absl::InvalidArgumentError(
-          absl::StrCat("target_returns: expected finite numbers, received '", text, "'"));
+          absl::StrCat("--target_returns: expected finite numbers, received \"", text, "\""));
     }
     targets.push_back(target);
   }
   return targets;
 }
 
-// --policy without what --ablate switches off, in the environment of --env.
-absl::StatusOr<Policy> PolicyFromFlags() {
-  const std::string path = absl::GetFlag(FLAGS_policy);
-  if (path.empty()) return absl::InvalidArgumentError("policy: expected a policy file");
-  absl::StatusOr<Policy> policy = ReadPolicyFile(path);
+// Reads --policy, without what --ablate switches off, for the environment of --env.
+absl::StatusOr<Policy> ReadPolicy(const EvalFlags& flags) {
+  if (flags.policy.empty()) {
+    return absl::InvalidArgumentError("--policy: expected a policy file, received none");
+  }
+  absl::StatusOr<Policy> policy = ReadPolicyFile(flags.policy);
   if (!policy.ok()) return policy;
-  policy->environment = absl::GetFlag(FLAGS_env).value_or(policy->environment);
-  for (const std::string& part : absl::GetFlag(FLAGS_ablate)) {
-    if (auto status = Ablate(part, &*policy); !status.ok()) return status;
+  policy->environment = flags.env.value_or(policy->environment);
+  for (const std::string& part : flags.ablate) {
+    if (auto status = Ablate(part, &*policy); !status.ok()) return NameFlag(status);
   }
   return policy;
 }
 
-}  // namespace
-
-absl::Status EvalCommand() {
-  absl::StatusOr<Policy> policy = PolicyFromFlags();
+absl::Status EvaluatePolicy(const EvalFlags& flags) {
+  absl::StatusOr<Policy> policy = ReadPolicy(flags);
   if (!policy.ok()) return policy.status();
-  const absl::StatusOr<std::vector<double>> targets = TargetReturnsFromFlags();
+  const absl::StatusOr<std::vector<double>> targets = ParseTargetReturns(flags);
   if (!targets.ok()) return targets.status();
-  EvaluationOptions options = {.episodes = absl::GetFlag(FLAGS_episodes)};
-  options.first_seed = absl::GetFlag(FLAGS_seed).value_or(options.first_seed);
   if (targets->size() > 1) {
     const absl::StatusOr<ReturnResponse> response =
-        MeasureReturnResponse(*policy, *targets, options);
+        MeasureReturnResponse(*policy, *targets, flags.options);
     if (!response.ok()) return response.status();
-    const bool json = absl::GetFlag(FLAGS_json);
-    std::fputs((json ? ToJson(*response).dump(2) + "\n" : ToText(*response)).c_str(), stdout);
+    std::fputs((flags.json ? ToJson(*response).dump(2) + "\n" : ToText(*response)).c_str(), stdout);
     return absl::OkStatus();
   }
   if (!targets->empty()) policy->target_return = static_cast<float>(targets->front());
   const ModelConfig config = policy->config;
   const absl::StatusOr<Evaluation> evaluation =
-      Evaluate(std::make_shared<const Policy>(*std::move(policy)), options);
+      Evaluate(std::make_shared<const Policy>(*std::move(policy)), flags.options);
   if (!evaluation.ok()) return evaluation.status();
-  PrintEvaluation(*evaluation, config);
+  std::fputs((flags.json ? ToJson(*evaluation, config).dump(2) + "\n" : ToText(*evaluation, config))
+                 .c_str(),
+             stdout);
   return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddEvalCommand(Program& program) {
+  const Command command = program.root().AddCommand("eval", "Plays a policy in closed loop");
+  const auto flags = std::make_shared<EvalFlags>();
+  command.Flags("Playing")
+      .Add("policy", "FILE", &flags->policy, "Policy file")
+      .Add("env", "ID", &flags->env, "Environment; default: the policy's")
+      .Add("episodes", "N", &flags->options.episodes, "Episodes to play")
+      .Add("seed", "N", &flags->options.first_seed,
+           "Seed of the first start; later episodes count on")
+      .AddList("target_returns", "RETURN,...", &flags->target_returns,
+               "Returns to ask for; default: the policy's own")
+      .AddList("ablate", "PART,...", &flags->ablate,
+               "Off: context, attention, phase, routing, return")
+      .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
+  command.SetAction([flags] { return EvaluatePolicy(*flags); });
 }
 
 }  // namespace spikeserve

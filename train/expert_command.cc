@@ -1,40 +1,66 @@
 #include <algorithm>
+#include <cstdint>
 #include <cstdio>
+#include <memory>
+#include <vector>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_format.h"
 #include "nlohmann/json.hpp"
 #include "train/commands.h"
-#include "train/common_flags.h"
 #include "train/expert/expert_evaluation.h"
+#include "train/record_flags.h"
 
 namespace spikeserve {
+namespace {
 
-absl::Status ExpertCommand() {
-  const ExpertOptions options = ExpertOptionsFromFlags();
-  const int episodes = absl::GetFlag(FLAGS_episodes);
-  const uint64_t first_seed = absl::GetFlag(FLAGS_seed).value_or(0);
+struct ExpertFlags {
+  ExpertOptions options;
+  int episodes = 100;
+  uint64_t seed = 0;  // of the first episode
+  bool json = false;
+};
+
+absl::Status PlayExpert(const ExpertFlags& flags) {
+  const ExpertOptions& options = flags.options;
   const absl::StatusOr<std::unique_ptr<Expert>> expert = MakeExpert(options);
   if (!expert.ok()) return expert.status();
   const absl::StatusOr<std::vector<double>> returns =
-      EvaluateExpert(**expert, options.environment, episodes, first_seed);
+      EvaluateExpert(**expert, options.environment, flags.episodes, flags.seed);
   if (!returns.ok()) return returns.status();
   const auto [mean, deviation] = StatisticsOf(*returns);
   const auto [least, most] = std::minmax_element(returns->begin(), returns->end());
-  if (absl::GetFlag(FLAGS_json)) {
+  if (flags.json) {
     const nlohmann::ordered_json json = {{"environment", options.environment},
                                          {"mean_return", mean},
                                          {"std_return", deviation},
                                          {"min_return", *least},
                                          {"max_return", *most},
-                                         {"episodes", episodes},
-                                         {"first_seed", first_seed}};
+                                         {"episodes", flags.episodes},
+                                         {"first_seed", flags.seed}};
     std::printf("%s\n", json.dump(2).c_str());
   } else {
     absl::PrintF("%s, %d episodes from seed %d: return %.2f ± %.2f (%.1f to %.1f)\n",
-                 options.environment, episodes, first_seed, mean, deviation, *least, *most);
+                 options.environment, flags.episodes, flags.seed, mean, deviation, *least, *most);
   }
   return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddExpertCommand(Program& program) {
+  const Command command =
+      program.root().AddCommand("expert", "Plays an expert, from which data are recorded");
+  const auto flags = std::make_shared<ExpertFlags>();
+  FlagGroup playing = command.Flags("Playing");
+  playing.Add("env", "ID", &flags->options.environment, kEnvironmentHelp)
+      .Add("episodes", "N", &flags->episodes, "Episodes to play")
+      .Add("seed", "N", &flags->seed, "Seed of the first start; later episodes count on")
+      .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
+  FlagGroup expert = command.Flags("Expert");
+  AddExpertFlags(expert, &flags->options);
+  expert.Add("tables", "DIR", &flags->options.tables_directory,
+             "Directory of the experts' value tables; default: none");
+  command.SetAction([flags] { return PlayExpert(*flags); });
 }
 
 }  // namespace spikeserve

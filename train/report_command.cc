@@ -1,49 +1,52 @@
 #include <cstdio>
-#include <filesystem>
+#include <memory>
 #include <string>
-#include <system_error>
+#include <utility>
+#include <vector>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "train/commands.h"
-#include "train/common_flags.h"
+#include "train/record_flags.h"
 #include "train/report/report_page.h"
 #include "train/report/report_runs.h"
 #include "train/train_flags.h"
 
-ABSL_FLAG(
-    bool, smoke, false,
-    "report: tiny models, coarse experts and few iterations, to see in minutes that all of it "
-    "works");
-ABSL_FLAG(std::vector<std::string>, environments, spikeserve::ReportOptions{}.environments,
-          "report: the tasks, comma-separated");
-ABSL_FLAG(int, seeds, spikeserve::ReportOptions{}.seeds, "report: seeds of training for each row");
-
 namespace spikeserve {
 namespace {
 
-absl::StatusOr<ReportOptions> OptionsFromFlags() {
-  const absl::StatusOr<std::string> out = RequiredOut("the directory to write into");
-  if (!out.ok()) return out.status();
-  const absl::StatusOr<TrainOptions> training = TrainOptionsFromFlags();
+struct ReportFlags {
+  std::string out;
+  bool smoke = false;
+  std::vector<std::string> environments = ReportOptions().environments;
+  int seeds = ReportOptions().seeds;
+  ShapeFlags shape;
+  TrainerFlags trainer;
+  RecordFlags record;
+};
+
+absl::StatusOr<ReportOptions> MakeOptions(const ReportFlags& flags) {
+  if (auto status = RequireOut(flags.out, "the directory to write into"); !status.ok()) {
+    return status;
+  }
+  const absl::StatusOr<TrainOptions> training = MakeTrainOptions(flags.trainer);
   if (!training.ok()) return training.status();
-  absl::StatusOr<RecordOptions> data = RecordOptionsFromFlags();
+  absl::StatusOr<RecordOptions> data = ReadRecordOptions(flags.record);
   if (!data.ok()) return data.status();
   ReportOptions options;
-  options.directory = *out;
+  options.directory = flags.out;
   options.training = *training;
   options.data = *std::move(data);
-  options.data.expert.tables_directory = *out;
-  if (auto status = SetShapeFromFlags(&options.config); !status.ok()) return status;
-  options.environments = absl::GetFlag(FLAGS_environments);
-  options.seeds = absl::GetFlag(FLAGS_seeds);
+  options.data.expert.tables_directory = flags.out;
+  if (auto status = SetShape(flags.shape, &options.config); !status.ok()) return status;
+  options.environments = flags.environments;
+  options.seeds = flags.seeds;
   if (options.seeds < 1 || options.environments.empty()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("seeds, environments: expected at least one of each, received ", options.seeds,
-                     " and ", options.environments.size()));
+        absl::StrCat("--seeds, --environments: expected at least one of each, received ",
+                     options.seeds, " and ", options.environments.size()));
   }
-  if (absl::GetFlag(FLAGS_smoke)) {
+  if (flags.smoke) {
     options.data.steps = 400;
     options.data.expert.coarsening = 8;
     options.training.iterations = 20;
@@ -60,10 +63,8 @@ absl::StatusOr<ReportOptions> OptionsFromFlags() {
   return options;
 }
 
-}  // namespace
-
-absl::Status ReportCommand(const std::string& command_line) {
-  const absl::StatusOr<ReportOptions> options = OptionsFromFlags();
+absl::Status MakeReport(const ReportFlags& flags, const std::string& command_line) {
+  const absl::StatusOr<ReportOptions> options = MakeOptions(flags);
   if (!options.ok()) return options.status();
   const auto log = [](const std::string& name) {
     std::fprintf(stderr, "spiketrain: training %s\n", name.c_str());
@@ -81,6 +82,25 @@ absl::Status ReportCommand(const std::string& command_line) {
               options->directory.c_str(), options->directory.c_str(),
               PlotCommand(options->directory).c_str());
   return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddReportCommand(Program& program) {
+  const Command command = program.root().AddCommand(
+      "report", "Repeats the paper's experiments and writes their tables");
+  const auto flags = std::make_shared<ReportFlags>();
+  command.Flags("Report")
+      .Add("out", "DIR", &flags->out, "Directory of the report and its runs")
+      .AddSwitch("smoke", &flags->smoke, "Tiny models and few iterations: a test in minutes")
+      .AddList("environments", "ID,...", &flags->environments, "Tasks")
+      .Add("seeds", "N", &flags->seeds, "Training seeds of each row");
+  FlagGroup shape = command.Flags("Shape");
+  AddShapeFlags(shape, &flags->shape);
+  AddTrainerFlags(command, &flags->trainer);
+  FlagGroup recording = command.Flags("Recording");
+  AddRecordFlags(recording, &flags->record);
+  command.SetAction([flags, &program] { return MakeReport(*flags, program.CommandLine()); });
 }
 
 }  // namespace spikeserve

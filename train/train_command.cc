@@ -1,39 +1,59 @@
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <system_error>
 #include <utility>
+#include <vector>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/types/optional.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "train/commands.h"
-#include "train/common_flags.h"
+#include "train/data/minari_file.h"
 #include "train/evaluation/evaluation.h"
 #include "train/progress_bar.h"
+#include "train/record_flags.h"
 #include "train/train_flags.h"
+#include "train/trainer/initial_policy.h"
 #include "train/trainer/trainer.h"
-
-ABSL_FLAG(bool, resume, false, "train: go on from the checkpoint in --out, if there is one");
-ABSL_FLAG(int, checkpoint_every, 100, "train: iterations between checkpoints");
-ABSL_FLAG(int, validate_every, 50, "train: iterations between validation losses");
 
 namespace spikeserve {
 namespace {
 
-absl::Status CheckInterval(absl::string_view flag, int value) {
+constexpr char kRecording[] = "Recording, without --data";
+
+struct TrainFlags {
+  std::string out;
+  std::vector<std::string> data;   // none: record as `spiketrain dataset` would
+  std::string init;                // policy file to go on from; empty: random weights
+  std::optional<std::string> env;  // absent: that of the data, or CartPole-v1
+  ShapeFlags shape;
+  std::optional<double> return_offset;  // absent: what suits the environment
+  std::optional<double> return_scale;
+  TrainerFlags trainer;
+  RecordFlags record;
+  int episodes = 100;  // of the evaluation at the end
+  bool resume = false;
+  int checkpoint_every = 100;
+  int validate_every = 50;
+  bool json = false;
+};
+
+absl::Status CheckCount(absl::string_view flag, int value) {
   if (value >= 1) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(flag, ": expected at least 1, received ", value));
+  return absl::InvalidArgumentError(
+      absl::StrCat("--", flag, ": expected at least 1, received ", value));
 }
 
 // Trains to the end. Returns the last validation loss, or -1 without validation data.
-absl::StatusOr<double> TrainToEnd(const std::string& checkpoint, Trainer* trainer, int iterations) {
+absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
+                                  Trainer* trainer) {
   constexpr double kForget = 0.05;  // of the running mean of the loss that is shown
-  ProgressBar progress(iterations, trainer->iteration());
+  ProgressBar progress(flags.trainer.options.iterations, trainer->iteration());
   double shown_loss = -1.0;
   double validation = -1.0;
   while (!trainer->done()) {
@@ -45,11 +65,10 @@ absl::StatusOr<double> TrainToEnd(const std::string& checkpoint, Trainer* traine
                                               "; try a lower --learning_rate"));
     }
     const bool last = trainer->done();
-    if (trainer->has_validation() &&
-        (last || iteration % absl::GetFlag(FLAGS_validate_every) == 0)) {
+    if (trainer->has_validation() && (last || iteration % flags.validate_every == 0)) {
       validation = trainer->ValidationLoss();
     }
-    if (last || iteration % absl::GetFlag(FLAGS_checkpoint_every) == 0) {
+    if (last || iteration % flags.checkpoint_every == 0) {
       if (auto status = trainer->SaveCheckpoint(checkpoint); !status.ok()) return status;
     }
     progress.Update(iteration, absl::StrFormat("loss %.4f, validation %.4f, excess rate %.4f",
@@ -59,19 +78,19 @@ absl::StatusOr<double> TrainToEnd(const std::string& checkpoint, Trainer* traine
 }
 
 // Plays the policy where its environment is ours; nothing otherwise.
-absl::StatusOr<absl::optional<Evaluation>> EvaluateIfPossible(const Policy& policy,
-                                                              const EvaluationOptions& options) {
-  if (!MakeEnvironment(policy.environment).ok()) return absl::optional<Evaluation>();
+absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& policy,
+                                                             const EvaluationOptions& options) {
+  if (!MakeEnvironment(policy.environment).ok()) return std::optional<Evaluation>();
   absl::StatusOr<Evaluation> evaluation = Evaluate(std::make_shared<const Policy>(policy), options);
   if (!evaluation.ok()) return evaluation.status();
-  return absl::optional<Evaluation>(*std::move(evaluation));
+  return std::optional<Evaluation>(*std::move(evaluation));
 }
 
 // The record of how a policy came to be. `earlier` is that of the policy it started from, "{}" if
 // from none.
 std::string TrainingRecord(const std::string& command_line, const TrainOptions& options,
                            const Dataset& dataset, double validation,
-                           const absl::optional<Evaluation>& evaluation, const ModelConfig& config,
+                           const std::optional<Evaluation>& evaluation, const ModelConfig& config,
                            const std::string& earlier) {
   nlohmann::ordered_json record = {
       {"command", command_line}, {"seed", options.seed}, {"data", dataset.recipe}};
@@ -91,49 +110,152 @@ absl::Status MakeDirectory(const std::string& path) {
   std::filesystem::create_directories(path, error);
   if (!error) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat("out: cannot make the directory ", path, ": ", error.message()));
+      absl::StrCat("--out: cannot make the directory ", path, ": ", error.message()));
+}
+
+absl::StatusOr<Dataset> ReadData(const std::vector<std::string>& paths) {
+  std::vector<Dataset> parts;
+  for (const std::string& path : paths) {
+    absl::StatusOr<Dataset> part =
+        IsMinariDataset(path) ? ReadMinariDataset(path) : ReadDataset(path);
+    if (!part.ok()) return part;
+    parts.push_back(*std::move(part));
+  }
+  return Concatenate(std::move(parts));
+}
+
+// Reads --data, or records by the default recipe.
+absl::StatusOr<Dataset> MakeDataset(const TrainFlags& flags) {
+  if (flags.data.empty()) {
+    RecordFlags record = flags.record;
+    record.options.seed = flags.trainer.options.seed;
+    record.options.expert.environment = flags.env.value_or(record.options.expert.environment);
+    return RecordFromFlags(record, flags.out);
+  }
+  absl::StatusOr<Dataset> dataset = ReadData(flags.data);
+  if (!dataset.ok()) return dataset;
+  const std::string environment = flags.env.value_or(dataset->environment);
+  if (environment != dataset->environment) {
+    return absl::InvalidArgumentError(absl::StrCat("--env: expected ", dataset->environment,
+                                                   " as in --data, received ", environment));
+  }
+  return dataset;
+}
+
+absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const Dataset& dataset) {
+  ModelConfig config;
+  if (auto status = SetShape(flags.shape, &config); !status.ok()) return status;
+  Policy policy = InitialPolicy(config, dataset, flags.trainer.options.seed);
+  if (flags.return_offset.has_value()) {
+    policy.return_offset = static_cast<float>(*flags.return_offset);
+  }
+  if (const auto scale = flags.return_scale; scale.has_value()) {
+    if (!(*scale > 0.0) || !std::isfinite(*scale)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--return_scale: expected a number above 0, received ", *scale));
+    }
+    policy.return_scale = static_cast<float>(*scale);
+  }
+  return policy;
+}
+
+absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& dataset) {
+  absl::StatusOr<Policy> policy = ReadPolicyFile(flags.init);
+  if (!policy.ok()) return policy.status();
+  if (auto status = CheckShape(flags.shape, policy->config); !status.ok()) return status;
+  if (policy->environment != dataset.environment) {
+    return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ",
+                                                   dataset.environment, ", received one for \"",
+                                                   policy->environment, "\""));
+  }
+  return policy;
+}
+
+// Writes policy.safetensors and prints the evaluation, if there can be one.
+absl::Status Finish(const TrainFlags& flags, const std::string& command_line,
+                    const TrainOptions& options, const Dataset& dataset, const Policy& initial,
+                    double validation, Policy policy) {
+  const absl::StatusOr<std::optional<Evaluation>> evaluation =
+      EvaluateIfPossible(policy, {.episodes = flags.episodes});
+  if (!evaluation.ok()) return evaluation.status();
+  policy.training = TrainingRecord(command_line, options, dataset, validation, *evaluation,
+                                   policy.config, initial.training);
+  if (auto status = WritePolicyFile(policy, absl::StrCat(flags.out, "/policy.safetensors"));
+      !status.ok()) {
+    return status;
+  }
+  if (!evaluation->has_value()) return absl::OkStatus();
+  const ModelConfig& config = policy.config;
+  std::fputs(
+      (flags.json ? ToJson(**evaluation, config).dump(2) + "\n" : ToText(**evaluation, config))
+          .c_str(),
+      stdout);
+  return absl::OkStatus();
+}
+
+absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
+  if (auto status = RequireOut(flags.out, "the directory to write into"); !status.ok()) {
+    return status;
+  }
+  const absl::StatusOr<TrainOptions> options = MakeTrainOptions(flags.trainer);
+  if (!options.ok()) return options.status();
+  for (const absl::Status& status :
+       {CheckCount("episodes", flags.episodes),
+        CheckCount("checkpoint_every", flags.checkpoint_every),
+        CheckCount("validate_every", flags.validate_every), MakeDirectory(flags.out)}) {
+    if (!status.ok()) return status;
+  }
+  const absl::StatusOr<Dataset> dataset = MakeDataset(flags);
+  if (!dataset.ok()) return dataset.status();
+  const absl::StatusOr<Policy> initial =
+      flags.init.empty() ? NewPolicy(flags, *dataset) : GivenPolicy(flags, *dataset);
+  if (!initial.ok()) return initial.status();
+
+  Trainer trainer(*initial, *dataset, *options);
+  const std::string checkpoint = absl::StrCat(flags.out, "/checkpoint.pt");
+  if (flags.resume && std::filesystem::exists(checkpoint)) {
+    if (auto status = trainer.LoadCheckpoint(checkpoint); !status.ok()) return status;
+  }
+  const absl::StatusOr<double> validation = TrainToEnd(flags, checkpoint, &trainer);
+  if (!validation.ok()) return validation.status();
+  return Finish(flags, command_line, *options, *dataset, *initial, *validation,
+                trainer.CurrentPolicy());
+}
+
+void AddFlags(Command command, TrainFlags* flags) {
+  command.Flags("Training")
+      .Add("out", "DIR", &flags->out, "Directory of the policy and the checkpoint")
+      .AddList("data", "FILE,...", &flags->data, "Datasets; default: record one")
+      .Add("init", "FILE", &flags->init, "Policy to go on from; default: random weights")
+      .Add("env", "ID", &flags->env, "Environment; default: that of --data")
+      .Add("seed", "N", &flags->trainer.options.seed, "Seed of every random draw")
+      .AddSwitch("resume", &flags->resume, "Go on from the checkpoint in --out, if there is one")
+      .Add("checkpoint_every", "N", &flags->checkpoint_every, "Iterations between checkpoints")
+      .Add("validate_every", "N", &flags->validate_every, "Iterations between validations")
+      .Add("episodes", "N", &flags->episodes, "Episodes of the evaluation at the end")
+      .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
+  FlagGroup shape = command.Flags("Shape");
+  AddModeFlag(shape, &flags->shape);
+  AddShapeFlags(shape, &flags->shape);
+  shape
+      .Add("return_offset", "RETURN", &flags->return_offset,
+           "Offset of the return token; default: by environment")
+      .Add("return_scale", "RETURN", &flags->return_scale,
+           "Scale of the return token; default: by environment");
+  AddTrainerFlags(command, &flags->trainer);
+  FlagGroup recording = command.Flags(kRecording);
+  AddRecordFlags(recording, &flags->record);
+  AddTablesFlag(recording, &flags->record.options.expert);
+  command.RefuseBeside("data", kRecording);
 }
 
 }  // namespace
 
-absl::Status TrainCommand(const std::string& command_line) {
-  const absl::StatusOr<std::string> out = RequiredOut("the directory to write into");
-  if (!out.ok()) return out.status();
-  const absl::StatusOr<TrainOptions> options = TrainOptionsFromFlags();
-  if (!options.ok()) return options.status();
-  const EvaluationOptions evaluation_options = {.episodes = absl::GetFlag(FLAGS_episodes)};
-  for (const absl::Status& status :
-       {evaluation_options.Validate(),
-        CheckInterval("checkpoint_every", absl::GetFlag(FLAGS_checkpoint_every)),
-        CheckInterval("validate_every", absl::GetFlag(FLAGS_validate_every)),
-        MakeDirectory(*out)}) {
-    if (!status.ok()) return status;
-  }
-  const absl::StatusOr<Dataset> dataset = DatasetFromFlags();
-  if (!dataset.ok()) return dataset.status();
-  const absl::StatusOr<Policy> initial = InitialPolicyFromFlags(*dataset);
-  if (!initial.ok()) return initial.status();
-
-  Trainer trainer(*initial, *dataset, *options);
-  const std::string checkpoint = absl::StrCat(*out, "/checkpoint.pt");
-  if (absl::GetFlag(FLAGS_resume) && std::filesystem::exists(checkpoint)) {
-    if (auto status = trainer.LoadCheckpoint(checkpoint); !status.ok()) return status;
-  }
-  const absl::StatusOr<double> validation = TrainToEnd(checkpoint, &trainer, options->iterations);
-  if (!validation.ok()) return validation.status();
-
-  Policy policy = trainer.CurrentPolicy();
-  const absl::StatusOr<absl::optional<Evaluation>> evaluation =
-      EvaluateIfPossible(policy, evaluation_options);
-  if (!evaluation.ok()) return evaluation.status();
-  policy.training = TrainingRecord(command_line, *options, *dataset, *validation, *evaluation,
-                                   policy.config, initial->training);
-  if (auto status = WritePolicyFile(policy, absl::StrCat(*out, "/policy.safetensors"));
-      !status.ok()) {
-    return status;
-  }
-  if (evaluation->has_value()) PrintEvaluation(**evaluation, policy.config);
-  return absl::OkStatus();
+void AddTrainCommand(Program& program) {
+  const Command command = program.root().AddCommand("train", "Trains a policy");
+  const auto flags = std::make_shared<TrainFlags>();
+  AddFlags(command, flags.get());
+  command.SetAction([flags, &program] { return Train(*flags, program.CommandLine()); });
 }
 
 }  // namespace spikeserve

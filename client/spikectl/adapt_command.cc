@@ -1,36 +1,17 @@
 #include <algorithm>
 #include <iostream>
+#include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 
-#include "absl/flags/declare.h"
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/types/optional.h"
 #include "client/spikectl/adaptation.h"
+#include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
-#include "client/spikectl/common_flags.h"
 #include "client/spikectl/policy_choice.h"
 #include "nlohmann/json.hpp"
-
-ABSL_DECLARE_FLAG(std::string, env);
-ABSL_DECLARE_FLAG(int32_t, episodes);
-ABSL_DECLARE_FLAG(uint64_t, seed);
-ABSL_DECLARE_FLAG(std::string, policy);
-ABSL_DECLARE_FLAG(int64_t, version);
-ABSL_FLAG(std::string, perturb, "",
-          "NAME=VALUE: wind (newtons), or a factor on length, mass, force or gravity; empty: the "
-          "task as it is (adapt)");
-ABSL_FLAG(std::string, rule, "policy_gradient", "policy_gradient or hebbian (adapt)");
-ABSL_FLAG(std::string, modulator, "realized", "realized or target (adapt)");
-ABSL_FLAG(std::string, scope, "session", "session or fleet: whose head learns (adapt)");
-ABSL_FLAG(int32_t, fleet, 16, "Sessions that learn at once with --scope=fleet (adapt)");
-ABSL_FLAG(absl::optional<double>, temperature, absl::nullopt,
-          "At which the learning sessions sample; unset: 1 for continuous actions, else 4 (adapt)");
-ABSL_FLAG(absl::optional<double>, learning_rate, absl::nullopt,
-          "Unset: the server's own for the modulator (adapt)");
-ABSL_FLAG(absl::optional<double>, discount, absl::nullopt,
-          "Of the realized return; unset: the server's own (adapt)");
 
 namespace spikeserve {
 namespace {
@@ -41,36 +22,51 @@ using nlohmann::ordered_json;
 constexpr double kDiscreteTemperature = 4.0;
 constexpr double kContinuousTemperature = 1.0;
 
-absl::StatusOr<AdaptationOptions> OptionsFromFlags() {
+struct AdaptFlags {
+  AgentFlags agent;  // without a target return
+  int episodes = 1;
+  std::string perturb;  // empty: the task as it is
+  std::string rule = "policy_gradient";
+  std::string modulator = "realized";
+  std::string scope = "session";
+  int fleet = 16;
+  std::optional<double> temperature;  // absent: as below, by the kind of actions
+  std::optional<double> learning_rate;
+  std::optional<double> discount;
+};
+
+void SetLearning(const AdaptFlags& flags, v1::LearningConfig* learning) {
+  learning->set_rule(flags.rule);
+  learning->set_modulator(flags.modulator);
+  if (flags.learning_rate.has_value()) learning->set_learning_rate(*flags.learning_rate);
+  if (flags.discount.has_value()) learning->set_discount(*flags.discount);
+  if (flags.scope == "fleet") learning->set_scope(v1::LearningConfig::FLEET);
+}
+
+// Returns all options but the policy and the temperature. INVALID_ARGUMENT names the flag.
+absl::StatusOr<AdaptationOptions> MakeOptions(const AdaptFlags& flags) {
   AdaptationOptions options;
-  options.environment = absl::GetFlag(FLAGS_env);
-  options.episodes = absl::GetFlag(FLAGS_episodes);
-  options.seed = absl::GetFlag(FLAGS_seed);
+  options.environment = flags.agent.env;
+  options.episodes = flags.episodes;
+  options.seed = flags.agent.seed;
   if (options.episodes < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("--episodes: expected at least 1, received ", options.episodes));
   }
-  if (const std::string perturb = absl::GetFlag(FLAGS_perturb); !perturb.empty()) {
-    auto perturbation = ParsePerturbation(perturb);
+  if (!flags.perturb.empty()) {
+    auto perturbation = ParsePerturbation(flags.perturb);
     if (!perturbation.ok()) {
       return absl::InvalidArgumentError(absl::StrCat("--", perturbation.status().message()));
     }
     options.perturbation = *std::move(perturbation);
   }
-  options.learning.set_rule(absl::GetFlag(FLAGS_rule));
-  options.learning.set_modulator(absl::GetFlag(FLAGS_modulator));
-  if (const auto rate = absl::GetFlag(FLAGS_learning_rate)) {
-    options.learning.set_learning_rate(*rate);
-  }
-  if (const auto discount = absl::GetFlag(FLAGS_discount)) options.learning.set_discount(*discount);
-  const std::string scope = absl::GetFlag(FLAGS_scope);
-  if (scope != "session" && scope != "fleet") {
+  if (flags.scope != "session" && flags.scope != "fleet") {
     return absl::InvalidArgumentError(
-        absl::StrCat("--scope: expected session or fleet, received \"", scope, "\""));
+        absl::StrCat("--scope: expected session or fleet, received \"", flags.scope, "\""));
   }
-  if (scope == "session") return options;
-  options.learning.set_scope(v1::LearningConfig::FLEET);
-  options.sessions = absl::GetFlag(FLAGS_fleet);
+  SetLearning(flags, &options.learning);
+  if (flags.scope == "session") return options;
+  options.sessions = flags.fleet;
   if (options.sessions < 1 || options.sessions > 1000) {
     return absl::InvalidArgumentError(
         absl::StrCat("--fleet: expected 1 to 1000, received ", options.sessions));
@@ -78,16 +74,15 @@ absl::StatusOr<AdaptationOptions> OptionsFromFlags() {
   return options;
 }
 
-absl::StatusOr<v1::PolicyInfo> PolicyFromFlags(Client& client, const std::string& environment) {
+absl::StatusOr<v1::PolicyInfo> ChooseServedPolicy(Client& client, const AgentFlags& flags) {
   const auto served = client.ListPolicies();
   if (!served.ok()) return served.status();
-  return ChoosePolicy(*served, environment, absl::GetFlag(FLAGS_policy),
-                      absl::GetFlag(FLAGS_version));
+  return ChoosePolicy(*served, flags.env, flags.policy.policy, flags.policy.version);
 }
 
-void PrintText(const AdaptationOptions& options, const Adaptation& result) {
+void PrintText(const std::string& change, const AdaptationOptions& options,
+               const Adaptation& result) {
   const auto [low, high] = std::minmax_element(result.curve.begin(), result.curve.end());
-  const std::string change = absl::GetFlag(FLAGS_perturb);
   absl::PrintF("%s with %s, policy %s/%d, %d learning session(s)\n", options.environment,
                change.empty() ? "nothing changed" : change, options.policy.name(),
                options.policy.version(), options.sessions);
@@ -114,10 +109,8 @@ void PrintJson(const AdaptationOptions& options, const Adaptation& result) {
   std::cout << json.dump(2) << "\n";
 }
 
-}  // namespace
-
-absl::Status AdaptCommand() {
-  auto options = OptionsFromFlags();
+absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
+  auto options = MakeOptions(flags);
   if (!options.ok()) return options.status();
   const auto environment = MakeTask(*options);
   if (!environment.ok()) {
@@ -125,15 +118,15 @@ absl::Status AdaptCommand() {
                         absl::StrCat("--", environment.status().message()));
   }
   const bool discrete = (*environment)->action_space().is_discrete();
-  options->temperature = absl::GetFlag(FLAGS_temperature)
-                             .value_or(discrete ? kDiscreteTemperature : kContinuousTemperature);
-  const auto client = ConnectToServer();
+  options->temperature =
+      flags.temperature.value_or(discrete ? kDiscreteTemperature : kContinuousTemperature);
+  const auto client = Connect(server);
   if (!client.ok()) return client.status();
-  auto policy = PolicyFromFlags(**client, options->environment);
+  auto policy = ChooseServedPolicy(**client, flags.agent);
   if (!policy.ok()) return policy.status();
   if (absl::Status status = CheckFits(*policy, **environment); !status.ok()) return status;
   options->policy = *std::move(policy);
-  const bool as_text = !absl::GetFlag(FLAGS_json);
+  const bool as_text = !server.json;
   bool in_line = false;
   const auto result = Adapt(**client, *options, [&](int e, double episode_return) {
     if (as_text) std::cerr << absl::StrFormat("\repisode %d: %.1f   ", e, episode_return);
@@ -141,8 +134,31 @@ absl::Status AdaptCommand() {
   });
   if (in_line) std::cerr << "\n";
   if (!result.ok()) return result.status();
-  as_text ? PrintText(*options, *result) : PrintJson(*options, *result);
+  as_text ? PrintText(flags.perturb, *options, *result) : PrintJson(*options, *result);
   return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddAdaptCommand(Command program, const ServerFlags& server) {
+  const Command command =
+      program.AddCommand("adapt", "Learns in a changed environment, then judges the learned head");
+  const auto flags = std::make_shared<AdaptFlags>();
+  FlagGroup playing = command.Flags("Playing");
+  AddAgentFlags(playing, &flags->agent);
+  playing.Add("episodes", "N", &flags->episodes, "Learning episodes of each session")
+      .Add("perturb", "NAME=VALUE", &flags->perturb,
+           "wind (newtons), or a factor on length, mass, force or gravity");
+  command.Flags("Learning")
+      .Add("rule", "policy_gradient|hebbian", &flags->rule, "Learning rule")
+      .Add("modulator", "realized|target", &flags->modulator, "Return that modulates it")
+      .Add("scope", "session|fleet", &flags->scope, "Whose head learns")
+      .Add("fleet", "N", &flags->fleet, "Sessions that learn at once with --scope=fleet")
+      .Add("temperature", "T", &flags->temperature,
+           "Of sampling; default: 1 for continuous actions, else 4")
+      .Add("learning_rate", "RATE", &flags->learning_rate, "Default: the server's, by modulator")
+      .Add("discount", "FACTOR", &flags->discount, "Of the realized return; default: the server's");
+  command.SetAction([flags, &server] { return RunAdaptation(*flags, server); });
 }
 
 }  // namespace spikeserve

@@ -8,32 +8,41 @@
 #include <cstdint>
 #include <iostream>
 #include <string>
+#include <vector>
 
-#include "absl/flags/declare.h"
-#include "absl/flags/flag.h"
 #include "absl/status/statusor.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
-#include "client/spikectl/common_flags.h"
+#include "client/spikectl/server_flags.h"
 #include "nlohmann/json.hpp"
 #include "spikeserve/status.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
-
-ABSL_DECLARE_FLAG(std::string, policy);
-ABSL_DECLARE_FLAG(int64_t, version);
 
 namespace spikeserve {
 
 using AdminStub = v1::PolicyAdmin::Stub;
 
+// The flags of all actions; each has some of them.
+struct AdminFlags {
+  const ServerFlags* server = nullptr;
+  std::string policy;
+  int64_t version = 0;
+  std::string label;                // of a version, such as stable
+  std::vector<std::string> shares;  // VERSION:PERCENT of the new sessions
+  int64_t shadow = 0;               // version that shadows the others; 0: none
+  bool cancel = false;              // take new sessions again
+  bool weights = false;             // print the head's weights, too
+};
+
 // Loading reads files and decides once, so it takes longer than a decision.
 inline constexpr absl::Duration kAdminTimeout = absl::Seconds(60);
 
 template <typename Request, typename Response>
-absl::StatusOr<Response> CallAdmin(grpc::Status (AdminStub::*method)(grpc::ClientContext*,
+absl::StatusOr<Response> CallAdmin(const AdminFlags& flags,
+                                   grpc::Status (AdminStub::*method)(grpc::ClientContext*,
                                                                      const Request&, Response*),
                                    const Request& request) {
-  const auto client = ConnectToServer();
+  const auto client = Connect(*flags.server);
   if (!client.ok()) return client.status();
   const auto stub = v1::PolicyAdmin::NewStub((*client)->channel());
   grpc::ClientContext context;
@@ -44,18 +53,19 @@ absl::StatusOr<Response> CallAdmin(grpc::Status (AdminStub::*method)(grpc::Clien
   return response;
 }
 
-// A request of --policy and --version.
+// Returns a request of --policy and --version.
 template <typename Request>
-Request VersionRequest() {
+Request VersionRequest(const AdminFlags& flags) {
   Request request;
-  request.set_policy(absl::GetFlag(FLAGS_policy));
-  request.set_version(absl::GetFlag(FLAGS_version));
+  request.set_policy(flags.policy);
+  request.set_version(flags.version);
   return request;
 }
 
-// The text, or the object where --json asks for it.
-inline void Print(const std::string& text, const nlohmann::ordered_json& json) {
-  std::cout << (absl::GetFlag(FLAGS_json) ? json.dump(2) : text) << "\n";
+// Prints the text, or the object with --json.
+inline void Print(const AdminFlags& flags, const std::string& text,
+                  const nlohmann::ordered_json& json) {
+  std::cout << (flags.server->json ? json.dump(2) : text) << "\n";
 }
 
 }  // namespace spikeserve

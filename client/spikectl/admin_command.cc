@@ -1,8 +1,8 @@
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -12,77 +12,68 @@
 #include "client/spikectl/commands.h"
 #include "client/spikectl/head_actions.h"
 
-ABSL_FLAG(std::string, label, "", "Name of a version, such as stable (admin label, unlabel)");
-ABSL_FLAG(std::vector<std::string>, shares, {},
-          "VERSION:PERCENT of the new sessions, separated by commas; none: all to the default "
-          "version (admin traffic)");
-ABSL_FLAG(int64_t, shadow, 0, "Version that shadows the others; 0: none (admin traffic)");
-ABSL_FLAG(bool, cancel, false, "Take new sessions again (admin drain)");
-
 namespace spikeserve {
 namespace {
 
 using nlohmann::ordered_json;
 
-absl::Status RequirePolicy() {
-  if (!absl::GetFlag(FLAGS_policy).empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError("--policy: expected a name, received none");
+std::string Named(const AdminFlags& flags) {
+  return absl::StrCat(flags.policy, "/", flags.version);
 }
 
-std::string Named() {
-  return absl::StrCat(absl::GetFlag(FLAGS_policy), "/", absl::GetFlag(FLAGS_version));
+ordered_json NamedJson(const AdminFlags& flags) {
+  return {{"policy", flags.policy}, {"version", flags.version}};
 }
 
-ordered_json NamedJson() {
-  return {{"policy", absl::GetFlag(FLAGS_policy)}, {"version", absl::GetFlag(FLAGS_version)}};
-}
-
-absl::Status Load() {
-  const auto response = CallAdmin(&AdminStub::LoadPolicy, VersionRequest<v1::LoadPolicyRequest>());
+absl::Status Load(const AdminFlags& flags) {
+  const auto response =
+      CallAdmin(flags, &AdminStub::LoadPolicy, VersionRequest<v1::LoadPolicyRequest>(flags));
   if (!response.ok()) return response.status();
-  ordered_json json = NamedJson();
+  ordered_json json = NamedJson(flags);
   json["is_default"] = response->policy().is_default();
-  Print(absl::StrCat("loaded ", Named(), response->policy().is_default() ? ", the default" : ""),
-        json);
+  Print(
+      flags,
+      absl::StrCat("loaded ", Named(flags), response->policy().is_default() ? ", the default" : ""),
+      json);
   return absl::OkStatus();
 }
 
-absl::Status Unload() {
+absl::Status Unload(const AdminFlags& flags) {
   const auto response =
-      CallAdmin(&AdminStub::UnloadPolicy, VersionRequest<v1::UnloadPolicyRequest>());
+      CallAdmin(flags, &AdminStub::UnloadPolicy, VersionRequest<v1::UnloadPolicyRequest>(flags));
   if (!response.ok()) return response.status();
-  Print(absl::StrCat("unloaded ", Named()), NamedJson());
+  Print(flags, absl::StrCat("unloaded ", Named(flags)), NamedJson(flags));
   return absl::OkStatus();
 }
 
-absl::Status Default() {
-  const auto response =
-      CallAdmin(&AdminStub::SetDefaultVersion, VersionRequest<v1::SetDefaultVersionRequest>());
+absl::Status Default(const AdminFlags& flags) {
+  const auto response = CallAdmin(flags, &AdminStub::SetDefaultVersion,
+                                  VersionRequest<v1::SetDefaultVersionRequest>(flags));
   if (!response.ok()) return response.status();
-  const std::string policy = absl::GetFlag(FLAGS_policy);
-  Print(absl::StrCat("the default of ", policy, " is version ", response->version()),
+  const std::string& policy = flags.policy;
+  Print(flags, absl::StrCat("the default of ", policy, " is version ", response->version()),
         {{"policy", policy}, {"version", response->version()}});
   return absl::OkStatus();
 }
 
-absl::Status Label() {
-  auto request = VersionRequest<v1::SetLabelRequest>();
-  request.set_label(absl::GetFlag(FLAGS_label));
-  const auto response = CallAdmin(&AdminStub::SetLabel, request);
+absl::Status Label(const AdminFlags& flags) {
+  auto request = VersionRequest<v1::SetLabelRequest>(flags);
+  request.set_label(flags.label);
+  const auto response = CallAdmin(flags, &AdminStub::SetLabel, request);
   if (!response.ok()) return response.status();
-  ordered_json json = NamedJson();
+  ordered_json json = NamedJson(flags);
   json["label"] = request.label();
-  Print(absl::StrCat(request.label(), " is ", Named()), json);
+  Print(flags, absl::StrCat(request.label(), " is ", Named(flags)), json);
   return absl::OkStatus();
 }
 
-absl::Status Unlabel() {
+absl::Status Unlabel(const AdminFlags& flags) {
   v1::RemoveLabelRequest request;
-  request.set_policy(absl::GetFlag(FLAGS_policy));
-  request.set_label(absl::GetFlag(FLAGS_label));
-  const auto response = CallAdmin(&AdminStub::RemoveLabel, request);
+  request.set_policy(flags.policy);
+  request.set_label(flags.label);
+  const auto response = CallAdmin(flags, &AdminStub::RemoveLabel, request);
   if (!response.ok()) return response.status();
-  Print(absl::StrCat("removed ", request.label(), " of ", request.policy()),
+  Print(flags, absl::StrCat("removed ", request.label(), " of ", request.policy()),
         {{"policy", request.policy()}, {"label", request.label()}});
   return absl::OkStatus();
 }
@@ -103,21 +94,22 @@ absl::StatusOr<v1::TrafficShare> ParseShare(absl::string_view text) {
   return share;
 }
 
-absl::Status Traffic() {
+absl::Status Traffic(const AdminFlags& flags) {
   v1::SetTrafficRequest request;
-  request.set_policy(absl::GetFlag(FLAGS_policy));
-  request.set_shadow_version(absl::GetFlag(FLAGS_shadow));
+  request.set_policy(flags.policy);
+  request.set_shadow_version(flags.shadow);
   ordered_json shares = ordered_json::array();
-  for (const std::string& text : absl::GetFlag(FLAGS_shares)) {
+  for (const std::string& text : flags.shares) {
     const auto share = ParseShare(text);
     if (!share.ok()) return share.status();
     *request.add_shares() = *share;
     shares.push_back({{"version", share->version()}, {"percent", share->percent()}});
   }
-  const auto response = CallAdmin(&AdminStub::SetTraffic, request);
+  const auto response = CallAdmin(flags, &AdminStub::SetTraffic, request);
   if (!response.ok()) return response.status();
-  const std::string to = absl::StrJoin(absl::GetFlag(FLAGS_shares), ", ");
+  const std::string to = absl::StrJoin(flags.shares, ", ");
   Print(
+      flags,
       absl::StrCat(
           "traffic of ", request.policy(), ": ", to.empty() ? "the default" : to,
           request.shadow_version() == 0 ? "" : absl::StrCat("; shadow ", request.shadow_version())),
@@ -136,8 +128,8 @@ ordered_json VersionsToJson(const List& versions) {
   return json;
 }
 
-absl::Status Reload() {
-  const auto response = CallAdmin(&AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest());
+absl::Status Reload(const AdminFlags& flags) {
+  const auto response = CallAdmin(flags, &AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest());
   if (!response.ok()) return response.status();
   std::string text =
       absl::StrCat("loaded ", response->loaded_size(), ", unloaded ", response->unloaded_size());
@@ -147,10 +139,11 @@ absl::Status Reload() {
   for (const std::string& setting : response->waiting()) {
     absl::StrAppend(&text, "\nwaiting: ", setting);
   }
-  Print(text, {{"loaded", VersionsToJson(response->loaded())},
-               {"unloaded", VersionsToJson(response->unloaded())},
-               {"refused", response->refused()},
-               {"waiting", response->waiting()}});
+  Print(flags, text,
+        {{"loaded", VersionsToJson(response->loaded())},
+         {"unloaded", VersionsToJson(response->unloaded())},
+         {"refused", response->refused()},
+         {"waiting", response->waiting()}});
   return absl::OkStatus();
 }
 
@@ -169,13 +162,13 @@ ordered_json ToJson(const v1::SessionInfo& session) {
           {"learning", session.learning()}};
 }
 
-absl::Status Sessions() {
-  auto request = VersionRequest<v1::ListSessionsRequest>();
+absl::Status Sessions(const AdminFlags& flags) {
+  auto request = VersionRequest<v1::ListSessionsRequest>(flags);
   std::string text = absl::StrFormat("%-32s %-20s %7s %-12s %8s %8s %10s %8s", "SESSION", "POLICY",
                                      "VERSION", "TENANT", "EPISODE", "STEP", "DECISIONS", "IDLE_S");
   ordered_json sessions = ordered_json::array();
   do {
-    const auto page = CallAdmin(&AdminStub::ListSessions, request);
+    const auto page = CallAdmin(flags, &AdminStub::ListSessions, request);
     if (!page.ok()) return page.status();
     for (const v1::SessionInfo& session : page->sessions()) {
       sessions.push_back(ToJson(session));
@@ -186,63 +179,126 @@ absl::Status Sessions() {
     }
     request.set_page_token(page->next_page_token());
   } while (!request.page_token().empty());
-  Print(text, {{"sessions", sessions}});
+  Print(flags, text, {{"sessions", sessions}});
   return absl::OkStatus();
 }
 
-absl::Status Drain() {
+absl::Status Drain(const AdminFlags& flags) {
   v1::DrainRequest request;
-  request.set_cancel(absl::GetFlag(FLAGS_cancel));
-  const auto response = CallAdmin(&AdminStub::Drain, request);
+  request.set_cancel(flags.cancel);
+  const auto response = CallAdmin(flags, &AdminStub::Drain, request);
   if (!response.ok()) return response.status();
-  Print(absl::StrCat(request.cancel() ? "serving" : "draining",
+  Print(flags,
+        absl::StrCat(request.cancel() ? "serving" : "draining",
                      ", open sessions: ", response->open_sessions()),
         {{"draining", !request.cancel()}, {"open_sessions", response->open_sessions()}});
   return absl::OkStatus();
 }
 
+void AddPolicy(FlagGroup& group, AdminFlags* flags) {
+  group.Add("policy", "NAME", &flags->policy, "Policy");
+}
+
+void AddVersion(FlagGroup& group, AdminFlags* flags) {
+  AddPolicy(group, flags);
+  group.Add("version", "N", &flags->version, "Version of the policy, from 1");
+}
+
+void AddNewDefault(FlagGroup& group, AdminFlags* flags) {
+  AddPolicy(group, flags);
+  group.Add("version", "N", &flags->version, "Version; 0: the highest, now and later");
+}
+
+void AddHeadVersion(FlagGroup& group, AdminFlags* flags) {
+  AddPolicy(group, flags);
+  group.Add("version", "N", &flags->version, "Version; 0: the default version");
+}
+
+void AddLabel(FlagGroup& group, AdminFlags* flags) {
+  group.Add("label", "NAME", &flags->label, "Name of a version, such as stable");
+}
+
+void AddVersionAndLabel(FlagGroup& group, AdminFlags* flags) {
+  AddVersion(group, flags);
+  AddLabel(group, flags);
+}
+
+void AddPolicyAndLabel(FlagGroup& group, AdminFlags* flags) {
+  AddPolicy(group, flags);
+  AddLabel(group, flags);
+}
+
+void AddTraffic(FlagGroup& group, AdminFlags* flags) {
+  AddPolicy(group, flags);
+  group
+      .AddList("shares", "VERSION:PERCENT,...", &flags->shares,
+               "Shares of new sessions; default: all to the default version")
+      .Add("shadow", "N", &flags->shadow, "Version that shadows the others; 0: none");
+}
+
+void AddHead(FlagGroup& group, AdminFlags* flags) {
+  AddHeadVersion(group, flags);
+  group.AddSwitch("weights", &flags->weights, "Print the weights, too, with --json");
+}
+
+void AddFilter(FlagGroup& group, AdminFlags* flags) {
+  group.Add("policy", "NAME", &flags->policy, "Policy; default: every one");
+}
+
+void AddVersionFilter(FlagGroup& group, AdminFlags* flags) {
+  AddFilter(group, flags);
+  group.Add("version", "N", &flags->version, "Version; 0: every one");
+}
+
+void AddCancel(FlagGroup& group, AdminFlags* flags) {
+  group.AddSwitch("cancel", &flags->cancel, "Take new sessions again");
+}
+
 struct Action {
   const char* name;
+  const char* summary;
   bool needs_policy;
-  const char* flags;  // beside those that every command has
-  absl::Status (*run)();
+  void (*add_flags)(FlagGroup& group, AdminFlags* flags);  // null for none
+  absl::Status (*run)(const AdminFlags& flags);
 };
 
 constexpr Action kActions[] = {
-    {"load", true, "policy version", Load},
-    {"unload", true, "policy version", Unload},
-    {"default", true, "policy version", Default},
-    {"label", true, "policy version label", Label},
-    {"unlabel", true, "policy label", Unlabel},
-    {"traffic", true, "policy shares shadow", Traffic},
-    {"reload", false, "", Reload},
-    {"sessions", false, "policy version", Sessions},
-    {"drain", false, "cancel", Drain},
-    {"head", true, "policy version weights", ShowHead},
-    {"promote", true, "policy version", PromoteHead},
-    {"rollback", true, "policy version", RollbackHead},
-    {"pause", false, "policy", PauseLearning},
-    {"resume", false, "policy", ResumeLearning},
+    {"load", "Loads a version from its file", true, AddVersion, Load},
+    {"unload", "Stops serving a version to new sessions", true, AddVersion, Unload},
+    {"default", "Makes a version the default", true, AddNewDefault, Default},
+    {"label", "Names a version", true, AddVersionAndLabel, Label},
+    {"unlabel", "Removes the name of a version", true, AddPolicyAndLabel, Unlabel},
+    {"traffic", "Splits new sessions among versions, or shadows them", true, AddTraffic, Traffic},
+    {"reload", "Looks for new, changed and removed policy files", false, nullptr, Reload},
+    {"sessions", "Lists open sessions", false, AddVersionFilter, Sessions},
+    {"drain", "Refuses new sessions", false, AddCancel, Drain},
+    {"head", "Shows what a fleet has learned", true, AddHead, ShowHead},
+    {"promote", "Writes and loads a version with the learned head", true, AddHeadVersion,
+     PromoteHead},
+    {"rollback", "Returns to the policy's own head", true, AddHeadVersion, RollbackHead},
+    {"pause", "Pauses learning", false, AddFilter, PauseLearning},
+    {"resume", "Resumes learning", false, AddFilter, ResumeLearning},
 };
+
+absl::Status RunAction(const Action& action, const AdminFlags& flags) {
+  if (action.needs_policy && flags.policy.empty()) {
+    return absl::InvalidArgumentError("--policy: expected a name, received none");
+  }
+  return action.run(flags);
+}
 
 }  // namespace
 
-absl::Status AdminCommand(absl::string_view name) {
+void AddAdminCommands(Command program, const ServerFlags& server) {
+  const Command admin = program.AddCommand("admin", "Administers the server");
   for (const Action& action : kActions) {
-    if (name != action.name) continue;
-    if (absl::Status status = action.needs_policy ? RequirePolicy() : absl::OkStatus();
-        !status.ok()) {
-      return status;
-    }
-    if (auto status = CheckFlags(absl::StrCat("admin ", name), action.flags); !status.ok()) {
-      return status;
-    }
-    return action.run();
+    const Command command = admin.AddCommand(action.name, action.summary);
+    const auto flags = std::make_shared<AdminFlags>();
+    flags->server = &server;
+    FlagGroup group = command.Flags("Action");
+    if (action.add_flags != nullptr) action.add_flags(group, flags.get());
+    command.SetAction([&action, flags] { return RunAction(action, *flags); });
   }
-  const std::string names = absl::StrJoin(
-      kActions, ", ", [](std::string* out, const Action& action) { out->append(action.name); });
-  return absl::InvalidArgumentError(
-      absl::StrCat("admin: expected one of ", names, ", received \"", name, "\""));
 }
 
 }  // namespace spikeserve

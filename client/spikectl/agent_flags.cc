@@ -2,35 +2,37 @@
 
 #include <cmath>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
-#include "absl/types/optional.h"
 #include "client/spikectl/policy_choice.h"
-
-ABSL_FLAG(std::string, env, "CartPole-v1", "Gymnasium's id of the environment to play");
-ABSL_FLAG(uint64_t, seed, 0,
-          "Seed of the first episode's start; the next episodes count on from it");
-ABSL_FLAG(std::string, policy, "",
-          "Policy to ask for; empty: the first by name that was trained for --env; replay: the "
-          "recorded one");
-ABSL_FLAG(int64_t, version, 0,
-          "Version of the policy; 0: its default one; replay without --policy: the recorded one");
-ABSL_FLAG(absl::optional<double>, target_return, absl::nullopt,
-          "Return to ask of the policy; unset: the policy's own");
 
 namespace spikeserve {
 
-absl::StatusOr<std::unique_ptr<Environment>> EnvironmentFromFlags() {
-  if (const int64_t version = absl::GetFlag(FLAGS_version); version < 0) {
+void AddPolicyFlags(FlagGroup& group, const std::string& default_policy, PolicyFlags* flags) {
+  group.Add("policy", "NAME", &flags->policy, "Policy; default: " + default_policy)
+      .Add("version", "N", &flags->version, "Version of the policy; 0: its default version");
+}
+
+void AddAgentFlags(FlagGroup& group, AgentFlags* flags) {
+  group.Add("env", "ID", &flags->env, "Gymnasium's name of the environment")
+      .Add("seed", "N", &flags->seed, "Seed of the first start; later episodes count on");
+  AddPolicyFlags(group, "the first one trained for --env", &flags->policy);
+}
+
+void AddTargetReturn(FlagGroup& group, AgentFlags* flags) {
+  group.Add("target_return", "RETURN", &flags->target_return,
+            "Return to ask for; default: the policy's own");
+}
+
+absl::StatusOr<std::unique_ptr<Environment>> MakeAgentEnvironment(const AgentFlags& flags) {
+  if (flags.policy.version < 0) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--version: expected at least 0, received ", version));
+        absl::StrCat("--version: expected at least 0, received ", flags.policy.version));
   }
-  const absl::optional<double> target_return = absl::GetFlag(FLAGS_target_return);
-  if (target_return.has_value() && !std::isfinite(*target_return)) {
+  if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--target_return: expected a finite number, received ", *target_return));
+        absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
   }
-  auto environment = MakeEnvironment(absl::GetFlag(FLAGS_env));
+  auto environment = MakeEnvironment(flags.env);
   if (!environment.ok()) {
     return absl::Status(environment.status().code(),
                         absl::StrCat("--env: ", environment.status().message()));
@@ -38,22 +40,20 @@ absl::StatusOr<std::unique_ptr<Environment>> EnvironmentFromFlags() {
   return environment;
 }
 
-absl::StatusOr<OpenedSession> OpenSessionFromFlags(const Environment& environment, Client& client,
-                                                   bool record) {
+absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
+                                               const Environment& environment, Client& client,
+                                               bool record) {
   const auto served = client.ListPolicies();
   if (!served.ok()) return served.status();
-  const auto policy = ChoosePolicy(*served, absl::GetFlag(FLAGS_env), absl::GetFlag(FLAGS_policy),
-                                   absl::GetFlag(FLAGS_version));
+  const auto policy = ChoosePolicy(*served, flags.env, flags.policy.policy, flags.policy.version);
   if (!policy.ok()) return policy.status();
   if (absl::Status status = CheckFits(*policy, environment); !status.ok()) return status;
 
   v1::OpenSessionRequest request;
   request.set_policy(policy->name());
   request.set_version(policy->version());
-  request.set_seed(absl::GetFlag(FLAGS_seed));
-  if (const auto target_return = absl::GetFlag(FLAGS_target_return); target_return.has_value()) {
-    request.set_target_return(*target_return);
-  }
+  request.set_seed(flags.seed);
+  if (flags.target_return.has_value()) request.set_target_return(*flags.target_return);
   request.set_record(record);
   const auto opened = client.OpenSession(request);
   if (!opened.ok()) return opened.status();

@@ -1,30 +1,33 @@
-// The sub-commands of spikectl. Each reads its own flags, writes its result to standard output, and
-// returns why it failed.
+// The subcommands of spikectl.
+//
+// Each function adds one to `program`: its flags, and an action that calls the server, writes its
+// result to standard output and returns why it failed. `server` must live until Program::Run
+// returns.
 #ifndef CLIENT_SPIKECTL_COMMANDS_H_
 #define CLIENT_SPIKECTL_COMMANDS_H_
 
-#include "absl/status/status.h"
-#include "absl/strings/string_view.h"
+#include "client/spikectl/server_flags.h"
+#include "core/cli/program.h"
 
 namespace spikeserve {
 
-// What an operator does; an `action` that there is not is answered with those that there are.
-absl::Status AdminCommand(absl::string_view action);
-
 // Lists every policy version served.
-absl::Status PoliciesCommand();
+void AddPoliciesCommand(Command program, const ServerFlags& server);
 
 // Plays episodes of an environment that is stepped here, with the decisions of the server.
-absl::Status RunCommand();
+void AddRunCommand(Command program, const ServerFlags& server);
 
 // Shows a decision from the inside.
-absl::Status ExplainCommand();
+void AddExplainCommand(Command program, const ServerFlags& server);
 
 // Plays a perturbed environment with learning on, then greedily with the learned head.
-absl::Status AdaptCommand();
+void AddAdaptCommand(Command program, const ServerFlags& server);
 
 // Plays a recorded session again and fails at the first decision that differs.
-absl::Status ReplayCommand();
+void AddReplayCommand(Command program, const ServerFlags& server);
+
+// What an operator does, each a subcommand of `admin`.
+void AddAdminCommands(Command program, const ServerFlags& server);
 
 }  // namespace spikeserve
 

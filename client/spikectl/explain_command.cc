@@ -1,31 +1,33 @@
 #include <cstdint>
 #include <iostream>
+#include <memory>
 #include <string>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "client/spikectl/agent.h"
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
-#include "client/spikectl/common_flags.h"
 #include "client/spikectl/explain_report.h"
 #include "proto/json.h"
-
-ABSL_FLAG(std::string, session, "",
-          "Session whose last decision to explain; empty: one that is opened, plays --steps of "
-          "--env and is closed again");
-ABSL_FLAG(int32_t, steps, 20, "Decisions to make before the last one is explained");
 
 namespace spikeserve {
 namespace {
 
-// Of a session that plays from here.
-absl::StatusOr<v1::ExplainResponse> PlayAndExplain(Environment& environment, Client& client) {
-  auto opened = OpenSessionFromFlags(environment, client);
+constexpr char kPlaying[] = "Playing, without --session";
+
+struct ExplainFlags {
+  std::string session;  // empty: one that is played here
+  AgentFlags agent;
+  int steps = 20;
+};
+
+// Explains the last decision of a session that is played here.
+absl::StatusOr<v1::ExplainResponse> PlayAndExplain(const ExplainFlags& flags,
+                                                   Environment& environment, Client& client) {
+  auto opened = OpenAgentSession(flags.agent, environment, client);
   if (!opened.ok()) return opened.status();
   RemoteSession& session = opened->session;
-  const absl::Status played =
-      PlaySteps(environment, session, absl::GetFlag(FLAGS_seed), absl::GetFlag(FLAGS_steps));
+  const absl::Status played = PlaySteps(environment, session, flags.agent.seed, flags.steps);
   auto explained = played.ok() ? client.Explain(session.session_id())
                                : absl::StatusOr<v1::ExplainResponse>(played);
   const absl::Status closed = session.Close();
@@ -33,25 +35,19 @@ absl::StatusOr<v1::ExplainResponse> PlayAndExplain(Environment& environment, Cli
   return explained;
 }
 
-}  // namespace
-
-absl::Status ExplainCommand() {
-  const std::string session = absl::GetFlag(FLAGS_session);
-  if (!session.empty()) {  // which nobody plays, so that the flags for that would do nothing
-    if (auto status = CheckFlags("explain --session", "session"); !status.ok()) return status;
-  }
-  if (const int32_t steps = absl::GetFlag(FLAGS_steps); steps < 1) {
+absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
+  if (flags.steps < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--steps: expected at least 1, received ", steps));
+        absl::StrCat("--steps: expected at least 1, received ", flags.steps));
   }
-  const auto environment = EnvironmentFromFlags();
+  const auto environment = MakeAgentEnvironment(flags.agent);
   if (!environment.ok()) return environment.status();
-  const auto client = ConnectToServer();
+  const auto client = Connect(server);
   if (!client.ok()) return client.status();
-  const auto explained =
-      session.empty() ? PlayAndExplain(**environment, **client) : (*client)->Explain(session);
+  const auto explained = flags.session.empty() ? PlayAndExplain(flags, **environment, **client)
+                                               : (*client)->Explain(flags.session);
   if (!explained.ok()) return explained.status();
-  if (!absl::GetFlag(FLAGS_json)) {
+  if (!server.json) {
     std::cout << ExplainToText(*explained);
     return absl::OkStatus();
   }
@@ -59,6 +55,22 @@ absl::Status ExplainCommand() {
   if (!json.ok()) return json.status();
   std::cout << *json << "\n";
   return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddExplainCommand(Command program, const ServerFlags& server) {
+  const Command command =
+      program.AddCommand("explain", "Shows the last decision of a session from the inside");
+  const auto flags = std::make_shared<ExplainFlags>();
+  command.Flags("Session").Add("session", "ID", &flags->session,
+                               "Session to explain; default: one that is played here");
+  FlagGroup playing = command.Flags(kPlaying);
+  AddAgentFlags(playing, &flags->agent);
+  AddTargetReturn(playing, &flags->agent);
+  playing.Add("steps", "N", &flags->steps, "Decisions, the last of which is explained");
+  command.RefuseBeside("session", kPlaying);
+  command.SetAction([flags, &server] { return Explain(*flags, server); });
 }
 
 }  // namespace spikeserve

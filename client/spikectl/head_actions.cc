@@ -6,26 +6,25 @@
 #include "absl/strings/str_format.h"
 #include "client/spikectl/admin_call.h"
 
-ABSL_FLAG(bool, weights, false, "Print the head's weights too, with --json (admin head)");
-
 namespace spikeserve {
 namespace {
 
 using nlohmann::ordered_json;
 
-void PrintPaused(bool paused) {
-  const std::string policy = absl::GetFlag(FLAGS_policy);
-  Print(absl::StrCat(policy.empty() ? "every policy" : policy, ": learning ",
+void PrintPaused(const AdminFlags& flags, bool paused) {
+  const std::string& policy = flags.policy;
+  Print(flags,
+        absl::StrCat(policy.empty() ? "every policy" : policy, ": learning ",
                      paused ? "paused" : "resumed"),
         {{"policy", policy}, {"paused", paused}});
 }
 
 }  // namespace
 
-absl::Status ShowHead() {
-  auto request = VersionRequest<v1::GetHeadRequest>();
-  request.set_include_weights(absl::GetFlag(FLAGS_weights));
-  const auto head = CallAdmin(&AdminStub::GetHead, request);
+absl::Status ShowHead(const AdminFlags& flags) {
+  auto request = VersionRequest<v1::GetHeadRequest>(flags);
+  request.set_include_weights(flags.weights);
+  const auto head = CallAdmin(flags, &AdminStub::GetHead, request);
   if (!head.ok()) return head.status();
   ordered_json json = {{"policy", head->policy()},
                        {"version", head->version()},
@@ -42,7 +41,8 @@ absl::Status ShowHead() {
     json["base"] = head->base();
     json["delta"] = head->delta();
   }
-  Print(absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
+  Print(flags,
+        absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
                         "sessions%s",
                         head->policy(), head->version(), head->drift(), head->updates(),
                         head->rejected_updates(), head->rollbacks(), head->sessions(),
@@ -51,40 +51,42 @@ absl::Status ShowHead() {
   return absl::OkStatus();
 }
 
-absl::Status PromoteHead() {
-  const auto request = VersionRequest<v1::PromoteHeadRequest>();
-  const auto promoted = CallAdmin(&AdminStub::PromoteHead, request);
+absl::Status PromoteHead(const AdminFlags& flags) {
+  const auto request = VersionRequest<v1::PromoteHeadRequest>(flags);
+  const auto promoted = CallAdmin(flags, &AdminStub::PromoteHead, request);
   if (!promoted.ok()) return promoted.status();
   Print(
+      flags,
       absl::StrCat("wrote and loaded ", request.policy(), "/", promoted->version(), ": ",
                    promoted->path()),
       {{"policy", request.policy()}, {"version", promoted->version()}, {"path", promoted->path()}});
   return absl::OkStatus();
 }
 
-absl::Status RollbackHead() {
-  const auto request = VersionRequest<v1::RollbackHeadRequest>();
-  const auto rolled_back = CallAdmin(&AdminStub::RollbackHead, request);
+absl::Status RollbackHead(const AdminFlags& flags) {
+  const auto request = VersionRequest<v1::RollbackHeadRequest>(flags);
+  const auto rolled_back = CallAdmin(flags, &AdminStub::RollbackHead, request);
   if (!rolled_back.ok()) return rolled_back.status();
-  Print(absl::StrFormat("%s: the policy's own head again; its drift was %.4g", request.policy(),
+  Print(flags,
+        absl::StrFormat("%s: the policy's own head again; its drift was %.4g", request.policy(),
                         rolled_back->drift()),
         {{"policy", request.policy()}, {"drift", rolled_back->drift()}});
   return absl::OkStatus();
 }
 
-absl::Status PauseLearning() {
+absl::Status PauseLearning(const AdminFlags& flags) {
   v1::PauseLearningRequest request;
-  request.set_policy(absl::GetFlag(FLAGS_policy));
-  const auto paused = CallAdmin(&AdminStub::PauseLearning, request);
-  if (paused.ok()) PrintPaused(true);
+  request.set_policy(flags.policy);
+  const auto paused = CallAdmin(flags, &AdminStub::PauseLearning, request);
+  if (paused.ok()) PrintPaused(flags, true);
   return paused.status();
 }
 
-absl::Status ResumeLearning() {
+absl::Status ResumeLearning(const AdminFlags& flags) {
   v1::ResumeLearningRequest request;
-  request.set_policy(absl::GetFlag(FLAGS_policy));
-  const auto resumed = CallAdmin(&AdminStub::ResumeLearning, request);
-  if (resumed.ok()) PrintPaused(false);
+  request.set_policy(flags.policy);
+  const auto resumed = CallAdmin(flags, &AdminStub::ResumeLearning, request);
+  if (resumed.ok()) PrintPaused(flags, false);
   return resumed.status();
 }
 

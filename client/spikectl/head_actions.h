@@ -4,14 +4,15 @@
 #define CLIENT_SPIKECTL_HEAD_ACTIONS_H_
 
 #include "absl/status/status.h"
+#include "client/spikectl/admin_call.h"
 
 namespace spikeserve {
 
-absl::Status ShowHead();
-absl::Status PromoteHead();
-absl::Status RollbackHead();
-absl::Status PauseLearning();
-absl::Status ResumeLearning();
+absl::Status ShowHead(const AdminFlags& flags);
+absl::Status PromoteHead(const AdminFlags& flags);
+absl::Status RollbackHead(const AdminFlags& flags);
+absl::Status PauseLearning(const AdminFlags& flags);
+absl::Status ResumeLearning(const AdminFlags& flags);
 
 }  // namespace spikeserve
 

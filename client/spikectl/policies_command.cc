@@ -2,11 +2,9 @@
 #include <iostream>
 #include <string>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "client/spikectl/commands.h"
-#include "client/spikectl/common_flags.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -55,14 +53,12 @@ void PrintText(const v1::ListPoliciesResponse& response) {
   }
 }
 
-}  // namespace
-
-absl::Status PoliciesCommand() {
-  const auto client = ConnectToServer();
+absl::Status ListPolicies(const ServerFlags& flags) {
+  const auto client = Connect(flags);
   if (!client.ok()) return client.status();
   const auto response = (*client)->ListPolicies();
   if (!response.ok()) return response.status();
-  if (!absl::GetFlag(FLAGS_json)) {
+  if (!flags.json) {
     PrintText(*response);
     return absl::OkStatus();
   }
@@ -72,6 +68,13 @@ absl::Status PoliciesCommand() {
   }
   std::cout << json.dump(2) << "\n";
   return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddPoliciesCommand(Command program, const ServerFlags& server) {
+  program.AddCommand("policies", "Lists the policy versions that the server serves")
+      .SetAction([&server] { return ListPolicies(server); });
 }
 
 }  // namespace spikeserve

@@ -1,23 +1,22 @@
 #include <cstdint>
 #include <iostream>
+#include <memory>
 #include <string>
 
-#include "absl/flags/declare.h"
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
+#include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
-#include "client/spikectl/common_flags.h"
 #include "client/spikectl/replay.h"
 #include "core/dataset/recordings.h"
 #include "nlohmann/json.hpp"
 
-ABSL_FLAG(std::string, recording, "",
-          "Directory of a recorded session, or the file of one of its episodes");
-ABSL_DECLARE_FLAG(std::string, policy);
-ABSL_DECLARE_FLAG(int64_t, version);
-
 namespace spikeserve {
 namespace {
+
+struct ReplayFlags {
+  std::string recording;
+  PolicyFlags policy;
+};
 
 nlohmann::ordered_json ToJson(const std::string& recording, const ReplayResult& result) {
   nlohmann::ordered_json json = {
@@ -34,25 +33,21 @@ nlohmann::ordered_json ToJson(const std::string& recording, const ReplayResult& 
   return json;
 }
 
-}  // namespace
-
-absl::Status ReplayCommand() {
-  const std::string recording = absl::GetFlag(FLAGS_recording);
-  if (recording.empty()) {
+absl::Status ReplayRecording(const ReplayFlags& flags, const ServerFlags& server) {
+  if (flags.recording.empty()) {
     return absl::InvalidArgumentError("--recording: expected a directory or a file, received none");
   }
-  const auto episodes = ReadRecordings(recording);
+  const auto episodes = ReadRecordings(flags.recording);
   if (!episodes.ok()) {
     return absl::Status(episodes.status().code(),
                         absl::StrCat("--recording: ", episodes.status().message()));
   }
   if (auto status = CheckReplayable(*episodes); !status.ok()) return status;
-  const auto client = ConnectToServer();
+  const auto client = Connect(server);
   if (!client.ok()) return client.status();
-  const auto result =
-      Replay(*episodes, absl::GetFlag(FLAGS_policy), absl::GetFlag(FLAGS_version), **client);
+  const auto result = Replay(*episodes, flags.policy.policy, flags.policy.version, **client);
   if (!result.ok()) return result.status();
-  if (absl::GetFlag(FLAGS_json)) std::cout << ToJson(recording, *result).dump(2) << "\n";
+  if (server.json) std::cout << ToJson(flags.recording, *result).dump(2) << "\n";
   if (const auto& difference = result->difference) {
     return absl::AbortedError(
         absl::StrCat(result->policy, "/", result->version, " differs at episode ",
@@ -60,11 +55,24 @@ absl::Status ReplayCommand() {
                      result->decisions, " equal decisions: ", difference->field, ": recorded ",
                      difference->recorded.dump(), ", replayed ", difference->replayed.dump()));
   }
-  if (!absl::GetFlag(FLAGS_json)) {
+  if (!server.json) {
     std::cout << result->policy << "/" << result->version << ": " << result->decisions
               << " decisions of " << result->episodes << " episodes, all equal bit for bit\n";
   }
   return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddReplayCommand(Command program, const ServerFlags& server) {
+  const Command command =
+      program.AddCommand("replay", "Plays a recorded session again and compares each decision");
+  const auto flags = std::make_shared<ReplayFlags>();
+  FlagGroup replaying = command.Flags("Replaying");
+  replaying.Add("recording", "FILE", &flags->recording,
+                "Directory of a recorded session, or file of one episode");
+  AddPolicyFlags(replaying, "the recorded one, in its version", &flags->policy);
+  command.SetAction([flags, &server] { return ReplayRecording(*flags, server); });
 }
 
 }  // namespace spikeserve

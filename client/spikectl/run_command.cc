@@ -1,28 +1,31 @@
 #include <cstdint>
 #include <iostream>
+#include <memory>
 #include <string>
 #include <vector>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "client/spikectl/agent.h"
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
-#include "client/spikectl/common_flags.h"
 #include "client/spikectl/run_report.h"
-
-ABSL_FLAG(int32_t, episodes, 1, "Episodes to play");
-ABSL_FLAG(bool, record, false, "Has the server record the episodes below its --record_dir");
 
 namespace spikeserve {
 namespace {
 
-absl::StatusOr<std::vector<EpisodeRecord>> PlayEpisodes(Environment& environment,
+struct RunFlags {
+  AgentFlags agent;
+  int episodes = 1;
+  bool record = false;
+};
+
+absl::StatusOr<std::vector<EpisodeRecord>> PlayEpisodes(const RunFlags& flags,
+                                                        Environment& environment,
                                                         RemoteSession& session, bool as_text) {
   std::vector<EpisodeRecord> episodes;
-  for (int i = 0; i < absl::GetFlag(FLAGS_episodes); ++i) {
-    const uint64_t seed = absl::GetFlag(FLAGS_seed) + static_cast<uint64_t>(i);
+  for (int i = 0; i < flags.episodes; ++i) {
+    const uint64_t seed = flags.agent.seed + static_cast<uint64_t>(i);
     auto episode = PlayEpisode(environment, session, seed);
     if (!episode.ok()) return episode.status();
     if (as_text) std::cout << RunTableLine(seed, *episode) << std::flush;
@@ -31,18 +34,16 @@ absl::StatusOr<std::vector<EpisodeRecord>> PlayEpisodes(Environment& environment
   return episodes;
 }
 
-}  // namespace
-
-absl::Status RunCommand() {
-  if (const int32_t episodes = absl::GetFlag(FLAGS_episodes); episodes < 1) {
+absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
+  if (flags.episodes < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--episodes: expected at least 1, received ", episodes));
+        absl::StrCat("--episodes: expected at least 1, received ", flags.episodes));
   }
-  const auto environment = EnvironmentFromFlags();
+  const auto environment = MakeAgentEnvironment(flags.agent);
   if (!environment.ok()) return environment.status();
-  const auto client = ConnectToServer();
+  const auto client = Connect(server);
   if (!client.ok()) return client.status();
-  auto opened = OpenSessionFromFlags(**environment, **client, absl::GetFlag(FLAGS_record));
+  auto opened = OpenAgentSession(flags.agent, **environment, **client, flags.record);
   if (!opened.ok()) return opened.status();
   if (!opened->recording.empty()) {
     std::cerr << "spikectl: recorded as " << opened->recording << "\n";
@@ -50,12 +51,12 @@ absl::Status RunCommand() {
 
   // What the server reports as energy_joules, see DecisionStats.
   const std::string energy_model = opened->policy.mode() == "dense" ? "horowitz_45nm" : "spike_5pj";
-  const bool as_text = !absl::GetFlag(FLAGS_json);
+  const bool as_text = !server.json;
   if (as_text) {
-    absl::PrintF("%s with policy %s/%d (%s)\n%s", absl::GetFlag(FLAGS_env), opened->policy.name(),
+    absl::PrintF("%s with policy %s/%d (%s)\n%s", flags.agent.env, opened->policy.name(),
                  opened->policy.version(), opened->policy.mode(), RunTableHead(energy_model));
   }
-  const auto episodes = PlayEpisodes(**environment, opened->session, as_text);
+  const auto episodes = PlayEpisodes(flags, **environment, opened->session, as_text);
   const absl::Status closed = opened->session.Close();
   if (!episodes.ok()) return episodes.status();
   if (as_text) {
@@ -64,6 +65,20 @@ absl::Status RunCommand() {
     std::cout << RunToJson(*episodes).dump(2) << "\n";
   }
   return closed;
+}
+
+}  // namespace
+
+void AddRunCommand(Command program, const ServerFlags& server) {
+  const Command command =
+      program.AddCommand("run", "Plays episodes of an environment with the server's decisions");
+  const auto flags = std::make_shared<RunFlags>();
+  FlagGroup playing = command.Flags("Playing");
+  AddAgentFlags(playing, &flags->agent);
+  AddTargetReturn(playing, &flags->agent);
+  playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
+      .AddSwitch("record", &flags->record, "Have the server record them in its --record_dir");
+  command.SetAction([flags, &server] { return Run(*flags, server); });
 }
 
 }  // namespace spikeserve

@@ -4,27 +4,25 @@
 #include <string>
 #include <utility>
 
-#include "absl/flags/flag.h"
 #include "absl/strings/str_cat.h"
-
-ABSL_FLAG(bool, tls, false, "Encrypt; implied by --tls_ca and --tls_certificate");
-ABSL_FLAG(std::string, tls_ca, "",
-          "PEM file that signs the server's certificate; empty for what the system trusts");
-ABSL_FLAG(std::string, tls_certificate, "", "PEM file of this client's certificate, if asked for");
-ABSL_FLAG(std::string, tls_key, "", "PEM file of its key");
-ABSL_FLAG(std::string, token_file, "",
-          "File that holds the bearer token; empty for the environment variable SPIKESERVE_TOKEN");
 
 namespace spikeserve {
 
-absl::StatusOr<SecurityOptions> SecurityFromFlags() {
-  SecurityOptions security;
-  security.tls = absl::GetFlag(FLAGS_tls);
-  security.ca = absl::GetFlag(FLAGS_tls_ca);
-  security.certificate = absl::GetFlag(FLAGS_tls_certificate);
-  security.key = absl::GetFlag(FLAGS_tls_key);
-  if (const std::string path = absl::GetFlag(FLAGS_token_file); !path.empty()) {
-    auto token = ReadTokenFile(path);
+void AddSecurityFlags(Command program, SecurityFlags* flags) {
+  program.Flags("Security")
+      .AddSwitch("tls", &flags->options.tls, "Use TLS; --tls_ca and --tls_certificate imply it")
+      .Add("tls_ca", "FILE", &flags->options.ca,
+           "PEM authorities of the server; default: the system's")
+      .Add("tls_certificate", "FILE", &flags->options.certificate, "PEM certificate of this client")
+      .Add("tls_key", "FILE", &flags->options.key, "PEM private key of the certificate")
+      .Add("token_file", "FILE", &flags->token_file,
+           "File of the bearer token; default: $SPIKESERVE_TOKEN");
+}
+
+absl::StatusOr<SecurityOptions> ReadSecurityOptions(const SecurityFlags& flags) {
+  SecurityOptions security = flags.options;
+  if (!flags.token_file.empty()) {
+    auto token = ReadTokenFile(flags.token_file);
     if (!token.ok()) {
       return absl::Status(token.status().code(),
                           absl::StrCat("--token_file: ", token.status().message()));

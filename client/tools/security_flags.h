@@ -1,15 +1,26 @@
-// The flags by which the client programs are told of TLS and tokens.
+// The flags by which client programs ask for TLS and name their token.
 #ifndef CLIENT_TOOLS_SECURITY_FLAGS_H_
 #define CLIENT_TOOLS_SECURITY_FLAGS_H_
 
+#include <string>
+
 #include "absl/status/statusor.h"
+#include "core/cli/program.h"
 #include "spikeserve/channel.h"
 
 namespace spikeserve {
 
-// What --tls, --tls_ca, --tls_certificate, --tls_key and --token_file say; without the last, the
-// token is that of the environment variable SPIKESERVE_TOKEN, if it is set.
-absl::StatusOr<SecurityOptions> SecurityFromFlags();
+struct SecurityFlags {
+  SecurityOptions options;  // all but the token
+  std::string token_file;   // empty: the token is in the environment, if anywhere
+};
+
+// Adds the flags to `program`. `flags` must live until Program::Run returns.
+void AddSecurityFlags(Command program, SecurityFlags* flags);
+
+// Reads the token of --token_file, else of the environment variable SPIKESERVE_TOKEN. Errors name
+// the flag.
+absl::StatusOr<SecurityOptions> ReadSecurityOptions(const SecurityFlags& flags);
 
 }  // namespace spikeserve
 

@@ -8,6 +8,7 @@
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/support/server_callback.h>
 
+#include <CLI/CLI.hpp>
 #include <charconv>
 #include <deque>
 #include <iostream>
@@ -16,17 +17,12 @@
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
-#include "absl/flags/flag.h"
-#include "absl/flags/parse.h"
-#include "absl/flags/usage.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "core/action/action_head.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "spikeserve/v1/policy_service.grpc.pb.h"
-
-ABSL_FLAG(std::string, policy, "", "Policy file whose engine decides; empty: nothing decides");
 
 namespace spikeserve {
 namespace {
@@ -204,10 +200,10 @@ class EchoService final : public v1::PolicyService::CallbackService {
   Sessions* const sessions_;
 };
 
-absl::Status Run() {
+absl::Status Run(const std::string& policy_file) {
   std::unique_ptr<Engine> engine;
-  if (const std::string path = absl::GetFlag(FLAGS_policy); !path.empty()) {
-    auto policy = ReadPolicyFile(path);
+  if (!policy_file.empty()) {
+    auto policy = ReadPolicyFile(policy_file);
     if (!policy.ok()) return policy.status();
     engine = MakeStreamingEngine(std::make_shared<const Policy>(*std::move(policy)));
   }
@@ -228,11 +224,13 @@ absl::Status Run() {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
-  absl::SetProgramUsageMessage("echo_server: what spikeserve is measured against");
-  absl::ParseCommandLine(argc, argv);
+  std::string policy_file;
+  CLI::App app("What spikeserve is measured against", "echo_server");
+  app.add_option("--policy", policy_file, "Policy file whose engine decides; default: none");
+  CLI11_PARSE(app, argc, argv);
   // As spikeserve does, or the echo would pay for a check that spikeserve does not.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
-  const absl::Status status = spikeserve::Run();
+  const absl::Status status = spikeserve::Run(policy_file);
   if (status.ok()) return 0;
   std::cerr << "echo_server: " << status.message() << std::endl;
   return 1;

@@ -4,14 +4,12 @@
 // anew when its episode ends; the context starts anew every --episode_steps decisions, so that
 // episodes of any length can be compared.
 
+#include <CLI/CLI.hpp>
 #include <iostream>
 #include <memory>
 #include <string>
 #include <vector>
 
-#include "absl/flags/flag.h"
-#include "absl/flags/parse.h"
-#include "absl/flags/usage.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
@@ -20,27 +18,21 @@
 #include "core/model/policy_file.h"
 #include "loadtest/bench/contestant.h"
 
-ABSL_FLAG(std::string, policy, "",
-          "Policy file; empty: a random policy, which is as loud as one without a regulariser");
-ABSL_FLAG(std::string, engine, "streaming", "streaming or reference");
-ABSL_FLAG(int32_t, hidden_size, 128, "Of a random policy");
-ABSL_FLAG(int32_t, ticks, 10, "Of a random policy");
-ABSL_FLAG(int32_t, context, 20, "Of a random policy");
-ABSL_FLAG(int32_t, together, 1, "Decisions that are made together, each for an agent of its own");
-ABSL_FLAG(int32_t, episode_steps, 500, "Decisions after which the context starts anew");
-
 namespace spikeserve {
 namespace {
 
-absl::StatusOr<Policy> LoadPolicy() {
-  if (const std::string path = absl::GetFlag(FLAGS_policy); !path.empty()) {
-    return ReadPolicyFile(path);
-  }
-  ModelConfig config;
-  config.hidden_size = absl::GetFlag(FLAGS_hidden_size);
+struct Flags {
+  std::string policy;
+  std::string engine = "streaming";
+  ModelConfig random;  // shape of a random policy
+  int together = 1;
+  int episode_steps = 500;
+};
+
+absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
+  if (!flags.policy.empty()) return ReadPolicyFile(flags.policy);
+  ModelConfig config = flags.random;
   config.ffn_size = 4 * config.hidden_size;
-  config.ticks = absl::GetFlag(FLAGS_ticks);
-  config.context = absl::GetFlag(FLAGS_context);
   if (auto status = config.Validate(); !status.ok()) return status;
   return RandomPolicy(config, /*observation_size=*/4, ActionSpace::Discrete(2), /*seed=*/1);
 }
@@ -48,9 +40,10 @@ absl::StatusOr<Policy> LoadPolicy() {
 // An agent and its CartPole.
 class Player {
  public:
-  Player(const Engine* engine, uint64_t seed)
+  Player(const Engine* engine, int episode_steps, uint64_t seed)
       : engine_(engine),
         environment_(*MakeEnvironment("CartPole-v1")),
+        episode_steps_(episode_steps),
         seed_(seed),
         encoded_(static_cast<size_t>(engine->policy().action_space.size())) {
     Reset();
@@ -58,7 +51,7 @@ class Player {
 
   // What the next decision takes; Act() is to follow it.
   Engine::Decision Next() {
-    if (steps_++ % absl::GetFlag(FLAGS_episode_steps) == 0) context_ = engine_->NewContext(0);
+    if (steps_++ % episode_steps_ == 0) context_ = engine_->NewContext(0);
     return {context_.get(), return_to_go_, observation_, &output_};
   }
 
@@ -85,6 +78,7 @@ class Player {
 
   const Engine* const engine_;
   std::unique_ptr<Environment> environment_;
+  const int episode_steps_;  // decisions after which the context starts anew
   uint64_t seed_;
   int64_t steps_ = 0;
   std::unique_ptr<Engine::Context> context_;
@@ -110,20 +104,16 @@ Work PlayTogether(const Engine& engine, std::vector<Player>& players) {
   return work;
 }
 
-absl::Status Run() {
-  auto loaded = LoadPolicy();
+absl::Status Run(const Flags& flags) {
+  auto loaded = LoadPolicy(flags);
   if (!loaded.ok()) return loaded.status();
   const auto policy = std::make_shared<const Policy>(*std::move(loaded));
-  const std::string name = absl::GetFlag(FLAGS_engine);
-  if (name != "streaming" && name != "reference") {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--engine: expected streaming or reference, received \"", name, "\""));
-  }
   const std::unique_ptr<Engine> engine =
-      name == "streaming" ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
+      flags.engine == "streaming" ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
   std::vector<Player> players;
-  for (int i = 0; i < absl::GetFlag(FLAGS_together); ++i) {
-    players.emplace_back(engine.get(), /*seed=*/1000 * static_cast<uint64_t>(i));
+  for (int i = 0; i < flags.together; ++i) {
+    players.emplace_back(engine.get(), flags.episode_steps,
+                         /*seed=*/1000 * static_cast<uint64_t>(i));
   }
   RunContestant([&] { return PlayTogether(*engine, players); });
   return absl::OkStatus();
@@ -133,9 +123,17 @@ absl::Status Run() {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
-  absl::SetProgramUsageMessage("engine_bench: a contestant of the benchmark, see contestant.h");
-  absl::ParseCommandLine(argc, argv);
-  const absl::Status status = spikeserve::Run();
+  spikeserve::Flags flags;
+  CLI::App app("A contestant of the benchmark, see contestant.h", "engine_bench");
+  app.add_option("--policy", flags.policy, "Policy file; default: a random policy");
+  app.add_option("--engine", flags.engine)->check(CLI::IsMember({"streaming", "reference"}));
+  app.add_option("--hidden_size", flags.random.hidden_size, "d of a random policy");
+  app.add_option("--ticks", flags.random.ticks, "T of a random policy");
+  app.add_option("--context", flags.random.context, "N of a random policy, in timesteps");
+  app.add_option("--together", flags.together, "Agents that decide together");
+  app.add_option("--episode_steps", flags.episode_steps, "Decisions of a context");
+  CLI11_PARSE(app, argc, argv);
+  const absl::Status status = spikeserve::Run(flags);
   if (status.ok()) return 0;
   std::cerr << "engine_bench: " << status.message() << std::endl;
   return 1;

@@ -11,26 +11,26 @@
 #include <malloc.h>
 #include <unistd.h>
 
+#include <CLI/CLI.hpp>
 #include <fstream>
 #include <iostream>
 #include <memory>
 #include <string>
 #include <vector>
 
-#include "absl/flags/flag.h"
-#include "absl/flags/parse.h"
-#include "absl/flags/usage.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "core/session/session_store.h"
 #include "nlohmann/json.hpp"
 
-ABSL_FLAG(std::string, policy, "", "Policy file");
-ABSL_FLAG(int64_t, sessions, 1000, "Sessions open at once");
-ABSL_FLAG(int64_t, active, 1000, "Most sessions that are active at once");
-
 namespace spikeserve {
 namespace {
+
+struct Flags {
+  std::string policy;
+  int64_t sessions = 1000;
+  int64_t active = 1000;
+};
 
 // Says nothing, at no cost.
 class SilentEngine final : public Engine {
@@ -116,12 +116,12 @@ class Measurement {
   std::vector<std::string> ids_;
 };
 
-absl::Status Run() {
-  auto policy = ReadPolicyFile(absl::GetFlag(FLAGS_policy));
+absl::Status Run(const Flags& flags) {
+  auto policy = ReadPolicyFile(flags.policy);
   if (!policy.ok()) return policy.status();
   const auto shared = std::make_shared<const Policy>(*std::move(policy));
-  const int64_t sessions = absl::GetFlag(FLAGS_sessions);
-  const bool can_be_active = sessions <= absl::GetFlag(FLAGS_active);
+  const int64_t sessions = flags.sessions;
+  const bool can_be_active = sessions <= flags.active;
   nlohmann::ordered_json result = {{"sessions", sessions}};
   Measurement measurement(sessions, can_be_active ? Serve(MakeStreamingEngine(shared))
                                                   : Serve(std::make_shared<SilentEngine>(shared)));
@@ -139,9 +139,13 @@ absl::Status Run() {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
-  absl::SetProgramUsageMessage("session_bench --policy=FILE: memory a session");
-  absl::ParseCommandLine(argc, argv);
-  const absl::Status status = spikeserve::Run();
+  spikeserve::Flags flags;
+  CLI::App app("Measures the memory of a session", "session_bench");
+  app.add_option("--policy", flags.policy, "Policy file")->required();
+  app.add_option("--sessions", flags.sessions, "Sessions open at once");
+  app.add_option("--active", flags.active, "Most sessions that are active at once");
+  CLI11_PARSE(app, argc, argv);
+  const absl::Status status = spikeserve::Run(flags);
   if (status.ok()) return 0;
   std::cerr << "session_bench: " << status.message() << std::endl;
   return 1;

@@ -8,6 +8,7 @@
 
 #include <torch/torch.h>
 
+#include <CLI/CLI.hpp>
 #include <cmath>
 #include <functional>
 #include <iostream>
@@ -15,9 +16,6 @@
 #include <string>
 #include <vector>
 
-#include "absl/flags/flag.h"
-#include "absl/flags/parse.h"
-#include "absl/flags/usage.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -28,14 +26,16 @@
 #include "loadtest/bench/contestant.h"
 #include "train/model/torch_model.h"
 
-ABSL_FLAG(std::string, model, "snn", "snn, dense (full window) or dense_cached");
-ABSL_FLAG(std::string, policy, "", "Policy file of the snn");
-ABSL_FLAG(std::string, export, "", "Policy file to write for another contestant");
-
 namespace spikeserve {
 namespace {
 
 using Decide = std::function<Work()>;
+
+struct Flags {
+  std::string model = "snn";
+  std::string policy;
+  std::string export_file;
+};
 
 // One clip of a full window, as a stateless server recomputes it at every decision.
 Decide FullWindow(Policy policy) {
@@ -126,23 +126,21 @@ absl::StatusOr<Decide> CachedWindow(const Policy& policy) {
   };
 }
 
-absl::StatusOr<Decide> MakeDecide(const std::string& model) {
-  if (model == "snn") {
-    auto policy = ReadPolicyFile(absl::GetFlag(FLAGS_policy));
+absl::StatusOr<Decide> MakeDecide(const Flags& flags) {
+  if (flags.model == "snn") {
+    auto policy = ReadPolicyFile(flags.policy);
     if (!policy.ok()) return policy.status();
     return FullWindow(*std::move(policy));
   }
-  if (model == "dense") return FullWindow(DensePolicy());
-  if (model == "dense_cached") return CachedWindow(DensePolicy());
-  return absl::InvalidArgumentError(
-      absl::StrCat("--model: expected snn, dense or dense_cached, received \"", model, "\""));
+  if (flags.model == "dense") return FullWindow(DensePolicy());
+  return CachedWindow(DensePolicy());
 }
 
-absl::Status Run() {
-  if (const std::string path = absl::GetFlag(FLAGS_export); !path.empty()) return Export(path);
+absl::Status Run(const Flags& flags) {
+  if (!flags.export_file.empty()) return Export(flags.export_file);
   at::set_num_threads(1);
   const torch::NoGradGuard no_grad;
-  const auto decide = MakeDecide(absl::GetFlag(FLAGS_model));
+  const auto decide = MakeDecide(flags);
   if (!decide.ok()) return decide.status();
   RunContestant(*decide);
   return absl::OkStatus();
@@ -152,9 +150,14 @@ absl::Status Run() {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
-  absl::SetProgramUsageMessage("torch_bench: a contestant of the benchmark, see contestant.h");
-  absl::ParseCommandLine(argc, argv);
-  const absl::Status status = spikeserve::Run();
+  spikeserve::Flags flags;
+  CLI::App app("A contestant of the benchmark, see contestant.h", "torch_bench");
+  app.add_option("--model", flags.model, "dense: full window")
+      ->check(CLI::IsMember({"snn", "dense", "dense_cached"}));
+  app.add_option("--policy", flags.policy, "Policy file of the snn");
+  app.add_option("--export", flags.export_file, "Policy file to write for another contestant");
+  CLI11_PARSE(app, argc, argv);
+  const absl::Status status = spikeserve::Run(flags);
   if (status.ok()) return 0;
   std::cerr << "torch_bench: " << status.message() << std::endl;
   return 1;

@@ -142,12 +142,12 @@ TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
   ExpectOneLineError(Spikectl("run", {"--episodes=0"}),
                      "--episodes: expected at least 1, received 0");
-  ExpectOneLineError(Spikectl("run", {"--episodes=many"}), "Illegal value 'many'");
-  ExpectOneLineError(Spikectl("run", {"--seed=-1"}), "Illegal value '-1'");
+  ExpectOneLineError(Spikectl("run", {"--episodes=many"}), "--episodes: expected an integer, received \"many\"");
+  ExpectOneLineError(Spikectl("run", {"--seed=-1"}), "--seed: expected an integer of at least 0, received \"-1\"");
   ExpectOneLineError(Spikectl("run", {"--version=-1"}),
                      "--version: expected at least 0, received -1");
   ExpectOneLineError(Spikectl("run", {"--target_return=inf"}), "--target_return");
-  ExpectOneLineError(Spikectl("run", {"--altitude=3"}), "Unknown command line flag 'altitude'");
+  ExpectOneLineError(Spikectl("run", {"--altitude=3"}), "--altitude: expected a flag of spikectl run");
   ExpectOneLineError(Spikectl("run", {"--policy=nobody"}), "no policy \"nobody\" is served");
   ExpectOneLineError(Spikectl("run", {"--version=9"}), "version 9");
   ExpectOneLineError(Spikectl("run", {"--policy=pendulum-v1"}), "observations of length 3");
@@ -155,11 +155,11 @@ TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
 
 TEST_F(SpikectlTest, RefusesAFlagThatWouldDoNothing) {
   ExpectOneLineError(Spikectl("run", {"--fleet=3"}),
-                     "--fleet: expected a flag that run has (--env");
+                     "--fleet: expected a flag of spikectl run (see spikectl run --help)");
   ExpectOneLineError(Spikectl("policies", {"--seed=1"}),
-                     "--seed: expected a flag that policies has");
+                     "--seed: expected a flag of spikectl policies");
   ExpectOneLineError(Spikectl("explain", {"--session=x", "--steps=3"}),
-                     "--steps: expected a flag that explain --session has (--session), received 3");
+                     "--steps: expected no such flag beside --session, received 3");
 }
 
 TEST_F(SpikectlTest, WithoutAPolicyForTheEnvironmentItSaysWhatThereIs) {

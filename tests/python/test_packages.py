@@ -29,11 +29,11 @@ INSIDE = textwrap.dedent(
     systemd-analyze verify "$unit" && echo "unit verified"
     # What systemd does for the unit: its StateDirectory, its user, its command line.
     install -d -o spikeserve -g spikeserve /var/lib/spikeserve
-    line=$(sed -n 's/^ExecStart=//p' "$unit")
-    line=${line//%S//var/lib}
-    line=${line//\$SPIKESERVE_FLAGS/--listen=127.0.0.1:0 --http_listen=}
+    program=$(sed -n 's/^ExecStart=//p' "$unit")
+    environment=$(sed -n 's/^Environment=//p' "$unit")
     mkfifo /tmp/said
-    runuser -u spikeserve -- $line >/tmp/said &
+    runuser -u spikeserve -- env ${environment//%S//var/lib} SPIKESERVE_LISTEN=127.0.0.1:0 SPIKESERVE_HTTP_LISTEN= \
+      "$program" >/tmp/said &
     server=$!
     read -r said </tmp/said
     spikectl policies --server="${said##* }" | grep -c cartpole

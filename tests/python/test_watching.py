@@ -323,6 +323,6 @@ def test_systemd_is_content(tmp_path):
 
 def test_systemd_waits_for_the_drain():
     unit = UNIT.read_text()
-    [drain] = re.findall(r"--drain_timeout=(\d+)s", unit)
+    [drain] = re.findall(r"^Environment=SPIKESERVE_DRAIN_TIMEOUT=(\d+)s$", unit, re.MULTILINE)
     [stop] = re.findall(r"^TimeoutStopSec=(\d+)s$", unit, re.MULTILINE)
     assert int(drain) < int(stop)

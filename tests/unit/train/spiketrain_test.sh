@@ -21,7 +21,7 @@ refuses() {
 "$spiketrain" dataset --env=CartPole-v1 --steps=1500 --seed=3 --out=data.cbor --json | grep -q '"expert_steps": 1000'
 "$spiketrain" expert --env=CartPole-v1 --episodes=3 --json | grep -q '"mean_return": 500.0'
 refuses "expert: expected feedback or dial for CartPole-v1, received 'beam'" expert --expert=beam
-refuses 'wide_start_fraction: expected 0 for CartPole-v1, received 0.25' dataset --out=x --wide_start_fraction=0.25
+refuses '--wide_start_fraction: expected 0 for CartPole-v1, received 0.25' dataset --out=x --wide_start_fraction=0.25
 "$spiketrain" dataset --steps=300 --expert_fraction=0.2 --disturbed_fraction=0.5 --out=disturbed.cbor |
   grep -q '"disturbed_steps":'
 
@@ -49,7 +49,7 @@ grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
   grep -q '"student_steps":'
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=2 --target_returns=50,500 --ablate=context,return |
   grep -q 'rank correlation 0.000'
-refuses "ablate: expected context, attention, phase, routing or return, received 'head'" \
+refuses "--ablate: expected context, attention, phase, routing or return, received 'head'" \
   eval --policy=tuned/policy.safetensors --ablate=head
 
 # The paper's experiments in little, then again from what is there.
@@ -63,13 +63,14 @@ if "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v
   fail "accepted: runs made with other options"
 fi
 grep -q 'expected a run of .* --learning_rate=1 .*, received one of ' message || fail "report: $(cat message)"
-refuses "out: expected the directory to write into" report
+refuses "--out: expected the directory to write into, received none" report
 
-refuses 'command: expected one of expert, dataset, train, eval, report'
-refuses 'out: expected the directory to write into' train
-refuses 'heads: expected what --init has, or no such flag, received 8' \
+refuses 'command: expected one of expert, dataset, train, eval, report, received none'
+refuses '--out: expected the directory to write into, received none' train
+refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8
-refuses 'env: expected CartPole-v1 as in --data, received Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x
+refuses '--env: expected CartPole-v1 as in --data, received Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x
 refuses 'none.safetensors: no such file' eval --policy=none.safetensors
-refuses 'batch: expected at least 1, received 0' train --data=data.cbor --out=x --batch=0
+refuses '--steps: expected no such flag beside --data, received 5' train --data=data.cbor --out=x --steps=5
+refuses '--batch: expected at least 1, received 0' train --data=data.cbor --out=x --batch=0
 echo ok

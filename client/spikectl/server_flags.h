@@ -1,0 +1,29 @@
+// The flags of spikectl that every command has: which server to call, and how to print.
+#ifndef CLIENT_SPIKECTL_SERVER_FLAGS_H_
+#define CLIENT_SPIKECTL_SERVER_FLAGS_H_
+
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "client/tools/security_flags.h"
+#include "core/cli/program.h"
+#include "spikeserve/client.h"
+
+namespace spikeserve {
+
+struct ServerFlags {
+  std::string server = "127.0.0.1:50051";  // HOST:PORT
+  bool json = false;                       // print one JSON object instead of text
+  SecurityFlags security;
+};
+
+// Adds the flags to `program`. `flags` must live until Program::Run returns.
+void AddServerFlags(Command program, ServerFlags* flags);
+
+// Returns a client of --server. UNAVAILABLE if the server cannot be reached within a few seconds.
+absl::StatusOr<std::unique_ptr<Client>> Connect(const ServerFlags& flags);
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_SPIKECTL_SERVER_FLAGS_H_

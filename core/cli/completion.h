@@ -1,0 +1,21 @@
+// Scripts that complete the command line of a program in a shell.
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef CORE_CLI_COMPLETION_H_
+#define CORE_CLI_COMPLETION_H_
+
+#include <string>
+
+#include "core/cli/command_tree.h"
+
+namespace spikeserve {
+
+// Each completes commands, flags, and the values of flags whose kind names words, files or
+// directories; zsh and fish show the help of each, too.
+std::string BashCompletion(const CommandInfo& program);
+std::string ZshCompletion(const CommandInfo& program);
+std::string FishCompletion(const CommandInfo& program);
+
+}  // namespace spikeserve
+
+#endif  // CORE_CLI_COMPLETION_H_

@@ -1,0 +1,60 @@
+#include "core/cli/config_file.h"
+
+#include <cstdlib>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+
+namespace spikeserve {
+namespace {
+
+CLI::App* FindCommand(CLI::App* app, const std::string& name) {
+  const auto found =
+      app->get_subcommands([&](CLI::App* command) { return command->get_name() == name; });
+  return found.empty() ? nullptr : found.front();
+}
+
+// CLI11 marks the begin and the end of a section by items of these names.
+bool IsMark(const CLI::ConfigItem& item) { return item.name == "++" || item.name == "--"; }
+
+CLI::App* CommandOf(const CLI::ConfigItem& item, CLI::App* app) {
+  for (const std::string& name : item.parents) {
+    app = FindCommand(app, name);
+    if (app == nullptr) {
+      throw CLI::ConfigError(absl::StrCat("expected sections named as commands, received [",
+                                          absl::StrJoin(item.parents, "."), "]"));
+    }
+  }
+  return app;
+}
+
+// Whether the environment sets the flag that `item` is about.
+bool CheckAndFindInEnvironment(const CLI::ConfigItem& item, CLI::App* app) {
+  const CLI::Option* const option = app->get_option_no_throw("--" + item.name);
+  if (option == nullptr || !option->get_configurable()) {
+    throw CLI::ConfigError(absl::StrCat("expected flags of ", app->get_display_name(),
+                                        ", received \"", item.name, "\""));
+  }
+  const bool is_list = option->get_multi_option_policy() == CLI::MultiOptionPolicy::TakeAll;
+  if (item.inputs.size() != 1 && !is_list) {
+    throw CLI::ConfigError(absl::StrCat("--", item.name, ": expected one value, received \"",
+                                        absl::StrJoin(item.inputs, ","), "\""));
+  }
+  const char* const variable = std::getenv(option->get_envname().c_str());
+  return variable != nullptr && *variable != '\0';
+}
+
+}  // namespace
+
+std::vector<CLI::ConfigItem> ConfigFile::from_config(std::istream& input) const {
+  std::vector<CLI::ConfigItem> kept;
+  for (CLI::ConfigItem& item : ConfigBase::from_config(input)) {
+    CLI::App* const command = CommandOf(item, root_);
+    if (IsMark(item) || CheckAndFindInEnvironment(item, command)) continue;
+    kept.push_back(std::move(item));
+  }
+  return kept;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,67 @@
+#include "train/record_flags.h"
+
+#include <filesystem>
+#include <memory>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/model/policy_file.h"
+
+namespace spikeserve {
+
+void AddExpertFlags(FlagGroup& group, ExpertOptions* options) {
+  group.Add("expert", "NAME", &options->name, "Expert; default: the first one of --env")
+      .Add("beam_width", "N", &options->beam_width, "Partial plans that --expert=beam keeps");
+}
+
+void AddTablesFlag(FlagGroup& group, ExpertOptions* options) {
+  group.Add("tables", "DIR", &options->tables_directory,
+            "Directory of the experts' value tables; default: that of --out");
+}
+
+void AddRecordFlags(FlagGroup& group, RecordFlags* flags) {
+  RecordOptions& options = flags->options;
+  group.Add("steps", "N", &options.steps, "Steps to record, at least")
+      .Add("expert_fraction", "SHARE", &options.expert_fraction, "Share of the expert's steps")
+      .Add("disturbed_fraction", "SHARE", &options.disturbed_fraction,
+           "Share of steps in which bursts disturb the expert")
+      .Add("student", "FILE", &flags->student,
+           "Policy whose steps are the rest; default: random ones")
+      .AddSwitch("weigh", &options.weigh, "Weight labels by what the worst action would lose")
+      .Add("burst_rate", "P", &options.burst_rate, "Largest probability that a burst begins")
+      .Add("longest_burst", "N", &options.longest_burst, "Most steps of a burst")
+      .Add("wide_start_fraction", "SHARE", &options.wide_start_fraction,
+           "Share of disturbed episodes with any start (Pendulum)");
+  AddExpertFlags(group, &options.expert);
+}
+
+absl::StatusOr<RecordOptions> ReadRecordOptions(const RecordFlags& flags) {
+  RecordOptions options = flags.options;
+  if (flags.student.empty()) return options;
+  absl::StatusOr<Policy> policy = ReadPolicyFile(flags.student);
+  if (!policy.ok()) return policy.status();
+  options.student = std::make_shared<const Policy>(*std::move(policy));
+  return options;
+}
+
+absl::StatusOr<Dataset> RecordFromFlags(const RecordFlags& flags, const std::string& out) {
+  absl::StatusOr<RecordOptions> options = ReadRecordOptions(flags);
+  if (!options.ok()) return options.status();
+  if (options->expert.tables_directory.empty()) {
+    const std::filesystem::path path = out;
+    options->expert.tables_directory = path.has_parent_path() ? path.parent_path().string() : ".";
+  }
+  if (absl::Status status = options->Validate(); !status.ok()) return NameFlag(status);
+  return RecordDataset(*options);
+}
+
+absl::Status RequireOut(const std::string& out, absl::string_view what) {
+  if (!out.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("--out: expected ", what, ", received none"));
+}
+
+absl::Status NameFlag(const absl::Status& status) {
+  return absl::Status(status.code(), absl::StrCat("--", status.message()));
+}
+
+}  // namespace spikeserve
