@@ -2,15 +2,16 @@
 
 #include <utility>
 
-#include "core/learning/eligibility_trace.h"
+#include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 
 FleetHead::FleetHead(std::shared_ptr<const Policy> policy, FleetOptions options)
     : policy_(std::move(policy)), options_(options) {
   absl::MutexLock lock(&mutex_);
-  delta_.assign(policy_->weights.head.weight.values.size(), 0.0f);
+  delta_.setZero(AsVector(policy_->weights.head.weight.values).size());
   guard_ = ReturnGuard::New(delta_);
   Publish();
 }
@@ -20,13 +21,12 @@ std::shared_ptr<const FleetHead::Snapshot> FleetHead::Read() const {
   return snapshot_;
 }
 
-FleetHead::Merged FleetHead::Merge(const std::vector<float>& contribution, double episode_return) {
-  const std::vector<double> direction(contribution.begin(), contribution.end());
+FleetHead::Merged FleetHead::Merge(const Eigen::VectorXf& contribution, double episode_return) {
   const UpdateBounds bounds = {.clip = options_.clip,
                                .max_norm = options_.max_drift * BaseNorm(*policy_)};
   Merged merged;
   absl::MutexLock lock(&mutex_);
-  merged.outcome = ApplyUpdate(1.0, direction, bounds, &delta_);
+  merged.outcome = ApplyUpdate(1.0, contribution, bounds, &delta_);
   ++(merged.outcome == UpdateOutcome::kApplied ? updates_ : rejected_);
   merged.rolled_back = guard_.OnEpisode(episode_return, options_.guard_margin, &delta_);
   if (merged.rolled_back) {
@@ -41,7 +41,7 @@ FleetHead::Merged FleetHead::Merge(const std::vector<float>& contribution, doubl
 std::shared_ptr<const FleetHead::Snapshot> FleetHead::Rollback() {
   absl::MutexLock lock(&mutex_);
   std::shared_ptr<const Snapshot> before = Read();
-  delta_.assign(delta_.size(), 0.0f);
+  delta_.setZero();
   guard_ = ReturnGuard::New(delta_);
   updates_ = 0;
   ++rollbacks_;
@@ -59,7 +59,7 @@ void FleetHead::Publish() {
                                                 .rollbacks = rollbacks_,
                                                 .level = guard_.last});
   absl::MutexLock lock(&snapshot_mutex_);
-  snapshot_.swap(next);  // what it replaces is freed outside the lock
+  snapshot_.swap(next);  // the snapshot before is freed after the lock is released
 }
 
 }  // namespace spikeserve

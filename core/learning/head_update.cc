@@ -1,32 +1,42 @@
 #include "core/learning/head_update.h"
 
 #include <cmath>
-#include <utility>
 
-#include "core/learning/eligibility_trace.h"
+#include "core/learning/frobenius_norm.h"
 
 namespace spikeserve {
+namespace {
 
-UpdateOutcome ApplyUpdate(double factor, absl::Span<const double> direction,
-                          const UpdateBounds& bounds, std::vector<float>* delta) {
-  double squares = 0.0;
-  for (const double value : direction) squares += value * value;
-  const double norm = std::abs(factor) * std::sqrt(squares);
+template <typename Direction>
+UpdateOutcome Apply(double factor, const Direction& direction, const UpdateBounds& bounds,
+                    Eigen::VectorXf* delta) {
+  const double norm = std::abs(factor) * FrobeniusNorm(direction);
   if (!std::isfinite(norm)) return UpdateOutcome::kNonFinite;
   if (norm > bounds.clip) factor *= bounds.clip / norm;
 
-  std::vector<float> next = *delta;
-  for (size_t i = 0; i < next.size(); ++i) {
-    next[i] = static_cast<float>(next[i] + factor * direction[i]);
-  }
+  // `auto` keeps the unevaluated expression, so that the step is checked before `delta` changes and
+  // without a copy of it.
+  const auto next =
+      (delta->cast<double>() + factor * direction.template cast<double>()).template cast<float>();
   const double drift = FrobeniusNorm(next);
   if (!std::isfinite(drift)) return UpdateOutcome::kNonFinite;
+  *delta = next;
   if (drift > bounds.max_norm) {
-    const double shrink = bounds.max_norm / drift;
-    for (float& value : next) value = static_cast<float>(value * shrink);
+    *delta = (delta->cast<double>() * (bounds.max_norm / drift)).cast<float>();
   }
-  *delta = std::move(next);
   return UpdateOutcome::kApplied;
+}
+
+}  // namespace
+
+UpdateOutcome ApplyUpdate(double factor, const Eigen::VectorXf& direction,
+                          const UpdateBounds& bounds, Eigen::VectorXf* delta) {
+  return Apply(factor, direction, bounds, delta);
+}
+
+UpdateOutcome ApplyUpdate(double factor, const Eigen::VectorXd& direction,
+                          const UpdateBounds& bounds, Eigen::VectorXf* delta) {
+  return Apply(factor, direction, bounds, delta);
 }
 
 }  // namespace spikeserve

@@ -1,13 +1,12 @@
-// One bounded step of an action head: eq. 4.3 with its guards.
+// One bounded step of an action head (eq. 4.3).
 //
-// A free function, safe to call from many threads.
+// Free functions, safe to call from many threads.
 #ifndef CORE_LEARNING_HEAD_UPDATE_H_
 #define CORE_LEARNING_HEAD_UPDATE_H_
 
 #include <array>
-#include <vector>
 
-#include "absl/types/span.h"
+#include "Eigen/Core"
 #include "core/base/enum_names.h"
 
 namespace spikeserve {
@@ -22,14 +21,17 @@ constexpr std::array<EnumName<UpdateOutcome>, 2> EnumNames(UpdateOutcome) {
 }
 
 struct UpdateBounds {
-  double clip = 0.5;      // a longer step is shortened to this Frobenius norm
-  double max_norm = 1.0;  // a longer delta is shortened to this Frobenius norm after the step
+  double clip = 0.5;      // largest Frobenius norm of one step; a longer step is scaled to it
+  double max_norm = 1.0;  // largest Frobenius norm of delta after the step; scaled likewise
 };
 
-// delta <- delta + factor * direction (eq. 4.3: factor eta delta_t, direction E), both [outputs,
-// d]. A refused step leaves `delta` as it was. A head beyond max_norm may still be led back.
-UpdateOutcome ApplyUpdate(double factor, absl::Span<const double> direction,
-                          const UpdateBounds& bounds, std::vector<float>* delta);
+// Computes delta <- delta + factor * direction within `bounds`. `direction` and `delta` are flat
+// [act * d] arrays; in eq. 4.3 `factor` is eta delta_t and `direction` is E. A refused step leaves
+// `delta` unchanged. Allocates no memory.
+UpdateOutcome ApplyUpdate(double factor, const Eigen::VectorXf& direction,
+                          const UpdateBounds& bounds, Eigen::VectorXf* delta);
+UpdateOutcome ApplyUpdate(double factor, const Eigen::VectorXd& direction,
+                          const UpdateBounds& bounds, Eigen::VectorXf* delta);
 
 }  // namespace spikeserve
 

@@ -3,14 +3,17 @@
 #include <algorithm>
 #include <cmath>
 #include <utility>
+#include <vector>
 
+#include "core/learning/frobenius_norm.h"
 #include "core/learning/postsynaptic.h"
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 namespace {
 
-// gamma of the returns that are judged: those of the target modulator are never discounted, since
-// the return-to-go that conditions a decision is not.
+// Returns gamma of the returns that enter mu and sigma. The target modulator does not discount
+// them, because the return-to-go that conditions a decision is not discounted.
 double Discount(const LearningOptions& options) {
   return options.modulator == Modulator::kRealized ? options.discount : 1.0;
 }
@@ -18,8 +21,7 @@ double Discount(const LearningOptions& options) {
 }  // namespace
 
 Learner Learner::New(const LearningOptions& options, const Policy& policy,
-                     std::vector<float> head_delta) {
-  const Tensor& weight = policy.weights.head.weight;
+                     Eigen::VectorXf head_delta) {
   Learner learner;
   learner.head_delta = std::move(head_delta);
   if (options.modulator == Modulator::kTarget) {
@@ -29,8 +31,6 @@ Learner Learner::New(const LearningOptions& options, const Policy& policy,
                        .decisions = ReturnStatistics::kMemory};
   }
   if (options.scope == Scope::kSession) learner.guard = ReturnGuard::New(learner.head_delta);
-  learner.trace = EligibilityTrace::Zeros(static_cast<size_t>(weight.shape[0]),
-                                          static_cast<size_t>(weight.shape[1]));
   learner.StartEpisode(options);
   return learner;
 }
@@ -42,18 +42,19 @@ std::optional<UpdateOutcome> Learner::OnDecision(const LearningOptions& options,
   if (suspended) return std::nullopt;
   if (episode.decisions > 0) AddReward(reward);
   episode.AddDecision(Discount(options));
-  trace.Update(static_cast<float>(options.trace_decay), PostsynapticActivity(options.rule, choice),
-               readout);
+
+  thread_local std::vector<float> post;  // reused, so that a decision allocates no memory
+  PostsynapticActivity(options.rule, choice, &post);
+  const auto decay = static_cast<float>(options.trace_decay);
+  auto matrix = AsMatrix(trace, static_cast<Eigen::Index>(post.size()));
+  matrix.noalias() = decay * matrix + AsVector(post) * AsVector(readout).transpose();  // eq. 4.1
+
   if (options.modulator == Modulator::kTarget) {
     const double modulator = std::clamp(returns.Normalized(return_to_go), -1.0, 1.0);
-    const std::vector<double> direction(trace.values.begin(), trace.values.end());
-    return Apply(options, policy, options.learning_rate * modulator, direction);
+    return Apply(options, policy, options.learning_rate * modulator, trace);
   }
-  for (size_t i = 0; i < trace.values.size(); ++i) {
-    const auto eligibility = static_cast<double>(trace.values[i]);
-    trace_sum[i] += eligibility;
-    discounted_trace[i] = options.discount * discounted_trace[i] + eligibility;
-  }
+  trace_sum += trace.cast<double>();
+  discounted_trace = options.discount * discounted_trace + trace.cast<double>();
   return std::nullopt;
 }
 
@@ -69,52 +70,55 @@ std::optional<UpdateOutcome> Learner::OnEpisodeEnd(const LearningOptions& option
   returns.Merge(episode);
   if (options.modulator == Modulator::kTarget) return std::nullopt;
 
-  std::vector<double> direction(trace_sum.size());
-  for (size_t i = 0; i < direction.size(); ++i) {
-    direction[i] = credit[i] - returns.mean * trace_sum[i];
-  }
+  const Eigen::VectorXd direction = credit - returns.mean * trace_sum;
   const double scale = std::max(returns.deviation(), std::sqrt(episode.SquaresAbout(returns.mean)));
   return Apply(options, policy, options.learning_rate / scale, direction);
 }
 
 void Learner::StartEpisode(const LearningOptions& options) {
-  trace.Reset();
+  trace.setZero(head_delta.size());
   episode = {};
-  const size_t size = options.modulator == Modulator::kRealized ? head_delta.size() : 0;
-  trace_sum.assign(size, 0.0);
-  discounted_trace.assign(size, 0.0);
-  credit.assign(size, 0.0);
+  const Eigen::Index size = options.modulator == Modulator::kRealized ? head_delta.size() : 0;
+  trace_sum.setZero(size);
+  discounted_trace.setZero(size);
+  credit.setZero(size);
   updates = 0;
   rejected = 0;
   suspended = false;
-  if (options.scope == Scope::kFleet) head_delta.assign(head_delta.size(), 0.0f);
+  if (options.scope == Scope::kFleet) head_delta.setZero();
 }
 
 void Learner::AddReward(double reward) {
   episode.AddReward(reward);
-  for (size_t i = 0; i < credit.size(); ++i) credit[i] += reward * discounted_trace[i];
+  credit += reward * discounted_trace;
 }
 
+template <typename Direction>
 UpdateOutcome Learner::Apply(const LearningOptions& options, const Policy& policy, double factor,
-                             absl::Span<const double> direction) {
-  // What a fleet session gathers has no drift of its own; the fleet's head has its own bounds.
+                             const Direction& direction) {
+  // `max_drift` limits a private head. The shared head has limits of its own (FleetOptions).
   const double longest =
       options.scope == Scope::kFleet ? options.clip : options.max_drift * BaseNorm(policy);
   const UpdateOutcome outcome =
       ApplyUpdate(factor, direction, {.clip = options.clip, .max_norm = longest}, &head_delta);
   ++(outcome == UpdateOutcome::kApplied ? updates : rejected);
-  if (outcome == UpdateOutcome::kNonFinite) trace.Reset();
+  if (outcome == UpdateOutcome::kNonFinite) trace.setZero();
   return outcome;
 }
 
-Linear HeadWith(const Policy& policy, absl::Span<const float> head_delta) {
-  Linear head = policy.weights.head;
-  for (size_t i = 0; i < head_delta.size(); ++i) head.weight.values[i] += head_delta[i];
+Linear HeadWith(const Policy& policy, const Eigen::VectorXf& head_delta) {
+  Linear head;
+  HeadWith(policy, head_delta, &head);
   return head;
 }
 
+void HeadWith(const Policy& policy, const Eigen::VectorXf& head_delta, Linear* head) {
+  *head = policy.weights.head;
+  AsVector(head->weight.values) += head_delta;
+}
+
 double BaseNorm(const Policy& policy) {
-  const double norm = FrobeniusNorm(policy.weights.head.weight.values);
+  const double norm = FrobeniusNorm(AsVector(policy.weights.head.weight.values));
   return norm > 0.0 ? norm : 1.0;
 }
 

@@ -1,38 +1,40 @@
-// Three-factor plasticity of one action head (eqs. 4.1 to 4.3), decision by decision.
+// Three-factor plasticity of one action head (eqs. 4.1 to 4.3), applied decision by decision.
 //
-// After every decision E <- lambda E + y (x) r (eq. 4.1; y: postsynaptic.h, r: the readout rates).
-// Only weights learn; the head's bias is no synapse and stays. Then, by modulator:
+// Eq. 4.1 runs after every decision: E <- lambda E + y r^T, where r are the readout rates and y is
+// the postsynaptic factor (postsynaptic.h). Only the weights learn; the bias of the head is
+// constant. The modulator decides which return eqs. 4.2 and 4.3 use, and when they run.
 //
-// target: delta_t = clip((G_t - mu) / sigma, -1, 1) with the return-to-go G_t that conditioned the
-// decision, and dW = eta delta_t E_t at once, its norm clipped. mu and sigma start as the policy's
-// and take in the episode's undiscounted returns-to-go once it has ended, after its updates.
+// Modulator::kTarget updates the head after every decision:
+//   delta_t = clip((G_t - mu) / sigma, -1, 1),   dW = eta delta_t E_t
+// G_t is the return-to-go that conditioned the decision. The Frobenius norm of dW is limited. mu
+// and sigma start as those of the policy. An episode's undiscounted returns-to-go enter them when
+// the episode ends, after its updates.
 //
-// realized: delta_t is judged by the return that really followed, discounted by gamma,
-// G_t = sum_{k >= t} gamma^{k-t} r_k, so that a decision answers for what it can have caused. The
-// head moves once, when the episode ends. Keeping every E_t would grow with the episode, so delta_t
-// is linear:
+// Modulator::kRealized updates the head once, at the end of the episode:
+//   G_t = sum_{k >= t} gamma^{k-t} r_k
 //   delta_t = (G_t - mu) / s,   s = max(sigma, sqrt(mean_t (G_t - mu)^2))
-//   dW = eta sum_t delta_t E_t = eta / s [sum_k r_k F_k - mu sum_t E_t],   F_k = gamma F_{k-1} +
-//   E_k
-// which needs three matrices. In place of eq. 4.2's clip, which would need every G_t, s keeps the
-// root mean square of an episode's deltas within 1 and the proportions of credit as they are. The
-// norm of the whole dW is clipped. mu and sigma take in the episode before its update; the first
-// episode defines them.
-// Where an episode is cut off rather than terminated, it would have gone on: beyond its last
-// decision stand further rewards, all equal to its mean reward, which add
-// gamma / (1 - gamma) mean_k r_k to the last reward (nothing where gamma is 1).
+//   dW = eta sum_t delta_t E_t = eta / s [sum_k r_k F_k - mu sum_t E_t]
+//   F_k = gamma F_{k-1} + E_k
+// G_t is the discounted return that followed the decision. Because delta_t is linear in G_t, three
+// matrices are enough and no E_t is stored. The clip of eq. 4.2 would need every G_t; instead, s
+// keeps the root mean square of the deltas of an episode at most 1 and their proportions unchanged.
+// The Frobenius norm of the whole dW is limited. The episode enters mu and sigma before its update,
+// so the first episode defines them.
 //
-// Plain values, constant in size whatever the episode's length. Not thread-safe.
+// For kRealized, an episode that is truncated rather than terminated is extended: every decision
+// after the last one is assumed to earn the mean reward of the episode, which adds
+// gamma / (1 - gamma) mean_k r_k to the last reward. Nothing is added if gamma is 1.
+//
+// Plain values; their size does not depend on the length of the episode. Not thread-safe.
 #ifndef CORE_LEARNING_LEARNER_H_
 #define CORE_LEARNING_LEARNER_H_
 
 #include <cstdint>
 #include <optional>
-#include <vector>
 
+#include "Eigen/Core"
 #include "absl/types/span.h"
 #include "core/action/action_head.h"
-#include "core/learning/eligibility_trace.h"
 #include "core/learning/head_update.h"
 #include "core/learning/learning_options.h"
 #include "core/learning/return_guard.h"
@@ -41,60 +43,71 @@
 
 namespace spikeserve {
 
-// What a session has learned, and what it needs to go on learning bit for bit.
+// What a session has learned, and the state that it needs to continue bit for bit. The vectors are
+// flat row-major [act * d] arrays of the shape of W.
 struct Learner {
-  // [act, d]. Scope session: W - W_base of the private head. Scope fleet: what the running episode
-  // will give to the shared head, zero as it starts.
-  std::vector<float> head_delta;
+  // Scope::kSession: W - W_base of the private head. Scope::kFleet: the contribution of the running
+  // episode to the shared head, zero at the start of each episode.
+  Eigen::VectorXf head_delta;
   ReturnStatistics returns;  // mu and sigma
-  ReturnGuard guard;         // scope session
-  EligibilityTrace trace;    // [act, d]; of the running episode, like all that follows
+  ReturnGuard guard;         // Scope::kSession only
+
+  // State of the running episode.
+  Eigen::VectorXf trace;  // E, the eligibility trace
   EpisodeReturns episode;
-  std::vector<double> trace_sum;         // [act, d]: sum_t E_t; empty unless modulator is realized
-  std::vector<double> discounted_trace;  // [act, d]: F_k; likewise
-  std::vector<double> credit;            // [act, d]: sum_k r_k F_k; likewise
-  int64_t updates = 0;                   // applied in this episode
-  int64_t rejected = 0;                  // refused in this episode
-  bool suspended = false;                // learning was paused: this episode teaches nothing more
+  Eigen::VectorXd trace_sum;         // sum_t E_t; empty unless the modulator is kRealized
+  Eigen::VectorXd discounted_trace;  // F_k; empty unless the modulator is kRealized
+  Eigen::VectorXd credit;            // sum_k r_k F_k; empty unless the modulator is kRealized
+  int64_t updates = 0;               // steps of the head that were applied
+  int64_t rejected = 0;              // steps of the head that were refused
+  bool suspended = false;            // learning was paused, so the episode learns nothing more
 
-  // A learner on `policy`'s own head plus `head_delta` [act, d]. `options` must be valid and, like
-  // `policy`, the same in every call.
+  // Returns a learner for the head W_base + head_delta. `options` must be valid. All later calls
+  // take the same `options` and `policy`.
   static Learner New(const LearningOptions& options, const Policy& policy,
-                     std::vector<float> head_delta);
+                     Eigen::VectorXf head_delta);
 
-  // Eq. 4.1 and, for the target modulator, eqs. 4.2 and 4.3. `readout` [d] is what `choice` was
-  // made from, `return_to_go` what conditioned it, `reward` that of the decision before, ignored at
-  // an episode's first. What became of the update, where one was due. A refused update that was not
-  // finite takes the traces with it.
+  // Applies eq. 4.1, and for kTarget also eqs. 4.2 and 4.3. `readout` [d] are the rates that
+  // `choice` was made from, `return_to_go` is the return that conditioned it, and `reward` followed
+  // the decision before; it is ignored at the first decision of an episode. Returns the outcome of
+  // the update of the head, if there was one. An update that is not finite also clears the trace.
+  // Allocates no memory once the thread has made a decision of this size.
   std::optional<UpdateOutcome> OnDecision(const LearningOptions& options, const Policy& policy,
                                           const ActionChoice& choice,
                                           absl::Span<const float> readout, double return_to_go,
                                           double reward);
 
-  // The last decision earned `reward`; `terminated` unless the episode was cut off. For the
-  // realized modulator, eqs. 4.2 and 4.3 over the whole episode.
+  // Takes the `reward` of the last decision. `terminated` is false if the episode was truncated.
+  // For kRealized, applies eqs. 4.2 and 4.3 over the whole episode. Returns the outcome of the
+  // update of the head, if there was one.
   std::optional<UpdateOutcome> OnEpisodeEnd(const LearningOptions& options, const Policy& policy,
                                             double reward, bool terminated);
 
-  // Scope session: lets the guard see the episode's return. True where the head was rolled back.
+  // Scope::kSession: passes the return of an episode to the guard. Returns true if the guard
+  // restored an earlier head.
   bool Watch(const LearningOptions& options, double episode_return) {
     return guard.OnEpisode(episode_return, options.guard_margin, &head_delta);
   }
 
-  // Makes ready for the next episode: what was learned stays. Scope fleet: `head_delta` starts
-  // empty, its content having been handed over.
+  // Clears the state of the episode that has ended. Scope::kFleet: also clears `head_delta`, which
+  // the shared head has received.
   void StartEpisode(const LearningOptions& options);
 
  private:
   void AddReward(double reward);
+  // `Direction` is a vector of float or double.
+  template <typename Direction>
   UpdateOutcome Apply(const LearningOptions& options, const Policy& policy, double factor,
-                      absl::Span<const double> direction);
+                      const Direction& direction);
 };
 
-// The head of `policy` with W_base + head_delta for its weights; `head_delta` [act, d].
-Linear HeadWith(const Policy& policy, absl::Span<const float> head_delta);
+// Returns the head of `policy` with the weights W_base + head_delta; `head_delta` is [act * d].
+Linear HeadWith(const Policy& policy, const Eigen::VectorXf& head_delta);
 
-// |W_base|, what drift is measured against; 1 where the policy's head is all zero.
+// Writes the same into a head of this policy, whose memory is reused.
+void HeadWith(const Policy& policy, const Eigen::VectorXf& head_delta, Linear* head);
+
+// Returns |W_base|, the unit of drift, or 1 if the head of the policy is all zero.
 double BaseNorm(const Policy& policy);
 
 }  // namespace spikeserve

@@ -1,4 +1,4 @@
-// How an action head learns: the constants of eqs. 4.1 to 4.3, and their defaults.
+// The options of eqs. 4.1 to 4.3: how an action head learns.
 //
 // Plain values; free functions without shared state.
 #ifndef CORE_LEARNING_LEARNING_OPTIONS_H_
@@ -13,14 +13,15 @@
 
 namespace spikeserve {
 
-// What the postsynaptic factor y of eq. 4.1 is; see postsynaptic.h.
+// Selects the postsynaptic factor y of eq. 4.1; see postsynaptic.h.
 enum class Rule { kPolicyGradient, kHebbian };
 
-// Which return eq. 4.2 judges a decision by: the one that conditioned it, or the one that followed;
-// see learner.h.
+// Selects the return G of eq. 4.2: the return-to-go that conditioned the decision (target), or the
+// return that followed it (realized); see learner.h.
 enum class Modulator { kTarget, kRealized };
 
-// Whose head learns: a private one, or the one that all such sessions of a policy version share.
+// Selects the head that learns: a private head of the session, or the head that all fleet sessions
+// of the policy version share.
 enum class Scope { kSession, kFleet };
 
 // Names as they stand on the wire and in a stored session; see enum_names.h.
@@ -42,17 +43,18 @@ struct LearningOptions {
   double trace_decay = 0.9;                                          // lambda of eq. 4.1, in [0, 1]
   double discount = 0.97;      // gamma of the realized return-to-go, in [0, 1]; see learner.h
   double clip = 0.5;           // largest Frobenius norm of one update of the head, > 0
-  double max_drift = 2.0;      // largest |W - W_base| / |W_base| a private head may reach, > 0
-  double guard_margin = 0.02;  // of a private head's guard, >= 0; see return_guard.h
+  double max_drift = 2.0;      // largest |W - W_base| / |W_base| of a private head, > 0
+  double guard_margin = 0.02;  // of the guard of a private head, >= 0; see return_guard.h
 
-  // An update a decision, or an update an episode whose deltas are relative to its own returns.
+  // target updates the head after every decision. realized updates it once an episode, and its
+  // deltas are relative to the returns of that episode, so its steps are larger.
   static constexpr double DefaultLearningRate(Modulator modulator) {
     return modulator == Modulator::kTarget ? 1e-3 : 0.3;
   }
 
-  // INVALID_ARGUMENT names the field, as `learning.FIELD`, what was expected and what came. A
-  // policy gradient needs the noise of a sampled action where the space is a Box: the score of a
-  // greedy action is zero.
+  // Returns INVALID_ARGUMENT with the text `learning.FIELD: expected X, received Y` for the first
+  // invalid field. kPolicyGradient on a Box requires sampled actions, because the score of a greedy
+  // action is zero.
   absl::Status Validate(const ActionSpace& space, const ActionSelection& selection) const;
 };
 

@@ -1,22 +1,21 @@
 #include "core/learning/postsynaptic.h"
 
 #include "core/math/exp.h"
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 
-std::vector<float> PostsynapticActivity(Rule rule, const ActionChoice& choice) {
+void PostsynapticActivity(Rule rule, const ActionChoice& choice, std::vector<float>* post) {
   const bool discrete = !choice.probabilities.empty();
   if (rule == Rule::kHebbian) {
-    if (discrete) return choice.probabilities;
-    std::vector<float> post = choice.logits;
-    for (float& y : post) y = Tanh(y);
-    return post;
+    *post = discrete ? choice.probabilities : choice.logits;
+    if (!discrete) AsVector(*post) = AsVector(*post).unaryExpr(&Tanh);
+    return;
   }
-  if (!discrete) return choice.noise;
-  std::vector<float> post = choice.probabilities;
-  for (float& y : post) y = -y;
-  post[static_cast<size_t>(choice.action.discrete)] += 1.0f;
-  return post;
+  *post = discrete ? choice.probabilities : choice.noise;
+  if (!discrete) return;
+  AsVector(*post) = -AsVector(*post);
+  (*post)[static_cast<size_t>(choice.action.discrete)] += 1.0f;
 }
 
 }  // namespace spikeserve

@@ -15,7 +15,8 @@ WindowLevel InterquartileMean(absl::Span<const double> values) {
 
   WindowLevel level;
   for (size_t i = quarter; i < end; ++i) level.mean += sorted[i] / middle;
-  // The deviation of the winsorised values: the outer quarters moved to the quartiles.
+  // The error follows from the deviation of the winsorised values, in which the values of the outer
+  // quarters are replaced by the quartiles.
   double mean = 0.0;
   for (double& value : sorted) {
     value = std::clamp(value, sorted[quarter], sorted[end - 1]);
@@ -27,14 +28,14 @@ WindowLevel InterquartileMean(absl::Span<const double> values) {
   return level;
 }
 
-ReturnGuard ReturnGuard::New(const std::vector<float>& delta) {
+ReturnGuard ReturnGuard::New(const Eigen::VectorXf& delta) {
   ReturnGuard guard;
   guard.beginning = delta;
   guard.good = delta;
   return guard;
 }
 
-bool ReturnGuard::OnEpisode(double episode_return, double margin, std::vector<float>* delta) {
+bool ReturnGuard::OnEpisode(double episode_return, double margin, Eigen::VectorXf* delta) {
   returns.push_back(episode_return);
   if (returns.size() < kWindow) return false;
   last = InterquartileMean(returns);
@@ -54,9 +55,9 @@ bool ReturnGuard::OnEpisode(double episode_return, double margin, std::vector<fl
   return bad;
 }
 
-void ReturnGuard::RollBack(std::vector<float>* delta) {
+void ReturnGuard::RollBack(Eigen::VectorXf* delta) {
   if (on_probation) {
-    good.assign(good.size(), 0.0f);
+    good.setZero();
     has_reference = false;
   }
   on_probation = !on_probation;

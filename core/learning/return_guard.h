@@ -1,18 +1,20 @@
-// Watches what a head that learns earns, and puts back the last good one when it earns less.
+// Watches the returns of a learning head and restores the last good head when they fall.
 //
-// Episodes are judged in windows of kWindow. A window's level is the interquartile mean of its
-// returns: the mean of their middle half, which less than a quarter of absurd returns cannot move.
-// Its standard error is that of a trimmed mean (Tukey & McLaughlin, Sankhya A 25, 1963). The
-// reference is the level of the best window so far; the first one, played by heads that have barely
-// moved, is the frozen baseline. A window is bad when
+// The guard judges episodes in windows of kWindow. The level of a window is the interquartile mean
+// of its returns, that is, the mean of their middle half. Outliers do not change it as long as they
+// are less than a quarter of the returns. The error of a level is the standard error of a trimmed
+// mean (Tukey & McLaughlin, Sankhya A 25, 1963). The reference is the level of the best window so
+// far. The heads of the first window have changed little, so its level is that of the frozen
+// policy. A window is bad if
 //
 //   level < reference - margin |reference| - 3 sqrt(error^2 + reference_error^2)
 //
-// The head that a good window began with is a good one: all that came of it was good. After a bad
-// window the last good head comes back. Where that one has a bad window too, the world has changed:
-// the policy's own head comes back, and the reference is measured anew.
+// The good head is the head at the start of the last window that was not bad, because that head and
+// the heads that it developed into earned the returns of that window. After a bad window the guard
+// restores the good head. If the next window is bad too, the environment itself has changed: the
+// guard restores the head of the policy and measures a new reference.
 //
-// A plain value and part of what learns; constant in size. Not thread-safe.
+// A plain value of constant size. Not thread-safe.
 #ifndef CORE_LEARNING_RETURN_GUARD_H_
 #define CORE_LEARNING_RETURN_GUARD_H_
 
@@ -20,13 +22,14 @@
 #include <cstdint>
 #include <vector>
 
+#include "Eigen/Core"
 #include "absl/types/span.h"
 
 namespace spikeserve {
 
-// Of one window of returns.
+// The level of one window of returns.
 struct WindowLevel {
-  double mean = 0.0;   // interquartile
+  double mean = 0.0;   // interquartile mean
   double error = 0.0;  // standard error of `mean`
 
   friend bool operator==(const WindowLevel&, const WindowLevel&) = default;
@@ -34,32 +37,31 @@ struct WindowLevel {
 
 struct ReturnGuard {
   static constexpr size_t kWindow = 20;
-  static constexpr double kErrors =
-      3.0;  // the reference is the best of many windows, so a lucky one
+  // Standard errors that a bad window falls short by. Three, because the reference is the best of
+  // many windows and so tends to be above the true level.
+  static constexpr double kErrors = 3.0;
 
-  std::vector<double> returns;   // of the running window
-  std::vector<float> beginning;  // W - W_base as the running window began
-  std::vector<float> good;       // W - W_base as the last good window began
+  std::vector<double> returns;  // of the running window
+  Eigen::VectorXf beginning;    // [act * d]: W - W_base at the start of the running window
+  Eigen::VectorXf good;         // [act * d]: W - W_base of the good head
   bool has_reference = false;
   WindowLevel reference;
-  WindowLevel last;           // of the last window that ended; 0 before
+  WindowLevel last;           // of the last window that ended; zero before the first
   bool on_probation = false;  // the last window was bad
   int64_t rollbacks = 0;
 
-  // A guard of a head that stands at `delta`.
-  static ReturnGuard New(const std::vector<float>& delta);
+  // Returns a guard of a head with W - W_base = `delta`.
+  static ReturnGuard New(const Eigen::VectorXf& delta);
 
-  // An episode ended with `episode_return`, and the head stands at `delta` after it. True where
-  // `delta` was rolled back.
-  bool OnEpisode(double episode_return, double margin, std::vector<float>* delta);
-
-  friend bool operator==(const ReturnGuard&, const ReturnGuard&) = default;
+  // Takes the return of an episode that has ended, and `delta`, the head after it. Returns true if
+  // the guard restored an earlier head by writing it into `delta`.
+  bool OnEpisode(double episode_return, double margin, Eigen::VectorXf* delta);
 
  private:
-  void RollBack(std::vector<float>* delta);
+  void RollBack(Eigen::VectorXf* delta);
 };
 
-// REQUIRES: at least 4 values.
+// Returns the interquartile mean of `values` and its standard error. REQUIRES: at least 4 values.
 WindowLevel InterquartileMean(absl::Span<const double> values);
 
 }  // namespace spikeserve

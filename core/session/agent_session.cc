@@ -9,7 +9,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/learning/frobenius_norm.h"
 #include "core/math/counter_random.h"
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 namespace {
@@ -64,13 +66,13 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
     : served_(std::move(served)), clock_(clock), session_(std::move(session)) {
   const Policy& policy = served_->policy();
   if (session_.options.learning.has_value() && !session_.learner.has_value()) {
-    std::vector<float> delta = session_.options.head_delta;
-    if (delta.empty()) delta.assign(policy.weights.head.weight.values.size(), 0.0f);
+    Eigen::VectorXf delta = session_.options.head_delta;
+    if (delta.size() == 0) delta.setZero(AsVector(policy.weights.head.weight.values).size());
     session_.learner = Learner::New(*session_.options.learning, policy, std::move(delta));
   }
   if (InFleet()) return;
-  const std::vector<float> delta = HeadDelta();
-  if (!delta.empty()) head_ = HeadWith(policy, delta);
+  const Eigen::VectorXf delta = HeadDelta();
+  if (delta.size() > 0) head_ = HeadWith(policy, delta);
 }
 
 absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const float> observation,
@@ -207,7 +209,7 @@ void AgentSession::TakeOutcome(std::optional<UpdateOutcome> outcome) {
   if (!outcome.has_value()) return;
   if (*outcome == UpdateOutcome::kApplied) {
     if (InFleet()) return;
-    head_ = HeadWith(served_->policy(), session_.learner->head_delta);
+    HeadWith(served_->policy(), session_.learner->head_delta, &*head_);
   }
   served_->observer->OnHeadUpdate(*outcome);
 }
@@ -371,7 +373,7 @@ void AgentSession::WatchPrivateHead(double episode_return, LearningSummary* summ
   summary->watched_return = learner.guard.last.mean;
 }
 
-std::vector<float> AgentSession::HeadDelta() const {
+Eigen::VectorXf AgentSession::HeadDelta() const {
   if (InFleet()) return served_->fleet->Read()->delta;
   return session_.learner.has_value() ? session_.learner->head_delta : session_.options.head_delta;
 }

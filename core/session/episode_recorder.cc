@@ -41,7 +41,7 @@ void EpisodeRecorder::Start(const Session& session) {
                     .target_return = session.target_return,
                     .seed = options.seed,
                     .temperature = std::nullopt,
-                    .learning = options.learning.has_value() || !options.head_delta.empty(),
+                    .learning = options.learning.has_value() || options.head_delta.size() > 0,
                     .labels = options.labels,
                     .returns_to_go = {},
                     .probabilities = {},

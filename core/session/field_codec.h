@@ -18,11 +18,13 @@
 #include <utility>
 #include <vector>
 
+#include "Eigen/Core"
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "core/base/enum_names.h"
 #include "core/base/json.h"
+#include "core/math/vector_view.h"
 #include "core/session/session_fields.h"
 #include "nlohmann/json.hpp"
 
@@ -35,6 +37,11 @@ using Json = nlohmann::json;
 template <typename T>
 Json Write(const T& value) {
   return value;
+}
+
+template <typename T>
+Json Write(const Eigen::VectorX<T>& values) {
+  return std::vector<T>(values.begin(), values.end());
 }
 
 template <typename T>
@@ -123,6 +130,13 @@ class Reader {
     for (size_t i = 0; i < json.size(); ++i) {
       Read(json[i], absl::StrCat(path, "[", i, "]"), values[i]);
     }
+  }
+
+  template <typename T>
+  void Read(const Json& json, const std::string& path, Eigen::VectorX<T>& values) {
+    std::vector<T> read;
+    Read(json, path, read);
+    values = AsVector(read);
   }
 
   void Read(const Json& json, const std::string& path, History& history) {

@@ -48,19 +48,19 @@ absl::Status Inconsistent(absl::string_view field, absl::string_view expected, i
 
 // Checks that all arrays of the head's shape have one size, and the ranges of the other members.
 absl::Status CheckLearner(const LearningOptions& options, const Learner& learner) {
-  const auto size = static_cast<int64_t>(learner.head_delta.size());
+  const int64_t size = learner.head_delta.size();
   const int64_t sums = options.modulator == Modulator::kRealized ? size : 0;
   const int64_t kept = options.scope == Scope::kSession ? size : 0;
-  const std::tuple<const char*, size_t, int64_t> lengths[] = {
-      {"learner.trace", learner.trace.values.size(), size},
+  const std::tuple<const char*, int64_t, int64_t> lengths[] = {
+      {"learner.trace", learner.trace.size(), size},
       {"learner.trace_sum", learner.trace_sum.size(), sums},
       {"learner.discounted_trace", learner.discounted_trace.size(), sums},
       {"learner.credit", learner.credit.size(), sums},
       {"learner.guard.beginning", learner.guard.beginning.size(), kept},
       {"learner.guard.good", learner.guard.good.size(), kept}};
   for (const auto& [field, length, expected] : lengths) {
-    if (static_cast<int64_t>(length) == expected) continue;
-    return Inconsistent(field, absl::StrCat(expected, " numbers"), static_cast<int64_t>(length));
+    if (length == expected) continue;
+    return Inconsistent(field, absl::StrCat(expected, " numbers"), length);
   }
   if (learner.guard.returns.size() >= ReturnGuard::kWindow) {
     return Inconsistent("learner.guard.returns", absl::StrCat("fewer than ", ReturnGuard::kWindow),

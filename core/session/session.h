@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "Eigen/Core"
 #include "absl/status/statusor.h"
 #include "core/action/action_head.h"
 #include "core/action/action_space.h"

@@ -107,7 +107,7 @@ void VisitFields(T& learner, Visitor&& visit) {
   visit("head_delta", learner.head_delta);
   visit("returns", learner.returns);
   visit("guard", learner.guard);
-  visit("trace", learner.trace.values);
+  visit("trace", learner.trace);
   visit("episode", learner.episode);
   visit("trace_sum", learner.trace_sum);
   visit("discounted_trace", learner.discounted_trace);

@@ -7,6 +7,7 @@
 #include <system_error>
 
 #include "absl/strings/str_cat.h"
+#include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
 #include "core/model/policy_file.h"
 #include "nlohmann/json.hpp"

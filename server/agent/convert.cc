@@ -8,6 +8,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "core/base/json.h"
+#include "core/learning/frobenius_norm.h"
+#include "core/math/vector_view.h"
 #include "nlohmann/json.hpp"
 #include "server/base/status_map.h"
 
@@ -139,11 +141,11 @@ absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& conf
   return options;
 }
 
-absl::StatusOr<std::vector<float>> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
-                                                      const Policy& policy) {
-  std::vector<float> delta(request.head_delta().begin(), request.head_delta().end());
-  if (delta.empty()) return delta;
-  const size_t size = policy.weights.head.weight.values.size();
+absl::StatusOr<Eigen::VectorXf> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
+                                                   const Policy& policy) {
+  Eigen::VectorXf delta = AsVector(request.head_delta());
+  if (delta.size() == 0) return delta;
+  const auto size = static_cast<Eigen::Index>(policy.weights.head.weight.values.size());
   if (request.has_learning() && request.learning().scope() == v1::LearningConfig::FLEET) {
     return absl::InvalidArgumentError(
         absl::StrCat("head_delta: expected none where learning.scope is FLEET, received ",
@@ -153,7 +155,7 @@ absl::StatusOr<std::vector<float>> HeadDeltaFromProto(const v1::OpenSessionReque
     return absl::InvalidArgumentError(
         absl::StrCat("head_delta: expected ", size, " numbers, received ", delta.size()));
   }
-  for (size_t i = 0; i < size; ++i) {
+  for (Eigen::Index i = 0; i < size; ++i) {
     if (std::isfinite(delta[i])) continue;
     return absl::InvalidArgumentError(
         absl::StrCat("head_delta[", i, "]: expected a finite number, received ", delta[i]));
@@ -232,11 +234,11 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
   proto.set_decisions(session.decisions);
   proto.set_head_drift(agent.HeadDrift());
   if (include_head_delta) {
-    const std::vector<float> delta = agent.HeadDelta();
+    const Eigen::VectorXf delta = agent.HeadDelta();
     proto.mutable_head_delta()->Add(delta.begin(), delta.end());
   }
   if (session.learner.has_value()) {
-    proto.set_trace_norm(session.learner->trace.Norm());
+    proto.set_trace_norm(FrobeniusNorm(session.learner->trace));
     proto.set_modulator_mean(session.learner->returns.mean);
     proto.set_modulator_std(session.learner->returns.deviation());
     proto.set_rollbacks(agent.Rollbacks());

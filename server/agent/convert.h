@@ -6,6 +6,7 @@
 
 #include <vector>
 
+#include "Eigen/Core"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/action/action_head.h"

@@ -1,8 +1,8 @@
 #include "train/data/dataset.h"
 
-#include <algorithm>
-#include <cmath>
 #include <cstddef>
+
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 
@@ -23,24 +23,24 @@ std::vector<float> ReturnsToGo(const Episode& episode) {
 
 Moments ObservationMoments(const Dataset& dataset) {
   constexpr double kSmallestDeviation = 1e-6;
-  const size_t size = dataset.observation_size;
-  std::vector<double> sum(size), squares(size);
+  const auto size = static_cast<size_t>(dataset.observation_size);
+  Eigen::ArrayXd sum = Eigen::ArrayXd::Zero(dataset.observation_size);
+  Eigen::ArrayXd squares = sum;
   double steps = 0.0;
   for (const Episode& episode : dataset.episodes) {
-    for (size_t i = 0; i < episode.actions.size() * size; ++i) {
-      const double x = episode.observations[i];
-      sum[i % size] += x;
-      squares[i % size] += x * x;
+    const auto observations = AsMatrix(episode.observations, episode.steps() + 1);
+    for (int step = 0; step < episode.steps(); ++step) {
+      const auto x = observations.row(step).transpose().array().cast<double>();
+      sum += x;
+      squares += x.square();
     }
     steps += episode.steps();
   }
-  Moments moments;
-  for (size_t i = 0; i < size; ++i) {
-    const double mean = sum[i] / steps;
-    const double variance = std::max(0.0, squares[i] / steps - mean * mean);
-    moments.mean.push_back(static_cast<float>(mean));
-    moments.std.push_back(static_cast<float>(std::sqrt(variance) + kSmallestDeviation));
-  }
+  const Eigen::ArrayXd mean = sum / steps;
+  const Eigen::ArrayXd deviation = (squares / steps - mean.square()).max(0.0).sqrt();
+  Moments moments = {.mean = std::vector<float>(size), .std = std::vector<float>(size)};
+  AsVector(moments.mean).array() = mean.cast<float>();
+  AsVector(moments.std).array() = (deviation + kSmallestDeviation).cast<float>();
   return moments;
 }
 

@@ -1,20 +1,17 @@
 #include "train/evaluation/ablation.h"
 
-#include <algorithm>
-
 #include "absl/strings/str_cat.h"
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 namespace {
 
-void Clear(Tensor* tensor) { std::fill(tensor->values.begin(), tensor->values.end(), 0.0f); }
+void Clear(Tensor* tensor) { AsVector(tensor->values).setZero(); }
 
-// The columns that stand after the d coder columns.
+// Clears the columns after the d coder columns.
 void ClearPhaseColumns(int hidden_size, Tensor* weight) {
-  const int columns = weight->shape[1];
-  for (size_t i = 0; i < weight->values.size(); ++i) {
-    if (static_cast<int>(i) % columns >= hidden_size) weight->values[i] = 0.0f;
-  }
+  const int phase_columns = weight->shape[1] - hidden_size;
+  AsMatrix(weight->values, weight->shape[0]).rightCols(phase_columns).setZero();
 }
 
 absl::Status Missing(absl::string_view part, const ModelConfig& config) {

@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
+#include "core/math/vector_view.h"
 #include "train/data/policy_player.h"
 
 namespace spikeserve {
@@ -45,15 +45,10 @@ absl::Status EvaluationOptions::Validate() const {
       absl::StrCat("episodes: expected at least 1, received ", episodes));
 }
 
-double Evaluation::mean_return() const {
-  return std::accumulate(returns.begin(), returns.end(), 0.0) / static_cast<double>(returns.size());
-}
+double Evaluation::mean_return() const { return AsVector(returns).mean(); }
 
 double Evaluation::std_return() const {
-  const double mean = mean_return();
-  double sum = 0.0;
-  for (const double value : returns) sum += (value - mean) * (value - mean);
-  return std::sqrt(sum / static_cast<double>(returns.size()));
+  return std::sqrt((AsVector(returns).array() - mean_return()).square().mean());
 }
 
 double Evaluation::spikes_per_decision() const {

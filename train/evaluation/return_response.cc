@@ -1,12 +1,12 @@
 #include "train/evaluation/return_response.h"
 
 #include <algorithm>
-#include <cmath>
 #include <memory>
 #include <numeric>
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 namespace {
@@ -24,16 +24,10 @@ std::vector<double> Ranks(absl::Span<const double> values) {
 }
 
 double Correlation(absl::Span<const double> x, absl::Span<const double> y) {
-  const auto count = static_cast<double>(x.size());
-  const double x_mean = std::accumulate(x.begin(), x.end(), 0.0) / count;
-  const double y_mean = std::accumulate(y.begin(), y.end(), 0.0) / count;
-  double xy = 0.0, xx = 0.0, yy = 0.0;
-  for (size_t i = 0; i < x.size(); ++i) {
-    xy += (x[i] - x_mean) * (y[i] - y_mean);
-    xx += (x[i] - x_mean) * (x[i] - x_mean);
-    yy += (y[i] - y_mean) * (y[i] - y_mean);
-  }
-  return xx > 0.0 && yy > 0.0 ? xy / std::sqrt(xx * yy) : 0.0;
+  const Eigen::VectorXd a = AsVector(x).array() - AsVector(x).mean();
+  const Eigen::VectorXd b = AsVector(y).array() - AsVector(y).mean();
+  const double scale = a.norm() * b.norm();
+  return scale > 0.0 ? a.dot(b) / scale : 0.0;
 }
 
 }  // namespace
@@ -54,10 +48,9 @@ double ReturnResponse::rank_correlation() const {
 double ReturnResponse::mean_error() const {
   double sum = 0.0, count = 0.0;
   for (size_t i = 0; i < asked.size(); ++i) {
-    for (const double achieved : evaluations[i].returns) {
-      sum += std::abs(achieved - asked[i]);
-      count += 1.0;
-    }
+    const auto achieved = AsVector(evaluations[i].returns).array();
+    sum += (achieved - asked[i]).abs().sum();
+    count += static_cast<double>(achieved.size());
   }
   const auto [least, most] = std::minmax_element(asked.begin(), asked.end());
   return sum / count / (*most - *least);

@@ -4,11 +4,11 @@
 #include <atomic>
 #include <cmath>
 #include <memory>
-#include <numeric>
 #include <thread>
 
 #include "absl/strings/str_cat.h"
 #include "core/environment/environment.h"
+#include "core/math/vector_view.h"
 
 namespace spikeserve {
 namespace {
@@ -48,12 +48,9 @@ absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
   return returns;
 }
 
-ReturnStatistics StatisticsOf(absl::Span<const double> returns) {
-  const auto count = static_cast<double>(returns.size());
-  const double mean = std::accumulate(returns.begin(), returns.end(), 0.0) / count;
-  double squares = 0.0;
-  for (const double value : returns) squares += (value - mean) * (value - mean);
-  return {.mean = mean, .std = std::sqrt(squares / count)};
+ReturnSummary StatisticsOf(absl::Span<const double> returns) {
+  const double mean = AsVector(returns).mean();
+  return {.mean = mean, .std = std::sqrt((AsVector(returns).array() - mean).square().mean())};
 }
 
 }  // namespace spikeserve

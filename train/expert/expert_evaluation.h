@@ -19,12 +19,12 @@ absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
                                                    const std::string& environment, int episodes,
                                                    uint64_t first_seed);
 
-struct ReturnStatistics {
+struct ReturnSummary {
   double mean = 0.0;
   double std = 0.0;  // divided by the number of episodes
 };
 // REQUIRES: at least one return.
-ReturnStatistics StatisticsOf(absl::Span<const double> returns);
+ReturnSummary StatisticsOf(absl::Span<const double> returns);
 
 }  // namespace spikeserve
 

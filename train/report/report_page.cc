@@ -292,11 +292,10 @@ Interval IntervalOf(const std::vector<double>& values) {
   // Student's t, two-sided 95 %, by degrees of freedom from 1.
   constexpr double kT[] = {12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262};
   const auto count = static_cast<double>(values.size());
-  Interval interval = {.mean = std::accumulate(values.begin(), values.end(), 0.0) / count,
+  Interval interval = {.mean = AsVector(values).mean(),
                        .half_width = std::numeric_limits<double>::infinity()};
   if (values.size() < 2) return interval;
-  double squares = 0.0;
-  for (const double value : values) squares += (value - interval.mean) * (value - interval.mean);
+  const double squares = (AsVector(values).array() - interval.mean).square().sum();
   const double t = kT[std::min(values.size() - 2, std::size(kT) - 1)];
   interval.half_width = t * std::sqrt(squares / (count - 1.0) / count);
   return interval;

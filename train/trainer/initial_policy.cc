@@ -5,6 +5,7 @@
 #include <tuple>
 #include <utility>
 
+#include "core/math/vector_view.h"
 #include "train/trainer/task.h"
 
 namespace spikeserve {
@@ -14,11 +15,10 @@ namespace {
 std::pair<float, float> ReturnMoments(const Dataset& dataset) {
   double sum = 0.0, squares = 0.0, count = 0.0;
   for (const Episode& episode : dataset.episodes) {
-    for (const float g : ReturnsToGo(episode)) {
-      sum += static_cast<double>(g);
-      squares += static_cast<double>(g) * static_cast<double>(g);
-      count += 1.0;
-    }
+    const Eigen::VectorXd returns = AsVector(ReturnsToGo(episode)).cast<double>();
+    sum += returns.sum();
+    squares += returns.squaredNorm();
+    count += static_cast<double>(returns.size());
   }
   const double mean = sum / count;
   const double deviation = std::sqrt(std::max(1e-6, squares / count - mean * mean));

@@ -9,12 +9,12 @@
 #include <thread>
 #include <vector>
 
-#include "core/learning/eligibility_trace.h"
+#include "core/learning/frobenius_norm.h"
 
 namespace spikeserve {
 namespace {
 
-constexpr size_t kSize = 6;
+constexpr Eigen::Index kSize = 6;
 
 std::shared_ptr<const Policy> TestPolicy() {
   Policy policy;
@@ -25,17 +25,17 @@ std::shared_ptr<const Policy> TestPolicy() {
 }
 
 // What session `i` gives, of some hundredths.
-std::vector<float> Contribution(int i) {
-  std::vector<float> contribution(kSize);
-  for (size_t j = 0; j < kSize; ++j) {
+Eigen::VectorXf Contribution(int i) {
+  Eigen::VectorXf contribution(kSize);
+  for (Eigen::Index j = 0; j < kSize; ++j) {
     contribution[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
   }
   return contribution;
 }
 
-void ExpectNear(const std::vector<float>& actual, const std::vector<float>& expected) {
+void ExpectNear(const Eigen::VectorXf& actual, const Eigen::VectorXd& expected) {
   ASSERT_EQ(actual.size(), expected.size());
-  for (size_t j = 0; j < actual.size(); ++j) {
+  for (Eigen::Index j = 0; j < actual.size(); ++j) {
     EXPECT_NEAR(actual[j], expected[j], FleetHead::kMergeTolerance) << j;
   }
 }
@@ -53,7 +53,7 @@ TEST(FleetHeadTest, ASnapshotNeverChanges) {
   const auto before = fleet.Read();
   const auto merged = fleet.Merge(Contribution(1), 10.0);
   EXPECT_EQ(merged.outcome, UpdateOutcome::kApplied);
-  EXPECT_EQ(before->delta, std::vector<float>(kSize, 0.0f));
+  EXPECT_EQ(before->delta, Eigen::VectorXf::Zero(kSize));
   EXPECT_EQ(merged.snapshot->delta, Contribution(1));
   EXPECT_EQ(fleet.Read()->updates, 1);
 }
@@ -61,10 +61,8 @@ TEST(FleetHeadTest, ASnapshotNeverChanges) {
 // Sixty-four sessions, each on a thread, and readers beside them.
 TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
   constexpr int kSessions = 64, kEpisodes = 10;
-  std::vector<double> sum(kSize, 0.0);
-  for (int i = 0; i < kSessions * kEpisodes; ++i) {
-    for (size_t j = 0; j < kSize; ++j) sum[j] += static_cast<double>(Contribution(i)[j]);
-  }
+  Eigen::VectorXd sum = Eigen::VectorXd::Zero(kSize);
+  for (int i = 0; i < kSessions * kEpisodes; ++i) sum += Contribution(i).cast<double>();
   FleetHead fleet(TestPolicy());
   std::vector<std::thread> sessions;
   for (int session = 0; session < kSessions; ++session) {
@@ -76,26 +74,26 @@ TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
     });
   }
   for (std::thread& session : sessions) session.join();
-  ExpectNear(fleet.Read()->delta, std::vector<float>(sum.begin(), sum.end()));
+  ExpectNear(fleet.Read()->delta, sum);
   EXPECT_EQ(fleet.Read()->updates, kSessions * kEpisodes);
 }
 
 TEST(FleetHeadTest, NoContributionIsLongerThanTheClip) {
   FleetHead fleet(TestPolicy(), {.clip = 0.25, .max_drift = 1.0, .guard_margin = 0.02});
-  fleet.Merge(std::vector<float>(kSize, 1e30f), 10.0);
+  fleet.Merge(Eigen::VectorXf::Constant(kSize, 1e30f), 10.0);
   EXPECT_NEAR(FrobeniusNorm(fleet.Read()->delta), 0.25, 1e-6);
 }
 
 TEST(FleetHeadTest, DriftStaysWithinItsBound) {
   FleetHead fleet(TestPolicy(), {.clip = 0.5, .max_drift = 0.1, .guard_margin = 0.02});
-  for (int i = 0; i < 19; ++i) fleet.Merge(std::vector<float>(kSize, 1.0f), 10.0);
+  for (int i = 0; i < 19; ++i) fleet.Merge(Eigen::VectorXf::Constant(kSize, 1.0f), 10.0);
   EXPECT_NEAR(fleet.Read()->drift, 0.1, 1e-6);
 }
 
 TEST(FleetHeadTest, NonFiniteContributionsAreRefused) {
   FleetHead fleet(TestPolicy());
   fleet.Merge(Contribution(1), 10.0);
-  std::vector<float> broken = Contribution(2);
+  Eigen::VectorXf broken = Contribution(2);
   broken[3] = std::numeric_limits<float>::quiet_NaN();
   EXPECT_EQ(fleet.Merge(broken, 10.0).outcome, UpdateOutcome::kNonFinite);
   EXPECT_EQ(fleet.Read()->delta, Contribution(1));
@@ -123,7 +121,7 @@ TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {
     return rolled_back;
   };
   EXPECT_FALSE(window(100.0));
-  const std::vector<float> good = fleet.Read()->delta;
+  const Eigen::VectorXf good = fleet.Read()->delta;
   EXPECT_FALSE(window(200.0));
   EXPECT_TRUE(window(100.0));
   EXPECT_EQ(fleet.Read()->delta, good);

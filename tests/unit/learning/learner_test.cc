@@ -7,6 +7,8 @@
 #include <limits>
 #include <vector>
 
+#include "core/learning/frobenius_norm.h"
+
 namespace spikeserve {
 namespace {
 
@@ -51,7 +53,7 @@ std::vector<double> Returns(const std::vector<Step>& steps, double discount, dou
 class LearnerTest : public ::testing::Test {
  protected:
   Learner NewLearner(const LearningOptions& options) {
-    return Learner::New(options, policy_, std::vector<float>(kOutputs * kInputs, 0.0f));
+    return Learner::New(options, policy_, Eigen::VectorXf::Zero(kOutputs * kInputs));
   }
 
   double Drift() const { return FrobeniusNorm(learner_.head_delta) / BaseNorm(policy_); }
@@ -88,6 +90,22 @@ class LearnerTest : public ::testing::Test {
   Learner learner_;
   double reward_ = 0.0;  // of the decision made last
 };
+
+TEST(FrobeniusNormTest, IsTheRootOfTheSumOfSquares) {
+  EXPECT_EQ(FrobeniusNorm(Eigen::VectorXf{{3.0f, -4.0f}}), 5.0);
+}
+
+TEST_F(LearnerTest, TheTraceDecaysAndAddsTheOuterProduct) {
+  const LearningOptions options = {.trace_decay = 0.5};
+  learner_ = NewLearner(options);
+  ActionChoice choice;
+  choice.noise = {1.0f, -2.0f};  // y of a sampled Box action
+  learner_.OnDecision(options, policy_, choice, {0.0f, 1.0f, 0.5f}, 0.0, 0.0);
+  EXPECT_EQ(learner_.trace, (Eigen::VectorXf{{0.0f, 1.0f, 0.5f, 0.0f, -2.0f, -1.0f}}));
+  choice.noise = {1.0f, 0.0f};
+  learner_.OnDecision(options, policy_, choice, {1.0f, 0.0f, 0.0f}, 0.0, 0.0);
+  EXPECT_EQ(learner_.trace, (Eigen::VectorXf{{1.0f, 0.5f, 0.25f, 0.0f, -1.0f, -0.5f}}));
+}
 
 TEST_F(LearnerTest, TargetAddsEveryStepAtOnce) {
   const LearningOptions options = {.modulator = Modulator::kTarget, .learning_rate = 0.01};
@@ -149,7 +167,7 @@ TEST_F(LearnerTest, MemoryDoesNotGrowWithTheEpisode) {
   const LearningOptions options = {.modulator = Modulator::kRealized};
   learner_ = NewLearner(options);
   Play(options, 5000, 9.0);
-  EXPECT_EQ(learner_.trace.values.size(), kOutputs * kInputs);
+  EXPECT_EQ(learner_.trace.size(), kOutputs * kInputs);
   EXPECT_EQ(learner_.trace_sum.size(), kOutputs * kInputs);
   EXPECT_EQ(learner_.discounted_trace.size(), kOutputs * kInputs);
   EXPECT_EQ(learner_.credit.size(), kOutputs * kInputs);
@@ -173,7 +191,7 @@ TEST_F(LearnerTest, DriftStaysWithinItsBound) {
   Play(options, 200, /*target_return=*/1e6);
   EXPECT_NEAR(Drift(), 0.25, 1e-7);
   EXPECT_EQ(learner_.updates, 200);
-  const std::vector<float> before = learner_.head_delta;
+  const Eigen::VectorXf before = learner_.head_delta;
   Play(options, 1, /*target_return=*/1e6);
   EXPECT_NE(learner_.head_delta, before);  // along the bound
   EXPECT_NEAR(Drift(), 0.25, 1e-7);
@@ -183,7 +201,7 @@ TEST_F(LearnerTest, NonFiniteUpdatesAreRefusedAndForgotten) {
   const LearningOptions options = {.modulator = Modulator::kTarget};
   learner_ = NewLearner(options);
   Play(options, 3, 9.0);
-  const std::vector<float> before = learner_.head_delta;
+  const Eigen::VectorXf before = learner_.head_delta;
   ActionChoice choice =
       ChooseAction(policy_.weights.head, policy_.action_space, ReadoutAt(0), {}, 0);
   const std::vector<float> broken = {std::numeric_limits<float>::quiet_NaN(), 0.0f, 0.0f};
@@ -221,7 +239,7 @@ TEST_F(LearnerTest, AnotherEpisodeStartsWithEmptyTraces) {
   learner_ = NewLearner(options);
   Play(options, 10, 9.0);
   learner_.OnEpisodeEnd(options, policy_, reward_, /*terminated=*/true);
-  const std::vector<float> learned = learner_.head_delta;
+  const Eigen::VectorXf learned = learner_.head_delta;
   const ReturnStatistics returns = learner_.returns;
   learner_.StartEpisode(options);
   Learner fresh = NewLearner(options);

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <vector>
 
 #include "core/action/action_head.h"
 
@@ -18,10 +19,16 @@ using ::testing::FloatNear;
 const Linear kHead = {.weight = {.shape = {2, 1}, .values = {1.0f, -1.0f}},
                       .bias = {.shape = {2}, .values = {0.0f, 0.0f}}};
 
+std::vector<float> Postsynaptic(Rule rule, const ActionChoice& choice) {
+  std::vector<float> post = {9.0f};  // is overwritten
+  PostsynapticActivity(rule, choice, &post);
+  return post;
+}
+
 TEST(PostsynapticActivityTest, HebbianIsTheHeadsOutput) {
   const ActionChoice discrete =
       ChooseAction(kHead, ActionSpace::Discrete(2), std::vector<float>{0.5f}, {}, 0);
-  EXPECT_EQ(PostsynapticActivity(Rule::kHebbian, discrete), discrete.probabilities);
+  EXPECT_EQ(Postsynaptic(Rule::kHebbian, discrete), discrete.probabilities);
   const float p = 1.0f / (1.0f + std::exp(-1.0f));
   EXPECT_THAT(discrete.probabilities, ElementsAre(FloatNear(p, 1e-6f), FloatNear(1 - p, 1e-6f)));
 
@@ -30,7 +37,7 @@ TEST(PostsynapticActivityTest, HebbianIsTheHeadsOutput) {
       ChooseAction(kHead, ActionSpace::Box({-1, -1}, {1, 1}), std::vector<float>{0.5f},
                    {.sample = true, .temperature = 3.0f}, 7);
   const float y = std::tanh(0.5f);
-  EXPECT_THAT(PostsynapticActivity(Rule::kHebbian, box),
+  EXPECT_THAT(Postsynaptic(Rule::kHebbian, box),
               ElementsAre(FloatNear(y, 1e-6f), FloatNear(-y, 1e-6f)));
 }
 
@@ -41,7 +48,7 @@ TEST(PostsynapticActivityTest, PolicyGradientIsTheScoreOfADiscreteAction) {
         ChooseAction(kHead, ActionSpace::Discrete(2), std::vector<float>{0.5f}, sampled, random);
     const float p = 1.0f / (1.0f + std::exp(-0.5f));  // of action 0, at temperature 2
     const float y = choice.action.discrete == 0 ? 1 - p : -p;
-    EXPECT_THAT(PostsynapticActivity(Rule::kPolicyGradient, choice),
+    EXPECT_THAT(Postsynaptic(Rule::kPolicyGradient, choice),
                 ElementsAre(FloatNear(y, 1e-6f), FloatNear(-y, 1e-6f)));
   }
 }
@@ -53,7 +60,7 @@ TEST(PostsynapticActivityTest, PolicyGradientIsTheStandardisedNoiseOfABoxAction)
   const auto score = [&](size_t i, float z) {
     return (std::atanh(choice.action.continuous[i]) - z) / 0.25f;
   };
-  const std::vector<float> y = PostsynapticActivity(Rule::kPolicyGradient, choice);
+  const std::vector<float> y = Postsynaptic(Rule::kPolicyGradient, choice);
   EXPECT_THAT(y, ElementsAre(FloatNear(score(0, 0.5f), 1e-4f), FloatNear(score(1, -0.5f), 1e-4f)));
   EXPECT_NE(y[0], 0.0f);
 }

@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <vector>
 
 #include "core/math/counter_random.h"
 
@@ -17,7 +16,7 @@ class ReturnGuardTest : public ::testing::Test {
   // A window of episodes that all return `level`, played on a head at `delta`; whether the guard
   // rolled it back at the end, and only there.
   bool Window(double level, float delta) {
-    delta_ = {delta, delta};
+    delta_.setConstant(delta);
     bool rolled_back = false;
     for (size_t i = 0; i < ReturnGuard::kWindow; ++i) {
       EXPECT_FALSE(rolled_back);
@@ -26,7 +25,7 @@ class ReturnGuardTest : public ::testing::Test {
     return rolled_back;
   }
 
-  std::vector<float> delta_ = {0.0f, 0.0f};
+  Eigen::VectorXf delta_ = Eigen::VectorXf::Zero(2);
   ReturnGuard guard_ = ReturnGuard::New(delta_);
 };
 
@@ -35,7 +34,7 @@ TEST_F(ReturnGuardTest, ABadWindowBringsBackTheHeadThatTheLastGoodOneBeganWith) 
   EXPECT_FALSE(Window(200, 2));  // began at 1
   EXPECT_FALSE(Window(197, 3));  // within the margin; began at 2
   EXPECT_TRUE(Window(195, 4));
-  EXPECT_EQ(delta_, std::vector<float>({2, 2}));
+  EXPECT_EQ(delta_, Eigen::VectorXf::Constant(2, 2));
   EXPECT_EQ(guard_.rollbacks, 1);
   EXPECT_FALSE(Window(200, 2));
   EXPECT_FALSE(guard_.on_probation);
@@ -45,9 +44,9 @@ TEST_F(ReturnGuardTest, ASecondBadWindowBringsBackThePolicysHeadAndMeasuresAnew)
   EXPECT_FALSE(Window(-100, 1));
   EXPECT_FALSE(Window(-100, 2));
   EXPECT_TRUE(Window(-150, 3));
-  EXPECT_EQ(delta_, std::vector<float>({1, 1}));
+  EXPECT_EQ(delta_, Eigen::VectorXf::Constant(2, 1));
   EXPECT_TRUE(Window(-150, 1));
-  EXPECT_EQ(delta_, std::vector<float>({0, 0}));
+  EXPECT_EQ(delta_, Eigen::VectorXf::Zero(2));
   EXPECT_FALSE(Window(-150, 0));  // the new reference
   EXPECT_FALSE(Window(-150, 1));
   EXPECT_EQ(guard_.rollbacks, 2);
@@ -55,7 +54,7 @@ TEST_F(ReturnGuardTest, ASecondBadWindowBringsBackThePolicysHeadAndMeasuresAnew)
 
 TEST_F(ReturnGuardTest, NoiseIsForgiven) {
   for (int i = 0; i < 200; ++i) {
-    delta_ = {1.0f, 1.0f};
+    delta_.setOnes();
     const double noise = UniformDouble(RandomBits({static_cast<uint64_t>(i)}));
     EXPECT_FALSE(guard_.OnEpisode(100 + 50 * noise, kMargin, &delta_)) << i;
   }

@@ -11,8 +11,14 @@ thread_local int64_t allocations = 0;
 
 int64_t spikeserve::Allocations() { return allocations; }
 
-void* operator new(size_t size) {
+// The linker's --wrap=malloc sends calls of malloc to __wrap_malloc.
+extern "C" void* __real_malloc(size_t size);
+extern "C" void* __wrap_malloc(size_t size) {
   ++allocations;
+  return __real_malloc(size);
+}
+
+void* operator new(size_t size) {
   if (void* memory = std::malloc(size)) return memory;
   throw std::bad_alloc();
 }

@@ -1,4 +1,5 @@
-// Counts what a thread allocates. Linking it replaces operator new in the whole program.
+// Counts the allocations of a thread. Linking it replaces operator new in the whole program.
+// malloc, which Eigen calls directly, is counted in the objects that are linked with --wrap=malloc.
 #ifndef TESTS_UNIT_SESSION_ALLOCATION_COUNTER_H_
 #define TESTS_UNIT_SESSION_ALLOCATION_COUNTER_H_
 
@@ -6,7 +7,7 @@
 
 namespace spikeserve {
 
-// Allocations of the calling thread since it started.
+// Returns the number of allocations of the calling thread since it started.
 int64_t Allocations();
 
 }  // namespace spikeserve

@@ -57,8 +57,8 @@ TEST_F(FleetSessionTest, EpisodesPlayedOnOneHeadLeaveTheSameHeadInAnyOrder) {
     for (size_t i = 0; i < agents.size(); ++i) End(agents[reversed ? agents.size() - 1 - i : i]);
     return served_->fleet->Read()->delta;
   };
-  const std::vector<float> forwards = play(false), backwards = play(true);
-  for (size_t i = 0; i < forwards.size(); ++i) {
+  const Eigen::VectorXf forwards = play(false), backwards = play(true);
+  for (Eigen::Index i = 0; i < forwards.size(); ++i) {
     EXPECT_NEAR(forwards[i], backwards[i], FleetHead::kMergeTolerance);
   }
 }

@@ -118,14 +118,14 @@ TEST_P(LearningSessionTest, TheHeadMovesWhenItsModulatorIsKnown) {
   Play(agent, 0, 10);
   const bool each_decision = GetParam().learning.modulator == Modulator::kTarget;
   EXPECT_EQ(agent.HeadDrift() > 0.0, each_decision && GetParam().learning.scope == Scope::kSession);
-  EXPECT_GT(agent.session().learner->trace.Norm(), 0.0);
+  EXPECT_GT(agent.session().learner->trace.norm(), 0.0);
   const auto summary = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
   ASSERT_TRUE(summary.ok() && summary->learning.has_value());
   EXPECT_EQ(summary->learning->updates, each_decision ? 10 : 1);
   EXPECT_EQ(summary->learning->rejected, 0);
   EXPECT_GT(summary->learning->head_drift, 0.0);
   EXPECT_EQ(summary->learning->head_drift, agent.HeadDrift());
-  EXPECT_EQ(agent.session().learner->trace.Norm(), 0.0);
+  EXPECT_EQ(agent.session().learner->trace.norm(), 0.0);
 }
 
 TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {

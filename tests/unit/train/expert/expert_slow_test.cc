@@ -22,7 +22,7 @@ TEST_P(FullExpertTest, LandsWithinOnePercent) {
   const auto& [environment, name, mean_return] = GetParam();
   const ExpertOptions options = {.environment = environment, .name = name};
   const std::unique_ptr<Expert> expert = *MakeExpert(options);
-  const ReturnStatistics found = StatisticsOf(*EvaluateExpert(*expert, environment, 1000, 0));
+  const ReturnSummary found = StatisticsOf(*EvaluateExpert(*expert, environment, 1000, 0));
   EXPECT_NEAR(found.mean, mean_return, 0.01 * std::abs(mean_return));
 }
 
