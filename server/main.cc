@@ -24,7 +24,8 @@ void AddFlags(Command program, ServerOptions* options) {
            "Address of the status page and /metrics; empty: none")
       .Add("max_message_bytes", "BYTES", &options->max_message_bytes, "Largest gRPC request")
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
-           "Time for calls in flight to finish at shutdown");
+           "Time for calls in flight to finish at shutdown")
+      .Add("log_format", EnumKind<LogFormat>(), &options->log_format, "Form of the log's lines");
   program.Flags("Policies")
       .Add("policies", "DIR", &options->policies,
            "Policies: DIR/<policy>/<version>/policy.safetensors")
@@ -66,6 +67,7 @@ absl::Status Serve(const ServerOptions& options) {
   sigaddset(&stop_signals, SIGINT);
   pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
 
+  SetLogFormat(options.log_format);
   const auto server = Server::Start(options);
   if (!server.ok()) return server.status();
   std::cout << "spikeserve: serving gRPC on " << (*server)->grpc_address() << std::endl;

@@ -8,6 +8,7 @@
 #include "absl/status/status.h"
 #include "absl/time/time.h"
 #include "server/access/tls.h"
+#include "server/base/log.h"
 
 namespace spikeserve {
 
@@ -29,6 +30,8 @@ struct ServerOptions {
   TlsFiles tls;        // for gRPC and HTTP
   std::string tokens;  // file of bearer tokens, see token_file.h; empty: any caller may do anything
   bool insecure_network = false;  // serve other machines without TLS or without tokens
+
+  LogFormat log_format = LogFormat::kText;  // of the lines on standard error
 
   // Returns INVALID_ARGUMENT, which names the flag, what was expected and what was received.
   absl::Status Validate() const;

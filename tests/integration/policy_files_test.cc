@@ -4,6 +4,7 @@
 
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
+#include "nlohmann/json.hpp"
 #include "tests/integration/server_fixture.h"
 #include "tests/support/small_config.h"
 
@@ -110,6 +111,16 @@ TEST_F(PolicyFilesTest, VersionsOrderAsNumbers) {
   v1::OpenSessionResponse opened;
   ASSERT_TRUE(client_->stub().OpenSession(NewContext().get(), request, &opened).ok());
   EXPECT_EQ(opened.version(), 10);
+}
+
+TEST_F(PolicyFilesTest, TheLogIsJsonIfAskedFor) {
+  const std::string path = Write("bad", "this is not a policy");
+  StartServer({"--log_format=json"});
+  const auto line = nlohmann::json::parse(server_->Log(), nullptr, /*allow_exceptions=*/false);
+  ASSERT_TRUE(line.is_object()) << server_->Log();
+  EXPECT_EQ(line["level"], "warning");
+  EXPECT_EQ(line["message"], "policy refused");
+  EXPECT_THAT(line["error"].get<std::string>(), HasSubstr(path));
 }
 
 TEST_F(PolicyFilesTest, NothingToServeIsSaid) {
