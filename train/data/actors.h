@@ -1,6 +1,8 @@
-// Who acts while an episode is recorded, and what would have been right.
+// Actors choose the actions while an episode is recorded, and label each step with the action to
+// imitate.
 //
-// An actor plays one episode; it keeps references to what it was made from.
+// An actor plays one episode. It keeps references to the objects it was made from, which must
+// outlive it.
 #ifndef TRAIN_DATA_ACTORS_H_
 #define TRAIN_DATA_ACTORS_H_
 
@@ -15,37 +17,43 @@
 
 namespace spikeserve {
 
-// One step as an actor sees it.
+// The input of an actor at one step.
 struct View {
   absl::Span<const double> state;       // Environment::state()
   absl::Span<const float> observation;  // [obs]
-  double reward;                        // of the action before, 0 at first
+  double reward;                        // of the previous action; 0 at the first step
 };
 
 struct Decision {
   Action action;
-  absl::optional<Action> label;  // what would have been right; nothing where that is the action
+  absl::optional<Action> label;  // the action to imitate; absent if it is `action` itself
 };
 
 using Actor = std::function<Decision(const View&)>;
 
-// Random bits for a step and a draw within it.
+// Returns random bits for one draw within one step.
 using Draws = std::function<uint64_t(uint64_t step, uint64_t draw)>;
 
+// Bursts of random actions.
 struct Bursts {
-  double rate;  // most; each episode draws its own below: the probability that one begins at a step
-  int longest;  // steps; a burst is 1 to this many random actions
+  // Upper bound of the burst rate, the probability that a burst begins at a step outside one. Each
+  // episode draws its own rate, uniform in [0, rate).
+  double rate;
+  int longest;  // a burst lasts 1 to `longest` steps
 };
 
+// Plays the expert's actions.
 Actor ExpertActor(Expert& expert);
 
-// The expert, but for bursts of random actions; labelled by the expert.
+// Plays the expert's actions, interrupted by bursts of random actions. The labels are the expert's
+// actions.
 Actor DisturbedActor(Expert& expert, const ActionSpace& space, const Bursts& bursts, Draws draws);
 
-// The engine's policy, greedily, asked for `target_return`; labelled by the expert.
+// Plays the engine's policy greedily, conditioned on `target_return`. `seed` keys the Bernoulli
+// coder. The labels are the expert's actions.
 Actor StudentActor(Expert& expert, const Engine& engine, uint64_t seed, double target_return);
 
-// Uniformly random actions.
+// Plays uniformly random actions.
 Actor RandomActor(const ActionSpace& space, Draws draws);
 
 }  // namespace spikeserve

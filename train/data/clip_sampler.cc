@@ -10,7 +10,7 @@
 namespace spikeserve {
 namespace {
 
-// Which draw of a clip.
+// The draws made for one clip; each kind uses random numbers of its own.
 enum DrawKind : uint64_t { kStep = 1, kOffset = 2, kNoise = 3, kNoiseAction = 4 };
 
 uint64_t Below(uint64_t bits, uint64_t bound) { return bits % bound; }

@@ -1,6 +1,7 @@
-// Draws clips of N timesteps from recorded episodes.
+// Draws random clips, runs of n consecutive timesteps, from recorded episodes.
 //
-// Symbols: B clips, n timesteps of a clip, obs observation length, act action head outputs.
+// Symbols: B clips, n timesteps per clip, obs length of an observation, act outputs of the action
+// head.
 #ifndef TRAIN_DATA_CLIP_SAMPLER_H_
 #define TRAIN_DATA_CLIP_SAMPLER_H_
 
@@ -11,28 +12,33 @@
 
 namespace spikeserve {
 
-// Row-major arrays. Where an episode ends before its clip, `mask` is 0 and the rest zero.
+// A batch of clips as row-major arrays. At timesteps after the end of an episode `mask` is 0 and
+// all other arrays but `timesteps` are 0.
 struct Clips {
   int count = 0;                    // B
   int timesteps_per_clip = 0;       // n
   std::vector<float> return_to_go;  // [B, n], environment units
   std::vector<float> observations;  // [B, n, obs], environment units
-  std::vector<float> actions;       // [B, n, act], as ActionSpace::Encode writes them: the tokens
-  std::vector<float> targets;       // [B, n, act], the same: what to imitate
-  std::vector<int64_t> timesteps;   // [B, n], within the episode
-  std::vector<float> mask;          // [B, n], 1 where there is a step
-  std::vector<float> weights;       // [B, n], of the targets in the loss; 0 where there is no step
+  std::vector<float> actions;      // [B, n, act], the action tokens, encoded by ActionSpace::Encode
+  std::vector<float> targets;      // [B, n, act], the actions to imitate, encoded likewise
+  std::vector<int64_t> timesteps;  // [B, n], counted from the start of the episode
+  std::vector<float> mask;         // [B, n], 1 for a step of the episode, 0 after its end
+  std::vector<float> weights;      // [B, n], weights of the targets in the loss; 0 after the end
 };
+
+// Immutable after construction; const members are safe to call from many threads.
 
 class ClipSampler {
  public:
-  // Clips of `timesteps` from the episodes with these indices. Keeps a reference to `dataset`.
-  // REQUIRES: at least one episode.
+  // Draws clips of `timesteps` timesteps from the episodes of `dataset` with these indices. Keeps a
+  // reference to `dataset`. REQUIRES: at least one episode.
   ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps);
 
-  // `count` clips, a pure function of `key`: an episode by its length, in it a uniform step, and
-  // the clip's begin uniform among the n that hold that step (but not before the episode's). With
-  // probability `action_noise` an action token is replaced by a random one; targets stay.
+  // Draws `count` clips; a pure function of `key` and the other arguments. For each clip draws one
+  // step uniformly from all steps of the episodes, then the clip's first step uniformly from the n
+  // positions at which the clip contains that step, clamped to the start of the episode. Replaces
+  // each action token by a random action with probability `action_noise`; the targets are not
+  // changed.
   Clips Sample(uint64_t key, int count, double action_noise) const;
 
  private:
@@ -47,16 +53,17 @@ class ClipSampler {
   const Dataset& dataset_;
   const std::vector<int> episodes_;
   const int timesteps_;
-  std::vector<int64_t> steps_before_;              // steps in episodes before each, then in all
+  std::vector<int64_t> steps_before_;  // per episode: steps in those before it; last: total
   std::vector<std::vector<float>> returns_to_go_;  // per episode
 };
 
-// Episode indices for training and for validation: of each actor's episodes, the last `fraction`
-// (rounded up, but never all) is held out.
+// Indices of the episodes for training and for validation.
 struct Split {
   std::vector<int> training;
   std::vector<int> validation;
 };
+// Holds out the last `fraction` of each actor's episodes for validation, rounded up but never all
+// of them.
 Split SplitEpisodes(const Dataset& dataset, double fraction);
 
 }  // namespace spikeserve

@@ -1,6 +1,6 @@
-// What training computes from recorded episodes.
+// Quantities that training computes from recorded episodes.
 //
-// Free functions; safe to call from many threads.
+// Pure functions; safe to call from many threads.
 #ifndef TRAIN_DATA_DATASET_H_
 #define TRAIN_DATA_DATASET_H_
 
@@ -10,11 +10,11 @@
 
 namespace spikeserve {
 
-// [steps]: G_t = r_t + r_{t+1} + ... to the end of the episode; or, where a return was asked for,
-// what is left of that.
+// Computes the return-to-go of every step, [steps]: G_t = r_t + r_{t+1} + ... up to the end of the
+// episode. If the episode has an asked_return R, G_t = R - (r_0 + ... + r_{t-1}) instead.
 std::vector<float> ReturnsToGo(const Episode& episode);
 
-// Mean and deviation of every observation entry over all steps, both [obs].
+// Mean and standard deviation of each observation entry over all steps, both [obs].
 struct Moments {
   std::vector<float> mean;
   std::vector<float> std;  // > 0

@@ -9,7 +9,7 @@
 namespace spikeserve {
 namespace {
 
-// An identifier of the library and how it is given back.
+// Owns an identifier of the HDF5 library and releases it with `close`.
 class Handle {
  public:
   Handle(hid_t id, herr_t (*close)(hid_t)) : id_(id), close_(close) {}
@@ -18,14 +18,14 @@ class Handle {
   ~Handle() {
     if (id_ >= 0) close_(id_);
   }
-  operator hid_t() const { return id_; }  // NOLINT: used as one
+  operator hid_t() const { return id_; }  // NOLINT: implicit, to pass it to the library
 
  private:
   const hid_t id_;
   herr_t (*const close_)(hid_t);
 };
 
-// NumPy's bool: an enumeration over a byte.
+// Creates the type that NumPy's bool is stored as: an enumeration over one byte.
 hid_t MakeBoolType() {
   const hid_t type = H5Tenum_create(H5T_NATIVE_INT8);
   const int8_t no = 0, yes = 1;
@@ -65,7 +65,8 @@ Hdf5Shape ShapeOf(hid_t space) {
   return shape;
 }
 
-// Errors come back as results; the library's own report on standard error says nothing more.
+// Turns off the library's error reports on standard error. Errors are returned as statuses, and the
+// reports add nothing to them.
 void Silence() { H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr); }
 
 hid_t MakeStringType() {
@@ -110,7 +111,7 @@ absl::Status Hdf5File::CreateGroup(const std::string& name) {
 }
 
 bool Hdf5File::Exists(const std::string& name) const {
-  // The library wants every group on the way to exist.
+  // H5Lexists fails unless every group on the path exists, so each is checked in turn.
   for (size_t end = name.find('/'); end != std::string::npos; end = name.find('/', end + 1)) {
     if (H5Lexists(id_, name.substr(0, end).c_str(), H5P_DEFAULT) <= 0) return false;
   }

@@ -1,7 +1,8 @@
-// What Minari's layout needs of HDF5: groups, attributes and one- or two-dimensional arrays.
+// Reads and writes the parts of HDF5 that Minari's layout needs: groups, attributes and arrays of
+// one or two dimensions.
 //
-// The HDF5 library is not thread-safe: one thread of a process at a time. Errors name the path and
-// the object within.
+// Not thread-safe, like the HDF5 library: only one thread of a process may use it at a time. Errors
+// name the file's path and the object in the file.
 #ifndef TRAIN_DATA_HDF5_FILE_H_
 #define TRAIN_DATA_HDF5_FILE_H_
 
@@ -17,10 +18,10 @@
 
 namespace spikeserve {
 
-// Rows of numbers: [rows], or [rows, columns].
+// The shape of an array: [rows], or [rows, columns].
 struct Hdf5Shape {
   int64_t rows = 0;
-  absl::optional<int64_t> columns;  // nothing where there is one dimension
+  absl::optional<int64_t> columns;  // absent if the array has one dimension
 
   int64_t size() const { return rows * columns.value_or(1); }
 };
@@ -33,15 +34,16 @@ struct Hdf5Array {
 
 class Hdf5File {
  public:
-  // A new file in place of any old one.
+  // Creates a file and overwrites an existing one. Returns UNAVAILABLE if it cannot be written.
   static absl::StatusOr<Hdf5File> Create(const std::string& path);
+  // Opens a file for reading. Returns NOT_FOUND if it cannot be read as HDF5.
   static absl::StatusOr<Hdf5File> Open(const std::string& path);
 
   Hdf5File(Hdf5File&& other) noexcept;
   Hdf5File& operator=(Hdf5File&& other) = delete;
   ~Hdf5File();
 
-  // Names are paths within the file, such as "episode_0/observations".
+  // `name` is a path within the file, such as "episode_0/observations", here and below.
   absl::Status CreateGroup(const std::string& name);
   bool Exists(const std::string& name) const;
 
@@ -49,27 +51,31 @@ class Hdf5File {
   absl::Status WriteAttribute(const std::string& object, const std::string& name, double value);
   absl::Status WriteAttribute(const std::string& object, const std::string& name,
                               const std::string& value);
-  // NOT_FOUND if there is none of that name; INVALID_ARGUMENT if it is of another type.
+  // Reads an attribute. Returns NOT_FOUND if it does not exist, INVALID_ARGUMENT if it has another
+  // type.
   absl::StatusOr<int64_t> ReadInteger(const std::string& object, const std::string& name) const;
   absl::StatusOr<double> ReadDouble(const std::string& object, const std::string& name) const;
   absl::StatusOr<std::string> ReadString(const std::string& object, const std::string& name) const;
 
-  // T: float, double, int64_t, or uint8_t for NumPy's bool. REQUIRES: values is [shape.size()].
+  // Writes an array. T is float, double, int64_t, or uint8_t, which is stored as NumPy's bool.
+  // REQUIRES: values is [shape.size()].
   template <typename T>
   absl::Status Write(const std::string& name, const Hdf5Shape& shape, absl::Span<const T> values);
-  // Numbers of any width, converted to T (float, double, int64_t). More than two dimensions are one
-  // row of columns for each of the first.
+  // Reads an array of numbers of any type and converts them to T: float, double or int64_t. An
+  // array of more than two dimensions is flattened to [first dimension, product of the others].
+  // Returns NOT_FOUND if it does not exist.
   template <typename T>
   absl::StatusOr<Hdf5Array<T>> Read(const std::string& name) const;
-  // NumPy's bool, or integers.
+  // Reads an array of NumPy's bool type or of integers. Returns NOT_FOUND if it does not exist.
   absl::StatusOr<std::vector<bool>> ReadBools(const std::string& name) const;
 
-  // Flushes and closes; the object is empty afterwards.
+  // Flushes and closes the file. Returns UNAVAILABLE if that fails. REQUIRES: nothing else is
+  // called afterwards but the destructor.
   absl::Status Close();
 
  private:
   Hdf5File(std::string path, int64_t id) : path_(std::move(path)), id_(id) {}
-  // `type` is a native number's, `value` points to one.
+  // `type` is the HDF5 identifier of a native number type; `value` points to a number of that type.
   absl::Status WriteNumber(const std::string& object, const std::string& name, int64_t type,
                            const void* value);
   absl::Status ReadNumber(const std::string& object, const std::string& name, int64_t type,

@@ -26,9 +26,10 @@ using Json = nlohmann::ordered_json;
 
 constexpr char kMetadata[] = "/data/metadata.json";
 constexpr char kData[] = "/data/main_data.hdf5";
-constexpr char kOwn[] = "spikeserve";  // key of our own metadata
+constexpr char kOwn[] = "spikeserve";  // key of this project's metadata
 
-// What Gymnasium makes the environment from; null where the environment is not one of its own.
+// Returns the specification from which Gymnasium creates the environment, or null if the
+// environment is not one of Gymnasium's.
 Json EnvironmentSpec(const std::string& id) {
   static constexpr std::pair<const char*, const char*> kClasses[] = {
       {"CartPole-v1", "CartPoleEnv"},
@@ -45,7 +46,7 @@ Json EnvironmentSpec(const std::string& id) {
   return nullptr;
 }
 
-// "name-v0" is a dataset's id.
+// Returns the last component of `directory` if it is a valid dataset id, such as "name-v0".
 absl::StatusOr<std::string> DatasetId(const std::string& directory) {
   std::filesystem::path path = directory;
   if (!path.has_filename()) path = path.parent_path();
@@ -59,8 +60,8 @@ absl::StatusOr<std::string> DatasetId(const std::string& directory) {
       directory, ": expected a directory named like a Minari dataset, NAME-v0, received ", id));
 }
 
-// A Box without bounds: what a dataset holds, not what an environment may show. JSON as Python
-// writes it, because JSON proper has no infinity.
+// Returns a Box without bounds: a dataset does not tell the bounds of its environment. Written in
+// Python's dialect of JSON, because standard JSON has no infinity.
 std::string UnboundedBox(int size) {
   const std::vector<std::string> low(size, "-Infinity"), high(size, "Infinity");
   return absl::StrCat(R"({"type": "Box", "dtype": "float32", "shape": [)", size, R"(], "low": [)",
@@ -147,14 +148,15 @@ class Writer {
     status_.Update(file_.Write<float>(name, {count, dataset_.action_space.size()}, values));
   }
 
-  // True at the last step, if `ended`.
+  // Writes an array of bools [steps]: false, except for the last one, which is `ended`.
   void WriteLast(const std::string& name, int64_t steps, bool ended) {
     std::vector<uint8_t> values(steps);
     values.back() = ended ? 1 : 0;
     status_.Update(file_.Write<uint8_t>(name, {steps, {}}, values));
   }
 
-  // Infos are of every observation, and the last one has no action: it repeats the one before.
+  // Infos belong to observations, of which there is one more than actions: the last observation
+  // repeats the info of the previous one.
   void WriteInfos(const std::string& group, const Episode& episode) {
     if (episode.labels.empty() && episode.weights.empty() && !episode.served.has_value()) return;
     status_.Update(file_.CreateGroup(group));
@@ -171,7 +173,8 @@ class Writer {
     if (episode.served.has_value()) WriteReturnsToGo(group + "/return_to_go", episode);
   }
 
-  // What each decision was conditioned on; after the last action G_T = G_{T-1} - r_{T-1}.
+  // Writes the return-to-go that each decision was conditioned on; after the last action it is G_T
+  // = G_{T-1} - r_{T-1}.
   void WriteReturnsToGo(const std::string& name, const Episode& episode) {
     std::vector<float> returns = episode.served->returns_to_go;
     returns.push_back(
@@ -184,7 +187,8 @@ class Writer {
   absl::Status status_;
 };
 
-// Parses JSON as Python writes it, with infinities: a number beyond any float stands for them.
+// Parses Python's dialect of JSON. Infinities, which standard JSON lacks, become +-1e300, which is
+// beyond the range of float.
 absl::StatusOr<nlohmann::json> ParsePython(absl::string_view field, absl::string_view text) {
   return ParseJsonObject(field, absl::StrReplaceAll(text, {{"Infinity", "1e300"}}));
 }
@@ -209,11 +213,11 @@ absl::Status AppendBounds(absl::string_view field, const nlohmann::json& json,
   return status;
 }
 
-// A space as Gymnasium's serialisation in Minari describes it.
+// A space as described by Minari's serialisation of Gymnasium spaces.
 struct SpaceDescription {
   std::string type;
   std::vector<int> shape;  // Box
-  nlohmann::json low;      // Box: a number, or a nested list of them
+  nlohmann::json low;      // Box: a number, or a nested list of numbers
   nlohmann::json high;
   int n = 0;  // Discrete
   int start = 0;
@@ -222,7 +226,7 @@ struct SpaceDescription {
     return std::accumulate(shape.begin(), shape.end(), 1, std::multiplies<int>());
   }
 
-  // Returns a bound for each entry of a Box.
+  // Returns one bound per entry of a Box; repeats a single number for all entries.
   absl::StatusOr<std::vector<float>> Bounds(absl::string_view field,
                                             const nlohmann::json& json) const {
     std::vector<float> bounds;
@@ -273,11 +277,11 @@ absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
   return space;
 }
 
-// What a dataset's metadata.json says.
+// The contents of a dataset's metadata.json.
 struct Description {
-  Dataset dataset;  // without episodes
+  Dataset dataset;  // without its episodes
   int episodes = 0;
-  bool ours = false;  // whether this project wrote it
+  bool ours = false;  // whether this project wrote the dataset
 };
 
 absl::StatusOr<Description> ReadDescription(const nlohmann::json& metadata) {
@@ -328,7 +332,7 @@ absl::StatusOr<Description> ReadDescription(const nlohmann::json& metadata) {
 
 class Reader {
  public:
-  // `ours`: this project wrote the file.
+  // `ours` tells whether this project wrote the file.
   Reader(const Hdf5File& file, bool ours, Dataset* dataset)
       : file_(file), ours_(ours), dataset_(*dataset) {}
 
@@ -357,7 +361,7 @@ class Reader {
       if (!values.ok()) return values.status();
       *ended = !values->empty() && values->back();
     }
-    // What others keep in infos has no meaning here.
+    // The infos of foreign datasets have no known meaning.
     if (ours_) {
       if (auto status = ReadInfos(group + "/infos", &episode); !status.ok()) return status;
     }

@@ -1,10 +1,10 @@
-// Datasets in Minari's layout (0.5): DIR/data/main_data.hdf5 and DIR/data/metadata.json, where DIR
-// is <Minari's root>/<dataset id>.
+// Reads and writes datasets in Minari's layout (version 0.5): DIR/data/main_data.hdf5 and
+// DIR/data/metadata.json, where DIR is <Minari's root>/<dataset id>.
 //
-// Written and read are episodes of one Box observation (flattened) and a Discrete or Box action.
-// What Minari does not know is kept where it lets others keep things: who acted as attributes of
-// an episode, labels, weights and return-to-go as infos, environment and recipe as metadata. Not
-// thread-safe.
+// Supports episodes with one Box observation, which is flattened, and a Discrete or Box action.
+// Data that Minari has no field for use its extension points: the actor is an attribute of the
+// episode; labels, weights and returns-to-go are infos; environment and recipe are in the metadata.
+// Not thread-safe.
 #ifndef TRAIN_DATA_MINARI_FILE_H_
 #define TRAIN_DATA_MINARI_FILE_H_
 
@@ -16,15 +16,18 @@
 
 namespace spikeserve {
 
-// Makes `directory` if need be and replaces what it holds. Its last component is the dataset's id,
-// such as "cartpole-expert-v0": INVALID_ARGUMENT unless it ends in -v and a number.
+// Writes `dataset` to `directory`; creates the directory if needed and replaces a dataset that is
+// already there. The last component of `directory` is the dataset's id, such as
+// "cartpole-expert-v0". Returns INVALID_ARGUMENT unless the id ends in "-v" and a number,
+// UNAVAILABLE if a file cannot be written.
 absl::Status WriteMinariDataset(const Dataset& dataset, const std::string& directory);
 
-// Whether `path` is a directory that looks like a Minari dataset.
+// Returns whether `path` is a directory with the metadata file of a Minari dataset.
 bool IsMinariDataset(const std::string& path);
 
-// Any Minari dataset of such spaces, ours or not; one from elsewhere has the environment of its
-// env_spec, or else its id, and the actor "unknown". Errors start with the path.
+// Reads a Minari dataset with these spaces, written by this project or by any other program. The
+// environment of a foreign dataset is the id in its env_spec, or the dataset's id if it has none;
+// its actor is "unknown". Errors start with the path.
 absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory);
 
 }  // namespace spikeserve

@@ -1,6 +1,6 @@
-// A policy that plays one episode, greedily.
+// Plays one episode with a policy, greedily.
 //
-// Not thread-safe; the engine may be shared.
+// Not thread-safe. Several players on different threads may share an engine.
 #ifndef TRAIN_DATA_POLICY_PLAYER_H_
 #define TRAIN_DATA_POLICY_PLAYER_H_
 
@@ -15,7 +15,8 @@
 
 namespace spikeserve {
 
-// INVALID_ARGUMENT if the policy's observations or actions are not the environment's.
+// Returns INVALID_ARGUMENT unless the policy's observation size and action space equal the
+// environment's.
 absl::Status CheckFits(const Policy& policy, const Environment& environment);
 
 class PolicyPlayer {
@@ -23,10 +24,11 @@ class PolicyPlayer {
   // Keeps a reference to `engine`. `seed` keys the Bernoulli coder.
   PolicyPlayer(const Engine& engine, uint64_t seed, double target_return);
 
-  // The action at the next step. `reward` is the previous action's, and ignored at first.
+  // Decides the next action. `reward` is the reward of the previous action; it is ignored at the
+  // first step.
   Action Act(absl::Span<const float> observation, double reward);
 
-  // What the last decision took.
+  // Returns the spikes and operations of the last decision.
   const Counts& counts() const { return output_.counts; }
 
  private:
@@ -34,7 +36,7 @@ class PolicyPlayer {
   const std::unique_ptr<Engine::Context> context_;
   double return_to_go_;
   Engine::Output output_;
-  std::vector<float> encoded_;  // [act], the previous action; empty before the first
+  std::vector<float> encoded_;  // [act], the previous action; empty before the first decision
 };
 
 }  // namespace spikeserve

@@ -21,7 +21,7 @@
 namespace spikeserve {
 namespace {
 
-// First part of every key of the counter-based generator, so that no two uses share draws.
+// First part of every key of the counter-based generator, so that no two uses share random numbers.
 enum Stream : uint64_t {
   kExpertSeeds = 1,
   kRandomSeeds = 2,
@@ -33,8 +33,8 @@ enum Stream : uint64_t {
   kStudentSeeds = 8
 };
 
-// From where `environment` was reset to. `weigh` gives a label's weight, or is null where all
-// are 1.
+// Records an episode that starts from the environment's current state; `observation` is the first
+// observation. `weigh` returns the weight of a state's label; null: all weights are 1.
 Episode RecordEpisode(Environment& environment, std::vector<float> observation, const Actor& actor,
                       const std::function<double(absl::Span<const double>)>& weigh) {
   Episode episode;
@@ -56,18 +56,19 @@ Episode RecordEpisode(Environment& environment, std::vector<float> observation, 
   return episode;
 }
 
-// Episodes of one kind: who acts in them and how they start.
+// One kind of episodes: its actor, its number of steps and its initial states.
 struct Source {
   std::string actor;
-  Stream seeds;  // the stream of their seeds
+  Stream seeds;  // the stream that the environment seeds are drawn from
   int steps;
-  // `asked` is the return that the expert is asked for, if it is asked.
+  // `asked` is the return that the expert aims for, from Expert::BeginEpisode().
   std::function<Actor(uint64_t episode, std::optional<double> asked)> make_actor;
-  // From the initial state of the episode's seed to the one it starts from.
+  // Changes the initial state that the environment drew for the episode's seed. Null: no change.
   std::function<void(uint64_t episode, std::vector<double>& state)> move_start = nullptr;
 };
 
-// With the options' probability, replaces Pendulum's velocity by any it can have.
+// With probability wide_start_fraction, replaces Pendulum's velocity by a uniform draw from all
+// possible velocities.
 void WidenStart(const RecordOptions& options, uint64_t episode, std::vector<double>& state) {
   const auto uniform = [&](uint64_t draw) {
     return UniformDouble(RandomBits({kWideStarts, options.seed, episode, draw}));
@@ -82,7 +83,7 @@ absl::Status CheckFraction(absl::string_view name, double fraction, double most 
       absl::StrCat(name, ": expected 0 to ", most, ", received ", fraction));
 }
 
-// Records all the sources of a dataset, one after the other.
+// Records all sources of a dataset, one after the other.
 class Recorder {
  public:
   Recorder(const RecordOptions& options, std::unique_ptr<Environment> environment,
@@ -146,7 +147,7 @@ class Recorder {
                  asked.value_or(static_cast<double>(engine_->policy().target_return)));
            }});
     } else {
-      // One sequence of draws for all random episodes.
+      // All random episodes share one sequence of random numbers.
       sources.push_back(
           {"random", kRandomSeeds, rest, [this, &space](uint64_t, std::optional<double>) {
              return RandomActor(space, [this](uint64_t, uint64_t) {
@@ -157,7 +158,8 @@ class Recorder {
     return sources;
   }
 
-  // Adds episodes until they hold the source's steps; returns how many they hold.
+  // Adds episodes to `dataset` until they have at least source.steps steps, and returns their
+  // number of steps.
   int RecordSteps(const Source& source, Dataset* dataset) {
     std::function<double(absl::Span<const double>)> weigh;
     if (options_.weigh) {
@@ -190,7 +192,7 @@ class Recorder {
   const RecordOptions& options_;
   const std::unique_ptr<Environment> environment_;
   const std::unique_ptr<Expert> expert_;
-  const std::unique_ptr<Engine> engine_;  // of the student; null without one
+  const std::unique_ptr<Engine> engine_;  // the student's engine; null without a student
   uint64_t random_draws_ = 0;
 };
 
@@ -201,7 +203,8 @@ absl::Status RecordOptions::Validate() const {
     return absl::InvalidArgumentError(absl::StrCat("steps: expected at least 1, received ", steps));
   }
   absl::Status status = CheckFraction("expert_fraction", expert_fraction);
-  // The sum of shares such as 0.9 and 0.1 may round to a little more than 1.
+  // The tolerance allows for rounding: the sum of fractions such as 0.9 and 0.1 may exceed 1
+  // slightly.
   status.Update(CheckFraction("disturbed_fraction", disturbed_fraction,
                               std::max(0.0, 1.0 - expert_fraction + 1e-9)));
   status.Update(CheckFraction("burst_rate", burst_rate));

@@ -1,5 +1,5 @@
-// Parts of a trained policy switched off, to see what they were worth to it. Pure functions of
-// plain values.
+// Switches off parts of a trained policy, to measure how much each part contributes. Pure functions
+// of plain values.
 #ifndef TRAIN_EVALUATION_ABLATION_H_
 #define TRAIN_EVALUATION_ABLATION_H_
 
@@ -10,12 +10,13 @@
 namespace spikeserve {
 
 // Switches off one part of `policy`:
-//   context    attention reaches the present timestep alone (N = 1)
-//   attention  all tokens in reach count the same: c_h = 0
-//   phase      phase spikes reach no synapse
-//   routing    all heads count the same: constant gates
-//   return     the return token says nothing: G reads as the policy's return_offset
-// INVALID_ARGUMENT names the parts there are, or says that a policy of this mode has no such part.
+//   context    attention is limited to the current timestep (N = 1)
+//   attention  all tokens in the window have the same weight: c_h = 0
+//   phase      the weights of the phase spikes are 0
+//   routing    all heads have the same, constant gate
+//   return     the return token is constant: G always equals the policy's return_offset
+// Returns INVALID_ARGUMENT for an unknown part, with the known ones, or for a part that a policy of
+// this mode does not have.
 absl::Status Ablate(absl::string_view part, Policy* policy);
 
 }  // namespace spikeserve

@@ -14,8 +14,8 @@
 namespace spikeserve {
 namespace {
 
-// Tokens that were computed: three a decision, but two at an episode's first, which no action
-// precedes.
+// Returns the number of computed tokens: three per decision, but two at the first decision of an
+// episode, which has no previous action.
 double NewTokens(const Evaluation& evaluation) {
   return 3.0 * static_cast<double>(evaluation.decisions) -
          static_cast<double>(evaluation.returns.size());

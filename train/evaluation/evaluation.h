@@ -1,4 +1,4 @@
-// Plays a policy in closed loop, through the engine that serves it.
+// Plays a policy in closed loop in its environment, with the same engine that the server uses.
 #ifndef TRAIN_EVALUATION_EVALUATION_H_
 #define TRAIN_EVALUATION_EVALUATION_H_
 
@@ -26,23 +26,24 @@ struct Evaluation {
   std::string environment;
   std::vector<double> returns;  // per episode
   uint64_t decisions = 0;
-  Counts counts;  // over all decisions
+  Counts counts;  // sums over all decisions
 
   double mean_return() const;
-  double std_return() const;  // of the episodes, divided by their number
+  double std_return() const;  // population standard deviation over the episodes: divided by n
   double spikes_per_decision() const;
 };
 
-// Acts greedily, conditioned on the policy's target return. INVALID_ARGUMENT if the policy does not
-// fit its environment, NOT_FOUND if there is no such environment.
+// Plays the policy greedily, conditioned on its target return. Returns INVALID_ARGUMENT for invalid
+// options or if the policy does not fit its environment, NOT_FOUND for an unknown environment.
 absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
                                     const EvaluationOptions& options);
 
-// Every figure with its denominator in its name: per decision (its three new tokens), per token and
-// tick (the paper's S-bar), and per window (N decisions, the paper's "inference").
+// Converts an evaluation to JSON. The name of every figure states its denominator: per decision
+// (its three new tokens), per token and tick (the paper's S-bar), or per window (N decisions, the
+// paper's "inference").
 nlohmann::ordered_json ToJson(const Evaluation& evaluation, const ModelConfig& config);
 
-// The same, for people.
+// Formats an evaluation as text for the terminal.
 std::string ToText(const Evaluation& evaluation, const ModelConfig& config);
 
 }  // namespace spikeserve

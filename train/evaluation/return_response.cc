@@ -11,6 +11,7 @@
 namespace spikeserve {
 namespace {
 
+// Returns the rank of every value; tied values get the mean of their ranks.
 std::vector<double> Ranks(absl::Span<const double> values) {
   std::vector<size_t> order(values.size());
   std::iota(order.begin(), order.end(), size_t{0});
@@ -23,6 +24,7 @@ std::vector<double> Ranks(absl::Span<const double> values) {
   return ranks;
 }
 
+// Returns Pearson's correlation; 0 if x or y is constant.
 double Correlation(absl::Span<const double> x, absl::Span<const double> y) {
   const Eigen::VectorXd a = AsVector(x).array() - AsVector(x).mean();
   const Eigen::VectorXd b = AsVector(y).array() - AsVector(y).mean();

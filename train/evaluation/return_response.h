@@ -1,4 +1,4 @@
-// How the return that is achieved follows the return that is asked for.
+// Measures how the achieved return follows the target return that a policy is conditioned on.
 #ifndef TRAIN_EVALUATION_RETURN_RESPONSE_H_
 #define TRAIN_EVALUATION_RETURN_RESPONSE_H_
 
@@ -14,22 +14,24 @@
 namespace spikeserve {
 
 struct ReturnResponse {
-  std::vector<double> asked;
-  std::vector<Evaluation> evaluations;  // one for each return asked for
+  std::vector<double> asked;            // the target returns
+  std::vector<Evaluation> evaluations;  // one per target return
 
-  // Spearman's, between asked and achieved over all episodes; 0 where either never varies.
+  // Returns Spearman's rank correlation between target and achieved return over all episodes; 0 if
+  // either is constant.
   double rank_correlation() const;
-  // Mean over all episodes of |achieved - asked|, as a share of the range of what was asked.
+  // Returns the mean of |achieved - target| over all episodes, divided by the range of the targets.
   double mean_error() const;
 };
 
-// Plays the same starts for every return in `asked`. INVALID_ARGUMENT for fewer than two different
-// ones, or as Evaluate.
+// Plays episodes from the same seeds for every target return in `asked`. Returns INVALID_ARGUMENT
+// for fewer than two different targets, or an error of Evaluate.
 absl::StatusOr<ReturnResponse> MeasureReturnResponse(const Policy& policy,
                                                      absl::Span<const double> asked,
                                                      const EvaluationOptions& options);
 
-// Spearman's rank correlation; ties share the mean of their ranks. REQUIRES: equal lengths.
+// Returns Spearman's rank correlation; tied values get the mean of their ranks. REQUIRES: x and y
+// have the same length.
 double RankCorrelation(absl::Span<const double> x, absl::Span<const double> y);
 
 nlohmann::ordered_json ToJson(const ReturnResponse& response);

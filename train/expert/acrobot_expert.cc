@@ -1,6 +1,7 @@
-// Acrobot: the number of steps to the goal, fitted on 72 x 72 x 57 x 57 points. So coarse a table
-// ranks states better than it values them: the beam search that uses it as a ranking is near the
-// optimum, depth-4 lookahead and one-step greedy follow.
+// Experts for Acrobot. Their value table is the number of steps to the goal, solved on 72 x 72 x 57
+// x 57 points. Such a coarse table ranks states well but estimates their values poorly: beam
+// search, which uses only the ranking, is close to the optimum; lookahead of depth 4 is worse, and
+// one-step greedy is worst.
 #include <algorithm>
 #include <memory>
 #include <numbers>
@@ -18,7 +19,8 @@ namespace {
 
 using std::numbers::pi;
 
-// Follows a plan as long as the states are those the plan foresaw, to the bit; else plans anew.
+// Follows its plan while the states equal the predicted ones bit for bit; otherwise makes a new
+// plan.
 class BeamExpert final : public Expert {
  public:
   BeamExpert(Problem problem, std::shared_ptr<const ValueTable<4>> table, int width)
@@ -36,7 +38,7 @@ class BeamExpert final : public Expert {
     return action;
   }
 
-  // By the table, which ranks well enough to tell where a choice matters.
+  // Uses the table's values: its ranking is good enough to show in which states a choice matters.
   double Stakes(absl::Span<const double> state) override {
     Grid<4>::State start;
     std::copy_n(state.begin(), start.size(), start.begin());
@@ -51,9 +53,9 @@ class BeamExpert final : public Expert {
   Problem problem_;
   std::shared_ptr<const ValueTable<4>> table_;
   int width_;
-  std::vector<int> plan_;         // choices
-  size_t next_ = 0;               // step of the plan
-  Grid<4>::State foreseen_ = {};  // where that step begins
+  std::vector<int> plan_;         // indices of choices
+  size_t next_ = 0;               // the next step of the plan
+  Grid<4>::State foreseen_ = {};  // the predicted state at the beginning of that step
 };
 
 }  // namespace
@@ -67,8 +69,8 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& o
   for (int torque = 0; torque < 3; ++torque) {
     problem.choices.push_back(Choice::Of({.discrete = torque, .continuous = {}}));
   }
-  // Half the velocities that are possible: none beyond is met on the way up, and the grid is twice
-  // as fine.
+  // The axes cover half of the possible velocities, which makes the grid twice as fine. Higher
+  // velocities do not occur on the way up.
   const Axes<4> axes = {
       {{-pi, pi, 72, true}, {-pi, pi, 72, true}, {-2 * pi, 2 * pi, 57}, {-4 * pi, 4 * pi, 57}}};
   absl::StatusOr<ValueTable<4>> solved = LoadOrSolve<4>(options, "acrobot_swing_up", problem, axes,

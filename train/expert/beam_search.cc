@@ -13,24 +13,24 @@ using State = Grid<4>::State;
 struct Node {
   State state;
   double value;
-  int parent;  // index in the layer before
-  int choice;  // that led here
+  int parent;  // index in the previous layer
+  int choice;  // that led to this state
 };
 
 using Layer = std::vector<Node>;
 
-// The box a state falls into, as one number.
+// Returns the pruning box of a state as one number.
 uint64_t BoxOf(const State& state) {
   uint64_t box = 0;
   for (int i = 0; i < 4; ++i) {
     const double side = i < 2 ? kBeamAngleBox : kBeamVelocityBox;
-    // No state is as many as 2^15 boxes from the origin.
+    // 16 bits are enough: every state is fewer than 2^15 boxes away from the origin.
     box = box << 16 | static_cast<uint16_t>(std::lround(state[i] / side));
   }
   return box;
 }
 
-// The most valuable nodes, at most one a box and `width` in all.
+// Returns the `width` most valuable nodes, at most one per box.
 Layer Prune(Layer candidates, int width) {
   std::sort(candidates.begin(), candidates.end(),
             [](const Node& a, const Node& b) { return a.value > b.value; });
@@ -43,7 +43,7 @@ Layer Prune(Layer candidates, int width) {
   return kept;
 }
 
-// The choices on the way to node `index` of the last layer, then `last`.
+// Returns the choices that lead to node `index` of the last layer, followed by `last`.
 std::vector<int> PathTo(const std::vector<Layer>& layers, int index, int last) {
   std::vector<int> path = {last};
   for (size_t depth = layers.size(); depth-- > 1; index = layers[depth][index].parent) {

@@ -1,5 +1,5 @@
-// Beam search for the shortest way to Acrobot's goal: expand every choice, keep the most valuable
-// states, stop at the first goal.
+// Beam search for a short path to Acrobot's goal: expands every choice, keeps the most valuable
+// states and stops at the first terminal state.
 #ifndef TRAIN_EXPERT_BEAM_SEARCH_H_
 #define TRAIN_EXPERT_BEAM_SEARCH_H_
 
@@ -9,14 +9,15 @@
 
 namespace spikeserve {
 
-// A partial plan whose state falls into the same box as a better one's is dropped; the sides of the
-// box.
+// Side lengths of a pruning box. Of several partial plans whose states fall into the same box, the
+// search keeps only the one with the highest value.
 inline constexpr double kBeamAngleBox = 0.07;     // rad
 inline constexpr double kBeamVelocityBox = 0.14;  // rad/s
 
-// The choices that lead from `start` to a terminal state in as few steps as the beam finds, ranking
-// states by `table`; empty if there are none within `max_steps`. `width` partial plans survive a
-// step. Pure; safe to call from many threads. REQUIRES: width >= 1; every step costs the same.
+// Returns the choices that lead from `start` to a terminal state in as few steps as the beam finds,
+// or an empty vector if it finds none within `max_steps`. Ranks states by `table` and keeps at most
+// `width` partial plans after each step. A pure function; safe to call from many threads. REQUIRES:
+// width >= 1; every step costs the same.
 std::vector<int> BeamSearch(const Problem& problem, const ValueTable<4>& table,
                             const Grid<4>::State& start, int width, int max_steps);
 

@@ -1,6 +1,6 @@
-// CartPole: push right iff 0.1 x + 0.3 x' + 3 theta + theta' > 0, a linear feedback on position,
-// velocity, angle and angular velocity that balances all 500 steps from every start Gymnasium
-// draws.
+// Experts for CartPole. The feedback expert pushes right if 0.1 x + 0.3 x' + 3 theta + theta' > 0,
+// a linear feedback on position, velocity, angle and angular velocity. It balances the pole for all
+// 500 steps from every initial state that Gymnasium draws.
 #include <memory>
 
 #include "core/environment/cart_pole.h"
@@ -13,7 +13,7 @@ namespace {
 class FeedbackExpert final : public Expert {
  public:
   Action Act(absl::Span<const double> state) override {
-    // In float32, like the observation an agent would decide by.
+    // Computes in float32, the precision of the observation that an agent receives.
     const auto s = [&](int i) { return static_cast<float>(state[i]); };
     return {.discrete = 0.1f * s(0) + 0.3f * s(1) + 3.0f * s(2) + s(3) > 0.0f ? 1 : 0,
             .continuous = {}};

@@ -1,8 +1,9 @@
-// Experts of many skills: each episode is one of a drawn number of steps, and it ends after just so
-// many. They show what a return-to-go asks for, where the best expert alone shows one return only.
+// Experts that end every episode after a random, known number of steps. Their data cover many
+// returns, so that a policy learns to follow the return-to-go; the best expert alone would show a
+// single return.
 //
-// CartPole-v1: balances the pole as long as it may, then lets it fall. MountainCar-v0: coasts in
-// the valley as long as it may, then takes the shortest way out.
+// CartPole-v1: balances the pole for most of the episode, then lets it fall. MountainCar-v0: coasts
+// in the valley for most of the episode, then takes the shortest way out.
 #ifndef TRAIN_EXPERT_DIAL_EXPERT_H_
 #define TRAIN_EXPERT_DIAL_EXPERT_H_
 
@@ -16,7 +17,8 @@
 
 namespace spikeserve {
 
-// The number of steps an episode is asked to last: uniform from `least` to `most`.
+// The range of episode lengths, in steps. Each episode draws its length uniformly from [least,
+// most].
 struct EpisodeLengths {
   int least;
   int most;
@@ -24,8 +26,8 @@ struct EpisodeLengths {
 
 class DialExpert final : public Expert {
  public:
-  // `prolong` never ends an episode of `model`, `finish` ends it as soon as it can. A step always
-  // pays `reward`.
+  // Acts by `prolong`, which never ends an episode of `model`, and at the end by `finish`, which
+  // ends it as soon as possible. Every step pays `reward`.
   DialExpert(std::shared_ptr<const ClassicControl> model, double reward,
              std::unique_ptr<Expert> prolong, std::unique_ptr<Expert> finish,
              EpisodeLengths lengths)
@@ -36,19 +38,20 @@ class DialExpert final : public Expert {
         lengths_(lengths),
         left_(lengths.most) {}
 
-  // Draws how many steps it will last; what they pay is what is asked for.
+  // Draws the number of steps of the episode and returns the return that they pay.
   std::optional<double> BeginEpisode(uint64_t key) override;
 
-  // Finishes if that takes all the steps that are left, or more.
+  // Switches to `finish` once finishing takes all remaining steps or more.
   Action Act(absl::Span<const double> state) override;
 
-  // An episode is finished in a few of its steps, which decide how long it was.
+  // Returns 3 for the few steps in which the episode is being finished, because they decide its
+  // length, and 1 for all others.
   double Stakes(absl::Span<const double> state) override { return MustFinish(state) ? 3.0 : 1.0; }
 
   std::unique_ptr<Expert> Clone() const override;
 
  private:
-  // Whether `finish` takes `left_` steps or more from `state`.
+  // Returns whether `finish` takes `left_` steps or more from `state`.
   bool MustFinish(absl::Span<const double> state);
 
   std::shared_ptr<const ClassicControl> model_;
@@ -56,17 +59,17 @@ class DialExpert final : public Expert {
   std::unique_ptr<Expert> prolong_;
   std::unique_ptr<Expert> finish_;
   EpisodeLengths lengths_;
-  int left_;  // steps of the episode
+  int left_;  // remaining steps of the episode
 };
 
-// Pushes to the side on which the pole falls sooner.
+// Pushes CartPole's cart to the side that ends the episode sooner.
 class FallExpert final : public Expert {
  public:
   Action Act(absl::Span<const double> state) override;
   std::unique_ptr<Expert> Clone() const override { return std::make_unique<FallExpert>(); }
 };
 
-// Always the same action.
+// Always returns the same action.
 class ConstantExpert final : public Expert {
  public:
   explicit ConstantExpert(Action action) : action_(std::move(action)) {}

@@ -25,7 +25,7 @@ absl::Status UnknownExpert(const ExpertOptions& options, absl::string_view expec
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options) {
   if (auto status = options.Validate(); !status.ok()) return status;
-  // An expert acts by the state, whatever of it an agent sees.
+  // Experts act on the full state, so an environment that hides velocities has the same experts.
   const absl::string_view environment = PositionOnly::InsideId(options.environment);
   if (environment == "CartPole-v1") return MakeCartPoleExpert(options);
   if (environment == "MountainCar-v0") return MakeMountainCarExpert(options);

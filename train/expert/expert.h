@@ -1,4 +1,4 @@
-// Controllers that stand for an expert in offline data.
+// Controllers that play the expert when offline data are recorded.
 #ifndef TRAIN_EXPERT_EXPERT_H_
 #define TRAIN_EXPERT_EXPERT_H_
 
@@ -13,22 +13,23 @@
 
 namespace spikeserve {
 
-// Not thread-safe; a clone shares the tables, which are immutable, and may live on another thread.
+// Not thread-safe. A clone shares the immutable value tables and may be used on another thread.
 class Expert {
  public:
   virtual ~Expert() = default;
 
-  // To be called before the first action of an episode. `key` decides what there is to draw.
-  // Returns the return the expert is asked for, if it is one that is asked.
+  // Starts an episode. REQUIRES: called before the first Act() of every episode. `key` seeds the
+  // expert's random draws. Returns the return that the expert aims for in this episode, or nullopt
+  // for an expert without such a target.
   virtual std::optional<double> BeginEpisode(uint64_t /*key*/) { return std::nullopt; }
 
-  // The action in an environment's internal `state` (Environment::state()); a pure function of it
-  // for all but the planner, which keeps to its plan while the states are those it foresaw, and
-  // the dial, which counts its steps.
+  // Returns the action in an environment's internal `state` (Environment::state()). A pure function
+  // of `state`, with two exceptions: the beam search expert follows its plan while the states are
+  // those it predicted, and the dial expert counts its steps.
   virtual Action Act(absl::Span<const double> state) = 0;
 
-  // What the worst action in `state` loses against the best one, where the expert knows: how much
-  // the choice matters. 1 where it does not.
+  // Returns how much the choice in `state` matters: the value of the best action minus the value of
+  // the worst one. Returns 1 for an expert that does not know these values.
   virtual double Stakes(absl::Span<const double> /*state*/) { return 1.0; }
 
   virtual std::unique_ptr<Expert> Clone() const = 0;
@@ -36,21 +37,23 @@ class Expert {
 
 struct ExpertOptions {
   std::string environment = "CartPole-v1";
-  // CartPole-v1: feedback, dial. MountainCar-v0: value_iteration, dial. Pendulum-v1:
-  // value_iteration, robust, cautious. Acrobot-v1: beam, lookahead, greedy. Empty for the first of
-  // these.
+  // The expert's name. CartPole-v1: feedback, dial. MountainCar-v0: value_iteration, dial.
+  // Pendulum-v1: value_iteration, robust, cautious. Acrobot-v1: beam, lookahead, greedy. Empty
+  // selects the first name of the environment's list.
   std::string name = {};
-  // Value tables are kept here and read when they are there; empty: solved anew, and not kept.
+  // Directory of the solved value tables. A table is read if its file exists, and otherwise solved
+  // and written. Empty: tables are always solved and never written.
   std::string tables_directory = {};
-  int beam_width = 5000;  // beam: partial plans that survive a step
-  // Divides the number of intervals of every axis: 1 is the full table, 8 is for quick tests.
+  int beam_width = 5000;  // of the beam expert: partial plans kept after each step
+  // Divides the number of intervals of every axis of a table: 1, 2, 4 or 8. 1 is the full table; 8
+  // is for quick tests.
   int coarsening = 1;
 
   absl::Status Validate() const;
 };
 
-// Solves or reads the tables the expert needs: seconds to minutes. NOT_FOUND names the environments
-// or experts there are.
+// Creates an expert; reads or solves the value tables it needs, which takes seconds to minutes.
+// Returns NOT_FOUND, with the known names, for an unknown environment or expert.
 absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options);
 
 }  // namespace spikeserve

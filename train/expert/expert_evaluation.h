@@ -1,4 +1,4 @@
-// Plays an expert in its environment.
+// Plays an expert in its environment and summarises the returns.
 #ifndef TRAIN_EXPERT_EXPERT_EVALUATION_H_
 #define TRAIN_EXPERT_EXPERT_EVALUATION_H_
 
@@ -12,16 +12,16 @@
 
 namespace spikeserve {
 
-// The return of each of `episodes` episodes, which start from Environment::Reset(first_seed + i).
-// Plays on as many threads as there are cores; the returns do not depend on it. INVALID_ARGUMENT
-// if episodes < 1.
+// Plays `episodes` episodes, the i-th from Environment::Reset(first_seed + i), and returns their
+// returns in this order. Uses one thread per core; the result does not depend on the number of
+// threads. Returns INVALID_ARGUMENT if episodes < 1, NOT_FOUND for an unknown environment.
 absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
                                                    const std::string& environment, int episodes,
                                                    uint64_t first_seed);
 
 struct ReturnSummary {
   double mean = 0.0;
-  double std = 0.0;  // divided by the number of episodes
+  double std = 0.0;  // population standard deviation: divided by n, not n - 1
 };
 // REQUIRES: at least one return.
 ReturnSummary StatisticsOf(absl::Span<const double> returns);

@@ -1,5 +1,6 @@
-// Each environment's experts; `options.environment` is taken for granted, an empty name is the
-// first. NOT_FOUND names the experts there are.
+// The experts of each environment. These functions ignore `options.environment`; an empty
+// `options.name` selects the environment's first expert. They return NOT_FOUND, with the known
+// names, for an unknown expert.
 #ifndef TRAIN_EXPERT_EXPERTS_H_
 #define TRAIN_EXPERT_EXPERTS_H_
 
@@ -15,7 +16,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOption
 absl::StatusOr<std::unique_ptr<Expert>> MakePendulumExpert(const ExpertOptions& options);
 absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& options);
 
-// `expected` says which names there are.
+// Returns the NOT_FOUND error for an unknown expert name; `expected` lists the known names.
 absl::Status UnknownExpert(const ExpertOptions& options, absl::string_view expected);
 
 }  // namespace spikeserve

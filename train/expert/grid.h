@@ -1,8 +1,8 @@
-// A regular grid over a box of D dimensions, and multilinear interpolation of what is stored at its
+// A regular grid over a box of D dimensions, and multilinear interpolation of values stored at its
 // points.
 //
-// Points are numbered row-major, the last axis fastest. A plain value; safe to call from many
-// threads.
+// Points are numbered in row-major order: the last axis varies fastest. A plain value; const
+// members are safe to call from many threads.
 #ifndef TRAIN_EXPERT_GRID_H_
 #define TRAIN_EXPERT_GRID_H_
 
@@ -18,13 +18,13 @@ namespace spikeserve {
 struct Axis {
   double low = 0.0;
   double high = 0.0;
-  int points = 0;         // at least 2, both ends included, but on a periodic axis
-  bool periodic = false;  // `high` is the same place as `low`, and not stored again
+  int points = 0;         // at least 2; both ends are points, except on a periodic axis
+  bool periodic = false;  // `high` is the same place as `low` and has no point of its own
 
   int intervals() const { return periodic ? points : points - 1; }
   double step() const { return (high - low) / intervals(); }
 
-  // The same axis with `factor` times fewer intervals.
+  // Returns the same axis with `factor` times fewer intervals.
   Axis Coarser(int factor) const {
     return {low, high, intervals() / factor + (periodic ? 0 : 1), periodic};
   }
@@ -48,7 +48,7 @@ class Grid {
   size_t size() const { return size_; }
   const Axes<D>& axes() const { return axes_; }
 
-  // Where a point lies.
+  // Returns the coordinates of a point.
   State StateAt(size_t point) const {
     State state;
     for (int i = 0; i < D; ++i) {
@@ -58,8 +58,9 @@ class Grid {
     return state;
   }
 
-  // The 2^D corners of the cell around `state`, weighted by nearness; beyond the box the value at
-  // its edge. REQUIRES: values is [size()].
+  // Returns the multilinear interpolation of `values` at `state`, from the 2^D corners of the cell
+  // around it. A state outside the box gets the value at the nearest edge. REQUIRES: values is
+  // [size()].
   double Interpolate(absl::Span<const float> values, const State& state) const {
     std::array<double, 1 << D> corners;
     std::array<size_t, 1 << D> points = {};
@@ -82,9 +83,9 @@ class Grid {
 
  private:
   struct Place {
-    size_t below;  // already times the stride
-    size_t above;
-    double fraction;  // of the way from below to above
+    size_t below;     // index along the axis, multiplied by its stride
+    size_t above;     // likewise
+    double fraction;  // position between below (0) and above (1)
   };
 
   Place Locate(int i, double x) const {

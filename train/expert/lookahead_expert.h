@@ -1,4 +1,5 @@
-// Acts by looking ahead on the exact model, a value table standing for what follows.
+// An expert that searches `depth` steps ahead with the exact model and takes the value of the
+// states at the end of the search from a value table.
 #ifndef TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
 #define TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
 

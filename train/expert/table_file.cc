@@ -25,7 +25,7 @@ absl::StatusOr<std::vector<float>> ReadTable(const std::string& path, const std:
   if (file->metadata[kName] != name || tensor == file->tensors.end() ||
       tensor->second.shape != shape) {
     return absl::InvalidArgumentError(
-        absl::StrCat(path, ": expected the full value table ", name, ", received another"));
+        absl::StrCat(path, ": expected the value table ", name, ", received another table"));
   }
   return std::move(tensor->second.values);
 }

@@ -1,6 +1,6 @@
-// Value tables on disk, so that they are solved once.
+// Stores solved value tables on disk, so that each is solved only once.
 //
-// A safetensors file with one tensor, `values`, and the table's name in the metadata.
+// The format is a safetensors file with one tensor, `values`, and the table's name in the metadata.
 #ifndef TRAIN_EXPERT_TABLE_FILE_H_
 #define TRAIN_EXPERT_TABLE_FILE_H_
 
@@ -16,22 +16,25 @@
 
 namespace spikeserve {
 
-// NOT_FOUND if there is no such file; INVALID_ARGUMENT, with the path, if it holds another table.
+// Reads the values of table `name`. Returns NOT_FOUND if the file does not exist, and
+// INVALID_ARGUMENT, with the path, if it holds a table of another name or shape.
 absl::StatusOr<std::vector<float>> ReadTable(const std::string& path, const std::string& name,
                                              const std::vector<int>& shape);
 
-// Makes the directory if need be.
+// Writes the values of table `name`; creates the directory if it does not exist. REQUIRES: `values`
+// has as many elements as `shape`. Returns UNAVAILABLE if the directory cannot be created.
 absl::Status WriteTable(const std::vector<float>& values, const std::string& path,
                         const std::string& name, const std::vector<int>& shape);
 
-// The table of `axes`, coarsened as the options ask, read from the options' directory or else
-// solved and written there. `name` tells it from others.
+// Returns the value table over `axes`, coarsened by options.coarsening. Reads it from
+// options.tables_directory if it is there; otherwise solves it and writes it there. `name`
+// identifies the table in that directory.
 template <int D>
 absl::StatusOr<ValueTable<D>> LoadOrSolve(const ExpertOptions& options, const std::string& name,
                                           const Problem& problem, Axes<D> axes,
                                           SolveOptions solve) {
-  // Every solution starts from the same coarsest grid: a coarser one still may miss the one state
-  // in which a pendulum rests, and then nothing bounds its undiscounted cost.
+  // Every solution starts from the same coarsest grid. An even coarser grid may miss the only state
+  // in which a pendulum rests, and then nothing bounds the undiscounted cost.
   solve.coarsest = std::max(1, solve.coarsest / options.coarsening);
   std::vector<int> shape;
   for (Axis& axis : axes) shape.push_back((axis = axis.Coarser(options.coarsening)).points);

@@ -1,12 +1,11 @@
-// Value iteration on a grid: V(s) <- max_a E[r + discount * V(s')], V = 0 where an episode has
-// ended.
+// Value iteration on a grid: V(s) <- max_a E[r + discount * V(s')], with V = 0 in terminal states.
 //
-// Gauss-Seidel: a sweep uses what it has just written, and sweeps alternate their direction, so
-// that values travel all along a trajectory at once. Two things make large grids quick. A sweep
-// over all choices is followed by a few that keep each state's best one (modified policy iteration:
-// M. L. Puterman, M. C. Shin, Management Science 24(11), 1978). And a grid starts from the solution
-// of a coarser one (one-way multigrid: C.-S. Chow, J. N. Tsitsiklis, IEEE Trans. Automatic Control
-// 36(8), 1991).
+// The sweeps are of Gauss-Seidel type: each uses the values it has just written, and the direction
+// alternates, so that values propagate along a whole trajectory in one sweep. Two methods speed up
+// large grids. A full sweep, over all choices, is followed by a few sweeps that evaluate only the
+// best choice of each state (modified policy iteration: M. L. Puterman, M. C. Shin, Management
+// Science 24(11), 1978). And the values of a grid are initialised from the solution on a coarser
+// one (one-way multigrid: C.-S. Chow, J. N. Tsitsiklis, IEEE Trans. Automatic Control 36(8), 1991).
 #ifndef TRAIN_EXPERT_VALUE_ITERATION_H_
 #define TRAIN_EXPERT_VALUE_ITERATION_H_
 
@@ -23,14 +22,14 @@
 namespace spikeserve {
 
 struct SolveOptions {
-  double tolerance = 1e-3;    // stop when a full sweep changes no value by more
-  int coarsest = 4;           // the first grid has this many times fewer intervals, the next half
-  int evaluation_sweeps = 8;  // between full sweeps
-  // Full sweeps of a grid at most, which bounds the cost of states from where an undiscounted
-  // problem on that grid never ends.
+  double tolerance = 1e-3;  // stops when a full sweep changes no value by more than this
+  int coarsest = 4;  // the first grid has this factor fewer intervals; each next one halves it
+  int evaluation_sweeps = 8;  // sweeps with fixed choices between two full sweeps
+  // Largest number of full sweeps per grid. It bounds the cost of states from which an undiscounted
+  // problem never ends on that grid.
   int most_sweeps = std::numeric_limits<int>::max();
-  // Keep where every choice leads instead of asking the model at every sweep: quicker where that is
-  // slow, for 4 (D + 2) bytes a point and executed action.
+  // Stores the successor states once instead of computing them with the model in every sweep.
+  // Faster if the model is slow; costs 4 (D + 2) bytes per grid point and executed action.
   bool keep_successors = false;
 };
 
@@ -61,11 +60,11 @@ class ValueIteration {
   using State = typename ValueTable<D>::State;
   static constexpr uint8_t kTerminal = 255;
 
-  // Where one executed action leads from a point.
+  // The result of one executed action at one grid point.
   struct Successor {
     std::array<float, D> state;
     float reward;
-    float discount;  // 0 where the episode ends
+    float discount;  // 0 if the episode ends
   };
 
   void KeepSuccessors() {
@@ -87,7 +86,7 @@ class ValueIteration {
     }
   }
 
-  // As ValueTable::Backup, from what is kept if it is.
+  // Same as ValueTable::Backup with depth 1, but uses the stored successors if there are any.
   double Backup(size_t point, size_t choice) const {
     if (successors_.empty()) {
       return table_.Backup(problem_, table_.grid.StateAt(point), problem_.choices[choice]);
@@ -105,7 +104,8 @@ class ValueIteration {
     return sum / static_cast<double>(first_[choice + 1] - first_[choice]);
   }
 
-  // Chooses anew everywhere.
+  // Sets every value to its best backup over all choices, stores that choice, and returns the
+  // largest change.
   double FullSweep() {
     return Sweep([this](size_t point) {
       double most = -std::numeric_limits<double>::infinity();
@@ -140,14 +140,16 @@ class ValueIteration {
   ValueTable<D>& table_;
   std::vector<uint8_t> best_;  // index of the best choice of each point, or kTerminal
   bool forward_ = true;
-  // With keep_successors: all choices' executed actions one after the other, where each choice's
-  // begin, and [points, actions] where they lead.
+  // Only with keep_successors: the executed actions of all choices, concatenated; the index in
+  // `actions_` of each choice's first action, and one past the end; and the successors, [points,
+  // actions].
   std::vector<Action> actions_;
   std::vector<size_t> first_;
   std::vector<Successor> successors_;
 };
 
-// REQUIRES: options.coarsest is a power of two.
+// Solves `problem` on the grid of `axes` and returns the values. REQUIRES: options.coarsest is a
+// power of two.
 template <int D>
 ValueTable<D> SolveValueTable(const Problem& problem, const Axes<D>& axes,
                               const SolveOptions& options) {

@@ -1,6 +1,6 @@
-// A value function on a grid, and the lookahead on the exact model that acts by it.
+// A value function on a grid, and lookahead search with the exact model that uses it.
 //
-// Immutable once solved; safe to call from many threads.
+// Immutable once solved; const members are safe to call from many threads.
 #ifndef TRAIN_EXPERT_VALUE_TABLE_H_
 #define TRAIN_EXPERT_VALUE_TABLE_H_
 
@@ -15,8 +15,8 @@
 
 namespace spikeserve {
 
-// An action to choose, and what may be executed in its place, each with the same probability: the
-// action itself, unless a disturbance changes it.
+// An action to choose, and the actions that may be executed in its place, all with equal
+// probability. Without a disturbance `executed` holds the action itself.
 struct Choice {
   Action action;
   std::vector<Action> executed;
@@ -24,7 +24,7 @@ struct Choice {
   static Choice Of(Action action) { return {action, {action}}; }
 };
 
-// What there is to decide: maximise the sum of discount^t r_t.
+// A decision problem: maximise the sum over t of discount^t r_t.
 struct Problem {
   std::shared_ptr<const ClassicControl> model;
   std::vector<Choice> choices;
@@ -40,9 +40,9 @@ struct ValueTable {
 
   double operator()(const State& state) const { return grid.Interpolate(values, state); }
 
-  // The right-hand side of Bellman's equation for one choice: the mean over what may be executed of
-  // r + discount * max over the next choices, `depth` steps deep, at the end of which the table
-  // stands for what follows. REQUIRES: depth >= 1.
+  // Returns the right-hand side of Bellman's equation for one choice: the mean over its executed
+  // actions of r + discount * max over the next choices. Searches `depth` steps ahead and takes the
+  // values of the last states from the table. REQUIRES: depth >= 1.
   double Backup(const Problem& problem, const State& state, const Choice& choice,
                 int depth = 1) const {
     double sum = 0.0;
@@ -55,7 +55,7 @@ struct ValueTable {
     return sum / static_cast<double>(choice.executed.size());
   }
 
-  // What the worst choice loses against the best one.
+  // Returns the value of the best choice minus the value of the worst one.
   double Stakes(const Problem& problem, const State& state, int depth = 1) const {
     double best = -std::numeric_limits<double>::infinity(), worst = -best;
     for (const Choice& choice : problem.choices) {
@@ -71,7 +71,7 @@ struct ValueTable {
     double value = -std::numeric_limits<double>::infinity();
   };
 
-  // The first choice with the best backup.
+  // Returns the choice with the largest backup; the first one of several that are equal.
   Decision Best(const Problem& problem, const State& state, int depth = 1) const {
     Decision best;
     for (size_t i = 0; i < problem.choices.size(); ++i) {

@@ -11,8 +11,8 @@ torch::Tensor SplitHeads(const torch::Tensor& x, int heads) {
   return x.view(shape).transpose(-2, -3);
 }
 
-// Gates [T, B, Q, H], or [1] where all heads always count the same. `heads_by_token` is [T, B, Q,
-// H, d_h].
+// Returns the gates [T, B, Q, H], or [1] if the policy has no routing and all gates are equal.
+// `heads_by_token` is [T, B, Q, H, d_h].
 torch::Tensor Gates(const Parameters& parameters, const std::string& layer,
                     const ModelConfig& config, const torch::Tensor& heads_by_token) {
   const bool side_by_side = config.merge == Merge::kConcat;

@@ -23,7 +23,7 @@ torch::Tensor BernoulliSpikes(const torch::Tensor& x, const BernoulliDraws& draw
       }
     }
   }
-  // Straight through: the value is the draw, the gradient that of the probability.
+  // Straight-through estimator: the value is the draw, the gradient is that of the probability.
   const torch::Tensor probability = torch::sigmoid(x);
   return spikes + (probability - probability.detach());
 }

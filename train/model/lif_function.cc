@@ -13,13 +13,14 @@ using torch::autograd::tensor_list;
 
 constexpr int64_t kNeuronsPerTask = 16384;
 
-// Rows of [T, ...] where `per_tick`, else of [...] for every tick.
+// Returns the rows of a tensor [T, ...] if `per_tick`, otherwise a tensor [...] that is the same
+// row at every tick.
 TickRows Rows(const torch::Tensor& tensor, bool per_tick, int64_t neurons) {
   return {tensor.data_ptr<float>(), per_tick ? neurons : 0};
 }
 
-// A gradient that is the same at every tick comes from a sum over ticks; spreading it out would
-// cost more than the backward pass itself.
+// Returns whether `gradient` is broadcast over the ticks, as the gradient of a sum over ticks is.
+// Making it contiguous would cost more than the backward pass itself.
 bool SameAtEveryTick(const torch::Tensor& gradient) {
   return gradient.stride(0) == 0 && gradient.select(0, 0).is_contiguous();
 }

@@ -1,7 +1,7 @@
-// LIF neurons as one autograd function over all ticks, several times faster than a graph node for
-// each tick.
+// LIF neurons as one autograd function over all ticks, which is several times faster than one graph
+// node per tick.
 //
-// Deterministic, whatever the number of threads.
+// The results do not depend on the number of threads.
 #ifndef TRAIN_MODEL_LIF_FUNCTION_H_
 #define TRAIN_MODEL_LIF_FUNCTION_H_
 
@@ -18,10 +18,10 @@ struct LifOptions {
   Surrogate surrogate;
 };
 
-// Spikes [T, ...] of neurons under a constant current [...]: the rate coder.
+// Returns the spikes [T, ...] of neurons with a constant input current [...]: the rate coder.
 torch::Tensor LifConstant(const torch::Tensor& current, const LifOptions& options);
 
-// Spikes [T, ...] of neurons under a current per tick [T, ...].
+// Returns the spikes [T, ...] of neurons with an input current per tick [T, ...].
 torch::Tensor LifPerTick(const torch::Tensor& current, const LifOptions& options);
 
 }  // namespace spikeserve

@@ -3,22 +3,23 @@
 #include <algorithm>
 #include <vector>
 
-// One clone per vector extension, picked by the loader.
+// Compiles one clone per vector extension; the dynamic loader selects one.
 #define SPIKESERVE_VECTOR_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 
 namespace spikeserve {
 namespace {
 
-// Neurons worked on at a time: their state over all ticks stays in the nearest cache.
+// Number of neurons processed at a time, so that their state over all ticks stays in the L1 cache.
 constexpr int64_t kBlock = 512;
 
-// Membranes before reset, membranes[tick * kBlock + i], of `size` neurons from `begin` on.
+// Computes the membranes before the reset, membranes[tick * kBlock + i], of `size` neurons from
+// `begin` on.
 inline __attribute__((always_inline)) void Membranes(const LifRange& range, int64_t begin,
                                                      int64_t size, TickRows current,
                                                      float* membranes) {
   const float decay = range.neuron.decay;
   const float threshold = range.neuron.threshold;
-  float kept[kBlock] = {};  // after reset
+  float kept[kBlock] = {};  // membranes after the reset
   for (int tick = 0; tick < range.ticks; ++tick) {
     const float* input = current.data + tick * current.tick_stride + begin;
     float* row = membranes + tick * kBlock;
@@ -36,7 +37,7 @@ inline __attribute__((always_inline)) void BackwardBlock(
     const float* membranes, Derivative derivative, float* current_gradient) {
   const float decay = range.neuron.decay;
   const float threshold = range.neuron.threshold;
-  float later[kBlock] = {};  // decay dL/dV of the tick after
+  float later[kBlock] = {};  // decay dL/dV of the following tick
   float sum[kBlock] = {};
   for (int tick = range.ticks - 1; tick >= 0; --tick) {
     const float* gradient = spike_gradient.data + tick * spike_gradient.tick_stride + begin;

@@ -3,7 +3,7 @@
 namespace spikeserve {
 namespace {
 
-// Spikes per neuron and tick over the tokens of steps with mask 1.
+// Returns the mean spikes per neuron and tick over the tokens of all steps with mask 1.
 torch::Tensor Rate(const torch::Tensor& spikes, const torch::Tensor& mask) {
   const int64_t tokens_per_step = spikes.size(2) / mask.size(1);
   const torch::Tensor token_mask =
@@ -30,7 +30,7 @@ torch::Tensor RateHinge(const std::vector<Population>& populations, const RateTa
     const double target = population.stage == Stage::kReadout ? targets.readout : targets.hidden;
     if (target >= 1.0) continue;
     const torch::Tensor excess = Rate(population.spikes, mask) - target;
-    // Left out of the graph where it has no gradient: that saves a pass over the whole population.
+    // A hinge of 0 has no gradient. Keeping it out of the graph saves a pass over the population.
     if (excess.item<double>() <= 0.0) continue;
     sum = sum.defined() ? sum + excess : excess;
   }

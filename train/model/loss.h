@@ -1,4 +1,4 @@
-// What training minimises: imitation of the recorded actions, and silence.
+// The loss of training: imitation of the recorded actions, and a penalty on firing rates.
 #ifndef TRAIN_MODEL_LOSS_H_
 #define TRAIN_MODEL_LOSS_H_
 
@@ -11,23 +11,25 @@
 
 namespace spikeserve {
 
-// Mean over the steps, weighted by `weights` [B, n], 0 where there is no step, of: the
-// cross-entropy of softmax(z) against the one-hot `targets` (Discrete), or the mean squared
-// distance of tanh(z) from `targets` in [-1, 1] (Box). Logits and targets are [B, n, act].
+// Returns the mean loss of the steps, weighted by `weights` [B, n], which are 0 after the end of an
+// episode. The loss of a step is the cross-entropy of softmax(z) and the one-hot `targets` for a
+// Discrete space, or the mean squared difference of tanh(z) and `targets` in [-1, 1] for a Box.
+// Logits z and targets are [B, n, act].
 torch::Tensor ImitationLoss(const ActionSpace& space, const torch::Tensor& logits,
                             const torch::Tensor& targets, const torch::Tensor& weights);
 
-// Above which firing rate (spikes per neuron and tick) a population is pushed down. 1 leaves it
-// alone.
+// Firing rates, in spikes per neuron and tick, above which a population is penalised. 1 means no
+// penalty.
 struct RateTargets {
   double hidden = 1.0;   // coder, query, key, value, ffn_in, ffn_hidden of every layer
   double readout = 1.0;  // the readout coder
 };
 
-// The sum over populations, each stage of each layer on its own, of max(0, rate - target), with
-// rates over the steps with mask [B, n] 1. A hinge for each, because a penalty on their common rate
-// silences query, key and value first. Phase spikes, which cost H of them at most, are left alone.
-// Undefined where no population is above its target.
+// Returns the sum of max(0, rate - target) over all populations, which are the stages of each
+// layer. Rates are means over the steps with `mask` [B, n] 1. Each population has a hinge of its
+// own, because a penalty on the common rate silences query, key and value first. Phase spikes are
+// not penalised: there are at most H of them per timestep and tick. Returns an undefined tensor if
+// no population exceeds its target.
 torch::Tensor RateHinge(const std::vector<Population>& populations, const RateTargets& targets,
                         const torch::Tensor& mask);
 

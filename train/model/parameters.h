@@ -1,4 +1,4 @@
-// A policy's tensors under their names in the policy file, as torch tensors.
+// The weights of a policy as torch tensors, by their names in the policy file.
 #ifndef TRAIN_MODEL_PARAMETERS_H_
 #define TRAIN_MODEL_PARAMETERS_H_
 
@@ -11,27 +11,28 @@
 
 namespace spikeserve {
 
+// Not thread-safe while the tensors are modified.
 class Parameters {
  public:
-  // Copies of the policy's weights. All but `observation.*`, which are the data's, require a
-  // gradient.
+  // Copies the policy's weights. All tensors require a gradient except `observation.*`, which are
+  // computed from the data and not trained.
   explicit Parameters(const Policy& policy);
 
   // REQUIRES: a tensor of that name exists.
   const torch::Tensor& operator[](const std::string& name) const { return tensors_.at(name); }
 
-  // W x + b with the tensors `name`.weight and `name`.bias.
+  // Returns W x + b with the tensors `name`.weight and `name`.bias.
   torch::Tensor Linear(const torch::Tensor& x, const std::string& name) const;
 
-  // LayerNorm over the last dimension with the tensors `name`.weight and `name`.bias, epsilon as in
-  // core.
+  // Returns LayerNorm(x) over the last dimension with the tensors `name`.weight and `name`.bias and
+  // the epsilon of core (kLayerNormEpsilon).
   torch::Tensor Norm(const torch::Tensor& x, const std::string& name) const;
 
-  // By name, in alphabetical order.
+  // Returns all tensors by name, in alphabetical order.
   const std::map<std::string, torch::Tensor>& tensors() const { return tensors_; }
 
-  // Writes the current values into `policy`, which must have the shape of the one this was made
-  // from.
+  // Writes the current values into `policy`. REQUIRES: `policy` has the shapes of the policy that
+  // this object was created from.
   void Store(Policy* policy) const;
 
  private:

@@ -41,7 +41,7 @@ struct PhaseFunction : torch::autograd::Function<PhaseFunction> {
     const Surrogate surrogate = {
         .kind = static_cast<SurrogateKind>(context->saved_data["kind"].toInt()),
         .slope = static_cast<float>(context->saved_data["slope"].toDouble())};
-    const torch::Tensor angle = saved[0] * tau + saved[1];  // double, as in the forward pass
+    const torch::Tensor angle = saved[0] * tau + saved[1];  // float64, as in the forward pass
     const torch::Tensor membrane = torch::sin(angle).to(torch::kFloat).contiguous();
     torch::Tensor derivative = torch::empty_like(membrane);
     const float* u = membrane.data_ptr<float>();

@@ -8,10 +8,10 @@
 
 namespace spikeserve {
 
-// Spikes 1[sin(omega_k tau + phi_k) > 0], float [..., H], of H generators with omega and phi [H] at
-// times tau [..., 1] (double). Backward: the surrogate at u = sin(.), with omega's gradient divided
-// by the largest |tau| (where that is above 1), because it grows with the time in the episode and
-// phi's does not.
+// Returns the spikes 1[sin(omega_k tau + phi_k) > 0], float [..., H], of H generators with omega
+// and phi [H] at times tau [..., 1] (double). The backward pass uses the surrogate at u = sin(.).
+// It divides the gradient of omega by max(1, largest |tau|), because that gradient grows with the
+// time in the episode while the gradient of phi does not.
 torch::Tensor PhaseSpikes(const torch::Tensor& omega, const torch::Tensor& phi,
                           const torch::Tensor& tau, const Surrogate& surrogate);
 

@@ -1,4 +1,4 @@
-// Surrogate gradients: what stands in for the derivative of the spike's step function in the
+// Surrogate gradients: functions that replace the derivative of the spike's step function in the
 // backward pass.
 //
 // Pure functions; safe to call from many threads.
@@ -13,7 +13,7 @@
 
 namespace spikeserve {
 
-// ds/du at u = V - V_th (the paper's "surrogate gradients" section), k the slope:
+// ds/du at u = V - V_th (the paper's section "surrogate gradients"); k is the slope:
 //   fast sigmoid      1 / (1 + k |u|)^2
 //   sigmoid           f (1 - f), f = 1 / (1 + e^{-k u})
 //   piecewise linear  max(0, 1 - k |u|)
@@ -46,7 +46,10 @@ inline float PiecewiseLinearDerivative(float slope, float u) {
 }
 
 // Calls `body(derivative)` with the function u -> ds/du of this surrogate, so that a loop over many
-// neurons chooses its kind once and not per neuron.
+// neurons selects the kind once and not once per neuron. Example:
+//   WithDerivative(surrogate, [&](auto derivative) {
+//     for (float& value : values) value = derivative(value);
+//   });
 template <typename Body>
 inline __attribute__((always_inline)) void WithDerivative(const Surrogate& surrogate, Body&& body) {
   const float k = surrogate.slope;

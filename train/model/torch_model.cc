@@ -18,10 +18,10 @@ namespace {
 using torch::indexing::None;
 using torch::indexing::Slice;
 
-// Tokens of a clip in order: return-to-go, state, action of each timestep.
+// Tokens per timestep, in this order: return-to-go, state, action.
 constexpr int kTokens = 3;
 
-// Every third token from the first state token on.
+// Returns the state tokens: every third token, starting with the second.
 torch::Tensor StateTokens(const torch::Tensor& x, int64_t dimension) {
   return x.slice(dimension, 1, None, kTokens);
 }
@@ -57,7 +57,7 @@ class ForwardPass {
  private:
   bool IsLast(int layer) const { return layer + 1 == config_.layers; }
 
-  // [B, 3n, d]
+  // Returns the embedded tokens, [B, 3n, d].
   torch::Tensor Embed() const {
     const torch::Tensor g = (clips_.return_to_go - policy_.return_offset) / policy_.return_scale;
     const torch::Tensor s = (clips_.observations - p_["observation.mean"]) / p_["observation.std"];
@@ -77,7 +77,7 @@ class ForwardPass {
     return p_.Norm(x, name + ".norm");
   }
 
-  // The phase spikes of every timestep, heard by its three tokens.
+  // Computes the phase spikes of every timestep and repeats them for its three tokens.
   void EmitPhase() {
     const torch::Tensor tick = torch::arange(config_.ticks, torch::kDouble).view({-1, 1, 1, 1});
     const torch::Tensor timestep = clips_.timesteps.to(torch::kDouble).unsqueeze(0).unsqueeze(-1);
@@ -89,7 +89,7 @@ class ForwardPass {
     phase_ = spikes.repeat_interleave(kTokens, 2);
   }
 
-  // A coder's spikes [T, B, tokens, d] for x [B, tokens, d].
+  // Returns a coder's spikes [T, B, tokens, d] for x [B, tokens, d].
   torch::Tensor Code(const torch::Tensor& x, const std::string& name, Stage stage, int layer,
                      int site) {
     const torch::Tensor current = x * p_[name + ".gain"] + p_[name + ".bias"];
@@ -109,13 +109,14 @@ class ForwardPass {
     return output_.populations.back().spikes;
   }
 
+  // Returns the spikes [T, B, tokens, neurons] of LIF neurons with this current, of the same shape.
   torch::Tensor Fire(const torch::Tensor& current, Stage stage, int layer) {
     output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
     return output_.populations.back().spikes;
   }
 
-  // In the last layer only the state tokens have a query and an output: [B, n, d] instead of [B,
-  // 3n, d].
+  // Returns the layer's output, [B, 3n, d]. The last layer computes queries and outputs only for
+  // the state tokens and returns [B, n, d].
   torch::Tensor SpikingLayer(const torch::Tensor& x, int layer) {
     const std::string name = absl::StrCat("layers.", layer);
     torch::Tensor coded = Code(x, name + ".coder", Stage::kCoder, layer, 2 * layer);
@@ -137,7 +138,8 @@ class ForwardPass {
     return p_.Norm(x + p_.Linear(hidden.mean(0), name + ".ffn.output"), name + ".ffn.norm");
   }
 
-  // An ordinary decision transformer's layer with the same residuals.
+  // As SpikingLayer, for a layer of an ordinary decision transformer with the same residual
+  // connections.
   torch::Tensor DenseLayer(const torch::Tensor& x, int layer) {
     const std::string name = absl::StrCat("layers.", layer);
     const std::string attention = name + ".attention";
@@ -153,7 +155,7 @@ class ForwardPass {
 
   torch::Tensor Mask(int layer) const { return IsLast(layer) ? StateTokens(mask_, 0) : mask_; }
 
-  // LayerNorm(x + W_O merged + b_O) for the tokens that have an output.
+  // Returns LayerNorm(x + W_O merged + b_O) for the tokens that have an output in this layer.
   torch::Tensor AddAttention(const torch::Tensor& x, const torch::Tensor& merged,
                              const std::string& attention, int layer) const {
     const torch::Tensor residual = IsLast(layer) ? StateTokens(x, 1) : x;

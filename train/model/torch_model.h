@@ -1,6 +1,8 @@
-// The SNN-DT on torch tensors, for training: model.md's equations with surrogate gradients.
+// The SNN-DT on torch tensors, for training: computes the equations of the reference engine
+// (core/engine/reference) with surrogate gradients.
 //
-// Not thread-safe. Symbols: B clips, n timesteps of a clip, d hidden size, obs and act as in core.
+// Not thread-safe. Symbols: B clips, n timesteps per clip, d hidden size, T ticks, H heads, obs
+// length of an observation, act outputs of the action head.
 #ifndef TRAIN_MODEL_TORCH_MODEL_H_
 #define TRAIN_MODEL_TORCH_MODEL_H_
 
@@ -15,43 +17,44 @@
 
 namespace spikeserve {
 
-// Clips of episodes, each a run of n timesteps. Whatever stands after an episode's end is causally
-// invisible.
+// A batch of clips, each a run of n timesteps of an episode. Values after the end of an episode do
+// not influence its steps, because attention is causal.
 struct ClipTensors {
   torch::Tensor return_to_go;  // [B, n], environment units
   torch::Tensor observations;  // [B, n, obs], environment units
-  torch::Tensor actions;       // [B, n, act], as ActionSpace::Encode writes them
-  torch::Tensor timesteps;     // [B, n], int64, within the episode
-  torch::Tensor seeds;         // [B], int64; keys of the Bernoulli coder
+  torch::Tensor actions;       // [B, n, act], encoded by ActionSpace::Encode
+  torch::Tensor timesteps;     // [B, n], int64, counted from the start of the episode
+  torch::Tensor seeds;         // [B], int64, keys of the Bernoulli coder
 };
 
-// One population's activity. Tokens run over all 3n tokens of a clip (return, state, action,
-// return, ...), or over its n state tokens where only those are computed.
+// The activity of one population. The token dimension holds all 3n tokens of a clip (return, state,
+// action, return, ...), or only its n state tokens where the others are not computed.
 struct Population {
   Stage stage;
-  int layer;             // -1: readout and phase
-  torch::Tensor spikes;  // [T, B, tokens, neurons]; phase: [T, B, n, H]
-  // Into LIF neurons: shaped as spikes, or [B, tokens, neurons] where constant. Undefined
-  // otherwise.
+  int layer;             // -1 for readout and phase, which belong to no layer
+  torch::Tensor spikes;  // [T, B, tokens, neurons]; of phase: [T, B, n, H]
+  // Input current of LIF neurons: the shape of `spikes`, or [B, tokens, neurons] if it is constant
+  // over the ticks. Undefined for other neurons.
   torch::Tensor current;
 };
 
 struct ModelOutput {
-  torch::Tensor logits;                 // [B, n, act], z at the state tokens
+  torch::Tensor logits;                 // [B, n, act], z of the state tokens
   torch::Tensor readout;                // [B, n, d]
   std::vector<Population> populations;  // in the order of computation
 };
 
 class TorchModel {
  public:
-  // Starts from the policy's weights. REQUIRES: a valid policy.
+  // Copies the policy's weights as initial parameters. REQUIRES: a valid policy.
   TorchModel(Policy policy, const Surrogate& surrogate);
 
+  // Runs the model on all clips; records the autograd graph unless gradients are disabled.
   ModelOutput Forward(const ClipTensors& clips) const;
 
   const Parameters& parameters() const { return parameters_; }
 
-  // The policy with the present weights.
+  // Returns the policy with the current weights.
   Policy CurrentPolicy() const;
 
  private:

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Trains a CartPole policy that spends fewer than ten spikes a decision, phase spikes and all: one small layer, three ticks.
-# Five minutes on one core.
+# Trains a CartPole policy that uses fewer than ten spikes per decision, phase spikes included. It has one small layer
+# and three ticks. Takes five minutes on one core.
 #
 # usage: train/recipes/cartpole-sparse.sh SPIKETRAIN OUT_DIR
 environment=CartPole-v1
@@ -8,7 +8,7 @@ source "$(dirname "$0")/recipe.sh"
 
 data mixed --steps=100000 --expert_fraction=0.5 --disturbed_fraction=0.5
 
-# One phase generator alone spends one and a half spikes a decision; the rest is left to the readout.
+# A single phase generator emits 1.5 spikes per decision; this leaves the rest for the readout.
 shape=(--mode=full --layers=1 --heads=1 --hidden_size=32 --ticks=3)
 short=(--batch=64 --clip_steps=5 --slope=4 --learning_rate=3e-3)
 stage 1-play mixed --seed=1 --iterations=1000 "${shape[@]}" "${short[@]}"

@@ -1,12 +1,14 @@
 #!/usr/bin/env bash
-# Trains the shipped CartPole policy: first to play, then, in steps, to play silently. About twenty minutes on one core.
+# Trains the shipped CartPole policy: first to play well, then in several stages to use fewer spikes. Takes about twenty
+# minutes on one core.
 #
 # usage: train/recipes/cartpole.sh SPIKETRAIN OUT_DIR
 environment=CartPole-v1
 source "$(dirname "$0")/recipe.sh"
 
-# The paper's 10,000 steps are enough to learn to play. A quiet policy is imprecise, and needs more starts to learn from:
-# near them random steps are so frequent that in the end they drown the expert's, so the last two stages do without.
+# The paper's 10,000 steps are enough to learn to play. A policy with few spikes is imprecise and needs data from more
+# initial states. Near these, random steps are so frequent that they outweigh the expert's, so the last two stages train
+# without them.
 data small --steps=10000
 data large --steps=100000
 data expert --steps=100000 --expert_fraction=1

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
-# Trains the shipped MountainCar policy: first to play, then, in steps, to play silently.
+# Trains the shipped MountainCar policy: first to play well, then in several stages to use fewer spikes.
 #
 # usage: train/recipes/mountaincar.sh SPIKETRAIN OUT_DIR
 environment=MountainCar-v0
 source "$(dirname "$0")/recipe.sh"
 
-# Bursts of random actions lead off the expert's few trajectories, and the expert's action there is the label.
+# Bursts of random actions leave the expert's few trajectories; the expert's actions label the states reached there.
 data disturbed --steps=100000 --expert_fraction=0.2 --disturbed_fraction=0.8
 
-# The present state tells everything, so short clips teach the same in a third of the time; the last stages see whole
-# windows.
+# The current state is sufficient for the decision, so short clips give the same policy in a third of the time. The last
+# stages train on whole windows.
 short=(--batch=64 --clip_steps=5 --learning_rate=2e-3)
 whole=(--batch=16 --learning_rate=1e-3)
 stage 1-play disturbed --mode=full --seed=1 --iterations=400 "${short[@]}"

@@ -7,14 +7,15 @@ source "$(dirname "$0")/recipe.sh"
 
 data disturbed --expert=robust --steps=100000 --expert_fraction=0 --disturbed_fraction=1 --wide_start_fraction=0.25
 
-# Five steps show the velocity and leave little room for repeating one's own actions. Each of two layers looks back four
-# steps, so clips of twelve teach what is seen in play: nothing lies further back than in training.
+# Five steps are enough to infer the velocity and too few to learn to repeat the own last action instead. Each of the two
+# layers attends to four earlier steps, so with clips of twelve the policy uses no step in play that lies further back
+# than those in training.
 common=(--batch=24 --clip_steps=12 --learning_rate=3e-3 --slope=4)
 round() { data "$1" --seed="$2" --expert=robust --steps=60000 --expert_fraction=0 --student="$policy"; }
 stage 1-scout disturbed --mode=full --context=5 --seed=1 --iterations=1500 "${common[@]}"
 round round1 1
 
-# Afresh, with the heads side by side: their sum is too narrow to carry a velocity.
+# Trains a new policy that concatenates the heads: their sum is too narrow to represent a velocity.
 policy=
 stage 2-play disturbed,round1 --mode=full --merge=concat --context=5 --seed=1 --iterations=1500 "${common[@]}"
 round round2 2

@@ -1,14 +1,14 @@
-# What the recipes share; sourced, not run. A recipe is called with SPIKETRAIN and OUT_DIR and sets `environment`;
-# interrupted, it goes on where it was.
+# Functions for the recipes, which source this file. A recipe is called with SPIKETRAIN and OUT_DIR and sets
+# `environment`. A recipe that was interrupted continues when it is run again.
 set -euo pipefail
 usage="usage: $0 SPIKETRAIN OUT_DIR"
 spiketrain=${1:?$usage}
 out=${2:?$usage}
-# The order of sums depends on the number of threads, and with it the last bits of the weights.
+# The number of threads determines the order of sums, and thereby the last bits of the weights.
 export OMP_NUM_THREADS=1
 mkdir -p "$out"
 
-# data NAME FLAGS...: records OUT_DIR/NAME.cbor unless it is there.
+# data NAME FLAGS...: records OUT_DIR/NAME.cbor unless the file exists.
 data() {
   local name=$1
   shift
@@ -17,8 +17,8 @@ data() {
   fi
 }
 
-# stage NAME DATA,... FLAGS...: trains on OUT_DIR/DATA.cbor and so on into OUT_DIR/NAME unless that is finished, going on
-# from the stage before, if there is one. Leaves its policy in `policy`.
+# stage NAME DATA,... FLAGS...: trains on the files OUT_DIR/DATA.cbor and writes to OUT_DIR/NAME, unless that stage is
+# finished. Starts from the policy of the previous stage, if there is one, and sets `policy` to the path of its own.
 stage() {
   local name=$1 data=$out/${2//,/.cbor,$out/}.cbor
   shift 2
@@ -28,12 +28,12 @@ stage() {
   policy=$out/$name/policy.safetensors
 }
 
-# Plays the last stage's policy from seeds that neither training nor its evaluations saw.
+# Evaluates the last stage's policy on seeds that were used neither in training nor in its evaluations.
 unseen() {
   "$spiketrain" eval --policy="$policy" --episodes=1000 --seed=2000000
 }
 
-# dial RETURN...: asks the last stage's policy for each return, from seeds that nothing saw before.
+# dial RETURN...: evaluates the last stage's policy with each target return, on seeds that were not used before.
 dial() {
   local returns=$*
   "$spiketrain" eval --policy="$policy" --episodes=100 --seed=2000000 --target_returns="${returns// /,}"

@@ -11,7 +11,7 @@
 namespace spikeserve {
 namespace {
 
-// Mean and deviation of the returns-to-go: mu and sigma of eq. 4.2.
+// Returns the mean and standard deviation of the returns-to-go: mu and sigma of eq. 4.2.
 std::pair<float, float> ReturnMoments(const Dataset& dataset) {
   double sum = 0.0, squares = 0.0, count = 0.0;
   for (const Episode& episode : dataset.episodes) {
@@ -25,7 +25,8 @@ std::pair<float, float> ReturnMoments(const Dataset& dataset) {
   return {static_cast<float>(mean), static_cast<float>(deviation)};
 }
 
-// That of the environment; for one that is not ours, what the data show.
+// Returns the scaling of the dataset's environment. For an environment without one, returns
+// `moments` and the best return in the data.
 ReturnScaling ScalingOf(const Dataset& dataset, const std::pair<float, float>& moments) {
   if (const auto scaling = ReturnScalingOf(dataset.environment); scaling.ok()) return *scaling;
   float best = ReturnsToGo(dataset.episodes[0])[0];

@@ -1,4 +1,4 @@
-// Where training starts.
+// Creates the policy that training starts from.
 #ifndef TRAIN_TRAINER_INITIAL_POLICY_H_
 #define TRAIN_TRAINER_INITIAL_POLICY_H_
 
@@ -9,8 +9,9 @@
 
 namespace spikeserve {
 
-// Random weights, observations standardised by the data's moments, returns scaled as suits the
-// environment (by the data's moments where it is not one of ours). REQUIRES: a valid config.
+// Returns a policy with random weights, drawn from `seed`. Observations are standardised by the
+// moments of the data. Returns are scaled by ReturnScalingOf(), or by the moments of the data for
+// an environment that it does not know. REQUIRES: a valid config and at least one episode.
 Policy InitialPolicy(const ModelConfig& config, const Dataset& dataset, uint64_t seed);
 
 }  // namespace spikeserve

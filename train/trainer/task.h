@@ -1,4 +1,4 @@
-// How returns are scaled for each environment.
+// The scaling of returns and the default target return of each environment.
 #ifndef TRAIN_TRAINER_TASK_H_
 #define TRAIN_TRAINER_TASK_H_
 
@@ -7,15 +7,15 @@
 
 namespace spikeserve {
 
-// The return token's input is (G - offset) / scale; a policy is asked for `target` unless told
-// otherwise.
+// The input of the return token is (G - offset) / scale. `target` is the return that a policy is
+// conditioned on by default. All three are in environment units.
 struct ReturnScaling {
   float offset;
   float scale;
   float target;
 };
 
-// NOT_FOUND names the environments there are.
+// Returns NOT_FOUND, with the known environments, if `id` is unknown.
 absl::StatusOr<ReturnScaling> ReturnScalingOf(absl::string_view id);
 
 }  // namespace spikeserve

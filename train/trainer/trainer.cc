@@ -21,9 +21,9 @@ namespace {
 // First part of every key of the counter-based generator.
 enum Stream : uint64_t { kTrainingClips = 11, kValidationClips = 12, kBernoulliSeeds = 13 };
 
-constexpr double kPhaseRateFactor = 0.3;   // of the learning rate, for omega and phi
-constexpr double kFinalRateFactor = 0.02;  // where the cosine ends
-constexpr double kHingeRamp = 1.0 / 3.0;   // of the iterations
+constexpr double kPhaseRateFactor = 0.3;   // learning rate of omega and phi, relative to the others
+constexpr double kFinalRateFactor = 0.02;  // final learning rate, relative to the peak
+constexpr double kHingeRamp = 1.0 / 3.0;   // share of the iterations in which the penalty grows
 constexpr int kValidationBatches = 4;
 
 absl::Status Require(bool holds, absl::string_view option, absl::string_view expected,
@@ -39,7 +39,7 @@ torch::Tensor Copy(const std::vector<T>& values, std::vector<int64_t> shape,
   return torch::from_blob(const_cast<T*>(values.data()), shape, type).clone();
 }
 
-// Archives take names without dots.
+// Returns the name of a tensor in a torch archive, which does not allow dots in names.
 std::string ArchiveName(const std::string& name) { return absl::StrReplaceAll(name, {{".", "/"}}); }
 
 int ClipSteps(const TrainOptions& options, const ModelConfig& config) {
@@ -89,7 +89,8 @@ std::string TrainOptions::ToFlags() const {
       spike_penalty, surrogate_name, surrogate.slope);
 }
 
-// AdamW over two groups: everything, and the phase generators at their own rate.
+// AdamW with two parameter groups: the phase generators, with a learning rate of their own and no
+// weight decay, and all other parameters.
 struct Trainer::Optimizer {
   static std::unique_ptr<Optimizer> Make(const Parameters& parameters,
                                          const TrainOptions& options) {

@@ -1,8 +1,12 @@
 // Trains a policy on recorded episodes with AdamW.
 //
-// Not thread-safe. Every draw is a pure function of seed and iteration, so a run is determined by
-// its options, the data and the number of threads; a run resumed from a checkpoint goes on exactly
-// as the uninterrupted one.
+// Not thread-safe. Every random draw is a pure function of seed and iteration, so a run is
+// determined by its options, the data and the number of threads. A run resumed from a checkpoint
+// computes exactly the same weights as an uninterrupted one. Example:
+//
+//   Trainer trainer(InitialPolicy(config, dataset, seed), dataset, options);
+//   while (!trainer.done()) trainer.Step();
+//   WritePolicyFile(trainer.CurrentPolicy(), path);
 #ifndef TRAIN_TRAINER_TRAINER_H_
 #define TRAIN_TRAINER_TRAINER_H_
 
@@ -23,22 +27,22 @@ namespace spikeserve {
 struct TrainOptions {
   uint64_t seed = 0;
   int iterations = 400;
-  int batch = 32;               // clips an iteration
-  int clip_steps = 0;           // timesteps of a clip; 0 for the policy's context
-  double learning_rate = 1e-3;  // peak; omega and phi get 0.3 of it
-  double weight_decay = 1e-4;   // not on omega and phi
-  int warmup = 50;              // iterations of linear warm-up, then a cosine to 2 % at the end
-  double clip_norm = 1.0;       // of the whole gradient
+  int batch = 32;               // clips per iteration
+  int clip_steps = 0;           // timesteps per clip; 0: the policy's context
+  double learning_rate = 1e-3;  // the peak; the rate of omega and phi is 0.3 times it
+  double weight_decay = 1e-4;   // not applied to omega and phi
+  int warmup = 50;              // iterations of linear warm-up of the cosine that ends at 2 %
+  double clip_norm = 1.0;       // largest norm of the whole gradient
   double action_noise = 0.0;    // probability that an action token is replaced by a random one
-  double validation = 0.1;      // share of each actor's episodes held out
-  RateTargets rate_targets;     // ramped in over the first third
-  double spike_penalty = 1.0;   // weight of the rate hinge
+  double validation = 0.1;      // share of each actor's episodes that is held out
+  RateTargets rate_targets;     // the penalty grows linearly over the first third of the iterations
+  double spike_penalty = 1.0;   // weight of the penalty on firing rates
   Surrogate surrogate;
 
-  // INVALID_ARGUMENT names the option, what was expected and what came.
+  // Returns INVALID_ARGUMENT with the option, the expected and the received value.
   absl::Status Validate() const;
 
-  // The flags of `spiketrain train` that ask for these options, with every value.
+  // Returns the flags of `spiketrain train` for these options, including defaults.
   std::string ToFlags() const;
 };
 
@@ -50,49 +54,52 @@ class Trainer {
   ~Trainer();
 
   struct StepReport {
-    double loss = 0.0;   // imitation
-    double hinge = 0.0;  // summed excess of firing rates over their targets
+    double loss = 0.0;   // imitation loss
+    double hinge = 0.0;  // sum of the excess of firing rates over their targets
   };
+  // Runs one iteration: draws a batch of clips and updates the weights. REQUIRES: !done().
   StepReport Step();
 
+  // Returns whether any episodes are held out.
   bool has_validation() const { return validation_ != nullptr; }
-  // The imitation loss on held-out episodes, on the same clips every time. REQUIRES:
-  // has_validation().
+  // Returns the imitation loss on clips of held-out episodes; uses the same clips in every call.
+  // REQUIRES: has_validation().
   double ValidationLoss() const;
 
   int iteration() const { return iteration_; }
   bool done() const { return iteration_ >= options_.iterations; }
   Policy CurrentPolicy() const { return model_.CurrentPolicy(); }
 
-  // Weights, optimiser and iteration; the random state is the seed and the iteration. Written
-  // beside `path`, then renamed.
+  // Writes weights, optimiser state and iteration; there is no other state, because random draws
+  // depend only on seed and iteration. Replaces the file at `path` atomically. Returns INTERNAL if
+  // it cannot be written.
   absl::Status SaveCheckpoint(const std::string& path) const;
-  // FAILED_PRECONDITION if the checkpoint is of a run with other options, data or model; what was
-  // trained so far is kept then.
+  // Restores a checkpoint. Returns NOT_FOUND if the file does not exist, and FAILED_PRECONDITION,
+  // without changing the weights or the iteration, if it belongs to a run with other options, data
+  // or model.
   absl::Status LoadCheckpoint(const std::string& path);
 
  private:
   struct Optimizer;
 
-  // Clips as tensors, with what to imitate [B, n, act], where there is a step [B, n] and what it
-  // weighs [B, n].
+  // A batch of clips as tensors, see Clips.
   struct Batch {
     ClipTensors clips;
-    torch::Tensor targets;
-    torch::Tensor mask;
-    torch::Tensor weights;
+    torch::Tensor targets;  // [B, n, act]
+    torch::Tensor mask;     // [B, n]
+    torch::Tensor weights;  // [B, n]
   };
   Batch MakeBatch(const ClipSampler& sampler, uint64_t key, double action_noise) const;
   torch::Tensor Loss(const Batch& batch, const ModelOutput& output) const;
   void SetLearningRate();
 
   const TrainOptions options_;
-  const std::string run_;  // options and data, as a checkpoint is marked with
+  const std::string run_;  // options and data; identifies the run in its checkpoints
   const ActionSpace action_space_;
   const int observation_size_;
   TorchModel model_;
   ClipSampler training_;
-  std::unique_ptr<ClipSampler> validation_;  // null where too few episodes
+  std::unique_ptr<ClipSampler> validation_;  // null if no episodes are held out
   std::unique_ptr<Optimizer> optimizer_;
   int iteration_ = 0;
 };
