@@ -10,7 +10,8 @@ namespace {
 
 using std::chrono::steady_clock;
 
-// A limit that was reached is none any more a little later.
+// Returns whether the same request may succeed later. RESOURCE_EXHAUSTED counts as transient,
+// because a rate limit allows requests again after a pause.
 bool IsTransient(const absl::Status& status) {
   return IsRetryable(status) || absl::IsResourceExhausted(status);
 }
@@ -34,10 +35,10 @@ LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
   const Time start = steady_clock::now();
   const Time end = start + duration;
   for (auto& [id, agent] : agents_) Send(agent, steady_clock::now());
-  while (under_way_ > 0) {
+  while (in_flight_ > 0) {
     const auto reply = exchange_->Receive(patience_);
     if (!reply.ok()) {
-      LoseRequestsUnderWay(reply.status());
+      FailRequestsInFlight(reply.status());
       break;
     }
     SimulatedAgent* agent = TakeReply(*reply);
@@ -53,8 +54,8 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
   const Time end = start + duration;
   std::deque<SimulatedAgent*> free;
   for (auto& [id, agent] : agents_) free.push_back(&agent);
-  Time next = start + schedule.offset;  // the first request that has not gone out
-  while (under_way_ > 0 || (next < end && !free.empty())) {
+  Time next = start + schedule.offset;  // due time of the next request to send
+  while (in_flight_ > 0 || (next < end && !free.empty())) {
     while (next < end && next <= steady_clock::now() && !free.empty()) {
       Send(*free.front(), next);
       free.pop_front();
@@ -62,7 +63,7 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
     }
     const bool waits_for_time = next < end && !free.empty();
     const auto pause = waits_for_time ? absl::FromChrono(next - steady_clock::now()) : patience_;
-    if (under_way_ == 0) {
+    if (in_flight_ == 0) {
       absl::SleepFor(pause);
       continue;
     }
@@ -70,7 +71,7 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
     if (reply.ok()) {
       if (SimulatedAgent* agent = TakeReply(*reply)) free.push_back(agent);
     } else if (!waits_for_time || !absl::IsDeadlineExceeded(reply.status())) {
-      LoseRequestsUnderWay(reply.status());
+      FailRequestsInFlight(reply.status());
     }
   }
   report_.seconds = Seconds(steady_clock::now() - start);
@@ -83,11 +84,11 @@ void Caller::Send(SimulatedAgent& agent, Time due) {
     report_.CountError(status);
     return;
   }
-  ++under_way_;
+  ++in_flight_;
 }
 
 SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
-  --under_way_;
+  --in_flight_;
   SimulatedAgent& agent = agents_.at(reply.session_id);
   if (!reply.response.ok()) {
     report_.CountError(reply.response.status());
@@ -104,8 +105,8 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
   return &agent;
 }
 
-void Caller::LoseRequestsUnderWay(const absl::Status& status) {
-  for (; under_way_ > 0; --under_way_) report_.CountError(status);
+void Caller::FailRequestsInFlight(const absl::Status& status) {
+  for (; in_flight_ > 0; --in_flight_) report_.CountError(status);
 }
 
 absl::Status Caller::CloseSessions() {

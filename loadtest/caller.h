@@ -1,15 +1,16 @@
-// One caller of a load test: its agents over one exchange.
+// One caller of a load test: sends the requests of its agents over one exchange and measures the
+// answers.
 //
-// In a closed loop every agent has one request under way and sends its next when it has the answer.
-// At a rate, requests fall due on a fixed schedule, and each goes out as soon as an agent is free
-// for it; its latency counts from when it was due, so that a server which stalls is charged for all
-// the requests that it kept waiting, and not only for those it kept under way (coordinated
-// omission).
+// In a closed loop every agent has one request in flight and sends the next one when it has the
+// answer. At a fixed rate, requests are due on a schedule, and each is sent as soon as an agent is
+// free. Its latency is measured from the time it was due. A server that stalls is therefore charged
+// for all requests that had to wait, not only for those in flight (this avoids "coordinated
+// omission").
 //
-// An agent whose request failed for no lasting reason repeats it after a pause; after any other
-// error it is retired.
+// After a transient error an agent pauses and repeats the request; after any other error it sends
+// no more requests.
 //
-// Not thread-safe; runs on a thread of its own.
+// Not thread-safe; each caller runs on its own thread.
 #ifndef LOADTEST_CALLER_H_
 #define LOADTEST_CALLER_H_
 
@@ -27,7 +28,7 @@
 
 namespace spikeserve {
 
-// When requests fall due: after `offset`, and from then on every `interval`.
+// The times at which requests are due: the first one after `offset`, then one every `interval`.
 struct Schedule {
   std::chrono::steady_clock::duration offset;
   std::chrono::steady_clock::duration interval;
@@ -35,31 +36,35 @@ struct Schedule {
 
 class Caller {
  public:
-  // The pause keeps a server that refuses everything from being flooded. `patience` is longer than
-  // any call may take, so that only a server that has gone silent runs into it.
+  // `pause_after_error` protects a server that refuses every request from being flooded. `patience`
+  // limits the wait for an answer; it must exceed the timeout of a call, so that it expires only if
+  // the server no longer answers at all.
   Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents,
          absl::Duration pause_after_error, absl::Duration patience);
 
-  // Each sends requests for `duration`, then waits for the answers under way.
+  // Each of these sends requests for `duration`, waits for the outstanding answers and returns the
+  // measurements.
   LoadReport RunClosedLoop(std::chrono::steady_clock::duration duration);
   LoadReport RunAtRate(const Schedule& schedule, std::chrono::steady_clock::duration duration);
 
-  // Ends the sessions of all agents, retired ones too, and returns the first error.
+  // Closes the sessions of all agents and returns the first error.
   absl::Status CloseSessions();
 
  private:
   using Time = std::chrono::steady_clock::time_point;
 
   void Send(SimulatedAgent& agent, Time due);
-  // The agent that may go on, or null.
+  // Records an answer. Returns the agent that may send its next request, or null after an error
+  // that is not transient.
   SimulatedAgent* TakeReply(const ActReply& reply);
-  void LoseRequestsUnderWay(const absl::Status& status);
+  // Counts every request in flight as failed with `status`.
+  void FailRequestsInFlight(const absl::Status& status);
 
   std::unique_ptr<Exchange> exchange_;
   absl::Duration pause_after_error_;
   absl::Duration patience_;
   std::unordered_map<std::string, SimulatedAgent> agents_;  // by session id
-  int under_way_ = 0;
+  int in_flight_ = 0;                                       // number of requests
   LoadReport report_;
 };
 

@@ -13,7 +13,7 @@
 namespace spikeserve {
 namespace {
 
-// Every request is a call of its own, and all of them are under way at once.
+// Sends every request as a call of its own; all calls run concurrently.
 class UnaryExchange : public Exchange {
  public:
   explicit UnaryExchange(Client* client) : client_(client) {}
@@ -31,7 +31,8 @@ class UnaryExchange : public Exchange {
   }
 
  private:
-  // Shared with the calls under way, which may outlive the exchange.
+  // A queue of answers. Shared with the calls in flight, which may outlive the exchange.
+  // Thread-safe.
   class Replies {
    public:
     void Push(ActReply reply) ABSL_LOCKS_EXCLUDED(mutex_) {
@@ -63,6 +64,7 @@ class UnaryExchange : public Exchange {
   const std::shared_ptr<Replies> replies_ = std::make_shared<Replies>();
 };
 
+// Sends all requests over one stream.
 class StreamExchange : public Exchange {
  public:
   explicit StreamExchange(Client* client) : stream_(client->OpenStream()) {}
@@ -76,8 +78,7 @@ class StreamExchange : public Exchange {
   const std::unique_ptr<RemoteStream> stream_;
 };
 
-// Gathers requests; once an answer is wanted and there is none, the requests gathered go out as a
-// batch.
+// Collects requests and sends them as a batch when an answer is asked for and none is left.
 class BatchExchange : public Exchange {
  public:
   BatchExchange(int batch_size, Client* client) : batch_size_(batch_size), client_(client) {}
@@ -126,7 +127,7 @@ std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* cl
     case LoadMode::kBatch:
       return std::make_unique<BatchExchange>(batch_size, client);
   }
-  return nullptr;  // not reached: every mode is listed
+  return nullptr;  // unreachable: the switch handles every mode
 }
 
 }  // namespace spikeserve

@@ -1,6 +1,7 @@
-// Where a caller hands over its requests and gets the answers, however they travel.
+// Sends requests and receives their answers, in one of the ways that the service offers: single
+// calls, a stream or batches.
 //
-// An exchange belongs to one thread.
+// Not thread-safe: an exchange is used by one thread.
 #ifndef LOADTEST_EXCHANGE_H_
 #define LOADTEST_EXCHANGE_H_
 
@@ -18,16 +19,18 @@ class Exchange {
  public:
   virtual ~Exchange() = default;
 
-  // Hands over a request without waiting for its answer.
+  // Sends a request without waiting for its answer. Returns an error if it cannot be sent.
   virtual absl::Status Send(const v1::ActRequest& request) = 0;
 
-  // The next answer to any request. DEADLINE_EXCEEDED if none came within `timeout`; the requests
-  // are still under way then. After any other error none of them will be answered. A batch waits
-  // for its answer, however long that takes; without a request it is FAILED_PRECONDITION.
+  // Returns the next answer to any of the requests. Returns DEADLINE_EXCEEDED if none arrives
+  // within `timeout`; the requests then remain in flight. After any other error none of them will
+  // be answered. The exchange of batches ignores `timeout` and waits for the answer to its batch;
+  // it returns FAILED_PRECONDITION if no request was sent.
   virtual absl::StatusOr<ActReply> Receive(absl::Duration timeout) = 0;
 };
 
-// `batch_size` as in LoadOptions. `client` must outlive the exchange.
+// Creates the exchange for `mode`. `batch_size` is LoadOptions::batch_size. `client` must outlive
+// the exchange.
 std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* client);
 
 }  // namespace spikeserve

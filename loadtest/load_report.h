@@ -1,6 +1,6 @@
-// What a load test measured.
+// The measurements of a load test.
 //
-// Plain values, not thread-safe: each caller fills its own, and Merge adds them up.
+// A plain value, not thread-safe: each caller fills its own report, and Merge adds them up.
 #ifndef LOADTEST_LOAD_REPORT_H_
 #define LOADTEST_LOAD_REPORT_H_
 
@@ -14,19 +14,20 @@
 namespace spikeserve {
 
 struct LoadReport {
-  int64_t decisions = 0;     // answered
-  int64_t errors = 0;        // requests that failed, repeated ones each time
+  int64_t decisions = 0;     // requests that were answered with a decision
+  int64_t errors = 0;        // failed attempts; a repeated request counts once per failure
   double seconds = 0.0;      // from the first request to the last answer
-  LatencyHistogram latency;  // seconds from when a request was due to the arrival of its answer
-  absl::Status first_error;
+  LatencyHistogram latency;  // seconds from the time a request was due to the arrival of its answer
+  absl::Status first_error;  // OK if errors == 0
 
   void CountError(const absl::Status& error);
-  // Adds up callers who ran side by side.
+  // Adds the report of a caller that ran concurrently: `seconds` becomes the larger of the two.
   void Merge(const LoadReport& other);
   double DecisionsPerSecond() const;
 
   std::string ToText() const;
-  // `decisions`, `decisions_per_second`, `p50_seconds`, `p99_seconds`, `errors`.
+  // Returns an object with `decisions`, `decisions_per_second`, `p50_seconds`, `p99_seconds` and
+  // `errors`.
   nlohmann::ordered_json ToJson() const;
 };
 

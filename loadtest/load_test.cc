@@ -12,7 +12,7 @@
 namespace spikeserve {
 namespace {
 
-// The name of the policy to ask for.
+// Returns `name`, or the first policy of the server if `name` is empty.
 absl::StatusOr<std::string> ChoosePolicy(Client& client, const std::string& name) {
   if (!name.empty()) return name;
   const auto served = client.ListPolicies();
@@ -21,7 +21,8 @@ absl::StatusOr<std::string> ChoosePolicy(Client& client, const std::string& name
   return served->policies(0).name();
 }
 
-// The agents `index`, `index` + `options.streams`, ...
+// Opens the sessions of one caller: agents `index`, `index` + options.streams, `index` + 2
+// options.streams and so on.
 absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& options,
                                                        const std::string& policy, int index,
                                                        Client* client) {
@@ -45,7 +46,7 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
   return agents;
 }
 
-// Caller `index` of `callers`, whose schedules interleave.
+// Runs caller `index` of `callers`. At a fixed rate the callers' schedules interleave.
 LoadReport RunCaller(const LoadOptions& options, size_t index, size_t callers, Caller& caller) {
   const auto duration = absl::ToChronoNanoseconds(options.duration);
   if (options.rate == 0.0) return caller.RunClosedLoop(duration);
@@ -74,7 +75,7 @@ LoadReport RunCallers(const LoadOptions& options, std::vector<Caller>& callers) 
 
 absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
   if (absl::Status status = options.Validate(); !status.ok()) return status;
-  // One attempt a call, so that every failure is seen and counted.
+  // The client does not retry, so that every failure is counted.
   ClientOptions client_options;
   client_options.retry.max_attempts = 1;
   client_options.call_timeout = options.call_timeout;
@@ -95,7 +96,8 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
   LoadReport report = RunCallers(options, callers);
   absl::Status closed;
   for (Caller& caller : callers) closed.Update(caller.CloseSessions());
-  // Where decisions failed, their first error says more than what followed from it.
+  // If decisions failed, an error on closing is probably a consequence, so the report is returned:
+  // its first error is more informative.
   if (report.errors == 0 && !closed.ok()) return closed;
   return report;
 }

@@ -1,4 +1,4 @@
-// A load test: many sessions against one server, in closed loop or at a rate, for a bounded time.
+// A load test: many sessions on one server, in a closed loop or at a fixed rate, for a fixed time.
 #ifndef LOADTEST_LOAD_TEST_H_
 #define LOADTEST_LOAD_TEST_H_
 
@@ -8,10 +8,10 @@
 
 namespace spikeserve {
 
-// Opens the sessions, runs the callers, and closes the sessions again. INVALID_ARGUMENT if
-// `options` are not valid, NOT_FOUND if there is no such policy, UNAVAILABLE if the server cannot
-// be reached, or why the sessions could not be opened or closed. Failed decisions are counted in
-// the report.
+// Opens the sessions, runs the callers, and closes the sessions. Returns INVALID_ARGUMENT if
+// `options` are invalid, NOT_FOUND for an unknown policy, UNAVAILABLE if the server cannot be
+// reached, or the error of opening or closing a session. Failed decisions are not an error; the
+// report counts them.
 absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options);
 
 }  // namespace spikeserve

@@ -32,7 +32,7 @@ absl::Status SimulatedAgent::Accept(const v1::ActResponse& response) {
 }
 
 void SimulatedAgent::MakeRequest() {
-  // Not a standard distribution: those differ between libraries.
+  // Computed by hand, because the standard distributions differ between libraries.
   constexpr double kHalf = (std::minstd_rand::max() - std::minstd_rand::min()) / 2.0;
   for (float& value : observation_) {
     const double unit = (random_() - std::minstd_rand::min()) / kHalf - 1.0;

@@ -1,7 +1,7 @@
-// An agent without an environment: random observations within a bound, reward 1 a step, episodes of
-// a fixed length.
+// An agent without an environment: it sends random observations within a bound and a reward of 1
+// per step, in episodes of a fixed length.
 //
-// Not thread-safe. The same seed makes the same observations on every machine.
+// Not thread-safe. A seed gives the same observations on every machine.
 #ifndef LOADTEST_SIMULATED_AGENT_H_
 #define LOADTEST_SIMULATED_AGENT_H_
 
@@ -17,32 +17,35 @@ namespace spikeserve {
 
 class SimulatedAgent {
  public:
-  // `session` is at step 0. The first episode has `first_episode_steps`, so that agents which start
-  // together need not end together; later ones have `episode_steps`.
+  // The first episode has `first_episode_steps` steps and all later ones `episode_steps`, so that
+  // the episodes of agents that start together can end at different times. The entries of the
+  // observations are in [-observation_bound, observation_bound]. REQUIRES: `session` is at step 0.
   SimulatedAgent(RemoteSession session, int observation_size, int first_episode_steps,
                  int episode_steps, uint64_t seed, double observation_bound = 1.0);
 
   const std::string& session_id() const { return session_.session_id(); }
 
-  // The request of this step; the same one until it was answered.
+  // Returns the request of the current step; it does not change until Accept().
   const v1::ActRequest& request() const { return request_; }
 
-  // Takes the answer and makes the next request; ends the episode first where it is due, which
-  // waits for the server. INTERNAL if the answer is not to this request, or the error of the call.
+  // Takes the answer and makes the next request. After the last step of an episode it first ends
+  // the episode, a call that waits for the server. Returns INTERNAL if the answer belongs to
+  // another request, or the error of that call.
   absl::Status Accept(const v1::ActResponse& response);
 
+  // Closes the session on the server.
   absl::Status Close() { return session_.Close(); }
 
-  // When the request was to be handed over.
+  // The time at which the request was due.
   std::chrono::steady_clock::time_point due;
 
  private:
   void MakeRequest();
 
   RemoteSession session_;
-  int steps_left_;  // in this episode
+  int steps_left_;  // remaining steps of this episode
   int episode_steps_;
-  double observation_bound_;  // of their absolute values
+  double observation_bound_;  // largest absolute value
   std::minstd_rand random_;
   std::vector<float> observation_;
   v1::ActRequest request_;

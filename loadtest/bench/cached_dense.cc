@@ -14,20 +14,23 @@ namespace {
 using torch::indexing::None;
 using torch::indexing::Slice;
 
-constexpr int kNew = 3;  // tokens a decision
+constexpr int kNew = 3;  // new tokens per decision
 constexpr double kUnseen = -1e9;
 
-// What each new token may attend to: the last N timesteps up to itself.
+// Returns the attention mask of the new tokens, [3, 3N + 2]: each may attend to the tokens of the
+// last N timesteps up to itself.
 torch::Tensor Band(int context) {
   const int keys = 3 * context + 2;
   torch::Tensor mask = torch::zeros({kNew, keys});
   for (int token = 0; token < kNew; ++token) {
     mask.index_put_({token, Slice(keys - kNew + token + 1, None)}, kUnseen);
   }
-  mask.index_put_({Slice(1, None), Slice(None, 3)}, kUnseen);  // timestep t - N, for a_{t-1} alone
+  // Only a_{t-1} may attend to timestep t - N.
+  mask.index_put_({Slice(1, None), Slice(None, 3)}, kUnseen);
   return mask;
 }
 
+// Returns `cache` followed by `fresh`, and drops the oldest tokens from `cache`.
 torch::Tensor AppendToCache(const torch::Tensor& fresh, torch::Tensor& cache) {
   const torch::Tensor window = torch::cat({cache, fresh}, 1);
   cache = window.slice(1, kNew);

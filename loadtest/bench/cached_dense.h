@@ -1,8 +1,8 @@
-// A dense decision transformer in libtorch that keeps its keys and values: what a careful PyTorch
-// user would serve.
+// A dense decision transformer in libtorch with a cache of keys and values, as a careful PyTorch
+// user would serve it.
 //
-// In steady state: its window is always full, at first of zeros. Once those have left the band its
-// answers are those of the engine of dense mode. Not thread-safe.
+// Measures the steady state: the window is always full, at first of zeros. Once the zeros have left
+// the attention band, its answers equal those of the engine in dense mode. Not thread-safe.
 #ifndef LOADTEST_BENCH_CACHED_DENSE_H_
 #define LOADTEST_BENCH_CACHED_DENSE_H_
 
@@ -20,8 +20,9 @@ class CachedDense {
   // REQUIRES: a valid policy of dense mode.
   explicit CachedDense(const Policy& policy);
 
-  // The logits [1, act] of timestep `timestep`, from its three new tokens: a_{t-1} [1, act] as
-  // ActionSpace::Encode writes it, G_t [1, 1] and s_t [1, obs] in environment units.
+  // Returns the logits [1, act] of timestep `timestep` from its three new tokens: a_{t-1} [1, act],
+  // encoded by ActionSpace::Encode, and G_t [1, 1] and s_t [1, obs] in environment units. REQUIRES:
+  // called for timesteps 0, 1, 2 and so on.
   torch::Tensor Decide(int64_t timestep, const torch::Tensor& action,
                        const torch::Tensor& return_to_go, const torch::Tensor& observation);
 

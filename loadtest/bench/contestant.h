@@ -1,10 +1,10 @@
-// One contestant of the benchmark, as a process that measures itself in rounds.
+// One contestant of the benchmark: a process that measures itself in rounds.
 //
-// A driver (bench.py) starts many contestants and lets them run in turn, so that whatever slows the
-// machine slows them all alike. After a line "ready" on standard output, each line with a number of
-// seconds on standard input is a round, answered by one line of JSON:
-// {"decisions": N, "seconds": S, "spikes": M}, S in processor time, which other processes on the
-// machine do not lengthen. The contestant ends with its standard input.
+// A driver (bench.py) starts all contestants and runs them in turn, so that a disturbance of the
+// machine affects all of them equally. The contestant prints the line "ready" to standard output.
+// Then each line on standard input, a number of seconds, is one round, which the contestant answers
+// with one line of JSON: {"decisions": N, "seconds": S, "spikes": M}. S is processor time, which is
+// not affected by other processes. The contestant exits at the end of its standard input.
 #ifndef LOADTEST_BENCH_CONTESTANT_H_
 #define LOADTEST_BENCH_CONTESTANT_H_
 
@@ -13,12 +13,13 @@
 
 namespace spikeserve {
 
+// The work that one call did.
 struct Work {
   int64_t decisions = 0;
   uint64_t spikes = 0;
 };
 
-// Answers rounds, in each of which `decide` is called until the time is over.
+// Runs the rounds; in each of them calls `decide` repeatedly until the time is over.
 void RunContestant(const std::function<Work()>& decide);
 
 }  // namespace spikeserve

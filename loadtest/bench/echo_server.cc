@@ -1,7 +1,7 @@
-// An empty service to measure spikeserve against: PolicyService's messages and calls on the same
-// gRPC callback API, with nothing behind them. Every answer has the fields and the size of a real
-// one. With --policy, every answer costs a decision of the engine too, and nothing else: what is
-// left to spikeserve if sessions, limits and metrics were free.
+// A baseline for the benchmark of spikeserve: implements the calls of PolicyService on the same
+// gRPC callback API, but does not compute anything. Every answer has the fields and the size of a
+// real one. With --policy it also computes a decision with the engine for every answer, which gives
+// the cost of a server whose sessions, limits and metrics are free.
 //
 // Prints "listening on HOST:PORT" and serves until it is killed.
 
@@ -29,10 +29,10 @@ namespace {
 
 constexpr int kObservationSize = 4;
 
-// Thread-safe.
+// The open sessions. Thread-safe.
 class Sessions {
  public:
-  // Without an engine they are names only.
+  // `engine` may be null; sessions then have no state.
   explicit Sessions(std::unique_ptr<Engine> engine) : engine_(std::move(engine)) {}
 
   std::string Open() {
@@ -49,7 +49,8 @@ class Sessions {
     session.context = nullptr;
   }
 
-  // A decision, its action token included.
+  // Computes a decision and appends its action token to the context. Does nothing without an
+  // engine.
   void Decide(const v1::ActRequest& request) {
     if (engine_ == nullptr) return;
     Session& session = Find(request.session_id());
@@ -71,7 +72,8 @@ class Sessions {
  private:
   struct Session {
     absl::Mutex mutex;
-    std::unique_ptr<Engine::Context> context ABSL_GUARDED_BY(mutex);  // null at the first step
+    // Null before the first step of an episode.
+    std::unique_ptr<Engine::Context> context ABSL_GUARDED_BY(mutex);
   };
 
   Session& Find(const std::string& id) {
@@ -83,9 +85,10 @@ class Sessions {
 
   const std::unique_ptr<Engine> engine_;
   absl::Mutex mutex_;
-  std::deque<Session> sessions_ ABSL_GUARDED_BY(mutex_);  // where they lie does not change
+  std::deque<Session> sessions_ ABSL_GUARDED_BY(mutex_);  // a deque keeps references valid
 };
 
+// Fills in an answer with constants of typical size.
 void FillAnswer(const v1::ActRequest& request, v1::ActResponse* response) {
   response->set_session_id(request.session_id());
   response->set_step(request.step());
@@ -128,7 +131,7 @@ class EchoStream final : public grpc::ServerBidiReactor<v1::ActRequest, v1::ActR
     if (!ok) return Finish(grpc::Status::CANCELLED);
     StartRead(&request_);
   }
-  void OnDone() override { delete this; }  // gRPC's reactors own themselves
+  void OnDone() override { delete this; }  // a gRPC reactor owns itself
 
  private:
   Sessions* const sessions_;

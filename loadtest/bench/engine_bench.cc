@@ -1,8 +1,9 @@
-// A contestant of the benchmark: decisions through an engine alone, action tokens included.
+// A contestant of the benchmark: decisions of an engine without a server, including the action
+// tokens.
 //
-// Inputs are those of CartPole, played in closed loop by the policy itself. The environment starts
-// anew when its episode ends; the context starts anew every --episode_steps decisions, so that
-// episodes of any length can be compared.
+// The inputs are those of CartPole, played in closed loop by the policy itself. The environment is
+// reset when its episode ends, and the context every --episode_steps decisions, so that policies
+// with episodes of different lengths can be compared.
 
 #include <CLI/CLI.hpp>
 #include <iostream>
@@ -37,7 +38,7 @@ absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
   return RandomPolicy(config, /*observation_size=*/4, ActionSpace::Discrete(2), /*seed=*/1);
 }
 
-// An agent and its CartPole.
+// An agent and its CartPole environment. Not thread-safe.
 class Player {
  public:
   Player(const Engine* engine, int episode_steps, uint64_t seed)
@@ -49,13 +50,13 @@ class Player {
     Reset();
   }
 
-  // What the next decision takes; Act() is to follow it.
+  // Returns the inputs of the next decision. REQUIRES: Act() is called once the decision is made.
   Engine::Decision Next() {
     if (steps_++ % episode_steps_ == 0) context_ = engine_->NewContext(0);
     return {context_.get(), return_to_go_, observation_, &output_};
   }
 
-  // Does what was decided, and says so; AppendActionsTogether is to follow.
+  // Executes the decided action in the environment and returns it for AppendActionsTogether.
   Engine::TakenAction Act() {
     const Policy& policy = engine_->policy();
     ChooseAction(policy.weights.head, policy.action_space, output_.readout, ActionSelection(), 0,
@@ -89,7 +90,7 @@ class Player {
   ActionChoice choice_;
 };
 
-// One decision for each of `players`.
+// Makes one decision for each of `players`, in one batch.
 Work PlayTogether(const Engine& engine, std::vector<Player>& players) {
   thread_local std::vector<Engine::Decision> decisions;
   thread_local std::vector<Engine::TakenAction> actions;

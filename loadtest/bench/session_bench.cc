@@ -1,12 +1,12 @@
-// How much memory a session needs: opened, active, and idle. Prints one JSON object.
+// Measures the memory of a session: opened, active, and idle. Prints one JSON object.
 //
-// Bytes are what the allocator has handed out, the store's table included, divided by the number of
-// sessions (and so is the list of ids this program keeps); `resident_bytes` is the whole process's
-// share of memory at the end.
+// The figures are bytes allocated on the heap divided by the number of sessions. They include the
+// store's table and the list of ids that this program keeps. `resident_bytes` is the resident
+// memory of the whole process at the end.
 //
-// Active sessions play on the policy's own engine. An idle session keeps nothing of its engine, so
-// where there are more than --active of them they get their history from an engine that does not
-// compute, to have a million ready within seconds.
+// Active sessions use the engine of the policy. An idle session keeps no state of its engine. With
+// more than --active sessions, only idle ones are measured, and an engine that does not compute
+// fills their histories, so that a million of them are ready within seconds.
 
 #include <malloc.h>
 #include <unistd.h>
@@ -70,7 +70,7 @@ int64_t ResidentBytes() {
   return resident * sysconf(_SC_PAGESIZE);
 }
 
-// Opens sessions and takes them through their lives.
+// Opens sessions, plays them and compacts them, and measures their memory. Not thread-safe.
 class Measurement {
  public:
   Measurement(int64_t sessions, std::shared_ptr<const ServedPolicy> served)
@@ -79,7 +79,7 @@ class Measurement {
     ids_.reserve(static_cast<size_t>(sessions));
   }
 
-  // Bytes a session.
+  // Opens the sessions and returns the bytes per session.
   int64_t Opened() {
     SessionOptions options;
     options.policy = served_->name;
@@ -89,7 +89,7 @@ class Measurement {
     return BytesPerSession();
   }
 
-  // Fills every session's history, and one timestep more.
+  // Plays every session for one timestep more than its history holds.
   void Play() {
     const int steps = HistorySize(served_->policy().config) + 1;
     const std::vector<float> observation(static_cast<size_t>(served_->policy().observation_size()));

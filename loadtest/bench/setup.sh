@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Installs what the benchmark alone needs, on top of deploy/setup.sh: PyTorch from Debian (which comes without CUDA), and
-# a Python environment beside it. Does nothing where everything is there already.
+# Installs the packages that only the benchmark needs, in addition to deploy/setup.sh: Debian's PyTorch, which is built
+# without CUDA, and a Python environment that uses it. Does nothing if everything is installed already.
 #
 # usage: loadtest/bench/setup.sh VENV
 set -euo pipefail

@@ -1,10 +1,12 @@
 // A contestant of the benchmark: the same model, or a dense decision transformer of its size, in
-// libtorch on one thread, eager, in steady state.
+// eager libtorch on one thread, in steady state.
 //
-// usage: torch_bench --model=snn|dense|dense_cached --policy=FILE (of the snn; the dense models'
-// weights are random, as they do not change the cost)
-//        torch_bench --export=FILE (writes the policy of the dense models, and prints the logits
-// that its engine answers CheckObservation's observations with, as JSON)
+// usage: torch_bench --model=snn|dense|dense_cached --policy=FILE
+//        torch_bench --export=FILE
+//
+// --policy is the policy of the snn. The dense models have random weights, because weights do not
+// change their cost. --export writes the policy of the dense models and prints, as a JSON array,
+// the logits that the engine computes from it for the observations of CheckObservation.
 
 #include <torch/torch.h>
 
@@ -60,8 +62,9 @@ Policy DensePolicy() {
   return RandomPolicy(config, 4, ActionSpace::Discrete(2), /*seed=*/1);
 }
 
-// What the models are checked with: the first action at every timestep, a return-to-go of 1, and
-// these observations, until nothing of an empty window is left.
+// The inputs of the check of the models: the first action at every timestep, a return-to-go of 1,
+// and these observations. There are enough timesteps that no part of the initially empty window is
+// left.
 int64_t CheckDecisions(const Policy& policy) { return 3 * policy.config.context; }
 std::vector<float> CheckObservation(int64_t timestep) {
   std::vector<float> observation;
@@ -71,7 +74,7 @@ std::vector<float> CheckObservation(int64_t timestep) {
   return observation;
 }
 
-// The logits that the engine of dense mode answers the last of them with.
+// Returns the logits of the engine in dense mode for the last timestep of the check.
 std::vector<float> EngineLogits(const std::shared_ptr<const Policy>& policy) {
   const auto engine = MakeStreamingEngine(policy);
   const auto context = engine->NewContext(0);
@@ -85,7 +88,8 @@ std::vector<float> EngineLogits(const std::shared_ptr<const Policy>& policy) {
       .logits;
 }
 
-// Refuses to measure a model that does not compute what the engine of dense mode does.
+// Returns INTERNAL if CachedDense computes other logits than the engine in dense mode, so that only
+// a correct model is measured.
 absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy) {
   constexpr float kTolerance = 1e-3f;
   CachedDense cached(*policy);
@@ -97,14 +101,15 @@ absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy) {
   }
   const std::vector<float> expected = EngineLogits(policy);
   for (size_t i = 0; i < expected.size(); ++i) {
-    const float got = logits[0][static_cast<int64_t>(i)].item<float>();
-    if (std::abs(got - expected[i]) <= kTolerance) continue;
-    return absl::InternalError(
-        absl::StrCat("dense_cached: logit ", i, ": expected ", expected[i], ", received ", got));
+    const float received = logits[0][static_cast<int64_t>(i)].item<float>();
+    if (std::abs(received - expected[i]) <= kTolerance) continue;
+    return absl::InternalError(absl::StrCat("dense_cached: logit ", i, ": expected ", expected[i],
+                                            ", received ", received));
   }
   return absl::OkStatus();
 }
 
+// Writes the policy of the dense models to `path` and prints the engine's logits.
 absl::Status Export(const std::string& path) {
   const Policy policy = DensePolicy();
   std::cout << "[" << absl::StrJoin(EngineLogits(std::make_shared<const Policy>(policy)), ", ")
