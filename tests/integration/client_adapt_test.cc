@@ -1,5 +1,5 @@
-// spikectl adapt against a real server. The policies are random, so nothing is said of how well
-// they learn: docs/learning.md does.
+// Tests of `spikectl adapt` with a real server. The policies are random, so these tests do not
+// check how well they learn; docs/learning.md reports that.
 #include <string>
 #include <vector>
 
@@ -31,7 +31,8 @@ TEST_F(SpikectlAdaptTest, OneSessionLearns) {
   EXPECT_NE(result["adapted_return"], result["frozen_return"]);
   EXPECT_EQ(Metric("spikeserve_learning_updates_total"), 3.0);
   EXPECT_EQ(Metric("spikeserve_sessions"), 0.0);
-  EXPECT_EQ(ParseOutput(Adapt({"--perturb=force=-1", "--json"})), result);  // by the seed alone
+  // The result depends only on the seed.
+  EXPECT_EQ(ParseOutput(Adapt({"--perturb=force=-1", "--json"})), result);
 }
 
 TEST_F(SpikectlAdaptTest, AFleetLearns) {

@@ -1,4 +1,4 @@
-// `spikectl admin`, as an operator runs it.
+// Tests of the program `spikectl admin` with a real server.
 #include <algorithm>
 #include <filesystem>
 

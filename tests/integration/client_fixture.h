@@ -1,5 +1,5 @@
-// A test that runs the client programs against a real server with a random policy for each
-// environment.
+// A fixture that runs the client programs against a real server, which serves a random policy for
+// each environment.
 #ifndef TESTS_INTEGRATION_CLIENT_FIXTURE_H_
 #define TESTS_INTEGRATION_CLIENT_FIXTURE_H_
 
@@ -12,7 +12,7 @@
 
 namespace spikeserve {
 
-// "CartPole-v1" and so on; the policy served for each has its id as a name, in lower case.
+// The environments' ids. The name of each one's policy is its id in lower case.
 inline constexpr const char* kEnvironments[] = {"CartPole-v1", "MountainCar-v0", "Acrobot-v1",
                                                 "Pendulum-v1"};
 
@@ -20,15 +20,16 @@ class ClientProgramTest : public ServerTest {
  protected:
   void SetUp() override;
 
-  // Run a program to its end, with --server first among its flags.
+  // Run the program until it exits, with --server before `flags`.
   Finished Spikectl(const std::string& command, const std::vector<std::string>& flags = {});
   Finished Spikeload(const std::vector<std::string>& flags);
 
-  // The object a program printed. Fails the test where it failed or printed something else.
+  // Returns the JSON object that a program printed. Fails the test if the program failed or printed
+  // anything else.
   static nlohmann::json ParseOutput(const Finished& finished);
 
-  // Expects a failure with exactly one line on standard error, which contains `message`, and
-  // nothing on standard output.
+  // Expects that the program failed with exactly one line on standard error, which contains
+  // `message`, and no standard output.
   static void ExpectOneLineError(const Finished& finished, const std::string& message);
 
  private:

@@ -1,4 +1,4 @@
-// A client that is killed in the middle of an episode loses nothing.
+// Tests that a client that is killed in the middle of an episode loses no decision.
 #include <csignal>
 
 #include "absl/strings/escaping.h"
@@ -10,9 +10,9 @@
 namespace spikeserve {
 namespace {
 
-constexpr int kSteps = 25;  // well past the context
+constexpr int kSteps = 25;  // many more than the context
 
-// A request and the answer to it.
+// A request and its answer.
 struct Exchanged {
   v1::ActRequest request;
   v1::ActResponse answer;
@@ -20,7 +20,8 @@ struct Exchanged {
 
 class ClientRestartTest : public ClientProgramTest {
  protected:
-  // Everything an agent exchanged before it was killed with its episode half played.
+  // Starts an agent, kills it in the middle of its episode, and returns all its requests and
+  // answers.
   std::vector<Exchanged> PlayAndKill() {
     auto agent = Subprocess::Start({CLIENT_STUCK_AGENT_PROGRAM, server_->grpc_address(),
                                     "cartpole-v1", std::to_string(kSteps)});
@@ -58,7 +59,7 @@ TEST_F(ClientRestartTest, TheNextClientGetsTheLastAnswerAgainAndGoesOn) {
   EXPECT_EQ(again->SerializeAsString(), last.answer.SerializeAsString());
   EXPECT_EQ(Metric("spikeserve_decisions_total"), decisions);
 
-  // A session that was never interrupted decides the same from here on.
+  // From here on a session that was never interrupted makes the same decisions.
   v1::OpenSessionRequest open;
   open.set_policy("cartpole-v1");
   RemoteSession control(client->get(), (*client)->OpenSession(open)->session_id(), 0);

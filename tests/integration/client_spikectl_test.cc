@@ -1,4 +1,4 @@
-// spikectl as an operator runs it.
+// Tests of the program spikectl with a real server.
 #include <cmath>
 
 #include "absl/strings/str_cat.h"

@@ -1,4 +1,4 @@
-// spikeload as an operator runs it.
+// Tests of the program spikeload with a real server.
 #include "absl/strings/str_cat.h"
 #include "tests/integration/client_fixture.h"
 

@@ -1,8 +1,9 @@
-// An agent that plays a made-up episode up to a step and then sits there until it is killed.
+// An agent that plays the first steps of an episode with synthetic observations and then hangs
+// until it is killed.
 //
 //   client_stuck_agent SERVER POLICY STEPS
 //
-// Prints a line for every step, the request and its answer in hexadecimal, then "stuck".
+// Prints one line per step, with the request and the answer in hexadecimal, and finally "stuck".
 #include <unistd.h>
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// What an agent sees from the list of policies to the end of its episodes.
+// Tests of an agent's calls, from listing the policies to the end of its episodes.
 #include <cmath>
 
 #include "tests/integration/server_fixture.h"

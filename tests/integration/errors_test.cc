@@ -1,4 +1,5 @@
-// Every error of the wire contract, as a client sees it: status code and message.
+// Tests of every error of the wire contract: the status code and the message that a client
+// receives.
 #include <limits>
 
 #include "tests/integration/server_fixture.h"
@@ -128,7 +129,7 @@ TEST_F(OpenErrorsTest, SessionLimit) {
 
 class SessionErrorsTest : public ServerTest {
  protected:
-  // Expects that the session is as it was: two decisions made, the third to come.
+  // Expects that the session is unchanged: it has made two decisions and waits for the third.
   void ExpectUnchanged(const std::string& session) {
     v1::GetSessionRequest request;
     request.set_session_id(session);

@@ -1,4 +1,5 @@
-// Explain over the wire: what it shows is what Act counted, and asking changes nothing.
+// Tests of the call Explain: its spikes equal those that Act counted, and it does not change the
+// session.
 #include <cmath>
 #include <map>
 #include <numeric>
@@ -105,7 +106,8 @@ TEST_F(ExplainTest, WithoutADecisionThereIsNothingToExplain) {
   ExpectError(TryExplain(session, &response), grpc::StatusCode::FAILED_PRECONDITION, "step 0");
 }
 
-// More than may wait: each is answered, or refused with a code that says to come again.
+// There are more calls than may wait at a time. Each is answered, or refused with a code that
+// allows a retry.
 TEST_F(ExplainTest, AFloodIsAnsweredOrRefused) {
   const std::string session = client_->Open("discrete");
   client_->Act(session, 0);

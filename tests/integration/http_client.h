@@ -1,4 +1,4 @@
-// One HTTP GET, for tests.
+// A minimal HTTP client for tests.
 #ifndef TESTS_INTEGRATION_HTTP_CLIENT_H_
 #define TESTS_INTEGRATION_HTTP_CLIENT_H_
 
@@ -14,7 +14,8 @@ struct HttpReply {
   std::string body;
 };
 
-// GETs http://`address``path`, where `address` is IPV4:PORT.
+// Sends GET `path` to the server at `address`, IPV4:PORT, and returns its reply. Returns an error
+// if there is no connection or no valid reply; an HTTP error code is not an error.
 absl::StatusOr<HttpReply> HttpGet(const std::string& address, const std::string& path);
 
 }  // namespace spikeserve

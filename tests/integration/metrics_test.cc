@@ -1,4 +1,4 @@
-// What Prometheus sees agrees with what the agents were told.
+// Tests that the metrics agree with the answers that the agents received.
 #include <chrono>
 #include <fstream>
 #include <memory>
@@ -126,15 +126,16 @@ TEST_F(MetricsTest, TheLimitOfSessionsIsTheOneGiven) {
 TEST_F(MetricsTest, TheProcessSaysWhatItTakes) {
   const auto now =
       std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch());
-  // Loose: what /proc calls the start of the machine does not follow every change of its clock.
+  // The tolerance is large, because the boot time in /proc does not follow every change of the
+  // clock.
   EXPECT_NEAR(Metric("process_start_time_seconds"), now.count(), 600.0);
   EXPECT_GT(Metric("process_cpu_seconds_total"), 0.0);
   EXPECT_GT(Metric("process_resident_memory_bytes"), 1e6);
   const double open = Metric("process_open_fds");
   EXPECT_GT(open, 3.0);
   EXPECT_LT(open, Metric("process_max_fds"));
-  // Connections of their own: channels to one address share theirs unless told otherwise. Several,
-  // since sockets of the pages read so far close in their own time.
+  // Every channel gets a connection of its own; by default, channels to one address share theirs.
+  // There are several, because sockets of the pages read so far may close in the meantime.
   grpc::ChannelArguments arguments;
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
   std::vector<std::shared_ptr<grpc::Channel>> others;

@@ -1,4 +1,5 @@
-// A test in which an operator changes what a real server serves of the policy `discrete`.
+// A fixture in which an operator changes the served versions of the policy `discrete` of a real
+// server.
 #ifndef TESTS_INTEGRATION_POLICY_ADMIN_FIXTURE_H_
 #define TESTS_INTEGRATION_POLICY_ADMIN_FIXTURE_H_
 

@@ -1,4 +1,4 @@
-// What an operator changes while agents play, through real processes.
+// Tests of an operator's changes to the served policies while agents play, with real processes.
 #include <atomic>
 #include <fstream>
 #include <map>
@@ -25,7 +25,7 @@ TEST_F(PolicyAdminTest, NewSessionsGetTheNewVersionAndRunningOnesKeepTheirs) {
   EXPECT_EQ(DefaultVersion(), 3);
   ASSERT_TRUE(TryUnload(2).ok());
 
-  // The session goes on as one would on a server where nothing changed.
+  // The session continues as on a server on which nothing changed.
   const std::string twin = [&] {
     EXPECT_TRUE(TryLoad(2).ok());
     v1::OpenSessionRequest request;
@@ -66,7 +66,7 @@ TEST_F(PolicyAdminTest, ABadFileNeverTakesAGoodOneDown) {
   EXPECT_EQ(DefaultVersion(), 2);
   client_->Act(session, 1);
 
-  AddVersion(2);  // mended
+  AddVersion(2);  // a valid file again
   EXPECT_EQ(Reload().refused_size(), 0);
 }
 
@@ -74,7 +74,8 @@ TEST_F(PolicyAdminTest, APolledDirectoryNeedsNoOperator) {
   StartServer({"--poll_policies=10ms"});
   const auto garbage = policies_.path() / "garbage";
   std::ofstream(garbage, std::ios::binary) << "garbage";
-  std::filesystem::rename(garbage, FileOf(1));  // else half of it may be refused, too
+  // Renamed into place, so that the server cannot refuse a half-written file as well.
+  std::filesystem::rename(garbage, FileOf(1));
   AddVersion(4);
   while (Versions() != std::vector<int64_t>{1, 2, 4}) {
   }
@@ -85,7 +86,8 @@ TEST_F(PolicyAdminTest, APolledDirectoryNeedsNoOperator) {
   EXPECT_THAT(server_->Log(), HasSubstr(" info policy loaded policy=\"discrete/4\"\n"));
   EXPECT_THAT(server_->Log(), HasSubstr(" info policy unloaded policy=\"discrete/4\"\n"));
   const std::string log = server_->Log();
-  // Version 4's folder may be met before its file, which is refused, too.
+  // Only the lines about version 1 count: the server may also refuse version 4 if it finds its
+  // directory before its file is there.
   const std::string line = "policy refused error=\"" + FileOf(1).string();
   const size_t refusal = log.find(line);
   EXPECT_NE(refusal, std::string::npos);
@@ -140,7 +142,8 @@ TEST_F(PolicyAdminTest, TrafficIsDividedByKey) {
     if (robot >= 20) continue;
     EXPECT_EQ(Open("", key).version(), version) << key;
   }
-  // Fixed by the hash: far enough from 400 and 100 to be suspicious only if the shares are wrong.
+  // The hash determines these counts, so they are the same in every run. With the right shares they
+  // are within 40 of the expected values.
   EXPECT_NEAR(sessions[1], 400, 40);
   EXPECT_NEAR(sessions[2], 100, 40);
 
@@ -154,7 +157,7 @@ TEST_F(PolicyAdminTest, TrafficIsDividedByKey) {
 }
 
 TEST_F(PolicyAdminTest, AShadowSeesTheTrafficAndAnswersNobody) {
-  // Version 3 is version 2 by another number; version 1 is another policy.
+  // Version 3 is a copy of version 2; version 1 is a different policy.
   std::filesystem::create_directories(FileOf(3).parent_path());
   std::filesystem::copy_file(FileOf(2), FileOf(3));
   ASSERT_TRUE(TryLoad(3).ok());
@@ -240,7 +243,7 @@ TEST_F(PolicyAdminTest, ADrainingServerFinishesWhatItHas) {
   client_->Open();
 }
 
-// Plays a session on a stream of its own until `stop`, and says how many answers it got.
+// Plays a session on a stream of its own until `stop` and returns the number of answers.
 int64_t PlayStream(TestClient& client, const std::string& session, const std::atomic<bool>& stop) {
   auto context = NewContext();
   const auto stream = client.stub().ActStream(context.get());

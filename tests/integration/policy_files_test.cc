@@ -1,4 +1,5 @@
-// Policies that cannot be served are refused with path and reason, and the others are served.
+// Tests that a policy that cannot be served is refused with its path and the reason, and that the
+// others are served.
 #include <fstream>
 #include <sstream>
 
@@ -24,7 +25,7 @@ class PolicyFilesTest : public ServerTest {
     return bytes.str();
   }
 
-  // Puts `bytes` where a policy's file belongs and returns its path.
+  // Writes `bytes` as the file of a policy and returns its path.
   std::string Write(const std::string& name, const std::string& bytes,
                     const std::string& version = "1") {
     const fs::path path = policies_.path() / name / version / "policy.safetensors";
@@ -33,8 +34,8 @@ class PolicyFilesTest : public ServerTest {
     return path.string();
   }
 
-  // Expects one log line that starts with `path` and holds `reason`, and that the good policies are
-  // served.
+  // Expects exactly one log line, which names `path` and contains `reason`, and that the valid
+  // policies are served.
   void ExpectRefused(const std::string& path, const std::string& reason) {
     StartServer();
     const std::string log = server_->Log();
@@ -63,7 +64,7 @@ TEST_F(PolicyFilesTest, NotANumber) {
   ExpectRefused(Write("bad", bytes), "finite");
 }
 
-// Every number in the file is finite, so only a decision shows it.
+// All numbers in the file are finite; only a decision shows that the policy computes others.
 TEST_F(PolicyFilesTest, ADecisionThatIsNotFinite) {
   ModelConfig config = SmallConfig();
   config.mode = Mode::kDense;

@@ -1,4 +1,4 @@
-// What an operator has set, over restarts of a real server.
+// Tests that an operator's settings persist over restarts of a real server.
 #include <fstream>
 
 #include "tests/integration/policy_admin_fixture.h"
@@ -9,7 +9,7 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
-// What ListPolicies says of a version, without what its file says.
+// Returns a text with the operator's settings of a version, from the answer of ListPolicies.
 std::string SettingsOf(const v1::PolicyInfo& policy) {
   std::string labels;
   for (const std::string& label : policy.version_labels()) absl::StrAppend(&labels, " ", label);
@@ -19,7 +19,7 @@ std::string SettingsOf(const v1::PolicyInfo& policy) {
 
 class PolicySettingsTest : public PolicyAdminTest {
  protected:
-  // Ends the server and starts it with the same file of settings.
+  // Stops the server and starts it with the same file of settings.
   void Restart() {
     ASSERT_EQ(server_->Stop(), 0);
     StartServer({"--policy_settings=" + file_.string()});
@@ -66,7 +66,7 @@ TEST_F(PolicySettingsTest, SettingsOutliveTheServer) {
   Restart();
   EXPECT_EQ(Held(), before);
   for (const auto& [key, version] : routes) EXPECT_EQ(Open("", key).version(), version) << key;
-  ASSERT_TRUE(TryLoad(4).ok());  // which lets it in for good
+  ASSERT_TRUE(TryLoad(4).ok());  // cancels the unload for all later restarts
   Restart();
   EXPECT_EQ(Held().size(), 4u);
 }
@@ -106,7 +106,8 @@ TEST_F(PolicySettingsTest, ASettingWaitsForAVersionThatIsNotThere) {
   }
   EXPECT_EQ(Reload().waiting_size(), 4);
 
-  // What is set meanwhile loses nothing of what waits, over another restart either.
+  // A setting made in the meantime does not discard the waiting ones, not even over another
+  // restart.
   SetLabel("stable", 3);
   Restart();
   std::filesystem::rename(away, FileOf(2).parent_path());

@@ -1,4 +1,4 @@
-// The program itself: what it prints, and how it fails.
+// Tests of the program spikeserve: its output and its failures.
 #include <fstream>
 
 #include "tests/integration/server_fixture.h"
@@ -11,7 +11,7 @@ using ::testing::HasSubstr;
 
 class ProgramTest : public ServerTest {
  protected:
-  // Expects a failure with one line on standard error that contains `message`.
+  // Expects that the program fails with one line on standard error, which contains `message`.
   void ExpectFailure(std::vector<std::string> flags, const std::string& message) {
     flags.insert(flags.begin(), SPIKESERVE_PROGRAM);
     const auto finished = RunToEnd(flags);

@@ -1,4 +1,4 @@
-// Recorded through a real server, replayed through another.
+// Tests of episodes that are recorded by a real server and replayed on another one.
 #include <csignal>
 
 #include "core/dataset/recordings.h"
@@ -16,7 +16,7 @@ class RecordingTest : public ClientProgramTest {
     StartServer({"--record_dir=" + recordings_.path().string()});
   }
 
-  // The episodes on disk once a server that ends has written them all.
+  // Stops the server, which writes all pending episodes, and returns the episodes on disk.
   std::vector<Dataset> EndServerAndRead() {
     EXPECT_EQ(server_->Stop(), 0);
     StartServer();
@@ -25,7 +25,7 @@ class RecordingTest : public ClientProgramTest {
     return read.ok() ? *read : std::vector<Dataset>();
   }
 
-  // The only recording there is.
+  // Returns the path of the only recording.
   std::string Recording() const {
     for (const auto& entry : std::filesystem::directory_iterator(recordings_.path())) {
       return entry.path().string();

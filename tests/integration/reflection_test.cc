@@ -1,4 +1,5 @@
-// Tools that know nothing of the server find its services, those of today and older ones.
+// Tests that generic tools can discover the server's services, with the current version of the
+// reflection protocol and with the older one.
 #include "grpc/reflection/v1/reflection.grpc.pb.h"
 #include "grpc_standard/reflection.grpc.pb.h"
 #include "tests/integration/server_fixture.h"
@@ -21,7 +22,7 @@ struct Older {
   using Response = v1alpha::ServerReflectionResponse;
 };
 
-// The server's answer to one question.
+// Returns the server's answer to one request.
 template <typename Protocol>
 typename Protocol::Response Ask(const std::shared_ptr<grpc::Channel>& channel,
                                 const typename Protocol::Request& request) {

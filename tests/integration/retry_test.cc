@@ -1,4 +1,4 @@
-// A request that is repeated gets the same bytes, wherever it comes from.
+// Tests that a repeated request gets the same bytes, on any connection.
 #include "tests/integration/server_fixture.h"
 
 namespace spikeserve {
@@ -76,7 +76,7 @@ TEST_F(RetryTest, ARepeatedEndGetsTheSameBytesAndCountsOnce) {
   EXPECT_EQ(state.episode(), 1);
   EXPECT_EQ(state.target_return(), 7.0);
 
-  client_->Act(session, 0);  // and the next end is the next episode's
+  client_->Act(session, 0);  // the following end belongs to the next episode
   EXPECT_EQ(client_->EndEpisode(session, 2.0).steps(), 1);
   EXPECT_EQ(Metric("spikeserve_episodes_total"), 2.0);
 }

@@ -49,7 +49,7 @@ void ExpectError(const grpc::Status& status, grpc::StatusCode code, const std::s
 
 TestClient::TestClient(const std::string& address) {
   grpc::ChannelArguments arguments;
-  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);  // a connection of its own
+  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);  // does not share a connection
   channel_ = grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
   stub_ = v1::PolicyService::NewStub(channel_);
 }

@@ -1,4 +1,4 @@
-// A test that talks gRPC to a real server process with small random policies.
+// A fixture that makes gRPC calls to a real server process with small random policies.
 #ifndef TESTS_INTEGRATION_SERVER_FIXTURE_H_
 #define TESTS_INTEGRATION_SERVER_FIXTURE_H_
 
@@ -20,11 +20,12 @@ namespace spikeserve {
 
 constexpr int kObservationSize = 4;  // of every policy below
 
-// Writes a small random policy below `directory`, and fails the test where that fails.
+// Writes a small random policy to `directory`/`name`/`version`. Fails the test if that is not
+// possible.
 void WriteRandomPolicy(const std::filesystem::path& directory, const std::string& name, int version,
                        const ActionSpace& action_space);
 
-// gRPC calls on one channel of their own, as one client process would make them.
+// Makes gRPC calls on a connection of its own, like a separate client process.
 class TestClient {
  public:
   using Stream = grpc::ClientReaderWriter<v1::ActRequest, v1::ActResponse>;
@@ -34,12 +35,12 @@ class TestClient {
   v1::PolicyService::Stub& stub() { return *stub_; }
   const std::shared_ptr<grpc::Channel>& channel() const { return channel_; }
 
-  // Fail the test where the call fails.
+  // These calls fail the test if the call fails.
   std::string Open(const std::string& policy = "discrete");
   v1::ActResponse Act(const std::string& session, int64_t step);
   v1::EndEpisodeResponse EndEpisode(const std::string& session, double reward);
 
-  // One call, its reply dropped.
+  // These calls return the status of the call and ignore the reply.
   grpc::Status TryOpen(const v1::OpenSessionRequest& request);
   grpc::Status TryAct(const v1::ActRequest& request);
   grpc::Status TryEndEpisode(const v1::EndEpisodeRequest& request);
@@ -49,24 +50,27 @@ class TestClient {
   std::unique_ptr<v1::PolicyService::Stub> stub_;
 };
 
-// A context whose deadline keeps a broken server from hanging a test.
+// Returns a context with a deadline of 60 s, so that a server that does not answer cannot block a
+// test.
 std::unique_ptr<grpc::ClientContext> NewContext();
 
-// A valid request of a made-up agent.
+// Returns a valid request with a synthetic observation and reward.
 v1::ActRequest MakeActRequest(const std::string& session, int64_t step);
 
-// Serves `discrete` in versions 1 and 2 (two actions), and `box` (one continuous action).
+// Serves versions 1 and 2 of the policy `discrete` (two actions) and version 1 of `box` (one
+// continuous action).
 class ServerTest : public ::testing::Test {
  protected:
   void SetUp() override;
 
-  // Ends the server, if one runs, and starts it with more flags.
+  // Stops the server if it is running, and starts it with additional `flags`.
   void StartServer(const std::vector<std::string>& flags = {});
 
-  // The body of a page over HTTP, such as "/metrics".
+  // Returns the body of an HTTP page such as "/metrics".
   std::string Page(const std::string& path);
 
-  // The sum of a metric's samples whose line contains each of `labels`; 0 if there are none.
+  // Returns the sum of those samples of a metric whose line contains all of `labels`; 0 if there
+  // are none.
   double Metric(const std::string& name, const std::vector<std::string>& labels = {});
 
   TemporaryDirectory policies_;
@@ -74,7 +78,7 @@ class ServerTest : public ::testing::Test {
   std::unique_ptr<TestClient> client_;
 };
 
-// Expects a failure with this code and a message that contains `message`.
+// Expects an error with this code and a message that contains `message`.
 void ExpectError(const grpc::Status& status, grpc::StatusCode code, const std::string& message);
 
 }  // namespace spikeserve

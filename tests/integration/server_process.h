@@ -1,6 +1,6 @@
 // A real spikeserve process on free ports, for integration tests.
 //
-// Not thread-safe; each test owns its server.
+// Not thread-safe.
 #ifndef TESTS_INTEGRATION_SERVER_PROCESS_H_
 #define TESTS_INTEGRATION_SERVER_PROCESS_H_
 
@@ -15,25 +15,25 @@ namespace spikeserve {
 
 class ServerProcess {
  public:
-  // Serves the policies in `policies` on free ports, with more flags if given, and returns once
-  // both ports are known. INTERNAL carries the exit code and standard error of a server that ended
-  // instead.
+  // Starts a server of the policies in directory `policies`, with additional `flags`, and waits
+  // until both ports are known. Returns INTERNAL, with the exit code and standard error, if the
+  // server exits instead.
   static absl::StatusOr<std::unique_ptr<ServerProcess>> Start(
       const std::string& policies, const std::vector<std::string>& flags = {});
 
   const std::string& grpc_address() const { return grpc_address_; }  // HOST:PORT
   const std::string& http_address() const { return http_address_; }  // HOST:PORT
 
-  // Asks for a graceful stop (SIGTERM) and returns at once.
+  // Requests a graceful stop (SIGTERM) without waiting for it.
   void RequestStop();
 
-  // Waits for the end and returns the exit code.
+  // Waits for the process to exit and returns its exit code.
   int Wait() { return process_->Wait(); }
 
-  // RequestStop() and Wait().
+  // Calls RequestStop() and Wait().
   int Stop();
 
-  // Everything the server logged so far.
+  // Returns everything that the server has logged so far.
   std::string Log() const { return process_->Errors(); }
 
  private:

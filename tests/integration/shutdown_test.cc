@@ -1,4 +1,4 @@
-// A graceful stop, and health on the way there.
+// Tests of the graceful stop, and of the health status during it.
 #include <chrono>
 
 #include "core/action/action_space.h"
@@ -42,7 +42,7 @@ TEST_F(ShutdownTest, AWatchOfAnUnknownServiceStaysOpen) {
   HealthCheckResponse response;
   ASSERT_TRUE(watch->Read(&response));
   EXPECT_EQ(response.status(), HealthCheckResponse::SERVICE_UNKNOWN);
-  context->TryCancel();  // which ends it, and nothing before did
+  context->TryCancel();  // the watch is still open and ends only here
   EXPECT_EQ(watch->Finish().error_code(), grpc::StatusCode::CANCELLED);
 }
 
@@ -77,8 +77,8 @@ TEST_F(ShutdownTest, OpenStreamsAreToldAndTheServerEnds) {
   EXPECT_EQ(server_->Wait(), 0);
 }
 
-// Requests pour in while the server stops: each is answered in full or refused with UNAVAILABLE,
-// and none is cut off.
+// Requests arrive while the server stops. Each gets a complete answer or is refused with
+// UNAVAILABLE.
 TEST_F(ShutdownTest, CallsInFlightEnd) {
   const std::string session = client_->Open();
   auto context = NewContext();
@@ -97,14 +97,14 @@ TEST_F(ShutdownTest, CallsInFlightEnd) {
   EXPECT_EQ(server_->Log(), "");
 }
 
-// A client that asks for much and reads nothing holds its stream in the middle of a reply, which
-// holds the server.
+// A client that requests many replies and does not read them blocks its stream in the middle of a
+// reply, and thereby delays the stop of the server.
 class SlowReaderTest : public ShutdownTest {
  protected:
   static constexpr int kReplies = 100;
-  static constexpr int kActions = 2000;  // a reply holds a float for each,
-  static constexpr int kStuck =
-      65536 / 8000 + 1;  // so these many are more than the 64 KiB it may send
+  static constexpr int kActions = 2000;  // a reply holds one float per action: 8,000 bytes
+  // This many replies exceed the 64 KiB that the server may send before the client reads.
+  static constexpr int kStuck = 65536 / 8000 + 1;
 
   void SetUp() override {
     WriteRandomPolicy(policies_.path(), "wide", 1, ActionSpace::Discrete(kActions));
@@ -114,7 +114,7 @@ class SlowReaderTest : public ShutdownTest {
   void Hold(const std::vector<std::string>& flags) {
     StartServer(flags);
     grpc::ChannelArguments arguments;
-    arguments.SetInt(GRPC_ARG_HTTP2_BDP_PROBE, 0);  // the window stays as it is
+    arguments.SetInt(GRPC_ARG_HTTP2_BDP_PROBE, 0);  // keeps the size of the window
     arguments.SetInt(GRPC_ARG_HTTP2_STREAM_LOOKAHEAD_BYTES, 65536);
     stub_ = v1::PolicyService::NewStub(grpc::CreateCustomChannel(
         server_->grpc_address(), grpc::InsecureChannelCredentials(), arguments));

@@ -1,4 +1,4 @@
-// The status page and the JSON it reads, from a real server.
+// Tests of a real server's status page and of the JSON documents that the page reads.
 #include <set>
 #include <string>
 #include <vector>
@@ -22,7 +22,7 @@ class StatusPagesTest : public ServerTest {
     return reply.ok() ? *reply : HttpReply();
   }
 
-  // The JSON at `path`, which must be answered with `code`.
+  // Returns the JSON document at `path`. Fails the test unless the HTTP code is `code`.
   json GetJson(const std::string& path, int code = 200) {
     const HttpReply reply = Get(path);
     EXPECT_EQ(reply.code, code) << path << ": " << reply.body;
@@ -32,7 +32,7 @@ class StatusPagesTest : public ServerTest {
     return parsed;
   }
 
-  // A session that has made so many decisions.
+  // Opens a session, makes `steps` decisions and returns the session's id.
   std::string Play(const std::string& policy, int64_t steps,
                    const std::map<std::string, std::string>& labels = {}) {
     v1::OpenSessionRequest request;
@@ -92,7 +92,7 @@ TEST_F(StatusPagesTest, StatusHoldsPoliciesAndTheFiguresOfMetrics) {
     EXPECT_EQ(series["buckets"].back()[1], series["count"]);
   }
 
-  // Every figure of /metrics is here, and nothing else.
+  // Every metric of the document is also one of /metrics.
   std::set<std::string> families;
   for (const auto& [name, series] : status["metrics"].items()) families.insert(name);
   for (const std::string& name : families)
@@ -161,7 +161,7 @@ TEST_F(StatusPagesTest, MistakesAreNamed) {
   expect_error("/sessions.json?sort=%FF%FE", 400, "INVALID_ARGUMENT", "sort: expected one of");
 }
 
-// Looking at sessions does not keep them alive.
+// Reading the list of sessions does not keep them alive.
 TEST_F(StatusPagesTest, WatchingIsNoUse) {
   StartServer({"--session_ttl=1s"});
   Play("discrete", 1);

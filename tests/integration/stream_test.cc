@@ -1,4 +1,4 @@
-// Many sessions on one stream, or in one batch; one bad item spoils nothing for the rest.
+// Tests of many sessions on one stream or in one batch. An invalid item does not affect the others.
 #include <map>
 
 #include "tests/integration/server_fixture.h"
@@ -8,7 +8,8 @@ namespace {
 
 class StreamTest : public ServerTest {};
 
-// An answer without the one figure that is measured.
+// Returns the bytes of an answer without its session id and its measured time, which differ between
+// equal sessions.
 std::string Comparable(v1::ActResponse response) {
   response.clear_session_id();
   response.mutable_stats()->clear_compute_seconds();

@@ -27,7 +27,7 @@ absl::StatusOr<std::unique_ptr<Subprocess>> Subprocess::Start(
 
   std::vector<char*> argv;
   for (const std::string& argument : arguments) {
-    argv.push_back(const_cast<char*>(argument.c_str()));  // exec's signature; nothing writes
+    argv.push_back(const_cast<char*>(argument.c_str()));  // posix_spawn does not write to it
   }
   argv.push_back(nullptr);
 
@@ -38,7 +38,7 @@ absl::StatusOr<std::unique_ptr<Subprocess>> Subprocess::Start(
   const int error = posix_spawn(&process->pid_, argv[0], &actions, nullptr, argv.data(), environ);
   posix_spawn_file_actions_destroy(&actions);
   if (error != 0) {
-    process->exit_code_ = -1;  // there is nothing to wait for
+    process->exit_code_ = -1;  // no process to wait for
     return absl::ErrnoToStatus(error, absl::StrCat("spawn ", arguments[0]));
   }
   return process;

@@ -1,6 +1,6 @@
-// A child process with its output at hand, for tests that run the real programs.
+// A child process whose output can be read, for tests that run the real programs.
 //
-// Not thread-safe; each test owns its processes.
+// Not thread-safe.
 #ifndef TESTS_INTEGRATION_SUBPROCESS_H_
 #define TESTS_INTEGRATION_SUBPROCESS_H_
 
@@ -18,24 +18,27 @@ namespace spikeserve {
 
 class Subprocess {
  public:
-  // Starts `arguments[0]` with the rest as its arguments.
+  // Starts the program `arguments[0]` with the other elements as its arguments.
   static absl::StatusOr<std::unique_ptr<Subprocess>> Start(
       const std::vector<std::string>& arguments);
 
-  // Kills the process if it still runs.
+  // Kills the process if it is still running.
   ~Subprocess();
   Subprocess(const Subprocess&) = delete;
   Subprocess& operator=(const Subprocess&) = delete;
 
-  // The next line of standard output without its newline, waited for; nullopt at its end.
+  // Waits for the next line of standard output and returns it without the newline; nullopt at the
+  // end of the output.
   std::optional<std::string> ReadLine();
 
-  // Everything written to standard error so far.
+  // Returns everything that was written to standard error so far.
   std::string Errors() const;
 
+  // Sends a signal to the process.
   void Signal(int signal);
 
-  // Waits for the end and returns the exit code, or 128 + the number of the signal that killed it.
+  // Waits for the process to exit. Returns its exit code, or 128 + the number of the signal that
+  // killed it.
   int Wait();
 
  private:
@@ -48,18 +51,18 @@ class Subprocess {
 
   pid_t pid_ = -1;
   File output_;  // the read end of a pipe
-  File errors_;  // a nameless temporary file
+  File errors_;  // an anonymous temporary file
   std::optional<int> exit_code_;
 };
 
-// What a process left behind.
+// The result of a process that has exited.
 struct Finished {
   int exit_code = 0;
   std::string output;
   std::string errors;
 };
 
-// Runs a program to its end.
+// Runs a program and waits until it exits.
 absl::StatusOr<Finished> RunToEnd(const std::vector<std::string>& arguments);
 
 }  // namespace spikeserve

@@ -1,4 +1,4 @@
-// Sessions that nobody uses are ended.
+// Tests that idle sessions are closed.
 #include <chrono>
 
 #include "tests/integration/server_fixture.h"
