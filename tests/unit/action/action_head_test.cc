@@ -14,7 +14,7 @@ using testing::FloatEq;
 using testing::FloatNear;
 using testing::Pointwise;
 
-// z = (r0 + r1, 2 r1 + 0.5, r0)
+// Returns a head that computes z = (r0 + r1, 2 r1 + 0.5, r0).
 Linear Head() {
   Linear head = {Tensor::Zeros({3, 2}), Tensor::Zeros({3})};
   head.weight.values = {1.0f, 1.0f, 0.0f, 2.0f, 1.0f, 0.0f};
@@ -26,7 +26,7 @@ TEST(ActionHeadTest, GreedyTakesTheFirstMaximum) {
   const ActionSpace space = ActionSpace::Discrete(3);
   EXPECT_EQ(ChooseAction(Head(), space, {0.0f, 1.0f}, {}, 0).action.discrete, 1);
   EXPECT_EQ(ChooseAction(Head(), space, {1.0f, 0.0f}, {}, 0).action.discrete, 0)
-      << "a tie of 0 and 2";
+      << "logits 0 and 2 are equal";
 }
 
 TEST(ActionHeadTest, ProbabilitiesAreTheSoftmaxOfTheLogits) {

@@ -39,7 +39,7 @@ TEST_F(RemoteStreamTest, ManySessionsShareAStreamInOrder) {
     const auto reply = stream->Receive(kPatience);
     ASSERT_TRUE(reply.ok()) << reply.status();
     ASSERT_TRUE(reply->response.ok()) << reply->response.status();
-    // Accept wants every session's steps in order.
+    // Accept fails unless the steps of a session arrive in order.
     ASSERT_TRUE(sessions.at(reply->session_id).Accept(*reply->response).ok());
   }
   EXPECT_EQ(fake_.decisions(), kSessions * kSteps);
@@ -65,7 +65,7 @@ TEST_F(RemoteStreamTest, ABadItemDoesNotEndTheStream) {
 TEST_F(RemoteStreamTest, WithoutARequestThereIsNoReply) {
   const auto stream = client_->OpenStream();
   EXPECT_TRUE(absl::IsDeadlineExceeded(stream->Receive(absl::Milliseconds(1)).status()));
-  // The stream is as good as before.
+  // The stream can still be used.
   ASSERT_TRUE(stream->Send(Open().MakeRequest({}, 0.0)).ok());
   EXPECT_TRUE(stream->Receive(kPatience).ok());
 }
@@ -89,7 +89,8 @@ TEST_F(RemoteStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
   EXPECT_EQ(broken->Receive(kPatience).status(), absl::UnavailableError("draining"));
   EXPECT_EQ(broken->Send(session.MakeRequest({}, 0.0)), absl::UnavailableError("draining"));
 
-  // The answer counts as lost: the same step on another stream gets it again.
+  // The session has not accepted the answer, so it requests the same step on another stream and
+  // gets the same answer.
   const auto stream = client_->OpenStream();
   ASSERT_TRUE(stream->Send(session.MakeRequest({}, 0.0)).ok());
   const auto again = stream->Receive(kPatience);

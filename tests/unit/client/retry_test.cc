@@ -10,7 +10,7 @@ namespace {
 
 using ::testing::HasSubstr;
 
-// Options that note the pauses instead of sleeping.
+// A fixture whose options record the pauses instead of sleeping.
 class RetryTest : public ::testing::Test {
  protected:
   RetryOptions Options() {

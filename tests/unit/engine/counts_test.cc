@@ -15,7 +15,7 @@ TEST(CountsTest, EnergyModelsPriceWhatTheySayTheyDo) {
   counts.multiply_accumulates = 10;
   counts.attention_products = 100;
   EXPECT_EQ(counts.total_spikes(), 100u);
-  EXPECT_EQ(counts.synaptic_operations(), 1010u) << "attention products stand beside";
+  EXPECT_EQ(counts.synaptic_operations(), 1010u) << "attention products are counted separately";
   EXPECT_DOUBLE_EQ(EstimateEnergy(counts, /*dense=*/false).spike_5pj, 500e-12);
   EXPECT_DOUBLE_EQ(EstimateEnergy(counts, /*dense=*/false).horowitz_45nm,
                    (0.9 * 1100 + 4.6 * 10) * 1e-12);
@@ -23,8 +23,8 @@ TEST(CountsTest, EnergyModelsPriceWhatTheySayTheyDo) {
                    (0.9 * 1000 + 4.6 * 110) * 1e-12);
 }
 
-// A model small enough to count by hand: every coder neuron fires at every tick, nothing behind the
-// coders ever does.
+// A model that is small enough to count by hand: every coder neuron fires at every tick, and no
+// other neuron ever fires.
 TEST(CountsTest, ADecisionBearsItsThreeTokens) {
   ModelConfig config;
   config.mode = Mode::kBaseline;
@@ -47,21 +47,23 @@ TEST(CountsTest, ADecisionBearsItsThreeTokens) {
     const auto context = engine->NewContext(0);
     Engine::Output output;
     engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f}, &output);
-    // G_0 and s_0, 20 spikes a coder; the last layer codes both, but feeds forward only s_0.
+    // The tokens are G_0 and s_0, with 20 spikes per coder. The last layer codes both, but its
+    // feed-forward part computes only s_0.
     EXPECT_EQ(output.counts.spikes(Stage::kCoder), 20u * 4);
     EXPECT_EQ(output.counts.spikes(Stage::kFfnIn), 20u * 3);
     EXPECT_EQ(output.counts.spikes(Stage::kReadout), 20u);
     EXPECT_EQ(output.counts.total_spikes(), 20u * 8);
-    // Layer 0: Q, K, V and FFN for both tokens; layer 1: K and V for both, Q and FFN for the state.
+    // Layer 0 computes Q, K, V and FFN for both tokens; layer 1 computes K and V for both, Q and
+    // FFN only for the state.
     EXPECT_EQ(output.counts.accumulates, 20u * (2 * (12 + 6) + 2 * 8 + (4 + 6)));
-    // Embeddings 4 (1 + 3) and the head 4 x 2; silent values leave attention's and the FFN's
-    // outputs at zero.
+    // The embeddings have 4 (1 + 3) and the head 4 x 2. The outputs of attention and FFN are zero,
+    // because value and FFN neurons do not fire.
     EXPECT_EQ(output.counts.multiply_accumulates, 4u * 4 + 8);
     EXPECT_EQ(output.counts.attention_products, 0u);
 
     engine->AppendAction(*context, {0.0f, 1.0f});
     engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f}, &output);
-    // a_0 adds a coder and an FFN coder in layer 0, a coder in layer 1.
+    // The token a_0 adds a coder and an FFN coder in layer 0, and a coder in layer 1.
     EXPECT_EQ(output.counts.total_spikes(), 20u * (8 + 3));
     EXPECT_EQ(output.counts.accumulates, 20u * (3 * (12 + 6) + 3 * 8 + (4 + 6)));
     EXPECT_EQ(output.counts.multiply_accumulates, 4u * (4 + 1) + 8)

@@ -1,4 +1,5 @@
-// What needs no Gymnasium to check; the dynamics are held against it step by step in tests/python.
+// Tests that do not need Gymnasium. The tests in tests/python compare the dynamics with
+// Gymnasium's, step by step.
 #include "core/environment/environment.h"
 
 #include <gmock/gmock.h>
@@ -88,7 +89,8 @@ TEST_P(EveryEnvironmentTest, ResetToItsOwnStateReplaysTheStep) {
   EXPECT_EQ(again.reward, first.reward);
 }
 
-// Holds one action until the episode ends, and counts the steps that took.
+// Repeats one action until the episode ends. Returns the last result and stores the number of steps
+// in `steps`.
 StepResult RunToTheEnd(Environment& environment, const Action& action, int& steps) {
   StepResult result;
   for (steps = 0; !result.done(); ++steps) result = environment.Step(action);
@@ -101,7 +103,7 @@ TEST(TruncationTest, EpisodesEndAtTheTimeLimit) {
                                    {"Acrobot-v1", Discrete(1)},
                                    {"Pendulum-v1", Continuous(0.0F)}}) {
     const auto environment = Make(id);
-    for (int episode = 0; episode < 2; ++episode) {  // the count starts anew
+    for (int episode = 0; episode < 2; ++episode) {  // the second shows that Reset clears the count
       environment->Reset(episode);
       const StepResult last = RunToTheEnd(*environment, action, steps);
       EXPECT_TRUE(last.truncated) << id;
@@ -112,7 +114,7 @@ TEST(TruncationTest, EpisodesEndAtTheTimeLimit) {
 }
 
 TEST(TruncationTest, LastStepMayTerminateAndTruncate) {
-  // Without gravity and force the cart coasts, and passes 2.4 m on its 500th step.
+  // Without gravity and force the cart moves at a constant velocity and passes 2.4 m at step 500.
   CartPole coasting({.gravity = 0.0, .force = 0.0});
   coasting.ResetTo({0.0, 0.2402, 0.0, 0.0});
   int steps = 0;

@@ -15,7 +15,7 @@ constexpr double kPi = 3.14159265358979323846;
 
 Action Push(int discrete) { return {.discrete = discrete, .continuous = {}}; }
 
-// One component of the internal state after one step from `state`.
+// Returns one component of the internal state after one step from `state`.
 double Next(const std::string& id, const std::string& perturb, std::vector<double> state,
             const Action& action, size_t component) {
   auto environment = perturb.empty() ? MakeEnvironment(id)
@@ -60,7 +60,7 @@ TEST(PerturbationTest, AFactorOfOneChangesNothing) {
 }
 
 TEST(PerturbationTest, AReversedActuatorMirrorsThePush) {
-  // From rest in the middle of each task's symmetry, so that only the push moves anything.
+  // Each task starts at rest and at the centre of its symmetry, so that only the push moves it.
   EXPECT_EQ(Next("CartPole-v1", "force=-1", {0, 0, 0, 0}, Push(0), 1),
             Next("CartPole-v1", "", {0, 0, 0, 0}, Push(1), 1));
   EXPECT_EQ(Next("Acrobot-v1", "force=-1", {0, 0, 0, 0}, Push(0), 3),
@@ -73,13 +73,14 @@ TEST(PerturbationTest, AReversedActuatorMirrorsThePush) {
 }
 
 TEST(PerturbationTest, WindPushesTheCartToTheRight) {
-  // 10 N to the left against as much wind: nothing moves.
+  // A push of 10 N to the left cancels a wind of 10 N: the cart does not move.
   EXPECT_EQ(Next("CartPole-v1", "wind=10", {0, 0, 0, 0}, Push(0), 1), 0.0);
   EXPECT_GT(Next("CartPole-v1", "wind=11", {0, 0, 0, 0}, Push(0), 1), 0.0);
 }
 
 TEST(PerturbationTest, GravityScalesTheFall) {
-  // Gymnasium's equations from rest with no push: the acceleration is proportional to gravity.
+  // From rest and without a push, the acceleration in Gymnasium's equations is proportional to
+  // gravity.
   const auto torque = Action{.discrete = 0, .continuous = {0.0f}};
   const double plain = Next("Pendulum-v1", "", {kPi / 2, 0}, torque, 1);
   EXPECT_NEAR(Next("Pendulum-v1", "gravity=1.3", {kPi / 2, 0}, torque, 1), 1.3 * plain, 1e-12);

@@ -58,7 +58,7 @@ TEST(FleetHeadTest, ASnapshotNeverChanges) {
   EXPECT_EQ(fleet.Read()->updates, 1);
 }
 
-// Sixty-four sessions, each on a thread, and readers beside them.
+// Runs 64 sessions, each on a thread that merges and reads.
 TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
   constexpr int kSessions = 64, kEpisodes = 10;
   Eigen::VectorXd sum = Eigen::VectorXd::Zero(kSize);

@@ -32,14 +32,14 @@ std::vector<float> ReadoutAt(int t) {
   return {static_cast<float>((t * 3) % 10) / 10, static_cast<float>((t * 7) % 10) / 10, 0.5f};
 }
 
-// A decision, and all of it that a learner may forget.
+// A decision as the test remembers it. The learner does not keep these values.
 struct Step {
   std::vector<double> trace;
   double return_to_go;
-  double reward;  // that followed
+  double reward;  // of this decision
 };
 
-// G_t of every step.
+// Returns G_t of every step; `beyond` is the return after the last step.
 std::vector<double> Returns(const std::vector<Step>& steps, double discount, double beyond) {
   std::vector<double> returns(steps.size());
   double following = beyond;
@@ -58,8 +58,8 @@ class LearnerTest : public ::testing::Test {
 
   double Drift() const { return FrobeniusNorm(learner_.head_delta) / BaseNorm(policy_); }
 
-  // Plays `steps` decisions with the rewards 0.3, 0.6, 0.9, 0.3 ... and returns what it kept by
-  // itself, with double-precision traces.
+  // Plays `steps` decisions with the rewards 0.3, 0.6, 0.9, 0.3 and so on. Returns the steps, with
+  // traces that the test computes in double precision.
   std::vector<Step> Play(const LearningOptions& options, int steps, double target_return) {
     std::vector<Step> kept;
     std::vector<double> trace(kOutputs * kInputs, 0.0);
@@ -88,7 +88,7 @@ class LearnerTest : public ::testing::Test {
 
   Policy policy_ = TestPolicy();
   Learner learner_;
-  double reward_ = 0.0;  // of the decision made last
+  double reward_ = 0.0;  // of the last decision
 };
 
 TEST(FrobeniusNormTest, IsTheRootOfTheSumOfSquares) {
@@ -123,8 +123,8 @@ TEST_F(LearnerTest, TargetAddsEveryStepAtOnce) {
   }
 }
 
-// The sums of constant size give what a memory of every trace would give, whether the episode was
-// terminated or cut off.
+// The learner's sums of constant size give the same update as storing every trace, for terminated
+// and for truncated episodes.
 TEST_F(LearnerTest, RealizedEqualsTheSumOverAllSteps) {
   for (const double discount : {1.0, 0.9}) {
     for (const bool terminated : {true, false}) {
@@ -177,7 +177,7 @@ TEST_F(LearnerTest, OneStepIsNoLongerThanTheClip) {
   for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
     const LearningOptions options = {.modulator = modulator, .learning_rate = 1e30, .clip = 0.125};
     learner_ = NewLearner(options);
-    // Of one decision alone the realized modulator says nothing: its return is the mean.
+    // After a single decision the realized modulator is zero, because the return equals the mean.
     Play(options, modulator == Modulator::kTarget ? 1 : 3, /*target_return=*/9.0);
     learner_.OnEpisodeEnd(options, policy_, 9.0, /*terminated=*/true);
     EXPECT_NEAR(FrobeniusNorm(learner_.head_delta), 0.125, 1e-6);
@@ -193,7 +193,7 @@ TEST_F(LearnerTest, DriftStaysWithinItsBound) {
   EXPECT_EQ(learner_.updates, 200);
   const Eigen::VectorXf before = learner_.head_delta;
   Play(options, 1, /*target_return=*/1e6);
-  EXPECT_NE(learner_.head_delta, before);  // along the bound
+  EXPECT_NE(learner_.head_delta, before);  // the update moves along the bound
   EXPECT_NEAR(Drift(), 0.25, 1e-7);
 }
 

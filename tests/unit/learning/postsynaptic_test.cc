@@ -15,7 +15,7 @@ using ::testing::ElementsAre;
 using ::testing::FloatEq;
 using ::testing::FloatNear;
 
-// z = (r, -r) for a readout of one rate r.
+// A head that computes z = (r, -r) from a readout of one rate r.
 const Linear kHead = {.weight = {.shape = {2, 1}, .values = {1.0f, -1.0f}},
                       .bias = {.shape = {2}, .values = {0.0f, 0.0f}}};
 
@@ -32,7 +32,7 @@ TEST(PostsynapticActivityTest, HebbianIsTheHeadsOutput) {
   const float p = 1.0f / (1.0f + std::exp(-1.0f));
   EXPECT_THAT(discrete.probabilities, ElementsAre(FloatNear(p, 1e-6f), FloatNear(1 - p, 1e-6f)));
 
-  // Noise moves the action, and leaves y alone.
+  // Noise changes the action but not y.
   const ActionChoice box =
       ChooseAction(kHead, ActionSpace::Box({-1, -1}, {1, 1}), std::vector<float>{0.5f},
                    {.sample = true, .temperature = 3.0f}, 7);

@@ -13,8 +13,8 @@ constexpr double kMargin = 0.02;
 
 class ReturnGuardTest : public ::testing::Test {
  protected:
-  // A window of episodes that all return `level`, played on a head at `delta`; whether the guard
-  // rolled it back at the end, and only there.
+  // Plays a window of episodes that all return `level`, on a head at `delta`. Returns whether the
+  // guard rolled the head back at the end of the window; expects that it does not do so earlier.
   bool Window(double level, float delta) {
     delta_.setConstant(delta);
     bool rolled_back = false;
@@ -74,7 +74,7 @@ TEST_F(ReturnGuardTest, AbsurdReturnsOfAFewMoveNothing) {
 TEST(InterquartileMeanTest, IsTheMeanOfTheMiddleHalf) {
   const WindowLevel level = InterquartileMean({9, 1, 2, 3, 4, 5, 6, -7});
   EXPECT_DOUBLE_EQ(level.mean, 3.5);  // 2, 3, 4, 5
-  // Winsorised: 2 2 2 3 4 5 5 5, deviation sqrt(14 / 7); half of 8 is kept.
+  // The winsorised values are 2 2 2 3 4 5 5 5, with deviation sqrt(14 / 7). Half of the 8 are kept.
   EXPECT_DOUBLE_EQ(level.error, std::sqrt(14.0 / 7.0) / (0.5 * std::sqrt(8.0)));
 }
 

@@ -1,4 +1,4 @@
-// The loops of spikeload, without its process.
+// Tests of the loops of spikeload, without running the program.
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "loadtest/caller.h"
@@ -55,14 +55,15 @@ TEST_P(CallerTest, RequestsFollowTheSchedule) {
       {.offset = std::chrono::milliseconds(1), .interval = std::chrono::milliseconds(2)},
       std::chrono::milliseconds(200));
   EXPECT_EQ(report.errors, 0) << report.first_error;
-  EXPECT_EQ(report.decisions, 100);  // due at 1, 3, ... 199 ms, however late they went out
+  // The requests are due at 1, 3, 5 and so on up to 199 ms, and all are sent, even if late.
+  EXPECT_EQ(report.decisions, 100);
   EXPECT_EQ(report.latency.count(), 100);
 }
 
 TEST_P(CallerTest, AServerTooSlowForTheScheduleIsChargedForTheWait) {
   Caller caller = MakeCaller();
-  // 100,000 requests a second, which nothing here can answer: the last is due at 20 ms, all the
-  // same, and its latency is what it took beyond that.
+  // 100,000 requests a second are more than the fake server can answer. The last one is still due
+  // at 20 ms, and its latency is measured from then.
   const LoadReport report = caller.RunAtRate(
       {.offset = std::chrono::nanoseconds(0), .interval = std::chrono::microseconds(10)},
       std::chrono::milliseconds(20));
@@ -75,7 +76,7 @@ TEST_P(CallerTest, ALastingErrorRetiresItsAgent) {
   for (int i = 0; i < kAgents; ++i) {
     ASSERT_TRUE(client_->CloseSession("session-" + std::to_string(i)).ok());
   }
-  // Would never end if an agent went on.
+  // The call would not end if an agent continued.
   const LoadReport report = caller.RunClosedLoop(std::chrono::hours(24));
   EXPECT_EQ(report.errors, kAgents);
   EXPECT_EQ(report.decisions, 0);

@@ -34,12 +34,12 @@ TEST(ExpTest, SigmoidAndTanhFollow) {
 }
 
 TEST(LayerNormTest, OrderedSumFoldsSixteenInterleavedPartialSums) {
-  // 1e8 + 1 loses the 1 in float32: which elements share a partial sum shows in the result.
+  // In float32, 1e8 + 1 rounds to 1e8, so the result shows which elements share a partial sum.
   std::vector<float> values(32, 0.0f);
   values[0] = 1e8f;
-  values[16] = 1.0f;  // same partial sum as element 0: lost
-  values[17] = 3.0f;  // another one, but folded with 1e8 in the end: 1e8 + 3 rounds to 1e8
-  values[1] = 5.0f;   // 5 + 3 = 8 survives the fold
+  values[16] = 1.0f;  // in the partial sum of element 0: lost by rounding
+  values[17] = 3.0f;  // in the partial sum of element 1; added to 1e8 alone, it would be lost
+  values[1] = 5.0f;   // 5 + 3 = 8 is large enough to survive the addition to 1e8
   EXPECT_EQ(OrderedSum(values.data(), values.size()), 1e8f + 8.0f);
 }
 

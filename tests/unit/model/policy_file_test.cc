@@ -33,7 +33,7 @@ Policy SmallPolicy(ModelConfig config = {}, ActionSpace space = ActionSpace::Dis
   return RandomPolicy(config, /*observation_size=*/3, space, /*seed=*/5);
 }
 
-// Also tells 0 from -0, which == does not.
+// Returns the bits of the values: unlike ==, these distinguish 0 from -0.
 std::vector<uint32_t> Bits(const std::vector<float>& values) {
   std::vector<uint32_t> bits;
   for (const float value : values) bits.push_back(std::bit_cast<uint32_t>(value));
@@ -153,8 +153,7 @@ TEST_F(PolicyFileTest, AnInvalidPolicyIsNotWritten) {
   EXPECT_EQ(ReadBytes(Path()), "as it was");
 }
 
-// What a broken policy file is refused with: the change to a good one, and the message after the
-// path.
+// A change that makes a valid policy file invalid, and the message of the error, without the path.
 struct Refusal {
   std::function<void(Safetensors&)> change;
   std::string message;

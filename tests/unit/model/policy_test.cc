@@ -53,13 +53,13 @@ TEST(RandomPolicy, IsAFunctionOfItsSeed) {
   EXPECT_NE(AllValues(SmallPolicy(Mode::kFull, 7)), AllValues(SmallPolicy(Mode::kFull, 8)));
 }
 
-// Tensors are drawn independently, so a mode does not change what it shares with another.
+// Tensors are drawn independently, so the tensors that two modes share have equal values.
 TEST(RandomPolicy, SharedTensorsAreTheSameInEveryMode) {
   EXPECT_EQ(SmallPolicy(Mode::kBaseline).weights.head.weight.values,
             SmallPolicy(Mode::kFull).weights.head.weight.values);
 }
 
-// The values themselves, so that no machine and no later version draws others.
+// Checks the values themselves, so that every machine and every later version draws the same ones.
 TEST(RandomPolicy, DrawsTheSameNumbersEverywhere) {
   const Weights weights = SmallPolicy().weights;
   EXPECT_EQ(weights.head.weight.values[0], -0x1.b9c0e6p-5f);

@@ -19,7 +19,7 @@ using testing::Pair;
 
 using SafetensorsTest = DirectoryTest;
 
-// Little-endian float32, spelled out: 1, -2, 0.5.
+// The bytes of the little-endian float32 numbers 1, -2 and 0.5.
 const std::string kOne("\x00\x00\x80\x3f", 4);
 const std::string kMinusTwo("\x00\x00\x00\xc0", 4);
 const std::string kHalf("\x00\x00\x00\x3f", 4);
@@ -69,7 +69,7 @@ TEST_F(SafetensorsTest, MissingFileIsNotFound) {
 TEST_F(SafetensorsTest, RefusesWhatIsNotARegularFile) {
   EXPECT_THAT(std::string(ReadSafetensors(directory()).status().message()),
               HasSubstr("expected a regular file"));
-  // Opening a pipe that nobody writes to would wait for ever.
+  // Opening a pipe without a writer would block forever.
   ASSERT_EQ(mkfifo(Path().c_str(), 0600), 0);
   EXPECT_EQ(ReadSafetensors(Path()).status().code(), absl::StatusCode::kInvalidArgument);
 }
@@ -141,7 +141,7 @@ class SafetensorsHeaderTest : public DirectoryTest {
     std::string fragment;  // of the message
   };
 
-  // Every header stands before 16 bytes of data.
+  // Writes each header, followed by 16 bytes of data, and expects that the file is refused.
   void ExpectRefused(const std::vector<Refusal>& refusals) {
     for (const Refusal& refusal : refusals) {
       WriteBytes(Path(), Container(refusal.header, kOne + kOne + kOne + kOne));
@@ -183,7 +183,7 @@ TEST_F(SafetensorsHeaderTest, RefusesBrokenEntries) {
        "lengths from 0 to 2147483647 in its shape, received 2147483648"},
       {R"({"a":{"dtype":"F32","shape":[99999999999999999999],"data_offsets":[0,16]}})",
        "in its shape, received 1e+20"},
-      // 4 * 65536^4 is 2^66, which wraps around to 0 in 64 bits.
+      // 4 * 65536^4 is 2^66, which overflows to 0 in 64 bits.
       {R"({"a":{"dtype":"F32","shape":[65536,65536,65536,65536],"data_offsets":[0,0]}})",
        "expected at most 16 bytes, received a shape that takes more"},
       {R"({"a":{"dtype":"F32","shape":[5],"data_offsets":[0,16]}})",

@@ -35,7 +35,7 @@ ModelConfig SmallConfig(Mode mode) {
           .ffn_size = 32};
 }
 
-// Tensors that every mode has, in these shapes.
+// Returns the tensors that have the same shape in every mode.
 Shapes CommonShapes() {
   return {
       {"embed.return.weight", {8, 1}},

@@ -19,7 +19,7 @@ TEST(LifTest, LeaksFiresAtThresholdAndResetsHard) {
   EXPECT_EQ(membrane, 0.95f * 0.75f);
   EXPECT_TRUE(lif.Step(2.0f, membrane));
   EXPECT_EQ(membrane, 0.0f);
-  EXPECT_TRUE(lif.Step(1.0f, membrane)) << "exactly at threshold";
+  EXPECT_TRUE(lif.Step(1.0f, membrane)) << "the membrane equals the threshold";
 }
 
 TEST(LifTest, ConstantCurrentFiresWithItsPeriod) {
@@ -42,7 +42,7 @@ TEST(LifTest, PeriodsOfKnownCurrents) {
   EXPECT_EQ(lif.Period(1.0f, 10), 1);
   EXPECT_EQ(lif.Period(0.52f, 10), 2);  // 0.52 (1 + 0.95) = 1.014
   EXPECT_EQ(lif.Period(0.51f, 10), 3);  // 0.51 (1 + 0.95) = 0.9945, then 1.4548
-  EXPECT_EQ(lif.Period(0.05f, 1000), 0) << "0.05 / (1 - 0.95) is only ever approached";
+  EXPECT_EQ(lif.Period(0.05f, 1000), 0) << "the membrane approaches 0.05 / (1 - 0.95) from below";
 }
 
 TEST(PeriodTableTest, EqualsTheSimulatedNeuronAroundEveryThreshold) {

@@ -25,7 +25,7 @@ class ActTogetherTest : public ::testing::Test {
     return options;
   }
 
-  // Sessions of two versions, in turns; some sample, some learn.
+  // Returns sessions that alternate between two versions; some sample and some learn.
   std::vector<std::unique_ptr<AgentSession>> NewSessions() {
     std::vector<std::unique_ptr<AgentSession>> sessions;
     for (int i = 0; i < 8; ++i) {

@@ -30,7 +30,8 @@ class AgentSessionTest : public ::testing::Test {
     return answer.ok() ? **answer : Answer();
   }
 
-  // Expects that `act` fails with `code` and `message` and leaves the session as it was.
+  // Expects that `status` has this code and message, and that the session still has the bytes
+  // `before`.
   void ExpectRefusal(AgentSession& agent, absl::StatusCode code, const std::string& message,
                      absl::Status status, const std::string& before) {
     EXPECT_EQ(status.code(), code) << status;
@@ -140,7 +141,7 @@ TEST_F(AgentSessionTest, RepeatedEndOfEpisodeCountsOnceAndIsAnsweredAgain) {
   ASSERT_TRUE(first.ok()) << first.status();
   const std::string before = SerializeSession(agent.session());
 
-  // Also from where the session was moved to in between.
+  // The answer is the same if the session was moved to another server in between.
   AgentSession moved(served_, *ParseSession(before), &clock_);
   for (AgentSession* asked : {&agent, &moved}) {
     const auto again = asked->EndEpisode(end);
@@ -203,7 +204,7 @@ TEST_F(AgentSessionTest, ComputeTimeIsTheClocks) {
   EXPECT_EQ(MustAct(agent, 0).compute_seconds, 0.0);
 }
 
-// One policy of each kind that could depend on more than the history.
+// One policy of each kind whose answers could depend on more than the history.
 struct CacheCase {
   std::string name;
   ModelConfig config;
@@ -240,7 +241,7 @@ class SessionCacheTest : public ::testing::TestWithParam<CacheCase> {
 };
 
 // Drops the cache before some steps, restores the session from its bytes before others, and leaves
-// the action pending or not: answers and counts stay equal, far beyond the window.
+// some actions pending. Answers and counts stay equal over many more steps than the window holds.
 TEST_P(SessionCacheTest, AnswersDoNotDependOnTheCache) {
   AgentSession steady = NewAgent();
   AgentSession disturbed = NewAgent();

@@ -1,4 +1,5 @@
-// A decision allocates no memory once its session and thread are warm.
+// Tests that a decision allocates no memory once its session and its thread have made enough
+// decisions.
 //
 // A program of its own, since it replaces operator new and malloc.
 
@@ -23,7 +24,7 @@ struct Case {
 class AllocationTest : public ::testing::TestWithParam<Case> {};
 
 TEST_P(AllocationTest, AWarmDecisionAllocatesNothing) {
-  constexpr int64_t kWarm = 60;  // the history is full, and every buffer as large as it gets
+  constexpr int64_t kWarm = 60;  // until the history is full and every buffer has its final size
   constexpr int64_t kCounted = 60;
   const auto served = Serve(ModelConfig(), GetParam().action_space);
   FakeClock clock;

@@ -24,7 +24,7 @@ class EpisodeRecorderTest : public ::testing::Test {
     return agent;
   }
 
-  // Steps 0 to `steps` - 1, each asked twice; the answers.
+  // Plays steps 0 to `steps` - 1, requests each of them twice, and returns the answers.
   static std::vector<Answer> Play(AgentSession& agent, int64_t steps) {
     std::vector<Answer> answers;
     for (int64_t t = 0; t < steps; ++t) {

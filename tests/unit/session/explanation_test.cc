@@ -17,7 +17,7 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::Eq;
 
-constexpr int64_t kSteps = 12;  // longer than the history
+constexpr int64_t kSteps = 12;  // more than the history holds
 
 struct Variant {
   std::string name;
@@ -57,7 +57,7 @@ Counts CountsOf(const Trace& trace) {
 
 class ExplanationTest : public testing::TestWithParam<Variant> {
  protected:
-  // Acts once, and explains it.
+  // Makes one decision and returns its explanation.
   Explanation MustExplain(AgentSession& agent, int64_t step) {
     EXPECT_TRUE(agent.Act(step, ObservationAt(step), RewardAt(step)).ok());
     auto explanation = Explain(served_->policy(), agent.session());
@@ -91,7 +91,7 @@ TEST_P(ExplanationTest, AttentionAndGatesAreShares) {
     ASSERT_EQ(explanation.trace.layers.size(), static_cast<size_t>(config.layers));
     for (int layer = 0; layer < config.layers; ++layer) {
       const LayerTrace& trace = explanation.trace.layers[static_cast<size_t>(layer)];
-      // The last N timesteps without a_t, which is not there yet.
+      // The keys are those of the last N timesteps, without a_t, which is not known yet.
       const int64_t band = std::min<int64_t>(step + 1, config.context);
       ASSERT_EQ(trace.keys.size(), static_cast<size_t>(3 * band - 1));
       EXPECT_THAT(trace.keys.front(), Eq(TokenName{TokenKind::kReturn, step + 1 - band}));
@@ -117,7 +117,7 @@ TEST_P(ExplanationTest, AttentionAndGatesAreShares) {
   }
 }
 
-// What lies before the history cannot reach what is shown.
+// Timesteps before the history do not influence the explanation.
 TEST_P(ExplanationTest, TheHistoryHoldsEverything) {
   const auto first = std::max<int64_t>(0, kSteps - HistorySize(GetParam().config));
   for (int64_t step = 0; step < kSteps; ++step) MustExplain(agent_, step);
@@ -126,7 +126,7 @@ TEST_P(ExplanationTest, TheHistoryHoldsEverything) {
   ASSERT_TRUE(whole.ok());
   ASSERT_EQ(static_cast<int64_t>(session.history.size()), kSteps - first);
 
-  // The same decision, seen by an engine that remembers the whole episode.
+  // Computes the same decision with an engine that keeps the whole episode.
   AgentSession replay(served_, NewSession("id", SmallOptions()), &clock_);
   PrefixContext prefix(SmallOptions().seed, 0);
   std::vector<float> action(static_cast<size_t>(served_->policy().action_space.size()));

@@ -1,4 +1,5 @@
-// Sessions that share a head: what the session adds to FleetHead, which has tests of its own.
+// Tests of sessions that share a head: the behaviour that the session adds to FleetHead, which has
+// its own tests.
 #include <gtest/gtest.h>
 
 #include <atomic>
@@ -41,7 +42,7 @@ class FleetSessionTest : public ::testing::Test {
 TEST_F(FleetSessionTest, WhatOneLearnsAllHave) {
   AgentSession teacher = NewAgent(1), pupil = NewAgent(2);
   Play(teacher);
-  EXPECT_EQ(pupil.HeadDrift(), 0.0);  // nothing is shared before the episode has ended
+  EXPECT_EQ(pupil.HeadDrift(), 0.0);  // updates are shared only at the end of an episode
   End(teacher);
   EXPECT_GT(pupil.HeadDrift(), 0.0);
   EXPECT_EQ(pupil.HeadDelta(), teacher.HeadDelta());
@@ -63,8 +64,8 @@ TEST_F(FleetSessionTest, EpisodesPlayedOnOneHeadLeaveTheSameHeadInAnyOrder) {
   }
 }
 
-// What the thread sanitizer is to see: whole sessions on threads of their own, and an operator who
-// reads, pauses and rolls back meanwhile.
+// A test for the thread sanitizer: sessions on 64 threads play whole episodes while an operator
+// reads, pauses and rolls back.
 TEST_F(FleetSessionTest, SixtyFourLearnAtOnce) {
   constexpr int kSessions = 64, kEpisodes = 3;
   std::vector<std::thread> threads;

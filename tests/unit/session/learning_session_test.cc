@@ -1,4 +1,5 @@
-// Sessions that learn: what the session adds to the rules, which have tests of their own.
+// Tests of sessions that learn: the behaviour that the session adds to the rules, which have their
+// own tests.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -46,7 +47,7 @@ std::vector<LearningCase> LearningCases() {
 
 class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
  protected:
-  // On a policy, and so with a fleet, of its own.
+  // Returns an agent with a policy of its own, and therefore a fleet head of its own.
   AgentSession NewAgentElsewhere() {
     served_ = Serve(SmallConfig(), GetParam().action_space);
     return NewAgent();
@@ -59,7 +60,7 @@ class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
     return AgentSession(served_, NewSession("id", std::move(options)), &clock_);
   }
 
-  // Steps [from, to) of an episode.
+  // Plays the steps [from, to) of an episode.
   void Play(AgentSession& agent, int64_t from, int64_t to) {
     for (int64_t t = from; t < to; ++t) {
       ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
@@ -178,7 +179,7 @@ TEST_P(LearningSessionTest, AFrozenSessionGoesOnFromWhatWasLearned) {
 INSTANTIATE_TEST_SUITE_P(Rules, LearningSessionTest, ::testing::ValuesIn(LearningCases()),
                          [](const auto& test) { return test.param.name; });
 
-// The bytes of a session that learns, one value of its learner replaced.
+// Returns the bytes of a session that learns, with one value replaced.
 std::string EditedLearner(const std::string& pointer, const Json& value) {
   const auto served = Serve(SmallConfig(), ActionSpace::Discrete(2));
   FakeClock clock;

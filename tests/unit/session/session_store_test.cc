@@ -112,7 +112,7 @@ TEST_F(SessionStoreTest, IdleSessionsAreCompactedOnceUntilTheyAreUsed) {
   EXPECT_EQ(store.CompactIdle(absl::Seconds(10)), 1);
 }
 
-// The same engine, told of the contexts it makes.
+// Wraps an engine and counts the contexts it creates.
 class CountingEngine final : public Engine {
  public:
   explicit CountingEngine(std::shared_ptr<const Engine> engine) : engine_(std::move(engine)) {}
@@ -159,7 +159,7 @@ TEST_F(SessionStoreTest, ACompactedSessionGoesOnBitForBit) {
     actual.compute_seconds = expected.compute_seconds;
     EXPECT_EQ(actual, expected) << t;
   }
-  EXPECT_EQ(engine->contexts, 8);  // the first one, and 7 rebuilt
+  EXPECT_EQ(engine->contexts, 8);  // the first one and 7 rebuilt ones
 }
 
 TEST_F(SessionStoreTest, AClosedSessionOutlivesTheStoreForItsHolder) {

@@ -14,7 +14,7 @@ namespace {
 using ::testing::HasSubstr;
 using Json = nlohmann::json;
 
-// A session in the middle of its second episode, with everything set.
+// Returns a session in the middle of its second episode, with all fields set.
 Session BusySession() {
   const auto served = Serve(SmallConfig(), ActionSpace::Box({-2.0f, -1.0f}, {2.0f, 1.0f}));
   FakeClock clock;
@@ -84,7 +84,7 @@ TEST(SessionTest, BrokenBytesAreRefused) {
   }
   ExpectRefused(bytes + "x", "expected CBOR");
   ExpectRefused("not a session", "expected CBOR");
-  ExpectRefused(std::string(1'000'000, '\x81'), "expected CBOR");  // arrays in arrays
+  ExpectRefused(std::string(1'000'000, '\x81'), "expected CBOR");  // nested arrays
 }
 
 TEST(SessionTest, WrongFieldsAreNamed) {

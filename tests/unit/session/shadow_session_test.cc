@@ -10,7 +10,7 @@ namespace {
 
 class ShadowSessionTest : public ::testing::Test {
  protected:
-  // What the session that serves decides next, in form of what its shadow is to see.
+  // Makes the next decision of the served session and returns it as input for the shadow.
   ShadowStep Serve(AgentSession& agent) {
     const int64_t step = agent.session().step;
     const auto answer = agent.Act(step, ObservationAt(step), 0.5);
@@ -45,8 +45,8 @@ TEST_F(ShadowSessionTest, TheSamePolicyAnswersTheSameAndCountsNothing) {
   EXPECT_EQ(observer_->decisions.size(), 40u);
 }
 
-// Whatever the candidate would have done, its window holds what was: a session that was fed other
-// actions decides otherwise.
+// The window of the candidate holds the executed actions, not those it would have taken: a session
+// with other actions in its window decides differently.
 TEST_F(ShadowSessionTest, ItsWindowHoldsTheActionsThatWereTaken) {
   ShadowSession contradicted(*policy_, SmallOptions(), &clock_);
   bool differed = false;
@@ -62,10 +62,10 @@ TEST_F(ShadowSessionTest, ItsWindowHoldsTheActionsThatWereTaken) {
 
 TEST_F(ShadowSessionTest, AnEpisodeWithAHoleIsLostUntilTheNext) {
   ASSERT_TRUE(shadow_.Act(Serve(agent_)).ok());
-  Serve(agent_);  // not seen
+  Serve(agent_);  // the shadow misses this step
   EXPECT_EQ(shadow_.Act(Serve(agent_)).status().code(), absl::StatusCode::kFailedPrecondition);
   ASSERT_TRUE(agent_.EndEpisode({}).ok());
-  Serve(agent_);  // the first step of the second episode: not seen
+  Serve(agent_);  // the shadow misses the first step of the second episode
   EXPECT_EQ(shadow_.Act(Serve(agent_)).status().code(), absl::StatusCode::kFailedPrecondition);
   ASSERT_TRUE(agent_.EndEpisode({}).ok());
   EXPECT_TRUE(shadow_.Act(Serve(agent_)).ok());

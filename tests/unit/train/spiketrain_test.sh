@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The program itself, in little: data, training, resuming, fine-tuning, evaluation, and errors in one line.
+# Tests the program spiketrain with small sizes: data, training, resuming, fine-tuning, evaluation, and errors in one line.
 #
 # usage: spiketrain_test.sh SPIKETRAIN
 set -euo pipefail
@@ -10,7 +10,7 @@ cd "$dir"
 tiny=(--hidden_size=16 --heads=2 --ticks=4 --context=5 --batch=4 --episodes=2)
 
 fail() { echo "FAILED: $1" >&2; exit 1; }
-# refuses MESSAGE COMMAND...: the command fails, and says just this on standard error.
+# refuses MESSAGE COMMAND...: expects that the command fails and prints exactly this message to standard error.
 refuses() {
   local expected=$1 message
   shift
@@ -33,7 +33,8 @@ refuses '--wide_start_fraction: expected 0 for CartPole-v1, received 0.25' datas
 grep -q '"spikes_per_decision"' whole.json
 grep -q '"first_seed": 1000000' whole.json
 
-# A finished run resumed, or interrupted where only the checkpoint is left, ends in the same policy.
+# A run of which only the last checkpoint is left, as if interrupted before it wrote its policy, resumes to the same
+# policy.
 cp -r whole resumed
 rm resumed/policy.safetensors
 "$spiketrain" train --data=data.cbor --out=resumed "${tiny[@]}" --iterations=6 --resume --json 2>/dev/null > resumed.json
@@ -44,7 +45,7 @@ cmp whole.json resumed.json
 grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=1 --seed=2000000 --json | grep -q '"first_seed": 2000000'
 
-# What a student gets into, labelled by the expert.
+# Records episodes of a student, labelled by the expert.
 "$spiketrain" dataset --steps=100 --expert_fraction=0 --student=whole/policy.safetensors --weigh --out=student-v0 |
   grep -q '"student_steps":'
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=2 --target_returns=50,500 --ablate=context,return |
@@ -52,13 +53,13 @@ grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 refuses "--ablate: expected context, attention, phase, routing or return, received 'head'" \
   eval --policy=tuned/policy.safetensors --ablate=head
 
-# The paper's experiments in little, then again from what is there.
+# Runs the paper's experiments with small sizes, then once more from the finished runs.
 "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 >/dev/null 2>&1
 grep -q '| Pendulum-v1 | full | ' report/report.md || fail "report.md"
 grep -q '"membrane"' report/figures.json || fail "figures.json"
 rm report/CartPole-v1-full-T4-N4-seed1/result.json  # interrupted after training
 "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 2>&1 |
-  grep -c 'training' | grep -qx 1 || fail "report trains what is there"
+  grep -c 'training' | grep -qx 1 || fail "report trains a finished run again"
 if "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1 --learning_rate=1 2>message; then
   fail "accepted: runs made with other options"
 fi

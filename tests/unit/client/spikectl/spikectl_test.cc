@@ -1,4 +1,4 @@
-// What spikectl does, without its process.
+// Tests of the functions of spikectl, without running the program.
 #include "client/spikectl/agent.h"
 #include "client/spikectl/policy_choice.h"
 #include "client/spikectl/run_report.h"
@@ -41,7 +41,7 @@ TEST(ChoosePolicyTest, TakesWhatIsNamed) {
   EXPECT_EQ(ChoosePolicy(ServedPolicies(), "CartPole-v1", "cartpole-pos", 0)->name(),
             "cartpole-pos");
   EXPECT_EQ(ChoosePolicy(ServedPolicies(), "CartPole-v1", "cartpole", 1)->version(), 1);
-  // A policy named for another environment than its own is the caller's wish.
+  // A caller may name a policy of another environment.
   EXPECT_EQ(ChoosePolicy(ServedPolicies(), "CartPole-v1", "acrobot", 0)->name(), "acrobot");
 }
 
@@ -94,7 +94,7 @@ TEST_F(AgentTest, PlaysAnEpisodeToItsEnd) {
   EXPECT_TRUE(fake_.last_end_episode().terminated());
   EXPECT_FALSE(fake_.last_end_episode().truncated());
   EXPECT_EQ(fake_.last_end_episode().reward(), 1.0);
-  // The session is ready for the next one.
+  // The session can play another episode.
   EXPECT_TRUE(PlayEpisode(*environment, session_, 6).ok());
 }
 
@@ -142,7 +142,7 @@ TEST(RunReportTest, TheTextNamesTheEnergyModels) {
   const std::string summary = RunSummary(episodes, "spike_5pj");
   EXPECT_THAT(summary, HasSubstr("mean return 20.0 +- 10.0 over 2 episodes, 40 decisions"));
   EXPECT_THAT(summary, HasSubstr("0.875 nJ by spike_5pj, 0.000 nJ by horowitz_45nm"));
-  // A dense policy's figure is horowitz_45nm already.
+  // The energy of a dense policy is estimated by horowitz_45nm only.
   EXPECT_THAT(RunSummary(episodes, "horowitz_45nm"), HasSubstr("0.875 nJ by horowitz_45nm\n"));
 }
 

@@ -1,5 +1,5 @@
-// Currents have one order of summation; spikes rarely show a wrong one, so it is checked on the
-// currents themselves.
+// The terms of a current are added in a fixed order. A wrong order rarely changes a spike, so these
+// tests compare the currents.
 #include "core/engine/spiking/spike_input.h"
 
 #include <gtest/gtest.h>
@@ -28,7 +28,7 @@ class SpikeInputTest : public testing::TestWithParam<CoderKind> {
   const struct Coder& Coder() const { return policy_.weights.layers[0].coder; }
   static BernoulliKey Key() { return {.seed = 3, .timestep = kTimestep, .token = 1, .site = 0}; }
 
-  // The ticks (1 ... T) at which coder neuron j fires.
+  // Returns whether coder neuron j fires at `tick`, from 1 to T.
   bool Fires(int j, int tick) const {
     const float gain = Coder().gain.values[j], bias = Coder().bias.values[j];
     if (GetParam() == CoderKind::kBernoulli)
@@ -39,7 +39,9 @@ class SpikeInputTest : public testing::TestWithParam<CoderKind> {
     return Lif().Period(x_[j] * Coder().gain.values[j] + Coder().bias.values[j], config_.ticks);
   }
 
-  // The current into output i, added up as model.md's canonical order says.
+  // Returns the current into output i, added up in the canonical order: the bias; then one sum per
+  // group of neurons, which are those of a period that divides the tick (LIF coder) or those that
+  // fire at the tick (Bernoulli coder); then the phase spikes one by one.
   float Current(const Linear& linear, int i, int tick) const {
     float current = linear.bias.values[i];
     for (int n = 1; n <= tick; ++n) {

@@ -46,7 +46,7 @@ TEST(RefusalPacerTest, HoweverManyAskSoManyASecondHaveTheirRefusal) {
     EXPECT_LE(to - from, 550) << "from second " << second;
   }
   EXPECT_LT(pacer.DelayFor(kRefusal, 0, absl::Seconds(3 + 2)), kLongestAlone)
-      << "the queue is over";
+      << "the queue is empty again";
 }
 
 TEST(RefusalPacerTest, NobodyWaitsForever) {

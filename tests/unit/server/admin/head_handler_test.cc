@@ -1,4 +1,4 @@
-// What tests/python/test_fleet_learning.py cannot see over the wire.
+// Tests of behaviour that tests/python/test_fleet_learning.py cannot observe over the wire.
 #include "server/admin/head_handler.h"
 
 #include <gmock/gmock.h>
@@ -24,7 +24,7 @@ class HeadHandlerTest : public ::testing::Test {
     return *registry_.get()->catalog()->Find(name, version);
   }
 
-  // Gives the fleet of version 1 something to remember.
+  // Merges a contribution into the fleet head of version 1.
   void Teach(const std::string& name) {
     const auto served = Served(name);
     const std::vector<float> contribution(served->policy().weights.head.weight.values.size(),
@@ -49,7 +49,7 @@ class HeadHandlerTest : public ::testing::Test {
 
 TEST_F(HeadHandlerTest, APromotionNeverTakesANumberThatIsThere) {
   Teach("a");
-  // Served by nobody, and not even a policy.
+  // A directory of a version that is not served and has no policy file.
   std::filesystem::create_directories(registry_.path() / "a" / "7");
   const auto promoted = Promote("a", 1);
   ASSERT_TRUE(promoted.ok()) << promoted.status();

@@ -90,8 +90,8 @@ TEST_F(PolicyHandlerTest, ASessionWithWorkLeftIsNotReaped) {
   EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 1);
 }
 
-// More sessions than are decided together, each with several decisions in a batch: of some sessions
-// one right after the other.
+// A batch of more sessions than are decided together, with several decisions per session. Those of
+// the first half of the sessions follow each other directly; those of the others are interleaved.
 TEST_F(PolicyHandlerTest, ABatchEqualsOneAfterTheOther) {
   constexpr int kSessions = 40;
   constexpr int64_t kSteps = 3;
@@ -140,12 +140,13 @@ TEST_F(PolicyHandlerTest, ABatchSaysWhetherAnItemWasOverTheLimit) {
       return result.code() == static_cast<int>(absl::StatusCode::kResourceExhausted);
     });
   };
-  EXPECT_EQ(over_the_limit(), 0) << "a wrong step is no limit";
+  EXPECT_EQ(over_the_limit(), 0) << "a wrong step is not a limit";
   caller_->tenant()->SetLimits({.decisions_per_second = 1.0});
   EXPECT_EQ(over_the_limit(), 1);
 }
 
-// Each batch holds many locks, and the two ask for them the other way round.
+// Each batch holds the locks of many sessions, and the two batches name them in opposite order.
+// They must not deadlock.
 TEST_F(PolicyHandlerTest, BatchesOfTheSameSessionsDoNotWaitForEachOther) {
   v1::ActBatchRequest forward;
   v1::ActBatchRequest backward;

@@ -32,7 +32,7 @@ TEST(BackgroundWorkerTest, RefusesWhatWouldPileUp) {
                       go_on.WaitForNotification();
                     })
                     .ok());
-    started.WaitForNotification();  // it runs, so it does not wait any more
+    started.WaitForNotification();  // the first task runs and no longer counts as waiting
     const auto count = [&ran] { ++ran; };
     EXPECT_TRUE(worker.Submit(count).ok());
     EXPECT_TRUE(worker.Submit(count).ok());

@@ -45,7 +45,7 @@ std::string Refusal(const ModelInferRequest& request) {
   return std::string(input.status().message());
 }
 
-// A discrete answer.
+// Returns an answer with a discrete action.
 v1::ActResponse MakeAnswer() {
   v1::ActResponse answer;
   answer.mutable_action()->set_discrete(1);

@@ -1,4 +1,4 @@
-// Recording, files, clips and the split of offline data.
+// Tests of offline data: recording, files, clips and the split into training and validation.
 
 #include "train/data/dataset.h"
 
@@ -19,7 +19,7 @@ using testing::Each;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
-// An episode of `steps` steps whose observation at step t is {t} and whose rewards are 1.
+// Returns an episode of `steps` steps whose observation at step t is {t} and whose rewards are 1.
 Episode Counting(int steps) {
   Episode episode = {.actor = "expert",
                      .seed = 1,
@@ -140,7 +140,8 @@ TEST(RecordTest, DisturbedEpisodesAreLabelledByTheExpert) {
       longest = std::max(longest, run = differs ? run + 1 : 0);
     }
   }
-  // Rate 0.15 on average, 4.5 steps a burst, half of whose actions are the expert's by chance.
+  // The average rate is 0.15 and the average burst 4.5 steps; half of the random actions equal the
+  // expert's by chance.
   EXPECT_GT(disturbed, steps / 10);
   EXPECT_LT(disturbed, steps / 3);
   EXPECT_GT(longest, 2);
@@ -156,7 +157,7 @@ TEST(RecordTest, AStudentActsAndTheExpertLabels) {
   int differ = 0;
   for (const Episode& episode : dataset.episodes) {
     ASSERT_EQ(episode.actor, "student");
-    EXPECT_THAT(episode.weights, Each(1.0f));  // this expert does not know what is at stake
+    EXPECT_THAT(episode.weights, Each(1.0f));  // this expert's Stakes() are always 1
     for (int t = 0; t < episode.steps(); ++t) {
       const auto observation = episode.observations.begin() + 4 * t;
       ASSERT_EQ(episode.labels[t], expert->Act(std::vector<double>(observation, observation + 4)));
@@ -247,7 +248,8 @@ TEST(ClipSamplerTest, ActionNoiseChangesTokensAndNotTargets) {
     changed += noisy.actions[2 * slot] != clean.actions[2 * slot];
     ASSERT_EQ(noisy.actions[2 * slot] + noisy.actions[2 * slot + 1], clean.mask[slot]);
   }
-  EXPECT_NEAR(static_cast<double>(changed) / steps, 0.4 / 2.0, 0.05);  // half keep their action
+  // Half of the random actions equal the original ones.
+  EXPECT_NEAR(static_cast<double>(changed) / steps, 0.4 / 2.0, 0.05);
 }
 
 TEST(SplitTest, HoldsOutTheLastEpisodesOfEveryActor) {

@@ -1,5 +1,5 @@
-// Minari's layout: round trips, and what is refused. That Minari itself reads and writes the same
-// is tested in tests/python.
+// Tests of Minari's layout: round trips and refused files. Tests in tests/python check that Minari
+// itself reads and writes the same files.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -23,7 +23,7 @@ std::string TemporaryDirectory(const std::string& name) {
   return path.string();
 }
 
-// Replaces `from` by `to` in the dataset's metadata.
+// Replaces `from` by `to` in the metadata of the dataset in `directory`.
 void EditMetadata(const std::string& directory, const std::string& from, const std::string& to) {
   const std::string path = directory + "/data/metadata.json";
   std::stringstream text;

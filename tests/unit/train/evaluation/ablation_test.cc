@@ -1,4 +1,4 @@
-// Each part switched off, seen by what the engine then computes.
+// Tests that switch off each part of a policy and compare the readouts of the engine.
 #include "train/evaluation/ablation.h"
 
 #include <gtest/gtest.h>
@@ -20,7 +20,7 @@ Policy SmallPolicy(Mode mode = Mode::kFull) {
   config.context = 5;
   config.ffn_size = 32;
   Policy policy = RandomPolicy(config, 1, ActionSpace::Discrete(2), 7);
-  // Loud enough for everything to reach the readout.
+  // Increases the weights, so that every part influences the readout.
   for (LayerWeights& layer : policy.weights.layers) {
     for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.attention_output}) {
       for (float& weight : linear->weight.values) weight *= 8.0f;
@@ -30,7 +30,8 @@ Policy SmallPolicy(Mode mode = Mode::kFull) {
   return policy;
 }
 
-// Readouts of four steps; `first` and `shift` change the first observation and all returns-to-go.
+// Returns the readout of the last of four steps. `first` is the first observation, `shift` is the
+// return-to-go of every step.
 std::vector<float> Readouts(const Policy& policy, float first, float shift) {
   const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
   const auto context = engine->NewContext(0);

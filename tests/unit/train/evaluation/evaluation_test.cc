@@ -27,7 +27,7 @@ TEST(EvaluationTest, EveryFigureNamesItsDenominatorAndTheyAgree) {
   ASSERT_TRUE(evaluation.ok()) << evaluation.status();
   const nlohmann::ordered_json json = ToJson(*evaluation, policy->config);
   const double decisions = json["decisions"];
-  EXPECT_EQ(decisions, 3.0 * json["mean_return"].get<double>());  // CartPole pays 1 a step
+  EXPECT_EQ(decisions, 3.0 * json["mean_return"].get<double>());  // the reward of a step is 1
   const double per_decision = json["spikes_per_decision"];
   EXPECT_GT(per_decision, 0.0);
   double stages = 0.0;

@@ -1,4 +1,4 @@
-// Asked against achieved returns.
+// Tests of the comparison of target returns with achieved returns.
 #include "train/evaluation/return_response.h"
 
 #include <gtest/gtest.h>
@@ -9,7 +9,7 @@ namespace {
 TEST(RankCorrelationTest, FollowsOrderAndSharesTies) {
   EXPECT_NEAR(RankCorrelation({1, 2, 3}, {10, 100, 1000}), 1.0, 1e-12);
   EXPECT_NEAR(RankCorrelation({1, 2, 3}, {3, 2, 1}), -1.0, 1e-12);
-  EXPECT_NEAR(RankCorrelation({1, 2, 3, 4}, {1, 2, 2, 3}), 0.9487, 1e-4);  // SciPy's spearmanr
+  EXPECT_NEAR(RankCorrelation({1, 2, 3, 4}, {1, 2, 2, 3}), 0.9487, 1e-4);  // from SciPy's spearmanr
   EXPECT_EQ(RankCorrelation({1, 2, 3}, {5, 5, 5}), 0.0);
 }
 

@@ -18,7 +18,7 @@ class BeamSearchTest : public testing::Test {
   }
 
   Problem problem_ = {.model = std::make_shared<Acrobot>(), .choices = {}};
-  // Ranks nothing: every state is worth 0.
+  // A table without information: the value of every state is 0.
   const ValueTable<4> flat_ = {
       Grid<4>({{{-kPi, kPi, 2}, {-kPi, kPi, 2}, {-30.0, 30.0, 2}, {-30.0, 30.0, 2}}}),
       std::vector<float>(16)};

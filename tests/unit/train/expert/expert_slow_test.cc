@@ -1,5 +1,6 @@
-// The full tables, over Gymnasium's seeds 0 to 999: each mean within 1 % of the optimum known from
-// dynamic programming and search. Minutes to solve, and most of an hour of beam search on one core.
+// Tests of the experts with full tables: the mean return over Gymnasium's seeds 0 to 999 is within
+// 1 % of the optimum, which is known from dynamic programming and search. On one core, solving the
+// tables takes minutes and the beam search most of an hour.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Every expert, on a coarse table where it has one.
+// Tests of all experts, with coarse tables.
 #include "train/expert/expert.h"
 
 #include <gmock/gmock.h>
@@ -49,7 +49,7 @@ TEST(ExpertTest, CautiousPendulumSwingsUpOnACoarseTable) {
             -220.0);
 }
 
-// Every episode lasts as many steps as its skill, which the seed draws.
+// Every episode lasts the number of steps that is drawn from its seed.
 TEST(ExpertTest, DialsLastAsLongAsTheyAreAsked) {
   const std::unique_ptr<Expert> cart_pole = *MakeExpert({.name = "dial"});
   const std::vector<double> returns = *EvaluateExpert(*cart_pole, "CartPole-v1", 50, 0);

@@ -1,4 +1,4 @@
-// Grids, interpolation and value iteration on problems whose answers are known.
+// Tests of grids, interpolation and value iteration on problems with known solutions.
 #include "train/expert/value_iteration.h"
 
 #include <gtest/gtest.h>
@@ -62,7 +62,7 @@ TEST(ValueIterationTest, TheSolutionSatisfiesBellmansEquation) {
       EXPECT_NEAR(table.values[point], table.Best(problem, state).value, 2e-3);
     }
   }
-  // Full speed ahead just before the goal: one step.
+  // At full speed just before the goal, one step is left.
   EXPECT_EQ(table.Best(problem, {0.45, 0.07}).value, -1.0);
 }
 
@@ -71,7 +71,8 @@ TEST(ValueIterationTest, ADisturbanceIsAveragedOver) {
   problem.choices = {{{.discrete = 2, .continuous = {}},
                       {{.discrete = 0, .continuous = {}}, {.discrete = 2, .continuous = {}}}}};
   ValueTable<2> table = {Grid<2>({{{-1.2, 0.6, 2}, {-0.07, 0.07, 2}}}), {0.0f, 1.0f, 0.0f, 1.0f}};
-  // The table is linear in velocity, so the mean of two pushes is worth what coasting is.
+  // The table is linear in velocity, so the mean value of two opposite pushes equals the value of
+  // coasting.
   const Choice coast = Choice::Of({.discrete = 1, .continuous = {}});
   EXPECT_NEAR(table.Backup(problem, {-0.5, 0.01}, problem.choices[0]),
               table.Backup(problem, {-0.5, 0.01}, coast), 1e-6);

@@ -1,5 +1,5 @@
-// The fused LIF function against loops over ticks, and the surrogate gradients against their
-// antiderivatives.
+// Tests that compare the fused LIF function with loops over ticks, and the surrogate gradients with
+// their antiderivatives.
 
 #include "core/neuron/lif.h"
 
@@ -15,7 +15,7 @@ namespace spikeserve {
 namespace {
 
 constexpr int kTicks = 9;
-constexpr int64_t kNeurons = 1300;  // more than two blocks of the kernels, and not a multiple
+constexpr int64_t kNeurons = 1300;  // more than two blocks of the kernels, and no multiple of one
 
 float Derivative(SurrogateKind kind, float slope, float u) {
   float value = 0.0f;
@@ -23,7 +23,7 @@ float Derivative(SurrogateKind kind, float slope, float u) {
   return value;
 }
 
-// The function whose derivative the surrogate is, so that autograd can differentiate it.
+// Returns the antiderivative of the surrogate, which autograd differentiates to the surrogate.
 torch::Tensor Antiderivative(const Surrogate& surrogate, const torch::Tensor& u) {
   const double k = static_cast<double>(surrogate.slope);
   switch (surrogate.kind) {
@@ -39,8 +39,8 @@ torch::Tensor Antiderivative(const Surrogate& surrogate, const torch::Tensor& u)
   return u;
 }
 
-// Spikes as a graph of one node per tick: the step's value, the antiderivative's gradient, a
-// detached reset.
+// Returns spikes computed with one graph node per tick: their values are those of the step
+// function, their gradients those of the antiderivative, and the reset is detached.
 torch::Tensor NaiveLif(const torch::Tensor& current, const LifOptions& options) {
   std::vector<torch::Tensor> spikes;
   torch::Tensor membrane = torch::zeros_like(current[0]);
@@ -111,8 +111,8 @@ TEST(LifFunctionTest, ConstantCurrentFiresWithTheCodersPeriod) {
 
 class LifGradientTest : public testing::TestWithParam<SurrogateKind> {};
 
-// Backward of both variants, with a gradient that differs from tick to tick and with one that does
-// not.
+// Checks the backward pass of both variants, with a gradient that differs between ticks and with
+// one that does not.
 TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
   const LifOptions options = {.neuron = {.decay = 0.9f, .threshold = 0.8f},
                               .ticks = kTicks,

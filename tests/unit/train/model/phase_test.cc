@@ -1,4 +1,4 @@
-// Phase spikes on torch: what fires, and which gradient omega and phi get.
+// Tests of phase spikes on torch tensors: the spikes, and the gradients of omega and phi.
 
 #include "core/neuron/phase.h"
 
