@@ -1,6 +1,6 @@
-// The streaming engine equals the reference bit for bit: spikes by stage, operations and readout,
-// on random policies of many shapes, over episodes much longer than the context, on every SIMD
-// target this processor has.
+// Tests that the streaming engine equals the reference engine bit for bit in spikes by stage,
+// operations and readout: for random policies of many shapes, over episodes much longer than the
+// context, on every SIMD target of this processor.
 
 #include <gtest/gtest.h>
 
@@ -26,7 +26,7 @@ struct Shape {
 
 void PrintTo(const Shape& shape, std::ostream* out) { *out << shape.name; }
 
-// An episode of made-up inputs, the same for every engine.
+// An episode of synthetic inputs, the same for every engine.
 class Episode {
  public:
   Episode(const Policy& policy, float spread) : policy_(policy), spread_(spread) {}
@@ -139,8 +139,8 @@ std::vector<Shape> Shapes() {
   return shapes;
 }
 
-// Random policies start with silent queries and keys; louder ones leave no path of attention
-// untried.
+// Returns a random policy with increased weights, so that queries and keys fire and every path of
+// attention is used. In a plain random policy they hardly fire.
 Policy MakePolicy(const Shape& shape, uint64_t seed) {
   Policy policy = RandomPolicy(shape.config, shape.observation_size, shape.action_space, seed);
   for (LayerWeights& layer : policy.weights.layers) {
@@ -148,7 +148,7 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
       for (float& weight : linear->weight.values) weight *= 3.0f;
     }
     for (size_t h = 1; h < layer.scale.values.size(); h += 2) layer.scale.values[h] *= -1.5f;
-    layer.ffn_hidden.weight.values[3] = 0.0f;  // not a synapse
+    layer.ffn_hidden.weight.values[3] = 0.0f;  // a zero weight does not count as a synapse
   }
   return policy;
 }
@@ -190,7 +190,7 @@ TEST_P(EngineParityTest, ContextRebuiltFromHistoryGoesOnAlike) {
   }
 }
 
-// Contexts that started at different timesteps, so that no two are alike.
+// The contexts start at different timesteps, so that no two of them are equal.
 TEST_P(EngineParityTest, DecisionsMadeTogetherEqualThoseMadeAlone) {
   constexpr int kContexts = 5;
   const Shape& shape = GetParam();

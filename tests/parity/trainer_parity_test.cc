@@ -1,9 +1,11 @@
-// The trainer's model on torch equals both engines, decision by decision, on random policies.
+// Tests that the trainer's torch model equals both engines, decision by decision, on random
+// policies.
 //
-// Torch adds float32 numbers in another order than the engines, so a membrane within rounding of
-// the threshold may fire on one side only, and everything later in that episode may then differ.
-// The test allows exactly that: where spikes first differ, a membrane of that decision must lie
-// within kRounding of the threshold; and nearly all decisions must have been compared all the same.
+// Torch adds float32 numbers in another order than the engines. A membrane that is within rounding
+// of the threshold may therefore fire on one side only, and all later results of that episode may
+// differ. The test allows only this difference: at the first decision whose spikes differ, a
+// membrane must be within kRounding of the threshold. Comparison of an episode ends there, and in
+// total at least kLeastCompared of all decisions must have been compared.
 
 #include <gtest/gtest.h>
 #include <torch/types.h>
@@ -25,8 +27,8 @@ namespace {
 
 constexpr float kRounding = 1e-5f;  // of a membrane, for a threshold of 1
 constexpr float kLogitTolerance = 1e-4f;
-constexpr double kLeastCompared = 0.95;  // of all decisions
-constexpr int kSteps = 14;               // well beyond the context of 5
+constexpr double kLeastCompared = 0.95;  // share of all decisions
+constexpr int kSteps = 14;               // much longer than the context
 constexpr uint64_t kBernoulliSeed = 7;
 
 struct Shape {
@@ -91,8 +93,8 @@ std::vector<Shape> Shapes() {
   return shapes;
 }
 
-// Louder than a random policy, whose queries and keys hardly fire, with observations and returns to
-// standardise.
+// Returns a random policy with increased weights, because queries and keys of a plain one hardly
+// fire, and with non-trivial scaling of observations and returns.
 Policy MakePolicy(const Shape& shape, uint64_t seed) {
   Policy policy = RandomPolicy(shape.config, 4, shape.action_space, seed);
   for (LayerWeights& layer : policy.weights.layers) {
@@ -107,7 +109,7 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
   return policy;
 }
 
-// One made-up episode as a clip of kSteps timesteps.
+// Returns a synthetic episode as a clip of kSteps timesteps.
 ClipTensors MakeEpisode(const Policy& policy, uint64_t seed) {
   const int64_t obs = policy.observation_size(), act = policy.action_space.size();
   ClipTensors clip = {.return_to_go = torch::empty({1, kSteps}),
@@ -136,20 +138,21 @@ std::vector<float> ToVector(const torch::Tensor& tensor) {
   return {data, data + values.numel()};
 }
 
-// The tokens of a population that decision t pays for: a_{t-1}, G_t and s_t, or what there is of
-// them.
+// Returns the range of tokens of a population that decision t computes: those of a_{t-1}, G_t and
+// s_t that the population has.
 std::pair<int64_t, int64_t> TokensOf(int t, int64_t tokens) {
   if (tokens == kSteps) return {t, t + 1};
   return {std::max(0, 3 * t - 1), 3 * t + 2};
 }
 
-// The torch side of one decision.
+// The results of the torch model for one decision.
 struct TorchDecision {
   std::array<uint64_t, kStages> spikes = {};
-  float margin = std::numeric_limits<float>::infinity();  // least |V - V_th| of any neuron and tick
+  // The smallest |V - V_th| of all neurons and ticks.
+  float margin = std::numeric_limits<float>::infinity();
 };
 
-// The least |V - V_th| of the population's neurons in these tokens.
+// Returns the smallest |V - V_th| of the population's neurons in the tokens [first, last).
 float Margin(const Population& population, const Lif& neuron, int ticks, int64_t first,
              int64_t last) {
   if (!population.current.defined()) return std::numeric_limits<float>::infinity();
@@ -183,8 +186,8 @@ TorchDecision DecisionOf(const ModelOutput& output, const ModelConfig& config, i
   return decision;
 }
 
-// Plays the clip through an engine beside the torch output. Returns how many decisions had the same
-// spikes before the first that had not.
+// Plays the clip with an engine and compares its results with the torch model's. Returns the number
+// of decisions before the first one whose spikes differ.
 int CompareWithEngine(const Engine& engine, const ClipTensors& clip, const ModelOutput& output) {
   const Policy& policy = engine.policy();
   const auto context = engine.NewContext(kBernoulliSeed);

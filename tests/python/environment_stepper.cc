@@ -1,12 +1,12 @@
-// An environment behind JSON lines, so that a test in another language can step it.
+// Steps an environment by JSON lines, for tests in other languages.
 //
 // Usage: environment_stepper ID. Each line of standard input is one of
 //   {"seed": 7}                  Reset
 //   {"state": [0.1, -0.2]}       ResetTo
 //   {"action": 1} or {"action": [0.5]}   Step
-// and is answered by one line with `observation` and `state`, after a step `reward`, `terminated`
-// and `truncated` too. Numbers are written so that they read back bit for bit. A bad line ends the
-// program with status 1.
+// and is answered by one line with `observation` and `state`, and after a step also `reward`,
+// `terminated` and `truncated`. Numbers are written with enough digits to be read back bit for bit.
+// An invalid line ends the program with status 1.
 #include <cstdint>
 #include <exception>
 #include <iostream>

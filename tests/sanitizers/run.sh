@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Loads a sanitized server with a sanitized client while its pages are read, and fails on any report: 1,000 sessions on
-# 8 streams for DURATION, then 64 that learn one fleet's head by unary calls, and 64 that learn heads of their own in
-# batches, ten seconds each.
+# Runs a load test of a sanitized server with a sanitized client, while another process reads the server's HTTP pages.
+# Fails on any report of the sanitizer. The load is 1,000 sessions on 8 streams for DURATION, then 64 sessions that learn
+# a shared fleet head by unary calls, then 64 sessions that learn their own heads in batches, ten seconds each.
 #
 # usage: tests/sanitizers/run.sh asan|tsan [DURATION]
 set -euo pipefail
@@ -14,8 +14,8 @@ cmake --build "build/$preset" --target spikeserve spikeload
 bin=build/$preset/bin
 log=build/$preset/sanitizer-report.txt
 
-# A report ends the process with status 66 and stands in the log. gRPC and protobuf are built without the sanitizer, so
-# what they do themselves is not judged.
+# A report ends the process with status 66 and is written to the log. gRPC and protobuf are built without the sanitizer,
+# so their own memory accesses are not checked.
 export TSAN_OPTIONS="ignore_noninstrumented_modules=1:exitcode=66"
 export ASAN_OPTIONS="detect_leaks=1:exitcode=66"
 export UBSAN_OPTIONS="halt_on_error=1:exitcode=66:print_stacktrace=1"
@@ -39,11 +39,11 @@ trap 'kill -TERM "$reader" "$server" 2>/dev/null || true' EXIT
 
 failed=''
 load() {
-  # A sanitized server is slow: what a thousand sessions ask at once waits for long.
+  # A sanitized server is slow: with a thousand sessions, requests wait for a long time.
   "$bin/spikeload" --server="$grpc" --call_timeout=60s "$@" || failed+=" spikeload $*;"
 }
 load --sessions=1000 --streams=8 --mode=stream --duration="$duration"
-# Short episodes, so that many end, and are merged, at once.
+# Short episodes, so that many of them end, and are merged into the fleet head, at the same time.
 load --sessions=64 --streams=16 --mode=unary --policy=cartpole --learning_scope=fleet --episode_steps=5 --duration=10s
 load --sessions=64 --streams=16 --mode=batch --policy=pendulum --learning_scope=session --episode_steps=5 --duration=10s
 

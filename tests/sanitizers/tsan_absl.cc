@@ -1,11 +1,14 @@
-// Lets the thread sanitizer see Abseil's mutexes.
+// Makes Abseil's mutexes visible to the thread sanitizer.
 //
-// Debian's Abseil is built without the sanitizer, so what its mutexes order would look like a race,
-// in our code and in gRPC's. These definitions stand in front of the library's, for every caller in
-// the process: each calls the library's own and tells the sanitizer what was acquired or released.
-// A condition is evaluated within the library, by whichever thread holds the mutex then: by the one
-// that waits, or by one that unlocks, after it has told the sanitizer so. So every evaluation says
-// for itself that the mutex is held.
+// Debian's Abseil is built without the sanitizer, so that memory accesses that its mutexes order
+// would be reported as races, in this project's code and in gRPC's. The definitions below replace
+// those of the library for every caller in the process. Each calls the library's definition and
+// reports to the sanitizer what was acquired or released.
+//
+// The library evaluates a condition on the thread that holds the mutex at that time: the waiting
+// thread, or a thread that is unlocking and has already reported the release. Therefore every
+// evaluation of a condition reports that the mutex is held.
+//
 // Linked into the programs of the `tsan` preset only.
 #include <dlfcn.h>
 
@@ -18,20 +21,21 @@ namespace absl {
 ABSL_NAMESPACE_BEGIN
 namespace {
 
-// The library's definition of the symbol that the caller stands in front of.
+// Returns the library's definition of `symbol`, which the caller replaces.
 template <class Function>
 Function Next(const char* symbol) {
   return reinterpret_cast<Function>(dlsym(RTLD_NEXT, symbol));
 }
 
-// A condition whose evaluation the sanitizer sees under `mutex`; refers to `condition`.
+// A condition whose evaluation is reported to the sanitizer as protected by `mutex`. Keeps a
+// reference to `condition`.
 class SeenCondition {
  public:
   SeenCondition(Mutex* mutex, const Condition& condition) : mutex_(mutex), condition_(condition) {}
 
   bool operator()() const {
     __tsan_acquire(mutex_);
-    // Looked up, as programs are linked with this file that have no Abseil.
+    // Looked up at run time, because this file is also linked into programs without Abseil.
     static const auto eval = Next<bool (*)(const Condition&)>("_ZNK4absl7debian39Condition4EvalEv");
     const bool holds = eval(condition_);
     __tsan_release(mutex_);
@@ -45,7 +49,8 @@ class SeenCondition {
 
 }  // namespace
 
-// Itanium mangling of absl::<inline namespace>::<name>; Debian calls the inline namespace debian3.
+// Returns the Itanium mangling of absl::<inline namespace>::<name>. Debian's inline namespace is
+// debian3.
 #define SPIKESERVE_ABSL(name) "_ZN4absl7debian3" name
 
 void Mutex::Lock() {

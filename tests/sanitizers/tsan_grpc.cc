@@ -1,9 +1,11 @@
-// Lets the thread sanitizer see how gRPC hands what it was given from one thread to another.
+// Makes the hand-over of data between gRPC's threads visible to the thread sanitizer.
 //
-// Debian's gRPC is built without the sanitizer, and its queues have no locks, so a call that is
-// started on one thread and completed on another would look like a race. These definitions stand in
-// front of the library's, as those of tsan_absl.cc do, and tell the sanitizer of an order that gRPC
-// promises. Nothing is suppressed: a race of our own code is reported wherever gRPC called it.
+// Debian's gRPC is built without the sanitizer, and its queues are lock-free, so that a call that
+// is started on one thread and completed on another would be reported as a race. The definitions
+// below replace those of the library, like those in tsan_absl.cc, and report an order that gRPC
+// guarantees. Nothing is suppressed: a race in this project's code is still reported when gRPC
+// calls that code.
+//
 // Linked into the programs of the `tsan` preset only.
 #include <dlfcn.h>
 #include <grpc/grpc.h>
@@ -12,7 +14,7 @@
 extern "C" void __tsan_acquire(void* address);
 extern "C" void __tsan_release(void* address);
 
-// An operation completes after it was started. Its tag goes in here ...
+// Starts an operation and releases its tag: the operation completes after it was started.
 extern "C" grpc_call_error grpc_call_start_batch(grpc_call* call, const grpc_op* ops, size_t count,
                                                  void* tag, void* reserved) {
   static const auto next =
@@ -21,7 +23,7 @@ extern "C" grpc_call_error grpc_call_start_batch(grpc_call* call, const grpc_op*
   return next(call, ops, count, tag, reserved);
 }
 
-// ... and comes out here, on the thread that runs its callback.
+// Returns a completed operation to the thread that runs its callback, and acquires its tag.
 extern "C" grpc_event grpc_completion_queue_next(grpc_completion_queue* queue,
                                                  gpr_timespec deadline, void* reserved) {
   static const auto next = reinterpret_cast<decltype(&grpc_completion_queue_next)>(
@@ -33,8 +35,9 @@ extern "C" grpc_event grpc_completion_queue_next(grpc_completion_queue* queue,
 
 namespace grpc::internal {
 
-// A call is done after all that referred to it. Where it was cancelled, the last reference is given
-// back within the library, which the sanitizer does not see; the others are given back in headers.
+// OnDone runs after all references to the call are released. When a call is cancelled, the last
+// reference is released inside the library, where the sanitizer does not see it. The others are
+// released in inline functions of headers, which are instrumented.
 void ServerCallbackCall::ScheduleOnDone(bool inline_ondone) {
   static const auto next = reinterpret_cast<void (*)(ServerCallbackCall*, bool)>(
       dlsym(RTLD_NEXT, "_ZN4grpc8internal18ServerCallbackCall14ScheduleOnDoneEb"));

@@ -1,4 +1,4 @@
-// A clock that stands still until a test moves it. Safe to use from many threads.
+// A clock whose time changes only when a test calls Advance(). Thread-safe.
 #ifndef TESTS_SUPPORT_FAKE_CLOCK_H_
 #define TESTS_SUPPORT_FAKE_CLOCK_H_
 

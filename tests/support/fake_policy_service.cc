@@ -24,7 +24,7 @@ FakePolicyService::FakePolicyService() {
 FakePolicyService::~FakePolicyService() {
   {
     absl::MutexLock lock(&mutex_);
-    ++calls_;  // lets a hanging call go
+    ++calls_;  // releases a hanging call
     called_.SignalAll();
   }
   server_->Shutdown(std::chrono::system_clock::now());

@@ -1,8 +1,12 @@
-// A PolicyService inside the test's process that misbehaves on request. It keeps the rule of steps:
-// the last answered step again gets the stored answer, and every new decision differs from all
-// others, so that a decision taken twice shows.
+// A PolicyService in the process of the test that can be told to fail. It follows the contract of
+// steps: a repeated request for the last step gets the stored answer. Every new decision differs
+// from all previous ones, so that a test notices a step that is decided twice.
 //
-// Thread-safe.
+// Thread-safe. Example:
+//
+//   FakePolicyService fake;
+//   const auto client = *Client::Create(fake.channel(), options);
+//   fake.LoseNextReplies(1);
 #ifndef TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_
 #define TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_
 
@@ -23,25 +27,25 @@ namespace spikeserve {
 
 class FakePolicyService : public v1::PolicyService::Service {
  public:
-  static constexpr uint64_t kSpikes = 10;  // of every decision
+  static constexpr uint64_t kSpikes = 10;  // reported for every decision
 
   FakePolicyService();
   ~FakePolicyService() override;
 
   std::shared_ptr<grpc::Channel> channel() const { return channel_; }
 
-  // The next `calls` calls fail with `status` and do nothing.
+  // Makes the next `calls` calls fail with `status`, without any effect.
   void RefuseNext(int calls, grpc::Status status);
-  // The next `calls` calls are carried out, but answered with UNAVAILABLE.
+  // Executes the next `calls` calls, but answers them with UNAVAILABLE.
   void LoseNextReplies(int calls);
-  // The next call does nothing and is answered only once another call has come.
+  // Makes the next call have no effect and return only when another call arrives.
   void HangNext();
-  // The next stream ends with `status` after its first answer.
+  // Ends the next stream with `status` after its first answer.
   void BreakNextStream(grpc::Status status);
 
-  int calls() const;      // unary calls that arrived, refused ones too
-  int decisions() const;  // computed, not repeated
-  int sessions() const;   // open ones
+  int calls() const;      // unary calls received, including refused ones
+  int decisions() const;  // computed decisions, without repeated answers
+  int sessions() const;   // open sessions
   v1::EndEpisodeRequest last_end_episode() const;
 
   grpc::Status ListPolicies(grpc::ServerContext* context, const v1::ListPoliciesRequest* request,
@@ -70,14 +74,14 @@ class FakePolicyService : public v1::PolicyService::Service {
     v1::EndEpisodeResponse last_end;
   };
 
-  // Counts the call, applies the faults asked for, and carries it out.
+  // Counts the call, applies the requested faults, and runs `work` unless a fault prevents it.
   template <typename Work>
   grpc::Status Handle(Work work) ABSL_LOCKS_EXCLUDED(mutex_);
   grpc::Status Decide(const v1::ActRequest& request, v1::ActResponse* response)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   mutable absl::Mutex mutex_;
-  absl::CondVar called_;  // calls_ has grown
+  absl::CondVar called_;  // signalled when calls_ grows
   std::map<std::string, SessionState> sessions_ ABSL_GUARDED_BY(mutex_);
   int calls_ ABSL_GUARDED_BY(mutex_) = 0;
   int decisions_ ABSL_GUARDED_BY(mutex_) = 0;

@@ -1,4 +1,4 @@
-// Files for the model's tests.
+// Helpers for tests that read and write files.
 #ifndef TESTS_SUPPORT_FILES_H_
 #define TESTS_SUPPORT_FILES_H_
 
@@ -12,7 +12,7 @@
 
 namespace spikeserve {
 
-// Each test gets an empty directory of its own, removed when the test ends.
+// A fixture that gives each test an empty directory, which is removed when the test ends.
 class DirectoryTest : public testing::Test {
  protected:
   DirectoryTest() {
@@ -40,7 +40,8 @@ inline std::string ReadBytes(const std::string& path) {
   return std::string(std::istreambuf_iterator<char>(file), {});
 }
 
-// A container put together by hand: the length, the header as it is, the data as it is.
+// Returns the bytes of a safetensors file: the length of `header` as a little-endian 64-bit
+// integer, then `header` and `data` unchanged.
 inline std::string Container(const std::string& header, const std::string& data) {
   std::string bytes;
   for (int byte = 0; byte < 8; ++byte) {

@@ -1,4 +1,4 @@
-// Small random policies and the requests of a made-up agent, for tests of sessions.
+// Small random policies and synthetic inputs, for tests of sessions.
 #ifndef TESTS_SUPPORT_SESSION_FIXTURE_H_
 #define TESTS_SUPPORT_SESSION_FIXTURE_H_
 
@@ -17,7 +17,7 @@
 
 namespace spikeserve {
 
-// Remembers what it was told. Not thread-safe.
+// Records the notifications of a session. Not thread-safe.
 struct RecordingObserver : SessionObserver {
   int opened = 0;
   int closed = 0;
@@ -32,6 +32,7 @@ struct RecordingObserver : SessionObserver {
 
 constexpr int kObservationSize = 3;
 
+// Returns version 1 of a random policy "small", with a streaming engine and a fleet head.
 inline std::shared_ptr<const ServedPolicy> Serve(
     const ModelConfig& config, const ActionSpace& action_space,
     std::shared_ptr<SessionObserver> observer = std::make_shared<SessionObserver>()) {
@@ -46,6 +47,7 @@ inline std::shared_ptr<const ServedPolicy> Serve(
   return served;
 }
 
+// Returns options of a session of the policy that Serve() returns.
 inline SessionOptions SmallOptions() {
   SessionOptions options;
   options.policy = "small";
@@ -55,7 +57,7 @@ inline SessionOptions SmallOptions() {
   return options;
 }
 
-// What the environment shows at timestep t.
+// Returns the observation of timestep t.
 inline std::vector<float> ObservationAt(int64_t t) {
   std::vector<float> observation(kObservationSize);
   for (int i = 0; i < kObservationSize; ++i) {
@@ -64,7 +66,8 @@ inline std::vector<float> ObservationAt(int64_t t) {
   return observation;
 }
 
-// The reward for the action before timestep t; not exact in binary.
+// Returns the reward of the action before timestep t. Most values have no exact binary
+// representation, so that tests notice a changed order of additions.
 inline double RewardAt(int64_t t) { return 0.1 * static_cast<double>(t % 3); }
 
 }  // namespace spikeserve

@@ -1,4 +1,5 @@
-// A registry of small random policies in a directory of its own, for tests of what stands on it.
+// A policy registry that serves small random policies from a temporary directory, for tests of code
+// that uses a registry.
 #ifndef TESTS_SUPPORT_SMALL_REGISTRY_H_
 #define TESTS_SUPPORT_SMALL_REGISTRY_H_
 
@@ -19,7 +20,7 @@ namespace spikeserve {
 
 class SmallRegistry {
  public:
-  // Serves version 1 of each.
+  // Serves version 1 of each policy in `names`.
   explicit SmallRegistry(std::initializer_list<std::string> names) {
     for (const std::string& name : names) WriteVersion(name, 1);
     ReloadReport report;
@@ -34,7 +35,7 @@ class SmallRegistry {
     registry_ = *std::move(registry);
   }
 
-  // Leaves the file in the directory; the registry looks when it is told to.
+  // Writes a policy file to the directory. The registry does not load it before it is told to.
   void WriteVersion(const std::string& name, int64_t version) {
     const auto folder = path() / name / std::to_string(version);
     std::filesystem::create_directories(folder);

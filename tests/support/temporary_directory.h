@@ -1,4 +1,4 @@
-// A directory that goes with its owner.
+// A temporary directory that is removed, with its contents, when this object is destroyed.
 #ifndef TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_
 #define TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_
 
