@@ -11,6 +11,7 @@
 #include "core/engine/spiking/kernels/targets.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
+#include "tests/support/small_config.h"
 
 namespace spikeserve {
 namespace {
@@ -83,59 +84,60 @@ void ExpectEqual(const Engine::Output& actual, const Engine::Output& expected, i
   EXPECT_EQ(actual.readout, expected.readout) << "step " << step;
 }
 
-ModelConfig Small(int d, int heads, int layers, int ticks, int context) {
-  ModelConfig config;
-  config.hidden_size = d;
+// Returns SmallConfig() with `hidden_size` neurons in `heads` heads. The routing and FFN layers
+// have sizes that are not multiples of a SIMD vector's length.
+ModelConfig ConfigOf(int hidden_size, int heads) {
+  ModelConfig config = SmallConfig();
+  config.hidden_size = hidden_size;
   config.heads = heads;
-  config.layers = layers;
-  config.ticks = ticks;
-  config.context = context;
   config.routing_hidden_size = 6;
-  config.ffn_size = 2 * d + 5;
+  config.ffn_size = 2 * hidden_size + 5;
   return config;
 }
 
 std::vector<Shape> Shapes() {
   std::vector<Shape> shapes;
-  const auto add = [&shapes](std::string name, ModelConfig config) -> Shape& {
+  const auto add = [&shapes](std::string name, const ModelConfig& config) -> Shape& {
     shapes.push_back({.name = std::move(name), .config = config});
     return shapes.back();
   };
   for (const Mode mode : {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull, Mode::kDense}) {
     for (const Merge merge : {Merge::kSum, Merge::kConcat}) {
-      ModelConfig config = Small(32, 4, 2, 6, 5);
+      const auto name = std::string(ToString(mode)) + "_" + std::string(ToString(merge));
+      ModelConfig& config = add(name, ConfigOf(32, 4)).config;
       config.mode = mode;
       config.merge = merge;
-      add(std::string(ToString(mode)) + "_" + std::string(ToString(merge)), config);
     }
   }
-  add("OneLayer", Small(16, 2, 1, 5, 4));
-  add("ThreeLayers", Small(24, 3, 3, 4, 3));
-  add("ContextOne", Small(16, 2, 2, 4, 1));
-  add("ManyTicks", Small(16, 2, 2, 37, 4));
-  add("OneTick", Small(16, 4, 2, 1, 4)).config.threshold = 0.3f;
-  add("OneHead", Small(20, 1, 2, 5, 6));
-  add("OddHeads", Small(35, 5, 2, 6, 7));
-  add("WideHeads", Small(80, 2, 2, 4, 4)).steps = 16;
-  add("FullWordHeads", Small(64, 2, 2, 5, 12)).steps = 30;
-  add("LongContext", Small(16, 2, 1, 3, 23)).steps = 60;
-  add("Box", Small(32, 4, 2, 6, 5)).action_space = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
-  add("LoudInputs", Small(32, 4, 2, 6, 5)).spread = 8.0f;
-  ModelConfig config = Small(32, 4, 2, 6, 5);
-  config.gate = Gate::kSigmoid;
-  add("SigmoidGate", config);
-  config.merge = Merge::kConcat;
-  add("SigmoidGateConcat", config);
-  config = Small(32, 4, 2, 6, 5);
-  config.phase_clock = PhaseClock::kWindow;
-  add("WindowClock", config);
-  config = Small(32, 4, 2, 6, 5);
-  config.coder = CoderKind::kBernoulli;
-  add("Bernoulli", config);
-  config = Small(32, 4, 2, 8, 5);
-  config.membrane_decay = 0.5f;
-  config.threshold = 0.3f;
-  add("OtherNeuron", config);
+  add("OneLayer", ConfigOf(16, 2)).config.layers = 1;
+  add("ThreeLayers", ConfigOf(24, 3)).config.layers = 3;
+  add("ContextOne", ConfigOf(16, 2)).config.context = 1;
+  add("ManyTicks", ConfigOf(16, 2)).config.ticks = 37;
+  ModelConfig& one_tick = add("OneTick", ConfigOf(16, 4)).config;
+  one_tick.ticks = 1;
+  one_tick.threshold = 0.3f;
+  add("OneHead", ConfigOf(20, 1)).config.context = 6;
+  add("OddHeads", ConfigOf(35, 5)).config.context = 7;
+  add("WideHeads", ConfigOf(80, 2)).steps = 16;
+  Shape& full_words = add("FullWordHeads", ConfigOf(64, 2));
+  full_words.config.context = 12;
+  full_words.steps = 30;
+  Shape& long_context = add("LongContext", ConfigOf(16, 2));
+  long_context.config.layers = 1;
+  long_context.config.context = 23;
+  long_context.steps = 60;
+  add("Box", ConfigOf(32, 4)).action_space = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
+  add("LoudInputs", ConfigOf(32, 4)).spread = 8.0f;
+  add("SigmoidGate", ConfigOf(32, 4)).config.gate = Gate::kSigmoid;
+  ModelConfig& sigmoid_concat = add("SigmoidGateConcat", ConfigOf(32, 4)).config;
+  sigmoid_concat.gate = Gate::kSigmoid;
+  sigmoid_concat.merge = Merge::kConcat;
+  add("WindowClock", ConfigOf(32, 4)).config.phase_clock = PhaseClock::kWindow;
+  add("Bernoulli", ConfigOf(32, 4)).config.coder = CoderKind::kBernoulli;
+  ModelConfig& other_neuron = add("OtherNeuron", ConfigOf(32, 4)).config;
+  other_neuron.ticks = 8;
+  other_neuron.membrane_decay = 0.5f;
+  other_neuron.threshold = 0.3f;
   return shapes;
 }
 

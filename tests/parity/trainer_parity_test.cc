@@ -20,6 +20,7 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/math/counter_random.h"
 #include "core/neuron/lif.h"
+#include "tests/support/small_config.h"
 #include "train/model/torch_model.h"
 
 namespace spikeserve {
@@ -40,14 +41,11 @@ struct Shape {
 
 void PrintTo(const Shape& shape, std::ostream* out) { *out << shape.name; }
 
-ModelConfig SmallConfig() {
-  ModelConfig config;
+ModelConfig FourHeads(Mode mode = Mode::kFull) {
+  ModelConfig config = SmallConfig(mode);
   config.hidden_size = 32;
   config.heads = 4;
-  config.layers = 2;
   config.ticks = 7;
-  config.context = 5;
-  config.routing_hidden_size = 6;
   config.ffn_size = 70;
   return config;
 }
@@ -56,15 +54,14 @@ std::vector<Shape> Shapes() {
   std::vector<Shape> shapes;
   for (const Mode mode : {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull, Mode::kDense}) {
     for (const Merge merge : {Merge::kSum, Merge::kConcat}) {
-      ModelConfig config = SmallConfig();
-      config.mode = mode;
+      ModelConfig config = FourHeads(mode);
       config.merge = merge;
       shapes.push_back({.name = std::string(ToString(mode)) + "_" + std::string(ToString(merge)),
                         .config = config});
     }
   }
   const auto add = [&shapes](const char* name, auto change) {
-    Shape shape = {.name = name, .config = SmallConfig()};
+    Shape shape = {.name = name, .config = FourHeads()};
     change(shape);
     shapes.push_back(shape);
   };

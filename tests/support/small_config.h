@@ -1,4 +1,4 @@
-// The shape of the policies that tests of sessions and servers play with.
+// The configuration of the small policies that tests play with.
 #ifndef TESTS_SUPPORT_SMALL_CONFIG_H_
 #define TESTS_SUPPORT_SMALL_CONFIG_H_
 
@@ -6,9 +6,11 @@
 
 namespace spikeserve {
 
-// Two layers and a window of 4 timesteps, so that a decision depends on 7.
-inline ModelConfig SmallConfig() {
+// Returns a configuration with two layers and a window of 4 timesteps, so that a decision depends
+// on 7 timesteps.
+inline ModelConfig SmallConfig(Mode mode = Mode::kFull) {
   ModelConfig config;
+  config.mode = mode;
   config.hidden_size = 16;
   config.heads = 2;
   config.layers = 2;

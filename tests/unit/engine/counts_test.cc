@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "core/engine/factory/engine_factory.h"
+#include "tests/support/small_policy.h"
 
 namespace spikeserve {
 namespace {
@@ -26,16 +27,12 @@ TEST(CountsTest, EnergyModelsPriceWhatTheySayTheyDo) {
 // A model that is small enough to count by hand: every coder neuron fires at every tick, and no
 // other neuron ever fires.
 TEST(CountsTest, ADecisionBearsItsThreeTokens) {
-  ModelConfig config;
-  config.mode = Mode::kBaseline;
-  config.hidden_size = 4;
-  config.heads = 2;
-  config.layers = 2;
-  config.ticks = 5;
-  config.context = 3;
-  config.ffn_size = 6;
-  Policy policy = RandomPolicy(config, /*observation_size=*/3, ActionSpace::Discrete(2), 1);
-  for (TensorSlot& slot : TensorSlots(config, 3, 2, &policy.weights)) {
+  const ModelConfig config = SmallConfig(Mode::kBaseline);
+  const auto d = static_cast<uint64_t>(config.hidden_size);
+  const auto ffn = static_cast<uint64_t>(config.ffn_size);
+  const uint64_t coder_spikes = d * static_cast<uint64_t>(config.ticks);
+  Policy policy = SmallPolicy(config);
+  for (TensorSlot& slot : TensorSlots(config, 4, 2, &policy.weights)) {
     const bool coder = slot.name.find("coder") != std::string::npos;
     const bool bias = slot.name.ends_with("bias");
     const bool weight = slot.name.ends_with("weight") && slot.tensor->shape.size() == 2;
@@ -46,27 +43,29 @@ TEST(CountsTest, ADecisionBearsItsThreeTokens) {
   for (const auto& engine : {MakeReferenceEngine(shared), MakeStreamingEngine(shared)}) {
     const auto context = engine->NewContext(0);
     Engine::Output output;
-    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f}, &output);
-    // The tokens are G_0 and s_0, with 20 spikes per coder. The last layer codes both, but its
-    // feed-forward part computes only s_0.
-    EXPECT_EQ(output.counts.spikes(Stage::kCoder), 20u * 4);
-    EXPECT_EQ(output.counts.spikes(Stage::kFfnIn), 20u * 3);
-    EXPECT_EQ(output.counts.spikes(Stage::kReadout), 20u);
-    EXPECT_EQ(output.counts.total_spikes(), 20u * 8);
+    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f, 4.0f}, &output);
+    // The tokens are G_0 and s_0. The last layer codes both, but its feed-forward part computes
+    // only s_0.
+    EXPECT_EQ(output.counts.spikes(Stage::kCoder), coder_spikes * 4);
+    EXPECT_EQ(output.counts.spikes(Stage::kFfnIn), coder_spikes * 3);
+    EXPECT_EQ(output.counts.spikes(Stage::kReadout), coder_spikes);
+    EXPECT_EQ(output.counts.total_spikes(), coder_spikes * 8);
     // Layer 0 computes Q, K, V and FFN for both tokens; layer 1 computes K and V for both, Q and
     // FFN only for the state.
-    EXPECT_EQ(output.counts.accumulates, 20u * (2 * (12 + 6) + 2 * 8 + (4 + 6)));
-    // The embeddings have 4 (1 + 3) and the head 4 x 2. The outputs of attention and FFN are zero,
+    EXPECT_EQ(output.counts.accumulates,
+              coder_spikes * (2 * (3 * d + ffn) + 2 * (2 * d) + (d + ffn)));
+    // The embeddings have d (1 + 4) and the head 2 d. The outputs of attention and FFN are zero,
     // because value and FFN neurons do not fire.
-    EXPECT_EQ(output.counts.multiply_accumulates, 4u * 4 + 8);
+    EXPECT_EQ(output.counts.multiply_accumulates, d * (1 + 4) + 2 * d);
     EXPECT_EQ(output.counts.attention_products, 0u);
 
     engine->AppendAction(*context, {0.0f, 1.0f});
-    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f}, &output);
+    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f, 4.0f}, &output);
     // The token a_0 adds a coder and an FFN coder in layer 0, and a coder in layer 1.
-    EXPECT_EQ(output.counts.total_spikes(), 20u * (8 + 3));
-    EXPECT_EQ(output.counts.accumulates, 20u * (3 * (12 + 6) + 3 * 8 + (4 + 6)));
-    EXPECT_EQ(output.counts.multiply_accumulates, 4u * (4 + 1) + 8)
+    EXPECT_EQ(output.counts.total_spikes(), coder_spikes * (8 + 3));
+    EXPECT_EQ(output.counts.accumulates,
+              coder_spikes * (3 * (3 * d + ffn) + 3 * (2 * d) + (d + ffn)));
+    EXPECT_EQ(output.counts.multiply_accumulates, d * (1 + 1 + 4) + 2 * d)
         << "a one-hot action has one nonzero input";
   }
 }

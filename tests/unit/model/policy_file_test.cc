@@ -13,6 +13,7 @@
 #include "core/model/safetensors.h"
 #include "nlohmann/json.hpp"
 #include "tests/support/files.h"
+#include "tests/support/small_policy.h"
 
 namespace spikeserve {
 namespace {
@@ -25,13 +26,6 @@ using PolicyFileTest = DirectoryTest;
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-
-Policy SmallPolicy(ModelConfig config = {}, ActionSpace space = ActionSpace::Discrete(2)) {
-  config.hidden_size = 8;
-  config.heads = 2;
-  config.ffn_size = 12;
-  return RandomPolicy(config, /*observation_size=*/3, space, /*seed=*/5);
-}
 
 // Returns the bits of the values: unlike ==, these distinguish 0 from -0.
 std::vector<uint32_t> Bits(const std::vector<float>& values) {
@@ -74,7 +68,10 @@ TEST_F(PolicyFileTest, EveryShapeRoundTripsBitForBit) {
       for (const Gate gate : {Gate::kSoftmax, Gate::kSigmoid}) {
         for (const ActionSpace& space :
              {ActionSpace::Discrete(3), ActionSpace::Box({-2.0f, 0.1f}, {2.0f, 0.3f})}) {
-          ExpectRoundTrip(SmallPolicy({.mode = mode, .merge = merge, .gate = gate}, space), Path());
+          ModelConfig config = SmallConfig(mode);
+          config.merge = merge;
+          config.gate = gate;
+          ExpectRoundTrip(SmallPolicy(config, space), Path());
         }
       }
     }
@@ -82,14 +79,13 @@ TEST_F(PolicyFileTest, EveryShapeRoundTripsBitForBit) {
 }
 
 TEST_F(PolicyFileTest, EveryFieldRoundTripsBitForBit) {
-  Policy policy = SmallPolicy({.layers = 3,
-                               .ticks = 7,
-                               .context = 9,
-                               .routing_hidden_size = 5,
-                               .membrane_decay = std::nextafter(0.9f, 1.0f),
-                               .threshold = 1.0f / 3.0f,
-                               .coder = CoderKind::kBernoulli,
-                               .phase_clock = PhaseClock::kWindow});
+  ModelConfig config = SmallConfig();
+  config.layers = 3;
+  config.membrane_decay = std::nextafter(0.9f, 1.0f);
+  config.threshold = 1.0f / 3.0f;
+  config.coder = CoderKind::kBernoulli;
+  config.phase_clock = PhaseClock::kWindow;
+  Policy policy = SmallPolicy(config);
   policy.return_offset = -0.0f;
   policy.return_scale = std::numeric_limits<float>::denorm_min();
   policy.target_return = -std::numeric_limits<float>::max();
@@ -118,7 +114,7 @@ TEST_F(PolicyFileTest, MetadataIsReadableByOthers) {
   EXPECT_EQ(contents->metadata.at("action_space"), R"({"type":"Discrete","n":2})");
   const json config = json::parse(contents->metadata.at("config"));
   EXPECT_EQ(config["mode"], "full");
-  EXPECT_EQ(config["hidden_size"], 8);
+  EXPECT_EQ(config["hidden_size"], 16);
   EXPECT_EQ(config.size(), 14u);
 }
 
@@ -183,25 +179,25 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
       {[](auto& c) { c.tensors.erase("observation.mean"); },
        "tensor \"observation.mean\": expected, but missing"},
       {[](auto& c) {
-         c.tensors["embed.timestep.weight"] = Tensor::Zeros({4, 8});
+         c.tensors["embed.timestep.weight"] = Tensor::Zeros({4, 16});
        },
        "tensor \"embed.timestep.weight\": not expected in a policy of mode full"},
-      {[](auto& c) { c.tensors["layers.2.coder.gain"] = Tensor::Zeros({8}); },
+      {[](auto& c) { c.tensors["layers.2.coder.gain"] = Tensor::Zeros({16}); },
        "tensor \"layers.2.coder.gain\": not expected in a policy of mode full"},
       {[](auto& c) {
-         c.tensors["head.weight"] = Tensor::Zeros({2, 9});
+         c.tensors["head.weight"] = Tensor::Zeros({2, 17});
        },
-       "tensor \"head.weight\": expected shape [2, 8], received [2, 9] with 18 values"},
+       "tensor \"head.weight\": expected shape [2, 16], received [2, 17] with 34 values"},
       {[](auto& c) {
-         c.tensors["head.weight"] = Tensor::Zeros({8, 2});
+         c.tensors["head.weight"] = Tensor::Zeros({16, 2});
        },
-       "tensor \"head.weight\": expected shape [2, 8], received [8, 2] with 16 values"},
+       "tensor \"head.weight\": expected shape [2, 16], received [16, 2] with 32 values"},
       {[](auto& c) { c.tensors["head.bias"] = Tensor::Zeros({}); },
        "tensor \"head.bias\": expected shape [2], received [] with 1 values"},
       {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({0}); },
        "tensor \"observation.mean\": expected at least one value, received 0"},
-      {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({4}); },
-       "tensor \"embed.state.weight\": expected shape [8, 4], received [8, 3] with 24 values"},
+      {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({5}); },
+       "tensor \"embed.state.weight\": expected shape [16, 5], received [16, 4] with 64 values"},
       {[](auto& c) { c.tensors["layers.0.attention.query.weight"].values[7] = kNan; },
        "tensor \"layers.0.attention.query.weight\": expected finite numbers, received nan at index "
        "7"},
@@ -213,14 +209,14 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
 }
 
 TEST_F(PolicyFileRefusalTest, ADenseTimestepEmbeddingOfNoRows) {
-  ASSERT_TRUE(WritePolicyFile(SmallPolicy({.mode = Mode::kDense}), Path()).ok());
+  ASSERT_TRUE(WritePolicyFile(SmallPolicy(SmallConfig(Mode::kDense)), Path()).ok());
   Safetensors contents = *ReadSafetensors(Path());
-  contents.tensors["embed.timestep.weight"] = Tensor::Zeros({0, 8});
+  contents.tensors["embed.timestep.weight"] = Tensor::Zeros({0, 16});
   ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
   EXPECT_EQ(ReadPolicyFile(Path()).status().message(),
             Path() +
-                ": tensor \"embed.timestep.weight\": expected shape [any, 8], received [0, 8] with "
-                "0 values");
+                ": tensor \"embed.timestep.weight\": expected shape [any, 16], received [0, 16] "
+                "with 0 values");
 }
 
 TEST_F(PolicyFileRefusalTest, Metadata) {
@@ -280,7 +276,7 @@ TEST_F(PolicyFileRefusalTest, ActionSpace) {
   set(R"({"type": "Discrete", "n": 2, "start": 1})",
       "action_space: expected no other keys, received \"start\"");
   set(R"({"type": "Discrete", "n": 2147483647})",
-      "tensor \"embed.action.weight\": expected shape [8, 2147483647], received [8, 2] with 16 "
+      "tensor \"embed.action.weight\": expected shape [16, 2147483647], received [16, 2] with 32 "
       "values");
   set(R"({"type": "Box", "low": [-1]})", "action_space: expected key \"high\", received none");
   set(R"({"type": "Box", "low": -1, "high": [1]})",

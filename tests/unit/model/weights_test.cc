@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "tests/support/small_config.h"
+
 namespace spikeserve {
 namespace {
 
@@ -26,47 +28,44 @@ Shapes ShapesOf(const ModelConfig& config) {
   return shapes;
 }
 
-ModelConfig SmallConfig(Mode mode) {
-  return {.mode = mode,
-          .hidden_size = 8,
-          .heads = 2,
-          .layers = 1,
-          .routing_hidden_size = 7,
-          .ffn_size = 32};
+ModelConfig OneLayer(Mode mode) {
+  ModelConfig config = SmallConfig(mode);
+  config.layers = 1;
+  return config;
 }
 
 // Returns the tensors that have the same shape in every mode.
 Shapes CommonShapes() {
   return {
-      {"embed.return.weight", {8, 1}},
-      {"embed.return.bias", {8}},
-      {"embed.return.norm.weight", {8}},
-      {"embed.return.norm.bias", {8}},
-      {"embed.state.weight", {8, 5}},
-      {"embed.state.bias", {8}},
-      {"embed.state.norm.weight", {8}},
-      {"embed.state.norm.bias", {8}},
-      {"embed.action.weight", {8, 3}},
-      {"embed.action.bias", {8}},
-      {"embed.action.norm.weight", {8}},
-      {"embed.action.norm.bias", {8}},
-      {"layers.0.attention.query.weight", {8, 8}},
-      {"layers.0.attention.query.bias", {8}},
-      {"layers.0.attention.key.weight", {8, 8}},
-      {"layers.0.attention.key.bias", {8}},
-      {"layers.0.attention.value.weight", {8, 8}},
-      {"layers.0.attention.value.bias", {8}},
-      {"layers.0.attention.output.weight", {8, 8}},
-      {"layers.0.attention.output.bias", {8}},
-      {"layers.0.attention.norm.weight", {8}},
-      {"layers.0.attention.norm.bias", {8}},
-      {"layers.0.ffn.hidden.weight", {32, 8}},
+      {"embed.return.weight", {16, 1}},
+      {"embed.return.bias", {16}},
+      {"embed.return.norm.weight", {16}},
+      {"embed.return.norm.bias", {16}},
+      {"embed.state.weight", {16, 5}},
+      {"embed.state.bias", {16}},
+      {"embed.state.norm.weight", {16}},
+      {"embed.state.norm.bias", {16}},
+      {"embed.action.weight", {16, 3}},
+      {"embed.action.bias", {16}},
+      {"embed.action.norm.weight", {16}},
+      {"embed.action.norm.bias", {16}},
+      {"layers.0.attention.query.weight", {16, 16}},
+      {"layers.0.attention.query.bias", {16}},
+      {"layers.0.attention.key.weight", {16, 16}},
+      {"layers.0.attention.key.bias", {16}},
+      {"layers.0.attention.value.weight", {16, 16}},
+      {"layers.0.attention.value.bias", {16}},
+      {"layers.0.attention.output.weight", {16, 16}},
+      {"layers.0.attention.output.bias", {16}},
+      {"layers.0.attention.norm.weight", {16}},
+      {"layers.0.attention.norm.bias", {16}},
+      {"layers.0.ffn.hidden.weight", {32, 16}},
       {"layers.0.ffn.hidden.bias", {32}},
-      {"layers.0.ffn.output.weight", {8, 32}},
-      {"layers.0.ffn.output.bias", {8}},
-      {"layers.0.ffn.norm.weight", {8}},
-      {"layers.0.ffn.norm.bias", {8}},
-      {"head.weight", {3, 8}},
+      {"layers.0.ffn.output.weight", {16, 32}},
+      {"layers.0.ffn.output.bias", {16}},
+      {"layers.0.ffn.norm.weight", {16}},
+      {"layers.0.ffn.norm.bias", {16}},
+      {"head.weight", {3, 16}},
       {"head.bias", {3}},
       {"observation.mean", {5}},
       {"observation.std", {5}},
@@ -75,10 +74,10 @@ Shapes CommonShapes() {
 
 Shapes SpikingShapes() {
   Shapes shapes = CommonShapes();
-  shapes["layers.0.attention.output.weight"] = {8, 4};
+  shapes["layers.0.attention.output.weight"] = {16, 8};
   for (const char* name : {"layers.0.coder", "layers.0.ffn.coder", "readout.coder"}) {
-    shapes[std::string(name) + ".gain"] = {8};
-    shapes[std::string(name) + ".bias"] = {8};
+    shapes[std::string(name) + ".gain"] = {16};
+    shapes[std::string(name) + ".bias"] = {16};
   }
   shapes["layers.0.attention.scale"] = {2};
   return shapes;
@@ -88,54 +87,54 @@ void AddPhase(Shapes* shapes) {
   (*shapes)["phase.omega"] = {2};
   (*shapes)["phase.phi"] = {2};
   for (const char* name : {"query", "key", "value"}) {
-    (*shapes)["layers.0.attention." + std::string(name) + ".weight"] = {8, 10};
+    (*shapes)["layers.0.attention." + std::string(name) + ".weight"] = {16, 18};
   }
 }
 
 void AddRouting(Shapes* shapes) {
-  (*shapes)["layers.0.routing.hidden.weight"] = {7, 8};
-  (*shapes)["layers.0.routing.hidden.bias"] = {7};
-  (*shapes)["layers.0.routing.gate.weight"] = {2, 7};
+  (*shapes)["layers.0.routing.hidden.weight"] = {4, 16};
+  (*shapes)["layers.0.routing.hidden.bias"] = {4};
+  (*shapes)["layers.0.routing.gate.weight"] = {2, 4};
   (*shapes)["layers.0.routing.gate.bias"] = {2};
 }
 
-TEST(TensorSlots, Baseline) { EXPECT_EQ(ShapesOf(SmallConfig(Mode::kBaseline)), SpikingShapes()); }
+TEST(TensorSlots, Baseline) { EXPECT_EQ(ShapesOf(OneLayer(Mode::kBaseline)), SpikingShapes()); }
 
 TEST(TensorSlots, Pos) {
   Shapes expected = SpikingShapes();
   AddPhase(&expected);
-  EXPECT_EQ(ShapesOf(SmallConfig(Mode::kPos)), expected);
+  EXPECT_EQ(ShapesOf(OneLayer(Mode::kPos)), expected);
 }
 
 TEST(TensorSlots, Route) {
   Shapes expected = SpikingShapes();
   AddRouting(&expected);
-  EXPECT_EQ(ShapesOf(SmallConfig(Mode::kRoute)), expected);
+  EXPECT_EQ(ShapesOf(OneLayer(Mode::kRoute)), expected);
 }
 
 TEST(TensorSlots, Full) {
   Shapes expected = SpikingShapes();
   AddPhase(&expected);
   AddRouting(&expected);
-  EXPECT_EQ(ShapesOf(SmallConfig(Mode::kFull)), expected);
+  EXPECT_EQ(ShapesOf(OneLayer(Mode::kFull)), expected);
 }
 
 TEST(TensorSlots, ConcatenatedHeadsAreAsWideAsTheToken) {
-  ModelConfig config = SmallConfig(Mode::kBaseline);
+  ModelConfig config = OneLayer(Mode::kBaseline);
   config.merge = Merge::kConcat;
   Shapes expected = SpikingShapes();
-  expected["layers.0.attention.output.weight"] = {8, 8};
+  expected["layers.0.attention.output.weight"] = {16, 16};
   EXPECT_EQ(ShapesOf(config), expected);
 }
 
 TEST(TensorSlots, DenseHasTimestepsAndNoNeurons) {
   Shapes expected = CommonShapes();
-  expected["embed.timestep.weight"] = {-1, 8};
-  EXPECT_EQ(ShapesOf(SmallConfig(Mode::kDense)), expected);
+  expected["embed.timestep.weight"] = {-1, 16};
+  EXPECT_EQ(ShapesOf(OneLayer(Mode::kDense)), expected);
 }
 
 TEST(TensorSlots, EveryLayerHasItsOwn) {
-  ModelConfig config = SmallConfig(Mode::kFull);
+  ModelConfig config = OneLayer(Mode::kFull);
   const size_t one = ShapesOf(config).size();
   config.layers = 3;
   const Shapes shapes = ShapesOf(config);

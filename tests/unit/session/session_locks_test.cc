@@ -23,7 +23,7 @@ class SessionLocksTest : public testing::Test {
     }
   }
 
-  // Whether the entry's lock is free, as another thread sees it.
+  // Returns whether another thread can lock the entry.
   static bool IsFree(SessionEntry& entry) {
     bool free = false;
     std::thread([&]() ABSL_NO_THREAD_SAFETY_ANALYSIS {
@@ -61,12 +61,12 @@ TEST_F(SessionLocksTest, KeepsItsSessionsAlive) {
   EXPECT_TRUE(weak.expired());
 }
 
-// Each of two threads asks for the same sessions in the other's reverse order. Locking in the order
-// of the entries would leave each with a lock that the other waits for.
+// Two threads lock the same sessions, each in the reverse order of the other. They would deadlock
+// if the locks were taken in the order of the entries.
 TEST_F(SessionLocksTest, OppositeOrdersNeverWaitForEachOther) {
   std::vector<std::shared_ptr<SessionEntry>> reversed = entries_;
   std::reverse(reversed.begin(), reversed.end());
-  int64_t inside = 0;  // guarded by every session's lock
+  int64_t inside = 0;  // guarded by the locks of all sessions
   const auto lock_often = [&inside](const auto& entries) {
     for (int i = 0; i < 20'000; ++i) {
       const SessionLocks locks(entries);

@@ -27,7 +27,8 @@ TEST(RateLimit, LetsASecondsWorthThroughAtOnceAndThenTheRate) {
   limit.Set(50.0);
   EXPECT_EQ(AcquireAllAt(limit, absl::Seconds(100)), 50);
   EXPECT_EQ(AcquireAllAt(limit, absl::Seconds(100.1)), 5);
-  EXPECT_EQ(AcquireAllAt(limit, absl::Seconds(110)), 50) << "an idle hour earns one burst";
+  EXPECT_EQ(AcquireAllAt(limit, absl::Seconds(110)), 50)
+      << "a long idle time allows one burst only";
 }
 
 TEST(RateLimit, ARefusalNamesTheExactWaitAndCountsNothing) {

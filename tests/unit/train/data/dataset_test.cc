@@ -9,6 +9,7 @@
 #include <fstream>
 #include <set>
 
+#include "tests/support/small_policy.h"
 #include "train/data/clip_sampler.h"
 #include "train/data/record.h"
 
@@ -148,9 +149,7 @@ TEST(RecordTest, DisturbedEpisodesAreLabelledByTheExpert) {
 }
 
 TEST(RecordTest, AStudentActsAndTheExpertLabels) {
-  auto student = std::make_shared<Policy>(
-      RandomPolicy({.hidden_size = 16, .heads = 2, .context = 3, .ffn_size = 32}, 4,
-                   ActionSpace::Discrete(2), 1));
+  const auto student = std::make_shared<const Policy>(SmallPolicy());
   const Dataset dataset =
       *RecordDataset({.steps = 200, .expert_fraction = 0.0, .student = student, .weigh = true});
   const std::unique_ptr<Expert> expert = *MakeExpert({});

@@ -7,20 +7,17 @@
 #include <vector>
 
 #include "core/engine/factory/engine_factory.h"
+#include "tests/support/small_config.h"
 
 namespace spikeserve {
 namespace {
 
-Policy SmallPolicy(Mode mode = Mode::kFull) {
-  ModelConfig config;
-  config.mode = mode;
-  config.hidden_size = 16;
-  config.heads = 2;
+// Returns a policy for observations of length 1, with increased weights and many ticks, so that
+// every part influences the readout.
+Policy MakePolicy(Mode mode = Mode::kFull) {
+  ModelConfig config = SmallConfig(mode);
   config.ticks = 20;
-  config.context = 5;
-  config.ffn_size = 32;
   Policy policy = RandomPolicy(config, 1, ActionSpace::Discrete(2), 7);
-  // Increases the weights, so that every part influences the readout.
   for (LayerWeights& layer : policy.weights.layers) {
     for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.attention_output}) {
       for (float& weight : linear->weight.values) weight *= 8.0f;
@@ -45,14 +42,14 @@ std::vector<float> Readouts(const Policy& policy, float first, float shift) {
 }
 
 TEST(AblationTest, WithoutContextThePastIsForgotten) {
-  Policy policy = SmallPolicy();
+  Policy policy = MakePolicy();
   EXPECT_NE(Readouts(policy, -3.0f, 0.0f), Readouts(policy, 3.0f, 0.0f));
   ASSERT_TRUE(Ablate("context", &policy).ok());
   EXPECT_EQ(Readouts(policy, -3.0f, 0.0f), Readouts(policy, 3.0f, 0.0f));
 }
 
 TEST(AblationTest, WithoutReturnItIsNotHeard) {
-  Policy policy = SmallPolicy();
+  Policy policy = MakePolicy();
   EXPECT_NE(Readouts(policy, 0.0f, -2.0f), Readouts(policy, 0.0f, 2.0f));
   ASSERT_TRUE(Ablate("return", &policy).ok());
   EXPECT_EQ(Readouts(policy, 0.0f, -2.0f), Readouts(policy, 0.0f, 2.0f));
@@ -60,7 +57,7 @@ TEST(AblationTest, WithoutReturnItIsNotHeard) {
 
 TEST(AblationTest, AttentionRoutingAndPhaseChangeWhatIsComputed) {
   for (const char* part : {"attention", "routing", "phase"}) {
-    Policy policy = SmallPolicy();
+    Policy policy = MakePolicy();
     const std::vector<float> before = Readouts(policy, 1.0f, 0.0f);
     ASSERT_TRUE(Ablate(part, &policy).ok());
     EXPECT_NE(Readouts(policy, 1.0f, 0.0f), before) << part;
@@ -69,7 +66,7 @@ TEST(AblationTest, AttentionRoutingAndPhaseChangeWhatIsComputed) {
 }
 
 TEST(AblationTest, WithoutPhaseTheClockIsNotHeard) {
-  Policy policy = SmallPolicy(), shifted = policy;
+  Policy policy = MakePolicy(), shifted = policy;
   for (float& phi : shifted.weights.phase_phi.values) phi += 1.5f;
   EXPECT_NE(Readouts(policy, 1.0f, 0.0f), Readouts(shifted, 1.0f, 0.0f));
   ASSERT_TRUE(Ablate("phase", &policy).ok());
@@ -78,7 +75,7 @@ TEST(AblationTest, WithoutPhaseTheClockIsNotHeard) {
 }
 
 TEST(AblationTest, WhatIsNotThereCannotBeSwitchedOff) {
-  Policy baseline = SmallPolicy(Mode::kBaseline), dense = SmallPolicy(Mode::kDense);
+  Policy baseline = MakePolicy(Mode::kBaseline), dense = MakePolicy(Mode::kDense);
   EXPECT_EQ(Ablate("phase", &baseline).message(),
             "ablate: a policy of mode baseline has no phase to switch off");
   EXPECT_EQ(Ablate("attention", &dense).message(),

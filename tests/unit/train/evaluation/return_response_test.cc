@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/small_policy.h"
+
 namespace spikeserve {
 namespace {
 
@@ -27,8 +29,7 @@ TEST(ReturnResponseTest, ErrorIsAShareOfTheRangeAsked) {
 }
 
 TEST(ReturnResponseTest, NeedsTwoDifferentTargets) {
-  const Policy policy = RandomPolicy({}, 4, ActionSpace::Discrete(2), 1);
-  EXPECT_EQ(MeasureReturnResponse(policy, {5.0, 5.0}, {}).status().message(),
+  EXPECT_EQ(MeasureReturnResponse(SmallPolicy(), {5.0, 5.0}, {}).status().message(),
             "target_returns: expected two different ones at least");
 }
 

@@ -7,24 +7,13 @@
 #include <fstream>
 #include <functional>
 
+#include "tests/support/small_policy.h"
 #include "train/data/record.h"
 
 namespace spikeserve {
 namespace {
 
 using testing::HasSubstr;
-
-ModelConfig TinyConfig(Mode mode = Mode::kFull) {
-  ModelConfig config;
-  config.mode = mode;
-  config.hidden_size = 16;
-  config.heads = 2;
-  config.ticks = 5;
-  config.context = 6;
-  config.routing_hidden_size = 4;
-  config.ffn_size = 32;
-  return config;
-}
 
 TrainOptions With(const std::function<void(TrainOptions&)>& change) {
   TrainOptions options;
@@ -34,8 +23,8 @@ TrainOptions With(const std::function<void(TrainOptions&)>& change) {
 
 class TrainerTest : public testing::Test {
  protected:
-  Policy Initial(const ModelConfig& config = TinyConfig()) const {
-    Policy policy = RandomPolicy(config, 4, ActionSpace::Discrete(2), /*seed=*/5);
+  Policy Initial(const ModelConfig& config = SmallConfig()) const {
+    Policy policy = SmallPolicy(config);
     const Moments moments = ObservationMoments(dataset_);
     policy.weights.observation_mean.values = moments.mean;
     policy.weights.observation_std.values = moments.std;
@@ -85,7 +74,7 @@ TEST_F(TrainerTest, CheckpointsOfAnotherRunAreRefused) {
   other.batch = 5;
   EXPECT_THAT(std::string(Trainer(Initial(), dataset_, other).LoadCheckpoint(path).message()),
               testing::AllOf(HasSubstr(path), HasSubstr("batch=4"), HasSubstr("batch=5")));
-  ModelConfig wide = TinyConfig();
+  ModelConfig wide = SmallConfig();
   wide.ffn_size = 40;
   EXPECT_THAT(
       std::string(Trainer(Initial(wide), dataset_, options_).LoadCheckpoint(path).message()),
@@ -105,7 +94,7 @@ TEST_P(TrainerModeTest, LearnsToImitate) {
     o.learning_rate = 5e-3;
     o.warmup = 10;
   });
-  Trainer trainer(Initial(TinyConfig(GetParam())), experts, options);
+  Trainer trainer(Initial(SmallConfig(GetParam())), experts, options);
   ASSERT_TRUE(trainer.has_validation());
   const double before = trainer.ValidationLoss();
   while (!trainer.done()) trainer.Step();
