@@ -97,9 +97,9 @@ class AgentSession {
 
   const Session& session() const { return session_; }
 
-  // Returns W - W_base of the head that the next decision uses, [act, d]; empty if it is the
-  // policy's head.
-  std::vector<float> HeadDelta() const;
+  // Returns W - W_base of the head that the next decision uses, [act * d], row-major; empty if
+  // it is the policy's head.
+  Eigen::VectorXf HeadDelta() const;
   // Returns |W - W_base| / |W_base| of that head.
   double HeadDrift() const;
   // Returns how often a guard or an operator rolled back the head that this session learns; 0 for a

@@ -48,8 +48,8 @@ struct SessionOptions {
   std::map<std::string, std::string> labels;
   std::string tenant;  // owner of the session; empty if the server has no tenants
   std::optional<LearningOptions> learning;  // absent: the head is frozen
-  // [act, d]: initial value of W - W_base; empty: zero.
-  std::vector<float> head_delta;
+  // [act * d], row-major: initial value of W - W_base; empty: zero.
+  Eigen::VectorXf head_delta;
 };
 
 // The value of a session.

@@ -31,11 +31,11 @@ absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& conf
                                                   const ActionSpace& space,
                                                   const ActionSelection& selection);
 
-// Returns the initial W - W_base of the session's action head: shape [act, d], or empty if the
-// request has none. Returns INVALID_ARGUMENT, which names the field, for another size, for values
-// that are not finite, and for a session that learns with scope FLEET.
-absl::StatusOr<std::vector<float>> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
-                                                      const Policy& policy);
+// Returns the initial W - W_base of the session's action head: [act * d], row-major, or empty if
+// the request has none. Returns INVALID_ARGUMENT, which names the field, for another size, for
+// values that are not finite, and for a session that learns with scope FLEET.
+absl::StatusOr<Eigen::VectorXf> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
+                                                   const Policy& policy);
 
 v1::ActionSpace ToProto(const ActionSpace& space);
 // REQUIRES: `entry` is the policy that `served` is a version of.

@@ -1,9 +1,9 @@
+#include "core/math/vector_view.h"
 #include "train/report/report_page.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
