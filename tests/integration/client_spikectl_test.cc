@@ -142,12 +142,15 @@ TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
   ExpectOneLineError(Spikectl("run", {"--episodes=0"}),
                      "--episodes: expected at least 1, received 0");
-  ExpectOneLineError(Spikectl("run", {"--episodes=many"}), "--episodes: expected an integer, received \"many\"");
-  ExpectOneLineError(Spikectl("run", {"--seed=-1"}), "--seed: expected an integer of at least 0, received \"-1\"");
+  ExpectOneLineError(Spikectl("run", {"--episodes=many"}),
+                     "--episodes: expected an integer, received \"many\"");
+  ExpectOneLineError(Spikectl("run", {"--seed=-1"}),
+                     "--seed: expected an integer of at least 0, received \"-1\"");
   ExpectOneLineError(Spikectl("run", {"--version=-1"}),
                      "--version: expected at least 0, received -1");
   ExpectOneLineError(Spikectl("run", {"--target_return=inf"}), "--target_return");
-  ExpectOneLineError(Spikectl("run", {"--altitude=3"}), "--altitude: expected a flag of spikectl run");
+  ExpectOneLineError(Spikectl("run", {"--altitude=3"}),
+                     "--altitude: expected a flag of spikectl run");
   ExpectOneLineError(Spikectl("run", {"--policy=nobody"}), "no policy \"nobody\" is served");
   ExpectOneLineError(Spikectl("run", {"--version=9"}), "version 9");
   ExpectOneLineError(Spikectl("run", {"--policy=pendulum-v1"}), "observations of length 3");

@@ -1,4 +1,3 @@
-#include "core/math/vector_view.h"
 #include "train/report/report_page.h"
 
 #include <algorithm>
@@ -8,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "core/math/vector_view.h"
 #include "train/report/figure_data.h"
 
 namespace spikeserve {

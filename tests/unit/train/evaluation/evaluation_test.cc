@@ -36,7 +36,8 @@ TEST(EvaluationTest, EveryFigureNamesItsDenominatorAndTheyAgree) {
 
 TEST(EvaluationTest, SameSeedsGiveTheSameReturns) {
   const EvaluationOptions options = {.episodes = 2, .first_seed = 1'000'007};
-  EXPECT_EQ(Evaluate(CartPolePolicy(), options)->returns, Evaluate(CartPolePolicy(), options)->returns);
+  EXPECT_EQ(Evaluate(CartPolePolicy(), options)->returns,
+            Evaluate(CartPolePolicy(), options)->returns);
 }
 
 TEST(EvaluationTest, PolicyMustFitItsEnvironment) {
