@@ -27,9 +27,8 @@ class HeadHandlerTest : public ::testing::Test {
   // Merges a contribution into the fleet head of version 1.
   void Teach(const std::string& name) {
     const auto served = Served(name);
-    const std::vector<float> contribution(served->policy().weights.head.weight.values.size(),
-                                          0.01f);
-    served->fleet->Merge(contribution, 10.0);
+    const auto size = static_cast<Eigen::Index>(served->policy().weights.head.weight.values.size());
+    served->fleet->Merge(Eigen::VectorXf::Constant(size, 0.01f), 10.0);
   }
 
   absl::StatusOr<v1::PromoteHeadResponse> Promote(const std::string& name, int64_t version) {
