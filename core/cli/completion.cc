@@ -31,12 +31,19 @@ std::string BashWords(const CommandInfo& program, const CommandInfo& command) {
   return absl::StrJoin(words, " ");
 }
 
-// The arguments of bash's compgen for the values of `flag`; empty where nothing is known of them.
+// The commands of bash that complete a value of `flag`; empty where nothing is known of it.
 std::string BashValues(const FlagInfo& flag) {
-  if (flag.kind == "FILE") return "-f";
-  if (flag.kind == "DIR") return "-d";
-  const std::vector<std::string> choices = flag.choices();
-  return choices.empty() ? "" : "-W " + ShellQuoted(absl::StrJoin(choices, " "));
+  const bool is_directory = flag.kind == "DIR";
+  if (is_directory || flag.kind == "FILE") {
+    // Bash quotes names of files, and a "=" in them.
+    return absl::StrCat(
+        "[[ -n $prefix ]] || compopt -o filenames; mapfile -t COMPREPLY < <(compgen ",
+        is_directory ? "-d" : "-f", " -- \"$current\")");
+  }
+  const std::string choices = absl::StrJoin(flag.choices(), " ");
+  if (choices.empty()) return "";
+  return absl::StrCat("mapfile -t COMPREPLY < <(compgen -W ", ShellQuoted(choices),
+                      " -- \"$current\")");
 }
 
 constexpr char kBashScript[] = R"(# bash completion of $0, as "$0 --generate=bash" prints it.
@@ -61,7 +68,7 @@ $3  esac
   fi
   if [[ -z $$flag ]]; then
     mapfile -t COMPREPLY < <(compgen -W "$$words" -- "$$current")
-    [[ $${#COMPREPLY[@]} -ne 1 || $${COMPREPLY[0]} != *= ]] || compopt -o nospace 2>/dev/null
+    [[ $${#COMPREPLY[@]} -ne 1 || $${COMPREPLY[0]} != *= ]] || compopt -o nospace
     return 0
   fi
   case "$$command $$flag" in
@@ -69,7 +76,7 @@ $4    *) COMPREPLY=(); return 0 ;;
   esac
   COMPREPLY=("$${COMPREPLY[@]/#/$$prefix}")
 }
-complete -o filenames -F $1 $0
+complete -F $1 $0
 )";
 
 // --- zsh
@@ -149,10 +156,10 @@ std::string BashCompletion(const CommandInfo& program) {
     absl::StrAppend(&words, "    ", ShellQuoted(path),
                     ") words=", ShellQuoted(BashWords(program, *command)), " ;;\n");
     for (const FlagInfo& flag : AcceptedFlags(program, *command)) {
-      const std::string options = BashValues(flag);
-      if (options.empty()) continue;
-      absl::StrAppend(&values, "    ", ShellQuoted(absl::StrCat(path, " --", flag.name)),
-                      ") mapfile -t COMPREPLY < <(compgen ", options, " -- \"$current\") ;;\n");
+      const std::string complete = BashValues(flag);
+      if (complete.empty()) continue;
+      absl::StrAppend(&values, "    ", ShellQuoted(absl::StrCat(path, " --", flag.name)), ") ",
+                      complete, " ;;\n");
     }
   }
   return absl::Substitute(kBashScript, program.name(), FunctionName(program), paths, words, values);

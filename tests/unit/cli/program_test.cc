@@ -305,7 +305,7 @@ TEST_F(ProgramTest, Version) {
 }
 
 TEST_F(ProgramTest, GeneratesTexts) {
-  EXPECT_THAT(Run({"--generate=bash"}).output, HasSubstr("complete -o filenames -F _demo demo"));
+  EXPECT_THAT(Run({"--generate=bash"}).output, HasSubstr("complete -F _demo demo"));
   EXPECT_THAT(Run({"--generate=zsh"}).output, StartsWith("#compdef demo\n"));
   EXPECT_THAT(Run({"--generate=fish"}).output, HasSubstr("complete -c demo -f\n"));
   EXPECT_THAT(Run({"--generate=man"}).output, StartsWith(".TH DEMO 1 "));
