@@ -28,10 +28,9 @@ class SpikectlAdminTest : public ClientProgramTest {
 
 TEST_F(SpikectlAdminTest, RefusesAFlagThatWouldDoNothing) {
   ExpectOneLineError(Admin("reload", {"--policy=x"}),
-                     "--policy: expected a flag that admin reload");
-  ExpectOneLineError(
-      Admin("load", {"--policy=x", "--label=y"}),
-      "--label: expected a flag that admin load has (--policy, --version), received y");
+                     "--policy: expected a flag of spikectl admin reload");
+  ExpectOneLineError(Admin("load", {"--policy=x", "--label=y"}),
+                     "--label: expected a flag of spikectl admin load");
 }
 
 TEST_F(SpikectlAdminTest, AVersionFromLoadToUnload) {
