@@ -30,7 +30,14 @@ def test_secure_it(shell):
 
 @pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
 def test_record_and_retrain(shell, tmp_path):
-    edits = [("/tmp/recordings", str(tmp_path / "recordings")), ("--iterations=300", "--iterations=1")]
+    recordings = tmp_path / "recordings"
+    # The server writes an episode after it has answered, so replay waits for the third file.
+    wait = f"until ls {recordings}/*/000002.cbor >{tmp_path}/listed 2>&1; do :; done"
+    edits = [
+        ("spikectl replay", f"{wait}\nspikectl replay"),
+        ("/tmp/recordings", str(recordings)),
+        ("--iterations=300", "--iterations=1"),
+    ]
     _, played, replayed, trained = shell.run("recording.md", edits)
     assert "mean return 500.0" in played
     assert "1500 decisions of 3 episodes, all equal bit for bit" in replayed

@@ -32,10 +32,11 @@ INSIDE = textwrap.dedent(
     program=$(sed -n 's/^ExecStart=//p' "$unit")
     environment=$(sed -n 's/^Environment=//p' "$unit")
     mkfifo /tmp/said
-    runuser -u spikeserve -- env ${environment//%S//var/lib} SPIKESERVE_LISTEN=127.0.0.1:0 SPIKESERVE_HTTP_LISTEN= \
-      "$program" >/tmp/said &
+    runuser -u spikeserve -- env ${environment//%S//var/lib} SPIKESERVE_LISTEN=127.0.0.1:0 \
+      SPIKESERVE_HTTP_LISTEN=127.0.0.1:0 "$program" >/tmp/said &
     server=$!
-    read -r said </tmp/said
+    exec {announcements}</tmp/said
+    read -r said <&"$announcements"
     spikectl policies --server="${said##* }" | grep -c cartpole
     kill -TERM "$(pgrep -u spikeserve -x spikeserve)"
     wait "$server" && echo "stopped cleanly"
