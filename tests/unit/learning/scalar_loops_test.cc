@@ -35,13 +35,19 @@ double Norm(const std::vector<T>& values) {
   return std::sqrt(squares);
 }
 
-TEST(ScalarLoopsTest, NormsAreEqual) {
+template <typename T>
+void ExpectEqualNorms() {
   for (const auto& [outputs, inputs] : kShapes) {
     for (uint64_t key = 0; key < 20; ++key) {
-      const std::vector<float> values = Draw<float>(key, outputs * inputs);
+      const std::vector<T> values = Draw<T>(key, outputs * inputs);
       EXPECT_EQ(FrobeniusNorm(AsVector(values)), Norm(values)) << values.size();
     }
   }
+}
+
+TEST(ScalarLoopsTest, NormsAreEqual) {
+  ExpectEqualNorms<float>();
+  ExpectEqualNorms<double>();
 }
 
 TEST(ScalarLoopsTest, TracesAndCreditAreEqual) {
