@@ -88,7 +88,7 @@ absl::Status LearnAlone(const AdaptationOptions& options, int session, RemoteSes
   const auto environment = MakeTask(options);
   if (!environment.ok()) return environment.status();
   for (int e = 0; e < options.episodes; ++e) {
-    const auto start = static_cast<uint64_t>(e * options.sessions + session);
+    const uint64_t start = static_cast<uint64_t>(e) * options.sessions + session;
     const auto episode = PlayEpisode(**environment, learner, options.seed + start);
     if (!episode.ok()) return episode.status();
     curve->Add(e, episode->episode_return);
