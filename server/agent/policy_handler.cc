@@ -241,8 +241,8 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::Look(const Credential& caller,
-                                                                  const std::string& id) const {
+absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
+    const Credential& caller, const std::string& id) const {
   auto entry = store_->Peek(id);
   if (entry != nullptr && caller.MaySee(entry->tenant)) return entry;
   return NoSuchSession(id);
@@ -251,7 +251,7 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::Look(const Credenti
 absl::Status PolicyHandler::GetSession(const Credential& caller,
                                        const v1::GetSessionRequest& request,
                                        v1::GetSessionResponse* response) const {
-  const auto entry = Look(caller, request.session_id());
+  const auto entry = FindReadable(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
@@ -260,7 +260,7 @@ absl::Status PolicyHandler::GetSession(const Credential& caller,
 
 absl::Status PolicyHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
                                     v1::ExplainResponse* response) const {
-  const auto entry = Look(caller, request.session_id());
+  const auto entry = FindReadable(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
 }

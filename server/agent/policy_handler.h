@@ -68,8 +68,8 @@ class PolicyHandler {
 
  private:
   // Returns a session that `caller` may read, without resetting its idle time.
-  absl::StatusOr<std::shared_ptr<SessionEntry>> Look(const Credential& caller,
-                                                     const std::string& id) const;
+  absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const Credential& caller,
+                                                             const std::string& id) const;
 
   // Returns a recorder for a session of `served`, and sets `name` to a new name for the recording.
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(

@@ -111,7 +111,7 @@ absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
   report.refused = std::move(folders->refused);
   PolicyCatalog catalog = *this->catalog();
   LoadChanged(folders->versions, &catalog, &report);
-  DropGone(&catalog, &report);
+  UnloadRemoved(&catalog, &report);
   report.waiting = ApplySettings(&catalog);
   if (!report.loaded.empty() || !report.unloaded.empty()) Publish(std::move(catalog));
   return report;
@@ -137,7 +137,7 @@ void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, Pol
   files_ = std::move(still_there);
 }
 
-void PolicyRegistry::DropGone(PolicyCatalog* catalog, ReloadReport* report) {
+void PolicyRegistry::UnloadRemoved(PolicyCatalog* catalog, ReloadReport* report) {
   for (auto policy = catalog->policies().begin(); policy != catalog->policies().end();) {
     auto& versions = policy->second.versions;
     for (auto it = versions.begin(); it != versions.end();) {

@@ -116,7 +116,7 @@ class PolicyRegistry {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   void LoadChanged(const std::vector<PolicyVersion>& versions, PolicyCatalog* catalog,
                    ReloadReport* report) ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-  void DropGone(PolicyCatalog* catalog, ReloadReport* report)
+  void UnloadRemoved(PolicyCatalog* catalog, ReloadReport* report)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   const std::string directory_;
