@@ -1,4 +1,4 @@
-// Messages as JSON.
+// Converts protobuf messages to JSON.
 #ifndef PROTO_JSON_H_
 #define PROTO_JSON_H_
 
@@ -10,9 +10,9 @@
 
 namespace spikeserve {
 
-// proto3's JSON mapping: the fields' names as in the .proto file, fields of value 0 included,
-// 64-bit integers as strings. INTERNAL where protobuf refuses, as for text that is not UTF-8.
-// Thread-safe.
+// Returns `message` in the proto3 JSON mapping, with the field names of the .proto file, with
+// fields that are 0 or empty, and with 64-bit integers as strings. Returns INTERNAL if protobuf
+// cannot convert the message, for example because a string is not UTF-8. Thread-safe.
 absl::StatusOr<std::string> MessageToJson(const google::protobuf::Message& message);
 
 }  // namespace spikeserve

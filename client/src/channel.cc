@@ -18,8 +18,8 @@ namespace {
 
 namespace interception = grpc::experimental;
 
-// Adds the token to a call. gRPC's own call credentials refuse to travel in plain text, which is
-// what a server on the loopback speaks.
+// Adds the token to a call. gRPC refuses to send call credentials in plain text, which a server on
+// the loopback interface uses, so the token is added as metadata.
 class TokenInterceptor final : public interception::Interceptor {
  public:
   explicit TokenInterceptor(const std::string& header) : header_(header) {}
@@ -33,7 +33,7 @@ class TokenInterceptor final : public interception::Interceptor {
   }
 
  private:
-  const std::string& header_;  // the factory's, which outlives every call
+  const std::string& header_;  // owned by the factory, which outlives every call
 };
 
 class TokenInterceptorFactory final : public interception::ClientInterceptorFactoryInterface {
@@ -42,14 +42,14 @@ class TokenInterceptorFactory final : public interception::ClientInterceptorFact
       : header_(absl::StrCat("Bearer ", token)) {}
 
   interception::Interceptor* CreateClientInterceptor(interception::ClientRpcInfo*) override {
-    return new TokenInterceptor(header_);  // gRPC takes it
+    return new TokenInterceptor(header_);  // gRPC takes ownership
   }
 
  private:
   const std::string header_;
 };
 
-absl::StatusOr<std::string> ReadPem(const std::string& path) {
+absl::StatusOr<std::string> ReadTextFile(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   std::ostringstream text;
   if (!file || !(text << file.rdbuf())) {
@@ -72,7 +72,7 @@ absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> MakeCredentials(
       {&security.key, &options.pem_private_key}};
   for (const auto& [path, pem] : files) {
     if (path->empty()) continue;
-    auto text = ReadPem(*path);
+    auto text = ReadTextFile(*path);
     if (!text.ok()) return text.status();
     *pem = *std::move(text);
   }
@@ -82,7 +82,7 @@ absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> MakeCredentials(
 }  // namespace
 
 absl::StatusOr<std::string> ReadTokenFile(const std::string& path) {
-  const auto text = ReadPem(path);
+  const auto text = ReadTextFile(path);
   if (!text.ok()) return text.status();
   return std::string(absl::StripAsciiWhitespace(*text));
 }
@@ -92,9 +92,9 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& se
   const auto credentials = MakeCredentials(security);
   if (!credentials.ok()) return credentials.status();
   grpc::ChannelArguments arguments;
-  // Otherwise all channels to one server share a connection.
+  // By default gRPC shares one connection between all channels to the same server.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
-  // A server that was restarted is found again within a second, not gRPC's two minutes.
+  // Reconnects to a restarted server within a second; gRPC's default is up to two minutes.
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);
   if (security.token.empty()) return grpc::CreateCustomChannel(server, *credentials, arguments);

@@ -98,8 +98,9 @@ void Client::ActAsync(const v1::ActRequest& request,
       [call = std::move(call), done = std::move(done)](const grpc::Status& status) mutable {
         absl::StatusOr<v1::ActResponse> response = std::move(call->response);
         if (!status.ok()) response = StatusFromGrpc(status);
-        // The context holds on to the channel, which must not die on this thread of gRPC's, and
-        // may be dropped by its owner as soon as `done` is called.
+        // Releases the context, which holds a reference to the channel, before calling `done`.
+        // After `done` the client may be destroyed, and a channel must not be destroyed on a thread
+        // of gRPC.
         call.reset();
         done(std::move(response));
       });

@@ -14,13 +14,14 @@
 
 namespace spikeserve {
 
-// gRPC allows one read and one write at a time: a read is always under way, and requests wait in a
-// queue whose front is being written.
+// gRPC allows one read and one write at a time. A read is always active; requests wait in a queue
+// whose front is being written.
 class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActResponse> {
  public:
   explicit Call(v1::PolicyService::Stub& stub) {
     stub.async()->ActStream(&context_, this);
-    // Writes start outside of gRPC's callbacks, so without a hold the call could end under them.
+    // Writes start outside of gRPC's callbacks. The hold keeps gRPC from ending the call before
+    // them.
     AddHold();
     StartRead(&incoming_);
     StartCall();
@@ -30,7 +31,7 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
     absl::MutexLock lock(&mutex_);
     if (final_status_.has_value() && !final_status_->ok()) return *final_status_;
     if (read_ended_) return absl::UnavailableError("the stream has ended");
-    if (send_closed_) return absl::FailedPreconditionError("the stream was closed for sending");
+    if (send_closed_) return absl::FailedPreconditionError("the stream is closed for sending");
     outgoing_.push_back(request);
     if (outgoing_.size() == 1) StartWrite(&outgoing_.front());
     return absl::OkStatus();
@@ -60,7 +61,7 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
     if (outgoing_.empty()) StartWritesDone();
   }
 
-  // Cancels the call if it has not ended, and waits until gRPC has let go of it.
+  // Cancels the call if it has not ended, and blocks until gRPC has called OnDone.
   void Shutdown() ABSL_LOCKS_EXCLUDED(mutex_) {
     context_.TryCancel();
     absl::MutexLock lock(&mutex_);
@@ -112,14 +113,14 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
   }
 
   grpc::ClientContext context_;
-  v1::ActResponse incoming_;  // gRPC's between StartRead and OnReadDone
+  v1::ActResponse incoming_;  // written by gRPC between StartRead and OnReadDone
 
   absl::Mutex mutex_;
-  absl::CondVar changed_;                                        // a reply came, or the call ended
+  absl::CondVar changed_;  // signalled when a reply arrives or the call ends
   std::deque<v1::ActRequest> outgoing_ ABSL_GUARDED_BY(mutex_);  // the front is being written
   std::deque<ActReply> replies_ ABSL_GUARDED_BY(mutex_);
   bool send_closed_ ABSL_GUARDED_BY(mutex_) = false;
-  bool read_ended_ ABSL_GUARDED_BY(mutex_) = false;  // the server will say no more
+  bool read_ended_ ABSL_GUARDED_BY(mutex_) = false;  // no more replies will arrive
   std::optional<absl::Status> final_status_ ABSL_GUARDED_BY(mutex_);
 };
 

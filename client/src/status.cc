@@ -9,7 +9,7 @@ absl::Status StatusFromGrpc(const grpc::Status& status) {
 }
 
 absl::Status StatusFromCode(int32_t code, absl::string_view message) {
-  // absl took its codes over from gRPC, number by number.
+  // The codes of absl have the same numbers as those of gRPC.
   constexpr int32_t kLastCode = static_cast<int32_t>(absl::StatusCode::kUnauthenticated);
   if (code < 0 || code > kLastCode) {
     return absl::UnknownError(absl::StrCat("status code ", code, ": ", message));

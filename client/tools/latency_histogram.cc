@@ -7,7 +7,7 @@ namespace spikeserve {
 namespace {
 
 constexpr double kSmallest = 1e-7;  // seconds: the lower edge of bucket 0
-constexpr double kGrowth = 1.02;    // upper edge / lower edge; the middle is at most 1 % off
+constexpr double kGrowth = 1.02;    // upper edge / lower edge; the centre is within 1 % of both
 constexpr int kBuckets = 1164;      // kSmallest * kGrowth^kBuckets is 1000 seconds
 
 int BucketOf(double seconds) {

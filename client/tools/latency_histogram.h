@@ -1,7 +1,11 @@
-// Latencies in buckets whose width grows with the value: bounded memory for any number of them,
-// quantiles within 1 %.
+// A histogram of latencies with exponentially growing buckets: memory is constant, and quantiles
+// are within 1 % of the exact value.
 //
-// A plain value, not thread-safe: each thread fills its own, and Merge adds them up.
+//   LatencyHistogram latencies;
+//   latencies.Add(/*seconds=*/0.0021);
+//   double p99 = latencies.Quantile(0.99);
+//
+// A plain value, not thread-safe. Each thread fills its own; Merge combines them.
 #ifndef CLIENT_TOOLS_LATENCY_HISTOGRAM_H_
 #define CLIENT_TOOLS_LATENCY_HISTOGRAM_H_
 
@@ -14,14 +18,16 @@ class LatencyHistogram {
  public:
   LatencyHistogram();
 
-  // Values under 100 nanoseconds or over 1000 seconds count in the first or last bucket.
+  // Adds one latency. Values below 100 nanoseconds count in the first bucket, values above 1000
+  // seconds in the last.
   void Add(double seconds);
+  // Adds all latencies of `other`.
   void Merge(const LatencyHistogram& other);
 
   int64_t count() const { return count_; }
 
-  // The value that a share of `quantile` in [0, 1] of all values does not exceed, in seconds; 0 if
-  // there are none.
+  // Returns the `quantile`-quantile in seconds, with `quantile` in [0, 1]; 0 if there are no
+  // values.
   double Quantile(double quantile) const;
 
  private:

@@ -1,5 +1,6 @@
-// How a client reaches its server: the connection, its encryption, and the token every call
-// carries.
+// Connects a client to its server, with TLS and a bearer token if wanted.
+//
+//   auto channel = MakeChannel("robots.example:50051", {.tls = true, .token = token});
 //
 // Free functions, safe to call from many threads.
 #ifndef SPIKESERVE_CHANNEL_H_
@@ -14,22 +15,25 @@
 
 namespace spikeserve {
 
-// PEM files and tokens. The default is plain text without a token.
+// Encryption and authentication. `ca`, `certificate` and `key` are paths of PEM files. The default
+// is plain text without a token.
 struct SecurityOptions {
-  bool tls = false;         // set by any of the files below, too
-  std::string ca;           // signs the server's certificate; empty: what the system trusts
-  std::string certificate;  // of this client, where the server asks for one
-  std::string key;
-  std::string token;  // sent with every call as "authorization: Bearer TOKEN"; empty: none
+  bool tls = false;         // encrypt; implied by `ca` and `certificate`
+  std::string ca;           // the authorities of the server's certificate; empty: the system's
+  std::string certificate;  // the client's own, for servers that require one
+  std::string key;          // the private key of `certificate`
+  std::string token;        // sent in every call as "authorization: Bearer TOKEN"; empty: none
 
   bool use_tls() const { return tls || !ca.empty() || !certificate.empty(); }
 };
 
-// What is in `path`, without white space around it: a token's file. NOT_FOUND names the path.
+// Reads a token from the file at `path` and strips surrounding white space. Returns NOT_FOUND,
+// which names the path, if the file cannot be read.
 absl::StatusOr<std::string> ReadTokenFile(const std::string& path);
 
-// A connection of its own to "HOST:PORT", which is made when the first call needs it and made again
-// when it breaks. NOT_FOUND or INVALID_ARGUMENT names a file that cannot be used.
+// Returns a channel to `server`, "HOST:PORT". It has its own connection, which is opened by the
+// first call and reopened after it breaks. Returns NOT_FOUND, which names the file, if a file
+// cannot be read, and INVALID_ARGUMENT if only one of `certificate` and `key` is set.
 absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& server,
                                                            const SecurityOptions& security);
 

@@ -1,6 +1,11 @@
-// The calls of PolicyService, one method each: a deadline for every attempt, and retries where a
-// repeated call is harmless. An agent with one session wants RemoteSession (remote_session.h),
-// which keeps its step.
+// Calls the methods of PolicyService. Every attempt has a deadline, and calls that may safely be
+// repeated are retried.
+//
+//   auto client = Client::Connect("127.0.0.1:50051");
+//   auto opened = (*client)->OpenSession(request);
+//   auto answer = (*client)->Act(act_request);
+//
+// For one session, RemoteSession (remote_session.h) is simpler: it keeps count of the steps.
 //
 // Thread-safe.
 #ifndef SPIKESERVE_CLIENT_H_
@@ -25,72 +30,76 @@
 namespace spikeserve {
 
 struct ClientOptions {
-  absl::Duration call_timeout = absl::Seconds(5);  // of each attempt
+  absl::Duration call_timeout = absl::Seconds(5);  // the deadline of one attempt
   RetryOptions retry;
   SecurityOptions security;
 
-  // INVALID_ARGUMENT names the field, what was expected and what came.
+  // Returns INVALID_ARGUMENT that names the field, the expected and the received value.
   absl::Status Validate() const;
 };
 
 class Client {
  public:
-  // A client of the server at "HOST:PORT" on a connection of its own, as MakeChannel makes it.
-  // INVALID_ARGUMENT if `options` are not valid.
+  // Creates a client of the server at "HOST:PORT" on a new channel (MakeChannel), or on `channel`.
+  // Does not wait for the connection. Returns INVALID_ARGUMENT if `options` are not valid, and the
+  // errors of MakeChannel.
   static absl::StatusOr<std::unique_ptr<Client>> Create(const std::string& server,
                                                         ClientOptions options = {});
   static absl::StatusOr<std::unique_ptr<Client>> Create(std::shared_ptr<grpc::Channel> channel,
                                                         ClientOptions options = {});
 
-  // Create, and wait for the connection. UNAVAILABLE if there is none within `patience`.
+  // As Create, but waits for the connection. Returns UNAVAILABLE if there is none within
+  // `patience`.
   static absl::StatusOr<std::unique_ptr<Client>> Connect(
       const std::string& server, ClientOptions options = {},
       absl::Duration patience = absl::Seconds(3));
 
-  // For services beside PolicyService.
+  // The channel of this client, for calls of other services.
   const std::shared_ptr<grpc::Channel>& channel() const { return channel_; }
 
-  // Errors of every call: the server's code and message; after the last attempt UNAVAILABLE if the
-  // server could not be reached, DEADLINE_EXCEEDED if it did not answer in call_timeout.
+  // The methods below return the server's code and message on an error. After the last attempt they
+  // return UNAVAILABLE if the server could not be reached, and DEADLINE_EXCEEDED if it did not
+  // answer within call_timeout.
 
   absl::StatusOr<v1::ListPoliciesResponse> ListPolicies();
 
-  // Retried: a session whose id was lost on the way is reaped by the server.
+  // Retried. If an answer is lost, the session that it opened stays idle until the server ends it.
   absl::StatusOr<v1::OpenSessionResponse> OpenSession(const v1::OpenSessionRequest& request);
 
   // Retried: the server answers a repeated step with the stored answer, byte for byte.
   absl::StatusOr<v1::ActResponse> Act(const v1::ActRequest& request);
 
-  // One attempt that does not block; `done` is called once, on a thread of gRPC's, and must not
+  // Makes one attempt without blocking. Calls `done` once, on a thread of gRPC; `done` must not
   // block. The client must outlive the call.
   void ActAsync(const v1::ActRequest& request,
                 std::function<void(absl::StatusOr<v1::ActResponse>)> done);
 
-  // One decision for each request, in their order. The call is retried as a whole; an item that
-  // failed has its own status here and may be sent again with the same step.
+  // Makes one decision for each request and returns the results in the same order. The call is
+  // retried as a whole. An item that failed has its own status, and may be sent again with the same
+  // step.
   absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> ActBatch(
       absl::Span<const v1::ActRequest> requests);
 
-  // A stream for any number of sessions.
+  // Opens a stream for any number of sessions.
   std::unique_ptr<RemoteStream> OpenStream();
 
-  // Retried; the server recognises the end that it has counted.
+  // Retried: the server recognises a repeated request and counts the end of an episode once.
   absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const v1::EndEpisodeRequest& request);
 
-  // Retried. `include_head_delta` asks for W - W_base of the head it plays on.
+  // Retried. With `include_head_delta`, the response holds W - W_base of the session's action head.
   absl::StatusOr<v1::GetSessionResponse> GetSession(const std::string& session_id,
                                                     bool include_head_delta = false);
 
   // Retried.
   absl::StatusOr<v1::ExplainResponse> Explain(const std::string& session_id);
 
-  // Retried; OK if a repeated attempt finds the session gone.
+  // Retried. Returns OK if a repeated attempt finds that the session does not exist any more.
   absl::Status CloseSession(const std::string& session_id);
 
  private:
   Client(std::shared_ptr<grpc::Channel> channel, ClientOptions options);
 
-  // One attempt of the stub's `method`.
+  // Makes one attempt of the stub's `method`.
   template <typename Request, typename Response>
   absl::Status CallOnce(grpc::Status (v1::PolicyService::Stub::*method)(grpc::ClientContext*,
                                                                         const Request&, Response*),

@@ -1,11 +1,15 @@
-// One session of the server as its agent sees it: keeps the step, so that a repeated request is
-// recognised.
+// One session of an agent on the server. Counts the steps, so that the server recognises repeated
+// requests.
 //
-// A RemoteSession is a pair of session id and step, nothing more. An agent that was restarted
-// attaches to its old session with RemoteSession(&client, id, step): asking for the last answered
-// step gets that answer again, byte for byte, and the episode goes on from there.
+//   RemoteSession session(client.get(), opened->session_id(), /*step=*/0);
+//   auto answer = session.Act(observation, reward);
+//   session.EndEpisode({.reward = last_reward, .terminated = true});
 //
-// Not thread-safe; several sessions may share one client from many threads.
+// The only state is the session id and the step. A restarted agent continues its session with
+// RemoteSession(&client, id, step): repeating the last answered step returns the same answer, byte
+// for byte, and the episode continues from there.
+//
+// Not thread-safe. Several sessions may share one client from many threads.
 #ifndef SPIKESERVE_REMOTE_SESSION_H_
 #define SPIKESERVE_REMOTE_SESSION_H_
 
@@ -21,19 +25,19 @@
 
 namespace spikeserve {
 
-// How an episode ended, in Gymnasium's terms.
+// The end of an episode, in the terms of Gymnasium.
 struct EpisodeOutcome {
   double reward = 0.0;  // for the last action
   bool terminated = false;
   bool truncated = false;
   std::optional<double> target_return =
-      std::nullopt;                     // for the next episode; unset: the session's own
-  std::vector<float> observation = {};  // what the last action led to, for recordings
+      std::nullopt;                     // of the next episode; unset: as the session was opened
+  std::vector<float> observation = {};  // after the last action; used by recordings only
 };
 
 class RemoteSession {
  public:
-  // `step` is that of the next request: one never asked for, or the last answered one again.
+  // `step` is the step of the next request: a new one, or the last answered one to repeat it.
   // `client` must outlive the session.
   RemoteSession(Client* client, std::string session_id, int64_t step)
       : client_(client), session_id_(std::move(session_id)), step_(step) {}
@@ -41,17 +45,18 @@ class RemoteSession {
   const std::string& session_id() const { return session_id_; }
   int64_t step() const { return step_; }
 
-  // The decision at this step. `observation` in raw environment units; `reward` for the previous
-  // action, ignored at step 0. Retries as Client::Act does; the step moves on only with an answer,
-  // so after an error the same call may be made again. INTERNAL if the answer is for another
-  // session or step.
+  // Returns the decision at this step and advances the step. `observation` is in raw environment
+  // units; `reward` is for the previous action and ignored at step 0. Retries as Client::Act. After
+  // an error the step stays, so the same call may be repeated. Returns INTERNAL if the answer is
+  // for another session or step.
   absl::StatusOr<v1::ActResponse> Act(absl::Span<const float> observation, double reward);
 
-  // Act in two halves, for ActBatch and streams: the request of this step, and its answer.
+  // Act in two parts, for ActBatch and streams. MakeRequest returns the request of this step;
+  // Accept takes its answer and advances the step, with the errors of Act.
   v1::ActRequest MakeRequest(absl::Span<const float> observation, double reward) const;
   absl::Status Accept(const v1::ActResponse& response);
 
-  // Ends the episode; the next step is 0. See Client::EndEpisode for what an error means.
+  // Ends the episode and sets the step to 0. On an error the step stays. Errors: see Client.
   absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const EpisodeOutcome& outcome);
 
   // Ends the session on the server.

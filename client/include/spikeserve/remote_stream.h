@@ -1,8 +1,11 @@
-// One ActStream call: any number of sessions multiplexed on one stream.
+// One ActStream call, which carries the requests of any number of sessions.
 //
-// Send never waits for the server, so a single thread can keep many sessions going: what the caller
-// has sent and not yet had answered is buffered here. Replies of one session come in the order of
-// its requests.
+//   auto stream = client->OpenStream();
+//   stream->Send(session.MakeRequest(observation, reward));
+//   auto reply = stream->Receive(absl::Seconds(5));
+//
+// Send does not wait for the server, so one thread can serve many sessions. Unsent requests are
+// buffered without limit. The replies of one session come in the order of its requests.
 //
 // Thread-safe.
 #ifndef SPIKESERVE_REMOTE_STREAM_H_
@@ -24,28 +27,30 @@ namespace spikeserve {
 struct ActReply {
   std::string session_id;
   int64_t step = 0;
-  absl::StatusOr<v1::ActResponse> response;       // or why this request failed; the stream goes on
+  absl::StatusOr<v1::ActResponse> response;  // or the error of this request; the stream stays open
   std::chrono::steady_clock::time_point arrived;  // when it reached this process
 };
 
 class RemoteStream {
  public:
   explicit RemoteStream(v1::PolicyService::Stub& stub);
-  // Cancels the call if it has not ended.
+  // Cancels the call if it has not ended, and blocks until gRPC has finished it.
   ~RemoteStream();
 
   RemoteStream(const RemoteStream&) = delete;
   RemoteStream& operator=(const RemoteStream&) = delete;
 
-  // Queues one request. If the call has ended: its status, or FAILED_PRECONDITION after CloseSend.
+  // Queues one request. Returns the status of the call if the call has ended, and
+  // FAILED_PRECONDITION after CloseSend.
   absl::Status Send(const v1::ActRequest& request);
 
-  // The next reply of any session. DEADLINE_EXCEEDED if none came within `timeout` (the stream goes
-  // on); once the call has ended and every reply was taken, its status, or OUT_OF_RANGE if that is
-  // OK. Requests without a reply may then be sent again, with the same steps, on another stream.
+  // Returns the next reply of any session. Returns DEADLINE_EXCEEDED if none arrives within
+  // `timeout`; the stream stays open. After the call has ended and all replies were returned,
+  // returns the status of the call, or OUT_OF_RANGE if that is OK. Requests without a reply may
+  // then be sent again, with the same steps, on another stream.
   absl::StatusOr<ActReply> Receive(absl::Duration timeout);
 
-  // No more requests: the server answers what it has and ends the call.
+  // Declares that no more requests follow. The server answers the pending ones and ends the call.
   void CloseSend();
 
  private:

@@ -1,6 +1,6 @@
-// Repeating a call that may have failed for no lasting reason, with exponential backoff.
+// Repeats a call that failed for a temporary reason, with exponential backoff.
 //
-// Only for calls that the server recognises when they come twice, or that change nothing.
+// Only for calls that change nothing, or that the server recognises when they are repeated.
 #ifndef SPIKESERVE_RETRY_H_
 #define SPIKESERVE_RETRY_H_
 
@@ -14,25 +14,26 @@
 
 namespace spikeserve {
 
-// The pause before attempt n + 1 is initial_backoff * multiplier^(n-1), at most max_backoff, times
-// a factor in [0.5, 1] that spreads out callers who failed together.
+// The delay before attempt n + 1 is min(initial_backoff * multiplier^(n-1), max_backoff), times a
+// random factor in [0.5, 1], so that callers that failed together do not retry together.
 struct RetryOptions {
-  int max_attempts = 5;  // 1: never repeat
+  int max_attempts = 5;  // 1: no retries
   absl::Duration initial_backoff = absl::Milliseconds(50);
   absl::Duration max_backoff = absl::Seconds(2);
   double multiplier = 2.0;
   std::function<void(absl::Duration)> sleep = absl::SleepFor;
 
-  // INVALID_ARGUMENT names the field, what was expected and what came.
+  // Returns INVALID_ARGUMENT that names the field, the expected and the received value.
   absl::Status Validate() const;
 };
 
-// UNAVAILABLE and DEADLINE_EXCEEDED: nobody knows whether the call was carried out.
+// Returns true for UNAVAILABLE and DEADLINE_EXCEEDED, after which it is unknown whether the server
+// carried out the call.
 bool IsRetryable(const absl::Status& status);
 
-// Calls until the result is not retryable or the attempts are used up, and returns the last result.
-// Callers with different keys (a session id) draw different spreads; the same key draws the same
-// ones.
+// Repeats `call` until its result is not retryable or max_attempts are made, and returns the last
+// result. `key`, such as a session id, seeds the random factors of the delays: equal keys give
+// equal delays.
 absl::Status CallWithRetries(const RetryOptions& options, const std::string& key,
                              absl::FunctionRef<absl::Status()> call);
 

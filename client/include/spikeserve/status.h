@@ -1,4 +1,4 @@
-// The one place where gRPC's statuses become absl's. Code and message stay as the server sent them.
+// Converts gRPC statuses to absl::Status. Keeps the code and the message that the server sent.
 //
 // Free functions, safe to call from many threads.
 #ifndef SPIKESERVE_STATUS_H_
@@ -13,11 +13,11 @@
 
 namespace spikeserve {
 
-// The status of a call.
+// Converts the status of a call.
 absl::Status StatusFromGrpc(const grpc::Status& status);
 
-// The status of one item of a batch or a stream: `code` is gRPC's number. UNKNOWN if there is no
-// such code.
+// Converts the status of one item of a batch or a stream. `code` is the number of a gRPC status
+// code; any other number becomes UNKNOWN.
 absl::Status StatusFromCode(int32_t code, absl::string_view message);
 
 }  // namespace spikeserve
