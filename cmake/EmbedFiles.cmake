@@ -1,8 +1,8 @@
-# Files that travel inside a program.
+# Compiles files into a program.
 #
-# spikeserve_embed(TARGET BASE folder FILES file...): gives TARGET a source that defines
-# spikeserve::EmbeddedFiles() of server/web/embedded_files.h with the bytes of these files, named as below BASE. Run as a
-# script (cmake -P) it writes that source, whenever one of the files has changed.
+# spikeserve_embed(TARGET BASE folder FILES file...): adds to TARGET a generated source that defines
+# spikeserve::EmbeddedFiles() (server/web/embedded_files.h) with the contents of the files, by their path below BASE.
+# The build runs this file as a script (cmake -P), which writes that source when one of the files has changed.
 if(CMAKE_SCRIPT_MODE_FILE)
   set(arrays "")
   set(entries "")

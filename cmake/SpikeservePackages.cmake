@@ -1,4 +1,4 @@
-# What `cmake --install` installs, and the Debian packages that `cpack` makes of it.
+# Defines what `cmake --install` installs, and the Debian packages that `cpack` makes from it.
 #
 # | component | Debian package          | content                                                          |
 # | server    | spikeserve              | spikeserve, its systemd unit and user, the shipped policies      |
@@ -17,7 +17,7 @@ if(SPIKESERVE_BUILD_TRAIN)
   list(APPEND components train)
 endif()
 
-# The unit names the prefix, which is known only when it is installed.
+# The unit contains the installation prefix, which is known only at installation.
 install(CODE "
   set(SPIKESERVE_BINDIR \${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_BINDIR})
   set(SPIKESERVE_DATADIR \${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_DATADIR}/spikeserve)

@@ -1,4 +1,4 @@
-# The compiler settings every target shares, and one helper each for a library, a program and a test.
+# Defines the compiler settings of all targets, and one helper each for a library, a program and a test.
 
 set(CMAKE_CXX_STANDARD 20)
 set(CMAKE_CXX_STANDARD_REQUIRED ON)
@@ -8,22 +8,23 @@ set(CMAKE_RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/bin)
 
 add_library(spikeserve_options INTERFACE)
 target_include_directories(spikeserve_options INTERFACE ${PROJECT_SOURCE_DIR})
-# Spikes must be equal bit for bit on every machine, so a*b+c is never fused behind our back.
+# -ffp-contract=off: the compiler must not fuse a*b+c, because spikes must be equal bit for bit on every machine.
 target_compile_options(spikeserve_options INTERFACE -Wall -Wextra -Wshadow -Werror -ffp-contract=off)
 if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
   target_compile_options(spikeserve_options INTERFACE -Wthread-safety)
 endif()
 
-# The thread sanitizer needs to be told what libraries that were built without it order.
-option(SPIKESERVE_TSAN "Programs run under the thread sanitizer" OFF)
+# Abseil and gRPC are built without the thread sanitizer. The sources below tell it how they synchronise threads.
+option(SPIKESERVE_TSAN "Build programs for the thread sanitizer" OFF)
 if(SPIKESERVE_TSAN)
   set(SPIKESERVE_PROGRAM_SOURCES
     ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_absl.cc ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_grpc.cc)
 endif()
 
 # spikeserve_library(NAME SOURCES file... [DEPENDS target...] [PRIVATE_DEPENDS target...])
-# DEPENDS are the libraries whose headers this library's headers include, PRIVATE_DEPENDS those that only its sources
-# include. Each folder of the tree is one library; tests/check_layers.py holds its includes against this list.
+# Adds a static library. DEPENDS are the libraries whose headers its headers include, PRIVATE_DEPENDS those that only
+# its sources include. Each folder of the tree is one library; tests/check_layers.py checks its includes against this
+# list.
 function(spikeserve_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
   add_library(${name} STATIC ${ARG_SOURCES})
@@ -45,7 +46,7 @@ function(spikeserve_note_layer name sources public private)
   set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LAYERS "{${entry}}")
 endfunction()
 
-# spikeserve_program(NAME SOURCES file... [DEPENDS target...]): lands in <build>/bin.
+# spikeserve_program(NAME SOURCES file... [DEPENDS target...]): adds a program, built in <build>/bin.
 function(spikeserve_program name)
   cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
@@ -53,8 +54,8 @@ function(spikeserve_program name)
   spikeserve_note_layer(${name} "${ARG_SOURCES}" "" "${ARG_DEPENDS}")
 endfunction()
 
-# spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...]): one ctest test for each
-# TEST of the sources, found when ctest starts.
+# spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...]): adds a GoogleTest
+# program and one ctest test for each TEST in it. ctest lists the TESTs when it starts.
 function(spikeserve_test name)
   cmake_parse_arguments(ARG "" "LABEL" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
@@ -68,8 +69,8 @@ function(spikeserve_test name)
     DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout})
 endfunction()
 
-# Links each library alone with what its own CMakeLists names, so that an edge that is not named does not link, and
-# writes layers.json for tests/check_layers.py. Called after the last library.
+# Links each library into a program with only the dependencies that its CMakeLists.txt names, so that a missing one
+# fails the build. Writes layers.json for tests/check_layers.py. Call it after the last library.
 function(spikeserve_check_layers)
   get_property(layers GLOBAL PROPERTY SPIKESERVE_LAYERS)
   list(JOIN layers ",\n" layers)

@@ -1,5 +1,5 @@
-# Puts gRPC's own libraries into the programs. Linked so, a thread-local variable of theirs costs an instruction instead
-# of a call, of which every remote call makes hundreds. What gRPC itself needs stays shared.
+# Links gRPC's own libraries statically. In a static library an access to a thread-local variable costs an instruction
+# instead of a function call, and every RPC makes hundreds of them. The libraries that gRPC uses stay shared.
 foreach(library address_sorting gpr grpc grpc++ grpc++_reflection upb)
   find_library(SPIKESERVE_STATIC_${library} lib${library}.a REQUIRED)
   mark_as_advanced(SPIKESERVE_STATIC_${library})

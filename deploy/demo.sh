@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Serves the shipped policies and lets a remote agent play CartPole against them; stops everything it started.
+# Starts a server with the shipped policies, lets a remote agent play CartPole with it, and stops the server.
 #
 # usage: deploy/demo.sh BIN_DIR
 set -euo pipefail
@@ -21,7 +21,7 @@ while [[ -z $grpc || -z $http ]]; do
   esac
 done
 
-# Seeds that training never saw: it stays below 1,000,000, its evaluations below 2,000,000.
+# A seed that training never uses: training draws seeds below 1,000,000, its evaluations below 2,000,000.
 "$bin/spikectl" policies --server="$grpc"
 "$bin/spikectl" run --server="$grpc" --env=CartPole-v1 --episodes=20 --seed=3000000
 
@@ -30,5 +30,5 @@ echo "What the server counted (http://$http/metrics):"
 curl -sf "http://$http/metrics" | grep -E '^spikeserve_(decisions|spikes|energy_joules|episodes)_total'
 
 stop
-wait "$server" && echo "server stopped cleanly"
+wait "$server" && echo "The server stopped cleanly."
 trap - EXIT

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Installs everything that building, testing and training need on a bare Debian 12, as root, and makes the Python
-# environment of the tests. Does nothing where everything is there already.
+# Installs the packages that building, testing and training need on a bare Debian 12, and creates the Python environment
+# of the tests. Run it as root. Does nothing if everything is installed.
 #
 # usage: deploy/setup.sh [BUILD_DIR]
 set -euo pipefail
@@ -29,7 +29,7 @@ if ((${#missing[@]})); then
   echo "setup: installing ${missing[*]}"
   export DEBIAN_FRONTEND=noninteractive
   apt-get update -qq
-  # The prometheus package is here for the tests; its service has no business running.
+  # The tests need the prometheus program. This policy keeps the package from starting its service.
   printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
   if [[ ! -e /usr/sbin/policy-rc.d ]]; then
     install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d
@@ -42,7 +42,7 @@ fi
 requirements=tests/python/requirements.txt
 venv=$build_dir/venv
 if ! cmp -s "$requirements" "$venv/requirements.txt"; then
-  echo "setup: making the Python environment of the tests in $venv"
+  echo "setup: creating the Python environment of the tests in $venv"
   rm -rf "$venv"
   mkdir -p "$build_dir"
   /usr/bin/python3 -m venv "$venv"

@@ -39,7 +39,7 @@ absl::StatusOr<absl::Time> ParseExpiry(absl::string_view field, const std::strin
       field, ".expires: expected a time such as 2027-01-31T00:00:00Z, received ", Quoted(text)));
 }
 
-// Whose sessions a token may look at.
+// The sessions that a token may read: those of its tenant, or those of all tenants.
 enum class Sees { kTenant, kAll };
 
 constexpr std::array<EnumName<Sees>, 2> EnumNames(Sees) {
@@ -121,7 +121,7 @@ absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text) {
     }
     if (!seen.insert(entry.sha256).second) {
       return absl::InvalidArgumentError(
-          absl::StrCat("tokens[", i, "].sha256: expected each hash once, received one again"));
+          absl::StrCat("tokens[", i, "].sha256: expected each hash once, received a duplicate"));
     }
   }
   return file;

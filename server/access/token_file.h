@@ -42,6 +42,9 @@ struct TokenEntry {
 
   bool operator==(const TokenEntry&) const = default;
 };
+
+// Read one token or the limits of one tenant; JsonObject calls these. Errors are INVALID_ARGUMENT
+// with a path that starts with `field`.
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TokenEntry* entry);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TenantLimits* limits);
 

@@ -23,7 +23,7 @@ void SetPattern(spdlog::logger& logger, LogFormat wanted) {
                      spdlog::pattern_time_type::utc);
 }
 
-// Never destroyed, so that a thread that outlives main may still log.
+// Returns the logger, which is never destroyed, so that threads may log while the program exits.
 spdlog::logger& Logger() {
   static spdlog::logger* const logger = [] {
     auto* made = std::make_unique<spdlog::logger>("spikeserve",
@@ -36,7 +36,7 @@ spdlog::logger& Logger() {
   return *logger;
 }
 
-// `text` as a JSON string: printable ASCII only, whatever its bytes.
+// Returns `text` as a JSON string of printable ASCII. Escapes all other bytes.
 std::string Escaped(absl::string_view text) {
   return nlohmann::json(std::string(text))
       .dump(/*indent=*/-1, /*indent_char=*/' ', /*ensure_ascii=*/true,

@@ -1,14 +1,14 @@
-// The server's log: one line an event on standard error, as text or as JSON.
+// Logs one line per event to standard error, as text or as JSON.
 //
 //   LogWarning("policy refused", {{"path", path}, {"error", status.message()}});
 //
-// writes, as text and as JSON:
+// writes as text, or as JSON:
 //
 //   2027-01-31T12:00:00.000Z warning policy refused path="a/1/policy.safetensors" error="..."
 //   {"time":"2027-01-31T12:00:00.000Z","level":"warning","message":"policy refused","path":"a/...
 //
-// Values may come from the wire: control characters and bytes that are not UTF-8 are escaped, so
-// that no value can forge a line or reach a terminal. Thread-safe.
+// Escapes control characters and invalid UTF-8 in values, because values may come from clients: a
+// value can neither forge a log line nor send control sequences to a terminal. Thread-safe.
 #ifndef SERVER_BASE_LOG_H_
 #define SERVER_BASE_LOG_H_
 
@@ -31,10 +31,10 @@ struct LogField {
   absl::string_view value;
 };
 
-// Sets the format of every line from now on; text until then.
+// Sets the format of all later lines. The default is text.
 void SetLogFormat(LogFormat format);
 
-// Write one line each. `message` is a constant of the program; what varies belongs into fields.
+// Write one line. `message` is a constant of the program; values that vary belong into `fields`.
 void LogInfo(absl::string_view message, std::initializer_list<LogField> fields = {});
 void LogWarning(absl::string_view message, std::initializer_list<LogField> fields = {});
 void LogError(absl::string_view message, std::initializer_list<LogField> fields = {});

@@ -22,9 +22,9 @@ namespace spikeserve {
 // The request of a new session for a policy version.
 struct VersionChoice {
   std::string policy;
-  int64_t version = 0;           // 0: not named
-  std::string label = "";        // empty: not named
-  std::string routing_key = "";  // equal keys get equal versions where traffic is divided
+  int64_t version = 0;           // 0: not requested
+  std::string label = "";        // empty: not requested
+  std::string routing_key = "";  // divides traffic: equal keys get the same version
 };
 
 // The versions that a new session is given.

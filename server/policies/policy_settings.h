@@ -36,9 +36,9 @@ struct TrafficShare {
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TrafficShare* share);
 
 struct PolicySettings {
-  int64_t default_version = 0;  // 0: the highest
+  int64_t default_version = 0;  // 0: the highest version
   std::map<std::string, int64_t> labels = {};
-  std::vector<TrafficShare> shares = {};  // add up to 100; empty: all to the default
+  std::vector<TrafficShare> shares = {};  // sum to 100 %; empty: all to the default
   int64_t shadow_version = 0;             // 0: none
   bool learning_paused = false;
 
