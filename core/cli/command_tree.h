@@ -1,4 +1,5 @@
-// The commands and flags of a program as plain data, from which its help texts are generated.
+// Describes the commands and flags of a program as plain data. The completion scripts and the
+// manual page are generated from it.
 //
 // Immutable once built; safe to read from many threads.
 #ifndef CORE_CLI_COMMAND_TREE_H_
@@ -13,39 +14,40 @@ class App;
 
 namespace spikeserve {
 
-// The heading of the flags that every program has; they stand last.
+// The heading of the flags that every program has. It is the last heading of a help text.
 inline constexpr char kGeneralHeading[] = "General";
 
 struct FlagInfo {
   std::string name;          // without dashes
-  std::string heading;       // of its group
-  std::string kind;          // of its value, see flag_group.h; empty for a switch
-  std::string default_text;  // empty where there is none
+  std::string heading;       // the heading of its group
+  std::string kind;          // the kind of its value, see flag_group.h; empty for a switch
+  std::string default_text;  // empty if there is no default
   std::string help;
 
   bool is_switch() const { return kind.empty(); }
-  // The words of a kind such as unary|stream|batch; else empty.
+  // Returns the words of a kind such as unary|stream|batch. Returns none for any other kind.
   std::vector<std::string> choices() const;
 };
 
 struct CommandInfo {
-  std::vector<std::string> path;  // from the program's name on
+  std::vector<std::string> path;  // the name of the program, then the names of the commands
   std::string summary;
-  std::vector<FlagInfo> flags;  // its own
+  std::vector<FlagInfo> flags;  // without the flags of the program
   std::vector<CommandInfo> commands;
 
   const std::string& name() const { return path.back(); }
-  // The path below the program, separated by `separator`.
+  // Returns the names of `path` after the program's name, separated by `separator`.
   std::string SubPath(const std::string& separator) const;
 };
 
-// Describes `app` and everything below it.
+// Describes `app` and all of its subcommands.
 CommandInfo DescribeCommands(const CLI::App& app);
 
-// Returns the flags that `command` accepts: its own, and those of `program` that have other names.
+// Returns the flags that `command` accepts: its own flags, and those flags of `program` that it
+// does not replace by a flag of the same name.
 std::vector<FlagInfo> AcceptedFlags(const CommandInfo& program, const CommandInfo& command);
 
-// Returns `command` and everything below it, parents first. The pointers are into `command`.
+// Returns `command` and all of its subcommands, parents first. The pointers point into `command`.
 std::vector<const CommandInfo*> AllCommands(const CommandInfo& command);
 
 }  // namespace spikeserve

@@ -14,14 +14,15 @@ std::string ShellQuoted(absl::string_view text) {
   return absl::StrCat("'", absl::StrReplaceAll(text, {{"'", "'\\''"}}), "'");
 }
 
-// The name of the shell function that completes `command`.
+// Returns the name of the shell function that completes `command`.
 std::string FunctionName(const CommandInfo& command) {
   return absl::StrCat("_", absl::StrJoin(command.path, "_"));
 }
 
 // --- bash
 
-// Words of the command separated by blanks; a flag that takes a value ends with "=".
+// Returns the subcommands and flags of `command`, separated by spaces. A flag that takes a value
+// ends with "=".
 std::string BashWords(const CommandInfo& program, const CommandInfo& command) {
   std::vector<std::string> words;
   for (const CommandInfo& subcommand : command.commands) words.push_back(subcommand.name());
@@ -31,11 +32,12 @@ std::string BashWords(const CommandInfo& program, const CommandInfo& command) {
   return absl::StrJoin(words, " ");
 }
 
-// The commands of bash that complete a value of `flag`; empty where nothing is known of it.
+// Returns the bash commands that complete a value of `flag`, or an empty string if its values
+// cannot be completed.
 std::string BashValues(const FlagInfo& flag) {
   const bool is_directory = flag.kind == "DIR";
   if (is_directory || flag.kind == "FILE") {
-    // Bash quotes names of files, and a "=" in them.
+    // With `-o filenames` bash quotes the words, which would change the "=" of a prefix "--flag=".
     return absl::StrCat(
         "[[ -n $prefix ]] || compopt -o filenames; mapfile -t COMPREPLY < <(compgen ",
         is_directory ? "-d" : "-f", " -- \"$current\")");
@@ -81,7 +83,7 @@ complete -F $1 $0
 
 // --- zsh
 
-// Quotes a text inside of a specification of zsh's _arguments.
+// Escapes `text` for an argument specification of zsh's _arguments.
 std::string ZshText(absl::string_view text) {
   return absl::StrReplaceAll(text, {{"\\", "\\\\"}, {"[", "\\["}, {"]", "\\]"}, {":", "\\:"}});
 }
@@ -97,7 +99,7 @@ std::string ZshFlag(const FlagInfo& flag) {
       absl::StrCat("--", flag.name, "=", help, ":", ZshText(flag.kind), ":", values));
 }
 
-// The function that completes what stands behind `command`.
+// Returns the shell function that completes the words after `command`.
 std::string ZshFunction(const CommandInfo& program, const CommandInfo& command) {
   std::string text = absl::StrCat(FunctionName(command), "() {\n  local curcontext=$curcontext ",
                                   "state line\n  _arguments -C");
@@ -117,7 +119,8 @@ std::string ZshFunction(const CommandInfo& program, const CommandInfo& command) 
 
 // --- fish
 
-// The condition that the words so far name `command`, and none of its subcommands.
+// Returns a fish condition that is true if the command line selects `command` and none of its
+// subcommands.
 std::string FishCondition(const CommandInfo& command) {
   std::vector<std::string> conditions;
   for (size_t i = 1; i < command.path.size(); ++i) {
@@ -133,7 +136,7 @@ std::string FishCondition(const CommandInfo& command) {
 }
 
 std::string FishFlag(const FlagInfo& flag) {
-  const char* values = " -x";  // a value follows, and is no file
+  const char* values = " -x";  // requires a value that is not a file
   if (flag.is_switch()) values = "";
   if (flag.kind == "FILE") values = " -r -F";
   std::string line = absl::StrCat(" -l ", flag.name, values);

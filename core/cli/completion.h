@@ -1,4 +1,4 @@
-// Scripts that complete the command line of a program in a shell.
+// Generates scripts that complete the command line of a program in a shell.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef CORE_CLI_COMPLETION_H_
@@ -10,8 +10,8 @@
 
 namespace spikeserve {
 
-// Each completes commands, flags, and the values of flags whose kind names words, files or
-// directories; zsh and fish show the help of each, too.
+// Return a script that completes commands, flags, and the values of flags that are one of several
+// words, a file or a directory. In zsh and fish it also shows the help of commands and flags.
 std::string BashCompletion(const CommandInfo& program);
 std::string ZshCompletion(const CommandInfo& program);
 std::string FishCompletion(const CommandInfo& program);

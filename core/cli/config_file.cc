@@ -15,7 +15,7 @@ CLI::App* FindCommand(CLI::App* app, const std::string& name) {
   return found.empty() ? nullptr : found.front();
 }
 
-// CLI11 marks the begin and the end of a section by items of these names.
+// CLI11 marks the beginning and the end of a section with items of these names.
 bool IsMark(const CLI::ConfigItem& item) { return item.name == "++" || item.name == "--"; }
 
 CLI::App* CommandOf(const CLI::ConfigItem& item, CLI::App* app) {

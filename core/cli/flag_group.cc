@@ -8,8 +8,8 @@
 namespace spikeserve {
 namespace {
 
-// CLI11 calls the result with the values given, of which the last one counts, and catches what it
-// throws in Program::Run.
+// Returns a callback that parses the last of the values that were given. CLI11 calls it while it
+// parses the command line, and Program::Parse catches the exceptions that it throws.
 CLI::callback_t LastValue(const std::string& name,
                           std::function<absl::Status(const std::string&)> parse) {
   return [name, parse = std::move(parse)](const CLI::results_t& results) {

@@ -1,6 +1,6 @@
 // Declares the flags of a command.
 //
-// Not thread-safe; flags are declared before Program::Run.
+// Not thread-safe. Declare all flags before Program::Run.
 #ifndef CORE_CLI_FLAG_GROUP_H_
 #define CORE_CLI_FLAG_GROUP_H_
 
@@ -17,21 +17,23 @@ class App;
 
 namespace spikeserve {
 
-// The flags under one heading of a command's help. A variable that a flag writes to holds the
-// default before, and must live until Program::Run returns.
+// The flags under one heading of a command's help. A flag stores its value in a variable. The
+// initial value of the variable is the flag's default, and the variable must live until
+// Program::Run returns.
 //
 //   program.root().Flags("Serving")
 //       .Add("listen", "HOST:PORT", &options.listen, "Address of the gRPC service")
 //       .Add("drain_timeout", "DURATION", &options.drain_timeout, "Time for calls to finish");
 //
-// `kind` stands for the value in the help. The shell completes file names for FILE, directories for
-// DIR and the words of a kind such as unary|stream|batch.
+// `kind` describes the value in the help. For the kinds FILE and DIR the shell completes files and
+// directories; for a kind such as unary|stream|batch it completes these words.
 class FlagGroup {
  public:
   FlagGroup(CLI::App* app, std::string heading);
 
-  // Adds --name=VALUE. T is a type of flag_value.h. A text that is no T is an error that names the
-  // flag, what was expected and what was received. A flag that is given twice has its last value.
+  // Adds --name=VALUE. T is one of the types of flag_value.h. A value that cannot be parsed as T is
+  // an error with the flag, the expected and the received value. If a flag is given twice, the last
+  // value is used.
   template <typename T>
   FlagGroup& Add(const std::string& name, const std::string& kind, T* value,
                  const std::string& help) {
@@ -40,15 +42,16 @@ class FlagGroup {
         [value](const std::string& text) { return ParseFlagValue(text, value); }, help);
   }
 
-  // Adds --name=VALUE,VALUE,... A flag that is given twice has the values of both.
+  // Adds --name=VALUE,VALUE,... If the flag is given twice, the values of both are used.
   FlagGroup& AddList(const std::string& name, const std::string& kind,
                      std::vector<std::string>* values, const std::string& help);
 
-  // Adds --name, which sets `value`, whose default is false; --name=false clears it.
+  // Adds --name, which sets `value` to true; --name=false sets it to false. REQUIRES: `*value` is
+  // false.
   FlagGroup& AddSwitch(const std::string& name, bool* value, const std::string& help);
 
-  // Adds --name=VALUE for a type of the caller's. `parse` stores the value; the message of its
-  // error reads "expected X, received Y". `default_text` is what the help shows.
+  // Adds --name=VALUE for any other type. `parse` parses and stores the value; its errors read
+  // "expected X, received Y". The help shows `default_text` as the default.
   FlagGroup& AddParsed(const std::string& name, const std::string& kind,
                        const std::string& default_text,
                        std::function<absl::Status(const std::string&)> parse,

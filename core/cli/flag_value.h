@@ -1,4 +1,4 @@
-// The types that a flag can have, and their texts.
+// Converts between the values of flags and their texts, for every type that a flag can have.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef CORE_CLI_FLAG_VALUE_H_
@@ -16,7 +16,8 @@
 
 namespace spikeserve {
 
-// Stores what `text` says. INVALID_ARGUMENT reads "expected X, received Y".
+// Parse `text` and store the value. Return INVALID_ARGUMENT with the message "expected X, received
+// Y" if that fails.
 absl::Status ParseFlagValue(const std::string& text, std::string* value);
 absl::Status ParseFlagValue(const std::string& text, int32_t* value);
 absl::Status ParseFlagValue(const std::string& text, int64_t* value);
@@ -38,7 +39,7 @@ absl::Status ParseFlagValue(const std::string& text, std::optional<T>* value) {
   return ParseFlagValue(text, &value->emplace());
 }
 
-// Returns the text of a default; empty for an absent one.
+// Return the text of a default value; empty if there is no default.
 std::string FlagValueText(const std::string& value);
 std::string FlagValueText(int32_t value);
 std::string FlagValueText(int64_t value);
@@ -55,7 +56,7 @@ std::string FlagValueText(const std::optional<T>& value) {
   return value.has_value() ? FlagValueText(*value) : "";
 }
 
-// Returns the names of an enumeration as a flag's kind: a|b|c.
+// Returns the names of the values of an enumeration as the kind of a flag: a|b|c.
 template <NamedEnum Enum>
 std::string EnumKind() {
   return absl::StrJoin(EnumNames(Enum()), "|", [](std::string* out, const EnumName<Enum>& entry) {

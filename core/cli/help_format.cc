@@ -9,14 +9,14 @@
 namespace spikeserve {
 namespace {
 
-constexpr size_t kColumnWidth = 32;  // where the texts begin
+constexpr size_t kColumnWidth = 32;  // the column at which the help of a flag begins
 
 const CLI::App* RootOf(const CLI::App* app) {
   while (app->get_parent() != nullptr) app = app->get_parent();
   return app;
 }
 
-// Whether `app` has a flag of its own by a name of `option`.
+// Returns whether `app` has a flag of its own with the name of `option`.
 bool Hides(const CLI::App* app, const CLI::Option* option) {
   const CLI::Option* const own = app->get_option_no_throw("--" + option->get_lnames().front());
   return own != nullptr && own != option && !own->get_group().empty();

@@ -1,4 +1,4 @@
-// How --help looks.
+// Formats the text that --help prints.
 #ifndef CORE_CLI_HELP_FORMAT_H_
 #define CORE_CLI_HELP_FORMAT_H_
 
@@ -7,8 +7,8 @@
 
 namespace spikeserve {
 
-// CLI11's format with the default of a flag in brackets behind its text, and with the flags of the
-// program below those of a subcommand, which accepts them, too.
+// CLI11's format with two changes: the default of a flag follows its help in brackets, and the help
+// of a subcommand also lists the flags of the program, because the subcommand accepts them.
 class HelpFormat final : public CLI::Formatter {
  public:
   HelpFormat();

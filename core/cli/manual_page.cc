@@ -17,7 +17,7 @@
 namespace spikeserve {
 namespace {
 
-// Keeps roff from reading commands and typographic dashes in `text`.
+// Escapes `text` so that roff prints it unchanged: without commands, and with ASCII dashes.
 std::string Escaped(absl::string_view text) {
   std::string escaped = absl::StrReplaceAll(text, {{"\\", "\\e"}, {"-", "\\-"}});
   if (!escaped.empty() && (escaped[0] == '.' || escaped[0] == '\'')) escaped.insert(0, "\\&");
@@ -41,8 +41,8 @@ std::string Flag(const FlagInfo& flag) {
                       Escaped(flag.help), ".\n", default_text);
 }
 
-// The flags in the order of their headings, those of every program last. `before` and `after` stand
-// around a heading.
+// Returns the flags grouped by heading, the flags of every program last. `before` and `after` are
+// the texts around a heading.
 std::string Flags(const CommandInfo& command, const char* before, const char* after) {
   std::vector<std::string> headings;
   for (const FlagInfo& flag : command.flags) {

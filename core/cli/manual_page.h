@@ -1,4 +1,4 @@
-// The manual page of a program.
+// Generates the manual page of a program.
 //
 // A free function without shared state; safe to call from many threads.
 #ifndef CORE_CLI_MANUAL_PAGE_H_
@@ -10,8 +10,8 @@
 
 namespace spikeserve {
 
-// Returns the page in the man(7) language, section 1. Its date is today's, or that of the
-// environment variable SOURCE_DATE_EPOCH, with which builds can be reproduced.
+// Returns a page of section 1 in the man(7) language. Its date is the current date, or the date in
+// the environment variable SOURCE_DATE_EPOCH, which makes builds reproducible.
 std::string ManualPage(const CommandInfo& program);
 
 }  // namespace spikeserve

@@ -25,8 +25,8 @@ const CLI::Option* FindBelow(const std::string& name, const CLI::App& app) {
   return nullptr;
 }
 
-// Returns the flag that the message begins with; null if there is none. Flags of the selected
-// command come first; a wrong value from elsewhere may be one of another command.
+// Returns the flag whose name the message begins with, or null if there is none. Prefers flags of
+// the selected command; an invalid value of a variable or a file may belong to another command.
 const CLI::Option* FlagOf(absl::string_view message, const CLI::App& root) {
   const std::string name(message.substr(0, message.find_first_of(":= ")));
   for (const CLI::App* app = &SelectedCommand(root); app != nullptr; app = app->get_parent()) {
@@ -48,7 +48,8 @@ std::string ConfigPath(const CLI::App& root) {
   return paths.empty() ? "" : paths.back();
 }
 
-// Where a wrong value came from, with a colon; empty for the command line.
+// Returns the variable or the file that an invalid value came from, followed by a colon, or an
+// empty string if it came from the command line.
 std::string Source(const CLI::App& root, absl::string_view message) {
   const CLI::Option* const option = FlagOf(message, root);
   if (option == nullptr || IsOnCommandLine(option, &SelectedCommand(root))) return "";
@@ -57,7 +58,7 @@ std::string Source(const CLI::App& root, absl::string_view message) {
   return ConfigPath(root) + ": ";
 }
 
-// Says what is wrong with `argument`, which is neither a command nor a flag of `command`.
+// Returns the error message for `argument`, which is neither a subcommand nor a flag of `command`.
 std::string Unexpected(const CLI::App& command, const std::string& argument) {
   if (absl::StartsWith(argument, "-")) {
     return absl::StrCat(argument.substr(0, argument.find('=')), ": expected a flag of ",

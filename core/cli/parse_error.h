@@ -1,4 +1,4 @@
-// Turns an error of CLI11 into a status.
+// Converts an error of CLI11 to a status.
 #ifndef CORE_CLI_PARSE_ERROR_H_
 #define CORE_CLI_PARSE_ERROR_H_
 
@@ -8,11 +8,12 @@
 
 namespace spikeserve {
 
-// Returns the command that the command line selected, as far as there was one.
+// Returns the subcommand that the command line selected, or `root` if it selected none.
 const CLI::App& SelectedCommand(const CLI::App& root);
 
-// Returns INVALID_ARGUMENT with a message of one line, "--flag: expected X, received Y", which also
-// names the variable or the file that a wrong value came from. `root` has thrown `error`.
+// Returns INVALID_ARGUMENT with a message of one line, "--flag: expected X, received Y". The
+// message also names the environment variable or the file of the invalid value, if it came from
+// one. `error` is what `root` has thrown.
 absl::Status StatusFromParseError(const CLI::App& root, const CLI::ParseError& error);
 
 }  // namespace spikeserve

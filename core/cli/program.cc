@@ -22,14 +22,14 @@
 namespace spikeserve {
 namespace {
 
-// Flags of `heading` have no effect beside `flag`.
+// Flags of the group `heading` have no effect together with `flag`.
 struct Refusal {
   const CLI::App* command;
   std::string flag;
   std::string heading;
 };
 
-// --generate ends the parsing as CLI11's --help does.
+// Thrown by --generate to end the parsing, as CLI11 throws CallForHelp for --help.
 class CallForGeneration final : public CLI::Success {
  public:
   explicit CallForGeneration(std::string kind)
@@ -40,8 +40,8 @@ std::string VariableOf(const CLI::App& root, const CLI::Option& option) {
   return absl::AsciiStrToUpper(absl::StrCat(root.get_name(), "_", option.get_lnames().front()));
 }
 
-// Names the variables of all flags. Hides --help of the subcommands, which the help lists among the
-// program's flags.
+// Sets the environment variables of all flags. Hides the --help flags of subcommands, because their
+// help lists --help among the flags of the program.
 void CompleteFlags(const CLI::App& root, CLI::App* app) {
   for (CLI::Option* option : app->get_options({})) {
     if (option->get_configurable()) option->envname(VariableOf(root, *option));
@@ -52,7 +52,7 @@ void CompleteFlags(const CLI::App& root, CLI::App* app) {
   }
 }
 
-// Returns the arguments in the reverse order, as CLI11 takes them.
+// Returns the arguments in reverse order, as CLI11 expects them.
 std::vector<std::string> Arguments(const CLI::App& root, int argc, const char* const* argv) {
   std::vector<std::string> arguments;
   // CLI11 reads the file before the environment.
@@ -60,7 +60,7 @@ std::vector<std::string> Arguments(const CLI::App& root, int argc, const char* c
   if (config != nullptr && *config != '\0') arguments.push_back(absl::StrCat("--config=", config));
   for (int i = 1; i < argc; ++i) {
     const std::string argument = argv[i];
-    // CLI11 takes what follows "--name=" for its value.
+    // CLI11 would use the argument after "--name=" as the value.
     const bool is_empty_value = absl::StartsWith(argument, "--") && argument.back() == '=' &&
                                 argument.find('=') + 1 == argument.size();
     if (!is_empty_value) {

@@ -1,8 +1,8 @@
-// The command line of a program: flags, subcommands, help, and the action that they select.
+// Parses the command line of a program and runs the action that it selects.
 //
-// A flag is given as --name=value or --name value. One that is not on the command line is taken
-// from the environment variable PROGRAM_NAME (SPIKESERVE_LISTEN), then from the file that --config
-// names, else it has its default. An empty variable counts as none.
+// A flag is given as --name=value or --name value. If it is not on the command line, it is read
+// from the environment variable PROGRAM_NAME, for example SPIKESERVE_LISTEN, or else from the file
+// of --config. Otherwise it has its default.
 //
 //   int main(int argc, char** argv) {
 //     spikeserve::ServerOptions options;
@@ -12,7 +12,7 @@
 //     return program.Run(argc, argv);
 //   }
 //
-// Not thread-safe. Declaring a name twice ends the process.
+// Not thread-safe. Declaring the same flag or command twice ends the process.
 #ifndef CORE_CLI_PROGRAM_H_
 #define CORE_CLI_PROGRAM_H_
 
@@ -28,23 +28,23 @@ namespace spikeserve {
 
 struct ProgramState;
 
-// A program, or one of its subcommands. A handle; valid as long as its Program.
+// A handle to a program or to one of its subcommands. Valid as long as its Program.
 class Command {
  public:
   Command(CLI::App* app, ProgramState* state) : app_(app), state_(state) {}
 
-  // Returns a new group of flags.
+  // Adds a group of flags under `heading`.
   FlagGroup Flags(const std::string& heading) const { return FlagGroup(app_, heading); }
 
-  // Adds a subcommand. A command that has one has no action of its own. The program's flags may
-  // stand behind the subcommand, too.
+  // Adds a subcommand. A command with subcommands has no action of its own. On the command line,
+  // flags of the program may come before or after the subcommand.
   Command AddCommand(const std::string& name, const std::string& summary) const;
 
-  // What Program::Run does where the command line selects this command.
+  // Sets the function that Program::Run calls if the command line selects this command.
   void SetAction(std::function<absl::Status()> action) const;
 
-  // Makes it an error to give a flag of the group `heading` on the command line beside --flag,
-  // which leaves them without effect.
+  // Makes it an error to combine --flag with a flag of the group `heading` on the command line, for
+  // groups that have no effect together with --flag.
   void RefuseBeside(const std::string& flag, const std::string& heading) const;
 
  private:
@@ -52,13 +52,13 @@ class Command {
   ProgramState* state_;
 };
 
-// Whether errors end with the name of their code, as in "... (NOT_FOUND)".
+// Selects whether printed errors end with the name of their status code, as in "... (NOT_FOUND)".
 enum class ErrorCodes { kHidden, kShown };
 
 class Program {
  public:
-  // `name` is that of the executable. Every program has --help, --version, --config and --generate,
-  // which prints a completion script or the manual page.
+  // `name` is the name of the executable. Every program has the flags --help, --version, --config,
+  // and --generate, which prints a completion script or the manual page.
   Program(const std::string& name, const std::string& summary,
           ErrorCodes error_codes = ErrorCodes::kHidden);
   ~Program();
@@ -67,16 +67,17 @@ class Program {
 
   Command root();
 
-  // Parses the arguments and runs the selected action. Prints an error as one line on standard
-  // error. Returns the exit status, 0 or 1. REQUIRES: not called before.
+  // Parses the arguments and runs the selected action. Prints an error as one line to standard
+  // error. Returns the exit status, 0 or 1. REQUIRES: called once.
   int Run(int argc, const char* const* argv);
 
-  // Returns a command line that gives every flag which is set, wherever it was set. REQUIRES: an
-  // action runs.
+  // Returns a command line with every flag that is set, also by the environment or by a file.
+  // REQUIRES: called by an action.
   std::string CommandLine() const;
 
  private:
-  // Returns what --help, --version or --generate print; empty where an action is to run.
+  // Returns the text that --help, --version or --generate print, or an empty string if an action
+  // was selected.
   absl::StatusOr<std::string> Parse(int argc, const char* const* argv);
   absl::Status CheckRefusals() const;
 

@@ -24,7 +24,7 @@ enum class Modulator { kTarget, kRealized };
 // of the policy version share.
 enum class Scope { kSession, kFleet };
 
-// Names as they stand on the wire and in a stored session; see enum_names.h.
+// Names on the wire and in a stored session; see enum_names.h.
 constexpr std::array<EnumName<Rule>, 2> EnumNames(Rule) {
   return {{{Rule::kPolicyGradient, "policy_gradient"}, {Rule::kHebbian, "hebbian"}}};
 }
