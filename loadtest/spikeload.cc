@@ -17,12 +17,12 @@ namespace spikeserve {
 namespace {
 
 struct LoadFlags {
-  LoadOptions options;  // all but the security
+  LoadOptions options;  // without the security options
   SecurityFlags security;
   bool json = false;
 };
 
-// Parses a duration whose unit may be left out; it is seconds then.
+// Parses a duration. A number without a unit is in seconds.
 absl::Status ParseSeconds(const std::string& text, absl::Duration* duration) {
   double seconds = 0.0;
   if (absl::SimpleAtod(text, &seconds)) {
@@ -45,17 +45,17 @@ void AddLoadFlags(FlagGroup load, LoadOptions* options) {
   load.AddParsed(
           "mode", "unary|stream|batch", "unary",
           [=](const std::string& text) { return Store(ParseLoadMode(text), &options->mode); },
-          "How requests travel")
-      .Add("sessions", "N", &options->sessions, "Sessions at a time")
+          "How requests are sent")
+      .Add("sessions", "N", &options->sessions, "Open sessions")
       .Add("streams", "N", &options->streams,
            "Callers, each with a connection, that share the sessions")
       .AddParsed(
           "duration", "DURATION", absl::FormatDuration(options->duration),
           [=](const std::string& text) { return ParseSeconds(text, &options->duration); },
-          "How long requests are sent; without a unit: seconds")
+          "Duration of the test; without a unit: seconds")
       .Add("rate", "N", &options->rate, "Requests a second on a fixed schedule; 0: closed loop")
       .Add("batch_size", "N", &options->batch_size,
-           "Most requests in a batch; 0: all of a caller's")
+           "Largest number of requests in a batch; 0: all of a caller")
       .Add("call_timeout", "DURATION", &options->call_timeout,
            "Time until a call fails; a stream has four times this")
       .Add("pause_after_error", "DURATION", &options->pause_after_error,
@@ -69,7 +69,7 @@ void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
           [=](const std::string& text) {
             return Store(ParseLearningScope(text), &options->learning_scope);
           },
-          "Whose head learns; default: none")
+          "Head that learns; default: none")
       .Add("episode_steps", "N", &options->episode_steps, "Steps of an episode")
       .Add("observation_bound", "X", &options->observation_bound,
            "Random observations are within plus and minus this")
@@ -85,9 +85,9 @@ void AddFlags(Command program, LoadFlags* flags) {
   AddSecurityFlags(program, &flags->security);
 }
 
-// Prints the report. An error also where requests failed.
+// Runs the load test and prints the report. Returns an error also if requests failed.
 absl::Status Run(const LoadFlags& flags) {
-  // As in spikeserve: the tests keep the check, which costs every lock.
+  // Abseil's deadlock detection slows every lock. The tests run with it, programs without it.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   LoadOptions options = flags.options;
   auto security = ReadSecurityOptions(flags.security);

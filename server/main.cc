@@ -21,23 +21,23 @@ void AddFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
       .Add("listen", "HOST:PORT", &options->listen, "Address of gRPC; port 0 picks a free one")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
-           "Status page and /metrics, as above; empty: none")
+           "Address of the status page and /metrics; empty: none")
       .Add("max_message_bytes", "BYTES", &options->max_message_bytes, "Largest gRPC request")
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
            "Time for calls in flight to finish at shutdown")
-      .Add("log_format", EnumKind<LogFormat>(), &options->log_format, "Form of the log's lines");
+      .Add("log_format", EnumKind<LogFormat>(), &options->log_format, "Format of the log");
   program.Flags("Policies")
       .Add("policies", "DIR", &options->policies,
            "Policies: DIR/<policy>/<version>/policy.safetensors")
       .Add("poll_policies", "DURATION", &options->poll_policies,
-           "Interval of looking for changed policies; 0: never")
+           "Interval of checks for changed policies; 0: never")
       .Add("policy_settings", "FILE", &options->policy_settings,
-           "JSON file that keeps what operators set over a restart");
+           "JSON file that stores the settings of operators");
   program.Flags("Sessions")
       .Add("session_ttl", "DURATION", &options->session_ttl, "Idle time that ends a session")
       .Add("compact_after", "DURATION", &options->compact_after,
            "Idle time after which a session frees memory")
-      .Add("max_sessions", "N", &options->max_sessions, "Sessions open at a time")
+      .Add("max_sessions", "N", &options->max_sessions, "Largest number of open sessions")
       .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions");
   program.Flags("Security")
       .Add("tls_certificate", "FILE", &options->tls.certificate,

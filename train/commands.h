@@ -1,7 +1,7 @@
 // The subcommands of spiketrain.
 //
-// Each function adds one to `program`: its flags, and an action. Errors name the flag or the file
-// that is wrong.
+// Each function adds one subcommand to `program`, with its flags and its action. Errors name the
+// flag or the file.
 #ifndef TRAIN_COMMANDS_H_
 #define TRAIN_COMMANDS_H_
 
@@ -15,15 +15,15 @@ void AddDatasetCommand(Program& program);
 // Plays the expert of --env and prints its mean return.
 void AddExpertCommand(Program& program);
 
-// Trains a policy, evaluates it, and writes policy.safetensors and checkpoint.pt into --out. The
-// policy file holds the command line.
+// Trains a policy, evaluates it, and writes policy.safetensors and checkpoint.pt to --out. The
+// policy file contains the command line.
 void AddTrainCommand(Program& program);
 
 // Plays --policy in closed loop.
 void AddEvalCommand(Program& program);
 
-// Trains what is missing of the paper's experiments in --out and writes report.md and report.html
-// there. The report holds the command line.
+// Runs the paper's experiments that are not finished in --out, and writes the report there. The
+// report contains the command line.
 void AddReportCommand(Program& program);
 
 }  // namespace spikeserve

@@ -18,8 +18,8 @@ constexpr char kRecording[] = "Recording, without --recordings";
 
 struct DatasetFlags {
   std::string out;
-  std::string recordings;          // what a server recorded; empty: new episodes
-  std::optional<std::string> env;  // absent: every environment of the recordings, or CartPole-v1
+  std::string recordings;          // recordings of a server to convert; empty: record new episodes
+  std::optional<std::string> env;  // absent: all environments of the recordings, or CartPole-v1
   RecordFlags record;
   bool json = false;
 };
@@ -59,8 +59,8 @@ absl::Status WriteNewDataset(const DatasetFlags& flags) {
 }  // namespace
 
 void AddDatasetCommand(Program& program) {
-  const Command command = program.root().AddCommand(
-      "dataset", "Records a dataset, or takes one that a server recorded");
+  const Command command =
+      program.root().AddCommand("dataset", "Records a dataset, or converts recordings of a server");
   const auto flags = std::make_shared<DatasetFlags>();
   command.Flags("Dataset")
       .Add("out", "FILE", &flags->out, "A .cbor file, or a directory in Minari's layout")

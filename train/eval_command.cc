@@ -22,7 +22,7 @@ struct EvalFlags {
   std::string policy;
   std::optional<std::string> env;  // absent: the policy's
   EvaluationOptions options;
-  std::vector<std::string> target_returns;  // none: the policy's own
+  std::vector<std::string> target_returns;  // empty: the default of the policy
   std::vector<std::string> ablate;
   bool json = false;
 };
@@ -40,7 +40,7 @@ absl::StatusOr<std::vector<double>> ParseTargetReturns(const EvalFlags& flags) {
   return targets;
 }
 
-// Reads --policy, without what --ablate switches off, for the environment of --env.
+// Reads --policy for the environment of --env, and switches off the parts of --ablate.
 absl::StatusOr<Policy> ReadPolicy(const EvalFlags& flags) {
   if (flags.policy.empty()) {
     return absl::InvalidArgumentError("--policy: expected a policy file, received none");
@@ -87,11 +87,11 @@ void AddEvalCommand(Program& program) {
       .Add("env", "ID", &flags->env, "Environment; default: the policy's")
       .Add("episodes", "N", &flags->options.episodes, "Episodes to play")
       .Add("seed", "N", &flags->options.first_seed,
-           "Seed of the first start; later episodes count on")
+           "Seed of the first episode; each later one adds 1")
       .AddList("target_returns", "RETURN,...", &flags->target_returns,
-               "Returns to ask for; default: the policy's own")
+               "Target returns; default: that of the policy")
       .AddList("ablate", "PART,...", &flags->ablate,
-               "Off: context, attention, phase, routing, return")
+               "Parts to switch off: context, attention, phase, routing, return")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   command.SetAction([flags] { return EvaluatePolicy(*flags); });
 }

@@ -48,13 +48,12 @@ absl::Status PlayExpert(const ExpertFlags& flags) {
 }  // namespace
 
 void AddExpertCommand(Program& program) {
-  const Command command =
-      program.root().AddCommand("expert", "Plays an expert, from which data are recorded");
+  const Command command = program.root().AddCommand("expert", "Plays the expert of an environment");
   const auto flags = std::make_shared<ExpertFlags>();
   FlagGroup playing = command.Flags("Playing");
   playing.Add("env", "ID", &flags->options.environment, kEnvironmentHelp)
       .Add("episodes", "N", &flags->episodes, "Episodes to play")
-      .Add("seed", "N", &flags->seed, "Seed of the first start; later episodes count on")
+      .Add("seed", "N", &flags->seed, "Seed of the first episode; each later one adds 1")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   FlagGroup expert = command.Flags("Expert");
   AddExpertFlags(expert, &flags->options);

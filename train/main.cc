@@ -10,8 +10,8 @@
 namespace spikeserve {
 namespace {
 
-// Keeps freed memory instead of giving it back to the kernel: every iteration allocates the same
-// large tensors, and faulting their pages in anew costs a fifth of its time.
+// Keeps freed memory instead of returning it to the kernel. Every iteration allocates the same
+// large tensors, and page faults for new memory would take a fifth of its time.
 void KeepFreedMemory() {
   mallopt(M_MMAP_MAX, 0);
   mallopt(M_TRIM_THRESHOLD, std::numeric_limits<int>::max());

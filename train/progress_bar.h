@@ -1,4 +1,5 @@
-// How far a long command is, on standard error: a bar on a terminal, now and then a line elsewhere.
+// Shows the progress of a long command on standard error: as a bar if that is a terminal, otherwise
+// as an occasional line.
 //
 // Not thread-safe.
 #ifndef TRAIN_PROGRESS_BAR_H_
@@ -12,10 +13,10 @@ namespace spikeserve {
 
 class ProgressBar {
  public:
-  // Work of `total` steps of which `done` were done before.
+  // Shows the progress of `total` steps, of which `done` were finished by an earlier run.
   ProgressBar(int total, int done);
 
-  // Shows that `done` steps are done, with `text` beside the bar.
+  // Shows that `done` steps are finished, with `text` after the bar.
   void Update(int done, absl::string_view text);
 
  private:

@@ -26,8 +26,8 @@ void AddRecordFlags(FlagGroup& group, RecordFlags* flags) {
       .Add("disturbed_fraction", "SHARE", &options.disturbed_fraction,
            "Share of steps in which bursts disturb the expert")
       .Add("student", "FILE", &flags->student,
-           "Policy whose steps are the rest; default: random ones")
-      .AddSwitch("weigh", &options.weigh, "Weight labels by what the worst action would lose")
+           "Policy that plays the remaining steps; default: random")
+      .AddSwitch("weigh", &options.weigh, "Weight labels by the loss of the worst action")
       .Add("burst_rate", "P", &options.burst_rate, "Largest probability that a burst begins")
       .Add("longest_burst", "N", &options.longest_burst, "Most steps of a burst")
       .Add("wide_start_fraction", "SHARE", &options.wide_start_fraction,

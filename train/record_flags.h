@@ -1,4 +1,4 @@
-// The flags that say how data are recorded.
+// The flags for recording data.
 #ifndef TRAIN_RECORD_FLAGS_H_
 #define TRAIN_RECORD_FLAGS_H_
 
@@ -14,7 +14,7 @@ namespace spikeserve {
 inline constexpr char kEnvironmentHelp[] = "Environment, see docs/training.md";
 
 struct RecordFlags {
-  RecordOptions options;  // all but the student
+  RecordOptions options;  // without the student
   std::string student;    // a policy file; empty: none
 };
 
@@ -24,20 +24,21 @@ void AddExpertFlags(FlagGroup& group, ExpertOptions* options);
 // Adds --tables.
 void AddTablesFlag(FlagGroup& group, ExpertOptions* options);
 
-// Adds the flags of the experts and of the episodes to record; not --env, --seed and --tables.
+// Adds the flags for the experts and the episodes, except --env, --seed and --tables.
 void AddRecordFlags(FlagGroup& group, RecordFlags* flags);
 
-// Returns the options with the student read. Errors name the file.
+// Returns the options with the student, which it reads from its file. Errors name the file.
 absl::StatusOr<RecordOptions> ReadRecordOptions(const RecordFlags& flags);
 
-// Records a dataset. Value tables are kept beside `out` unless --tables names a directory. Errors
-// name the flag or the file.
+// Records a dataset. Stores value tables in the directory of `out` unless --tables names another
+// directory. Errors name the flag or the file.
 absl::StatusOr<Dataset> RecordFromFlags(const RecordFlags& flags, const std::string& out);
 
-// INVALID_ARGUMENT if `out` is empty; `what` says what --out names.
+// Returns INVALID_ARGUMENT if `out` is empty. `what` describes the value of --out.
 absl::Status RequireOut(const std::string& out, absl::string_view what);
 
-// Returns an error of options whose fields have the names of flags, with the flag's dashes.
+// Returns `status` with dashes before the name of the field. For options whose fields have the
+// names of flags.
 absl::Status NameFlag(const absl::Status& status);
 
 }  // namespace spikeserve

@@ -29,10 +29,10 @@ constexpr char kRecording[] = "Recording, without --data";
 struct TrainFlags {
   std::string out;
   std::vector<std::string> data;   // none: record as `spiketrain dataset` would
-  std::string init;                // policy file to go on from; empty: random weights
+  std::string init;                // initial policy file; empty: random weights
   std::optional<std::string> env;  // absent: that of the data, or CartPole-v1
   ShapeFlags shape;
-  std::optional<double> return_offset;  // absent: what suits the environment
+  std::optional<double> return_offset;  // absent: the default of the environment
   std::optional<double> return_scale;
   TrainerFlags trainer;
   RecordFlags record;
@@ -52,7 +52,7 @@ absl::Status CheckCount(absl::string_view flag, int value) {
 // Trains to the end. Returns the last validation loss, or -1 without validation data.
 absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
                                   Trainer* trainer) {
-  constexpr double kForget = 0.05;  // of the running mean of the loss that is shown
+  constexpr double kForget = 0.05;  // weight of the newest loss in the running mean that is shown
   ProgressBar progress(flags.trainer.options.iterations, trainer->iteration());
   double shown_loss = -1.0;
   double validation = -1.0;
@@ -77,7 +77,7 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
   return validation;
 }
 
-// Plays the policy where its environment is ours; nothing otherwise.
+// Evaluates the policy, or returns nothing if its environment is not one of this program.
 absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& policy,
                                                              const EvaluationOptions& options) {
   if (!MakeEnvironment(policy.environment).ok()) return std::optional<Evaluation>();
@@ -86,8 +86,8 @@ absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& polic
   return std::optional<Evaluation>(*std::move(evaluation));
 }
 
-// The record of how a policy came to be. `earlier` is that of the policy it started from, "{}" if
-// from none.
+// Returns the record of a policy's training. `earlier` is the record of the initial policy, or "{}"
+// if there is none.
 std::string TrainingRecord(const std::string& command_line, const TrainOptions& options,
                            const Dataset& dataset, double validation,
                            const std::optional<Evaluation>& evaluation, const ModelConfig& config,
@@ -124,7 +124,7 @@ absl::StatusOr<Dataset> ReadData(const std::vector<std::string>& paths) {
   return Concatenate(std::move(parts));
 }
 
-// Reads --data, or records by the default recipe.
+// Reads the files of --data, or without that flag records data with the default recipe.
 absl::StatusOr<Dataset> MakeDataset(const TrainFlags& flags) {
   if (flags.data.empty()) {
     RecordFlags record = flags.record;
@@ -171,7 +171,7 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& datas
   return policy;
 }
 
-// Writes policy.safetensors and prints the evaluation, if there can be one.
+// Writes policy.safetensors, and prints the evaluation if there is one.
 absl::Status Finish(const TrainFlags& flags, const std::string& command_line,
                     const TrainOptions& options, const Dataset& dataset, const Policy& initial,
                     double validation, Policy policy) {
@@ -226,10 +226,10 @@ void AddFlags(Command command, TrainFlags* flags) {
   command.Flags("Training")
       .Add("out", "DIR", &flags->out, "Directory of the policy and the checkpoint")
       .AddList("data", "FILE,...", &flags->data, "Datasets; default: record one")
-      .Add("init", "FILE", &flags->init, "Policy to go on from; default: random weights")
+      .Add("init", "FILE", &flags->init, "Initial policy; default: random weights")
       .Add("env", "ID", &flags->env, "Environment; default: that of --data")
       .Add("seed", "N", &flags->trainer.options.seed, "Seed of every random draw")
-      .AddSwitch("resume", &flags->resume, "Go on from the checkpoint in --out, if there is one")
+      .AddSwitch("resume", &flags->resume, "Continue from the checkpoint in --out, if there is one")
       .Add("checkpoint_every", "N", &flags->checkpoint_every, "Iterations between checkpoints")
       .Add("validate_every", "N", &flags->validate_every, "Iterations between validations")
       .Add("episodes", "N", &flags->episodes, "Episodes of the evaluation at the end")

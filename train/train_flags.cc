@@ -8,8 +8,8 @@
 namespace spikeserve {
 namespace {
 
-// Calls `visit(name, flag, field)` for every flag of the shape but the size of the FFN, whose
-// default depends on another.
+// Calls `visit(name, flag, field)` for every flag of the shape except the size of the FFN, whose
+// default depends on the hidden size.
 template <typename Visit>
 void ForEachFlag(const ShapeFlags& flags, ModelConfig& config, const Visit& visit) {
   visit("mode", flags.mode, config.mode);
@@ -25,7 +25,7 @@ void ForEachFlag(const ShapeFlags& flags, ModelConfig& config, const Visit& visi
   visit("gate", flags.gate, config.gate);
 }
 
-// Adds a flag whose default, which is that of `paper`, holds only without --init.
+// Adds a flag whose default is the value of `paper`, or with --init that of the initial policy.
 template <typename T>
 void AddOptional(FlagGroup& group, const char* name, const std::string& kind,
                  std::optional<T>* value, T paper, const char* help) {

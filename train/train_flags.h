@@ -1,4 +1,4 @@
-// The flags that say what is trained, and how.
+// The flags for the shape of a policy and for its training.
 #ifndef TRAIN_TRAIN_FLAGS_H_
 #define TRAIN_TRAIN_FLAGS_H_
 
@@ -12,7 +12,7 @@
 
 namespace spikeserve {
 
-// The shape of a policy. Absent: that of --init, or of the paper.
+// The shape of a policy. An absent value is that of the policy of --init, or else of the paper.
 struct ShapeFlags {
   std::optional<Mode> mode;
   std::optional<int> hidden_size;
@@ -29,8 +29,8 @@ struct ShapeFlags {
 };
 
 struct TrainerFlags {
-  TrainOptions options;        // all but the rate targets
-  double target_rate = 100.0;  // percent of ticks
+  TrainOptions options;        // without the targets of the firing rates
+  double target_rate = 100.0;  // percent of the ticks
   double readout_rate = 100.0;
 };
 
@@ -40,16 +40,18 @@ void AddModeFlag(FlagGroup& group, ShapeFlags* flags);
 // Adds the other flags of the shape.
 void AddShapeFlags(FlagGroup& group, ShapeFlags* flags);
 
-// Adds the trainer's flags but --seed.
+// Adds the flags of the trainer except --seed.
 void AddTrainerFlags(Command command, TrainerFlags* flags);
 
-// Returns the trainer's options. INVALID_ARGUMENT names the flag.
+// Returns the options of the trainer, or INVALID_ARGUMENT, which names the flag.
 absl::StatusOr<TrainOptions> MakeTrainOptions(const TrainerFlags& flags);
 
-// Sets in `config` what `flags` ask for. INVALID_ARGUMENT names the flag.
+// Sets the fields of `config` for which a flag is set. Returns INVALID_ARGUMENT, which names the
+// flag, if a value is invalid.
 absl::Status SetShape(const ShapeFlags& flags, ModelConfig* config);
 
-// INVALID_ARGUMENT names a flag that contradicts `config`, which is that of --init.
+// Returns INVALID_ARGUMENT, which names the flag, if a flag contradicts `config`, the configuration
+// of the policy of --init.
 absl::Status CheckShape(const ShapeFlags& flags, const ModelConfig& config);
 
 }  // namespace spikeserve

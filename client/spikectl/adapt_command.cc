@@ -18,7 +18,7 @@ namespace {
 
 using nlohmann::ordered_json;
 
-// Where learning was dependable: docs/learning.md.
+// Temperatures at which learning was reliable, see docs/learning.md.
 constexpr double kDiscreteTemperature = 4.0;
 constexpr double kContinuousTemperature = 1.0;
 
@@ -141,8 +141,8 @@ absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
 }  // namespace
 
 void AddAdaptCommand(Command program, const ServerFlags& server) {
-  const Command command =
-      program.AddCommand("adapt", "Learns in a changed environment, then judges the learned head");
+  const Command command = program.AddCommand(
+      "adapt", "Learns in a perturbed environment, then evaluates the learned head");
   const auto flags = std::make_shared<AdaptFlags>();
   FlagGroup playing = command.Flags("Playing");
   AddAgentFlags(playing, &flags->agent);
@@ -152,12 +152,14 @@ void AddAdaptCommand(Command program, const ServerFlags& server) {
   command.Flags("Learning")
       .Add("rule", "policy_gradient|hebbian", &flags->rule, "Learning rule")
       .Add("modulator", "realized|target", &flags->modulator, "Return that modulates it")
-      .Add("scope", "session|fleet", &flags->scope, "Whose head learns")
-      .Add("fleet", "N", &flags->fleet, "Sessions that learn at once with --scope=fleet")
+      .Add("scope", "session|fleet", &flags->scope, "Head that learns")
+      .Add("fleet", "N", &flags->fleet, "Concurrent learning sessions with --scope=fleet")
       .Add("temperature", "T", &flags->temperature,
-           "Of sampling; default: 1 for continuous actions, else 4")
-      .Add("learning_rate", "RATE", &flags->learning_rate, "Default: the server's, by modulator")
-      .Add("discount", "FACTOR", &flags->discount, "Of the realized return; default: the server's");
+           "Sampling temperature; default: 1 for continuous actions, else 4")
+      .Add("learning_rate", "RATE", &flags->learning_rate,
+           "Learning rate; default: the server's default for the modulator")
+      .Add("discount", "FACTOR", &flags->discount,
+           "Discount of the realized return; default: the server's default");
   command.SetAction([flags, &server] { return RunAdaptation(*flags, server); });
 }
 

@@ -32,7 +32,7 @@ absl::StatusOr<RemoteSession> OpenLearner(Client& client, const AdaptationOption
   return Open(client, options, std::move(request));
 }
 
-// Mean return of a frozen, greedy session over the unseen starts.
+// Returns the mean return of a frozen, greedy session over the starts for evaluation.
 absl::StatusOr<double> Evaluate(Client& client, const AdaptationOptions& options,
                                 Environment& environment, const v1::OpenSessionRequest& request) {
   auto session = Open(client, options, request);
@@ -48,7 +48,7 @@ absl::StatusOr<double> Evaluate(Client& client, const AdaptationOptions& options
   return sum / options.evaluation_episodes;
 }
 
-// Gathers the returns of all sessions, and tells of each episode once all have played it.
+// Collects the returns of all sessions, and reports an episode when all sessions have finished it.
 class Curve {
  public:
   Curve(const AdaptationOptions& options, const std::function<void(int, double)>& on_episode)
@@ -96,7 +96,7 @@ absl::Status LearnAlone(const AdaptationOptions& options, int session, RemoteSes
   return absl::OkStatus();
 }
 
-// Plays all sessions at once; the head that came of it is in `learned`.
+// Plays all learning sessions concurrently, and stores the learned head in `learned`.
 absl::Status Learn(Client& client, const AdaptationOptions& options, Curve* curve,
                    v1::GetSessionResponse* learned) {
   std::vector<RemoteSession> learners;

@@ -1,5 +1,5 @@
-// What every action of `spikectl admin` does: one call of PolicyAdmin, made of the flags, and one
-// line or object printed.
+// Functions that the actions of `spikectl admin` share. Every action makes one call of PolicyAdmin
+// with the values of its flags, and prints one line or one JSON object.
 #ifndef CLIENT_SPIKECTL_ADMIN_CALL_H_
 #define CLIENT_SPIKECTL_ADMIN_CALL_H_
 
@@ -22,19 +22,20 @@ namespace spikeserve {
 
 using AdminStub = v1::PolicyAdmin::Stub;
 
-// The flags of all actions; each has some of them.
+// The flags of all actions. Each action uses some of them.
 struct AdminFlags {
   const ServerFlags* server = nullptr;
   std::string policy;
   int64_t version = 0;
-  std::string label;                // of a version, such as stable
-  std::vector<std::string> shares;  // VERSION:PERCENT of the new sessions
-  int64_t shadow = 0;               // version that shadows the others; 0: none
-  bool cancel = false;              // take new sessions again
-  bool weights = false;             // print the head's weights, too
+  std::string label;                // a label of a version, such as stable
+  std::vector<std::string> shares;  // VERSION:PERCENT: shares of the new sessions
+  int64_t shadow = 0;               // the version that shadows the others; 0: none
+  bool cancel = false;              // ends draining: the version accepts new sessions again
+  bool weights = false;             // also prints the weights of the head
 };
 
-// Loading reads files and decides once, so it takes longer than a decision.
+// Longer than the timeout of a decision, because loading a version reads files and tries the
+// policy.
 inline constexpr absl::Duration kAdminTimeout = absl::Seconds(60);
 
 template <typename Request, typename Response>
@@ -53,7 +54,7 @@ absl::StatusOr<Response> CallAdmin(const AdminFlags& flags,
   return response;
 }
 
-// Returns a request of --policy and --version.
+// Returns a request with the values of --policy and --version.
 template <typename Request>
 Request VersionRequest(const AdminFlags& flags) {
   Request request;
@@ -62,7 +63,7 @@ Request VersionRequest(const AdminFlags& flags) {
   return request;
 }
 
-// Prints the text, or the object with --json.
+// Prints `text`, or `json` if --json is set.
 inline void Print(const AdminFlags& flags, const std::string& text,
                   const nlohmann::ordered_json& json) {
   std::cout << (flags.server->json ? json.dump(2) : text) << "\n";

@@ -238,7 +238,7 @@ void AddTraffic(FlagGroup& group, AdminFlags* flags) {
 
 void AddHead(FlagGroup& group, AdminFlags* flags) {
   AddHeadVersion(group, flags);
-  group.AddSwitch("weights", &flags->weights, "Print the weights, too, with --json");
+  group.AddSwitch("weights", &flags->weights, "Also print the weights; only with --json");
 }
 
 void AddFilter(FlagGroup& group, AdminFlags* flags) {
@@ -251,7 +251,7 @@ void AddVersionFilter(FlagGroup& group, AdminFlags* flags) {
 }
 
 void AddCancel(FlagGroup& group, AdminFlags* flags) {
-  group.AddSwitch("cancel", &flags->cancel, "Take new sessions again");
+  group.AddSwitch("cancel", &flags->cancel, "Accept new sessions again");
 }
 
 struct Action {
@@ -272,7 +272,7 @@ constexpr Action kActions[] = {
     {"reload", "Looks for new, changed and removed policy files", false, nullptr, Reload},
     {"sessions", "Lists open sessions", false, AddVersionFilter, Sessions},
     {"drain", "Refuses new sessions", false, AddCancel, Drain},
-    {"head", "Shows what a fleet has learned", true, AddHead, ShowHead},
+    {"head", "Shows the learned head of a fleet", true, AddHead, ShowHead},
     {"promote", "Writes and loads a version with the learned head", true, AddHeadVersion,
      PromoteHead},
     {"rollback", "Returns to the policy's own head", true, AddHeadVersion, RollbackHead},

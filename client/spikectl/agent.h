@@ -1,4 +1,4 @@
-// A remote agent: the environment is stepped here, the decisions come from the server.
+// A remote agent: steps an environment in this process with the decisions of the server.
 #ifndef CLIENT_SPIKECTL_AGENT_H_
 #define CLIENT_SPIKECTL_AGENT_H_
 
@@ -11,12 +11,12 @@
 
 namespace spikeserve {
 
-// One episode, or the sum of many.
+// The measurements of one episode, or the sums over many.
 struct EpisodeRecord {
   double episode_return = 0.0;
   int64_t steps = 0;
   uint64_t spikes = 0;
-  // Estimates: what the server reports as `energy_joules`, and the energy model horowitz_45nm.
+  // Estimates: the sum of the server's `energy_joules`, and the energy model horowitz_45nm.
   double energy_joules = 0.0;
   double horowitz_energy_joules = 0.0;
   LatencyHistogram latency;  // seconds from the call of Act to its return, retries included
@@ -24,13 +24,14 @@ struct EpisodeRecord {
   EpisodeRecord& operator+=(const EpisodeRecord& other);
 };
 
-// Plays one episode from the environment's start state for `seed` and ends it on the server. Errors
-// of the session's calls; INTERNAL if an action is not one of the environment's.
+// Plays one episode from the environment's start state for `seed` and ends it on the server.
+// Returns the errors of the session's calls, and INTERNAL if an action is invalid for the
+// environment.
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
                                           uint64_t seed);
 
-// Makes the first `steps` decisions of an episode, fewer where it ends before, and leaves it
-// unended. Errors as above.
+// Makes the first `steps` decisions of an episode, or fewer if it ends earlier, and does not end
+// the episode on the server. Errors as above.
 absl::Status PlaySteps(Environment& environment, RemoteSession& session, uint64_t seed, int steps);
 
 }  // namespace spikeserve

@@ -14,13 +14,13 @@ void AddPolicyFlags(FlagGroup& group, const std::string& default_policy, PolicyF
 
 void AddAgentFlags(FlagGroup& group, AgentFlags* flags) {
   group.Add("env", "ID", &flags->env, "Gymnasium's name of the environment")
-      .Add("seed", "N", &flags->seed, "Seed of the first start; later episodes count on");
+      .Add("seed", "N", &flags->seed, "Seed of the first episode; each later one adds 1");
   AddPolicyFlags(group, "the first one trained for --env", &flags->policy);
 }
 
 void AddTargetReturn(FlagGroup& group, AgentFlags* flags) {
   group.Add("target_return", "RETURN", &flags->target_return,
-            "Return to ask for; default: the policy's own");
+            "Target return; default: that of the policy");
 }
 
 absl::StatusOr<std::unique_ptr<Environment>> MakeAgentEnvironment(const AgentFlags& flags) {

@@ -1,4 +1,4 @@
-// The flags that say what an agent plays, and with which policy.
+// The flags that select the environment and the policy of an agent.
 #ifndef CLIENT_SPIKECTL_AGENT_FLAGS_H_
 #define CLIENT_SPIKECTL_AGENT_FLAGS_H_
 
@@ -16,18 +16,18 @@
 namespace spikeserve {
 
 struct PolicyFlags {
-  std::string policy;   // empty: see each command
+  std::string policy;   // empty: the default of the command
   int64_t version = 0;  // 0: the policy's default version
 };
 
 struct AgentFlags {
   std::string env = "CartPole-v1";
-  uint64_t seed = 0;  // of the first episode; the next episodes count on from it
+  uint64_t seed = 0;  // of the first episode; each later episode adds 1
   PolicyFlags policy;
-  std::optional<double> target_return;  // absent: the policy's own
+  std::optional<double> target_return;  // absent: the default of the policy
 };
 
-// Adds --policy and --version. `default_policy` says what an empty --policy stands for.
+// Adds --policy and --version. `default_policy` describes the default of --policy in the help.
 void AddPolicyFlags(FlagGroup& group, const std::string& default_policy, PolicyFlags* flags);
 
 // Adds --env, --seed, --policy and --version.
@@ -36,18 +36,19 @@ void AddAgentFlags(FlagGroup& group, AgentFlags* flags);
 // Adds --target_return.
 void AddTargetReturn(FlagGroup& group, AgentFlags* flags);
 
-// Returns the environment of --env. INVALID_ARGUMENT names the flag that is wrong, whichever it is.
+// Creates the environment of --env. Returns INVALID_ARGUMENT, which names the flag, if --env or
+// --target_return is invalid.
 absl::StatusOr<std::unique_ptr<Environment>> MakeAgentEnvironment(const AgentFlags& flags);
 
 struct OpenedSession {
   v1::PolicyInfo policy;
   RemoteSession session;
-  std::string recording;  // where the server keeps its episodes; empty where it does not
+  std::string recording;  // path of its recording on the server; empty if it is not recorded
 };
 
-// Opens a session with the policy that `flags` ask for, recorded if `record`. `client` must outlive
-// it. NOT_FOUND if there is no such policy, INVALID_ARGUMENT if it does not fit `environment`;
-// errors of the calls.
+// Opens a session with the policy of `flags`. The server records it if `record` is set. `client`
+// must outlive the session. Returns NOT_FOUND if there is no such policy, INVALID_ARGUMENT if it
+// does not fit `environment`, and the errors of the calls.
 absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
                                                const Environment& environment, Client& client,
                                                bool record = false);

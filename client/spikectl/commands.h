@@ -1,8 +1,8 @@
 // The subcommands of spikectl.
 //
-// Each function adds one to `program`: its flags, and an action that calls the server, writes its
-// result to standard output and returns why it failed. `server` must live until Program::Run
-// returns.
+// Each function adds one subcommand to `program`, with its flags and its action. The action calls
+// the server and writes the result to standard output, or returns an error. `server` must live
+// until Program::Run returns.
 #ifndef CLIENT_SPIKECTL_COMMANDS_H_
 #define CLIENT_SPIKECTL_COMMANDS_H_
 
@@ -11,22 +11,22 @@
 
 namespace spikeserve {
 
-// Lists every policy version served.
+// Lists all policy versions that the server serves.
 void AddPoliciesCommand(Command program, const ServerFlags& server);
 
-// Plays episodes of an environment that is stepped here, with the decisions of the server.
+// Plays episodes of an environment in this process with the decisions of the server.
 void AddRunCommand(Command program, const ServerFlags& server);
 
-// Shows a decision from the inside.
+// Shows the spikes, routing gates and attention of a decision.
 void AddExplainCommand(Command program, const ServerFlags& server);
 
-// Plays a perturbed environment with learning on, then greedily with the learned head.
+// Plays a perturbed environment with learning enabled, then greedily with the learned head.
 void AddAdaptCommand(Command program, const ServerFlags& server);
 
-// Plays a recorded session again and fails at the first decision that differs.
+// Replays a recorded session and fails at the first decision that differs.
 void AddReplayCommand(Command program, const ServerFlags& server);
 
-// What an operator does, each a subcommand of `admin`.
+// Adds the commands for operators as subcommands of `admin`.
 void AddAdminCommands(Command program, const ServerFlags& server);
 
 }  // namespace spikeserve

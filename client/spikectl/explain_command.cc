@@ -16,12 +16,12 @@ namespace {
 constexpr char kPlaying[] = "Playing, without --session";
 
 struct ExplainFlags {
-  std::string session;  // empty: one that is played here
+  std::string session;  // empty: plays a new session
   AgentFlags agent;
   int steps = 20;
 };
 
-// Explains the last decision of a session that is played here.
+// Plays a new session and explains its last decision.
 absl::StatusOr<v1::ExplainResponse> PlayAndExplain(const ExplainFlags& flags,
                                                    Environment& environment, Client& client) {
   auto opened = OpenAgentSession(flags.agent, environment, client);
@@ -61,10 +61,10 @@ absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
 
 void AddExplainCommand(Command program, const ServerFlags& server) {
   const Command command =
-      program.AddCommand("explain", "Shows the last decision of a session from the inside");
+      program.AddCommand("explain", "Shows the spikes, gates and attention of a decision");
   const auto flags = std::make_shared<ExplainFlags>();
   command.Flags("Session").Add("session", "ID", &flags->session,
-                               "Session to explain; default: one that is played here");
+                               "Session to explain; default: plays a new session");
   FlagGroup playing = command.Flags(kPlaying);
   AddAgentFlags(playing, &flags->agent);
   AddTargetReturn(playing, &flags->agent);

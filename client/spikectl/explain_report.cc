@@ -53,7 +53,7 @@ std::string Head(const v1::ExplainResponse& explained) {
 }
 
 std::string RasterToText(const v1::SpikeRaster& raster, int ticks) {
-  std::map<int, std::string> cells;  // of the neurons that fired
+  std::map<int, std::string> cells;  // by neuron, for the neurons that fired
   for (int i = 0; i < raster.ticks_size(); ++i) {
     std::string& cell =
         cells.try_emplace(raster.neurons(i), static_cast<size_t>(ticks), '.').first->second;
@@ -76,7 +76,7 @@ std::string RasterToText(const v1::SpikeRaster& raster, int ticks) {
   return text + "\n";
 }
 
-// The last token's gates, averaged over the ticks: one number a head.
+// Returns the gates of the last token, averaged over the ticks: one number per head.
 std::string RoutingToText(const v1::RoutingGates& routing, int ticks, int heads) {
   std::vector<float> means(static_cast<size_t>(heads), 0.0f);
   const int first = routing.gates_size() - ticks * heads;
@@ -90,10 +90,10 @@ std::string RoutingToText(const v1::RoutingGates& routing, int ticks, int heads)
                          }));
 }
 
-// The keys a head attends to most, by their weight averaged over the ticks.
+// Returns the keys with the largest attention weights of a head, averaged over the ticks.
 std::string AttentionToText(const v1::Attention& attention, int head, int heads) {
   const int keys = attention.keys_size();
-  std::vector<std::pair<float, int>> weights;  // minus the weight, so that sorting puts it first
+  std::vector<std::pair<float, int>> weights;  // negative, so that sorting puts the largest first
   for (int key = 0; key < keys; ++key) {
     float sum = 0.0f;
     for (int tick = 0; tick < attention.ticks(); ++tick) {

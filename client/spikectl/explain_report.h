@@ -1,4 +1,4 @@
-// How `spikectl explain` shows a decision at a terminal.
+// Formats the explanation of a decision for `spikectl explain`.
 #ifndef CLIENT_SPIKECTL_EXPLAIN_REPORT_H_
 #define CLIENT_SPIKECTL_EXPLAIN_REPORT_H_
 
@@ -8,9 +8,9 @@
 
 namespace spikeserve {
 
-// What went in and came out, then a raster of each population that fired (a cell for each neuron
-// that did, a column for each tick), the routing gates of the state token, and the keys to which
-// each head attends most.
+// Returns a text with the inputs and outputs of the decision, a raster of each population that
+// fired (one row of cells per neuron that fired, one column per tick), the routing gates of the
+// state token, and the keys with the largest attention weights of each head.
 std::string ExplainToText(const v1::ExplainResponse& explained);
 
 }  // namespace spikeserve

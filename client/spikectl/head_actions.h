@@ -1,5 +1,5 @@
-// What `spikectl admin` does about what sessions learn. Each makes its call with the flags and
-// prints the answer; an error is the call's.
+// The actions of `spikectl admin` for learning and the shared head. Each action makes one call,
+// prints the answer, and returns the error of the call.
 #ifndef CLIENT_SPIKECTL_HEAD_ACTIONS_H_
 #define CLIENT_SPIKECTL_HEAD_ACTIONS_H_
 

@@ -1,4 +1,4 @@
-// Which of the policies served an agent asks for.
+// Chooses the policy version of an agent from those that a server serves.
 //
 // Free functions, safe to call from many threads.
 #ifndef CLIENT_SPIKECTL_POLICY_CHOICE_H_
@@ -14,14 +14,15 @@
 
 namespace spikeserve {
 
-// The version `version` (0: the default one) of the policy `name`; with an empty name, of the first
-// policy by name that was trained for `environment`. NOT_FOUND tells what is served instead.
+// Returns version `version` (0: the default version) of the policy `name`. If `name` is empty,
+// chooses the policy that was trained for `environment`, and the first by name if there are
+// several. Returns NOT_FOUND, which lists the policies that are served.
 absl::StatusOr<v1::PolicyInfo> ChoosePolicy(const v1::ListPoliciesResponse& served,
                                             const std::string& environment, const std::string& name,
                                             int64_t version);
 
-// INVALID_ARGUMENT unless the policy takes the environment's observations and answers with its
-// actions.
+// Returns INVALID_ARGUMENT unless the policy has the observation size and the action space of
+// `environment`.
 absl::Status CheckFits(const v1::PolicyInfo& policy, const Environment& environment);
 
 }  // namespace spikeserve

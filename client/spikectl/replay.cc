@@ -14,7 +14,7 @@ using Json = nlohmann::json;
 
 const ServedEpisode& ServedOf(const Dataset& dataset) { return *dataset.episodes[0].served; }
 
-// Equal bit for bit, so that 0 and -0 differ.
+// Returns whether two values are equal bit for bit; 0 and -0 are different.
 bool SameBits(absl::Span<const float> a, absl::Span<const float> b) {
   if (a.size() != b.size()) return false;
   for (size_t i = 0; i < a.size(); ++i) {
@@ -52,7 +52,7 @@ class Comparison {
     CompareFloats("action_probabilities",
                   absl::MakeConstSpan(served_.probabilities).subspan(step_ * n, n),
                   response.action_probabilities());
-    const auto return_to_go = static_cast<float>(response.return_to_go());  // it was a float
+    const auto return_to_go = static_cast<float>(response.return_to_go());  // computed as float32
     CompareFloats("return_to_go", absl::MakeConstSpan(served_.returns_to_go).subspan(step_, 1),
                   absl::MakeConstSpan(&return_to_go, 1));
     Compare("spikes", served_.spikes[step_], response.stats().spikes());
@@ -81,7 +81,7 @@ class Comparison {
     if (recorded != replayed) Differ(field, recorded, replayed);
   }
 
-  // The first field counts.
+  // Records a difference. Only the first one of a decision is kept.
   void Differ(const char* field, Json recorded, Json replayed) {
     if (difference_.has_value()) return;
     difference_ = {.episode = served_.episode,
@@ -98,7 +98,7 @@ class Comparison {
   std::optional<ReplayDifference> difference_;
 };
 
-// Plays one episode; stops at a difference.
+// Replays one episode up to the first difference.
 absl::Status ReplayEpisode(const Dataset& dataset, RemoteSession& session, ReplayResult* result) {
   const Episode& episode = dataset.episodes[0];
   const auto size = static_cast<size_t>(dataset.observation_size);

@@ -1,5 +1,5 @@
-// Plays recorded episodes again, through the same or another version of a policy, and compares
-// every decision bit for bit.
+// Replays recorded episodes with the same or another version of a policy, and compares every
+// decision bit for bit.
 #ifndef CLIENT_SPIKECTL_REPLAY_H_
 #define CLIENT_SPIKECTL_REPLAY_H_
 
@@ -15,7 +15,7 @@
 
 namespace spikeserve {
 
-// The first decision that came out otherwise.
+// The first decision that differs from the recording.
 struct ReplayDifference {
   int64_t episode = 0;  // of the recorded session
   int64_t step = 0;
@@ -27,19 +27,20 @@ struct ReplayDifference {
 struct ReplayResult {
   std::string policy;
   int64_t version = 0;
-  int64_t episodes = 0;   // played to their end
-  int64_t decisions = 0;  // equal ones
+  int64_t episodes = 0;   // replayed completely
+  int64_t decisions = 0;  // number of equal decisions
   std::optional<ReplayDifference> difference;
 };
 
-// INVALID_ARGUMENT unless `recording` can be played again: served episodes of one session without
-// learning, one dataset each, in their order; where actions were drawn, from the session's first
-// episode on and without a gap, since the draws go on from one to the next.
+// Returns INVALID_ARGUMENT unless `recording` can be replayed. It must hold the served episodes of
+// one session without learning, one dataset per episode, in order. If actions were sampled, it must
+// start with the first episode of the session and have no gap, because the random draws of an
+// episode depend on the episodes before it.
 absl::Status CheckReplayable(const std::vector<Dataset>& recording);
 
-// Plays `recording` in a session of its own until a decision differs. An empty `policy` and a
-// `version` of 0 are those of the recording; with a `policy`, 0 is its default version. REQUIRES:
-// CheckReplayable said yes.
+// Replays `recording` in a new session until a decision differs. If `policy` is empty, uses the
+// policy of the recording, and its version if `version` is 0. Otherwise a `version` of 0 is the
+// default version of `policy`. REQUIRES: CheckReplayable returns OK.
 absl::StatusOr<ReplayResult> Replay(const std::vector<Dataset>& recording,
                                     const std::string& policy, int64_t version, Client& client);
 

@@ -66,7 +66,7 @@ absl::Status ReplayRecording(const ReplayFlags& flags, const ServerFlags& server
 
 void AddReplayCommand(Command program, const ServerFlags& server) {
   const Command command =
-      program.AddCommand("replay", "Plays a recorded session again and compares each decision");
+      program.AddCommand("replay", "Replays a recorded session and compares each decision");
   const auto flags = std::make_shared<ReplayFlags>();
   FlagGroup replaying = command.Flags("Replaying");
   replaying.Add("recording", "FILE", &flags->recording,

@@ -24,7 +24,7 @@ double MeanReturn(const std::vector<EpisodeRecord>& episodes) {
   return Sum(episodes).episode_return / static_cast<double>(episodes.size());
 }
 
-// Of the population of these episodes.
+// Returns the population standard deviation of the returns.
 double ReturnDeviation(const std::vector<EpisodeRecord>& episodes) {
   const double mean = MeanReturn(episodes);
   double squares = 0.0;

@@ -1,4 +1,4 @@
-// How `spikectl run` shows its episodes: a table as they are played, or one JSON object.
+// Formats the episodes of `spikectl run` as a table or as one JSON object.
 #ifndef CLIENT_SPIKECTL_RUN_REPORT_H_
 #define CLIENT_SPIKECTL_RUN_REPORT_H_
 
@@ -11,17 +11,17 @@
 
 namespace spikeserve {
 
-// The head of the table. `energy_model` names the model behind EpisodeRecord::energy_joules.
+// Returns the header of the table. `energy_model` is the model of EpisodeRecord::energy_joules.
 std::string RunTableHead(const std::string& energy_model);
 
-// The line of the episode that started from `seed`.
+// Returns the line of the episode that started from `seed`.
 std::string RunTableLine(uint64_t seed, const EpisodeRecord& episode);
 
-// The lines below the table. REQUIRES: at least one episode.
+// Returns the summary below the table. REQUIRES: at least one episode.
 std::string RunSummary(const std::vector<EpisodeRecord>& episodes, const std::string& energy_model);
 
-// `episodes`, `mean_return`, `spikes_per_decision`, `energy_joules_per_decision`, `p50_seconds`,
-// `p99_seconds`. REQUIRES: at least one episode.
+// Returns an object with `episodes`, `mean_return`, `spikes_per_decision`,
+// `energy_joules_per_decision`, `p50_seconds` and `p99_seconds`. REQUIRES: at least one episode.
 nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes);
 
 }  // namespace spikeserve

@@ -1,4 +1,4 @@
-// The flags of spikectl that every command has: which server to call, and how to print.
+// The flags that every command of spikectl has: the server to call, and the output format.
 #ifndef CLIENT_SPIKECTL_SERVER_FLAGS_H_
 #define CLIENT_SPIKECTL_SERVER_FLAGS_H_
 

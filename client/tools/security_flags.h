@@ -1,4 +1,4 @@
-// The flags by which client programs ask for TLS and name their token.
+// The flags of client programs for TLS and the token.
 #ifndef CLIENT_TOOLS_SECURITY_FLAGS_H_
 #define CLIENT_TOOLS_SECURITY_FLAGS_H_
 
@@ -11,15 +11,15 @@
 namespace spikeserve {
 
 struct SecurityFlags {
-  SecurityOptions options;  // all but the token
-  std::string token_file;   // empty: the token is in the environment, if anywhere
+  SecurityOptions options;  // without the token
+  std::string token_file;   // empty: the token may be in the environment
 };
 
 // Adds the flags to `program`. `flags` must live until Program::Run returns.
 void AddSecurityFlags(Command program, SecurityFlags* flags);
 
-// Reads the token of --token_file, else of the environment variable SPIKESERVE_TOKEN. Errors name
-// the flag.
+// Returns the options with the token, which is read from --token_file or, without that flag, from
+// the environment variable SPIKESERVE_TOKEN. Errors name the flag.
 absl::StatusOr<SecurityOptions> ReadSecurityOptions(const SecurityFlags& flags);
 
 }  // namespace spikeserve

@@ -32,7 +32,7 @@ struct Flags {
   int64_t active = 1000;
 };
 
-// Says nothing, at no cost.
+// Ignores all events.
 class SilentEngine final : public Engine {
  public:
   explicit SilentEngine(std::shared_ptr<const Policy> policy) : policy_(std::move(policy)) {}

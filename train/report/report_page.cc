@@ -150,8 +150,8 @@ class Writer {
     }
   }
 
-  // Says how much more one mode returns than another, and whether the difference is significant by
-  // Student's paired t over seeds. The pairs are the seeds, which also determine the data.
+  // Appends how much more one mode returns than another, and whether the difference is significant
+  // by Student's paired t over seeds. The pairs are the seeds, which also determine the data.
   std::string Compare(const std::string& environment, Mode mode, Mode other) const {
     const auto &a = groups_.at({environment, mode}), &b = groups_.at({environment, other});
     std::vector<double> differences;

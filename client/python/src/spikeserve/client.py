@@ -19,7 +19,7 @@ class Client(Connection):
 
     The first call connects, and a call after a broken connection connects again. A call that fails
     raises SpikeserveError (spikeserve.errors) with the message of the server. Before that, a call
-    that ends with UNAVAILABLE or DEADLINE_EXCEEDED is repeated as `options.retry` says. The
+    that ends with UNAVAILABLE or DEADLINE_EXCEEDED is repeated as `options.retry` defines. The
     argument `timeout` of a call replaces `options.timeout`, in seconds for each attempt.
 
     `credentials` are those of grpc, for example grpc.ssl_channel_credentials(); None: plain text.
