@@ -1,9 +1,9 @@
-# The front door. `make demo` and `make test` need nothing but a bare Debian 12 and root.
-# The CMake preset that is built: `make test PRESET=clang`.
+# Targets for users and developers. `make demo` and `make test` need only a bare Debian 12 and root.
+# PRESET selects the CMake preset: `make test PRESET=clang`.
 PRESET := release
 BUILD := build/$(PRESET)
 BIN := $(BUILD)/bin
-# Lets the compiler cache serve every clone, wherever it lies.
+# With these, clones in different folders share the compiler cache.
 export CCACHE_BASEDIR := $(CURDIR)
 export CCACHE_NOHASHDIR := 1
 
@@ -18,27 +18,28 @@ demo: configure
 test: build
 	ctest --preset $(PRESET)
 
-# The tests that `make test` leaves out because they take an hour and more: clang-tidy over the whole tree, and the
-# experts over every seed of their tables.
+# The tests that `make test` excludes because they take more than an hour: clang-tidy for the whole tree, and the
+# experts with every seed of their tables.
 test-slow: build
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 
 build: configure
 	cmake --build $(BUILD)
 
-# Trains the shipped policies anew into build/train; resumes where it was interrupted.
+# Trains the shipped CartPole policy in build/train. Continues a run that was interrupted.
 train: build
 	train/recipes/cartpole.sh $(BIN)/spiketrain build/train
 
-# Everything against everything, about eight minutes on an idle machine; BENCH_FLAGS="--rounds=20" for longer runs,
-# "--sections engine" for a part.
+# Runs all benchmarks, which takes about eight minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
+# longer, "--sections engine" selects a part.
 bench: build
 	loadtest/bench/setup.sh $(BUILD)/bench_venv
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
 	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
 
-# Under the address and then the thread sanitizer: sixty seconds of 1,000 sessions on 8 streams, and ten each of 64 that
-# learn one head and of 64 that learn their own, while the status page and the metrics are read.
+# Runs load tests with the address sanitizer, then with the thread sanitizer: 60 seconds with 1,000 sessions on 8
+# streams, 10 seconds with 64 sessions that learn a shared head, and 10 seconds with 64 sessions that learn their own
+# heads. Another process reads the status page and the metrics at the same time.
 sanitize: setup
 	tests/sanitizers/run.sh asan
 	tests/sanitizers/run.sh tsan

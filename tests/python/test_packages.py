@@ -1,7 +1,7 @@
-"""The Debian packages: installs the server's, starts it as its unit says, asks it something, removes it.
+"""Installs the Debian packages of the server and the tools, starts the server as its unit does, calls it, and removes it.
 
-Everything happens on an overlay of this machine's files in a mount namespace of its own, so that the machine stays as
-it was. Needs root.
+The test works in an overlay of this machine's files in its own mount namespace, so it does not change the machine. It
+needs root.
 """
 
 import os
@@ -19,7 +19,7 @@ DEADLINE_SECONDS = 500
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="installing packages needs root")
 
-# Runs in the overlay: prints what the test looks at, and stops at the first command that fails.
+# Runs in the overlay. Prints lines that the test checks, and stops at the first command that fails.
 INSIDE = textwrap.dedent(
     r"""
     set -euo pipefail
@@ -27,17 +27,17 @@ INSIDE = textwrap.dedent(
     echo "user $(getent passwd spikeserve | cut -d: -f1,6)"
     unit=/usr/lib/systemd/system/spikeserve.service
     systemd-analyze verify "$unit" && echo "unit verified"
-    # What systemd does for the unit: its StateDirectory, its user, its command line.
+    # Does what systemd would do: creates the StateDirectory and runs the command line of the unit as its user.
     install -d -o spikeserve -g spikeserve /var/lib/spikeserve
     program=$(sed -n 's/^ExecStart=//p' "$unit")
     environment=$(sed -n 's/^Environment=//p' "$unit")
-    mkfifo /tmp/said
+    mkfifo /tmp/announcements
     runuser -u spikeserve -- env ${environment//%S//var/lib} SPIKESERVE_LISTEN=127.0.0.1:0 \
-      SPIKESERVE_HTTP_LISTEN=127.0.0.1:0 "$program" >/tmp/said &
+      SPIKESERVE_HTTP_LISTEN=127.0.0.1:0 "$program" >/tmp/announcements &
     server=$!
-    exec {announcements}</tmp/said
-    read -r said <&"$announcements"
-    spikectl policies --server="${said##* }" | grep -c cartpole
+    exec {announcements}</tmp/announcements
+    read -r line <&"$announcements"
+    spikectl policies --server="${line##* }" | grep -c cartpole
     kill -TERM "$(pgrep -u spikeserve -x spikeserve)"
     wait "$server" && echo "stopped cleanly"
     dpkg --purge spikeserve spikeserve-tools >/dev/null
@@ -64,7 +64,7 @@ OUTSIDE = textwrap.dedent(
 
 @pytest.fixture(scope="module")
 def packages():
-    """The folder with the packages that cpack makes of the build."""
+    """Returns the folder with the packages that cpack makes from the build."""
     shutil.rmtree(BUILD / "packages", ignore_errors=True)
     finished = subprocess.run(
         ["cpack", "-G", "DEB"], cwd=BUILD, capture_output=True, text=True, timeout=DEADLINE_SECONDS
