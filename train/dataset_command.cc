@@ -8,7 +8,7 @@
 #include "core/base/status.h"
 #include "core/dataset/recordings.h"
 #include "train/commands.h"
-#include "train/data/minari_file.h"
+#include "train/data/minari_writer.h"
 #include "train/record_flags.h"
 
 namespace spikeserve {

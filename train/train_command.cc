@@ -13,7 +13,7 @@
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "train/commands.h"
-#include "train/data/minari_file.h"
+#include "train/data/minari_reader.h"
 #include "train/evaluation/evaluation.h"
 #include "train/progress_bar.h"
 #include "train/record_flags.h"

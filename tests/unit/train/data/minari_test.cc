@@ -9,7 +9,8 @@
 
 #include "absl/strings/str_replace.h"
 #include "train/data/hdf5_file.h"
-#include "train/data/minari_file.h"
+#include "train/data/minari_reader.h"
+#include "train/data/minari_writer.h"
 #include "train/data/record.h"
 
 namespace spikeserve {

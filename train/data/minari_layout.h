@@ -1,0 +1,18 @@
+// The names in Minari's layout (version 0.5) of a dataset: DIR/data/main_data.hdf5 and
+// DIR/data/metadata.json, where DIR is <Minari's root>/<dataset id>.
+//
+// Supports episodes with one Box observation, which is flattened, and a Discrete or Box action.
+// Data that Minari has no field for use its extension points: the actor is an attribute of the
+// episode; labels, weights and returns-to-go are infos; environment and recipe are in the metadata.
+#ifndef TRAIN_DATA_MINARI_LAYOUT_H_
+#define TRAIN_DATA_MINARI_LAYOUT_H_
+
+namespace spikeserve {
+
+inline constexpr char kMinariMetadata[] = "/data/metadata.json";  // relative to DIR
+inline constexpr char kMinariData[] = "/data/main_data.hdf5";     // relative to DIR
+inline constexpr char kMinariExtension[] = "spikeserve";  // this project's key in the metadata
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_DATA_MINARI_LAYOUT_H_

@@ -1,0 +1,22 @@
+// Reads datasets in Minari's layout; see minari_layout.h. Not thread-safe.
+#ifndef TRAIN_DATA_MINARI_READER_H_
+#define TRAIN_DATA_MINARI_READER_H_
+
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "train/data/dataset.h"
+
+namespace spikeserve {
+
+// Returns whether `path` is a directory with the metadata file of a Minari dataset.
+bool IsMinariDataset(const std::string& path);
+
+// Reads a Minari dataset with a Box observation and a Discrete or Box action, written by this
+// project or by any other program. The environment of a foreign dataset is the id in its env_spec,
+// or the dataset's id if it has none; its actor is "unknown". Errors start with the path.
+absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_DATA_MINARI_READER_H_
