@@ -29,7 +29,8 @@ CLI::App* CommandOf(const CLI::ConfigItem& item, CLI::App* app) {
   return app;
 }
 
-// Whether the environment sets the flag that `item` is about.
+// Returns whether the environment sets the flag of `item`. Throws CLI::ConfigError if `item` is
+// invalid.
 bool CheckAndFindInEnvironment(const CLI::ConfigItem& item, CLI::App* app) {
   const CLI::Option* const option = app->get_option_no_throw("--" + item.name);
   if (option == nullptr || !option->get_configurable()) {
@@ -41,8 +42,7 @@ bool CheckAndFindInEnvironment(const CLI::ConfigItem& item, CLI::App* app) {
     throw CLI::ConfigError(absl::StrCat("--", item.name, ": expected one value, received \"",
                                         absl::StrJoin(item.inputs, ","), "\""));
   }
-  const char* const variable = std::getenv(option->get_envname().c_str());
-  return variable != nullptr && *variable != '\0';
+  return std::getenv(option->get_envname().c_str()) != nullptr;
 }
 
 }  // namespace

@@ -82,7 +82,7 @@ $6.SH OPTIONS
 $7.SH ENVIRONMENT
 A flag that is not on the command line is taken from the variable
 $0_\fIFLAG\fR, the name of the program and of the flag in capitals.
-An empty variable counts as none.
+A variable that is empty sets the empty value.
 .SH FILES
 A flag that is neither on the command line nor in the environment is taken
 from the file of

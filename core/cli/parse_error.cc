@@ -53,8 +53,8 @@ std::string ConfigPath(const CLI::App& root) {
 std::string Source(const CLI::App& root, absl::string_view message) {
   const CLI::Option* const option = FlagOf(message, root);
   if (option == nullptr || IsOnCommandLine(option, &SelectedCommand(root))) return "";
-  const char* const variable = std::getenv(option->get_envname().c_str());
-  if (variable != nullptr && *variable != '\0') return option->get_envname() + ": ";
+  const bool is_in_environment = std::getenv(option->get_envname().c_str()) != nullptr;
+  if (is_in_environment) return option->get_envname() + ": ";
   return ConfigPath(root) + ": ";
 }
 

@@ -52,6 +52,18 @@ void CompleteFlags(const CLI::App& root, CLI::App* app) {
   }
 }
 
+// Sets the flags of `app` and its subcommands whose variable is set but empty to the empty value,
+// unless the command line sets them. CLI11 ignores such variables.
+void ReadEmptyVariables(CLI::App* app) {
+  for (CLI::Option* option : app->get_options({})) {
+    const char* const variable = std::getenv(option->get_envname().c_str());
+    if (variable == nullptr || *variable != '\0' || option->count() > 0) continue;
+    option->add_result("");
+    option->run_callback();
+  }
+  for (CLI::App* command : app->get_subcommands({})) ReadEmptyVariables(command);
+}
+
 // Returns the arguments in reverse order, as CLI11 expects them.
 std::vector<std::string> Arguments(const CLI::App& root, int argc, const char* const* argv) {
   std::vector<std::string> arguments;
@@ -158,6 +170,7 @@ absl::StatusOr<std::string> Program::Parse(int argc, const char* const* argv) {
   CompleteFlags(app, &app);
   try {
     app.parse(Arguments(app, argc, argv));
+    ReadEmptyVariables(&app);
   } catch (const CLI::CallForHelp&) {
     return app.help();
   } catch (const CLI::CallForVersion& version) {

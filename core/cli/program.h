@@ -2,7 +2,7 @@
 //
 // A flag is given as --name=value or --name value. If it is not on the command line, it is read
 // from the environment variable PROGRAM_NAME, for example SPIKESERVE_LISTEN, or else from the file
-// of --config. Otherwise it has its default.
+// of --config. Otherwise it has its default. A variable that is set but empty sets the empty value.
 //
 //   int main(int argc, char** argv) {
 //     spikeserve::ServerOptions options;

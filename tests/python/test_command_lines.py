@@ -66,6 +66,21 @@ def test_the_server_takes_flags_from_the_command_line_the_environment_and_a_file
     assert started_on("--listen=127.0.0.3:0", **variables) == "127.0.0.3"
 
 
+def test_an_empty_variable_sets_the_empty_value():
+    variables = {"SPIKESERVE_LISTEN": "127.0.0.1:0", "SPIKESERVE_HTTP_LISTEN": ""}
+    with subprocess.Popen(
+        [PROGRAMS["spikeserve"], f"--policies={SHIPPED_POLICIES}"],
+        env=os.environ | variables,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as server:
+        assert "serving gRPC" in server.stdout.readline()
+        server.terminate()
+        assert server.stdout.read() == "", "the server serves no HTTP"
+    failed = run("spikeserve", SPIKESERVE_SESSION_TTL="")
+    assert failed.stderr.startswith("spikeserve: SPIKESERVE_SESSION_TTL: --session_ttl: expected a duration such as ")
+
+
 def test_the_server_names_the_variable_or_the_file_of_a_wrong_value(tmp_path):
     expected = 'expected a duration such as 250ms, 10s or 1.5m, received "soon"'
     failed = run("spikeserve", SPIKESERVE_SESSION_TTL="soon")

@@ -219,13 +219,35 @@ TEST_F(ProgramTest, TheCommandLineWinsOverTheEnvironmentAndThatOverTheFile) {
   EXPECT_FALSE(flags_.fast);
 }
 
-TEST_F(ProgramTest, VariablesOfOtherNamesAndEmptyOnesAreIgnored) {
+TEST_F(ProgramTest, VariablesOfOtherNamesAreIgnored) {
   SetVariable("DEMO_PROGRAM", "/bin/demo");
   SetVariable("DEMO_HELP", "1");
   SetVariable("DEMO_GENERATE", "man");
-  SetVariable("DEMO_HEIGHT", "");
   EXPECT_EQ(Run({"fly"}).errors, "");
-  EXPECT_EQ(flags_.height, 100);
+}
+
+TEST_F(ProgramTest, AnEmptyVariableSetsTheEmptyValue) {
+  const std::string config = WriteConfig("server = \"file:1\"\n[fly]\nplaces = [\"a\"]\n");
+  SetVariable("DEMO_SERVER", "");
+  SetVariable("DEMO_PLACES", "");
+  SetVariable("DEMO_CONFIG", "");
+  const Outcome outcome = Run({"fly", "--config=" + config});
+  EXPECT_EQ(outcome.errors, "");
+  EXPECT_EQ(outcome.command_line, "demo --server= fly --places=");
+  EXPECT_EQ(flags_.server, "");
+  EXPECT_THAT(flags_.places, IsEmpty());
+  EXPECT_EQ(Run({"fly", "--server=line:1", "--places=b"}).errors, "");
+  EXPECT_EQ(flags_.server, "line:1");
+  EXPECT_THAT(flags_.places, ElementsAre("b"));
+}
+
+TEST_F(ProgramTest, AnEmptyVariableOfAFlagThatNeedsAValueIsRefused) {
+  SetVariable("DEMO_WAIT", "");
+  ExpectError({"fly"},
+              "DEMO_WAIT: --wait: expected a duration such as 250ms, 10s or 1.5m, received \"\"");
+  EXPECT_EQ(Run({"fly", "--wait=1s"}).errors, "");
+  SetVariable("DEMO_FAST", "");
+  ExpectError({"fly", "--wait=1s"}, "DEMO_FAST: --fast: expected true or false, received \"\"");
 }
 
 TEST_F(ProgramTest, AWrongValueNamesItsVariableOrFile) {
@@ -233,10 +255,9 @@ TEST_F(ProgramTest, AWrongValueNamesItsVariableOrFile) {
   ExpectError({"fly"}, "DEMO_HEIGHT: --height: expected an integer, received \"high\"");
   ExpectError({"tower", "open"}, "DEMO_HEIGHT: --height: expected an integer, received \"high\"");
   EXPECT_EQ(Run({"fly", "--height=1"}).errors, "");
-  SetVariable("DEMO_HEIGHT", "");
-  const std::string config = WriteConfig("[fly]\nheight = low\n");
-  ExpectError({"fly", "--config=" + config},
-              config + ": --height: expected an integer, received \"low\"");
+  const std::string config = WriteConfig("[fly]\nseed = low\n");
+  ExpectError({"fly", "--height=1", "--config=" + config},
+              config + ": --seed: expected an integer of at least 0, received \"low\"");
 }
 
 TEST_F(ProgramTest, AFileIsReadStrictly) {
