@@ -1,4 +1,5 @@
-# Defines what `cmake --install` installs, and the Debian packages that `cpack` makes from it.
+# Defines what `cmake --install` installs, and the Debian packages that `cpack` makes from it. Each program is installed
+# with its manual page and its completion scripts for bash, zsh and fish.
 #
 # | component | Debian package          | content                                                          |
 # | server    | spikeserve              | spikeserve, its systemd unit and user, the shipped policies      |
@@ -11,9 +12,12 @@ include(CMakePackageConfigHelpers)
 install(TARGETS spikeserve RUNTIME COMPONENT server)
 install(DIRECTORY deploy/policies DESTINATION ${CMAKE_INSTALL_DATADIR}/spikeserve COMPONENT server)
 install(TARGETS spikectl spikeload RUNTIME COMPONENT tools)
+spikeserve_install_texts(server spikeserve)
+spikeserve_install_texts(tools spikectl spikeload)
 set(components server client tools)
 if(SPIKESERVE_BUILD_TRAIN)
   install(TARGETS spiketrain RUNTIME COMPONENT train)
+  spikeserve_install_texts(train spiketrain)
   list(APPEND components train)
 endif()
 

@@ -38,6 +38,8 @@ INSIDE = textwrap.dedent(
     exec {announcements}</tmp/announcements
     read -r line <&"$announcements"
     spikectl policies --server="${line##* }" | grep -c cartpole
+    zsh -fc 'autoload -U compinit && compinit -D && echo "zsh completes by $_comps[spikectl]"'
+    fish -c 'complete --do-complete "spikectl explai"' | cut -f1
     kill -TERM "$(pgrep -u spikeserve -x spikeserve)"
     wait "$server" && echo "stopped cleanly"
     dpkg --purge spikeserve spikeserve-tools >/dev/null
@@ -78,10 +80,25 @@ def test_every_component_is_a_package_of_the_one_version(packages):
     assert {"spikeserve", "libspikeserve-dev", "spikeserve-tools"} <= names
 
 
-def test_the_package_holds_no_path_of_the_machine_that_built_it(packages):
-    [package] = packages.glob("spikeserve_*.deb")
+def paths_in(packages, name):
+    """Returns the paths in a package, without the leading slash."""
+    [package] = packages.glob(f"{name}_*.deb")
     listed = subprocess.run(["dpkg-deb", "-c", package], capture_output=True, text=True, check=True)
-    paths = re.findall(r" \./(\S*)", listed.stdout)
+    return re.findall(r" \./(\S*)", listed.stdout)
+
+
+@pytest.mark.parametrize(("package", "program"), [("spikeserve", "spikeserve"), ("spikeserve-tools", "spikectl")])
+def test_a_program_has_its_manual_page_and_completions(packages, package, program):
+    assert {
+        f"usr/share/man/man1/{program}.1.gz",
+        f"usr/share/bash-completion/completions/{program}",
+        f"usr/share/zsh/vendor-completions/_{program}",
+        f"usr/share/fish/vendor_completions.d/{program}.fish",
+    } <= set(paths_in(packages, package))
+
+
+def test_the_package_holds_no_path_of_the_machine_that_built_it(packages):
+    paths = paths_in(packages, "spikeserve")
     assert all(path.startswith("usr/") or path in ("", "usr/") for path in paths), paths
 
 
@@ -97,4 +114,6 @@ def test_the_server_installs_starts_answers_and_goes(packages, tmp_path):
     assert lines[0] == "user spikeserve:/var/lib/spikeserve"
     assert "unit verified" in lines
     assert int(lines[2]) >= 1, "a policy named cartpole is served"
-    assert lines[3:] == ["stopped cleanly", "user gone"], finished.stdout + finished.stderr
+    assert lines[3:] == ["zsh completes by _spikectl", "explain", "stopped cleanly", "user gone"], (
+        finished.stdout + finished.stderr
+    )
