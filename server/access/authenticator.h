@@ -69,7 +69,7 @@ class Authenticator {
 
   // Returns the pacer that delays refusals of `caller`: the pacer of its tenant, or, for a caller
   // that could not be authenticated, one pacer that all such callers share.
-  RefusalPacer& RefusalsOf(const absl::StatusOr<const Credential*>& caller) const {
+  RefusalPacer& RefusalPacerFor(const absl::StatusOr<const Credential*>& caller) const {
     return caller.ok() ? (*caller)->tenant()->refusals() : unauthenticated_;
   }
 

@@ -76,8 +76,8 @@ class AnswerStream : public grpc::ServerBidiReactor<Request, Response>, public C
   }
 
   absl::Duration DelayAfter(const absl::Status& status, size_t request_bytes) {
-    return parts_.authenticator->RefusalsOf(caller_).DelayFor(status, request_bytes,
-                                                              parts_.clock->Now());
+    return parts_.authenticator->RefusalPacerFor(caller_).DelayFor(status, request_bytes,
+                                                                   parts_.clock->Now());
   }
 
   const ServiceParts parts_;

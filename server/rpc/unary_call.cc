@@ -38,7 +38,7 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
     const absl::Status& status = outcome.status;
     parts_.metrics->ObserveRpc(method_, status.code(), now - start_);
     if (outcome.refusal.ok()) return Finish(ToGrpcStatus(status));
-    RefusalPacer& refusals = parts_.authenticator->RefusalsOf(caller);
+    RefusalPacer& refusals = parts_.authenticator->RefusalPacerFor(caller);
     const absl::Duration delay = refusals.DelayFor(outcome.refusal, request_.ByteSizeLong(), now);
     if (delay == absl::ZeroDuration()) return Finish(ToGrpcStatus(status));
     alarm_.Set(std::chrono::system_clock::now() + absl::ToChronoNanoseconds(delay),

@@ -62,7 +62,7 @@ TEST_F(AuthenticatorTest, RefusalsArePacedByTenant) {
   Write(File(Entry("a", "agent") + "," + Entry("b", "viewer")));
   const auto authenticator = Create();
   const auto refusals = [&](absl::string_view token) {
-    return &authenticator->RefusalsOf(authenticator->Authenticate(token));
+    return &authenticator->RefusalPacerFor(authenticator->Authenticate(token));
   };
   EXPECT_EQ(refusals("a"), refusals("b"));
   EXPECT_EQ(refusals("wrong"), refusals("none of them"));
