@@ -42,7 +42,7 @@ class Credential {
   Role role() const { return entry_.role; }
 
   // Returns true if this caller may read the sessions of `tenant`: list, get and explain them.
-  bool MaySee(absl::string_view tenant) const {
+  bool CanRead(absl::string_view tenant) const {
     return entry_.sees_all || tenant == tenant_->name();
   }
 

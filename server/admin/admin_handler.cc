@@ -102,7 +102,7 @@ absl::Status AdminHandler::ListSessions(const Credential& caller,
   }
   int64_t open = 0;
   const std::vector<ListedSession> sessions = store_->List([&](const SessionEntry& entry) {
-    if (!caller.MaySee(entry.tenant)) return false;
+    if (!caller.CanRead(entry.tenant)) return false;
     ++open;
     return (request.policy().empty() || request.policy() == entry.served->name) &&
            (request.version() == 0 || request.version() == entry.served->version);

@@ -38,7 +38,7 @@ class AdminHandler {
                            v1::RemoveLabelResponse* response) const;
   absl::Status SetTraffic(const v1::SetTrafficRequest& request,
                           v1::SetTrafficResponse* response) const;
-  // Lists the sessions that `caller` may read; see Credential::MaySee.
+  // Lists the sessions that `caller` may read; see Credential::CanRead.
   absl::Status ListSessions(const Credential& caller, const v1::ListSessionsRequest& request,
                             v1::ListSessionsResponse* response) const;
   absl::Status Drain(const v1::DrainRequest& request, v1::DrainResponse* response) const;

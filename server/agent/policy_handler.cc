@@ -244,7 +244,7 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
     const Credential& caller, const std::string& id) const {
   auto entry = store_->Peek(id);
-  if (entry != nullptr && caller.MaySee(entry->tenant)) return entry;
+  if (entry != nullptr && caller.CanRead(entry->tenant)) return entry;
   return NoSuchSession(id);
 }
 

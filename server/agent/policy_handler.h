@@ -34,7 +34,7 @@ class PolicyHandler {
 
   // A session belongs to the tenant that opened it; callers of other tenants receive NOT_FOUND. The
   // exceptions are GetSession and Explain, which also serve callers that may read the session
-  // (Credential::MaySee). Both leave the idle time of the session unchanged.
+  // (Credential::CanRead). Both leave the idle time of the session unchanged.
   //
   // Each method fills in `response` and returns OK. On an error it leaves the session unchanged and
   // returns the status that policy_service.proto names.

@@ -148,7 +148,7 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
 
   const std::string filter = absl::AsciiStrToLower(query.Get("filter"));
   const std::vector<ListedSession> visible =
-      store.List([&](const SessionEntry& entry) { return caller.MaySee(entry.tenant); });
+      store.List([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); });
   std::vector<SessionInfo> matching;
   for (const ListedSession& listed : visible) {
     SessionInfo info;

@@ -82,9 +82,9 @@ TEST_F(AuthenticatorTest, SeesItsTenantUnlessTheTokenSeesAll) {
   Write(File(Entry("own", "operator") + "," + Entry("all", "viewer", R"(, "sees": "all")")));
   const auto authenticator = Create();
   const Credential* own = *authenticator->Authenticate("own");
-  EXPECT_TRUE(own->MaySee("fleet"));
-  EXPECT_FALSE(own->MaySee("rival"));
-  EXPECT_TRUE((*authenticator->Authenticate("all"))->MaySee("rival"));
+  EXPECT_TRUE(own->CanRead("fleet"));
+  EXPECT_FALSE(own->CanRead("rival"));
+  EXPECT_TRUE((*authenticator->Authenticate("all"))->CanRead("rival"));
 }
 
 TEST_F(AuthenticatorTest, TokensExpire) {
