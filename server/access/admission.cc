@@ -28,7 +28,7 @@ absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticato
                                                absl::string_view authorization) {
   const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
-  if (auto status = CheckMayWatch((*caller)->role()); !status.ok()) return status;
+  if (auto status = CheckMayReadStatus((*caller)->role()); !status.ok()) return status;
   return caller;
 }
 

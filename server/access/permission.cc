@@ -28,7 +28,7 @@ absl::Status CheckMayCall(Role role, Method method) {
   return Denied(role, "operator");
 }
 
-absl::Status CheckMayWatch(Role role) {
+absl::Status CheckMayReadStatus(Role role) {
   return role == Role::kAgent ? Denied(role, "viewer or operator") : absl::OkStatus();
 }
 

@@ -14,7 +14,7 @@ namespace spikeserve {
 absl::Status CheckMayCall(Role role, Method method);
 
 // Returns PERMISSION_DENIED if `role` may not read the status page and the metrics.
-absl::Status CheckMayWatch(Role role);
+absl::Status CheckMayReadStatus(Role role);
 
 }  // namespace spikeserve
 

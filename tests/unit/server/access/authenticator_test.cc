@@ -173,7 +173,7 @@ TEST(RoleTest, WhatIsNotListedIsTheOperators) {
     EXPECT_TRUE(CheckMayCall(role, Method::kListPolicies).ok());
   }
   EXPECT_TRUE(CheckMayCall(Role::kOperator, Method::kDrain).ok());
-  EXPECT_FALSE(CheckMayWatch(Role::kAgent).ok());
+  EXPECT_FALSE(CheckMayReadStatus(Role::kAgent).ok());
 }
 
 TEST(TokenOfTest, ReadsBearerAndBasic) {
