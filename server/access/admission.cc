@@ -11,7 +11,7 @@ namespace {
 absl::StatusOr<const Credential*> Authenticate(const Authenticator& authenticator,
                                                absl::string_view authorization) {
   std::string buffer;
-  return authenticator.Authenticate(TokenOf(authorization, &buffer));
+  return authenticator.Authenticate(ExtractToken(authorization, &buffer));
 }
 
 }  // namespace

@@ -101,7 +101,7 @@ void Authenticator::Publish(const TokenFile& file) {
   tables_.push_back(std::move(table));
 }
 
-absl::string_view TokenOf(absl::string_view authorization, std::string* buffer) {
+absl::string_view ExtractToken(absl::string_view authorization, std::string* buffer) {
   constexpr absl::string_view kBearer = "Bearer ";
   constexpr absl::string_view kBasic = "Basic ";
   if (absl::StartsWithIgnoreCase(authorization, kBearer)) {

@@ -108,7 +108,7 @@ class Authenticator {
 // Returns the token of an `authorization` header: TOKEN of "Bearer TOKEN", or the password of HTTP
 // Basic authentication, which lets a browser show the status page. Returns an empty view if the
 // header has neither. The result points into `authorization` or `buffer`.
-absl::string_view TokenOf(absl::string_view authorization, std::string* buffer);
+absl::string_view ExtractToken(absl::string_view authorization, std::string* buffer);
 
 }  // namespace spikeserve
 

@@ -178,11 +178,11 @@ TEST(RoleTest, WhatIsNotListedIsTheOperators) {
 
 TEST(TokenOfTest, ReadsBearerAndBasic) {
   std::string buffer;
-  EXPECT_EQ(TokenOf("Bearer secret", &buffer), "secret");
-  EXPECT_EQ(TokenOf("bearer secret", &buffer), "secret");
-  EXPECT_EQ(TokenOf("Basic " + absl::Base64Escape("anyone:secret"), &buffer), "secret");
-  EXPECT_EQ(TokenOf("secret", &buffer), "");
-  EXPECT_EQ(TokenOf("", &buffer), "");
+  EXPECT_EQ(ExtractToken("Bearer secret", &buffer), "secret");
+  EXPECT_EQ(ExtractToken("bearer secret", &buffer), "secret");
+  EXPECT_EQ(ExtractToken("Basic " + absl::Base64Escape("anyone:secret"), &buffer), "secret");
+  EXPECT_EQ(ExtractToken("secret", &buffer), "");
+  EXPECT_EQ(ExtractToken("", &buffer), "");
 }
 
 }  // namespace
