@@ -15,7 +15,7 @@ absl::Status Denied(Role role, absl::string_view allowed) {
 
 absl::Status CheckMayCall(Role role, Method method) {
   if (role == Role::kOperator) return absl::OkStatus();
-  switch (InfoOf(method).access) {
+  switch (GetMethodInfo(method).access) {
     case Access::kAnyRole:
       return absl::OkStatus();
     case Access::kAgentOrOperator:

@@ -99,7 +99,7 @@ inline constexpr std::array<MethodInfo, 35> kMethodTable = {{
 }};
 inline constexpr size_t kMethods = kMethodTable.size();
 
-constexpr const MethodInfo& InfoOf(Method method) {
+constexpr const MethodInfo& GetMethodInfo(Method method) {
   return kMethodTable[static_cast<size_t>(method)];
 }
 

@@ -166,9 +166,9 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
   if (histogram == nullptr) {
     // Two threads may reach this at once; the family returns the same histogram to both. Abseil's
     // names of the codes are those of gRPC.
-    histogram = &rpc_duration_.Add(
-        {{"method", std::string(InfoOf(method).name)}, {"code", absl::StatusCodeToString(code)}},
-        RpcSeconds());
+    histogram = &rpc_duration_.Add({{"method", std::string(GetMethodInfo(method).name)},
+                                    {"code", absl::StatusCodeToString(code)}},
+                                   RpcSeconds());
     slot.store(histogram, std::memory_order_release);
   }
   histogram->Observe(absl::ToDoubleSeconds(duration));
