@@ -194,7 +194,7 @@ absl::Status InferenceHandler::RepositoryModelUnload(
   const auto policy = catalog->FindPolicy(request.model_name());
   if (!policy.ok()) return policy.status();
   for (const auto& [version, served] : (*policy)->versions) {
-    if (const std::string use = (*policy)->settings.UseOf(version); !use.empty()) {
+    if (const std::string use = (*policy)->settings.DescribeUse(version); !use.empty()) {
       return absl::FailedPreconditionError(
           absl::StrCat("model_name: expected a policy without a version that a setting uses, "
                        "received one whose version ",

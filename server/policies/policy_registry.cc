@@ -143,7 +143,7 @@ void PolicyRegistry::UnloadRemoved(PolicyCatalog* catalog, ReloadReport* report)
     for (auto it = versions.begin(); it != versions.end();) {
       const PolicyVersion version = {.policy = policy->first, .version = it->first};
       const std::string path = PolicyFilePath(directory_, version);
-      const std::string use = policy->second.settings.UseOf(version.version);
+      const std::string use = policy->second.settings.DescribeUse(version.version);
       const bool gone = StampOf(path).size < 0;
       if (gone && !use.empty()) {
         report->refused.push_back(absl::FailedPreconditionError(
@@ -195,7 +195,7 @@ absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
   if (auto status = CheckVersion(policy, version.policy, version.version); !status.ok()) {
     return status;
   }
-  if (const std::string use = policy.settings.UseOf(version.version); !use.empty()) {
+  if (const std::string use = policy.settings.DescribeUse(version.version); !use.empty()) {
     return absl::FailedPreconditionError(
         absl::StrCat("version: expected one that no setting uses, received ", version.version,
                      ", which is ", use));

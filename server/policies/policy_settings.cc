@@ -71,7 +71,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, PolicySettings*
   return absl::InvalidArgumentError(absl::StrCat(field, ".", shares.message()));
 }
 
-std::string PolicySettings::UseOf(int64_t version) const {
+std::string PolicySettings::DescribeUse(int64_t version) const {
   if (version == default_version) return "the default";
   for (const auto& [label, labelled] : labels) {
     if (labelled == version) return absl::StrCat("label ", label);

@@ -43,7 +43,7 @@ struct PolicySettings {
   bool learning_paused = false;
 
   // Returns the first setting that uses `version`, such as "label stable"; empty if none does.
-  std::string UseOf(int64_t version) const;
+  std::string DescribeUse(int64_t version) const;
 
   // Returns the share of `version` in percent; 0 if `shares` does not name it.
   int PercentOf(int64_t version) const;

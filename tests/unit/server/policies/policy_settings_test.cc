@@ -107,10 +107,10 @@ TEST(PolicySettings, SettingsOfVersionsThatAreNotServedArePending) {
 
 TEST(PolicySettings, TheUseOfAVersionIsNamed) {
   const PolicySettings settings = SomeSettings().policies["cartpole"];
-  EXPECT_EQ(settings.UseOf(1), "the default");
-  EXPECT_EQ(settings.UseOf(2), "label canary");
-  EXPECT_EQ(settings.UseOf(3), "the shadow");
-  EXPECT_EQ(settings.UseOf(4), "");
+  EXPECT_EQ(settings.DescribeUse(1), "the default");
+  EXPECT_EQ(settings.DescribeUse(2), "label canary");
+  EXPECT_EQ(settings.DescribeUse(3), "the shadow");
+  EXPECT_EQ(settings.DescribeUse(4), "");
   EXPECT_EQ(settings.PercentOf(2), 5);
   EXPECT_EQ(settings.PercentOf(3), 0);
 }
