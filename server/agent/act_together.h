@@ -16,7 +16,7 @@ namespace spikeserve {
 
 // The largest number of requests that are decided together. More requests would not reduce the
 // memory traffic of the weights further, and would lock more sessions against other callers.
-inline constexpr size_t kDecidedTogether = 16;
+inline constexpr size_t kMaxSessionsPerGroup = 16;
 
 // One request of a group, its session and its response.
 struct ActItem {

@@ -7,8 +7,8 @@
 namespace spikeserve {
 
 void DeferredWork::Run() {
-  for (size_t first = 0; first < entries_.size(); first += kDecidedTogether) {
-    const auto part = absl::MakeConstSpan(entries_).subspan(first, kDecidedTogether);
+  for (size_t first = 0; first < entries_.size(); first += kMaxSessionsPerGroup) {
+    const auto part = absl::MakeConstSpan(entries_).subspan(first, kMaxSessionsPerGroup);
     const SessionLocks locks(part);
     absl::InlinedVector<AgentSession*, 1> sessions;
     for (const auto& entry : part) {

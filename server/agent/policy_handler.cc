@@ -212,7 +212,7 @@ absl::Status PolicyHandler::ActBatch(const Credential& caller, const v1::ActBatc
     }
     const bool again =
         absl::c_any_of(group, [&](const ActItem& grouped) { return grouped.entry == *entry; });
-    if (again || group.size() == kDecidedTogether) answer_group();
+    if (again || group.size() == kMaxSessionsPerGroup) answer_group();
     group.push_back({.request = &item,
                      .step = item.step(),
                      .entry = *std::move(entry),
