@@ -124,7 +124,7 @@ absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
   if (!client.ok()) return client.status();
   auto policy = ChooseServedPolicy(**client, flags.agent);
   if (!policy.ok()) return policy.status();
-  if (absl::Status status = CheckFits(*policy, **environment); !status.ok()) return status;
+  if (absl::Status status = CheckSpacesMatch(*policy, **environment); !status.ok()) return status;
   options->policy = *std::move(policy);
   const bool as_text = !server.json;
   bool in_line = false;

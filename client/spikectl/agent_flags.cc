@@ -47,7 +47,7 @@ absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
   if (!served.ok()) return served.status();
   const auto policy = ChoosePolicy(*served, flags.env, flags.policy.policy, flags.policy.version);
   if (!policy.ok()) return policy.status();
-  if (absl::Status status = CheckFits(*policy, environment); !status.ok()) return status;
+  if (absl::Status status = CheckSpacesMatch(*policy, environment); !status.ok()) return status;
 
   v1::OpenSessionRequest request;
   request.set_policy(policy->name());

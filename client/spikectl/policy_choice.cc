@@ -40,7 +40,7 @@ absl::StatusOr<v1::PolicyInfo> ChoosePolicy(const v1::ListPoliciesResponse& serv
       absl::StrCat(what, which, " is served; the server has ", Listed(served)));
 }
 
-absl::Status CheckFits(const v1::PolicyInfo& policy, const Environment& environment) {
+absl::Status CheckSpacesMatch(const v1::PolicyInfo& policy, const Environment& environment) {
   const std::string id(environment.id());
   if (policy.observation_size() != environment.observation_size()) {
     return absl::InvalidArgumentError(absl::StrCat(

@@ -23,7 +23,7 @@ absl::StatusOr<v1::PolicyInfo> ChoosePolicy(const v1::ListPoliciesResponse& serv
 
 // Returns INVALID_ARGUMENT unless the policy has the observation size and the action space of
 // `environment`.
-absl::Status CheckFits(const v1::PolicyInfo& policy, const Environment& environment);
+absl::Status CheckSpacesMatch(const v1::PolicyInfo& policy, const Environment& environment);
 
 }  // namespace spikeserve
 

@@ -7,7 +7,7 @@
 
 namespace spikeserve {
 
-absl::Status CheckFits(const Policy& policy, const Environment& environment) {
+absl::Status CheckSpacesMatch(const Policy& policy, const Environment& environment) {
   if (environment.observation_size() == policy.observation_size() &&
       environment.action_space() == policy.action_space) {
     return absl::OkStatus();

@@ -17,7 +17,7 @@ namespace spikeserve {
 
 // Returns INVALID_ARGUMENT unless the policy's observation size and action space equal the
 // environment's.
-absl::Status CheckFits(const Policy& policy, const Environment& environment);
+absl::Status CheckSpacesMatch(const Policy& policy, const Environment& environment);
 
 class PolicyPlayer {
  public:

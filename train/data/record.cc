@@ -239,7 +239,8 @@ absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options) {
       MakeEnvironment(options.expert.environment);
   if (!environment.ok()) return environment.status();
   if (options.student != nullptr) {
-    if (auto status = CheckFits(*options.student, **environment); !status.ok()) return status;
+    if (auto status = CheckSpacesMatch(*options.student, **environment); !status.ok())
+      return status;
   }
   absl::StatusOr<std::unique_ptr<Expert>> expert = MakeExpert(options.expert);
   if (!expert.ok()) return expert.status();

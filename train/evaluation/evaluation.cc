@@ -60,7 +60,7 @@ absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
   if (auto status = options.Validate(); !status.ok()) return status;
   absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy->environment);
   if (!environment.ok()) return environment.status();
-  if (auto status = CheckFits(*policy, **environment); !status.ok()) return status;
+  if (auto status = CheckSpacesMatch(*policy, **environment); !status.ok()) return status;
   Evaluation evaluation = {.options = options,
                            .environment = policy->environment,
                            .returns = {},

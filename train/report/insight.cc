@@ -29,7 +29,7 @@ std::vector<std::vector<double>> MeanGates(const LayerTrace& layer, const ModelC
 absl::StatusOr<Insight> LookInside(std::shared_ptr<const Policy> policy, uint64_t seed) {
   absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy->environment);
   if (!environment.ok()) return environment.status();
-  if (auto status = CheckFits(*policy, **environment); !status.ok()) return status;
+  if (auto status = CheckSpacesMatch(*policy, **environment); !status.ok()) return status;
   auto served = std::make_shared<ServedPolicy>();
   served->engine = MakeStreamingEngine(policy);
   served->observer = std::make_shared<SessionObserver>();

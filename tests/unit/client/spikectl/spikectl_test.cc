@@ -62,17 +62,17 @@ TEST(CheckFitsTest, ComparesObservationsAndActions) {
   v1::PolicyInfo policy = Served("cartpole", 1, true, "CartPole-v1");
   policy.set_observation_size(4);
   policy.mutable_action_space()->mutable_discrete()->set_n(2);
-  EXPECT_TRUE(CheckFits(policy, *cart_pole).ok());
-  EXPECT_THAT(CheckFits(policy, *pendulum).message(), HasSubstr("observations of length 4"));
+  EXPECT_TRUE(CheckSpacesMatch(policy, *cart_pole).ok());
+  EXPECT_THAT(CheckSpacesMatch(policy, *pendulum).message(), HasSubstr("observations of length 4"));
   policy.mutable_action_space()->mutable_discrete()->set_n(3);
-  EXPECT_THAT(CheckFits(policy, *cart_pole).message(), HasSubstr("action space"));
+  EXPECT_THAT(CheckSpacesMatch(policy, *cart_pole).message(), HasSubstr("action space"));
 
   policy.set_observation_size(3);
   policy.mutable_action_space()->mutable_box()->add_low(-2.0f);
   policy.mutable_action_space()->mutable_box()->add_high(2.0f);
-  EXPECT_TRUE(CheckFits(policy, *pendulum).ok());
+  EXPECT_TRUE(CheckSpacesMatch(policy, *pendulum).ok());
   policy.mutable_action_space()->mutable_box()->set_high(0, 1.0f);
-  EXPECT_FALSE(CheckFits(policy, *pendulum).ok());
+  EXPECT_FALSE(CheckSpacesMatch(policy, *pendulum).ok());
 }
 
 class AgentTest : public ::testing::Test {
