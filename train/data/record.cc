@@ -69,7 +69,7 @@ struct Source {
 
 // With probability wide_start_fraction, replaces Pendulum's velocity by a uniform draw from all
 // possible velocities.
-void WidenStart(const RecordOptions& options, uint64_t episode, std::vector<double>& state) {
+void DrawWideStart(const RecordOptions& options, uint64_t episode, std::vector<double>& state) {
   const auto uniform = [&](uint64_t draw) {
     return UniformDouble(RandomBits({kWideStarts, options.seed, episode, draw}));
   };
@@ -137,7 +137,7 @@ class Recorder {
            return DisturbedActor(*expert_, space, bursts, draws(kBursts, episode));
          },
          [&](uint64_t episode, std::vector<double>& state) {
-           WidenStart(options_, episode, state);
+           DrawWideStart(options_, episode, state);
          }}};
     if (engine_ != nullptr) {
       sources.push_back(
