@@ -164,7 +164,7 @@ class Recorder {
     std::function<double(absl::Span<const double>)> weigh;
     if (options_.weigh) {
       weigh = [&](absl::Span<const double> state) {
-        return std::clamp(expert_->Stakes(state), kLeastWeight, kMostWeight);
+        return std::clamp(expert_->StateImportance(state), kLeastWeight, kMostWeight);
       };
     }
     int recorded = 0;

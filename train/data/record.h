@@ -37,8 +37,8 @@ struct RecordOptions {
   double expert_fraction = 0.5;     // share of the steps from expert episodes
   double disturbed_fraction = 0.0;  // share from disturbed episodes; the rest is student or random
   std::shared_ptr<const Policy> student = nullptr;  // null: the rest is random
-  // Weights every label by Expert::Stakes(), clamped to [kLeastWeight, kMostWeight]. False: all
-  // weights are 1.
+  // Weights every label by Expert::StateImportance(), clamped to [kLeastWeight, kMostWeight].
+  // False: all weights are 1.
   bool weigh = false;
 
   // Upper bound of the burst rate, the probability that a burst begins at a step outside one. Each

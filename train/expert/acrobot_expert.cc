@@ -39,10 +39,10 @@ class BeamExpert final : public Expert {
   }
 
   // Uses the table's values: its ranking is good enough to show in which states a choice matters.
-  double Stakes(absl::Span<const double> state) override {
+  double StateImportance(absl::Span<const double> state) override {
     Grid<4>::State start;
     std::copy_n(state.begin(), start.size(), start.begin());
-    return table_->Stakes(problem_, start);
+    return table_->StateImportance(problem_, start);
   }
 
   std::unique_ptr<Expert> Clone() const override {

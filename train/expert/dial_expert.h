@@ -46,7 +46,9 @@ class DialExpert final : public Expert {
 
   // Returns 3 for the few steps in which the episode is being finished, because they decide its
   // length, and 1 for all others.
-  double Stakes(absl::Span<const double> state) override { return MustFinish(state) ? 3.0 : 1.0; }
+  double StateImportance(absl::Span<const double> state) override {
+    return MustFinish(state) ? 3.0 : 1.0;
+  }
 
   std::unique_ptr<Expert> Clone() const override;
 

@@ -30,7 +30,7 @@ class Expert {
 
   // Returns how much the choice in `state` matters: the value of the best action minus the value of
   // the worst one. Returns 1 for an expert that does not know these values.
-  virtual double Stakes(absl::Span<const double> /*state*/) { return 1.0; }
+  virtual double StateImportance(absl::Span<const double> /*state*/) { return 1.0; }
 
   virtual std::unique_ptr<Expert> Clone() const = 0;
 };

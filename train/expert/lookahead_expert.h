@@ -23,8 +23,8 @@ class LookaheadExpert final : public Expert {
     return problem_.choices[table_->Best(problem_, Start(state), depth_).choice].action;
   }
 
-  double Stakes(absl::Span<const double> state) override {
-    return table_->Stakes(problem_, Start(state), depth_);
+  double StateImportance(absl::Span<const double> state) override {
+    return table_->StateImportance(problem_, Start(state), depth_);
   }
 
   std::unique_ptr<Expert> Clone() const override {

@@ -56,7 +56,7 @@ struct ValueTable {
   }
 
   // Returns the value of the best choice minus the value of the worst one.
-  double Stakes(const Problem& problem, const State& state, int depth = 1) const {
+  double StateImportance(const Problem& problem, const State& state, int depth = 1) const {
     double best = -std::numeric_limits<double>::infinity(), worst = -best;
     for (const Choice& choice : problem.choices) {
       const double value = Backup(problem, state, choice, depth);

@@ -156,7 +156,7 @@ TEST(RecordTest, AStudentActsAndTheExpertLabels) {
   int differ = 0;
   for (const Episode& episode : dataset.episodes) {
     ASSERT_EQ(episode.actor, "student");
-    EXPECT_THAT(episode.weights, Each(1.0f));  // this expert's Stakes() are always 1
+    EXPECT_THAT(episode.weights, Each(1.0f));  // this expert's StateImportance() are always 1
     for (int t = 0; t < episode.steps(); ++t) {
       const auto observation = episode.observations.begin() + 4 * t;
       ASSERT_EQ(episode.labels[t], expert->Act(std::vector<double>(observation, observation + 4)));

@@ -71,11 +71,11 @@ TEST(ExpertTest, WhatNobodySeesDoesNotHinderAnExpert) {
 TEST(ExpertTest, StakesAreHighWhereAChoiceMatters) {
   const std::unique_ptr<Expert> pendulum =
       *MakeExpert({.environment = "Pendulum-v1", .coarsening = 8});
-  const double upright = pendulum->Stakes(std::vector<double>{0.2, 0.0});
-  const double fast = pendulum->Stakes(std::vector<double>{3.1, 8.0});
+  const double upright = pendulum->StateImportance(std::vector<double>{0.2, 0.0});
+  const double fast = pendulum->StateImportance(std::vector<double>{3.1, 8.0});
   EXPECT_GT(upright, 0.0);
   EXPECT_GT(upright, fast);
-  EXPECT_EQ((*MakeExpert({}))->Stakes(std::vector<double>(4)), 1.0);
+  EXPECT_EQ((*MakeExpert({}))->StateImportance(std::vector<double>(4)), 1.0);
 }
 
 TEST(ExpertTest, TablesAreSolvedOnceAndReadAgain) {
