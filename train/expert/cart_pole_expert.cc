@@ -4,8 +4,8 @@
 #include <memory>
 
 #include "core/environment/cart_pole.h"
-#include "train/expert/dial_expert.h"
 #include "train/expert/experts.h"
+#include "train/expert/target_length_expert.h"
 
 namespace spikeserve {
 namespace {
@@ -27,7 +27,7 @@ class FeedbackExpert final : public Expert {
 absl::StatusOr<std::unique_ptr<Expert>> MakeCartPoleExpert(const ExpertOptions& options) {
   if (options.name.empty() || options.name == "feedback") return std::make_unique<FeedbackExpert>();
   if (options.name != "dial") return UnknownExpert(options, "feedback or dial");
-  return std::make_unique<DialExpert>(
+  return std::make_unique<TargetLengthExpert>(
       std::make_shared<CartPole>(), /*reward=*/1.0, std::make_unique<FeedbackExpert>(),
       std::make_unique<FallExpert>(), EpisodeLengths{.least = 10, .most = 500});
 }

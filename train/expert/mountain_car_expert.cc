@@ -4,10 +4,10 @@
 #include <utility>
 
 #include "core/environment/mountain_car.h"
-#include "train/expert/dial_expert.h"
 #include "train/expert/experts.h"
 #include "train/expert/lookahead_expert.h"
 #include "train/expert/table_file.h"
+#include "train/expert/target_length_expert.h"
 
 namespace spikeserve {
 
@@ -28,9 +28,9 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOption
       problem, std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);
   if (!dial) return shortest;
   auto coast = std::make_unique<ConstantExpert>(Action{.discrete = 1, .continuous = {}});
-  return std::make_unique<DialExpert>(problem.model, /*reward=*/-1.0, std::move(coast),
-                                      std::move(shortest),
-                                      EpisodeLengths{.least = 90, .most = 200});
+  return std::make_unique<TargetLengthExpert>(problem.model, /*reward=*/-1.0, std::move(coast),
+                                              std::move(shortest),
+                                              EpisodeLengths{.least = 90, .most = 200});
 }
 
 }  // namespace spikeserve

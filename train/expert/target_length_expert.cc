@@ -1,4 +1,4 @@
-#include "train/expert/dial_expert.h"
+#include "train/expert/target_length_expert.h"
 
 #include <vector>
 
@@ -7,26 +7,26 @@
 
 namespace spikeserve {
 
-std::optional<double> DialExpert::BeginEpisode(uint64_t key) {
+std::optional<double> TargetLengthExpert::BeginEpisode(uint64_t key) {
   const auto choices = static_cast<uint64_t>(lengths_.most - lengths_.least + 1);
   left_ = lengths_.least + static_cast<int>(RandomBits({key}) % choices);
   return reward_ * left_;
 }
 
-Action DialExpert::Act(absl::Span<const double> state) {
+Action TargetLengthExpert::Act(absl::Span<const double> state) {
   Action action = MustFinish(state) ? finish_->Act(state) : prolong_->Act(state);
   --left_;
   return action;
 }
 
-std::unique_ptr<Expert> DialExpert::Clone() const {
-  auto clone =
-      std::make_unique<DialExpert>(model_, reward_, prolong_->Clone(), finish_->Clone(), lengths_);
+std::unique_ptr<Expert> TargetLengthExpert::Clone() const {
+  auto clone = std::make_unique<TargetLengthExpert>(model_, reward_, prolong_->Clone(),
+                                                    finish_->Clone(), lengths_);
   clone->left_ = left_;
   return clone;
 }
 
-bool DialExpert::MustFinish(absl::Span<const double> state) {
+bool TargetLengthExpert::MustFinish(absl::Span<const double> state) {
   std::vector<double> ahead(state.begin(), state.end());
   for (int step = 1; step < left_; ++step) {
     model_->Advance(finish_->Act(ahead), absl::MakeSpan(ahead));

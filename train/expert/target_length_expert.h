@@ -4,8 +4,8 @@
 //
 // CartPole-v1: balances the pole for most of the episode, then lets it fall. MountainCar-v0: coasts
 // in the valley for most of the episode, then takes the shortest way out.
-#ifndef TRAIN_EXPERT_DIAL_EXPERT_H_
-#define TRAIN_EXPERT_DIAL_EXPERT_H_
+#ifndef TRAIN_EXPERT_TARGET_LENGTH_EXPERT_H_
+#define TRAIN_EXPERT_TARGET_LENGTH_EXPERT_H_
 
 #include <cstdint>
 #include <memory>
@@ -24,13 +24,13 @@ struct EpisodeLengths {
   int most;
 };
 
-class DialExpert final : public Expert {
+class TargetLengthExpert final : public Expert {
  public:
   // Acts by `prolong`, which never ends an episode of `model`, and at the end by `finish`, which
   // ends it as soon as possible. Every step pays `reward`.
-  DialExpert(std::shared_ptr<const ClassicControl> model, double reward,
-             std::unique_ptr<Expert> prolong, std::unique_ptr<Expert> finish,
-             EpisodeLengths lengths)
+  TargetLengthExpert(std::shared_ptr<const ClassicControl> model, double reward,
+                     std::unique_ptr<Expert> prolong, std::unique_ptr<Expert> finish,
+                     EpisodeLengths lengths)
       : model_(std::move(model)),
         reward_(reward),
         prolong_(std::move(prolong)),
@@ -86,4 +86,4 @@ class ConstantExpert final : public Expert {
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_EXPERT_DIAL_EXPERT_H_
+#endif  // TRAIN_EXPERT_TARGET_LENGTH_EXPERT_H_
