@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "core/math/vector_view.h"
-#include "train/trainer/task.h"
+#include "train/trainer/return_scaling.h"
 
 namespace spikeserve {
 namespace {

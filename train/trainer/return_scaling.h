@@ -1,6 +1,6 @@
 // The scaling of returns and the default target return of each environment.
-#ifndef TRAIN_TRAINER_TASK_H_
-#define TRAIN_TRAINER_TASK_H_
+#ifndef TRAIN_TRAINER_RETURN_SCALING_H_
+#define TRAIN_TRAINER_RETURN_SCALING_H_
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -20,4 +20,4 @@ absl::StatusOr<ReturnScaling> ReturnScalingOf(absl::string_view id);
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_TRAINER_TASK_H_
+#endif  // TRAIN_TRAINER_RETURN_SCALING_H_

@@ -1,4 +1,4 @@
-#include "train/trainer/task.h"
+#include "train/trainer/return_scaling.h"
 
 #include "absl/strings/str_cat.h"
 #include "core/environment/position_only.h"
