@@ -81,7 +81,7 @@ Json EpisodeToJson(const Episode& episode, bool discrete) {
                {"truncated", episode.truncated}};
   if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
   if (!episode.weights.empty()) json["weights"] = episode.weights;
-  if (episode.asked_return.has_value()) json["asked_return"] = *episode.asked_return;
+  if (episode.target_return.has_value()) json["asked_return"] = *episode.target_return;
   if (episode.served.has_value()) json["served"] = ServedToJson(*episode.served);
   return json;
 }
@@ -118,7 +118,7 @@ absl::Status ReadEpisode(absl::string_view field, const Json& json, bool discret
   ReadActions("actions", discrete, /*required=*/true, &object, &episode->actions);
   ReadActions("labels", discrete, /*required=*/false, &object, &episode->labels);
   object.Optional("weights", &episode->weights);
-  object.Optional("asked_return", &episode->asked_return);
+  object.Optional("asked_return", &episode->target_return);
   object.Optional("served", &episode->served);
   object.Required("rewards", &episode->rewards);
   object.Required("terminated", &episode->terminated);

@@ -48,7 +48,7 @@ struct Episode {
   bool truncated = false;
   // The return that the actor was asked to reach, or nothing. If set, the returns-to-go start from
   // it; otherwise they start from the return of the episode.
-  std::optional<double> asked_return = std::nullopt;
+  std::optional<double> target_return = std::nullopt;
   std::optional<ServedEpisode> served = std::nullopt;
 
   // Returns the action to imitate at `step`.

@@ -14,8 +14,8 @@ std::vector<float> ReturnsToGo(const Episode& episode) {
     sum += rewards[i];
     returns[i] = static_cast<float>(sum);
   }
-  if (!episode.asked_return.has_value()) return returns;
-  double left = *episode.asked_return;
+  if (!episode.target_return.has_value()) return returns;
+  double left = *episode.target_return;
   for (size_t i = 0; i < rewards.size(); left -= rewards[i++])
     returns[i] = static_cast<float>(left);
   return returns;

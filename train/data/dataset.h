@@ -11,7 +11,7 @@
 namespace spikeserve {
 
 // Computes the return-to-go of every step, [steps]: G_t = r_t + r_{t+1} + ... up to the end of the
-// episode. If the episode has an asked_return R, G_t = R - (r_0 + ... + r_{t-1}) instead.
+// episode. If the episode has a target_return R, G_t = R - (r_0 + ... + r_{t-1}) instead.
 std::vector<float> ReturnsToGo(const Episode& episode);
 
 // Mean and standard deviation of each observation entry over all steps, both [obs].

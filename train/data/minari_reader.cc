@@ -202,7 +202,7 @@ class Reader {
     episode.actor = file_.ReadString(group, "actor").value_or("unknown");
     episode.seed = static_cast<uint64_t>(file_.ReadInteger(group, "seed").value_or(0));
     if (const auto asked = file_.ReadDouble(group, "asked_return"); asked.ok()) {
-      episode.asked_return = *asked;
+      episode.target_return = *asked;
     }
     if (auto status = CheckEpisode(dataset_, episode); !status.ok()) {
       return Annotate(status, group);

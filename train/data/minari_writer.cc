@@ -112,8 +112,8 @@ class Writer {
       status_.Update(file_.WriteAttribute(group, "policy", served->policy));
       status_.Update(file_.WriteAttribute(group, "policy_version", served->version));
     }
-    if (episode.asked_return.has_value()) {
-      status_.Update(file_.WriteAttribute(group, "asked_return", *episode.asked_return));
+    if (episode.target_return.has_value()) {
+      status_.Update(file_.WriteAttribute(group, "asked_return", *episode.target_return));
     }
     status_.Update(file_.Write<float>(
         group + "/observations", {steps + 1, dataset_.observation_size}, episode.observations));

@@ -180,7 +180,7 @@ class Recorder {
           expert_->BeginEpisode(RandomBits({kSkills, source.seeds, options_.seed, i}));
       Episode episode =
           RecordEpisode(*environment_, std::move(observation), source.make_actor(i, asked), weigh);
-      if (source.actor != "random") episode.asked_return = asked;
+      if (source.actor != "random") episode.target_return = asked;
       episode.actor = source.actor;
       episode.seed = seed;
       recorded += episode.steps();

@@ -52,7 +52,7 @@ TEST(DatasetTest, ReturnsToGoAreSumsOfTheRewardsAhead) {
   Episode episode = Counting(3);
   episode.rewards = {1.0, -2.0, 5.0};
   EXPECT_THAT(ReturnsToGo(episode), ElementsAre(4.0f, 3.0f, 5.0f));
-  episode.asked_return = 10.0;
+  episode.target_return = 10.0;
   EXPECT_THAT(ReturnsToGo(episode), ElementsAre(10.0f, 9.0f, 11.0f));
 }
 

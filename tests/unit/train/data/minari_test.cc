@@ -47,7 +47,7 @@ void ExpectSame(const Dataset& read, const Dataset& written) {
     EXPECT_EQ(read.episodes[i].labels, written.episodes[i].labels);
     EXPECT_EQ(read.episodes[i].weights, written.episodes[i].weights);
     EXPECT_EQ(read.episodes[i].rewards, written.episodes[i].rewards);
-    EXPECT_EQ(read.episodes[i].asked_return, written.episodes[i].asked_return);
+    EXPECT_EQ(read.episodes[i].target_return, written.episodes[i].target_return);
     EXPECT_EQ(read.episodes[i].terminated, written.episodes[i].terminated);
     EXPECT_EQ(read.episodes[i].truncated, written.episodes[i].truncated);
   }
