@@ -65,7 +65,8 @@ function(spikeserve_test name)
   if(ARG_LABEL STREQUAL "slow")
     set(timeout 7200)
   endif()
-  gtest_discover_tests(${name}
+  # NO_PRETTY_VALUES: names end with the name of the parameter. Its value prints as bytes, with addresses that vary.
+  gtest_discover_tests(${name} NO_PRETTY_VALUES
     DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout})
 endfunction()
 

@@ -29,7 +29,8 @@ class Expert {
   virtual Action Act(absl::Span<const double> state) = 0;
 
   // Returns how much the choice in `state` matters: the value of the best action minus the value of
-  // the worst one. Returns 1 for an expert that does not know these values.
+  // the worst one (L. Torrey, M. Taylor, AAMAS 2013). Returns 1 for an expert that does not know
+  // these values.
   virtual double StateImportance(absl::Span<const double> /*state*/) { return 1.0; }
 
   virtual std::unique_ptr<Expert> Clone() const = 0;

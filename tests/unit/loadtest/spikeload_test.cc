@@ -83,8 +83,21 @@ TEST_P(CallerTest, ALastingErrorRetiresItsAgent) {
   EXPECT_TRUE(absl::IsNotFound(report.first_error));
 }
 
+std::string ModeName(const ::testing::TestParamInfo<LoadMode>& test) {
+  switch (test.param) {
+    case LoadMode::kUnary:
+      return "unary";
+    case LoadMode::kStream:
+      return "stream";
+    case LoadMode::kBatch:
+      break;
+  }
+  return "batch";
+}
+
 INSTANTIATE_TEST_SUITE_P(Modes, CallerTest,
-                         ::testing::Values(LoadMode::kUnary, LoadMode::kStream, LoadMode::kBatch));
+                         ::testing::Values(LoadMode::kUnary, LoadMode::kStream, LoadMode::kBatch),
+                         ModeName);
 
 using CallTest = CallerTest;
 
@@ -105,7 +118,8 @@ TEST_P(CallTest, ALimitThatWasReachedRetiresNobody) {
   EXPECT_GE(report.decisions, 1);
 }
 
-INSTANTIATE_TEST_SUITE_P(Modes, CallTest, ::testing::Values(LoadMode::kUnary, LoadMode::kBatch));
+INSTANTIATE_TEST_SUITE_P(Modes, CallTest, ::testing::Values(LoadMode::kUnary, LoadMode::kBatch),
+                         ModeName);
 
 using BrokenStreamTest = CallerTest;
 
@@ -117,7 +131,7 @@ TEST_P(BrokenStreamTest, CountsEveryRequestUnderWay) {
   EXPECT_LE(report.decisions, 1);
 }
 
-INSTANTIATE_TEST_SUITE_P(Modes, BrokenStreamTest, ::testing::Values(LoadMode::kStream));
+INSTANTIATE_TEST_SUITE_P(Modes, BrokenStreamTest, ::testing::Values(LoadMode::kStream), ModeName);
 
 TEST(SimulatedAgentTest, ObservationsAreSeededAndWithinBounds) {
   static constexpr float kBound = 0.25f;

@@ -7,6 +7,7 @@
 #include <torch/types.h>
 
 #include <cmath>
+#include <string>
 
 #include "train/model/lif_function.h"
 #include "train/model/surrogate.h"
@@ -146,7 +147,8 @@ TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
 
 INSTANTIATE_TEST_SUITE_P(Surrogates, LifGradientTest,
                          testing::Values(SurrogateKind::kFastSigmoid, SurrogateKind::kSigmoid,
-                                         SurrogateKind::kPiecewiseLinear));
+                                         SurrogateKind::kPiecewiseLinear),
+                         [](const auto& test) { return std::string(ToString(test.param)); });
 
 }  // namespace
 }  // namespace spikeserve
