@@ -1,4 +1,4 @@
-// How a server runs. Plain data, safe to read from many threads.
+// The options of a server. Plain data, safe to read from many threads.
 #ifndef SERVER_OPTIONS_H_
 #define SERVER_OPTIONS_H_
 

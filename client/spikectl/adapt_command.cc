@@ -25,7 +25,7 @@ constexpr double kContinuousTemperature = 1.0;
 struct AdaptFlags {
   AgentFlags agent;  // without a target return
   int episodes = 1;
-  std::string perturb;  // empty: the task as it is
+  std::string perturb;  // empty: the unperturbed task
   std::string rule = "policy_gradient";
   std::string modulator = "realized";
   std::string scope = "session";
@@ -43,7 +43,8 @@ void SetLearning(const AdaptFlags& flags, v1::LearningConfig* learning) {
   if (flags.scope == "fleet") learning->set_scope(v1::LearningConfig::FLEET);
 }
 
-// Returns all options but the policy and the temperature. INVALID_ARGUMENT names the flag.
+// Returns all options except the policy and the temperature, or INVALID_ARGUMENT, which names the
+// flag.
 absl::StatusOr<AdaptationOptions> MakeOptions(const AdaptFlags& flags) {
   AdaptationOptions options;
   options.environment = flags.agent.env;

@@ -49,7 +49,7 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
     std::cerr << "spikectl: recorded as " << opened->recording << "\n";
   }
 
-  // What the server reports as energy_joules, see DecisionStats.
+  // The energy model of `energy_joules` in the server's answers, see DecisionStats.
   const std::string energy_model = opened->policy.mode() == "dense" ? "horowitz_45nm" : "spike_5pj";
   const bool as_text = !server.json;
   if (as_text) {

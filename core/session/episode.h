@@ -24,7 +24,7 @@ struct EpisodeEnd {
   friend bool operator==(const EpisodeEnd&, const EpisodeEnd&) = default;
 };
 
-// What a session learned in an episode.
+// The learning of a session in one episode.
 struct LearningSummary {
   Scope scope = Scope::kSession;
   int64_t updates = 0;          // applied to the head; scope fleet: to the contribution

@@ -70,7 +70,7 @@ class Hdf5File {
   absl::StatusOr<std::vector<bool>> ReadBools(const std::string& name) const;
 
   // Flushes and closes the file. Returns UNAVAILABLE if that fails. REQUIRES: nothing else is
-  // called afterwards but the destructor.
+  // called afterwards except the destructor.
   absl::Status Close();
 
  private:

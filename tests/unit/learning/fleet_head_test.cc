@@ -24,7 +24,7 @@ std::shared_ptr<const Policy> TestPolicy() {
   return std::make_shared<const Policy>(std::move(policy));
 }
 
-// What session `i` gives, of some hundredths.
+// Returns the contribution of session `i`, whose elements are a few hundredths.
 Eigen::VectorXf Contribution(int i) {
   Eigen::VectorXf contribution(kSize);
   for (Eigen::Index j = 0; j < kSize; ++j) {

@@ -1,4 +1,4 @@
-"""Which rows of a vector environment end, which rows act, and with what.
+"""Determines which rows of a vector environment end, which rows act, and with which inputs.
 
 The blocking and the asyncio vector session share this module. Nothing in it sends or waits.
 

@@ -28,7 +28,7 @@ struct AttentionWindow {
   const uint32_t* valid = nullptr;     // [S / 32]: slots that the query may attend to, at least one
 };
 
-// What Attend returns beside y.
+// The values that Attend returns in addition to y.
 struct Attended {
   int ticks = 0;          // number of ticks at which a valid slot has a value
   uint64_t products = 0;  // sum of popcount(q & k) over all ticks, heads and valid slots
