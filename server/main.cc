@@ -21,7 +21,7 @@ void AddFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
       .Add("listen", "HOST:PORT", &options->listen, "Address of gRPC; port 0 picks a free one")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
-           "Address of the status page and /metrics; empty: none")
+           "Status page and /metrics; empty: none")
       .Add("max_message_bytes", "BYTES", &options->max_message_bytes, "Largest gRPC request")
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
            "Time for calls in flight to finish at shutdown")
