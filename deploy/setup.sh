@@ -13,7 +13,7 @@ packages=(
   # server, client, core
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
   prometheus-cpp-dev libcpp-httplib-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
-  libeigen3-dev dpkg-dev file
+  libeigen3-dev libnghttp2-dev dpkg-dev file
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo

@@ -17,15 +17,49 @@
 namespace spikeserve {
 namespace {
 
+void AddLimitFlags(Command program, TransportLimits* limits) {
+  program.Flags("Limits of connections")
+      .Add("max_streams", "N", &limits->max_streams, "Calls at a time on one connection")
+      .Add("max_header_bytes", "BYTES", &limits->max_header_bytes, "Metadata of one call")
+      .Add("max_headers", "N", &limits->max_headers, "Headers of one call")
+      .Add("max_resets_per_second", "N", &limits->max_resets_per_second,
+           "Calls that a connection may cancel")
+      .Add("max_control_frames_per_second", "N", &limits->max_control_frames_per_second,
+           "Frames without a purpose that a connection may send")
+      .Add("max_connection_bytes", "BYTES", &limits->max_connection_bytes,
+           "Requests and answers in flight on one connection")
+      .Add("max_bytes_in_flight", "BYTES", &limits->max_bytes_in_flight, "As above, on all")
+      .Add("max_connections", "N", &limits->max_connections, "Connections at a time")
+      .Add("max_connections_per_address", "N", &limits->max_connections_per_address,
+           "Connections of one client address")
+      .Add("max_idle_strangers", "N", &limits->max_idle_strangers,
+           "Connections that have made no call yet")
+      .Add("first_request_timeout", "DURATION", &limits->first_request_timeout,
+           "Time to the first call of a connection")
+      .Add("request_timeout", "DURATION", &limits->request_timeout,
+           "Time for one message to arrive")
+      .Add("idle_timeout", "DURATION", &limits->idle_timeout, "Time without a call")
+      .Add("write_timeout", "DURATION", &limits->write_timeout,
+           "Time in which a client takes no answers")
+      .Add("max_connection_age", "DURATION", &limits->max_connection_age,
+           "Age at which clients are asked to connect again");
+}
+
 void AddFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
-      .Add("listen", "HOST:PORT", &options->listen, "Address of gRPC; port 0 picks a free one")
+      .Add("listen", "HOST:PORT", &options->listen,
+           "Address of gRPC, or unix:PATH; port 0 picks a free one")
+      .Add("transport", EnumKind<TransportKind>(), &options->transport, "What carries gRPC")
+      .Add("loops", "N", &options->loops, "Threads that serve connections; 0: one for each core")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
            "Status page and /metrics; empty: none")
       .Add("max_message_bytes", "BYTES", &options->max_message_bytes, "Largest gRPC request")
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
            "Time for calls in flight to finish at shutdown")
+      .AddSwitch("reflection_v1alpha", &options->reflection_v1alpha,
+                 "Serve reflection to old clients, too")
       .Add("log_format", EnumKind<LogFormat>(), &options->log_format, "Format of the log");
+  AddLimitFlags(program, &options->transport_limits);
   program.Flags("Policies")
       .Add("policies", "DIR", &options->policies,
            "Policies: DIR/<policy>/<version>/policy.safetensors")

@@ -8,10 +8,12 @@
 namespace spikeserve {
 namespace {
 
+constexpr int64_t kMostLoops = 256;
+
 // Refuses to serve a network by accident.
 absl::Status CheckReach(absl::string_view flag, const std::string& listen,
                         const ServerOptions& options) {
-  const auto address = ParseAddress(flag, listen);
+  const auto address = ParseAddressOrUnix(flag, listen);
   if (!address.ok()) return address.status();
   if (address->is_loopback() || options.insecure_network) return absl::OkStatus();
   const auto refuse = [&](absl::string_view expected) {
@@ -32,6 +34,11 @@ absl::Status ServerOptions::Validate() const {
   if (auto status = tls.Validate(); !status.ok()) return status;
   if (auto status = CheckReach("--listen", listen, *this); !status.ok()) {
     return status;
+  }
+  if (auto status = transport_limits.Validate(); !status.ok()) return status;
+  if (loops < 0 || loops > kMostLoops) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--loops: expected 0 to ", kMostLoops, ", received ", loops));
   }
   if (!http_listen.empty()) {
     if (auto status = CheckReach("--http_listen", http_listen, *this); !status.ok()) {

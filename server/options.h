@@ -2,6 +2,7 @@
 #ifndef SERVER_OPTIONS_H_
 #define SERVER_OPTIONS_H_
 
+#include <array>
 #include <cstdint>
 #include <string>
 
@@ -9,11 +10,23 @@
 #include "absl/time/time.h"
 #include "server/access/tls.h"
 #include "server/base/log.h"
+#include "server/transport/limits.h"
 
 namespace spikeserve {
 
+// What carries gRPC: gRPC's own C++ server, or server/transport.
+enum class TransportKind { kGrpc, kNghttp2 };
+
+constexpr std::array<EnumName<TransportKind>, 2> EnumNames(TransportKind) {
+  return {{{TransportKind::kGrpc, "grpc"}, {TransportKind::kNghttp2, "nghttp2"}}};
+}
+
 struct ServerOptions {
-  std::string listen = "127.0.0.1:50051";      // gRPC; port 0 picks a free one
+  std::string listen = "127.0.0.1:50051";  // gRPC: HOST:PORT or unix:PATH; port 0 picks a free one
+  TransportKind transport = TransportKind::kNghttp2;
+  int64_t loops = 0;                // threads that serve connections; 0: one for each core
+  TransportLimits transport_limits;
+  bool reflection_v1alpha = false;  // serve the old version of reflection, too
   std::string http_listen = "127.0.0.1:9464";  // status page, metrics; port 0 as above; or empty
   int64_t max_message_bytes = 4 << 20;         // of one request over gRPC, from any caller
   absl::Duration drain_timeout = absl::Seconds(30);  // for calls in flight when the server stops

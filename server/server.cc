@@ -5,6 +5,7 @@
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
+#include <sched.h>
 
 #include <algorithm>
 #include <chrono>
@@ -37,6 +38,19 @@ constexpr absl::Duration kTokensInterval = absl::Seconds(1);
 // refuses it for its length, and refuses it without delay. Messages up to this limit are refused by
 // the services instead, which delay the refusal (RefusalPacer).
 constexpr int64_t kLargestReceived = 64 << 20;
+
+// The interval of looking whether the calls in flight have ended.
+constexpr absl::Duration kDrainPollInterval = absl::Milliseconds(1);
+
+// How long clients may take to read their last answers when the server stops.
+constexpr absl::Duration kLeaveTimeout = absl::Seconds(1);
+
+// Returns the number of cores that the process may use.
+int AvailableCores() {
+  cpu_set_t cores;
+  CPU_ZERO(&cores);
+  return sched_getaffinity(0, sizeof(cores), &cores) == 0 ? CPU_COUNT(&cores) : 1;
+}
 
 // Silences the many lines that gRPC logs for a port that is in use; StartGrpc reports it in one
 // line.
@@ -82,7 +96,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   auto server =
       std::unique_ptr<Server>(new Server(options, *std::move(authenticator), *std::move(registry),
                                          std::move(metrics), std::move(recordings)));
-  if (auto status = server->StartGrpc(); !status.ok()) return status;
+  if (auto status = server->StartTransport(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
     server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
@@ -123,6 +137,19 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                            grpc::health::v1::Health::service_full_name(),
                            grpc::reflection::v1::ServerReflection::service_full_name(),
                            "grpc.reflection.v1alpha.ServerReflection"}),
+      services_({.gate = &gate_,
+                 .authenticator = authenticator_.get(),
+                 .metrics = metrics_.get(),
+                 .clock = &clock_,
+                 .max_message_bytes = options.max_message_bytes},
+                {.policy = &handler_,
+                 .admin = &admin_handler_,
+                 .heads = &head_handler_,
+                 .inference = &inference_handler_,
+                 .health = &health_,
+                 .worker = &worker_,
+                 .admin_worker = &admin_worker_,
+                 .reflection_v1alpha = options.reflection_v1alpha}),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
               .store = &store_,
@@ -138,6 +165,33 @@ ServiceParts Server::Parts(BackgroundWorker* worker) {
           .clock = &clock_,
           .worker = worker,
           .max_message_bytes = options_.max_message_bytes};
+}
+
+absl::Status Server::StartTransport() {
+  return options_.transport == TransportKind::kGrpc ? StartGrpc() : StartNghttp2();
+}
+
+absl::Status Server::StartNghttp2() {
+  auto address = ParseAddressOrUnix("--listen", options_.listen);
+  if (!address.ok()) return address.status();
+  if (options_.tls.enabled()) {
+    auto tls = TlsContext::Create(options_.tls, &clock_);
+    if (!tls.ok()) return tls.status();
+    tls_ = *std::move(tls);
+  }
+  auto transport =
+      Transport::Create({.listen = *std::move(address),
+                         .limits = options_.transport_limits,
+                         .loops = options_.loops == 0 ? AvailableCores()
+                                                      : static_cast<int>(options_.loops),
+                         .tls = tls_.get(),
+                         .clock = &clock_});
+  if (!transport.ok()) return transport.status();
+  transport_ = *std::move(transport);
+  grpc_address_ = transport_->address();
+  PublishHealth();
+  services_.Attach(transport_.get());
+  return transport_->Start();
 }
 
 absl::Status Server::StartGrpc() {
@@ -170,11 +224,14 @@ absl::Status Server::StartGrpc() {
 }
 
 void Server::PublishHealth() {
-  auto* health = grpc_->GetHealthCheckService();
-  health->SetServingStatus("", serving());
-  health->SetServingStatus(v1::PolicyService::service_full_name(), serving());
-  health->SetServingStatus(inference::GRPCInferenceService::service_full_name(), serving());
-  health->SetServingStatus(v1::PolicyAdmin::service_full_name(), !stopping_);
+  const auto publish = [this](const std::string& service, bool is_serving) {
+    health_.SetServing(service, is_serving);
+    if (grpc_ != nullptr) grpc_->GetHealthCheckService()->SetServingStatus(service, is_serving);
+  };
+  publish("", serving());
+  publish(v1::PolicyService::service_full_name(), serving());
+  publish(inference::GRPCInferenceService::service_full_name(), serving());
+  publish(v1::PolicyAdmin::service_full_name(), !stopping_);
 }
 
 void Server::ReloadTokens() {
@@ -200,20 +257,38 @@ absl::Status Server::StartHttp() {
 Server::~Server() { Stop(); }
 
 void Server::Stop() {
-  if (grpc_ == nullptr) return;
+  if (stopping_.exchange(true)) return;
   poller_.reset();
   token_reloader_.reset();
-  stopping_ = true;
+  if (grpc_ != nullptr) StopGrpc();
+  if (transport_ != nullptr) StopNghttp2();
+  http_.reset();
+}
+
+void Server::StopNghttp2() {
+  gate_.Drain();  // before health turns NOT_SERVING: a client that sees it is not served any more
+  transport_->Drain();
+  PublishHealth();
+  absl::SleepFor(kDrainNotice);
+  const absl::Duration end = clock_.Now() + options_.drain_timeout;
+  while (gate_.calls() > 0 && clock_.Now() < end) absl::SleepFor(kDrainPollInterval);
+  if (gate_.calls() > 0) WarnOfCallsInFlight();
+  health_.EndWatches();
+  transport_->Stop(kLeaveTimeout);
+}
+
+void Server::WarnOfCallsInFlight() {
+  LogWarning("calls were still in flight after the drain timeout",
+             {{"drain_timeout", absl::FormatDuration(options_.drain_timeout)}});
+}
+
+void Server::StopGrpc() {
   calls_.Drain();  // before health turns NOT_SERVING: a client that sees it is not served any more
   PublishHealth();
   absl::SleepFor(kDrainNotice);
-  if (!calls_.WaitUntilIdle(options_.drain_timeout)) {
-    LogWarning("calls were still in flight after the drain timeout",
-               {{"drain_timeout", absl::FormatDuration(options_.drain_timeout)}});
-  }
+  if (!calls_.WaitUntilIdle(options_.drain_timeout)) WarnOfCallsInFlight();
   grpc_->Shutdown(std::chrono::system_clock::now());  // also ends health watches, which have no end
   grpc_.reset();
-  http_.reset();
 }
 
 }  // namespace spikeserve

@@ -14,6 +14,7 @@
 #include "core/session/session_reaper.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/access/tls_context.h"
 #include "server/admin/admin_handler.h"
 #include "server/admin/head_handler.h"
 #include "server/agent/policy_handler.h"
@@ -32,6 +33,10 @@
 #include "server/rpc/policy_admin_service.h"
 #include "server/rpc/policy_service.h"
 #include "server/rpc/reflection_service.h"
+#include "server/services/call_gate.h"
+#include "server/services/health_service.h"
+#include "server/services/services.h"
+#include "server/transport/transport.h"
 #include "server/web/http_server.h"
 #include "server/web/status_pages.h"
 
@@ -67,7 +72,13 @@ class Server {
 
   ServiceParts Parts(BackgroundWorker* worker);
   void ReloadTokens();
+  // Starts the transport that the options name.
+  absl::Status StartTransport();
   absl::Status StartGrpc();
+  absl::Status StartNghttp2();
+  void StopGrpc();
+  void StopNghttp2();
+  void WarnOfCallsInFlight();
   absl::Status StartHttp();
   bool serving() const { return !stopping_ && !store_.draining(); }
   void PublishHealth();
@@ -84,6 +95,10 @@ class Server {
   const PolicyHandler handler_;
   const AdminHandler admin_handler_;
   CallTracker calls_;
+  CallGate gate_;
+  HealthService health_;
+  std::unique_ptr<TlsContext> tls_;         // null without TLS
+  std::unique_ptr<Transport> transport_;    // outlives the workers, which post to its loops
   BackgroundWorker worker_;
   BackgroundWorker admin_worker_;
   PolicyService service_;
@@ -92,6 +107,7 @@ class Server {
   InferenceHandler inference_handler_;
   InferenceService inference_service_;
   ReflectionService reflection_service_;
+  Services services_;
   std::atomic<bool> stopping_ = false;
   const StatusPages pages_;
   Address grpc_address_;

@@ -4,7 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/time.h"
-#include "server/base/status_map.h"
+#include "server/base/retry_delay.h"
 
 namespace spikeserve {
 

@@ -90,9 +90,8 @@ absl::Status TlsFiles::Validate() const {
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
-    const TlsFiles& files) {
-  if (!files.enabled()) return grpc::InsecureServerCredentials();
+absl::Status CheckTlsFiles(const TlsFiles& files) {
+  if (!files.enabled()) return absl::OkStatus();
   const auto certificate = ReadCertificate("--tls_certificate", files.certificate);
   if (!certificate.ok()) return certificate.status();
   const auto key = ReadKey(files.key);
@@ -102,13 +101,19 @@ absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
     return absl::InvalidArgumentError(absl::StrCat("--tls_key: expected the key of ",
                                                    files.certificate, ", received ", files.key));
   }
+  if (files.client_ca.empty()) return absl::OkStatus();
+  return ReadCertificate("--tls_client_ca", files.client_ca).status();
+}
+
+absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
+    const TlsFiles& files) {
+  if (!files.enabled()) return grpc::InsecureServerCredentials();
+  if (auto status = CheckTlsFiles(files); !status.ok()) return status;
   grpc::experimental::TlsServerCredentialsOptions options(
       std::make_shared<grpc::experimental::FileWatcherCertificateProvider>(
           files.key, files.certificate, files.client_ca, kRefreshSeconds));
   options.watch_identity_key_cert_pairs();
   if (!files.client_ca.empty()) {
-    const auto authority = ReadCertificate("--tls_client_ca", files.client_ca);
-    if (!authority.ok()) return authority.status();
     options.watch_root_certs();
     options.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
   }

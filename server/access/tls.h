@@ -27,9 +27,13 @@ struct TlsFiles {
   absl::Status Validate() const;
 };
 
+// Returns INVALID_ARGUMENT, which names flag and file, if a file has another content than expected
+// or the key does not belong to the certificate. Returns OK if TLS is off.
+absl::Status CheckTlsFiles(const TlsFiles& files);
+
 // Returns the credentials of the gRPC port. gRPC reads the files again every 2 seconds. Returns
-// INVALID_ARGUMENT, which names flag and file, if a file has another content than expected or the
-// key does not belong to the certificate: gRPC would fail every handshake without an error message.
+// the
+// errors of CheckTlsFiles: gRPC would fail every handshake without an error message.
 absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
     const TlsFiles& files);
 

@@ -11,7 +11,7 @@
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
 #include "nlohmann/json.hpp"
-#include "server/base/status_map.h"
+#include "server/base/retry_delay.h"
 
 namespace spikeserve {
 namespace {
@@ -263,7 +263,7 @@ void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
   response->Clear();
   response->set_session_id(request.session_id());
   response->set_step(request.step());
-  response->mutable_error()->set_code(ToGrpcCode(status.code()));
+  response->mutable_error()->set_code(static_cast<int>(status.code()));
   response->mutable_error()->set_message(std::string(status.message()));
   if (const auto delay = RetryDelay(status)) {
     response->mutable_error()->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));

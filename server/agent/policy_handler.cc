@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <utility>
+#include <vector>
 
 #include "absl/algorithm/container.h"
 #include "absl/container/inlined_vector.h"
@@ -10,7 +11,7 @@
 #include "server/agent/act_together.h"
 #include "server/agent/convert.h"
 #include "server/agent/explain_convert.h"
-#include "server/base/status_map.h"
+#include "server/base/retry_delay.h"
 
 namespace spikeserve {
 namespace {
@@ -75,7 +76,7 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
 
 void SetError(const absl::Status& status, v1::ActResult* result) {
   result->clear_response();
-  result->set_code(ToGrpcCode(status.code()));
+  result->set_code(static_cast<int>(status.code()));
   result->set_message(std::string(status.message()));
   if (const auto delay = RetryDelay(status)) {
     result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
@@ -185,41 +186,54 @@ absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_
   return item.status;
 }
 
-// Decides the items in groups. A group ends before an item whose session is in the group already,
-// so that the decisions of one session are made in the order of the request.
+// A group ends before a request whose session is in the group already, so that the decisions of one
+// session are made in order.
+void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
+                            absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const {
+  absl::InlinedVector<ActItem, 1> items;    // of the group, without requests that were refused
+  absl::InlinedVector<size_t, 1> positions;  // of `items` in `acts`
+  size_t begin = 0;                          // of the group
+  const auto answer_group = [&](size_t end) {
+    ActTogether(absl::MakeSpan(items));
+    for (size_t i = 0; i < items.size(); ++i) {
+      acts[positions[i]].status = items[i].status;
+      if (items[i].status.ok()) deferred->Add(std::move(items[i].entry), shadows_);
+    }
+    answered(acts.subspan(begin, end - begin));
+    begin = end;
+    items.clear();
+    positions.clear();
+  };
+  for (size_t i = 0; i < acts.size(); ++i) {
+    AgentAct& act = acts[i];
+    auto entry = FindForDecision(*act.caller, *act.request);
+    act.status = entry.status();
+    if (!entry.ok()) continue;
+    const bool again =
+        absl::c_any_of(items, [&](const ActItem& item) { return item.entry == *entry; });
+    if (again || items.size() == kMaxSessionsPerGroup) answer_group(i);
+    items.push_back({.request = act.request,
+                     .step = act.request->step(),
+                     .entry = *std::move(entry),
+                     .response = act.response});
+    positions.push_back(i);
+  }
+  answer_group(acts.size());
+}
+
 absl::Status PolicyHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                                      v1::ActBatchResponse* response, DeferredWork* deferred) const {
-  absl::InlinedVector<ActItem, 1> group;
-  absl::InlinedVector<v1::ActResult*, 1> results;  // of the group
-  const auto answer_group = [&] {
-    ActTogether(absl::MakeSpan(group));
-    for (size_t i = 0; i < group.size(); ++i) {
-      if (group[i].status.ok()) {
-        deferred->Add(std::move(group[i].entry), shadows_);
-      } else {
-        SetError(group[i].status, results[i]);
-      }
-    }
-    group.clear();
-    results.clear();
-  };
+  std::vector<AgentAct> acts;
+  acts.reserve(request.requests_size());
   for (const v1::ActRequest& item : request.requests()) {
-    v1::ActResult* result = response->add_results();
-    auto entry = FindForDecision(caller, item);
-    if (!entry.ok()) {
-      SetError(entry.status(), result);
-      continue;
-    }
-    const bool again =
-        absl::c_any_of(group, [&](const ActItem& grouped) { return grouped.entry == *entry; });
-    if (again || group.size() == kMaxSessionsPerGroup) answer_group();
-    group.push_back({.request = &item,
-                     .step = item.step(),
-                     .entry = *std::move(entry),
-                     .response = result->mutable_response()});
-    results.push_back(result);
+    acts.push_back({.caller = &caller,
+                    .request = &item,
+                    .response = response->add_results()->mutable_response()});
   }
-  answer_group();
+  ActMany(absl::MakeSpan(acts), deferred, [](absl::Span<AgentAct> /*group*/) {});
+  for (size_t i = 0; i < acts.size(); ++i) {
+    if (!acts[i].status.ok()) SetError(acts[i].status, response->mutable_results(static_cast<int>(i)));
+  }
   return absl::OkStatus();
 }
 

@@ -9,7 +9,9 @@
 #include <optional>
 #include <string>
 
+#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
+#include "absl/types/span.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
@@ -24,6 +26,14 @@ namespace spikeserve {
 struct LabelLimits {
   static constexpr int kLabels = 32;
   static constexpr size_t kBytes = 256;  // of a key, a value or a routing key
+};
+
+// One of many decisions that are requested together, each by a caller of its own.
+struct AgentAct {
+  const Credential* caller = nullptr;
+  const v1::ActRequest* request = nullptr;
+  v1::ActResponse* response = nullptr;
+  absl::Status status = absl::OkStatus();  // set with `response`
 };
 
 class PolicyHandler {
@@ -53,6 +63,11 @@ class PolicyHandler {
   // is never a retry.
   absl::Status ActNext(const Credential& caller, const v1::ActRequest& request,
                        v1::ActResponse* response, DeferredWork* deferred) const;
+  // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
+  // session are made in the order of `acts`. Calls `answered` for each group, which is the next part
+  // of `acts`, so that its answers can be sent before the next group is decided.
+  void ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
+               absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const;
   // Answers each item. An item that fails has its own code in `response`; the call returns OK.
   absl::Status ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
                         v1::ActBatchResponse* response, DeferredWork* deferred) const;

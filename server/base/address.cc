@@ -11,6 +11,8 @@
 namespace spikeserve {
 namespace {
 
+constexpr absl::string_view kUnixPrefix = "unix:";
+
 bool IsHost(absl::string_view host) {
   const bool bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
   if (bracketed) host = host.substr(1, host.size() - 2);
@@ -21,10 +23,12 @@ bool IsHost(absl::string_view host) {
 
 }  // namespace
 
-std::string Address::ToString() const { return absl::StrCat(host, ":", port); }
+std::string Address::ToString() const {
+  return is_unix() ? absl::StrCat(kUnixPrefix, unix_path) : absl::StrCat(host, ":", port);
+}
 
 bool Address::is_loopback() const {
-  return host == "localhost" || host == "[::1]" ||
+  return is_unix() || host == "localhost" || host == "[::1]" ||
          (absl::StartsWith(host, "127.") && host.find_first_not_of("0123456789.") == host.npos);
 }
 
@@ -39,6 +43,15 @@ absl::StatusOr<Address> ParseAddress(absl::string_view field, absl::string_view 
   }
   address.host = std::string(text.substr(0, colon));
   return address;
+}
+
+absl::StatusOr<Address> ParseAddressOrUnix(absl::string_view field, absl::string_view text) {
+  if (!absl::StartsWith(text, kUnixPrefix)) return ParseAddress(field, text);
+  Address address;
+  address.unix_path = std::string(text.substr(kUnixPrefix.size()));
+  if (address.is_unix()) return address;
+  return absl::InvalidArgumentError(
+      absl::StrCat(field, ": expected a path after unix:, received none"));
 }
 
 }  // namespace spikeserve

@@ -18,7 +18,7 @@
 #include "absl/time/time.h"
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
-#include "server/base/status_map.h"
+#include "server/rpc/status_map.h"
 #include "server/rpc/call_tracker.h"
 #include "server/rpc/service_parts.h"
 

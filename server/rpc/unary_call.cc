@@ -8,7 +8,7 @@
 
 #include "absl/time/time.h"
 #include "server/access/admission.h"
-#include "server/base/status_map.h"
+#include "server/rpc/status_map.h"
 
 namespace spikeserve {
 namespace {

@@ -35,7 +35,8 @@ TEST_F(OpenErrorsTest, TooLongAMessage) {
   ExpectError(client_->TryOpen(request_), StatusCode::RESOURCE_EXHAUSTED,
               "--max_message_bytes: expected at most 1000, received 10");
   request_.set_policy(std::string(65 << 20, 'x'));
-  ExpectError(client_->TryOpen(request_), StatusCode::RESOURCE_EXHAUSTED, "67108864");
+  ExpectError(client_->TryOpen(request_), StatusCode::RESOURCE_EXHAUSTED,
+              "--max_message_bytes: expected at most 1000, received 681574");
 }
 
 TEST_F(OpenErrorsTest, UnknownVersion) {

@@ -10,7 +10,8 @@ namespace spikeserve {
 absl::StatusOr<std::unique_ptr<ServerProcess>> ServerProcess::Start(
     const std::string& policies, const std::vector<std::string>& flags) {
   std::vector<std::string> arguments = {SPIKESERVE_PROGRAM, absl::StrCat("--policies=", policies),
-                                        "--listen=127.0.0.1:0", "--http_listen=127.0.0.1:0"};
+                                        "--listen=127.0.0.1:0", "--http_listen=127.0.0.1:0",
+                                        "--reflection_v1alpha"};
   arguments.insert(arguments.end(), flags.begin(), flags.end());
   auto process = Subprocess::Start(arguments);
   if (!process.ok()) return process.status();

@@ -35,6 +35,7 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
             f"--policies={policies}",
             "--listen=127.0.0.1:0",
             "--http_listen=127.0.0.1:0",
+            "--reflection_v1alpha",  # the version that grpcio-reflection speaks
             *flags,
         ],
         stdout=subprocess.PIPE,

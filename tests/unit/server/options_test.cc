@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "server/base/address.h"
-#include "server/base/status_map.h"
+#include "server/rpc/status_map.h"
 
 namespace spikeserve {
 namespace {

@@ -8,7 +8,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "server/access/permission.h"
-#include "server/base/status_map.h"
+#include "server/base/retry_delay.h"
 #include "tests/support/temporary_directory.h"
 
 namespace spikeserve {

@@ -1,7 +1,6 @@
-#include "server/base/status_map.h"
+#include "server/base/retry_delay.h"
 
 #include <cstdint>
-#include <string>
 
 #include "absl/strings/cord.h"
 #include "google/rpc/error_details.pb.h"
@@ -9,11 +8,6 @@
 
 namespace spikeserve {
 namespace {
-
-// ToGrpcCode casts: Abseil's codes have the same numbers as gRPC's.
-static_assert(static_cast<int>(absl::StatusCode::kCancelled) == grpc::StatusCode::CANCELLED);
-static_assert(static_cast<int>(absl::StatusCode::kUnauthenticated) ==
-              grpc::StatusCode::UNAUTHENTICATED);
 
 constexpr char kRetryInfoUrl[] = "type.googleapis.com/google.rpc.RetryInfo";
 
@@ -27,23 +21,6 @@ google::rpc::RetryInfo ToProto(absl::Duration delay) {
 
 }  // namespace
 
-grpc::StatusCode ToGrpcCode(absl::StatusCode code) { return static_cast<grpc::StatusCode>(code); }
-
-grpc::Status ToGrpcStatus(const absl::Status& status) {
-  if (status.ok()) return grpc::Status::OK;
-  const grpc::StatusCode code = ToGrpcCode(status.code());
-  const std::string message(status.message());
-  const auto payload = status.GetPayload(kRetryInfoUrl);
-  if (!payload.has_value()) return grpc::Status(code, message);
-  google::rpc::Status details;
-  details.set_code(code);
-  details.set_message(message);
-  auto* detail = details.add_details();
-  detail->set_type_url(kRetryInfoUrl);
-  detail->set_value(std::string(*payload));
-  return grpc::Status(code, message, details.SerializeAsString());
-}
-
 absl::Status WithRetryDelay(absl::Status status, absl::Duration delay) {
   status.SetPayload(kRetryInfoUrl, absl::Cord(ToProto(delay).SerializeAsString()));
   return status;
@@ -55,6 +32,18 @@ std::optional<absl::Duration> RetryDelay(const absl::Status& status) {
   if (!payload.has_value() || !info.ParseFromString(std::string(*payload))) return std::nullopt;
   return absl::Seconds(info.retry_delay().seconds()) +
          absl::Nanoseconds(info.retry_delay().nanos());
+}
+
+std::string SerializedDetails(const absl::Status& status) {
+  const auto payload = status.GetPayload(kRetryInfoUrl);
+  if (!payload.has_value()) return "";
+  google::rpc::Status details;
+  details.set_code(static_cast<int>(status.code()));
+  details.set_message(std::string(status.message()));
+  auto* detail = details.add_details();
+  detail->set_type_url(kRetryInfoUrl);
+  detail->set_value(std::string(*payload));
+  return details.SerializeAsString();
 }
 
 }  // namespace spikeserve

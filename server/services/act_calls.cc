@@ -1,0 +1,74 @@
+#include "server/services/act_calls.h"
+
+#include <utility>
+
+#include "server/access/admission.h"
+#include "server/agent/convert.h"
+
+namespace spikeserve {
+void ActCall::Handle() {
+  const auto self = std::static_pointer_cast<ActCall>(shared_from_this());
+  queue_.Add({.client = self,
+              .messages = std::shared_ptr<ActMessages>(self, &messages()),
+              .caller = &caller(),
+              .request_bytes = 0,                  // the call knows its own
+              .received = absl::ZeroDuration()});  // as above
+}
+
+void ActCall::OnDecided(ActMessages& /*messages*/, const absl::Status& status,
+                        size_t /*request_bytes*/, absl::Duration /*received*/) {
+  End(status);
+}
+
+void ActStreamCall::HandleMessage(absl::string_view message) {
+  const absl::Duration received = context().clock->Now();
+  auto messages = std::make_shared<ActMessages>();
+  if (!messages->request()->ParseFromArray(message.data(), static_cast<int>(message.size()))) {
+    return Finish(UnreadableError());
+  }
+  if (++in_progress_ == kMaxInProgress) call()->PauseReading();
+  const auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
+                                         context().max_message_bytes);
+  if (!status.ok()) return OnDecided(*messages, status, message.size(), received);
+  queue_.Add({.client = std::static_pointer_cast<ActStreamCall>(shared_from_this()),
+              .messages = std::move(messages),
+              .caller = &caller(),
+              .request_bytes = message.size(),
+              .received = received});
+}
+
+void ActStreamCall::HandleTooLong(size_t length, const absl::Status& error) {
+  ActMessages unread;
+  ++in_progress_;
+  OnDecided(unread, error, length, context().clock->Now());
+}
+
+void ActStreamCall::OnDecided(ActMessages& messages, const absl::Status& status,
+                              size_t request_bytes, absl::Duration received) {
+  Observe(status, received);
+  --in_progress_;
+  if (call() == nullptr) return;
+  if (!status.ok()) ErrorToProto(*messages.request(), status, messages.response());
+  call()->Send(*messages.response());
+  PauseAfter(status, request_bytes);
+  if (in_progress_ == 0 && !is_delayed()) call()->ResumeReading();
+  FinishIfDone();
+}
+
+void ActStreamCall::FinishIfDone() {
+  if (in_progress_ > 0 || !(half_closed_ || draining_)) return;
+  Finish(half_closed_ ? absl::OkStatus() : CallGate::DrainingError());
+}
+
+void ActStreamCall::OnHalfClose() {
+  half_closed_ = true;
+  FinishIfDone();
+}
+
+void ActStreamCall::OnDrain() {
+  ServiceCall::OnDrain();
+  draining_ = true;
+  FinishIfDone();
+}
+
+}  // namespace spikeserve

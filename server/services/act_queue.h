@@ -1,0 +1,82 @@
+// Gathers the decisions that were requested in one turn of a loop and makes them together.
+//
+// A session belongs to one loop, by its id, so that its state stays in the caches of one core and
+// its lock is rarely contended. A request that arrives at another loop is passed to its session's
+// loop, and its answer is passed back.
+//
+// Confined to the thread of its loop; the queues of a server's loops exchange work by
+// EventLoop::Post().
+#ifndef SERVER_SERVICES_ACT_QUEUE_H_
+#define SERVER_SERVICES_ACT_QUEUE_H_
+
+#include <memory>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "server/access/authenticator.h"
+#include "server/agent/policy_handler.h"
+#include "server/services/call_messages.h"
+#include "server/transport/transport_loop.h"
+#include "spikeserve/v1/policy_service.pb.h"
+
+namespace spikeserve {
+
+using ActMessages = CallMessages<v1::ActRequest, v1::ActResponse>;
+
+// Receives the answers of a queue.
+class ActClient {
+ public:
+  virtual ~ActClient() = default;
+  // Called on the thread of the loop that the request came from. `received` is the time that was
+  // passed to Add().
+  virtual void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,
+                         absl::Duration received) = 0;
+};
+
+class ActQueue {
+ public:
+  // One request. Keeps its client and its messages alive.
+  struct Act {
+    std::shared_ptr<ActClient> client;
+    std::shared_ptr<ActMessages> messages;
+    const Credential* caller;
+    size_t request_bytes;
+    absl::Duration received;  // of the server's clock
+  };
+
+  // `handler` and `loop` must outlive the queue.
+  ActQueue(const PolicyHandler* handler, TransportLoop* loop) : handler_(*handler), loop_(*loop) {}
+
+  // Sets the queues of all loops, in the same order for each, before the loops run.
+  void SetQueues(std::vector<ActQueue*> queues);
+
+  // Adds a request, which is decided at the end of the turn.
+  void Add(Act act);
+
+  // Decides what was added and passes on what belongs to other loops. The answers of each group are
+  // written before the next group is decided; then what the answers need not wait for is done.
+  void Run();
+
+ private:
+  // Requests from one loop.
+  struct Batch {
+    ActQueue* from;
+    std::vector<Act> acts;
+    std::vector<absl::Status> statuses;
+  };
+
+  void Decide(std::vector<Act> acts);
+  void DecideForeign(const std::shared_ptr<Batch>& batch);
+
+  const PolicyHandler& handler_;
+  TransportLoop& loop_;
+  std::vector<ActQueue*> queues_;
+  std::vector<std::vector<Act>> added_;  // by the loop that the session belongs to
+  std::vector<std::shared_ptr<Batch>> foreign_;
+  bool running_ = false;  // in Run(), and no further turn was asked for
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVICES_ACT_QUEUE_H_

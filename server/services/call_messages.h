@@ -1,0 +1,36 @@
+// The request and the response of one call in one block of memory.
+//
+// Not thread-safe.
+#ifndef SERVER_SERVICES_CALL_MESSAGES_H_
+#define SERVER_SERVICES_CALL_MESSAGES_H_
+
+#include <google/protobuf/arena.h>
+
+#include <cstddef>
+
+namespace spikeserve {
+
+template <typename Request, typename Response>
+class CallMessages {
+ public:
+  CallMessages()
+      : arena_(block_, sizeof(block_)),
+        request_(google::protobuf::Arena::CreateMessage<Request>(&arena_)),
+        response_(google::protobuf::Arena::CreateMessage<Response>(&arena_)) {}
+  CallMessages(const CallMessages&) = delete;
+  CallMessages& operator=(const CallMessages&) = delete;
+
+  Request* request() { return request_; }
+  Response* response() { return response_; }
+
+ private:
+  // Holds an Act; the arena allocates more if needed.
+  alignas(std::max_align_t) char block_[1536];
+  google::protobuf::Arena arena_;
+  Request* const request_;
+  Response* const response_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVICES_CALL_MESSAGES_H_

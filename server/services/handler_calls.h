@@ -1,0 +1,89 @@
+// Calls that a method of a handler answers.
+//
+// Confined to the thread of the call's loop, except that BackgroundCall runs its method on a worker.
+#ifndef SERVER_SERVICES_HANDLER_CALLS_H_
+#define SERVER_SERVICES_HANDLER_CALLS_H_
+
+#include <atomic>
+#include <memory>
+#include <type_traits>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "server/access/authenticator.h"
+#include "server/agent/deferred_work.h"
+#include "server/base/background_worker.h"
+#include "server/services/unary_call.h"
+
+namespace spikeserve {
+
+// Calls `handler.*method` with the arguments that its form takes.
+template <typename Handler, typename Method, typename Request, typename Response>
+absl::Status Invoke(Handler& handler, Method method, const Credential& caller,
+                    const Request& request, Response* response, DeferredWork* deferred) {
+  if constexpr (std::is_invocable_v<Method, Handler&, const Request&, Response*>) {
+    return (handler.*method)(request, response);
+  } else if constexpr (std::is_invocable_v<Method, Handler&, const Credential&, const Request&,
+                                           Response*>) {
+    return (handler.*method)(caller, request, response);
+  } else {
+    return (handler.*method)(caller, request, response, deferred);
+  }
+}
+
+// Runs `Answer(caller, request, response, deferred)`, which returns a CallOutcome, on the loop. For
+// methods that are quick. `deferred` is work that the loop does after it has sent the answer.
+template <typename Request, typename Response, typename Answer>
+class InlineCall final : public UnaryCall<Request, Response> {
+ public:
+  InlineCall(const ServiceContext* context, Call* call, Method method, DeferredWork* deferred,
+             const Answer* answer)
+      : UnaryCall<Request, Response>(context, call, method), deferred_(deferred), answer_(*answer) {}
+
+ private:
+  void Handle() override {
+    this->End(answer_(this->caller(), this->request(), this->response(), deferred_));
+  }
+
+  DeferredWork* const deferred_;
+  const Answer& answer_;
+};
+
+// Runs `Answer` on a background worker. For methods that take long. A call that is over before its
+// turn comes is not computed.
+template <typename Request, typename Response, typename Answer>
+class BackgroundCall final : public UnaryCall<Request, Response> {
+ public:
+  BackgroundCall(const ServiceContext* context, Call* call, Method method,
+                 BackgroundWorker* worker, const Answer* answer)
+      : UnaryCall<Request, Response>(context, call, method), worker_(*worker), answer_(*answer) {}
+
+  void OnClosed() override {
+    over_ = true;
+    UnaryCall<Request, Response>::OnClosed();
+  }
+
+ private:
+  void Handle() override {
+    auto self = std::static_pointer_cast<BackgroundCall>(this->shared_from_this());
+    const absl::Status status =
+        worker_.Submit([self = std::move(self), loop = &this->call()->loop()]() mutable {
+          if (self->over_) {
+            // Destroyed on the loop's thread, like every call.
+            return loop->Post([self = std::move(self)] {});
+          }
+          const CallOutcome outcome =
+              self->answer_(self->caller(), self->request(), self->response(), nullptr);
+          loop->Post([self = std::move(self), outcome] { self->End(outcome); });
+        });
+    if (!status.ok()) this->End(status);
+  }
+
+  BackgroundWorker& worker_;
+  const Answer& answer_;
+  std::atomic<bool> over_ = false;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVICES_HANDLER_CALLS_H_

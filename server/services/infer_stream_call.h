@@ -1,0 +1,47 @@
+// ModelStreamInfer of the Open Inference Protocol: any number of requests, each answered in order.
+//
+// Confined to the thread of the call's loop.
+#ifndef SERVER_SERVICES_INFER_STREAM_CALL_H_
+#define SERVER_SERVICES_INFER_STREAM_CALL_H_
+
+#include "absl/status/status.h"
+#include "inference/grpc_service.pb.h"
+#include "server/agent/deferred_work.h"
+#include "server/inference/inference_handler.h"
+#include "server/services/service_call.h"
+
+namespace spikeserve {
+
+// A request that fails is answered with its error, and the stream goes on.
+class InferStreamCall final : public ServiceCall {
+ public:
+  // `deferred` is work that the loop does after it has sent the answers. All pointers must outlive
+  // the call.
+  InferStreamCall(const ServiceContext* context, Call* call, InferenceHandler* handler,
+                  DeferredWork* deferred)
+      : ServiceCall(context, call, Method::kModelStreamInfer),
+        handler_(*handler),
+        deferred_(deferred) {}
+
+  void OnHalfClose() override { Finish(absl::OkStatus()); }
+  void OnDrain() override {
+    ServiceCall::OnDrain();
+    Finish(CallGate::DrainingError());
+  }
+
+ private:
+  void HandleMessage(absl::string_view message) override;
+  void HandleTooLong(size_t length, const absl::Status& error) override;
+  absl::Status Answer(const inference::ModelInferRequest& request, size_t request_bytes,
+                      inference::ModelInferResponse* response);
+  // Sends an answer, or its error.
+  void Reply(const absl::Status& status, const std::string& id, size_t request_bytes,
+             inference::ModelStreamInferResponse* response);
+
+  InferenceHandler& handler_;
+  DeferredWork* const deferred_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVICES_INFER_STREAM_CALL_H_

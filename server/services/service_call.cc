@@ -1,0 +1,73 @@
+#include "server/services/service_call.h"
+
+#include <utility>
+
+#include "server/access/admission.h"
+
+namespace spikeserve {
+
+absl::Status UnreadableError() {
+  return absl::InternalError(
+      "message: expected a request of this method, received bytes that are none");
+}
+
+void ServiceCall::Start() {
+  const absl::Duration start = context_.clock->Now();
+  if (admission_.ok()) {
+    caller_ = Admit(*context_.authenticator, call_->head().authorization, method_);
+    admission_ = caller_.status();
+  }
+  if (admission_.ok()) return;
+  // Refused before a byte of the request was read.
+  call_->DropRequest();
+  Observe(admission_, start);
+  AfterDelay(admission_, /*request_bytes=*/0, [this] { Finish(admission_); });
+}
+
+void ServiceCall::OnMessage(absl::string_view message) { HandleMessage(message); }
+
+void ServiceCall::OnTooLong(size_t length) {
+  HandleTooLong(length, CheckSize(caller(), static_cast<int64_t>(length),
+                                  context_.max_message_bytes));
+}
+
+void ServiceCall::OnClosed() {
+  call_->loop().Cancel(timer_);
+  delayed_ = nullptr;
+  call_ = nullptr;
+}
+
+void ServiceCall::OnDrain() {
+  // A caller that waits for its refusal need not wait longer.
+  if (delayed_ == nullptr || call_ == nullptr) return;
+  call_->loop().Cancel(timer_);
+  std::exchange(delayed_, nullptr)();
+}
+
+absl::Duration ServiceCall::DelayFor(const absl::Status& status, size_t request_bytes) const {
+  return context_.authenticator->RefusalPacerFor(caller_).DelayFor(status, request_bytes,
+                                                              context_.clock->Now());
+}
+
+void ServiceCall::AfterDelay(const absl::Status& status, size_t request_bytes,
+                             std::function<void()> next) {
+  const absl::Duration delay = DelayFor(status, request_bytes);
+  if (delay == absl::ZeroDuration()) return next();
+  delayed_ = std::move(next);
+  timer_ = call_->loop().After(delay, [this] { std::exchange(delayed_, nullptr)(); });
+}
+
+void ServiceCall::PauseAfter(const absl::Status& status, size_t request_bytes) {
+  const absl::Duration delay = DelayFor(status, request_bytes);
+  if (delay == absl::ZeroDuration()) return;
+  call_->PauseReading();
+  call_->loop().Cancel(timer_);
+  delayed_ = [this] { call_->ResumeReading(); };
+  timer_ = call_->loop().After(delay, [this] { std::exchange(delayed_, nullptr)(); });
+}
+
+void ServiceCall::Finish(const absl::Status& status) {
+  if (call_ != nullptr) call_->Finish(status);
+}
+
+}  // namespace spikeserve

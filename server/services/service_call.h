@@ -1,0 +1,89 @@
+// What every call of our services does: admits the caller, measures, delays refusals, and ends when
+// the server stops.
+//
+// Confined to the thread of the call's loop.
+#ifndef SERVER_SERVICES_SERVICE_CALL_H_
+#define SERVER_SERVICES_SERVICE_CALL_H_
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "server/access/authenticator.h"
+#include "server/base/method_table.h"
+#include "server/services/service_context.h"
+#include "server/transport/call.h"
+
+namespace spikeserve {
+
+// Returns the error of a message whose bytes are no request of the method: INTERNAL, as gRPC's own
+// servers answer.
+absl::Status UnreadableError();
+
+class ServiceCall : public CallHandler, public std::enable_shared_from_this<ServiceCall> {
+ public:
+  // `context` must outlive the call.
+  ServiceCall(const ServiceContext* context, Call* call, Method method)
+      : context_(*context), call_(call), method_(method), admission_(context->gate->Begin()) {}
+  ~ServiceCall() override { context_.gate->End(); }
+
+  // Admits the caller, or refuses the call. To be called once, right after construction.
+  void Start();
+
+  size_t message_limit() const override {
+    return static_cast<size_t>(context_.max_message_bytes);
+  }
+  void OnMessage(absl::string_view message) final;
+  void OnTooLong(size_t length) final;
+  void OnClosed() override;
+  void OnDrain() override;
+
+ protected:
+  // The caller was admitted and sent a message of at most message_limit() bytes.
+  virtual void HandleMessage(absl::string_view message) = 0;
+  // As above, but the message was too long; `error` is its refusal.
+  virtual void HandleTooLong(size_t length, const absl::Status& error) = 0;
+
+  const ServiceContext& context() const { return context_; }
+  Method method() const { return method_; }
+  // Null after the call is over.
+  Call* call() const { return call_; }
+  // REQUIRES: the caller was admitted, which holds in HandleMessage() and after it.
+  const Credential& caller() const { return **caller_; }
+
+  // Counts a request that started at `start` and ended with `status`.
+  void Observe(const absl::Status& status, absl::Duration start) {
+    context_.metrics->ObserveRpc(method_, status.code(), context_.clock->Now() - start);
+  }
+
+  // Runs `next` now, or, if `status` is a refusal, after the delay that refused callers get. REQUIRES:
+  // the call is not over, and no delay is running.
+  void AfterDelay(const absl::Status& status, size_t request_bytes, std::function<void()> next);
+  // Reads no further messages for the delay that refused callers get, if `status` is a refusal.
+  // REQUIRES: the call is not over.
+  void PauseAfter(const absl::Status& status, size_t request_bytes);
+
+  // Returns true while a delay of AfterDelay() or PauseAfter() is running.
+  bool is_delayed() const { return delayed_ != nullptr; }
+
+  // Ends the call. Does nothing if it is over.
+  void Finish(const absl::Status& status);
+
+ private:
+  const ServiceContext& context_;
+  Call* call_;
+  const Method method_;
+  absl::Duration DelayFor(const absl::Status& status, size_t request_bytes) const;
+
+  absl::Status admission_;
+  absl::StatusOr<const Credential*> caller_ = absl::UnauthenticatedError("");
+  std::function<void()> delayed_;  // runs when `timer_` fires, or when the server drains
+  EventLoop::Timer timer_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVICES_SERVICE_CALL_H_

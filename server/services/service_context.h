@@ -1,0 +1,25 @@
+// What all services share.
+#ifndef SERVER_SERVICES_SERVICE_CONTEXT_H_
+#define SERVER_SERVICES_SERVICE_CONTEXT_H_
+
+#include <cstdint>
+
+#include "core/base/clock.h"
+#include "server/access/authenticator.h"
+#include "server/metrics/metrics.h"
+#include "server/services/call_gate.h"
+
+namespace spikeserve {
+
+// All are thread-safe and must outlive the calls.
+struct ServiceContext {
+  CallGate* gate;
+  const Authenticator* authenticator;
+  Metrics* metrics;
+  const Clock* clock;
+  int64_t max_message_bytes;  // of one request of any tenant
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVICES_SERVICE_CONTEXT_H_

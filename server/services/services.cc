@@ -1,0 +1,201 @@
+#include "server/services/services.h"
+
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "server/services/act_calls.h"
+#include "server/services/handler_calls.h"
+#include "server/services/infer_stream_call.h"
+#include "server/services/reflection.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kReflection[] = "grpc.reflection.v1.ServerReflection";
+constexpr char kReflectionAlpha[] = "grpc.reflection.v1alpha.ServerReflection";
+constexpr char kHealth[] = "grpc.health.v1.Health";
+
+template <typename RequestType, typename ResponseType>
+struct Messages {
+  using Request = RequestType;
+  using Response = ResponseType;
+};
+
+// Name the messages of a handler's method in each of its forms. Declared only.
+template <typename H, typename Request, typename Response>
+Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Request&, Response*) const);
+template <typename H, typename Request, typename Response>
+Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
+                                                           Response*) const);
+template <typename H, typename Request, typename Response>
+Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
+                                                           Response*, DeferredWork*) const);
+template <typename H, typename Request, typename Response>
+Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
+                                                           Response*, DeferredWork*));
+
+std::shared_ptr<CallHandler> Started(std::shared_ptr<ServiceCall> call) {
+  call->Start();
+  return call;
+}
+
+// Returns the error of an item that exceeded a limit of its tenant; OK if there is none. The batch
+// succeeds, but its caller has to wait as if all of it had been refused.
+absl::Status RefusalWithin(const v1::ActBatchResponse& response) {
+  for (const v1::ActResult& result : response.results()) {
+    if (result.code() == static_cast<int>(absl::StatusCode::kResourceExhausted)) {
+      return absl::ResourceExhaustedError(result.message());
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+Services::Services(const ServiceContext& context, const Handlers& handlers)
+    : context_(context), handlers_(handlers) {
+  AddPolicyService();
+  AddPolicyAdmin();
+  AddInferenceService();
+  AddStandardServices();
+}
+
+void Services::Attach(Transport* transport) {
+  for (const auto& loop : transport->loops()) {
+    loops_.push_back(std::make_unique<LoopServices>(&table_, handlers_.policy, loop.get()));
+  }
+  for (const auto& services : loops_) services->Attach(loops_);
+}
+
+template <typename Handler, typename HandlerMethod>
+void Services::AddInline(Method method, Handler* handler, HandlerMethod handler_method) {
+  using Types = decltype(MessagesOf(handler_method));
+  using Request = typename Types::Request;
+  using Response = typename Types::Response;
+  const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
+                                                Response* response, DeferredWork* deferred) {
+    CallOutcome outcome(
+        Invoke(*handler, handler_method, caller, request, response, deferred));
+    if constexpr (std::is_same_v<Response, v1::ActBatchResponse>) {
+      if (outcome.status.ok()) outcome.refusal = RefusalWithin(*response);
+    }
+    return outcome;
+  };
+  using AnswerType = decltype(answer);
+  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
+             [this, method, answer](Call* call, LoopServices* loop) {
+               return Started(std::make_shared<InlineCall<Request, Response, AnswerType>>(
+                   &context_, call, method, &loop->deferred(), &answer));
+             });
+}
+
+template <typename Handler, typename HandlerMethod>
+void Services::AddBackground(Method method, Handler* handler, HandlerMethod handler_method,
+                             BackgroundWorker* worker) {
+  using Types = decltype(MessagesOf(handler_method));
+  using Request = typename Types::Request;
+  using Response = typename Types::Response;
+  const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
+                                                Response* response, DeferredWork* deferred) {
+    return CallOutcome(Invoke(*handler, handler_method, caller, request, response, deferred));
+  };
+  using AnswerType = decltype(answer);
+  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
+             [this, method, worker, answer](Call* call, LoopServices* /*loop*/) {
+               return Started(std::make_shared<BackgroundCall<Request, Response, AnswerType>>(
+                   &context_, call, method, worker, &answer));
+             });
+}
+
+void Services::AddPolicyService() {
+  service_names_.push_back(v1::ListPoliciesRequest::descriptor()->file()->service(0)->full_name());
+  service_ = absl::StrCat("/", service_names_.back(), "/");
+  const PolicyHandler* policy = handlers_.policy;
+  AddInline(Method::kListPolicies, policy, &PolicyHandler::ListPolicies);
+  AddInline(Method::kOpenSession, policy, &PolicyHandler::OpenSession);
+  AddInline(Method::kActBatch, policy, &PolicyHandler::ActBatch);
+  AddInline(Method::kEndEpisode, policy, &PolicyHandler::EndEpisode);
+  AddInline(Method::kGetSession, policy, &PolicyHandler::GetSession);
+  AddInline(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
+  AddBackground(Method::kExplain, policy, &PolicyHandler::Explain, handlers_.worker);
+  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kAct).name),
+             [this](Call* call, LoopServices* loop) {
+               return Started(std::make_shared<ActCall>(&context_, call, &loop->acts()));
+             });
+  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kActStream).name),
+             [this](Call* call, LoopServices* loop) {
+               return Started(std::make_shared<ActStreamCall>(&context_, call, &loop->acts()));
+             });
+}
+
+void Services::AddPolicyAdmin() {
+  service_names_.push_back(v1::LoadPolicyRequest::descriptor()->file()->service(0)->full_name());
+  service_ = absl::StrCat("/", service_names_.back(), "/");
+  const auto add_admin = [this](Method method, auto handler_method) {
+    AddBackground(method, handlers_.admin, handler_method, handlers_.admin_worker);
+  };
+  add_admin(Method::kLoadPolicy, &AdminHandler::LoadPolicy);
+  add_admin(Method::kUnloadPolicy, &AdminHandler::UnloadPolicy);
+  add_admin(Method::kReloadPolicies, &AdminHandler::ReloadPolicies);
+  add_admin(Method::kSetDefaultVersion, &AdminHandler::SetDefaultVersion);
+  add_admin(Method::kSetLabel, &AdminHandler::SetLabel);
+  add_admin(Method::kRemoveLabel, &AdminHandler::RemoveLabel);
+  add_admin(Method::kSetTraffic, &AdminHandler::SetTraffic);
+  add_admin(Method::kListSessions, &AdminHandler::ListSessions);
+  add_admin(Method::kDrain, &AdminHandler::Drain);
+  const auto add_heads = [this](Method method, auto handler_method) {
+    AddBackground(method, handlers_.heads, handler_method, handlers_.admin_worker);
+  };
+  add_heads(Method::kGetHead, &HeadHandler::GetHead);
+  add_heads(Method::kPromoteHead, &HeadHandler::PromoteHead);
+  add_heads(Method::kRollbackHead, &HeadHandler::RollbackHead);
+  add_heads(Method::kPauseLearning, &HeadHandler::PauseLearning);
+  add_heads(Method::kResumeLearning, &HeadHandler::ResumeLearning);
+}
+
+void Services::AddInferenceService() {
+  service_names_.push_back(
+      inference::ServerLiveRequest::descriptor()->file()->service(0)->full_name());
+  service_ = absl::StrCat("/", service_names_.back(), "/");
+  InferenceHandler* handler = handlers_.inference;
+  AddInline(Method::kServerLive, handler, &InferenceHandler::ServerLive);
+  AddInline(Method::kServerReady, handler, &InferenceHandler::ServerReady);
+  AddInline(Method::kModelReady, handler, &InferenceHandler::ModelReady);
+  AddInline(Method::kServerMetadata, handler, &InferenceHandler::ServerMetadata);
+  AddInline(Method::kModelMetadata, handler, &InferenceHandler::ModelMetadata);
+  AddInline(Method::kModelInfer, handler, &InferenceHandler::ModelInfer);
+  AddInline(Method::kModelConfig, handler, &InferenceHandler::ModelConfig);
+  AddInline(Method::kModelStatistics, handler, &InferenceHandler::ModelStatistics);
+  AddInline(Method::kRepositoryIndex, handler, &InferenceHandler::RepositoryIndex);
+  AddBackground(Method::kRepositoryModelLoad, handler, &InferenceHandler::RepositoryModelLoad,
+                handlers_.admin_worker);
+  AddBackground(Method::kRepositoryModelUnload, handler, &InferenceHandler::RepositoryModelUnload,
+                handlers_.admin_worker);
+  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kModelStreamInfer).name),
+             [this](Call* call, LoopServices* loop) {
+               return Started(std::make_shared<InferStreamCall>(
+                   &context_, call, handlers_.inference, &loop->deferred()));
+             });
+}
+
+void Services::AddStandardServices() {
+  table_.Add(absl::StrCat("/", kHealth, "/Check"), [this](Call* call, LoopServices* /*loop*/) {
+    return handlers_.health->Check(call);
+  });
+  table_.Add(absl::StrCat("/", kHealth, "/Watch"), [this](Call* call, LoopServices* /*loop*/) {
+    return handlers_.health->Watch(call);
+  });
+  service_names_.emplace_back(kHealth);
+  const auto add_reflection = [this](const char* name) {
+    service_names_.emplace_back(name);
+    table_.Add(absl::StrCat("/", name, "/ServerReflectionInfo"),
+               [this](Call* call, LoopServices* /*loop*/) {
+                 return std::make_shared<ReflectionCall>(call, &service_names_);
+               });
+  };
+  add_reflection(kReflection);
+  if (handlers_.reflection_v1alpha) add_reflection(kReflectionAlpha);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,67 @@
+// Connects the methods of every service with the handlers that answer them.
+#ifndef SERVER_SERVICES_SERVICES_H_
+#define SERVER_SERVICES_SERVICES_H_
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "server/admin/admin_handler.h"
+#include "server/admin/head_handler.h"
+#include "server/agent/policy_handler.h"
+#include "server/base/background_worker.h"
+#include "server/inference/inference_handler.h"
+#include "server/services/health_service.h"
+#include "server/services/loop_services.h"
+#include "server/services/service_context.h"
+#include "server/services/service_table.h"
+#include "server/transport/transport.h"
+
+namespace spikeserve {
+
+// What answers. All must outlive the services.
+struct Handlers {
+  const PolicyHandler* policy;
+  const AdminHandler* admin;
+  const HeadHandler* heads;
+  InferenceHandler* inference;
+  HealthService* health;
+  BackgroundWorker* worker;        // runs what takes long, such as Explain
+  BackgroundWorker* admin_worker;  // runs the calls of operators, some of which use files
+  bool reflection_v1alpha;         // serve the old version of reflection, too
+};
+
+// PolicyService, PolicyAdmin, GRPCInferenceService, Health and ServerReflection.
+//
+// Must outlive the transport's run. Thread-safe, except Attach().
+class Services {
+ public:
+  Services(const ServiceContext& context, const Handlers& handlers);
+
+  // Answers the calls of `transport`. To be called once, before it starts.
+  void Attach(Transport* transport);
+
+ private:
+  void AddPolicyService();
+  void AddPolicyAdmin();
+  void AddInferenceService();
+  void AddStandardServices();
+
+  // Adds a method that `handler.*method` answers, on the loop or on a worker.
+  template <typename Handler, typename HandlerMethod>
+  void AddInline(Method method, Handler* handler, HandlerMethod handler_method);
+  template <typename Handler, typename HandlerMethod>
+  void AddBackground(Method method, Handler* handler, HandlerMethod handler_method,
+                     BackgroundWorker* worker);
+
+  const ServiceContext context_;
+  const Handlers handlers_;
+  std::string service_;  // "/package.Service/" of the methods that are being added
+  std::vector<std::string> service_names_;
+  ServiceTable table_;
+  std::vector<std::unique_ptr<LoopServices>> loops_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_SERVICES_SERVICES_H_

@@ -1,0 +1,387 @@
+#include "server/transport/connection.h"
+
+#include <sys/epoll.h>
+
+#include <array>
+#include <utility>
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kReadBytes = 64 << 10;   // at a time
+constexpr int kReadsPerTurn = 4;          // then other connections get their turn
+constexpr size_t kWriteBytes = 64 << 10;  // at a time
+
+// A connection stops reading while this many frames wait for the client to take them, for example
+// acknowledgements of a flood of PINGs.
+constexpr size_t kQueuedFrames = 1000;
+
+constexpr uint32_t kStreamWindow = 64 << 10;
+constexpr int32_t kConnectionWindow = 1 << 20;
+
+absl::string_view View(const uint8_t* data, size_t size) {
+  return {reinterpret_cast<const char*>(data), size};
+}
+
+}  // namespace
+
+// Passes nghttp2's callbacks on to the connection.
+struct ConnectionCallbacks {
+  static Connection* Self(void* user_data) { return static_cast<Connection*>(user_data); }
+
+  static int OnBeginHeaders(nghttp2_session* /*session*/, const nghttp2_frame* frame, void* user) {
+    if (frame->headers.cat != NGHTTP2_HCAT_REQUEST) return 0;
+    return Self(user)->OnBeginHeaders(frame->hd.stream_id);
+  }
+  static int OnHeader(nghttp2_session* /*session*/, const nghttp2_frame* frame, const uint8_t* name,
+                      size_t name_size, const uint8_t* value, size_t value_size, uint8_t /*flags*/,
+                      void* user) {
+    return Self(user)->OnHeader(frame->hd.stream_id, View(name, name_size),
+                                View(value, value_size));
+  }
+  static int OnBeginFrame(nghttp2_session* /*session*/, const nghttp2_frame_hd* header,
+                          void* user) {
+    if (header->type == NGHTTP2_HEADERS) {
+      Self(user)->headers_since_ = Self(user)->loop().now();
+    }
+    return 0;
+  }
+  static int OnFrame(nghttp2_session* /*session*/, const nghttp2_frame* frame, void* user) {
+    return Self(user)->OnFrame(*frame);
+  }
+  static int OnDataChunk(nghttp2_session* /*session*/, uint8_t /*flags*/, int32_t id,
+                         const uint8_t* data, size_t size, void* user) {
+    return Self(user)->OnDataChunk(id, View(data, size));
+  }
+  static int OnStreamClose(nghttp2_session* /*session*/, int32_t id, uint32_t /*error*/,
+                           void* user) {
+    return Self(user)->OnStreamClosed(id);
+  }
+  static int OnFrameSend(nghttp2_session* /*session*/, const nghttp2_frame* frame, void* user) {
+    return Self(user)->OnFrameSent(*frame);
+  }
+  static int OnInvalidFrame(nghttp2_session* /*session*/, const nghttp2_frame* /*frame*/,
+                            int /*error*/, void* user) {
+    return Self(user)->Tolerate(&Self(user)->resets_);
+  }
+
+  static nghttp2_session_callbacks* Make() {
+    nghttp2_session_callbacks* callbacks = nullptr;
+    nghttp2_session_callbacks_new(&callbacks);
+    nghttp2_session_callbacks_set_on_begin_headers_callback(callbacks, &OnBeginHeaders);
+    nghttp2_session_callbacks_set_on_header_callback(callbacks, &OnHeader);
+    nghttp2_session_callbacks_set_on_begin_frame_callback(callbacks, &OnBeginFrame);
+    nghttp2_session_callbacks_set_on_frame_recv_callback(callbacks, &OnFrame);
+    nghttp2_session_callbacks_set_on_data_chunk_recv_callback(callbacks, &OnDataChunk);
+    nghttp2_session_callbacks_set_on_stream_close_callback(callbacks, &OnStreamClose);
+    nghttp2_session_callbacks_set_on_frame_send_callback(callbacks, &OnFrameSend);
+    nghttp2_session_callbacks_set_on_invalid_frame_recv_callback(callbacks, &OnInvalidFrame);
+    return callbacks;
+  }
+
+  static nghttp2_option* MakeOption() {
+    nghttp2_option* option = nullptr;
+    nghttp2_option_new(&option);
+    nghttp2_option_set_no_auto_window_update(option, 1);
+    return option;
+  }
+};
+
+Connection::Connection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
+                       Shared* shared)
+    : socket_(std::move(socket)),
+      slot_(std::move(slot)),
+      shared_(shared),
+      connected_(shared->loop->now()),
+      last_active_(connected_),
+      resets_(shared->limits->max_resets_per_second),
+      control_frames_(shared->limits->max_control_frames_per_second) {
+  // Created once and never destroyed: every connection of the process uses them.
+  static const nghttp2_session_callbacks* const callbacks = ConnectionCallbacks::Make();
+  static const nghttp2_option* const option = ConnectionCallbacks::MakeOption();
+  nghttp2_session* session = nullptr;
+  nghttp2_session_server_new2(&session, callbacks, this, option);
+  session_.reset(session);
+  const TransportLimits& limits = *shared_->limits;
+  const std::array<nghttp2_settings_entry, 3> settings = {{
+      {NGHTTP2_SETTINGS_MAX_CONCURRENT_STREAMS, static_cast<uint32_t>(limits.max_streams)},
+      {NGHTTP2_SETTINGS_INITIAL_WINDOW_SIZE, kStreamWindow},
+      {NGHTTP2_SETTINGS_MAX_HEADER_LIST_SIZE, static_cast<uint32_t>(limits.max_header_bytes)},
+  }};
+  nghttp2_submit_settings(session, NGHTTP2_FLAG_NONE, settings.data(), settings.size());
+  nghttp2_session_set_local_window_size(session, NGHTTP2_FLAG_NONE, 0, kConnectionWindow);
+}
+
+absl::Status Connection::Start() {
+  watched_ = EPOLLIN;
+  if (auto status = loop().Watch(socket_->fd(), watched_, this); !status.ok()) return status;
+  WantFlush();
+  return absl::OkStatus();
+}
+
+void Connection::OnReady(uint32_t events) {
+  if (closed_) return;
+  if ((events & EPOLLOUT) != 0) WantFlush();
+  if ((events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0 || socket_->read_waits_for_write()) ReadAll();
+}
+
+void Connection::ReadAll() {
+  thread_local std::array<char, kReadBytes> buffer;
+  for (int i = 0; i < kReadsPerTurn; ++i) {
+    const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
+    if (result.outcome == Socket::Outcome::kClosed) return Close();
+    if (result.outcome == Socket::Outcome::kBlocked) break;
+    if (!Receive({buffer.data(), result.bytes})) return;
+    // Less than asked for: nothing more is there, and the attempt to read it costs a system call.
+    if (result.bytes < buffer.size() && !socket_->has_buffered_input()) break;
+  }
+  if (socket_->has_buffered_input()) ContinueLater();  // epoll knows nothing of these bytes
+  WantFlush();
+}
+
+void Connection::ContinueLater() {
+  if (closed_ || std::exchange(continues_, true)) return;
+  if (shared_->to_continue.empty()) {
+    loop().Post([shared = shared_] {
+      for (Connection* connection : std::exchange(shared->to_continue, {})) connection->Continue();
+    });
+  }
+  shared_->to_continue.push_back(this);
+}
+
+void Connection::Continue() {
+  continues_ = false;
+  for (const int32_t id : std::exchange(to_read_on_, {})) {
+    if (closed_) return;
+    if (GrpcStream* stream = FindStream(id)) stream->ReadOn();
+  }
+  if (!closed_ && socket_->has_buffered_input()) ReadAll();
+}
+
+void Connection::ReadOnLater(int32_t id) {
+  to_read_on_.push_back(id);
+  ContinueLater();
+}
+
+bool Connection::Receive(absl::string_view data) {
+  const ssize_t received = nghttp2_session_mem_recv(
+      session_.get(), reinterpret_cast<const uint8_t*>(data.data()), data.size());
+  closed_streams_.clear();
+  if (hostile_) {
+    Abort(NGHTTP2_ENHANCE_YOUR_CALM);
+    return false;
+  }
+  if (received == NGHTTP2_ERR_BAD_CLIENT_MAGIC) {  // the client does not speak HTTP/2
+    Close();
+    return false;
+  }
+  if (received < 0) {
+    Abort(received == NGHTTP2_ERR_FLOODED ? NGHTTP2_ENHANCE_YOUR_CALM : NGHTTP2_INTERNAL_ERROR);
+    return false;
+  }
+  return true;
+}
+
+void Connection::WantFlush() {
+  if (wants_flush_ || closed_) return;
+  wants_flush_ = true;
+  shared_->to_flush.push_back(this);
+}
+
+void Connection::Gather() {
+  while (unsent_.size() < kWriteBytes) {
+    const uint8_t* data = nullptr;
+    const ssize_t size = nghttp2_session_mem_send(session_.get(), &data);
+    if (size <= 0) return;
+    unsent_.append(reinterpret_cast<const char*>(data), static_cast<size_t>(size));
+  }
+}
+
+void Connection::Flush() {
+  wants_flush_ = false;
+  if (closed_) return;
+  while (true) {
+    if (unsent_.empty()) Gather();
+    if (unsent_.empty()) break;
+    const auto rest = absl::string_view(unsent_).substr(written_);
+    const Socket::Result result = socket_->Write(rest);
+    if (result.outcome == Socket::Outcome::kClosed) return Close();
+    if (result.outcome == Socket::Outcome::kBlocked) {
+      if (blocked_since_ == absl::InfiniteDuration()) blocked_since_ = loop().now();
+      break;
+    }
+    blocked_since_ = absl::InfiniteDuration();
+    written_ += result.bytes;
+    if (written_ < unsent_.size()) continue;
+    unsent_.clear();
+    written_ = 0;
+  }
+  closed_streams_.clear();
+  const bool over = nghttp2_session_want_read(session_.get()) == 0 &&
+                    nghttp2_session_want_write(session_.get()) == 0;
+  if (unsent_.empty() && (over || (going_away_ && streams_.empty()))) return Close();
+  UpdateWatch();
+}
+
+void Connection::UpdateWatch() {
+  const bool backed_up =
+      nghttp2_session_get_outbound_queue_size(session_.get()) > kQueuedFrames && !unsent_.empty();
+  uint32_t events = backed_up ? 0U : static_cast<uint32_t>(EPOLLIN);
+  if (!unsent_.empty() || socket_->read_waits_for_write()) events |= EPOLLOUT;
+  if (events == watched_) return;
+  watched_ = events;
+  loop().ChangeWatch(socket_->fd(), events, this);
+}
+
+void Connection::CheckTimes() {
+  if (closed_) return;
+  const TransportLimits& limits = *shared_->limits;
+  const absl::Duration now = loop().now();
+  const bool never_called = is_stranger() && now - connected_ > limits.first_request_timeout;
+  const bool stuck = now - blocked_since_ > limits.write_timeout ||
+                     now - headers_since_ > limits.request_timeout;
+  if (never_called || stuck) return Abort(NGHTTP2_NO_ERROR);
+  const bool idle = streams_.empty() && now - last_active_ > limits.idle_timeout;
+  if (idle || now - connected_ > limits.max_connection_age) GoAway();
+  for (const auto& [id, stream] : streams_) {
+    if (now - stream->incomplete_since() > limits.request_timeout) {
+      stream->Finish(absl::DeadlineExceededError(
+          "message: expected all of its bytes within --request_timeout, received a part"));
+    }
+  }
+}
+
+void Connection::GoAway() {
+  if (closed_ || std::exchange(going_away_, true)) return;
+  nghttp2_submit_goaway(session_.get(), NGHTTP2_FLAG_NONE,
+                        nghttp2_session_get_last_proc_stream_id(session_.get()), NGHTTP2_NO_ERROR,
+                        nullptr, 0);
+  WantFlush();
+}
+
+void Connection::Drain() {
+  std::vector<int32_t> ids;  // handlers may close streams
+  for (const auto& [id, stream] : streams_) ids.push_back(id);
+  for (const int32_t id : ids) {
+    if (GrpcStream* stream = FindStream(id)) stream->OnDrain();
+  }
+}
+
+void Connection::Abort(uint32_t error) {
+  nghttp2_session_terminate_session(session_.get(), error);
+  Gather();
+  if (!unsent_.empty()) socket_->Write(absl::string_view(unsent_).substr(written_));
+  Close();
+}
+
+void Connection::Close() {
+  if (std::exchange(closed_, true)) return;
+  loop().Unwatch(socket_->fd());
+  for (auto& [id, stream] : streams_) {
+    stream->OnClosed();
+    closed_streams_.push_back(std::move(stream));
+  }
+  streams_.clear();
+  if (continues_) std::erase(shared_->to_continue, this);
+  shared_->closed(this);
+}
+
+bool Connection::CountBytes(int64_t bytes) {
+  bytes_ += bytes;
+  if (bytes <= 0) {
+    shared_->bytes_in_flight->Release(-bytes);
+    return true;
+  }
+  const bool process = shared_->bytes_in_flight->Acquire(bytes);
+  if (!process) shared_->bytes_in_flight->Release(-bytes);  // counts them all the same
+  return process && bytes_ <= shared_->limits->max_connection_bytes;
+}
+
+GrpcStream* Connection::FindStream(int32_t id) {
+  return static_cast<GrpcStream*>(nghttp2_session_get_stream_user_data(session_.get(), id));
+}
+
+int Connection::OnBeginHeaders(int32_t id) {
+  auto stream = std::make_unique<GrpcStream>(this, session_.get(), id);
+  nghttp2_session_set_stream_user_data(session_.get(), id, stream.get());
+  streams_.emplace(id, std::move(stream));
+  last_active_ = loop().now();
+  return 0;
+}
+
+int Connection::OnHeader(int32_t id, absl::string_view name, absl::string_view value) {
+  GrpcStream* stream = FindStream(id);
+  if (stream == nullptr || stream->AddHeader(name, value)) return 0;
+  hostile_ = true;
+  return NGHTTP2_ERR_CALLBACK_FAILURE;
+}
+
+int Connection::Tolerate(FrameBudget* budget) {
+  if (budget->Take(loop().now())) return 0;
+  hostile_ = true;
+  return NGHTTP2_ERR_CALLBACK_FAILURE;
+}
+
+int Connection::OnFrame(const nghttp2_frame& frame) {
+  const bool ends_stream = (frame.hd.flags & NGHTTP2_FLAG_END_STREAM) != 0;
+  GrpcStream* stream = nullptr;
+  switch (frame.hd.type) {
+    case NGHTTP2_HEADERS:
+      headers_since_ = absl::InfiniteDuration();
+      stream = FindStream(frame.hd.stream_id);
+      if (stream == nullptr) return 0;
+      if (frame.headers.cat == NGHTTP2_HCAT_REQUEST) {
+        stream->StartCall();
+        slot_->MarkCaller();
+      }
+      if (ends_stream) stream->OnHalfClose();
+      return 0;
+    case NGHTTP2_DATA:
+      stream = FindStream(frame.hd.stream_id);
+      if (ends_stream && stream != nullptr) stream->OnHalfClose();
+      return frame.hd.length == 0 && !ends_stream ? Tolerate(&control_frames_) : 0;
+    case NGHTTP2_RST_STREAM:
+      return Tolerate(&resets_);
+    case NGHTTP2_PING:
+    case NGHTTP2_SETTINGS:
+      return (frame.hd.flags & NGHTTP2_FLAG_ACK) != 0 ? 0 : Tolerate(&control_frames_);
+    default:  // PRIORITY, WINDOW_UPDATE and extensions
+      return Tolerate(&control_frames_);
+  }
+}
+
+int Connection::OnDataChunk(int32_t id, absl::string_view data) {
+  GrpcStream* stream = FindStream(id);
+  if (stream == nullptr) {
+    nghttp2_session_consume_connection(session_.get(), data.size());
+  } else {
+    stream->OnData(data);
+  }
+  return 0;
+}
+
+int Connection::OnStreamClosed(int32_t id) {
+  const auto found = streams_.find(id);
+  if (found == streams_.end()) return 0;
+  found->second->OnClosed();
+  closed_streams_.push_back(std::move(found->second));
+  streams_.erase(found);
+  last_active_ = loop().now();
+  return 0;
+}
+
+int Connection::OnFrameSent(const nghttp2_frame& frame) {
+  const bool is_answer = frame.hd.type == NGHTTP2_DATA || frame.hd.type == NGHTTP2_HEADERS;
+  if (!is_answer) return 0;
+  control_frames_.Earn();
+  if ((frame.hd.flags & NGHTTP2_FLAG_END_STREAM) == 0) return 0;
+  // RFC 9113, section 8.1: after a complete answer, the rest of the request is not needed.
+  const GrpcStream* stream = FindStream(frame.hd.stream_id);
+  if (stream != nullptr && !stream->half_closed()) {
+    nghttp2_submit_rst_stream(session_.get(), NGHTTP2_FLAG_NONE, frame.hd.stream_id,
+                              NGHTTP2_NO_ERROR);
+  }
+  return 0;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,135 @@
+// One HTTP/2 connection of a client: its socket, nghttp2's session, and its streams.
+//
+// Confined to the thread of its loop.
+#ifndef SERVER_TRANSPORT_CONNECTION_H_
+#define SERVER_TRANSPORT_CONNECTION_H_
+
+#include <nghttp2/nghttp2.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/container/flat_hash_map.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "server/transport/byte_budget.h"
+#include "server/transport/connection_table.h"
+#include "server/transport/event_loop.h"
+#include "server/transport/frame_budget.h"
+#include "server/transport/grpc_stream.h"
+#include "server/transport/limits.h"
+#include "server/transport/socket.h"
+
+namespace spikeserve {
+
+class Connection final : public EventLoop::Source, public GrpcStream::Owner {
+ public:
+  // What all connections of a loop share. Outlives them.
+  struct Shared {
+    EventLoop* loop;
+    CallRouter* router;
+    const TransportLimits* limits;
+    ByteBudget* bytes_in_flight;               // of the process
+    std::function<void(Connection*)> closed;   // destroys the connection at the end of the turn
+    std::vector<Connection*> to_flush = {};    // have something to send at the end of the turn
+    std::vector<Connection*> to_continue = {};  // have something to read in the next turn
+  };
+
+  // Starts HTTP/2. Call Start() next. REQUIRES: Close() is called before the destructor.
+  Connection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot, Shared* shared);
+
+  // Watches the socket. Returns RESOURCE_EXHAUSTED if the system has no memory for that.
+  absl::Status Start();
+
+  // EventLoop::Source
+  void OnReady(uint32_t events) override;
+
+  // Reads what earlier turns have left.
+  void Continue();
+  // Sends what is ready to be sent, as far as the client takes it.
+  void Flush();
+  // Closes the connection if it has exceeded a time limit. To be called about once a second.
+  void CheckTimes();
+  // Tells the client to make no more calls here (GOAWAY) and lets those in progress finish.
+  void GoAway();
+  // Tells the handlers of all calls that the server stops.
+  void Drain();
+  // Closes the connection now; calls are cancelled.
+  void Close();
+
+  // Returns true if the client has not made a call yet.
+  bool is_stranger() const { return slot_->is_stranger(); }
+  absl::Duration connected() const { return connected_; }  // time of the loop's clock
+  bool has_streams() const { return !streams_.empty(); }
+  // Returns true if bytes wait for the client to take them.
+  bool has_unsent() const { return !unsent_.empty(); }
+
+  // GrpcStream::Owner
+  EventLoop& loop() override { return *shared_->loop; }
+  CallRouter& router() override { return *shared_->router; }
+  const TransportLimits& limits() const override { return *shared_->limits; }
+  bool CountBytes(int64_t bytes) override;
+  void WantFlush() override;
+  void ReadOnLater(int32_t id) override;
+
+ private:
+  friend struct ConnectionCallbacks;
+
+  struct FreeSession {
+    void operator()(nghttp2_session* session) const { nghttp2_session_del(session); }
+  };
+
+  void ReadAll();
+  // Calls Continue() in the next turn.
+  void ContinueLater();
+  // Returns false if the connection was closed.
+  bool Receive(absl::string_view data);
+  // Appends frames of the session to `unsent_`, up to a limit.
+  void Gather();
+  // Sets which events the loop waits for.
+  void UpdateWatch();
+  // Sends GOAWAY with nghttp2's `error`, then closes.
+  void Abort(uint32_t error);
+  GrpcStream* FindStream(int32_t id);
+
+  // Events of the session. They return 0 or one of nghttp2's errors.
+  int OnBeginHeaders(int32_t id);
+  int OnHeader(int32_t id, absl::string_view name, absl::string_view value);
+  int OnFrame(const nghttp2_frame& frame);
+  int OnDataChunk(int32_t id, absl::string_view data);
+  int OnStreamClosed(int32_t id);
+  int OnFrameSent(const nghttp2_frame& frame);
+  // Counts a frame that costs work and brings none. Ends the connection if there are too many.
+  int Tolerate(FrameBudget* budget);
+
+  const std::unique_ptr<Socket> socket_;
+  const std::unique_ptr<ConnectionSlot> slot_;
+  Shared* const shared_;
+  const absl::Duration connected_;  // the loop's clock
+  absl::Duration last_active_;      // when a stream was opened or closed
+  absl::Duration blocked_since_ = absl::InfiniteDuration();  // the client takes no bytes
+  absl::Duration headers_since_ = absl::InfiniteDuration();  // a header block is incomplete
+  FrameBudget resets_;
+  FrameBudget control_frames_;
+  int64_t bytes_ = 0;  // that streams store
+  std::unique_ptr<nghttp2_session, FreeSession> session_;
+  absl::flat_hash_map<int32_t, std::unique_ptr<GrpcStream>> streams_;
+  std::vector<std::unique_ptr<GrpcStream>> closed_streams_;  // destroyed when no callback runs
+  std::vector<int32_t> to_read_on_;
+  std::string unsent_;   // frames, not yet written
+  size_t written_ = 0;   // bytes of `unsent_` that were written
+  uint32_t watched_ = 0;  // events
+  bool wants_flush_ = false;
+  bool continues_ = false;
+  bool hostile_ = false;   // exceeded a limit: to be closed with ENHANCE_YOUR_CALM
+  bool going_away_ = false;
+  bool closed_ = false;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_TRANSPORT_CONNECTION_H_

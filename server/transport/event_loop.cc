@@ -1,0 +1,108 @@
+#include "server/transport/event_loop.h"
+
+#include <sys/epoll.h>
+#include <sys/eventfd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <limits>
+
+namespace spikeserve {
+namespace {
+
+constexpr int kEventsPerTurn = 256;
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<EventLoop>> EventLoop::Create(const Clock* clock) {
+  auto loop = std::unique_ptr<EventLoop>(new EventLoop(clock));
+  loop->epoll_ = FileDescriptor(epoll_create1(EPOLL_CLOEXEC));
+  loop->wakeup_ = FileDescriptor(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!loop->epoll_.valid() || !loop->wakeup_.valid()) {
+    return absl::ResourceExhaustedError("event loop: cannot open a file descriptor");
+  }
+  if (auto status = loop->Watch(loop->wakeup_.get(), EPOLLIN, nullptr); !status.ok()) return status;
+  return loop;
+}
+
+void EventLoop::Run() {
+  std::array<epoll_event, kEventsPerTurn> events;
+  while (true) {
+    {
+      absl::MutexLock lock(&mutex_);
+      if (stopping_) return;
+    }
+    const int ready =
+        epoll_wait(epoll_.get(), events.data(), kEventsPerTurn, MillisecondsToWait());
+    now_ = clock_->Now();
+    for (int i = 0; i < ready; ++i) {
+      auto* source = static_cast<Source*>(events[i].data.ptr);
+      if (source != nullptr) source->OnReady(events[i].events);
+    }
+    RunTimers();
+    RunPosted();
+    for (const auto& work : end_of_turn_) work();
+    garbage_.clear();
+  }
+}
+
+void EventLoop::Stop() {
+  absl::MutexLock lock(&mutex_);
+  stopping_ = true;
+  eventfd_write(wakeup_.get(), 1);
+}
+
+void EventLoop::Post(std::function<void()> work) {
+  absl::MutexLock lock(&mutex_);
+  if (posted_.empty()) eventfd_write(wakeup_.get(), 1);
+  posted_.push_back(std::move(work));
+}
+
+absl::Status EventLoop::Watch(int fd, uint32_t events, Source* source) {
+  epoll_event event = {.events = events, .data = {.ptr = source}};
+  if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) == 0) return absl::OkStatus();
+  return absl::ResourceExhaustedError("event loop: cannot watch another file descriptor");
+}
+
+void EventLoop::ChangeWatch(int fd, uint32_t events, Source* source) {
+  epoll_event event = {.events = events, .data = {.ptr = source}};
+  epoll_ctl(epoll_.get(), EPOLL_CTL_MOD, fd, &event);
+}
+
+void EventLoop::Unwatch(int fd) { epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, fd, nullptr); }
+
+EventLoop::Timer EventLoop::After(absl::Duration delay, std::function<void()> work) {
+  const Timer timer = {clock_->Now() + delay, next_timer_++};
+  timers_.emplace(timer, std::move(work));
+  return timer;
+}
+
+int EventLoop::MillisecondsToWait() {
+  if (timers_.empty()) return -1;
+  const absl::Duration wait = timers_.begin()->first.first - clock_->Now();
+  // Rounds up, so that a timer that is due in less than a millisecond does not spin.
+  const int64_t milliseconds = absl::ToInt64Milliseconds(absl::Ceil(wait, absl::Milliseconds(1)));
+  return static_cast<int>(std::clamp<int64_t>(milliseconds, 0, std::numeric_limits<int>::max()));
+}
+
+void EventLoop::RunTimers() {
+  while (!timers_.empty() && timers_.begin()->first.first <= now_) {
+    const auto timer = timers_.extract(timers_.begin());
+    timer.mapped()();
+  }
+}
+
+void EventLoop::RunPosted() {
+  std::vector<std::function<void()>> posted;
+  {
+    absl::MutexLock lock(&mutex_);
+    if (posted_.empty()) return;
+    eventfd_t count = 0;
+    eventfd_read(wakeup_.get(), &count);
+    posted.swap(posted_);
+  }
+  for (const auto& work : posted) work();
+}
+
+}  // namespace spikeserve

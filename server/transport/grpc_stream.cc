@@ -1,0 +1,296 @@
+#include "server/transport/grpc_stream.h"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "server/base/retry_delay.h"
+#include "server/transport/grpc_wire.h"
+
+namespace spikeserve {
+namespace {
+
+// RFC 9113, section 6.5.2: the size of a header is that of its name and its value, plus 32.
+constexpr int64_t kHeaderOverhead = 32;
+
+// A client whose headers exceed the limit by this factor loses its connection: taking its headers
+// apart costs time, although they are not stored.
+constexpr int64_t kHostileHeaders = 4;
+
+constexpr char kContentType[] = "application/grpc";
+
+nghttp2_nv Header(absl::string_view name, absl::string_view value) {
+  return {.name = reinterpret_cast<uint8_t*>(const_cast<char*>(name.data())),
+          .value = reinterpret_cast<uint8_t*>(const_cast<char*>(value.data())),
+          .namelen = name.size(),
+          .valuelen = value.size(),
+          .flags = NGHTTP2_NV_FLAG_NONE};  // nghttp2 copies both
+}
+
+// The headers that carry the status of a call.
+class StatusHeaders {
+ public:
+  explicit StatusHeaders(const absl::Status& status)
+      : code_(absl::StrCat(static_cast<int>(status.code()))),
+        message_(PercentEncode(status.message())) {
+    const std::string details = SerializedDetails(status);
+    if (!details.empty()) absl::Base64Escape(details, &details_);
+  }
+  void AppendTo(std::vector<nghttp2_nv>* headers) const {
+    headers->push_back(Header("grpc-status", code_));
+    if (!message_.empty()) headers->push_back(Header("grpc-message", message_));
+    if (!details_.empty()) headers->push_back(Header("grpc-status-details-bin", details_));
+  }
+
+ private:
+  const std::string code_;
+  const std::string message_;
+  std::string details_;
+};
+
+ssize_t ReadCallback(nghttp2_session* /*session*/, int32_t /*id*/, uint8_t* out, size_t size,
+                     uint32_t* flags, nghttp2_data_source* source, void* /*connection*/) {
+  return static_cast<GrpcStream*>(source->ptr)->ReadAnswer(out, size, flags);
+}
+
+}  // namespace
+
+GrpcStream::~GrpcStream() { owner_->CountBytes(-counted_); }
+
+bool GrpcStream::AddHeader(absl::string_view name, absl::string_view value) {
+  header_bytes_ += static_cast<int64_t>(name.size() + value.size()) + kHeaderOverhead;
+  ++headers_;
+  const TransportLimits& limits = owner_->limits();
+  if (header_bytes_ > limits.max_header_bytes || headers_ > limits.max_headers) {
+    return header_bytes_ <= kHostileHeaders * limits.max_header_bytes &&
+           headers_ <= kHostileHeaders * limits.max_headers;
+  }
+  if (name == ":path") {
+    head_.path.assign(value.data(), value.size());
+  } else if (name == ":method") {
+    http_method_.assign(value.data(), value.size());
+  } else if (name == "authorization") {
+    head_.authorization.assign(value.data(), value.size());
+  } else if (name == "content-type") {
+    content_type_.assign(value.data(), value.size());
+  } else if (name == "grpc-timeout") {
+    timeout_.assign(value.data(), value.size());
+  } else if (name == "grpc-encoding") {
+    encoding_.assign(value.data(), value.size());
+  }
+  return true;
+}
+
+void GrpcStream::StartCall() {
+  const TransportLimits& limits = owner_->limits();
+  if (header_bytes_ > limits.max_header_bytes || headers_ > limits.max_headers) {
+    return SubmitTrailersOnly(absl::ResourceExhaustedError(
+        absl::StrCat("metadata: expected at most ", limits.max_header_bytes, " bytes and ",
+                     limits.max_headers, " headers, received ", header_bytes_, " bytes and ",
+                     headers_, " headers")));
+  }
+  if (http_method_ != "POST") {
+    return RefuseHttp("405", "expected POST, the method of gRPC\n");
+  }
+  if (!IsGrpcContentType(content_type_)) {
+    return RefuseHttp("415", "content-type: expected application/grpc\n");
+  }
+  if (!encoding_.empty() && encoding_ != "identity") {
+    return SubmitTrailersOnly(absl::UnimplementedError(
+        absl::StrCat("grpc-encoding: expected identity, received ", encoding_)));
+  }
+  if (!timeout_.empty()) {
+    const auto timeout = ParseTimeout(timeout_);
+    if (!timeout.ok()) return SubmitTrailersOnly(timeout.status());
+    head_.deadline = loop().now() + *timeout;
+    deadline_timer_ = loop().After(*timeout, [this] {
+      Finish(absl::DeadlineExceededError("the call's deadline has passed"));
+    });
+  }
+  handler_ = owner_->router().Route(this);
+}
+
+void GrpcStream::OnData(absl::string_view data) {
+  if (handler_ == nullptr || finished_ || dropping_) {
+    // Only the connection's window opens again, so that the client soon stops sending.
+    nghttp2_session_consume_connection(session_, data.size());
+    return owner_->WantFlush();
+  }
+  if (!reading() || !unread_.empty()) {
+    unread_.append(data.data(), data.size());
+  } else {
+    const absl::string_view rest = Deliver(data);
+    Consume(data.size() - rest.size());
+    unread_.assign(rest.data(), rest.size());
+  }
+  CountStored();
+}
+
+absl::string_view GrpcStream::Deliver(absl::string_view data) {
+  delivering_ = true;
+  while (reading()) {
+    const auto item = reader_.Next(&data, handler_->message_limit());
+    if (!item.ok()) {
+      Finish(item.status());
+      break;
+    }
+    if (!item->has_value()) break;
+    incomplete_since_ = absl::InfiniteDuration();
+    if ((*item)->too_long) {
+      handler_->OnTooLong((*item)->length);
+    } else {
+      handler_->OnMessage((*item)->message);
+    }
+  }
+  delivering_ = false;
+  if (finished_) return {};
+  if (reader_.at_boundary()) {
+    incomplete_since_ = absl::InfiniteDuration();
+  } else {
+    incomplete_since_ = std::min(incomplete_since_, loop().now());
+  }
+  return data;
+}
+
+void GrpcStream::ReadOn() {
+  if (delivering_ || handler_ == nullptr || finished_ || !reading()) return;
+  if (!unread_.empty()) {
+    const std::string data = std::exchange(unread_, {});
+    const absl::string_view rest = Deliver(data);
+    Consume(data.size() - rest.size());
+    unread_.assign(rest.data(), rest.size());
+    CountStored();
+  }
+  if (half_closed_) OnHalfClose();
+}
+
+void GrpcStream::OnHalfClose() {
+  half_closed_ = true;
+  if (handler_ == nullptr || finished_ || half_close_delivered_) return;
+  if (!unread_.empty() || !reading()) return;  // ReadOn() continues
+  half_close_delivered_ = true;
+  if (!reader_.at_boundary()) {
+    return Finish(absl::InternalError("message: expected all of its bytes, received END_STREAM"));
+  }
+  handler_->OnHalfClose();
+}
+
+void GrpcStream::OnClosed() {
+  finished_ = true;
+  loop().Cancel(deadline_timer_);
+  if (const auto handler = std::exchange(handler_, nullptr)) handler->OnClosed();
+}
+
+void GrpcStream::OnDrain() {
+  if (handler_ != nullptr && !finished_) handler_->OnDrain();
+}
+
+void GrpcStream::ResumeReading() {
+  paused_ = false;
+  ReadOn();
+}
+
+void GrpcStream::Consume(size_t bytes) {
+  if (bytes == 0) return;
+  nghttp2_session_consume(session_, id_, bytes);
+  owner_->WantFlush();
+}
+
+void GrpcStream::CountStored() {
+  const auto stored = static_cast<int64_t>(reader_.buffered() + unread_.size() + answer_.size());
+  const bool within_limits = owner_->CountBytes(stored - std::exchange(counted_, stored));
+  if (within_limits || finished_ || reader_.buffered() + unread_.size() == 0) return;
+  Finish(absl::ResourceExhaustedError(
+      "the server holds as many bytes of requests as it may; try again later"));
+  unread_ = {};
+  reader_ = {};
+  owner_->CountBytes(static_cast<int64_t>(answer_.size()) - counted_);
+  counted_ = static_cast<int64_t>(answer_.size());
+}
+
+void GrpcStream::Send(const google::protobuf::MessageLite& message) {
+  if (finished_) return;
+  if (sent_ == answer_.size() || sent_ > kUnsentLimit) {
+    answer_.erase(0, sent_);
+    sent_ = 0;
+  }
+  AppendMessage(message, &answer_);
+  CountStored();
+  SubmitData();
+}
+
+void GrpcStream::Finish(const absl::Status& status) {
+  if (std::exchange(finished_, true)) return;
+  loop().Cancel(deadline_timer_);
+  if (!headers_submitted_) return SubmitTrailersOnly(status);
+  status_ = status;
+  SubmitData();
+}
+
+void GrpcStream::SubmitData() {
+  owner_->WantFlush();
+  if (headers_submitted_) {
+    if (std::exchange(waiting_for_answer_, false)) nghttp2_session_resume_data(session_, id_);
+    return;
+  }
+  headers_submitted_ = true;
+  SubmitWithData({Header(":status", "200"), Header("content-type", kContentType)});
+}
+
+void GrpcStream::SubmitTrailersOnly(const absl::Status& status) {
+  finished_ = true;
+  headers_submitted_ = true;
+  const StatusHeaders status_headers(status);
+  std::vector<nghttp2_nv> headers = {Header(":status", "200"),
+                                     Header("content-type", kContentType)};
+  if (status.code() == absl::StatusCode::kUnimplemented) {
+    headers.push_back(Header("grpc-accept-encoding", "identity"));
+  }
+  status_headers.AppendTo(&headers);
+  nghttp2_submit_response(session_, id_, headers.data(), headers.size(), nullptr);
+  owner_->WantFlush();
+}
+
+void GrpcStream::RefuseHttp(absl::string_view http_status, absl::string_view body) {
+  finished_ = true;
+  is_grpc_ = false;
+  headers_submitted_ = true;
+  answer_.assign(body.data(), body.size());
+  std::vector<nghttp2_nv> headers = {Header(":status", http_status),
+                                     Header("content-type", "text/plain")};
+  if (http_status == "405") headers.push_back(Header("allow", "POST"));
+  SubmitWithData(headers);
+}
+
+void GrpcStream::SubmitWithData(const std::vector<nghttp2_nv>& headers) {
+  nghttp2_data_provider provider = {.source = {.ptr = this}, .read_callback = &ReadCallback};
+  nghttp2_submit_response(session_, id_, headers.data(), headers.size(), &provider);
+  owner_->WantFlush();
+}
+
+ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
+  const bool was_full = unsent() > kUnsentLimit;
+  const size_t count = std::min(size, unsent());
+  std::memcpy(out, answer_.data() + sent_, count);
+  sent_ += count;
+  if (was_full && unsent() <= kUnsentLimit) owner_->ReadOnLater(id_);
+  if (unsent() > 0) return static_cast<ssize_t>(count);
+  if (finished_) {
+    *flags |= NGHTTP2_DATA_FLAG_EOF;
+    if (!is_grpc_) return static_cast<ssize_t>(count);
+    *flags |= NGHTTP2_DATA_FLAG_NO_END_STREAM;
+    const StatusHeaders status_headers(status_);
+    std::vector<nghttp2_nv> trailers;
+    status_headers.AppendTo(&trailers);
+    nghttp2_submit_trailer(session_, id_, trailers.data(), trailers.size());
+    return static_cast<ssize_t>(count);
+  }
+  if (count > 0) return static_cast<ssize_t>(count);
+  waiting_for_answer_ = true;
+  return NGHTTP2_ERR_DEFERRED;
+}
+
+}  // namespace spikeserve

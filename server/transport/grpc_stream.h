@@ -1,0 +1,137 @@
+// One gRPC call as an HTTP/2 stream: checks the request's headers, splits its data into messages,
+// and frames the answer.
+//
+// Confined to the thread of its connection's loop.
+#ifndef SERVER_TRANSPORT_GRPC_STREAM_H_
+#define SERVER_TRANSPORT_GRPC_STREAM_H_
+
+#include <nghttp2/nghttp2.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "server/transport/call.h"
+#include "server/transport/limits.h"
+#include "server/transport/message_reader.h"
+
+namespace spikeserve {
+
+class GrpcStream final : public Call {
+ public:
+  // The connection of a stream.
+  class Owner {
+   public:
+    virtual ~Owner() = default;
+    virtual EventLoop& loop() = 0;
+    virtual CallRouter& router() = 0;
+    virtual const TransportLimits& limits() const = 0;
+    // Counts bytes that the stream stores, or stores no longer if `bytes` is negative. Returns false
+    // if a limit is exceeded; the bytes are counted in any case.
+    virtual bool CountBytes(int64_t bytes) = 0;
+    // The connection has something to send at the end of the turn.
+    virtual void WantFlush() = 0;
+    // Calls ReadOn() of stream `id`, if it still exists, after the bytes in hand are sent.
+    virtual void ReadOnLater(int32_t id) = 0;
+  };
+
+  // `owner` and `session` must outlive the stream.
+  GrpcStream(Owner* owner, nghttp2_session* session, int32_t id)
+      : owner_(owner), session_(session), id_(id) {}
+  ~GrpcStream() override;
+
+  // Takes one header of the request. Returns false if the headers exceed the limits so far that
+  // the connection should be closed.
+  bool AddHeader(absl::string_view name, absl::string_view value);
+  // The headers are complete: starts the call, or refuses it.
+  void StartCall();
+  // Takes data of the request.
+  void OnData(absl::string_view data);
+  // The client sends no more data.
+  void OnHalfClose();
+  // Passes on what was received while the client took no answers.
+  void ReadOn();
+  // The stream is closed. Called once, before the destructor.
+  void OnClosed();
+  // The server stops.
+  void OnDrain();
+
+  // Copies data of the answer to `out`, as nghttp2's data source. `flags` are nghttp2's.
+  ssize_t ReadAnswer(uint8_t* out, size_t size, uint32_t* flags);
+
+  // Returns true once the client has sent END_STREAM.
+  bool half_closed() const { return half_closed_; }
+  // Returns the time since which a message is incomplete, of the loop's clock; InfiniteDuration
+  // if none is.
+  absl::Duration incomplete_since() const { return incomplete_since_; }
+
+  // Call
+  const CallHead& head() const override { return head_; }
+  EventLoop& loop() override { return owner_->loop(); }
+  void Send(const google::protobuf::MessageLite& message) override;
+  void Finish(const absl::Status& status) override;
+  void PauseReading() override { paused_ = true; }
+  void ResumeReading() override;
+  void DropRequest() override { dropping_ = true; }
+
+ private:
+  // Passes complete messages to the handler while reading is not paused. Returns the rest.
+  absl::string_view Deliver(absl::string_view data);
+  // Lets the client send `bytes` more.
+  void Consume(size_t bytes);
+  void CountStored();
+  bool reading() const { return !paused_ && !finished_ && unsent() <= kUnsentLimit; }
+  size_t unsent() const { return answer_.size() - sent_; }
+
+  // Announces data to send.
+  void SubmitData();
+  void SubmitTrailersOnly(const absl::Status& status);
+  // Answers what is no gRPC call with an HTTP status and a text.
+  void RefuseHttp(absl::string_view http_status, absl::string_view body);
+  // Submits headers, which the bytes of `answer_` follow.
+  void SubmitWithData(const std::vector<nghttp2_nv>& headers);
+
+  // A stream with more bytes of answers than this takes no further messages.
+  static constexpr size_t kUnsentLimit = 64 << 10;
+
+  Owner* const owner_;
+  nghttp2_session* const session_;
+  const int32_t id_;
+
+  // Request.
+  CallHead head_;
+  std::string http_method_;
+  std::string content_type_;
+  std::string encoding_;
+  std::string timeout_;
+  int64_t header_bytes_ = 0;
+  int64_t headers_ = 0;
+  std::shared_ptr<CallHandler> handler_;
+  EventLoop::Timer deadline_timer_;
+  MessageReader reader_;
+  std::string unread_;  // received while reading was paused
+  bool paused_ = false;
+  bool dropping_ = false;
+  bool delivering_ = false;
+  bool half_closed_ = false;
+  bool half_close_delivered_ = false;
+  absl::Duration incomplete_since_ = absl::InfiniteDuration();
+
+  // Answer.
+  std::string answer_;
+  size_t sent_ = 0;  // bytes of `answer_` that were passed to nghttp2
+  absl::Status status_;
+  bool headers_submitted_ = false;
+  bool waiting_for_answer_ = false;  // nghttp2 asked for data and received none
+  bool finished_ = false;
+  bool is_grpc_ = true;  // false: an HTTP error is the answer
+  int64_t counted_ = 0;  // bytes that were passed to CountBytes()
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_TRANSPORT_GRPC_STREAM_H_

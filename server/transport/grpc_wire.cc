@@ -1,0 +1,85 @@
+#include "server/transport/grpc_wire.h"
+
+#include <cstdint>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kTimeoutDigits = 8;
+
+// Returns zero for a character that is no unit.
+absl::Duration TimeoutUnit(char unit) {
+  switch (unit) {
+    case 'H':
+      return absl::Hours(1);
+    case 'M':
+      return absl::Minutes(1);
+    case 'S':
+      return absl::Seconds(1);
+    case 'm':
+      return absl::Milliseconds(1);
+    case 'u':
+      return absl::Microseconds(1);
+    case 'n':
+      return absl::Nanoseconds(1);
+    default:
+      return absl::ZeroDuration();
+  }
+}
+
+}  // namespace
+
+MessagePrefix ParseMessagePrefix(absl::string_view bytes) {
+  const auto byte = [&](size_t i) { return static_cast<size_t>(static_cast<uint8_t>(bytes[i])); };
+  return {.compressed = byte(0) != 0,
+          .length = byte(1) << 24 | byte(2) << 16 | byte(3) << 8 | byte(4)};
+}
+
+void AppendMessage(const google::protobuf::MessageLite& message, std::string* out) {
+  const size_t length = message.ByteSizeLong();
+  const size_t start = out->size();
+  out->resize(start + kMessagePrefixBytes + length);
+  auto* bytes = reinterpret_cast<uint8_t*>(out->data() + start);
+  bytes[0] = 0;
+  for (int i = 0; i < 4; ++i) bytes[1 + i] = static_cast<uint8_t>(length >> (24 - 8 * i));
+  message.SerializeWithCachedSizesToArray(bytes + kMessagePrefixBytes);
+}
+
+std::string PercentEncode(absl::string_view text) {
+  constexpr char kDigits[] = "0123456789ABCDEF";
+  std::string encoded;
+  for (const char c : text) {
+    const auto byte = static_cast<uint8_t>(c);
+    if (byte >= 0x20 && byte <= 0x7E && c != '%') {
+      encoded.push_back(c);
+    } else {
+      encoded.append({'%', kDigits[byte >> 4], kDigits[byte & 15]});
+    }
+  }
+  return encoded;
+}
+
+absl::StatusOr<absl::Duration> ParseTimeout(absl::string_view text) {
+  int64_t count = 0;
+  if (text.size() >= 2 && text.size() <= kTimeoutDigits + 1 && absl::ascii_isdigit(text[0]) &&
+      absl::SimpleAtoi(text.substr(0, text.size() - 1), &count)) {
+    const absl::Duration unit = TimeoutUnit(text.back());
+    if (unit != absl::ZeroDuration()) return count * unit;
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      "grpc-timeout: expected 1 to 8 digits and one of H, M, S, m, u, n, received \"", text, "\""));
+}
+
+bool IsGrpcContentType(absl::string_view content_type) {
+  if (!absl::ConsumePrefix(&content_type, "application/grpc")) return false;
+  absl::ConsumePrefix(&content_type, "+proto");
+  return content_type.empty() || content_type[0] == ';';
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,107 @@
+#include "server/transport/socket.h"
+
+#include <openssl/err.h>
+#include <openssl/ssl.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <climits>
+#include <utility>
+
+namespace spikeserve {
+namespace {
+
+bool WouldBlock() { return errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR; }
+
+class PlainSocket final : public Socket {
+ public:
+  explicit PlainSocket(FileDescriptor fd) : fd_(std::move(fd)) {}
+
+  int fd() const override { return fd_.get(); }
+
+  Result Read(absl::Span<char> buffer) override {
+    const ssize_t count = recv(fd_.get(), buffer.data(), buffer.size(), 0);
+    if (count > 0) return {Outcome::kDone, static_cast<size_t>(count)};
+    return {count < 0 && WouldBlock() ? Outcome::kBlocked : Outcome::kClosed};
+  }
+
+  Result Write(absl::string_view data) override {
+    const ssize_t count = send(fd_.get(), data.data(), data.size(), MSG_NOSIGNAL);
+    if (count >= 0) return {Outcome::kDone, static_cast<size_t>(count)};
+    return {WouldBlock() ? Outcome::kBlocked : Outcome::kClosed};
+  }
+
+ private:
+  const FileDescriptor fd_;
+};
+
+class TlsSocket final : public Socket {
+ public:
+  TlsSocket(FileDescriptor fd, SSL* ssl) : fd_(std::move(fd)), ssl_(ssl) {}
+
+  int fd() const override { return fd_.get(); }
+  bool read_waits_for_write() const override { return read_waits_for_write_; }
+  bool has_buffered_input() const override { return SSL_pending(ssl_.get()) > 0; }
+
+  Result Read(absl::Span<char> buffer) override {
+    if (!AgreedOnHttp2()) return {Outcome::kClosed};
+    ERR_clear_error();
+    const int count = SSL_read(ssl_.get(), buffer.data(), Length(buffer.size()));
+    if (count > 0 && !AgreedOnHttp2()) return {Outcome::kClosed};
+    const Result result = ToResult(count);
+    read_waits_for_write_ = result.outcome == Outcome::kBlocked && SSL_want_write(ssl_.get()) != 0;
+    return result;
+  }
+
+  Result Write(absl::string_view data) override {
+    ERR_clear_error();
+    return ToResult(SSL_write(ssl_.get(), data.data(), Length(data.size())));
+  }
+
+ private:
+  struct Free {
+    void operator()(SSL* ssl) const { SSL_free(ssl); }
+  };
+
+  static int Length(size_t size) { return static_cast<int>(std::min<size_t>(size, INT_MAX)); }
+
+  // Returns true during the handshake. A client that offers protocols without HTTP/2 fails in the
+  // handshake; this finds the client that offers none.
+  bool AgreedOnHttp2() const {
+    if (SSL_is_init_finished(ssl_.get()) == 0) return true;
+    const unsigned char* protocol = nullptr;
+    unsigned length = 0;
+    SSL_get0_alpn_selected(ssl_.get(), &protocol, &length);
+    return length == 2 && protocol[0] == 'h' && protocol[1] == '2';
+  }
+
+  Result ToResult(int count) const {
+    if (count > 0) return {Outcome::kDone, static_cast<size_t>(count)};
+    const int error = SSL_get_error(ssl_.get(), count);
+    const bool blocked = error == SSL_ERROR_WANT_READ || error == SSL_ERROR_WANT_WRITE;
+    return {blocked ? Outcome::kBlocked : Outcome::kClosed};
+  }
+
+  const FileDescriptor fd_;
+  const std::unique_ptr<SSL, Free> ssl_;
+  bool read_waits_for_write_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<Socket> MakePlainSocket(FileDescriptor fd) {
+  return std::make_unique<PlainSocket>(std::move(fd));
+}
+
+std::unique_ptr<Socket> MakeTlsSocket(FileDescriptor fd, ssl_ctx_st* context) {
+  SSL* ssl = SSL_new(context);
+  if (ssl == nullptr || SSL_set_fd(ssl, fd.get()) != 1) {
+    SSL_free(ssl);
+    return nullptr;
+  }
+  SSL_set_accept_state(ssl);
+  return std::make_unique<TlsSocket>(std::move(fd), ssl);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,51 @@
+// A connected, non-blocking socket, with or without TLS.
+//
+// Not thread-safe.
+#ifndef SERVER_TRANSPORT_SOCKET_H_
+#define SERVER_TRANSPORT_SOCKET_H_
+
+#include <cstddef>
+#include <memory>
+
+#include "absl/strings/string_view.h"
+#include "absl/types/span.h"
+#include "server/transport/file_descriptor.h"
+
+struct ssl_ctx_st;  // OpenSSL's SSL_CTX
+
+namespace spikeserve {
+
+class Socket {
+ public:
+  enum class Outcome {
+    kDone,     // `bytes` were transferred
+    kBlocked,  // try again when the socket is ready
+    kClosed,   // the peer has closed the connection, or it failed
+  };
+  struct Result {
+    Outcome outcome;
+    size_t bytes = 0;
+  };
+
+  virtual ~Socket() = default;
+
+  virtual int fd() const = 0;
+  virtual Result Read(absl::Span<char> buffer) = 0;
+  virtual Result Write(absl::string_view data) = 0;
+
+  // Returns true if a blocked Read() waits until the socket can be written.
+  virtual bool read_waits_for_write() const { return false; }
+  // Returns true if bytes can be read although the file descriptor is not ready.
+  virtual bool has_buffered_input() const { return false; }
+};
+
+std::unique_ptr<Socket> MakePlainSocket(FileDescriptor fd);
+
+// Returns a socket that performs the server's side of the handshake in its first reads and writes,
+// and that fails unless the client and the server agree on HTTP/2 (ALPN "h2"). Returns null if
+// OpenSSL has no memory. The connection keeps `context` alive.
+std::unique_ptr<Socket> MakeTlsSocket(FileDescriptor fd, ssl_ctx_st* context);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_TRANSPORT_SOCKET_H_

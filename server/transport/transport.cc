@@ -1,0 +1,112 @@
+#include "server/transport/transport.h"
+
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/synchronization/blocking_counter.h"
+#include "absl/synchronization/notification.h"
+#include "absl/time/clock.h"
+#include "server/transport/listener.h"
+
+namespace spikeserve {
+namespace {
+
+// File descriptors that are not connections: policies, recordings, the status page.
+constexpr int64_t kOtherDescriptors = 128;
+
+constexpr absl::Duration kStopPollInterval = absl::Milliseconds(5);
+
+// Raises the limit on open files as far as the system lets the process, and returns how many
+// connections fit.
+int64_t ConnectionsThatFit(int64_t wanted) {
+  rlimit files = {};
+  if (getrlimit(RLIMIT_NOFILE, &files) != 0) return wanted;
+  const auto needed = static_cast<rlim_t>(wanted + kOtherDescriptors);
+  if (files.rlim_cur < needed) {
+    files.rlim_cur = std::min(needed, files.rlim_max);
+    setrlimit(RLIMIT_NOFILE, &files);
+    getrlimit(RLIMIT_NOFILE, &files);
+  }
+  const auto available = static_cast<int64_t>(std::min<rlim_t>(files.rlim_cur, needed));
+  return std::max<int64_t>(available - kOtherDescriptors, available / 2);
+}
+
+}  // namespace
+
+Transport::Transport(const TransportOptions& options)
+    : options_(options),
+      bytes_in_flight_(options.limits.max_bytes_in_flight),
+      connections_(ConnectionsThatFit(options.limits.max_connections),
+                   options.limits.max_connections_per_address) {}
+
+absl::StatusOr<std::unique_ptr<Transport>> Transport::Create(const TransportOptions& options) {
+  auto transport = std::unique_ptr<Transport>(new Transport(options));
+  for (int i = 0; i < options.loops; ++i) {
+    auto loop = TransportLoop::Create(&transport->options_.limits, &transport->bytes_in_flight_,
+                                      options.clock);
+    if (!loop.ok()) return loop.status();
+    transport->loops_.push_back(*std::move(loop));
+  }
+  auto listeners = Listen("--listen", options.listen);
+  if (!listeners.ok()) return listeners.status();
+  transport->address_ = listeners->address;
+  for (FileDescriptor& listener : listeners->sockets) {
+    transport->acceptors_.push_back(std::make_unique<Acceptor>(
+        std::move(listener), &transport->loops_, &transport->connections_,
+        &transport->options_.limits, options.tls));
+  }
+  return transport;
+}
+
+Transport::~Transport() { Stop(absl::ZeroDuration()); }
+
+absl::Status Transport::Start() {
+  for (const auto& acceptor : acceptors_) {
+    if (auto status = acceptor->Start(); !status.ok()) return status;
+  }
+  for (const auto& loop : loops_) loop->Run();
+  running_ = true;
+  return absl::OkStatus();
+}
+
+bool Transport::RunOnAll(std::function<void(TransportLoop&)> work, absl::Duration timeout) {
+  auto shared_work = std::make_shared<std::function<void(TransportLoop&)>>(std::move(work));
+  auto done = std::make_shared<absl::Notification>();
+  auto waiting = std::make_shared<std::atomic<size_t>>(loops_.size());
+  for (const auto& loop : loops_) {
+    loop->events().Post([shared_work, done, waiting, target = loop.get()] {
+      (*shared_work)(*target);
+      if (waiting->fetch_sub(1) == 1) done->Notify();
+    });
+  }
+  return done->WaitForNotificationWithTimeout(timeout);
+}
+
+void Transport::Drain() {
+  RunOnAll([](TransportLoop& loop) { loop.Drain(); }, absl::InfiniteDuration());
+}
+
+bool Transport::Responds(absl::Duration timeout) {
+  return RunOnAll([](TransportLoop&) {}, timeout);
+}
+
+void Transport::Stop(absl::Duration timeout) {
+  if (!std::exchange(running_, false)) return;
+  const absl::Duration end = options_.clock->Now() + timeout;
+  RunOnAll(
+      [this](TransportLoop& loop) {
+        if (&loop == loops_.front().get()) {
+          for (const auto& acceptor : acceptors_) acceptor->Stop();
+        }
+        loop.GoAway();
+      },
+      absl::InfiniteDuration());
+  while (connections_.connections() > 0 && options_.clock->Now() < end) {
+    absl::SleepFor(kStopPollInterval);
+  }
+  for (const auto& loop : loops_) loop->Join();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,73 @@
+// One event loop of the transport, its connections, its router and its thread.
+#ifndef SERVER_TRANSPORT_TRANSPORT_LOOP_H_
+#define SERVER_TRANSPORT_TRANSPORT_LOOP_H_
+
+#include <functional>
+#include <memory>
+#include <thread>
+
+#include "absl/container/flat_hash_map.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/base/clock.h"
+#include "server/transport/byte_budget.h"
+#include "server/transport/call.h"
+#include "server/transport/connection.h"
+#include "server/transport/connection_table.h"
+#include "server/transport/event_loop.h"
+#include "server/transport/limits.h"
+#include "server/transport/socket.h"
+
+namespace spikeserve {
+
+// Thread-safety: Run(), Join() and events().Post() may be called from any thread, everything else
+// from the loop's thread, or before Run().
+class TransportLoop {
+ public:
+  // All pointers must outlive the loop.
+  static absl::StatusOr<std::unique_ptr<TransportLoop>> Create(const TransportLimits* limits,
+                                                               ByteBudget* bytes_in_flight,
+                                                               const Clock* clock);
+  ~TransportLoop();
+
+  EventLoop& events() { return *events_; }
+
+  // Sets what answers the calls. `router` must outlive the loop's run.
+  void SetRouter(CallRouter* router) { shared_.router = router; }
+  // Calls `work` at the end of each turn, before connections write.
+  void AtEndOfTurn(std::function<void()> work) { events_->AtEndOfTurn(std::move(work)); }
+
+  // Starts the loop's thread.
+  void Run();
+  // Stops the thread and closes all connections.
+  void Join();
+
+  // Serves a new connection.
+  void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot);
+  // Closes the connection that has waited longest without a call, if there is one.
+  void CloseOldestStranger();
+  // Writes what the connections have to send. The loop does this at the end of each turn; work that
+  // goes on after its answers calls it earlier.
+  void FlushWrites();
+  // Tells the handlers of all calls that the server stops.
+  void Drain();
+  // Asks all clients to leave (GOAWAY).
+  void GoAway();
+  // Returns true if every connection is closed.
+  bool empty() const { return connections_.empty(); }
+
+ private:
+  TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in_flight,
+                std::unique_ptr<EventLoop> events);
+
+  void CheckTimes();
+
+  const std::unique_ptr<EventLoop> events_;
+  Connection::Shared shared_;
+  absl::flat_hash_map<Connection*, std::unique_ptr<Connection>> connections_;
+  std::thread thread_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_TRANSPORT_TRANSPORT_LOOP_H_
