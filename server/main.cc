@@ -90,9 +90,9 @@ absl::Status Serve(const ServerOptions& options) {
   // it.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
 
-  // Keeps the memory of a long request for the next one instead of returning it to the system.
-  mallopt(M_TRIM_THRESHOLD, 64 << 20);
-  mallopt(M_MMAP_THRESHOLD, 32 << 20);
+  // A long request's memory goes back to the system when it is answered.
+  mallopt(M_TRIM_THRESHOLD, 4 << 20);
+  mallopt(M_MMAP_THRESHOLD, 1 << 20);
 
   // Blocks the signals before there are threads, which inherit this; only sigwait receives them.
   sigset_t stop_signals;

@@ -5,6 +5,7 @@
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
+#include <malloc.h>
 #include <sched.h>
 
 #include <algorithm>
@@ -44,6 +45,11 @@ constexpr absl::Duration kDrainPollInterval = absl::Milliseconds(1);
 
 // How long clients may take to read their last answers when the server stops.
 constexpr absl::Duration kLeaveTimeout = absl::Seconds(1);
+
+// The allocator keeps the memory of closed connections for new ones. After many were closed, for
+// example those of an attack, it is given back to the system.
+constexpr absl::Duration kTrimInterval = absl::Seconds(2);
+constexpr int64_t kConnectionsToTrim = 16;
 
 // Returns the number of cores that the process may use.
 int AvailableCores() {
@@ -191,6 +197,10 @@ absl::Status Server::StartNghttp2() {
   grpc_address_ = transport_->address();
   PublishHealth();
   services_.Attach(transport_.get());
+  memory_trimmer_ = std::make_unique<Periodic>(kTrimInterval, [this] {
+    const int64_t closed = transport_->connections().closed();
+    if (closed - std::exchange(trimmed_at_, closed) >= kConnectionsToTrim) malloc_trim(0);
+  });
   return transport_->Start();
 }
 
@@ -260,6 +270,7 @@ void Server::Stop() {
   if (stopping_.exchange(true)) return;
   poller_.reset();
   token_reloader_.reset();
+  memory_trimmer_.reset();
   if (grpc_ != nullptr) StopGrpc();
   if (transport_ != nullptr) StopNghttp2();
   http_.reset();

@@ -109,6 +109,7 @@ class Server {
   ReflectionService reflection_service_;
   Services services_;
   std::atomic<bool> stopping_ = false;
+  int64_t trimmed_at_ = 0;  // connections closed when memory was last trimmed; of memory_trimmer_
   const StatusPages pages_;
   Address grpc_address_;
   std::unique_ptr<grpc::Server> grpc_;
@@ -116,6 +117,7 @@ class Server {
   // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;
   std::unique_ptr<Periodic> token_reloader_;
+  std::unique_ptr<Periodic> memory_trimmer_;
 };
 
 }  // namespace spikeserve

@@ -60,7 +60,7 @@ void ActStreamCall::FinishIfDone() {
   Finish(half_closed_ ? absl::OkStatus() : CallGate::DrainingError());
 }
 
-void ActStreamCall::OnHalfClose() {
+void ActStreamCall::HandleHalfClose() {
   half_closed_ = true;
   FinishIfDone();
 }

@@ -36,7 +36,6 @@ class ActStreamCall final : public ServiceCall, public ActClient {
   ActStreamCall(const ServiceContext* context, Call* call, ActQueue* queue)
       : ServiceCall(context, call, Method::kActStream), queue_(*queue) {}
 
-  void OnHalfClose() override;
   void OnDrain() override;
   void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,
                  absl::Duration received) override;
@@ -44,6 +43,7 @@ class ActStreamCall final : public ServiceCall, public ActClient {
  private:
   void HandleMessage(absl::string_view message) override;
   void HandleTooLong(size_t length, const absl::Status& error) override;
+  void HandleHalfClose() override;
   // Finishes the call if its last request is answered and no other follows.
   void FinishIfDone();
 

@@ -23,7 +23,6 @@ class InferStreamCall final : public ServiceCall {
         handler_(*handler),
         deferred_(deferred) {}
 
-  void OnHalfClose() override { Finish(absl::OkStatus()); }
   void OnDrain() override {
     ServiceCall::OnDrain();
     Finish(CallGate::DrainingError());
@@ -32,6 +31,7 @@ class InferStreamCall final : public ServiceCall {
  private:
   void HandleMessage(absl::string_view message) override;
   void HandleTooLong(size_t length, const absl::Status& error) override;
+  void HandleHalfClose() override { Finish(absl::OkStatus()); }
   absl::Status Answer(const inference::ModelInferRequest& request, size_t request_bytes,
                       inference::ModelInferResponse* response);
   // Sends an answer, or its error.

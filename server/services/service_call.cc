@@ -31,6 +31,10 @@ void ServiceCall::OnTooLong(size_t length) {
                                   context_.max_message_bytes));
 }
 
+void ServiceCall::OnHalfClose() {
+  if (admission_.ok()) HandleHalfClose();
+}
+
 void ServiceCall::OnClosed() {
   call_->loop().Cancel(timer_);
   delayed_ = nullptr;

@@ -38,6 +38,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   }
   void OnMessage(absl::string_view message) final;
   void OnTooLong(size_t length) final;
+  void OnHalfClose() final;
   void OnClosed() override;
   void OnDrain() override;
 
@@ -46,6 +47,9 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   virtual void HandleMessage(absl::string_view message) = 0;
   // As above, but the message was too long; `error` is its refusal.
   virtual void HandleTooLong(size_t length, const absl::Status& error) = 0;
+
+  // The caller was admitted and will send no more messages.
+  virtual void HandleHalfClose() = 0;
 
   const ServiceContext& context() const { return context_; }
   Method method() const { return method_; }

@@ -31,12 +31,6 @@ class UnaryCall : public ServiceCall {
  public:
   using ServiceCall::ServiceCall;
 
-  void OnHalfClose() override {
-    if (!received_) {
-      Finish(absl::InternalError("message: expected one request, received none"));
-    }
-  }
-
  protected:
   // Answers the request. Calls End() now or later.
   virtual void Handle() = 0;
@@ -69,6 +63,12 @@ class UnaryCall : public ServiceCall {
                                   context().max_message_bytes);
     if (!status.ok()) return End(status);
     Handle();
+  }
+
+  void HandleHalfClose() final {
+    if (!received_) {
+      Finish(absl::InternalError("message: expected one request, received none"));
+    }
   }
 
   void HandleTooLong(size_t length, const absl::Status& error) final {

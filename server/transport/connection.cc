@@ -5,6 +5,8 @@
 #include <array>
 #include <utility>
 
+#include "server/base/log.h"
+
 namespace spikeserve {
 namespace {
 
@@ -15,6 +17,13 @@ constexpr size_t kWriteBytes = 64 << 10;  // at a time
 // A connection stops reading while this many frames wait for the client to take them, for example
 // acknowledgements of a flood of PINGs.
 constexpr size_t kQueuedFrames = 1000;
+
+// A connection that closes waits so long for its client to close, and reads so much.
+constexpr absl::Duration kClosingTimeout = absl::Seconds(1);
+constexpr size_t kMaxDropped = 1 << 20;
+
+constexpr char kResetLimit[] = "--max_resets_per_second";
+constexpr char kControlLimit[] = "--max_control_frames_per_second";
 
 constexpr uint32_t kStreamWindow = 64 << 10;
 constexpr int32_t kConnectionWindow = 1 << 20;
@@ -62,7 +71,7 @@ struct ConnectionCallbacks {
   }
   static int OnInvalidFrame(nghttp2_session* /*session*/, const nghttp2_frame* /*frame*/,
                             int /*error*/, void* user) {
-    return Self(user)->Tolerate(&Self(user)->resets_);
+    return Self(user)->Tolerate(&Self(user)->resets_, kResetLimit);
   }
 
   static nghttp2_session_callbacks* Make() {
@@ -121,6 +130,7 @@ absl::Status Connection::Start() {
 
 void Connection::OnReady(uint32_t events) {
   if (closed_) return;
+  if (closing_since_ != absl::InfiniteDuration()) return DropInput();
   if ((events & EPOLLOUT) != 0) WantFlush();
   if ((events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0 || socket_->read_waits_for_write()) ReadAll();
 }
@@ -167,7 +177,7 @@ bool Connection::Receive(absl::string_view data) {
   const ssize_t received = nghttp2_session_mem_recv(
       session_.get(), reinterpret_cast<const uint8_t*>(data.data()), data.size());
   closed_streams_.clear();
-  if (hostile_) {
+  if (condemned_) {
     Abort(NGHTTP2_ENHANCE_YOUR_CALM);
     return false;
   }
@@ -199,7 +209,7 @@ void Connection::Gather() {
 
 void Connection::Flush() {
   wants_flush_ = false;
-  if (closed_) return;
+  if (closed_ || closing_since_ != absl::InfiniteDuration()) return;
   while (true) {
     if (unsent_.empty()) Gather();
     if (unsent_.empty()) break;
@@ -219,7 +229,7 @@ void Connection::Flush() {
   closed_streams_.clear();
   const bool over = nghttp2_session_want_read(session_.get()) == 0 &&
                     nghttp2_session_want_write(session_.get()) == 0;
-  if (unsent_.empty() && (over || (going_away_ && streams_.empty()))) return Close();
+  if (unsent_.empty() && (over || (going_away_ && streams_.empty()))) return CloseInOrder();
   UpdateWatch();
 }
 
@@ -237,6 +247,8 @@ void Connection::CheckTimes() {
   if (closed_) return;
   const TransportLimits& limits = *shared_->limits;
   const absl::Duration now = loop().now();
+  if (now - closing_since_ > kClosingTimeout) return Close();
+  if (closing_since_ != absl::InfiniteDuration()) return;
   const bool never_called = is_stranger() && now - connected_ > limits.first_request_timeout;
   const bool stuck = now - blocked_since_ > limits.write_timeout ||
                      now - headers_since_ > limits.request_timeout;
@@ -271,17 +283,40 @@ void Connection::Abort(uint32_t error) {
   nghttp2_session_terminate_session(session_.get(), error);
   Gather();
   if (!unsent_.empty()) socket_->Write(absl::string_view(unsent_).substr(written_));
+  CloseInOrder();
+}
+
+void Connection::CloseInOrder() {
+  if (closed_ || closing_since_ != absl::InfiniteDuration()) return;
+  CloseStreams();
+  socket_->ShutDownWriting();
+  closing_since_ = loop().now();
+  watched_ = EPOLLIN;
+  loop().ChangeWatch(socket_->fd(), watched_, this);
+}
+
+void Connection::DropInput() {
+  std::array<char, 4096> buffer;
+  while (dropped_ < kMaxDropped) {
+    const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
+    if (result.outcome == Socket::Outcome::kBlocked) return;
+    if (result.outcome == Socket::Outcome::kClosed) break;
+    dropped_ += result.bytes;
+  }
   Close();
+}
+
+void Connection::CloseStreams() {
+  for (auto& [id, stream] : std::exchange(streams_, {})) {
+    nghttp2_session_set_stream_user_data(session_.get(), id, nullptr);
+    stream->OnClosed();
+  }
 }
 
 void Connection::Close() {
   if (std::exchange(closed_, true)) return;
   loop().Unwatch(socket_->fd());
-  for (auto& [id, stream] : streams_) {
-    stream->OnClosed();
-    closed_streams_.push_back(std::move(stream));
-  }
-  streams_.clear();
+  CloseStreams();
   if (continues_) std::erase(shared_->to_continue, this);
   shared_->closed(this);
 }
@@ -312,14 +347,20 @@ int Connection::OnBeginHeaders(int32_t id) {
 int Connection::OnHeader(int32_t id, absl::string_view name, absl::string_view value) {
   GrpcStream* stream = FindStream(id);
   if (stream == nullptr || stream->AddHeader(name, value)) return 0;
-  hostile_ = true;
+  return Condemn("--max_header_bytes");
+}
+
+int Connection::Condemn(absl::string_view limit) {
+  condemned_ = true;
+  if (shared_->log_lines.Take(loop().now())) {
+    LogWarning("connection closed, because its client has exceeded a limit",
+               {{"client", slot_->address()}, {"limit", limit}});
+  }
   return NGHTTP2_ERR_CALLBACK_FAILURE;
 }
 
-int Connection::Tolerate(FrameBudget* budget) {
-  if (budget->Take(loop().now())) return 0;
-  hostile_ = true;
-  return NGHTTP2_ERR_CALLBACK_FAILURE;
+int Connection::Tolerate(FrameBudget* budget, absl::string_view limit) {
+  return budget->Take(loop().now()) ? 0 : Condemn(limit);
 }
 
 int Connection::OnFrame(const nghttp2_frame& frame) {
@@ -339,14 +380,14 @@ int Connection::OnFrame(const nghttp2_frame& frame) {
     case NGHTTP2_DATA:
       stream = FindStream(frame.hd.stream_id);
       if (ends_stream && stream != nullptr) stream->OnHalfClose();
-      return frame.hd.length == 0 && !ends_stream ? Tolerate(&control_frames_) : 0;
+      return frame.hd.length == 0 && !ends_stream ? Tolerate(&control_frames_, kControlLimit) : 0;
     case NGHTTP2_RST_STREAM:
-      return Tolerate(&resets_);
+      return Tolerate(&resets_, kResetLimit);
     case NGHTTP2_PING:
     case NGHTTP2_SETTINGS:
-      return (frame.hd.flags & NGHTTP2_FLAG_ACK) != 0 ? 0 : Tolerate(&control_frames_);
+      return (frame.hd.flags & NGHTTP2_FLAG_ACK) != 0 ? 0 : Tolerate(&control_frames_, kControlLimit);
     default:  // PRIORITY, WINDOW_UPDATE and extensions
-      return Tolerate(&control_frames_);
+      return Tolerate(&control_frames_, kControlLimit);
   }
 }
 

@@ -35,6 +35,7 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
     const TransportLimits* limits;
     ByteBudget* bytes_in_flight;               // of the process
     std::function<void(Connection*)> closed;   // destroys the connection at the end of the turn
+    FrameBudget log_lines = FrameBudget(10);   // about clients that exceed a limit
     std::vector<Connection*> to_flush = {};    // have something to send at the end of the turn
     std::vector<Connection*> to_continue = {};  // have something to read in the next turn
   };
@@ -92,7 +93,14 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   void Gather();
   // Sets which events the loop waits for.
   void UpdateWatch();
-  // Sends GOAWAY with nghttp2's `error`, then closes.
+  // Sends what is ready, then closes in order: closing a socket with unread bytes would make the
+  // system drop what the client has not read yet. Waits a short time for the client to close.
+  void CloseInOrder();
+  // Reads and drops what arrives while the connection closes.
+  void DropInput();
+  // Cancels all calls.
+  void CloseStreams();
+  // Sends GOAWAY with nghttp2's `error`, then closes in order.
   void Abort(uint32_t error);
   GrpcStream* FindStream(int32_t id);
 
@@ -103,8 +111,11 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   int OnDataChunk(int32_t id, absl::string_view data);
   int OnStreamClosed(int32_t id);
   int OnFrameSent(const nghttp2_frame& frame);
-  // Counts a frame that costs work and brings none. Ends the connection if there are too many.
-  int Tolerate(FrameBudget* budget);
+  // Counts a frame that costs work and brings none. Ends the connection if there are too many;
+  // `limit` names the flag.
+  int Tolerate(FrameBudget* budget, absl::string_view limit);
+  // Ends the connection, which has exceeded a limit.
+  int Condemn(absl::string_view limit);
 
   const std::unique_ptr<Socket> socket_;
   const std::unique_ptr<ConnectionSlot> slot_;
@@ -123,9 +134,11 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   std::string unsent_;   // frames, not yet written
   size_t written_ = 0;   // bytes of `unsent_` that were written
   uint32_t watched_ = 0;  // events
+  absl::Duration closing_since_ = absl::InfiniteDuration();
+  size_t dropped_ = 0;    // bytes received since then
   bool wants_flush_ = false;
   bool continues_ = false;
-  bool hostile_ = false;   // exceeded a limit: to be closed with ENHANCE_YOUR_CALM
+  bool condemned_ = false;  // exceeded a limit: to be closed with ENHANCE_YOUR_CALM
   bool going_away_ = false;
   bool closed_ = false;
 };

@@ -20,6 +20,11 @@ int64_t ConnectionTable::connections() const {
   return connections_;
 }
 
+int64_t ConnectionTable::closed() const {
+  absl::MutexLock lock(&mutex_);
+  return closed_;
+}
+
 int64_t ConnectionTable::strangers() const {
   absl::MutexLock lock(&mutex_);
   return strangers_;
@@ -33,6 +38,7 @@ void ConnectionTable::RemoveStranger() {
 void ConnectionTable::Remove(const std::string& address) {
   absl::MutexLock lock(&mutex_);
   --connections_;
+  ++closed_;
   const auto found = by_address_.find(address);
   if (--found->second == 0) by_address_.erase(found);
 }

@@ -27,6 +27,8 @@ class ConnectionTable {
   std::unique_ptr<ConnectionSlot> Admit(const std::string& address);
 
   int64_t connections() const;
+  // Returns the number of connections that were closed so far.
+  int64_t closed() const;
   // Returns the number of connections that have not made a call yet.
   int64_t strangers() const;
 
@@ -40,6 +42,7 @@ class ConnectionTable {
   const int64_t max_per_address_;
   mutable absl::Mutex mutex_;
   int64_t connections_ ABSL_GUARDED_BY(mutex_) = 0;
+  int64_t closed_ ABSL_GUARDED_BY(mutex_) = 0;
   int64_t strangers_ ABSL_GUARDED_BY(mutex_) = 0;
   absl::flat_hash_map<std::string, int64_t> by_address_ ABSL_GUARDED_BY(mutex_);
 };
@@ -61,6 +64,7 @@ class ConnectionSlot {
     if (std::exchange(is_stranger_, false)) table_->RemoveStranger();
   }
   bool is_stranger() const { return is_stranger_; }
+  const std::string& address() const { return address_; }
 
  private:
   ConnectionTable* const table_;

@@ -27,11 +27,12 @@ class FrameBudget {
     return true;
   }
 
-  // Admits two more frames, because a frame was sent that the peer may answer: a client answers
-  // data with WINDOW_UPDATE for the stream and for the connection.
-  void Earn() { available_ = std::min(available_ + 2.0, kMostEarned); }
+  // Admits further frames, because a frame was sent that the peer may answer: gRPC's C++ client
+  // answers data with WINDOW_UPDATE for the stream and for the connection, and with PING.
+  void Earn() { available_ = std::min(available_ + kEarned, kMostEarned); }
 
  private:
+  static constexpr double kEarned = 4.0;
   static constexpr double kMostEarned = 100'000.0;
 
   void Refill(absl::Duration now) {

@@ -169,6 +169,8 @@ void GrpcStream::ReadOn() {
 
 void GrpcStream::OnHalfClose() {
   half_closed_ = true;
+  incomplete_since_ = absl::InfiniteDuration();
+  if (!http_refusal_.empty() && !finished_) return SendHttpRefusal();
   if (handler_ == nullptr || finished_ || half_close_delivered_) return;
   if (!unread_.empty() || !reading()) return;  // ReadOn() continues
   half_close_delivered_ = true;
@@ -224,6 +226,7 @@ void GrpcStream::Send(const google::protobuf::MessageLite& message) {
 
 void GrpcStream::Finish(const absl::Status& status) {
   if (std::exchange(finished_, true)) return;
+  if (!http_refusal_.empty()) return SendHttpRefusal();
   loop().Cancel(deadline_timer_);
   if (!headers_submitted_) return SubmitTrailersOnly(status);
   status_ = status;
@@ -255,14 +258,20 @@ void GrpcStream::SubmitTrailersOnly(const absl::Status& status) {
 }
 
 void GrpcStream::RefuseHttp(absl::string_view http_status, absl::string_view body) {
-  finished_ = true;
-  is_grpc_ = false;
-  headers_submitted_ = true;
+  http_refusal_ = std::string(http_status);
   answer_.assign(body.data(), body.size());
-  std::vector<nghttp2_nv> headers = {Header(":status", http_status),
+  incomplete_since_ = loop().now();
+}
+
+void GrpcStream::SendHttpRefusal() {
+  finished_ = true;
+  headers_submitted_ = true;
+  std::vector<nghttp2_nv> headers = {Header(":status", http_refusal_),
                                      Header("content-type", "text/plain")};
-  if (http_status == "405") headers.push_back(Header("allow", "POST"));
-  SubmitWithData(headers);
+  if (http_refusal_ == "405") headers.push_back(Header("allow", "POST"));
+  if (http_method_ != "HEAD") return SubmitWithData(headers);
+  nghttp2_submit_response(session_, id_, headers.data(), headers.size(), nullptr);
+  owner_->WantFlush();
 }
 
 void GrpcStream::SubmitWithData(const std::vector<nghttp2_nv>& headers) {
@@ -280,7 +289,7 @@ ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
   if (unsent() > 0) return static_cast<ssize_t>(count);
   if (finished_) {
     *flags |= NGHTTP2_DATA_FLAG_EOF;
-    if (!is_grpc_) return static_cast<ssize_t>(count);
+    if (!http_refusal_.empty()) return static_cast<ssize_t>(count);
     *flags |= NGHTTP2_DATA_FLAG_NO_END_STREAM;
     const StatusHeaders status_headers(status_);
     std::vector<nghttp2_nv> trailers;

@@ -90,8 +90,9 @@ class GrpcStream final : public Call {
   // Announces data to send.
   void SubmitData();
   void SubmitTrailersOnly(const absl::Status& status);
-  // Answers what is no gRPC call with an HTTP status and a text.
+  // Answers what is no gRPC call with an HTTP status and a text, once the request is complete.
   void RefuseHttp(absl::string_view http_status, absl::string_view body);
+  void SendHttpRefusal();
   // Submits headers, which the bytes of `answer_` follow.
   void SubmitWithData(const std::vector<nghttp2_nv>& headers);
 
@@ -128,7 +129,7 @@ class GrpcStream final : public Call {
   bool headers_submitted_ = false;
   bool waiting_for_answer_ = false;  // nghttp2 asked for data and received none
   bool finished_ = false;
-  bool is_grpc_ = true;  // false: an HTTP error is the answer
+  std::string http_refusal_;  // status, if an HTTP error is the answer
   int64_t counted_ = 0;  // bytes that were passed to CountBytes()
 };
 

@@ -32,6 +32,8 @@ class PlainSocket final : public Socket {
     return {WouldBlock() ? Outcome::kBlocked : Outcome::kClosed};
   }
 
+  void ShutDownWriting() override { shutdown(fd_.get(), SHUT_WR); }
+
  private:
   const FileDescriptor fd_;
 };
@@ -57,6 +59,12 @@ class TlsSocket final : public Socket {
   Result Write(absl::string_view data) override {
     ERR_clear_error();
     return ToResult(SSL_write(ssl_.get(), data.data(), Length(data.size())));
+  }
+
+  void ShutDownWriting() override {
+    ERR_clear_error();
+    if (SSL_is_init_finished(ssl_.get()) != 0) SSL_shutdown(ssl_.get());
+    shutdown(fd_.get(), SHUT_WR);
   }
 
  private:

@@ -33,6 +33,9 @@ class Socket {
   virtual Result Read(absl::Span<char> buffer) = 0;
   virtual Result Write(absl::string_view data) = 0;
 
+  // Tells the peer that no more bytes follow. Bytes can still be read.
+  virtual void ShutDownWriting() = 0;
+
   // Returns true if a blocked Read() waits until the socket can be written.
   virtual bool read_waits_for_write() const { return false; }
   // Returns true if bytes can be read although the file descriptor is not ready.
