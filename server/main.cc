@@ -2,6 +2,7 @@
 //
 // Prints one line per endpoint on standard output once it serves, logs to standard error, and stops
 // gracefully on SIGTERM or SIGINT.
+#include <google/protobuf/stubs/logging.h>
 #include <malloc.h>
 #include <pthread.h>
 
@@ -18,7 +19,7 @@ namespace spikeserve {
 namespace {
 
 void AddLimitFlags(Command program, TransportLimits* limits) {
-  program.Flags("Limits of connections")
+  program.Flags("Advanced: limits of connections")
       .Add("max_streams", "N", &limits->max_streams, "Calls at a time on one connection")
       .Add("max_header_bytes", "BYTES", &limits->max_header_bytes, "Metadata of one call")
       .Add("max_headers", "N", &limits->max_headers, "Headers of one call")
@@ -48,7 +49,7 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
 void AddFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
       .Add("listen", "HOST:PORT", &options->listen,
-           "Address of gRPC, or unix:PATH; port 0 picks a free one")
+           "Address of gRPC, or unix:PATH; port 0: a free one")
       .Add("transport", EnumKind<TransportKind>(), &options->transport, "What carries gRPC")
       .Add("loops", "N", &options->loops, "Threads that serve connections; 0: one for each core")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
@@ -89,6 +90,9 @@ absl::Status Serve(const ServerOptions& options) {
   // Debian builds Abseil with this check, which takes a global lock for every lock. The tests keep
   // it.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
+
+  // Protobuf would write a line, with bytes of the client's choice, for each unreadable message.
+  google::protobuf::SetLogHandler(nullptr);
 
   // A long request's memory goes back to the system when it is answered.
   mallopt(M_TRIM_THRESHOLD, 4 << 20);

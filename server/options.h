@@ -24,9 +24,9 @@ constexpr std::array<EnumName<TransportKind>, 2> EnumNames(TransportKind) {
 struct ServerOptions {
   std::string listen = "127.0.0.1:50051";  // gRPC: HOST:PORT or unix:PATH; port 0 picks a free one
   TransportKind transport = TransportKind::kNghttp2;
-  int64_t loops = 0;                // threads that serve connections; 0: one for each core
+  int64_t loops = 0;  // threads that serve connections; 0: one for each core
   TransportLimits transport_limits;
-  bool reflection_v1alpha = false;  // serve the old version of reflection, too
+  bool reflection_v1alpha = false;             // serve the old version of reflection, too
   std::string http_listen = "127.0.0.1:9464";  // status page, metrics; port 0 as above; or empty
   int64_t max_message_bytes = 4 << 20;         // of one request over gRPC, from any caller
   absl::Duration drain_timeout = absl::Seconds(30);  // for calls in flight when the server stops

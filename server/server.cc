@@ -185,13 +185,12 @@ absl::Status Server::StartNghttp2() {
     if (!tls.ok()) return tls.status();
     tls_ = *std::move(tls);
   }
-  auto transport =
-      Transport::Create({.listen = *std::move(address),
-                         .limits = options_.transport_limits,
-                         .loops = options_.loops == 0 ? AvailableCores()
-                                                      : static_cast<int>(options_.loops),
-                         .tls = tls_.get(),
-                         .clock = &clock_});
+  auto transport = Transport::Create(
+      {.listen = *std::move(address),
+       .limits = options_.transport_limits,
+       .loops = options_.loops == 0 ? AvailableCores() : static_cast<int>(options_.loops),
+       .tls = tls_.get(),
+       .clock = &clock_});
   if (!transport.ok()) return transport.status();
   transport_ = *std::move(transport);
   grpc_address_ = transport_->address();

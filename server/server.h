@@ -97,8 +97,8 @@ class Server {
   CallTracker calls_;
   CallGate gate_;
   HealthService health_;
-  std::unique_ptr<TlsContext> tls_;         // null without TLS
-  std::unique_ptr<Transport> transport_;    // outlives the workers, which post to its loops
+  std::unique_ptr<TlsContext> tls_;       // null without TLS
+  std::unique_ptr<Transport> transport_;  // outlives the workers, which post to its loops
   BackgroundWorker worker_;
   BackgroundWorker admin_worker_;
   PolicyService service_;

@@ -17,6 +17,10 @@ namespace spikeserve {
 // The heading of the flags that every program has. It is the last heading of a help text.
 inline constexpr char kGeneralHeading[] = "General";
 
+// The help text only counts the flags under a heading that begins with this; the manual describes
+// them. For flags that few users change.
+inline constexpr char kAdvancedPrefix[] = "Advanced: ";
+
 struct FlagInfo {
   std::string name;          // without dashes
   std::string heading;       // the heading of its group

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/cli/command_tree.h"
 
@@ -54,7 +55,13 @@ std::string HelpFormat::MakeFlags(const CLI::App* app) const {
         return option->get_group() == heading && (owner == app || !Hides(app, option));
       };
       const std::vector<const CLI::Option*> options = owner->get_options(shown);
-      if (!options.empty()) absl::StrAppend(&text, make_group(heading, false, options));
+      if (options.empty()) continue;
+      if (absl::StartsWith(heading, kAdvancedPrefix)) {
+        absl::StrAppend(&text, "\n", heading, ": ", options.size(),
+                        " flags, which the manual describes (--generate=man)\n");
+      } else {
+        absl::StrAppend(&text, make_group(heading, false, options));
+      }
     }
     if (owner == root) break;
   }

@@ -33,7 +33,8 @@ class Command {
  public:
   Command(CLI::App* app, ProgramState* state) : app_(app), state_(state) {}
 
-  // Adds a group of flags under `heading`.
+  // Adds a group of flags under `heading`. Only the manual describes the flags of a heading that
+  // begins with "Advanced: ".
   FlagGroup Flags(const std::string& heading) const { return FlagGroup(app_, heading); }
 
   // Adds a subcommand. A command with subcommands has no action of its own. On the command line,

@@ -22,6 +22,9 @@ class RateLimit {
   // one. 0 means no limit.
   void Set(double per_second);
 
+  // Returns true if there is a limit.
+  bool is_limited() const { return period_ns_.load(std::memory_order_relaxed) != 0; }
+
   // Returns zero and counts the event if it is within the limit. Otherwise returns the time to wait
   // and counts nothing. `now` is the time of a monotonic clock, the same clock in every call.
   absl::Duration Acquire(absl::Duration now);

@@ -43,6 +43,9 @@ class Tenant final : public SessionQuota {
   // RESOURCE_EXHAUSTED with google.rpc.RetryInfo if decisions_per_second is exceeded.
   absl::Status AcquireDecision(absl::Duration now);
 
+  // Returns true if decisions_per_second limits the tenant.
+  bool limits_decisions() const { return decisions_.is_limited(); }
+
   // Returns RESOURCE_EXHAUSTED if a request of `bytes` is longer than max_message_bytes.
   absl::Status CheckMessage(int64_t bytes) const;
 

@@ -45,8 +45,7 @@ std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files) {
   }
   if (files.client_ca.empty()) return context;
   auto* names = SSL_load_client_CA_file(files.client_ca.c_str());
-  if (names == nullptr ||
-      SSL_CTX_load_verify_file(context.get(), files.client_ca.c_str()) != 1) {
+  if (names == nullptr || SSL_CTX_load_verify_file(context.get(), files.client_ca.c_str()) != 1) {
     sk_X509_NAME_pop_free(names, X509_NAME_free);
     ERR_clear_error();
     return nullptr;

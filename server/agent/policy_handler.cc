@@ -190,7 +190,7 @@ absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_
 // session are made in order.
 void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
                             absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const {
-  absl::InlinedVector<ActItem, 1> items;    // of the group, without requests that were refused
+  absl::InlinedVector<ActItem, 1> items;     // of the group, without requests that were refused
   absl::InlinedVector<size_t, 1> positions;  // of `items` in `acts`
   size_t begin = 0;                          // of the group
   const auto answer_group = [&](size_t end) {
@@ -232,7 +232,8 @@ absl::Status PolicyHandler::ActBatch(const Credential& caller, const v1::ActBatc
   }
   ActMany(absl::MakeSpan(acts), deferred, [](absl::Span<AgentAct> /*group*/) {});
   for (size_t i = 0; i < acts.size(); ++i) {
-    if (!acts[i].status.ok()) SetError(acts[i].status, response->mutable_results(static_cast<int>(i)));
+    if (!acts[i].status.ok())
+      SetError(acts[i].status, response->mutable_results(static_cast<int>(i)));
   }
   return absl::OkStatus();
 }

@@ -64,8 +64,8 @@ class PolicyHandler {
   absl::Status ActNext(const Credential& caller, const v1::ActRequest& request,
                        v1::ActResponse* response, DeferredWork* deferred) const;
   // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
-  // session are made in the order of `acts`. Calls `answered` for each group, which is the next part
-  // of `acts`, so that its answers can be sent before the next group is decided.
+  // session are made in the order of `acts`. Calls `answered` for each group, which is the next
+  // part of `acts`, so that its answers can be sent before the next group is decided.
   void ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
                absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const;
   // Answers each item. An item that fails has its own code in `response`; the call returns OK.

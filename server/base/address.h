@@ -12,8 +12,8 @@
 namespace spikeserve {
 
 struct Address {
-  std::string host;  // a name, an IPv4 address, or an IPv6 address in brackets
-  int port = 0;      // 0: the system picks a free port
+  std::string host;            // a name, an IPv4 address, or an IPv6 address in brackets
+  int port = 0;                // 0: the system picks a free port
   std::string unix_path = "";  // if set, the endpoint is this socket of the file system instead
 
   std::string ToString() const;

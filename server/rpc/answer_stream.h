@@ -18,9 +18,9 @@
 #include "absl/time/time.h"
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
-#include "server/rpc/status_map.h"
 #include "server/rpc/call_tracker.h"
 #include "server/rpc/service_parts.h"
+#include "server/rpc/status_map.h"
 
 namespace spikeserve {
 

@@ -26,7 +26,9 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
   if (!messages->request()->ParseFromArray(message.data(), static_cast<int>(message.size()))) {
     return Finish(UnreadableError());
   }
-  if (++in_progress_ == kMaxInProgress) call()->PauseReading();
+  // The next request of a tenant with a limit must wait if this one is refused.
+  const size_t most = caller().tenant()->limits_decisions() ? 1 : kMaxInProgress;
+  if (++in_progress_ >= most) call()->PauseReading();
   const auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
                                          context().max_message_bytes);
   if (!status.ok()) return OnDecided(*messages, status, message.size(), received);

@@ -13,8 +13,8 @@ namespace spikeserve {
 
 class CallGate {
  public:
-  // Counts a call. Returns UNAVAILABLE while draining: the call must be refused, but is counted. Each
-  // Begin() needs one End().
+  // Counts a call. Returns UNAVAILABLE while draining: the call must be refused, but is counted.
+  // Each Begin() needs one End().
   absl::Status Begin() {
     calls_.fetch_add(1, std::memory_order_relaxed);
     return draining_.load(std::memory_order_acquire) ? DrainingError() : absl::OkStatus();

@@ -1,6 +1,7 @@
 // Calls that a method of a handler answers.
 //
-// Confined to the thread of the call's loop, except that BackgroundCall runs its method on a worker.
+// Confined to the thread of the call's loop, except that BackgroundCall runs its method on a
+// worker.
 #ifndef SERVER_SERVICES_HANDLER_CALLS_H_
 #define SERVER_SERVICES_HANDLER_CALLS_H_
 
@@ -38,7 +39,9 @@ class InlineCall final : public UnaryCall<Request, Response> {
  public:
   InlineCall(const ServiceContext* context, Call* call, Method method, DeferredWork* deferred,
              const Answer* answer)
-      : UnaryCall<Request, Response>(context, call, method), deferred_(deferred), answer_(*answer) {}
+      : UnaryCall<Request, Response>(context, call, method),
+        deferred_(deferred),
+        answer_(*answer) {}
 
  private:
   void Handle() override {
@@ -54,8 +57,8 @@ class InlineCall final : public UnaryCall<Request, Response> {
 template <typename Request, typename Response, typename Answer>
 class BackgroundCall final : public UnaryCall<Request, Response> {
  public:
-  BackgroundCall(const ServiceContext* context, Call* call, Method method,
-                 BackgroundWorker* worker, const Answer* answer)
+  BackgroundCall(const ServiceContext* context, Call* call, Method method, BackgroundWorker* worker,
+                 const Answer* answer)
       : UnaryCall<Request, Response>(context, call, method), worker_(*worker), answer_(*answer) {}
 
   void OnClosed() override {

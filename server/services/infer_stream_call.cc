@@ -19,8 +19,7 @@ void InferStreamCall::HandleMessage(absl::string_view message) {
     return Finish(UnreadableError());
   }
   inference::ModelStreamInferResponse response;
-  const absl::Status status =
-      Answer(request, message.size(), response.mutable_infer_response());
+  const absl::Status status = Answer(request, message.size(), response.mutable_infer_response());
   Observe(status, start);
   Reply(status, request.id(), message.size(), &response);
 }
@@ -31,8 +30,7 @@ void InferStreamCall::HandleTooLong(size_t length, const absl::Status& error) {
   Reply(error, /*id=*/"", length, &response);
 }
 
-void InferStreamCall::Reply(const absl::Status& status, const std::string& id,
-                            size_t request_bytes,
+void InferStreamCall::Reply(const absl::Status& status, const std::string& id, size_t request_bytes,
                             inference::ModelStreamInferResponse* response) {
   if (!status.ok()) {
     response->set_error_message(std::string(status.message()));

@@ -12,8 +12,8 @@ namespace {
 class UnknownCall final : public CallHandler {
  public:
   explicit UnknownCall(Call* call) {
-    call->Finish(absl::UnimplementedError(absl::StrCat(
-        "method: expected one that this server has, received ", call->head().path)));
+    call->Finish(absl::UnimplementedError(
+        absl::StrCat("method: expected one that this server has, received ", call->head().path)));
   }
   size_t message_limit() const override { return 0; }
   void OnMessage(absl::string_view /*message*/) override {}

@@ -87,7 +87,8 @@ void AnswerReflection(const v1::ServerReflectionRequest& request,
       }
       return;
     case v1::ServerReflectionRequest::MESSAGE_REQUEST_NOT_SET:
-      response->mutable_error_response()->set_error_code(static_cast<int>(absl::StatusCode::kInvalidArgument));
+      response->mutable_error_response()->set_error_code(
+          static_cast<int>(absl::StatusCode::kInvalidArgument));
       response->mutable_error_response()->set_error_message(
           "message_request: expected one of its fields, received none");
   }

@@ -27,8 +27,8 @@ void ServiceCall::Start() {
 void ServiceCall::OnMessage(absl::string_view message) { HandleMessage(message); }
 
 void ServiceCall::OnTooLong(size_t length) {
-  HandleTooLong(length, CheckSize(caller(), static_cast<int64_t>(length),
-                                  context_.max_message_bytes));
+  HandleTooLong(length,
+                CheckSize(caller(), static_cast<int64_t>(length), context_.max_message_bytes));
 }
 
 void ServiceCall::OnHalfClose() {
@@ -50,7 +50,7 @@ void ServiceCall::OnDrain() {
 
 absl::Duration ServiceCall::DelayFor(const absl::Status& status, size_t request_bytes) const {
   return context_.authenticator->RefusalPacerFor(caller_).DelayFor(status, request_bytes,
-                                                              context_.clock->Now());
+                                                                   context_.clock->Now());
 }
 
 void ServiceCall::AfterDelay(const absl::Status& status, size_t request_bytes,

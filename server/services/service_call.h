@@ -33,9 +33,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   // Admits the caller, or refuses the call. To be called once, right after construction.
   void Start();
 
-  size_t message_limit() const override {
-    return static_cast<size_t>(context_.max_message_bytes);
-  }
+  size_t message_limit() const override { return static_cast<size_t>(context_.max_message_bytes); }
   void OnMessage(absl::string_view message) final;
   void OnTooLong(size_t length) final;
   void OnHalfClose() final;
@@ -63,8 +61,8 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
     context_.metrics->ObserveRpc(method_, status.code(), context_.clock->Now() - start);
   }
 
-  // Runs `next` now, or, if `status` is a refusal, after the delay that refused callers get. REQUIRES:
-  // the call is not over, and no delay is running.
+  // Runs `next` now, or, if `status` is a refusal, after the delay that refused callers get.
+  // REQUIRES: the call is not over, and no delay is running.
   void AfterDelay(const absl::Status& status, size_t request_bytes, std::function<void()> next);
   // Reads no further messages for the delay that refused callers get, if `status` is a refusal.
   // REQUIRES: the call is not over.

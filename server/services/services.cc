@@ -75,8 +75,7 @@ void Services::AddInline(Method method, Handler* handler, HandlerMethod handler_
   using Response = typename Types::Response;
   const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
                                                 Response* response, DeferredWork* deferred) {
-    CallOutcome outcome(
-        Invoke(*handler, handler_method, caller, request, response, deferred));
+    CallOutcome outcome(Invoke(*handler, handler_method, caller, request, response, deferred));
     if constexpr (std::is_same_v<Response, v1::ActBatchResponse>) {
       if (outcome.status.ok()) outcome.refusal = RefusalWithin(*response);
     }
@@ -180,12 +179,10 @@ void Services::AddInferenceService() {
 }
 
 void Services::AddStandardServices() {
-  table_.Add(absl::StrCat("/", kHealth, "/Check"), [this](Call* call, LoopServices* /*loop*/) {
-    return handlers_.health->Check(call);
-  });
-  table_.Add(absl::StrCat("/", kHealth, "/Watch"), [this](Call* call, LoopServices* /*loop*/) {
-    return handlers_.health->Watch(call);
-  });
+  table_.Add(absl::StrCat("/", kHealth, "/Check"),
+             [this](Call* call, LoopServices* /*loop*/) { return handlers_.health->Check(call); });
+  table_.Add(absl::StrCat("/", kHealth, "/Watch"),
+             [this](Call* call, LoopServices* /*loop*/) { return handlers_.health->Watch(call); });
   service_names_.emplace_back(kHealth);
   const auto add_reflection = [this](const char* name) {
     service_names_.emplace_back(name);

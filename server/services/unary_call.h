@@ -59,8 +59,8 @@ class UnaryCall : public ServiceCall {
     if (!messages_.request()->ParseFromArray(message.data(), static_cast<int>(message.size()))) {
       return End(UnreadableError());
     }
-    const auto status = CheckSize(caller(), static_cast<int64_t>(message.size()),
-                                  context().max_message_bytes);
+    const auto status =
+        CheckSize(caller(), static_cast<int64_t>(message.size()), context().max_message_bytes);
     if (!status.ok()) return End(status);
     Handle();
   }

@@ -21,8 +21,8 @@ namespace spikeserve {
 
 // What the client sent before its first message.
 struct CallHead {
-  std::string path;           // "/package.Service/Method"
-  std::string authorization;  // value of the header; empty: none
+  std::string path;                                    // "/package.Service/Method"
+  std::string authorization;                           // value of the header; empty: none
   absl::Duration deadline = absl::InfiniteDuration();  // of the loop's clock
 };
 
@@ -34,8 +34,8 @@ class Call {
   virtual const CallHead& head() const = 0;
   virtual EventLoop& loop() = 0;
 
-  // Queues `message`, which is sent at the end of the loop's turn. Does nothing if the call has been
-  // finished, by Finish() or by its deadline.
+  // Queues `message`, which is sent at the end of the loop's turn. Does nothing if the call has
+  // been finished, by Finish() or by its deadline.
   virtual void Send(const google::protobuf::MessageLite& message) = 0;
 
   // Ends the call with `status` after the messages that are queued. Further messages of the client

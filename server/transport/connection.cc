@@ -22,6 +22,12 @@ constexpr size_t kQueuedFrames = 1000;
 constexpr absl::Duration kClosingTimeout = absl::Seconds(1);
 constexpr size_t kMaxDropped = 1 << 20;
 
+// The streams of a connection read no further messages while it stores more bytes than this: less
+// when all connections together use a quarter of their budget.
+constexpr int64_t kStored = 1 << 20;
+constexpr int64_t kStoredWhenScarce = 64 << 10;
+constexpr int64_t kScarceFraction = 4;
+
 constexpr char kResetLimit[] = "--max_resets_per_second";
 constexpr char kControlLimit[] = "--max_control_frames_per_second";
 
@@ -136,6 +142,8 @@ void Connection::OnReady(uint32_t events) {
 }
 
 void Connection::ReadAll() {
+  // A handshake takes a millisecond of processor time, so other connections take turns with them.
+  if (socket_->is_handshaking() && --shared_->handshakes_left < 0) return;
   thread_local std::array<char, kReadBytes> buffer;
   for (int i = 0; i < kReadsPerTurn; ++i) {
     const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
@@ -161,6 +169,7 @@ void Connection::ContinueLater() {
 
 void Connection::Continue() {
   continues_ = false;
+  if (closed_) return;
   for (const int32_t id : std::exchange(to_read_on_, {})) {
     if (closed_) return;
     if (GrpcStream* stream = FindStream(id)) stream->ReadOn();
@@ -168,9 +177,15 @@ void Connection::Continue() {
   if (!closed_ && socket_->has_buffered_input()) ReadAll();
 }
 
+bool Connection::MayRead() const {
+  const ByteBudget& process = *shared_->bytes_in_flight;
+  const bool scarce = process.used() > process.limit() / kScarceFraction;
+  return bytes_ <= (scarce ? kStoredWhenScarce : kStored);
+}
+
 void Connection::ReadOnLater(int32_t id) {
   to_read_on_.push_back(id);
-  ContinueLater();
+  if (MayRead()) ContinueLater();  // otherwise when bytes have been sent, see Flush()
 }
 
 bool Connection::Receive(absl::string_view data) {
@@ -227,6 +242,7 @@ void Connection::Flush() {
     written_ = 0;
   }
   closed_streams_.clear();
+  if (!to_read_on_.empty() && MayRead()) ContinueLater();
   const bool over = nghttp2_session_want_read(session_.get()) == 0 &&
                     nghttp2_session_want_write(session_.get()) == 0;
   if (unsent_.empty() && (over || (going_away_ && streams_.empty()))) return CloseInOrder();
@@ -250,17 +266,18 @@ void Connection::CheckTimes() {
   if (now - closing_since_ > kClosingTimeout) return Close();
   if (closing_since_ != absl::InfiniteDuration()) return;
   const bool never_called = is_stranger() && now - connected_ > limits.first_request_timeout;
-  const bool stuck = now - blocked_since_ > limits.write_timeout ||
-                     now - headers_since_ > limits.request_timeout;
-  if (never_called || stuck) return Abort(NGHTTP2_NO_ERROR);
+  bool stuck =
+      now - blocked_since_ > limits.write_timeout || now - headers_since_ > limits.request_timeout;
   const bool idle = streams_.empty() && now - last_active_ > limits.idle_timeout;
   if (idle || now - connected_ > limits.max_connection_age) GoAway();
   for (const auto& [id, stream] : streams_) {
+    stuck = stuck || now - stream->unsent_since() > limits.write_timeout;
     if (now - stream->incomplete_since() > limits.request_timeout) {
       stream->Finish(absl::DeadlineExceededError(
           "message: expected all of its bytes within --request_timeout, received a part"));
     }
   }
+  if (never_called || stuck) Abort(NGHTTP2_NO_ERROR);
 }
 
 void Connection::GoAway() {
@@ -385,7 +402,8 @@ int Connection::OnFrame(const nghttp2_frame& frame) {
       return Tolerate(&resets_, kResetLimit);
     case NGHTTP2_PING:
     case NGHTTP2_SETTINGS:
-      return (frame.hd.flags & NGHTTP2_FLAG_ACK) != 0 ? 0 : Tolerate(&control_frames_, kControlLimit);
+      return (frame.hd.flags & NGHTTP2_FLAG_ACK) != 0 ? 0
+                                                      : Tolerate(&control_frames_, kControlLimit);
     default:  // PRIORITY, WINDOW_UPDATE and extensions
       return Tolerate(&control_frames_, kControlLimit);
   }

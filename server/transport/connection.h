@@ -33,10 +33,11 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
     EventLoop* loop;
     CallRouter* router;
     const TransportLimits* limits;
-    ByteBudget* bytes_in_flight;               // of the process
-    std::function<void(Connection*)> closed;   // destroys the connection at the end of the turn
-    FrameBudget log_lines = FrameBudget(10);   // about clients that exceed a limit
-    std::vector<Connection*> to_flush = {};    // have something to send at the end of the turn
+    ByteBudget* bytes_in_flight;                // of the process
+    std::function<void(Connection*)> closed;    // destroys the connection at the end of the turn
+    int handshakes_left = 1;                    // that may be continued in this turn
+    FrameBudget log_lines = FrameBudget(10);    // about clients that exceed a limit
+    std::vector<Connection*> to_flush = {};     // have something to send at the end of the turn
     std::vector<Connection*> to_continue = {};  // have something to read in the next turn
   };
 
@@ -75,6 +76,7 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   const TransportLimits& limits() const override { return *shared_->limits; }
   bool CountBytes(int64_t bytes) override;
   void WantFlush() override;
+  bool MayRead() const override;
   void ReadOnLater(int32_t id) override;
 
  private:
@@ -120,8 +122,8 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   const std::unique_ptr<Socket> socket_;
   const std::unique_ptr<ConnectionSlot> slot_;
   Shared* const shared_;
-  const absl::Duration connected_;  // the loop's clock
-  absl::Duration last_active_;      // when a stream was opened or closed
+  const absl::Duration connected_;                           // the loop's clock
+  absl::Duration last_active_;                               // when a stream was opened or closed
   absl::Duration blocked_since_ = absl::InfiniteDuration();  // the client takes no bytes
   absl::Duration headers_since_ = absl::InfiniteDuration();  // a header block is incomplete
   FrameBudget resets_;
@@ -131,11 +133,11 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   absl::flat_hash_map<int32_t, std::unique_ptr<GrpcStream>> streams_;
   std::vector<std::unique_ptr<GrpcStream>> closed_streams_;  // destroyed when no callback runs
   std::vector<int32_t> to_read_on_;
-  std::string unsent_;   // frames, not yet written
-  size_t written_ = 0;   // bytes of `unsent_` that were written
+  std::string unsent_;    // frames, not yet written
+  size_t written_ = 0;    // bytes of `unsent_` that were written
   uint32_t watched_ = 0;  // events
   absl::Duration closing_since_ = absl::InfiniteDuration();
-  size_t dropped_ = 0;    // bytes received since then
+  size_t dropped_ = 0;  // bytes received since then
   bool wants_flush_ = false;
   bool continues_ = false;
   bool condemned_ = false;  // exceeded a limit: to be closed with ENHANCE_YOUR_CALM

@@ -33,8 +33,7 @@ void EventLoop::Run() {
       absl::MutexLock lock(&mutex_);
       if (stopping_) return;
     }
-    const int ready =
-        epoll_wait(epoll_.get(), events.data(), kEventsPerTurn, MillisecondsToWait());
+    const int ready = epoll_wait(epoll_.get(), events.data(), kEventsPerTurn, MillisecondsToWait());
     now_ = clock_->Now();
     for (int i = 0; i < ready; ++i) {
       auto* source = static_cast<Source*>(events[i].data.ptr);

@@ -57,8 +57,8 @@ class EventLoop {
   // is destroyed with the loop and does not run.
   void Post(std::function<void()> work);
 
-  // Calls `source` for `events` of `fd` until Unwatch(). Level-triggered. Returns RESOURCE_EXHAUSTED
-  // if the system has no room for another watch.
+  // Calls `source` for `events` of `fd` until Unwatch(). Level-triggered. Returns
+  // RESOURCE_EXHAUSTED if the system has no room for another watch.
   absl::Status Watch(int fd, uint32_t events, Source* source);
   void ChangeWatch(int fd, uint32_t events, Source* source);
   void Unwatch(int fd);

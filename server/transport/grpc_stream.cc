@@ -87,10 +87,9 @@ bool GrpcStream::AddHeader(absl::string_view name, absl::string_view value) {
 void GrpcStream::StartCall() {
   const TransportLimits& limits = owner_->limits();
   if (header_bytes_ > limits.max_header_bytes || headers_ > limits.max_headers) {
-    return SubmitTrailersOnly(absl::ResourceExhaustedError(
-        absl::StrCat("metadata: expected at most ", limits.max_header_bytes, " bytes and ",
-                     limits.max_headers, " headers, received ", header_bytes_, " bytes and ",
-                     headers_, " headers")));
+    return SubmitTrailersOnly(absl::ResourceExhaustedError(absl::StrCat(
+        "metadata: expected at most ", limits.max_header_bytes, " bytes and ", limits.max_headers,
+        " headers, received ", header_bytes_, " bytes and ", headers_, " headers")));
   }
   if (http_method_ != "POST") {
     return RefuseHttp("405", "expected POST, the method of gRPC\n");
@@ -127,6 +126,7 @@ void GrpcStream::OnData(absl::string_view data) {
     unread_.assign(rest.data(), rest.size());
   }
   CountStored();
+  if (!unread_.empty() && !owner_->MayRead()) owner_->ReadOnLater(id_);
 }
 
 absl::string_view GrpcStream::Deliver(absl::string_view data) {
@@ -156,13 +156,16 @@ absl::string_view GrpcStream::Deliver(absl::string_view data) {
 }
 
 void GrpcStream::ReadOn() {
-  if (delivering_ || handler_ == nullptr || finished_ || !reading()) return;
+  if (delivering_ || handler_ == nullptr || finished_) return;
+  if (!owner_->MayRead()) return owner_->ReadOnLater(id_);
+  if (!reading()) return;
   if (!unread_.empty()) {
     const std::string data = std::exchange(unread_, {});
     const absl::string_view rest = Deliver(data);
     Consume(data.size() - rest.size());
     unread_.assign(rest.data(), rest.size());
     CountStored();
+    if (!unread_.empty() && !owner_->MayRead()) owner_->ReadOnLater(id_);
   }
   if (half_closed_) OnHalfClose();
 }
@@ -172,7 +175,10 @@ void GrpcStream::OnHalfClose() {
   incomplete_since_ = absl::InfiniteDuration();
   if (!http_refusal_.empty() && !finished_) return SendHttpRefusal();
   if (handler_ == nullptr || finished_ || half_close_delivered_) return;
-  if (!unread_.empty() || !reading()) return;  // ReadOn() continues
+  if (!unread_.empty() || !reading()) {  // ReadOn() continues
+    if (!owner_->MayRead()) owner_->ReadOnLater(id_);
+    return;
+  }
   half_close_delivered_ = true;
   if (!reader_.at_boundary()) {
     return Finish(absl::InternalError("message: expected all of its bytes, received END_STREAM"));
@@ -220,6 +226,7 @@ void GrpcStream::Send(const google::protobuf::MessageLite& message) {
     sent_ = 0;
   }
   AppendMessage(message, &answer_);
+  unsent_since_ = std::min(unsent_since_, loop().now());
   CountStored();
   SubmitData();
 }
@@ -285,6 +292,7 @@ ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
   const size_t count = std::min(size, unsent());
   std::memcpy(out, answer_.data() + sent_, count);
   sent_ += count;
+  if (count > 0) unsent_since_ = unsent() > 0 ? loop().now() : absl::InfiniteDuration();
   if (was_full && unsent() <= kUnsentLimit) owner_->ReadOnLater(id_);
   if (unsent() > 0) return static_cast<ssize_t>(count);
   if (finished_) {

@@ -30,12 +30,14 @@ class GrpcStream final : public Call {
     virtual EventLoop& loop() = 0;
     virtual CallRouter& router() = 0;
     virtual const TransportLimits& limits() const = 0;
-    // Counts bytes that the stream stores, or stores no longer if `bytes` is negative. Returns false
-    // if a limit is exceeded; the bytes are counted in any case.
+    // Counts bytes that the stream stores, or stores no longer if `bytes` is negative. Returns
+    // false if a limit is exceeded; the bytes are counted in any case.
     virtual bool CountBytes(int64_t bytes) = 0;
     // The connection has something to send at the end of the turn.
     virtual void WantFlush() = 0;
-    // Calls ReadOn() of stream `id`, if it still exists, after the bytes in hand are sent.
+    // Returns false while the connection stores so much that its streams must not read on.
+    virtual bool MayRead() const = 0;
+    // Calls ReadOn() of stream `id`, if it still exists, once MayRead() returns true.
     virtual void ReadOnLater(int32_t id) = 0;
   };
 
@@ -65,6 +67,9 @@ class GrpcStream final : public Call {
 
   // Returns true once the client has sent END_STREAM.
   bool half_closed() const { return half_closed_; }
+  // Returns the time since which the client has taken nothing of an answer that is ready, of the
+  // loop's clock; InfiniteDuration if none is.
+  absl::Duration unsent_since() const { return unsent_since_; }
   // Returns the time since which a message is incomplete, of the loop's clock; InfiniteDuration
   // if none is.
   absl::Duration incomplete_since() const { return incomplete_since_; }
@@ -84,7 +89,9 @@ class GrpcStream final : public Call {
   // Lets the client send `bytes` more.
   void Consume(size_t bytes);
   void CountStored();
-  bool reading() const { return !paused_ && !finished_ && unsent() <= kUnsentLimit; }
+  bool reading() const {
+    return !paused_ && !finished_ && unsent() <= kUnsentLimit && owner_->MayRead();
+  }
   size_t unsent() const { return answer_.size() - sent_; }
 
   // Announces data to send.
@@ -125,12 +132,13 @@ class GrpcStream final : public Call {
   // Answer.
   std::string answer_;
   size_t sent_ = 0;  // bytes of `answer_` that were passed to nghttp2
+  absl::Duration unsent_since_ = absl::InfiniteDuration();
   absl::Status status_;
   bool headers_submitted_ = false;
   bool waiting_for_answer_ = false;  // nghttp2 asked for data and received none
   bool finished_ = false;
   std::string http_refusal_;  // status, if an HTTP error is the answer
-  int64_t counted_ = 0;  // bytes that were passed to CountBytes()
+  int64_t counted_ = 0;       // bytes that were passed to CountBytes()
 };
 
 }  // namespace spikeserve

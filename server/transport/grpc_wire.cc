@@ -2,6 +2,7 @@
 
 #include <cstdint>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
@@ -67,8 +68,10 @@ std::string PercentEncode(absl::string_view text) {
 
 absl::StatusOr<absl::Duration> ParseTimeout(absl::string_view text) {
   int64_t count = 0;
-  if (text.size() >= 2 && text.size() <= kTimeoutDigits + 1 && absl::ascii_isdigit(text[0]) &&
-      absl::SimpleAtoi(text.substr(0, text.size() - 1), &count)) {
+  const absl::string_view digits = text.substr(0, text.empty() ? 0 : text.size() - 1);
+  if (!digits.empty() && digits.size() <= kTimeoutDigits &&
+      absl::c_all_of(digits, [](char c) { return absl::ascii_isdigit(c); }) &&
+      absl::SimpleAtoi(digits, &count)) {
     const absl::Duration unit = TimeoutUnit(text.back());
     if (unit != absl::ZeroDuration()) return count * unit;
   }

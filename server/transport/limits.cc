@@ -13,8 +13,8 @@ absl::Status CheckAtLeastOne(absl::string_view flag, int64_t value) {
 
 absl::Status CheckPositive(absl::string_view flag, absl::Duration value) {
   if (value >= absl::Milliseconds(1)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(flag, ": expected at least 1ms, received ",
-                                                 absl::FormatDuration(value)));
+  return absl::InvalidArgumentError(
+      absl::StrCat(flag, ": expected at least 1ms, received ", absl::FormatDuration(value)));
 }
 
 }  // namespace

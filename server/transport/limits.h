@@ -9,23 +9,25 @@
 
 namespace spikeserve {
 
-// Plain data, safe to read from many threads. The defaults are safe for a port that strangers reach.
+// Plain data, safe to read from many threads. The defaults are safe for a port that strangers
+// reach.
 struct TransportLimits {
   // Of one connection. A client that exceeds one of the rates loses its connection
   // (ENHANCE_YOUR_CALM).
-  int64_t max_streams = 100;             // calls at a time; further calls are refused
-  int64_t max_header_bytes = 16 << 10;   // of one request, as RFC 9113 counts them
-  int64_t max_headers = 128;             // of one request
-  int64_t max_resets_per_second = 200;   // RST_STREAM, and calls that the server has to reset
-  int64_t max_control_frames_per_second = 200;  // PING, SETTINGS, PRIORITY, WINDOW_UPDATE and empty
-                                                // DATA, beyond those that answer the server's frames
-  int64_t max_connection_bytes = 16 << 20;      // of requests that wait and answers not yet sent
+  int64_t max_streams = 100;            // calls at a time; further calls are refused
+  int64_t max_header_bytes = 16 << 10;  // of one request, as RFC 9113 counts them
+  int64_t max_headers = 128;            // of one request
+  int64_t max_resets_per_second = 200;  // RST_STREAM, and calls that the server has to reset
+  int64_t max_control_frames_per_second =
+      200;                                  // PING, SETTINGS, PRIORITY, WINDOW_UPDATE and empty
+                                            // DATA, beyond those that answer the server's frames
+  int64_t max_connection_bytes = 16 << 20;  // of requests that wait and answers not yet sent
 
   // Of all connections.
   int64_t max_bytes_in_flight = 256 << 20;  // of requests that wait and answers not yet sent
   int64_t max_connections = 10'000;
   int64_t max_connections_per_address = 1'000;  // of one client address
-  int64_t max_idle_strangers = 500;  // connections that have not made a call yet
+  int64_t max_idle_strangers = 500;             // connections that have not made a call yet
 
   absl::Duration first_request_timeout = absl::Seconds(10);  // from connect to the first call
   absl::Duration request_timeout = absl::Seconds(30);  // of one message that arrives in pieces

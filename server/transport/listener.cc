@@ -109,7 +109,8 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
     result.address.port = PortOf(listener.get());
     result.sockets.push_back(std::move(listener));
   }
-  if (result.sockets.empty()) return CannotListen(field, address, "it is no address of this machine");
+  if (result.sockets.empty())
+    return CannotListen(field, address, "it is no address of this machine");
   return result;
 }
 

@@ -19,9 +19,9 @@ struct Listeners {
 };
 
 // Listens on every address that the host of `address` has, with one port, or on a unix: path, where
-// a socket that a dead server left behind is replaced. Returns UNAVAILABLE with the system's reason,
-// prefixed with `field`, if an address cannot be used, for example because another process listens
-// there.
+// a socket that a dead server left behind is replaced. Returns UNAVAILABLE with the system's
+// reason, prefixed with `field`, if an address cannot be used, for example because another process
+// listens there.
 absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address);
 
 }  // namespace spikeserve

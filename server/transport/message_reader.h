@@ -25,9 +25,9 @@ class MessageReader {
   };
 
   // Takes bytes from the front of `data` until a message is complete, and returns it. Returns
-  // nothing once `data` is empty. A message longer than `limit` is returned as soon as its prefix is
-  // complete, and its bytes are dropped. Returns INTERNAL if a message is compressed; no call may
-  // follow.
+  // nothing once `data` is empty. A message longer than `limit` is returned as soon as its prefix
+  // is complete, and its bytes are dropped. Returns INTERNAL if a message is compressed; no call
+  // may follow.
   absl::StatusOr<std::optional<Item>> Next(absl::string_view* data, size_t limit);
 
   // Returns the number of bytes that are stored.
@@ -40,9 +40,9 @@ class MessageReader {
   // Moves bytes from `data` to the buffer until it holds `size`. Returns true if it does.
   bool Fill(absl::string_view* data, size_t size);
 
-  std::string buffer_;    // prefix and message, as far as received
+  std::string buffer_;     // prefix and message, as far as received
   bool returned_ = false;  // the message in the buffer was returned and is stale now
-  size_t to_drop_ = 0;    // bytes of a message that is too long and have not arrived yet
+  size_t to_drop_ = 0;     // bytes of a message that is too long and have not arrived yet
 };
 
 }  // namespace spikeserve

@@ -44,6 +44,7 @@ class TlsSocket final : public Socket {
 
   int fd() const override { return fd_.get(); }
   bool read_waits_for_write() const override { return read_waits_for_write_; }
+  bool is_handshaking() const override { return SSL_is_init_finished(ssl_.get()) == 0; }
   bool has_buffered_input() const override { return SSL_pending(ssl_.get()) > 0; }
 
   Result Read(absl::Span<char> buffer) override {

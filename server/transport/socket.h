@@ -36,6 +36,8 @@ class Socket {
   // Tells the peer that no more bytes follow. Bytes can still be read.
   virtual void ShutDownWriting() = 0;
 
+  // Returns true until the TLS handshake is complete.
+  virtual bool is_handshaking() const { return false; }
   // Returns true if a blocked Read() waits until the socket can be written.
   virtual bool read_waits_for_write() const { return false; }
   // Returns true if bytes can be read although the file descriptor is not ready.

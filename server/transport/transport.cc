@@ -1,6 +1,7 @@
 #include "server/transport/transport.h"
 
 #include <sys/resource.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <utility>
@@ -107,6 +108,7 @@ void Transport::Stop(absl::Duration timeout) {
     absl::SleepFor(kStopPollInterval);
   }
   for (const auto& loop : loops_) loop->Join();
+  if (address_.is_unix()) unlink(address_.unix_path.c_str());
 }
 
 }  // namespace spikeserve

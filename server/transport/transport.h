@@ -26,8 +26,8 @@ namespace spikeserve {
 struct TransportOptions {
   Address listen;
   TransportLimits limits;
-  int loops = 1;               // threads
-  TlsContext* tls = nullptr;   // null: plain text; must outlive the transport
+  int loops = 1;                 // threads
+  TlsContext* tls = nullptr;     // null: plain text; must outlive the transport
   const Clock* clock = nullptr;  // monotonic; must outlive the transport
 };
 
@@ -65,7 +65,8 @@ class Transport {
  private:
   explicit Transport(const TransportOptions& options);
 
-  // Runs `work` on every loop, and waits until it has run everywhere. Returns false after `timeout`.
+  // Runs `work` on every loop, and waits until it has run everywhere. Returns false after
+  // `timeout`.
   bool RunOnAll(std::function<void(TransportLoop&)> work, absl::Duration timeout);
 
   const TransportOptions options_;

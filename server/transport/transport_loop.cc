@@ -11,8 +11,9 @@ constexpr absl::Duration kCheckInterval = absl::Seconds(1);
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<TransportLoop>> TransportLoop::Create(
-    const TransportLimits* limits, ByteBudget* bytes_in_flight, const Clock* clock) {
+absl::StatusOr<std::unique_ptr<TransportLoop>> TransportLoop::Create(const TransportLimits* limits,
+                                                                     ByteBudget* bytes_in_flight,
+                                                                     const Clock* clock) {
   auto events = EventLoop::Create(clock);
   if (!events.ok()) return events.status();
   return std::unique_ptr<TransportLoop>(
@@ -64,6 +65,7 @@ void TransportLoop::CloseOldestStranger() {
 
 void TransportLoop::FlushWrites() {
   for (Connection* connection : std::exchange(shared_.to_flush, {})) connection->Flush();
+  shared_.handshakes_left = 1;
 }
 
 void TransportLoop::CheckTimes() {

@@ -1,0 +1,82 @@
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <vector>
+
+#include "server/transport/byte_budget.h"
+#include "server/transport/connection_table.h"
+#include "server/transport/frame_budget.h"
+#include "server/transport/limits.h"
+
+namespace spikeserve {
+namespace {
+
+// Returns how many frames pass at `now`.
+int Frames(FrameBudget* budget, absl::Duration now) {
+  int frames = 0;
+  while (frames < 1000 && budget->Take(now)) ++frames;
+  return frames;
+}
+
+TEST(FrameBudgetTest, HoldsOneSecond) {
+  FrameBudget budget(10);
+  EXPECT_EQ(Frames(&budget, absl::Seconds(100)), 20);  // full at first, and refilled once
+  EXPECT_EQ(Frames(&budget, absl::Milliseconds(100'500)), 5);
+  EXPECT_EQ(Frames(&budget, absl::Seconds(200)), 10);
+}
+
+TEST(FrameBudgetTest, EarnsWhatThePeerMayAnswer) {
+  FrameBudget budget(10);
+  Frames(&budget, absl::Seconds(100));
+  budget.Earn();
+  EXPECT_EQ(Frames(&budget, absl::Seconds(100)), 4);
+}
+
+TEST(ByteBudgetTest, Bounds) {
+  ByteBudget budget(100);
+  EXPECT_TRUE(budget.Acquire(60));
+  EXPECT_FALSE(budget.Acquire(41));
+  EXPECT_TRUE(budget.Acquire(40));
+  budget.Release(100);
+  EXPECT_EQ(budget.used(), 0);
+}
+
+TEST(ConnectionTableTest, BoundsAllAndEachAddress) {
+  ConnectionTable table(3, 2);
+  std::vector<std::unique_ptr<ConnectionSlot>> slots;
+  slots.push_back(table.Admit("a"));
+  slots.push_back(table.Admit("a"));
+  EXPECT_EQ(table.Admit("a"), nullptr);
+  slots.push_back(table.Admit("b"));
+  EXPECT_EQ(table.Admit("c"), nullptr);
+  EXPECT_EQ(table.connections(), 3);
+  slots.clear();
+  EXPECT_EQ(table.connections(), 0);
+  EXPECT_EQ(table.closed(), 3);
+  EXPECT_NE(table.Admit("a"), nullptr);
+}
+
+TEST(ConnectionTableTest, StrangersAreThoseWithoutACall) {
+  ConnectionTable table(3, 3);
+  auto caller = table.Admit("a");
+  const auto stranger = table.Admit("a");
+  EXPECT_EQ(table.strangers(), 2);
+  caller->MarkCaller();
+  caller->MarkCaller();
+  EXPECT_EQ(table.strangers(), 1);
+  caller.reset();
+  EXPECT_EQ(table.strangers(), 1);
+}
+
+TEST(TransportLimitsTest, ErrorsNameTheFlag) {
+  EXPECT_TRUE(TransportLimits().Validate().ok());
+  TransportLimits limits;
+  limits.max_streams = 0;
+  EXPECT_EQ(limits.Validate().message(), "--max_streams: expected at least 1, received 0");
+  limits = {};
+  limits.idle_timeout = absl::ZeroDuration();
+  EXPECT_EQ(limits.Validate().message(), "--idle_timeout: expected at least 1ms, received 0");
+}
+
+}  // namespace
+}  // namespace spikeserve
