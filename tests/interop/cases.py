@@ -31,7 +31,9 @@ def check(client, case, address, *files, **environment):
     """Runs a case: `client`, a command, with the case, the address, the folder of .proto files and `files`."""
     if transport.NGHTTP2:
         environment["COMPRESSION_REFUSED"] = "1"
-    finished = run("env", *(f"{k}={v}" for k, v in environment.items()), *client, case, address, PROTO, *files)
+    finished = run(
+        "env", *(f"{k}={v}" for k, v in environment.items()), *client, case, address, PROTO, *files
+    )
     assert finished.returncode == 0, finished.stdout + finished.stderr
 
 

@@ -23,7 +23,13 @@ FILES = [
 def _pool():
     with tempfile.NamedTemporaryFile() as compiled:
         subprocess.run(
-            ["protoc", f"-I{PROTO}", "--include_imports", f"--descriptor_set_out={compiled.name}", *FILES],
+            [
+                "protoc",
+                f"-I{PROTO}",
+                "--include_imports",
+                f"--descriptor_set_out={compiled.name}",
+                *FILES,
+            ],
             check=True,
         )
         files = descriptor_pb2.FileDescriptorSet.FromString(compiled.read())
@@ -48,7 +54,9 @@ def call(channel, path):
     """Returns the method `path`, "/SERVICE/METHOD", of `channel` as a callable that takes and returns messages."""
     service, method = path[1:].split("/")
     described = _pool().FindServiceByName(service).FindMethodByName(method)
-    kind = "_".join("stream" if s else "unary" for s in (described.client_streaming, described.server_streaming))
+    kind = "_".join(
+        "stream" if s else "unary" for s in (described.client_streaming, described.server_streaming)
+    )
     return getattr(channel, kind)(
         path,
         request_serializer=lambda message: message.SerializeToString(),

@@ -13,7 +13,10 @@ INSTALLED = pathlib.Path(os.environ["SPIKESERVE_INTEROP"])
 
 def require(*names):
     """Returns the paths of programs. Skips the test if one is not installed, and fails it in CI."""
-    paths = [shutil.which(name, path=f"{INSTALLED / 'bin'}:{os.environ['PATH']}:/usr/sbin") for name in names]
+    paths = [
+        shutil.which(name, path=f"{INSTALLED / 'bin'}:{os.environ['PATH']}:/usr/sbin")
+        for name in names
+    ]
     for name, path in zip(names, paths, strict=True):
         if path is None:
             missing(f"{name}: expected a program that `deploy/setup.sh` installs, found none")

@@ -10,7 +10,8 @@ from security import POLICY
 def ghz(address, call, *flags):
     """Runs ghz and returns the number of answers by status."""
     finished = run(
-        *(require("ghz"), "--format=json", f"--call={call}", "--timeout=20s", *flags, address), timeout=60
+        *(require("ghz"), "--format=json", f"--call={call}", "--timeout=20s", *flags, address),
+        timeout=60,
     )
     assert finished.returncode == 0, finished.stderr
     return json.loads(finished.stdout)["statusCodeDistribution"]
@@ -32,7 +33,12 @@ def test_a_thousand_calls_at_a_time(server):
 
 
 def test_calls_that_are_refused(server):
-    flags = ["--insecure", "--total=500", "--concurrency=50", '--data={"session_id": "{{.RequestNumber}}"}']
+    flags = [
+        "--insecure",
+        "--total=500",
+        "--concurrency=50",
+        '--data={"session_id": "{{.RequestNumber}}"}',
+    ]
     assert ghz(server.grpc, f"{POLICY}.CloseSession", *flags) == {"NotFound": 500}
 
 

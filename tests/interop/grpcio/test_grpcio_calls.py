@@ -18,7 +18,9 @@ MESSAGE_LIMIT = 4194304
 
 
 def open_session(channel):
-    opened = call(channel, OPEN)(v1("OpenSessionRequest", policy="cartpole"), timeout=DEADLINE_SECONDS)
+    opened = call(channel, OPEN)(
+        v1("OpenSessionRequest", policy="cartpole"), timeout=DEADLINE_SECONDS
+    )
     return opened.session_id
 
 
@@ -56,7 +58,9 @@ def test_empty_unary(channel):
 
 def test_large_unary(channel):
     requests = [v1("ActRequest", session_id="x")] * 200_000  # 1 MB, and its response 11 MB
-    answer = call(channel, BATCH)(v1("ActBatchRequest", requests=requests), timeout=DEADLINE_SECONDS)
+    answer = call(channel, BATCH)(
+        v1("ActBatchRequest", requests=requests), timeout=DEADLINE_SECONDS
+    )
     assert len(answer.results) == len(requests)
     assert {result.code for result in answer.results} == {grpc.StatusCode.NOT_FOUND.value[0]}
 
@@ -154,7 +158,9 @@ def test_a_thousand_calls_at_a_time_on_one_channel(channel):
     session = open_session(channel)
     act = call(channel, ACT)
     futures = [act.future(act_request(session, 0), timeout=DEADLINE_SECONDS) for _ in range(1000)]
-    assert {future.result().step for future in futures} == {0}  # a repeated step returns the same answer
+    assert {future.result().step for future in futures} == {
+        0
+    }  # a repeated step returns the same answer
 
 
 def test_a_thousand_streams_at_a_time_on_one_channel(server):
@@ -220,9 +226,7 @@ def test_reflection_describes_each_service(channel):
 
 def test_connections_that_come_and_go(server):
     def connect():
-        with grpc.insecure_channel(
-            server.grpc, [("grpc.use_local_subchannel_pool", 1)]
-        ) as own:
+        with grpc.insecure_channel(server.grpc, [("grpc.use_local_subchannel_pool", 1)]) as own:
             answered.append(open_session(own))
 
     answered = []

@@ -15,7 +15,10 @@ LIST = f"/{POLICY}/ListPolicies"
 def test_a_status_message_keeps_every_character(tmp_path):
     policies = tmp_path / "\t\nπ ☃ 100% 😈\r\n" / "policies"
     shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
-    with running_server(policies=policies) as started, grpc.insecure_channel(started.grpc) as channel:
+    with (
+        running_server(policies=policies) as started,
+        grpc.insecure_channel(started.grpc) as channel,
+    ):
         with pytest.raises(grpc.RpcError) as missing:
             call(channel, "/spikeserve.v1.PolicyAdmin/LoadPolicy")(
                 v1("LoadPolicyRequest", policy="cartpole", version=9), timeout=DEADLINE_SECONDS
@@ -54,7 +57,7 @@ def test_a_message_that_cannot_be_parsed_ends_its_call_alone(channel):
 
 def test_metadata_of_any_kind_is_accepted(channel):
     metadata = [
-        ("x-text", "a, b; c=\"d\""),
+        ("x-text", 'a, b; c="d"'),
         ("x-text", "again"),
         ("x-empty", ""),
         ("x-bytes-bin", bytes(range(256))),

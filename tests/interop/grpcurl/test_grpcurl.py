@@ -125,18 +125,24 @@ def test_a_large_answer(server):
 def test_tls(tls_server, certificates):
     flags = ["-cacert", certificates / "ca.pem"]
     assert answer_of(grpcurl(tls_server.grpc, f"{POLICY}/ListPolicies", flags=flags))["policies"]
-    assert grpcurl(tls_server.grpc, "list", flags=["-plaintext", "-connect-timeout=1"]).returncode != 0
+    assert (
+        grpcurl(tls_server.grpc, "list", flags=["-plaintext", "-connect-timeout=1"]).returncode != 0
+    )
 
 
 def test_mutual_tls(mutual_tls_server, certificates):
     flags = ["-cacert", certificates / "ca.pem"]
     own = ["-cert", certificates / "client.pem", "-key", certificates / "client.key"]
-    assert answer_of(grpcurl(mutual_tls_server.grpc, f"{POLICY}/ListPolicies", flags=[*flags, *own]))
+    assert answer_of(
+        grpcurl(mutual_tls_server.grpc, f"{POLICY}/ListPolicies", flags=[*flags, *own])
+    )
     stranger = [*flags, "-connect-timeout=1"]
     assert grpcurl(mutual_tls_server.grpc, "list", flags=stranger).returncode != 0
 
 
-@pytest.mark.skipif(not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket")
+@pytest.mark.skipif(
+    not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket"
+)
 def test_unix_socket(tmp_path):
     path = tmp_path / "spikeserve.sock"
     with running_server(flags=[f"--listen=unix:{path}"]):

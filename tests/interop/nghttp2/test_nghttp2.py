@@ -38,7 +38,9 @@ def test_a_call_of_nghttp_has_its_trailers(server, tmp_path):
 
 @pytest.mark.parametrize("fixture", ["server", "tls_server"])
 def test_calls_of_h2load(request, tmp_path, fixture):
-    message = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x")] * 10).SerializeToString()
+    message = v1(
+        "ActBatchRequest", requests=[v1("ActRequest", session_id="x")] * 10
+    ).SerializeToString()
     body = tmp_path / "request"
     body.write_bytes(b"\0" + len(message).to_bytes(4) + message)
     scheme = "https" if fixture == "tls_server" else "http"

@@ -73,7 +73,9 @@ class Http2Client:
         self.socket = socket.create_connection((host, int(port)), timeout=DEADLINE_SECONDS)
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         config = h2.config.H2Configuration(
-            header_encoding="utf-8", validate_outbound_headers=False, normalize_outbound_headers=False
+            header_encoding="utf-8",
+            validate_outbound_headers=False,
+            normalize_outbound_headers=False,
         )
         self.h2 = h2.connection.H2Connection(config)
         self._grant_windows = grant_windows
@@ -85,7 +87,9 @@ class Http2Client:
         self.closed = False
         self.h2.update_settings({h2.settings.SettingCodes.INITIAL_WINDOW_SIZE: initial_window})
         self.flush()
-        while self.h2.local_settings.initial_window_size != initial_window:  # until the server acknowledges
+        while (
+            self.h2.local_settings.initial_window_size != initial_window
+        ):  # until the server acknowledges
             self.receive()
 
     def __enter__(self):
@@ -130,7 +134,9 @@ class Http2Client:
         """Reads until `until(answer)` of a stream is true. Returns the Answer."""
         answer = self.answers[stream]
         while not until(answer):
-            assert not self.closed, f"the server closed the connection: {answer}, GOAWAY: {self.goaway}"
+            assert not self.closed, (
+                f"the server closed the connection: {answer}, GOAWAY: {self.goaway}"
+            )
             self.receive()
         return answer
 

@@ -71,7 +71,9 @@ def test_content_types_of_grpc_are_served(client, content_type):
 
 
 @pytest.mark.skipif(not transport.NGHTTP2, reason="gRPC's own server serves any content type")
-@pytest.mark.parametrize("content_type", ["application/json", "text/html", "application/grpcx", "", None])
+@pytest.mark.parametrize(
+    "content_type", ["application/json", "text/html", "application/grpcx", "", None]
+)
 def test_another_content_type_is_415(client, content_type):
     answer = client.call(LIST, EMPTY, content_type=content_type)
     assert answer.headers[":status"] == "415"
@@ -96,7 +98,9 @@ def test_a_call_without_te_is_served(client):
     assert answer.grpc_status == (OK if transport.NGHTTP2 else grpc.StatusCode.UNKNOWN.value[0])
 
 
-@pytest.mark.skipif(not transport.NGHTTP2, reason="gRPC's own server decompresses gzip and ignores other names")
+@pytest.mark.skipif(
+    not transport.NGHTTP2, reason="gRPC's own server decompresses gzip and ignores other names"
+)
 @pytest.mark.parametrize("encoding", ["gzip", "snappy"])
 def test_an_unknown_encoding_is_unimplemented_and_names_the_known_ones(client, encoding):
     answer = client.call(LIST, EMPTY, grpc_encoding=encoding)
@@ -109,7 +113,9 @@ def test_a_compressed_message_without_an_encoding_is_internal(client):
     stream = client.begin(headers(LIST))
     client.send(stream, framed(b"xx", compressed=1), end=True)
     answer = client.wait(stream)
-    assert answer.grpc_status in ((INTERNAL,) if transport.NGHTTP2 else (INTERNAL, OK, UNIMPLEMENTED))
+    assert answer.grpc_status in (
+        (INTERNAL,) if transport.NGHTTP2 else (INTERNAL, OK, UNIMPLEMENTED)
+    )
     assert serves(client)
 
 
@@ -137,7 +143,9 @@ def test_the_server_ends_a_call_at_its_deadline(client):
     assert serves(client)
 
 
-@pytest.mark.skipif(not transport.NGHTTP2, reason="gRPC's own server sends frames after its RST_STREAM")
+@pytest.mark.skipif(
+    not transport.NGHTTP2, reason="gRPC's own server sends frames after its RST_STREAM"
+)
 def test_the_server_ends_a_watch_at_its_deadline(client):
     stream = client.begin(headers("/grpc.health.v1.Health/Watch", grpc_timeout="200m"))
     client.send(stream, framed(b""), end=True)
@@ -149,7 +157,10 @@ def test_the_server_ends_a_watch_at_its_deadline(client):
 @pytest.mark.parametrize("padded", [True, False])
 def test_binary_metadata_comes_padded_or_not(client, padded):
     value = base64.b64encode(bytes(range(256))).decode()
-    assert client.call(LIST, EMPTY, x_bytes_bin=value if padded else value.rstrip("=")).grpc_status == OK
+    assert (
+        client.call(LIST, EMPTY, x_bytes_bin=value if padded else value.rstrip("=")).grpc_status
+        == OK
+    )
 
 
 def test_a_status_message_is_percent_encoded(tmp_path):
@@ -157,7 +168,8 @@ def test_a_status_message_is_percent_encoded(tmp_path):
     shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
     with running_server(policies=policies) as started, Http2Client(started.grpc) as client:
         answer = client.call(
-            "/spikeserve.v1.PolicyAdmin/LoadPolicy", v1("LoadPolicyRequest", policy="cartpole", version=9)
+            "/spikeserve.v1.PolicyAdmin/LoadPolicy",
+            v1("LoadPolicyRequest", policy="cartpole", version=9),
         )
     assert "%CF%80%0A100%25/policies/cartpole/9" in answer.grpc_message
 
