@@ -99,7 +99,10 @@ class Http2Client:
         self.socket.close()
 
     def flush(self):
-        self.socket.sendall(self.h2.data_to_send())
+        try:
+            self.socket.sendall(self.h2.data_to_send())
+        except ConnectionError:
+            self.closed = True
 
     def begin(self, request_headers, end=False):
         """Sends the headers of a call. Returns the stream's id."""
