@@ -26,14 +26,16 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
+def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=()):
     """Starts a server with the policies of a folder and yields its Addresses.
 
     Asserts that SIGTERM ends the server with status 0. The server logs to `log`, an open file; None: to stderr. The
     variable SPIKESERVE_SERVER_FLAGS holds flags of every server. Of a flag that is repeated, the last one counts.
+    `prefix` is a command that runs the server in its own process, such as prlimit.
     """
     server = subprocess.Popen(
         [
+            *prefix,
             os.environ["SPIKESERVE_PROGRAM"],
             f"--policies={policies}",
             "--listen=127.0.0.1:0",
