@@ -15,16 +15,16 @@ def is_served(address, tls):
     """Returns true if a new connection is served within CALL_SECONDS."""
     host, _, port = address.rpartition(":")
     with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
-        connection = stack.enter_context(socket.create_connection((host, int(port)), timeout=CALL_SECONDS))
+        connection = stack.enter_context(
+            socket.create_connection((host, int(port)), timeout=CALL_SECONDS)
+        )
         if tls:
             context = ssl.create_default_context()
             context.check_hostname = False
             context.verify_mode = ssl.CERT_NONE
             context.set_alpn_protocols(["h2"])
             connection = stack.enter_context(context.wrap_socket(connection))
-        headers = frames.frame(
-            frames.HEADERS, frames.request(frames.HEALTH), frames.END_HEADERS, 1
-        )
+        headers = frames.frame(frames.HEADERS, frames.request(frames.HEALTH), frames.END_HEADERS, 1)
         message = frames.frame(frames.DATA, frames.framed(b""), frames.END_STREAM, 1)
         connection.sendall(frames.PREFACE + frames.settings() + headers + message)
         return answered(connection)

@@ -21,13 +21,18 @@ REFLECTION = "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo"
 
 def frame(kind, payload=b"", flags=0, stream=0):
     """Returns one frame."""
-    return struct.pack(">BHBBI", len(payload) >> 16, len(payload) & 0xFFFF, kind, flags, stream) + payload
+    return (
+        struct.pack(">BHBBI", len(payload) >> 16, len(payload) & 0xFFFF, kind, flags, stream)
+        + payload
+    )
 
 
 def settings(**values):
     """Returns a SETTINGS frame with the given values: settings(initial_window_size=0)."""
     codes = {"header_table_size": 1, "initial_window_size": 4, "max_frame_size": 5}
-    return frame(SETTINGS, b"".join(struct.pack(">HI", codes[name], value) for name, value in values.items()))
+    return frame(
+        SETTINGS, b"".join(struct.pack(">HI", codes[name], value) for name, value in values.items())
+    )
 
 
 def window_update(increment, stream=0):
@@ -70,7 +75,9 @@ def call_fields(path):
 
 def request(path, *more):
     """Returns the header block of a gRPC call. `more` are further headers as (name, value)."""
-    return b"\x83\x86" + b"".join(header(*field) for field in [*call_fields(path), *more])  # POST, http
+    return b"\x83\x86" + b"".join(
+        header(*field) for field in [*call_fields(path), *more]
+    )  # POST, http
 
 
 def indexed_request(path):
@@ -94,7 +101,9 @@ def repeated(block, first, count, reset=False, flags=END_HEADERS):
     """Returns HEADERS frames with the same block on `count` new streams; `reset`: each followed by RST_STREAM."""
     head = frame(HEADERS, block, flags)[:5]
     if not reset:
-        return b"".join(head + struct.pack(">I", stream) + block for stream in streams(first, count))
+        return b"".join(
+            head + struct.pack(">I", stream) + block for stream in streams(first, count)
+        )
     end = frame(RST_STREAM, struct.pack(">I", CANCEL))
     return b"".join(
         head + (number := struct.pack(">I", stream)) + block + end[:5] + number + end[9:]

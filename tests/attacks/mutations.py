@@ -25,7 +25,9 @@ def conversation():
         frames.frame(frames.PRIORITY, b"\0\0\0\x01\x10", stream=5),
         frames.window_update(1000, 3),
         frames.frame(frames.HEADERS, frames.request(frames.HEALTH)[:20], 0, 5),
-        frames.frame(frames.CONTINUATION, frames.request(frames.HEALTH)[20:], frames.END_HEADERS, 5),
+        frames.frame(
+            frames.CONTINUATION, frames.request(frames.HEALTH)[20:], frames.END_HEADERS, 5
+        ),
         frames.frame(frames.DATA, frames.framed(b"")[:3], stream=5),
         frames.frame(frames.DATA, frames.framed(b"")[3:], end, 5),
         frames.frame(frames.DATA, b"", end, 3),

@@ -58,7 +58,12 @@ class Player:
         if len(latencies) < 2:
             return {"calls": len(latencies), "failed": failed, "p50": None, "p99": None}
         quantiles = statistics.quantiles(latencies, n=100)
-        return {"calls": len(latencies), "failed": failed, "p50": quantiles[49], "p99": quantiles[98]}
+        return {
+            "calls": len(latencies),
+            "failed": failed,
+            "p50": quantiles[49],
+            "p99": quantiles[98],
+        }
 
 
 def main():

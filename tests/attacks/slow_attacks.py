@@ -67,7 +67,8 @@ def zero_window(address, seconds):
         requests = REFLECTION_REQUEST * 100
         while True:
             yield b"".join(
-                frames.frame(frames.DATA, requests, stream=stream) for stream in frames.streams(0, 100)
+                frames.frame(frames.DATA, requests, stream=stream)
+                for stream in frames.streams(0, 100)
             )
 
     return flood(address, seconds, script, connections=20)
@@ -83,7 +84,8 @@ def no_reader(address, seconds):
         requests = REFLECTION_REQUEST * 100
         while True:
             yield b"".join(
-                frames.frame(frames.DATA, requests, stream=stream) for stream in frames.streams(0, 100)
+                frames.frame(frames.DATA, requests, stream=stream)
+                for stream in frames.streams(0, 100)
             )
 
     return flood(address, seconds, script, connections=20, read=False)

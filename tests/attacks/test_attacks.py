@@ -32,9 +32,7 @@ def tokens(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_the_server_outlives(name, tokens, certificates):
-    seen = observe(
-        ATTACKS[name], tokens, certificates, ATTACK_SECONDS, IDLE_SECONDS, RETURN_LIMIT
-    )
+    seen = observe(ATTACKS[name], tokens, certificates, ATTACK_SECONDS, IDLE_SECONDS, RETURN_LIMIT)
     print(seen)
     assert seen.alive, "the server has ended, or was killed for its memory"
     assert seen.sent["connections"] > 0

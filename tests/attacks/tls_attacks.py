@@ -74,7 +74,15 @@ def renegotiation(address, seconds):
     """Asks for a new handshake again and again over TLS 1.2, on four connections."""
     sent = Sent()
     end = time.monotonic() + seconds
-    command = ["openssl", "s_client", "-tls1_2", "-alpn", "h2", "-connect", f"{address[0]}:{address[1]}"]
+    command = [
+        "openssl",
+        "s_client",
+        "-tls1_2",
+        "-alpn",
+        "h2",
+        "-connect",
+        f"{address[0]}:{address[1]}",
+    ]
     clients = []
     while time.monotonic() < end:
         clients = [client for client in clients if client.poll() is None]

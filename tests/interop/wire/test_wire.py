@@ -201,6 +201,16 @@ def test_an_end_after_the_last_message_as_an_empty_frame(client):
     assert client.wait(stream).grpc_status == OK
 
 
+@pytest.mark.parametrize("ends_at_once", [True, False])
+def test_a_refused_call_keeps_its_status(tokens_server, ends_at_once):
+    with Http2Client(tokens_server.grpc) as client:
+        stream = client.begin(headers(LIST))
+        client.send(stream, framed(EMPTY), end=ends_at_once)
+        if not ends_at_once:
+            client.send(stream, b"", end=True)
+        assert client.wait(stream).grpc_status == grpc.StatusCode.UNAUTHENTICATED.value[0]
+
+
 def test_an_end_in_the_middle_of_a_message_is_an_error(client):
     stream = client.begin(headers(OPEN))
     client.send(stream, framed(v1("OpenSessionRequest", policy="cartpole"))[:-3], end=True)
