@@ -2,7 +2,6 @@
 
 import os
 import pathlib
-import resource
 import threading
 
 MEGABYTE = 1 << 20
@@ -38,10 +37,6 @@ class Process:
         """Returns the processor time so far."""
         fields = (self._folder / "stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / CLOCK_TICKS
-
-    def limit_memory(self, limit_bytes):
-        """Lets allocations beyond an amount of address space fail."""
-        resource.prlimit(self.pid, resource.RLIMIT_AS, (limit_bytes, limit_bytes))
 
 
 class MemoryWatch:

@@ -9,7 +9,7 @@ from tests.attacks.catalogue import ATTACKS
 from tests.attacks.observation import SERVED_SECONDS, observe
 from tests.attacks.process import MEGABYTE
 
-ATTACK_SECONDS = 1
+ATTACK_SECONDS = 0.8
 IDLE_SECONDS = 0.2
 PEAK_LIMIT = 150 * MEGABYTE
 RETURN_LIMIT = 20 * MEGABYTE

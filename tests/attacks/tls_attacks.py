@@ -29,7 +29,7 @@ def half_handshakes(address, seconds):
 
 
 def handshakes(address, seconds):
-    """Sends a ClientHello, waits for a moment and connects again, on 50 connections: each costs the server a signature."""
+    """Sends a ClientHello and connects again, on 50 connections: each costs the server a signature."""
     hello = client_hello()
     return flood(address, seconds, lambda: iter([hello, PAUSE, CLOSE]), connections=50)
 
