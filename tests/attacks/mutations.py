@@ -40,7 +40,7 @@ def mutated(good, source):
     chosen = list(good)
     for _ in range(source.randint(1, 3)):
         i = source.randrange(len(chosen))
-        changed = bytearray(chosen[i])
+        changed = bytearray(chosen[i] or b"\0")  # an earlier change may have left nothing of the frame
         match source.randrange(6):
             case 0:  # a bit of the header or payload
                 changed[source.randrange(len(changed))] ^= 1 << source.randrange(8)
