@@ -9,7 +9,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow build train bench sanitize format clean setup configure
+.PHONY: demo test test-slow build train bench attacks sanitize format clean setup configure
 
 demo: configure
 	cmake --build $(BUILD) --target spikeserve spikectl
@@ -36,6 +36,11 @@ bench: build
 	loadtest/bench/setup.sh $(BUILD)/bench_venv
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
 	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
+
+# Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
+# another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
+attacks: build
+	build/interop/venv/bin/python -m tests.attacks --program=$(BIN)/spikeserve $(ATTACKS_FLAGS)
 
 # Runs load tests with the address sanitizer, then with the thread sanitizer: 60 seconds with 1,000 sessions on 8
 # streams, 10 seconds with 64 sessions that learn a shared head, and 10 seconds with 64 sessions that learn their own

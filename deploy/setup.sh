@@ -19,7 +19,11 @@ packages=(
   # tests, demo
   libgtest-dev libgmock-dev prometheus ca-certificates curl python3 python3-venv chromium chromium-driver
   mandoc zsh fish
+  # interop: clients in other languages, and proxies
+  golang-go haproxy nghttp2-client nginx
 )
+# Other sources of Node.js bring npm along, and conflict with Debian's.
+command -v npm >/dev/null || packages+=(nodejs npm)
 
 missing=()
 for package in "${packages[@]}"; do
@@ -29,7 +33,7 @@ if ((${#missing[@]})); then
   echo "setup: installing ${missing[*]}"
   export DEBIAN_FRONTEND=noninteractive
   apt-get update -qq
-  # The tests need the prometheus program. This policy keeps the package from starting its service.
+  # The tests need the programs prometheus, haproxy and nginx. This policy keeps the packages from starting services.
   printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
   if [[ ! -e /usr/sbin/policy-rc.d ]]; then
     install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d
@@ -49,3 +53,5 @@ if ! cmp -s "$requirements" "$venv/requirements.txt"; then
   "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"
   cp "$requirements" "$venv/requirements.txt"
 fi
+
+tests/interop/install.sh "$build_dir"

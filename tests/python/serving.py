@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pathlib
+import shlex
 import subprocess
 import typing
 
@@ -17,25 +18,30 @@ DEADLINE_SECONDS = 30
 
 
 class Addresses(typing.NamedTuple):
-    """The addresses, HOST:PORT, on which a server listens."""
+    """The addresses, HOST:PORT, on which a server listens, and its process."""
 
     grpc: str
     http: str
+    process: subprocess.Popen
 
 
 @contextlib.contextmanager
-def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
+def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=()):
     """Starts a server with the policies of a folder and yields its Addresses.
 
-    Asserts that SIGTERM ends the server with status 0. The server logs to `log`, an open file; None: to stderr.
+    Asserts that SIGTERM ends the server with status 0. The server logs to `log`, an open file; None: to stderr. The
+    variable SPIKESERVE_SERVER_FLAGS holds flags of every server. Of a flag that is repeated, the last one counts.
+    `prefix` is a command that runs the server in its own process, such as prlimit.
     """
     server = subprocess.Popen(
         [
+            *prefix,
             os.environ["SPIKESERVE_PROGRAM"],
             f"--policies={policies}",
             "--listen=127.0.0.1:0",
             "--http_listen=127.0.0.1:0",
             "--reflection_v1alpha",  # the version that grpcio-reflection speaks
+            *shlex.split(os.environ.get("SPIKESERVE_SERVER_FLAGS", "")),
             *flags,
         ],
         stdout=subprocess.PIPE,
@@ -50,7 +56,7 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None):
         return line.removeprefix(announcement).strip()
 
     try:
-        yield Addresses(grpc=announced("gRPC"), http=announced("HTTP"))
+        yield Addresses(grpc=announced("gRPC"), http=announced("HTTP"), process=server)
         server.terminate()
         assert server.wait(timeout=DEADLINE_SECONDS) == 0
     finally:

@@ -1,0 +1,61 @@
+"""The list of the attacks."""
+
+import dataclasses
+import typing
+
+from tests.attacks import http2_attacks, mutations, slow_attacks, tls_attacks
+
+
+@dataclasses.dataclass(frozen=True)
+class Attack:
+    """One attack: run(address, seconds), an address being (host, port), and what the server is started with."""
+
+    run: typing.Callable
+    tls: bool = False
+    descriptors: int | None = None  # the server's limit
+
+    @property
+    def name(self):
+        """The name of the attack."""
+        return self.run.__name__
+
+
+ATTACKS = {
+    attack.name: attack
+    for attack in (
+        Attack(http2_attacks.open_streams),
+        Attack(http2_attacks.rapid_reset),
+        Attack(http2_attacks.continuation),
+        Attack(http2_attacks.long_header_value),
+        Attack(http2_attacks.empty_continuation),
+        Attack(http2_attacks.hpack_bomb),
+        Attack(http2_attacks.table_sizes),
+        Attack(http2_attacks.settings_flood),
+        Attack(http2_attacks.settings_changes),
+        Attack(http2_attacks.ping_flood),
+        Attack(http2_attacks.priority_flood),
+        Attack(http2_attacks.window_update_flood),
+        Attack(http2_attacks.empty_data_flood),
+        Attack(http2_attacks.unknown_frames),
+        Attack(http2_attacks.refused_calls),
+        Attack(mutations.mutated_frames),
+        Attack(slow_attacks.slow_headers),
+        Attack(slow_attacks.slow_body),
+        Attack(slow_attacks.unfinished_messages),
+        Attack(slow_attacks.zero_window),
+        Attack(slow_attacks.no_reader),
+        Attack(slow_attacks.no_reader_of_a_tenant),
+        Attack(slow_attacks.silent_connections, descriptors=1024),
+        Attack(slow_attacks.idle_connections, descriptors=1024),
+        Attack(slow_attacks.connections_that_come_and_go),
+        Attack(tls_attacks.half_handshakes, tls=True),
+        Attack(tls_attacks.handshakes, tls=True),
+        Attack(tls_attacks.slow_handshakes, tls=True),
+        Attack(tls_attacks.broken_records, tls=True),
+        Attack(tls_attacks.plain_text, tls=True),
+        Attack(tls_attacks.renegotiation, tls=True),
+        Attack(tls_attacks.frames_over_tls, tls=True),
+        Attack(tls_attacks.tls_to_plain_text),
+        Attack(tls_attacks.http1),
+    )
+}

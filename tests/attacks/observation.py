@@ -1,0 +1,133 @@
+"""Starts a server, attacks it, and records what became of the server and of a neighbour."""
+
+import contextlib
+import dataclasses
+import json
+import pathlib
+import subprocess
+import sys
+import time
+
+from security import tls_flags
+from serving import running_server
+
+from tests.attacks.client import seconds_until_served
+from tests.attacks.process import MEGABYTE, MemoryWatch, Process
+
+ROOT = pathlib.Path(__file__).parents[2]
+KILL_BYTES = 1024 * MEGABYTE  # above idle
+SERVED_SECONDS = 5
+RETURN_SECONDS = 10  # in which memory has to be given back
+POLL_SECONDS = 0.05
+
+
+@dataclasses.dataclass
+class Observation:
+    """What an attack did to the server. Memory is in bytes above that of the idle server."""
+
+    attack: str
+    seconds: float
+    sent: dict
+    peak: int
+    after: int  # at the end, or as soon as it is below the limit
+    cores: float  # the server's processor time for each second of the attack
+    before: dict  # the neighbour's figures, see tests/attacks/neighbour.py
+    during: dict
+    served_after: float | None  # seconds until a new client was served; None: it was not
+    alive: bool
+
+
+class Neighbour:
+    """The process of tests/attacks/neighbour.py."""
+
+    def __init__(self, arguments):
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.attacks.neighbour", *arguments],
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self._process.stdout.readline() == "ready\n", "the neighbour was not served"
+
+    def period(self):
+        """Returns the figures since the last period."""
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    def stop(self):
+        """Ends the process."""
+        self._process.stdin.close()
+        self._process.wait(timeout=30)
+        self._process.stdout.close()
+
+
+@contextlib.contextmanager
+def attacked_server(attack, tokens, certificates):
+    """Starts the server that an attack needs, and yields its Addresses.
+
+    Asserts that SIGTERM ends the server with status 0, unless it has ended before.
+    """
+    flags = [f"--tokens={tokens}", *(tls_flags(certificates) if attack.tls else [])]
+    prefix = ["prlimit", f"--nofile={attack.descriptors}"] if attack.descriptors else []
+    outlived = True
+    try:
+        with running_server(flags=flags, prefix=prefix) as addresses:
+            yield addresses
+            outlived = addresses.process.poll() is None
+    except AssertionError:
+        if outlived:
+            raise
+
+
+def run_attack(name, address, seconds, count):
+    """Runs an attack in another process. Returns what it sent."""
+    arguments = [name, address, str(seconds), *([str(count)] if count else [])]
+    finished = subprocess.run(
+        [sys.executable, "-m", "tests.attacks.attacker", *arguments],
+        cwd=ROOT,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=seconds + 30,
+    )
+    return json.loads(finished.stdout)
+
+
+def memory_after(process, idle, limit):
+    """Waits until the memory above idle is below `limit`, or RETURN_SECONDS. Returns it."""
+    end = time.monotonic() + RETURN_SECONDS
+    while (above := process.memory() - idle) > limit and time.monotonic() < end:
+        time.sleep(POLL_SECONDS)
+    return above
+
+
+def observe(attack, tokens, certificates, seconds, idle_seconds, return_limit, count=None):
+    """Attacks a new server for `seconds`. Returns the Observation."""
+    with attacked_server(attack, tokens, certificates) as addresses:
+        process = Process(addresses.process.pid)
+        neighbour = Neighbour([addresses.grpc, *([f"{certificates}/ca.pem"] if attack.tls else [])])
+        time.sleep(idle_seconds)
+        before = neighbour.period()
+        idle = process.memory()
+        process.reset_peak()
+        processor = process.processor_seconds()
+        start = time.monotonic()
+        with MemoryWatch(process, idle + KILL_BYTES):
+            sent = run_attack(attack.name, addresses.grpc, seconds, count)
+        took = time.monotonic() - start
+        during = neighbour.period()
+        try:
+            peak = process.peak() - idle
+            cores = (process.processor_seconds() - processor) / took
+            served_after = seconds_until_served(addresses.grpc, attack.tls, SERVED_SECONDS)
+            after = memory_after(process, idle, return_limit)
+            alive = addresses.process.poll() is None
+        except OSError:
+            peak, cores, after, served_after, alive = KILL_BYTES, took, KILL_BYTES, None, False
+        neighbour.stop()
+    return Observation(
+        attack.name, took, sent, peak, after, cores, before, during, served_after, alive
+    )

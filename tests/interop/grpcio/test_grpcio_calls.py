@@ -1,0 +1,238 @@
+"""The newest grpcio: messages, streams, cancellation, deadlines, concurrency and shutdown."""
+
+import queue
+import threading
+
+import grpc
+import pytest
+from contract import call, message_class, v1
+from security import OBSERVATION, POLICY, SERVING, until
+from serving import DEADLINE_SECONDS, running_server
+
+LIST = f"/{POLICY}/ListPolicies"
+OPEN = f"/{POLICY}/OpenSession"
+ACT = f"/{POLICY}/Act"
+BATCH = f"/{POLICY}/ActBatch"
+STREAM = f"/{POLICY}/ActStream"
+MESSAGE_LIMIT = 4194304
+
+
+def open_session(channel):
+    opened = call(channel, OPEN)(
+        v1("OpenSessionRequest", policy="cartpole"), timeout=DEADLINE_SECONDS
+    )
+    return opened.session_id
+
+
+def act_request(session, step):
+    return v1("ActRequest", session_id=session, step=step, observation=OBSERVATION)
+
+
+def batch_of_bytes(size):
+    """Returns an ActBatchRequest of exactly `size` bytes, whose one request names an unknown session."""
+    padded = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x" * (size - 10))])
+    assert padded.ByteSize() == size
+    return padded
+
+
+class Requests:
+    """An iterator of requests that the test sends one at a time; `end` half-closes the call."""
+
+    def __init__(self):
+        self._queue = queue.SimpleQueue()
+
+    def send(self, request):
+        self._queue.put(request)
+
+    def end(self):
+        self._queue.put(None)
+
+    def __iter__(self):
+        return iter(self._queue.get, None)
+
+
+def test_empty_unary(channel):
+    answer = call(channel, LIST)(v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS)
+    assert "cartpole" in {policy.name for policy in answer.policies}
+
+
+def test_large_unary(channel):
+    requests = [v1("ActRequest", session_id="x")] * 200_000  # 1 MB, and its response 11 MB
+    answer = call(channel, BATCH)(
+        v1("ActBatchRequest", requests=requests), timeout=DEADLINE_SECONDS
+    )
+    assert len(answer.results) == len(requests)
+    assert {result.code for result in answer.results} == {grpc.StatusCode.NOT_FOUND.value[0]}
+
+
+def test_a_request_at_the_limit_is_answered_and_a_longer_one_refused(channel):
+    batch = call(channel, BATCH)
+    (result,) = batch(batch_of_bytes(MESSAGE_LIMIT), timeout=DEADLINE_SECONDS).results
+    assert result.code == grpc.StatusCode.NOT_FOUND.value[0]
+    for size in (MESSAGE_LIMIT + 1, 3 * MESSAGE_LIMIT):
+        with pytest.raises(grpc.RpcError) as refused:
+            batch(batch_of_bytes(size), timeout=DEADLINE_SECONDS)
+        assert refused.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+        assert f"expected at most {MESSAGE_LIMIT}, received {size}" in refused.value.details()
+    assert call(channel, LIST)(v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS).policies
+
+
+def test_ping_pong(channel):
+    session = open_session(channel)
+    requests = Requests()
+    answers = call(channel, STREAM)(iter(requests), timeout=DEADLINE_SECONDS)
+    for step in range(100):
+        requests.send(act_request(session, step))
+        answer = next(answers)
+        assert (answer.session_id, answer.step) == (session, step)
+        assert not answer.HasField("error")
+    requests.end()
+    assert list(answers) == []
+    assert answers.code() == grpc.StatusCode.OK
+
+
+def test_requests_that_do_not_wait_for_answers(channel):
+    session = open_session(channel)
+    requests = [act_request(session, step) for step in range(5000)]
+    answers = call(channel, STREAM)(iter(requests), timeout=DEADLINE_SECONDS)
+    assert [answer.step for answer in answers] == list(range(5000))
+    assert answers.code() == grpc.StatusCode.OK
+
+
+def test_empty_stream(channel):
+    answers = call(channel, STREAM)(iter([]), timeout=DEADLINE_SECONDS)
+    assert list(answers) == []
+    assert answers.code() == grpc.StatusCode.OK
+
+
+def test_half_close_before_the_answers_are_read(channel):
+    session = open_session(channel)
+    requests = Requests()
+    answers = call(channel, STREAM)(iter(requests), timeout=DEADLINE_SECONDS)
+    for step in range(10):
+        requests.send(act_request(session, step))
+    requests.end()
+    assert [answer.step for answer in answers] == list(range(10))
+    assert answers.code() == grpc.StatusCode.OK
+
+
+def test_cancel_after_begin(channel):
+    requests = Requests()
+    answers = call(channel, STREAM)(iter(requests), timeout=DEADLINE_SECONDS)
+    answers.cancel()
+    assert answers.code() == grpc.StatusCode.CANCELLED
+    requests.end()
+    assert open_session(channel)
+
+
+def test_cancel_after_first_response(channel):
+    session = open_session(channel)
+    requests = Requests()
+    answers = call(channel, STREAM)(iter(requests), timeout=DEADLINE_SECONDS)
+    requests.send(act_request(session, 0))
+    assert next(answers).step == 0
+    answers.cancel()
+    assert answers.code() == grpc.StatusCode.CANCELLED
+    requests.end()
+    after = call(channel, ACT)(act_request(session, 1), timeout=DEADLINE_SECONDS)
+    assert after.step == 1  # the session outlives the call
+
+
+def test_timeout_on_a_call_that_does_not_end(channel):
+    requests = Requests()
+    answers = call(channel, STREAM)(iter(requests), timeout=0.2)
+    with pytest.raises(grpc.RpcError) as late:
+        next(answers)
+    assert late.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+    requests.end()
+
+
+def test_timeout_on_a_slow_call(channel):
+    requests = [v1("ActRequest", session_id="x")] * 200_000
+    with pytest.raises(grpc.RpcError) as late:
+        call(channel, BATCH)(v1("ActBatchRequest", requests=requests), timeout=0.001)
+    assert late.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+
+
+def test_a_thousand_calls_at_a_time_on_one_channel(channel):
+    session = open_session(channel)
+    act = call(channel, ACT)
+    futures = [act.future(act_request(session, 0), timeout=DEADLINE_SECONDS) for _ in range(1000)]
+    assert {future.result().step for future in futures} == {
+        0
+    }  # a repeated step returns the same answer
+
+
+def test_a_thousand_streams_at_a_time_on_one_channel(server):
+    """Streams beyond the limit of a connection wait in the client until others end."""
+    with grpc.insecure_channel(server.grpc) as channel:
+        session = open_session(channel)
+        streams = [
+            call(channel, STREAM)(iter([act_request(session, 0)]), timeout=DEADLINE_SECONDS)
+            for _ in range(1000)
+        ]
+        assert [len(list(answers)) for answers in streams] == [1] * 1000
+
+
+def test_shutdown_in_the_middle_of_a_stream_ends_it_with_unavailable():
+    with running_server() as started, grpc.insecure_channel(started.grpc) as channel:
+        session = open_session(channel)
+        requests = Requests()
+        answers = call(channel, STREAM)(iter(requests), timeout=DEADLINE_SECONDS)
+        requests.send(act_request(session, 0))
+        assert next(answers).step == 0
+        started.process.terminate()
+        with pytest.raises(grpc.RpcError) as ended:
+            next(answers)
+        assert ended.value.code() == grpc.StatusCode.UNAVAILABLE
+        requests.end()
+
+
+def test_health_check_and_watch(server):
+    request = message_class("grpc.health.v1.HealthCheckRequest")
+    with grpc.insecure_channel(server.grpc) as channel:
+        check = call(channel, "/grpc.health.v1.Health/Check")
+        assert check(request(), timeout=DEADLINE_SECONDS).status == SERVING
+        assert check(request(service=POLICY), timeout=DEADLINE_SECONDS).status == SERVING
+        with pytest.raises(grpc.RpcError) as unknown:
+            check(request(service="no.such.Service"), timeout=DEADLINE_SECONDS)
+        assert unknown.value.code() == grpc.StatusCode.NOT_FOUND
+
+        drain = call(channel, "/spikeserve.v1.PolicyAdmin/Drain")
+        watch = call(channel, "/grpc.health.v1.Health/Watch")(request(), timeout=DEADLINE_SECONDS)
+        assert next(watch).status == SERVING
+        drain(v1("DrainRequest"), timeout=DEADLINE_SECONDS)
+        assert next(watch).status != SERVING
+        drain(v1("DrainRequest", cancel=True), timeout=DEADLINE_SECONDS)
+        assert next(watch).status == SERVING
+        watch.cancel()
+        unserved = call(channel, "/grpc.health.v1.Health/Watch")(
+            request(service="no.such.Service"), timeout=DEADLINE_SECONDS
+        )
+        assert next(unserved).status == 3  # SERVICE_UNKNOWN
+        unserved.cancel()
+
+
+def test_reflection_describes_each_service(channel):
+    request = message_class("grpc.reflection.v1.ServerReflectionRequest")
+    reflect = call(channel, "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo")
+    (listed,) = reflect(iter([request(list_services="")]), timeout=DEADLINE_SECONDS)
+    names = [service.name for service in listed.list_services_response.service]
+    assert POLICY in names
+    symbols = [request(file_containing_symbol=name) for name in names if "v1alpha" not in name]
+    for answer in reflect(iter(symbols), timeout=DEADLINE_SECONDS):
+        assert answer.file_descriptor_response.file_descriptor_proto, answer
+
+
+def test_connections_that_come_and_go(server):
+    def connect():
+        with grpc.insecure_channel(server.grpc, [("grpc.use_local_subchannel_pool", 1)]) as own:
+            answered.append(open_session(own))
+
+    answered = []
+    threads = [threading.Thread(target=connect) for _ in range(64)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    until(lambda: len(answered) == len(threads))

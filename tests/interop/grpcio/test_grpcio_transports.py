@@ -1,0 +1,78 @@
+"""The newest grpcio over TLS, mutual TLS and a unix socket."""
+
+import grpc
+import pytest
+import transport
+from contract import call, v1
+from security import OBSERVATION, POLICY, credentials
+from serving import DEADLINE_SECONDS, running_server
+
+
+def play(channel):
+    """Makes a unary call, a large one and a stream of calls. Asserts on their answers."""
+    opened = call(channel, f"/{POLICY}/OpenSession")(
+        v1("OpenSessionRequest", policy="cartpole"), timeout=DEADLINE_SECONDS
+    )
+    batch = [v1("ActRequest", session_id="x" * 50)] * 50_000
+    answer = call(channel, f"/{POLICY}/ActBatch")(
+        v1("ActBatchRequest", requests=batch), timeout=DEADLINE_SECONDS
+    )
+    assert len(answer.results) == len(batch)
+    requests = [
+        v1("ActRequest", session_id=opened.session_id, step=step, observation=OBSERVATION)
+        for step in range(100)
+    ]
+    answers = call(channel, f"/{POLICY}/ActStream")(iter(requests), timeout=DEADLINE_SECONDS)
+    assert [answer.step for answer in answers] == list(range(100))
+
+
+UNLIMITED = [("grpc.max_receive_message_length", -1)]
+
+
+def test_tls(tls_server, tls_credentials):
+    with grpc.secure_channel(tls_server.grpc, tls_credentials, UNLIMITED) as channel:
+        play(channel)
+
+
+def test_tls_with_an_unknown_authority_fails_in_the_client(tls_server):
+    with grpc.secure_channel(tls_server.grpc, grpc.ssl_channel_credentials()) as channel:
+        with pytest.raises(grpc.RpcError) as refused:
+            play(channel)
+    assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
+
+
+def test_plain_text_to_a_tls_port_fails(tls_server):
+    with grpc.insecure_channel(tls_server.grpc) as channel, pytest.raises(grpc.RpcError) as refused:
+        play(channel)
+    assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
+
+
+def test_tls_to_a_plain_port_fails(server, tls_credentials):
+    with grpc.secure_channel(server.grpc, tls_credentials) as channel:
+        with pytest.raises(grpc.RpcError) as refused:
+            play(channel)
+    assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
+
+
+def test_mutual_tls(mutual_tls_server, certificates):
+    own = credentials(certificates, client=True)
+    with grpc.secure_channel(mutual_tls_server.grpc, own, UNLIMITED) as channel:
+        play(channel)
+
+
+def test_mutual_tls_without_a_certificate_fails(mutual_tls_server, tls_credentials):
+    with grpc.secure_channel(mutual_tls_server.grpc, tls_credentials) as channel:
+        with pytest.raises(grpc.RpcError) as refused:
+            play(channel)
+    assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
+
+
+@pytest.mark.skipif(
+    not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket"
+)
+def test_unix_socket(tmp_path):
+    path = tmp_path / "spikeserve.sock"
+    with running_server(flags=[f"--listen=unix:{path}"]) as started:
+        assert started.grpc == f"unix:{path}"
+        with grpc.insecure_channel(started.grpc, UNLIMITED) as channel:
+            play(channel)

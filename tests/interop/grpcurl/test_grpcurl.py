@@ -1,0 +1,150 @@
+"""grpcurl: grpc-go with messages from reflection."""
+
+import json
+import shutil
+
+import pytest
+import transport
+from contract import v1
+from programs import require, run
+from security import OBSERVATION, POLICY
+from serving import SHIPPED_POLICIES, running_server
+
+STATUS_BASE = 64  # grpcurl exits with 64 plus the gRPC status
+NOT_FOUND, UNAUTHENTICATED, DEADLINE_EXCEEDED = 5, 16, 4
+
+
+def grpcurl(address, *arguments, flags=("-plaintext",), **options):
+    """Runs grpcurl with flags, the address and the arguments after it."""
+    return run(require("grpcurl"), *flags, address, *arguments, **options)
+
+
+def answer_of(finished):
+    """Returns the JSON of a call that succeeded."""
+    assert finished.returncode == 0, finished.stderr
+    return json.loads(finished.stdout)
+
+
+def test_list_names_the_services(server):
+    listed = grpcurl(server.grpc, "list")
+    assert listed.returncode == 0, listed.stderr
+    expected = {
+        POLICY,
+        "spikeserve.v1.PolicyAdmin",
+        "inference.GRPCInferenceService",
+        "grpc.health.v1.Health",
+        "grpc.reflection.v1.ServerReflection",
+    }
+    assert expected <= set(listed.stdout.split())
+
+
+@pytest.mark.parametrize("symbol", [POLICY, f"{POLICY}.Act", "spikeserve.v1.ActRequest"])
+def test_describe_shows_a_symbol(server, symbol):
+    described = grpcurl(server.grpc, "describe", symbol)
+    assert described.returncode == 0, described.stderr
+    assert symbol in described.stdout
+
+
+def test_describe_of_an_unknown_symbol_fails(server):
+    described = grpcurl(server.grpc, "describe", "no.such.Symbol")
+    assert described.returncode != 0
+    assert "no.such.Symbol" in described.stderr
+
+
+def test_a_unary_call(server):
+    assert answer_of(grpcurl(server.grpc, f"{POLICY}/ListPolicies"))["policies"]
+
+
+def test_a_stream(server):
+    opened = grpcurl(
+        server.grpc, f"{POLICY}/OpenSession", flags=["-plaintext", "-d", '{"policy": "cartpole"}']
+    )
+    session = answer_of(opened)["session_id"]
+    requests = "".join(
+        json.dumps({"session_id": session, "step": step, "observation": OBSERVATION})
+        for step in range(20)
+    )
+    played = grpcurl(
+        server.grpc, f"{POLICY}/ActStream", flags=["-plaintext", "-d", "@"], input=requests
+    )
+    assert played.returncode == 0, played.stderr
+    assert played.stdout.count("session_id") == 20
+    assert "error" not in played.stdout
+
+
+def test_a_status_message_with_any_character(tmp_path):
+    policies = tmp_path / "π ☃ 100%" / "policies"
+    shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
+    with running_server(policies=policies) as started:
+        refused = grpcurl(
+            started.grpc,
+            "spikeserve.v1.PolicyAdmin/LoadPolicy",
+            flags=["-plaintext", "-format-error", "-d", '{"policy": "cartpole", "version": 9}'],
+        )
+    assert refused.returncode == STATUS_BASE + NOT_FOUND
+    error = json.loads(refused.stderr)
+    assert error["message"] == f"{policies}/cartpole/9/policy.safetensors: no such file"
+
+
+def test_the_details_of_a_status_are_decoded(tokens_server):
+    flags = ["-plaintext", "-H", "authorization: Bearer small", "-d", '{"policy": "cartpole"}']
+    for _ in range(2):
+        answer_of(grpcurl(tokens_server.grpc, f"{POLICY}/OpenSession", flags=flags))
+    refused = grpcurl(tokens_server.grpc, f"{POLICY}/OpenSession", flags=[*flags, "-format-error"])
+    (detail,) = json.loads(refused.stderr)["details"]
+    assert detail["@type"].endswith("google.rpc.RetryInfo")
+
+
+def test_metadata_is_read(tokens_server):
+    refused = grpcurl(tokens_server.grpc, f"{POLICY}/ListPolicies")
+    assert refused.returncode == STATUS_BASE + UNAUTHENTICATED
+    flags = ["-plaintext", "-H", "authorization: Bearer agent", "-H", "x-bytes-bin: /////w=="]
+    assert answer_of(grpcurl(tokens_server.grpc, f"{POLICY}/ListPolicies", flags=flags))
+
+
+def test_a_watch_ends_at_its_deadline(server):
+    watched = grpcurl(
+        server.grpc, "grpc.health.v1.Health/Watch", flags=["-plaintext", "-max-time=0.5"]
+    )
+    assert watched.returncode == STATUS_BASE + DEADLINE_EXCEEDED
+    assert "SERVING" in watched.stdout
+
+
+def test_a_large_answer(server):
+    request = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x")] * 50_000)
+    played = grpcurl(
+        server.grpc,
+        f"{POLICY}/ActBatch",
+        flags=["-plaintext", "-max-msg-sz=100000000", "-format=text", "-d", "@"],
+        input=str(request),
+    )
+    assert played.returncode == 0, played.stderr
+    assert played.stdout.count("results:") == 50_000
+
+
+def test_tls(tls_server, certificates):
+    flags = ["-cacert", certificates / "ca.pem"]
+    assert answer_of(grpcurl(tls_server.grpc, f"{POLICY}/ListPolicies", flags=flags))["policies"]
+    assert (
+        grpcurl(tls_server.grpc, "list", flags=["-plaintext", "-connect-timeout=1"]).returncode != 0
+    )
+
+
+def test_mutual_tls(mutual_tls_server, certificates):
+    flags = ["-cacert", certificates / "ca.pem"]
+    own = ["-cert", certificates / "client.pem", "-key", certificates / "client.key"]
+    assert answer_of(
+        grpcurl(mutual_tls_server.grpc, f"{POLICY}/ListPolicies", flags=[*flags, *own])
+    )
+    stranger = [*flags, "-connect-timeout=1"]
+    assert grpcurl(mutual_tls_server.grpc, "list", flags=stranger).returncode != 0
+
+
+@pytest.mark.skipif(
+    not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket"
+)
+def test_unix_socket(tmp_path):
+    path = tmp_path / "spikeserve.sock"
+    with running_server(flags=[f"--listen=unix:{path}"]):
+        flags = ["-plaintext", "-unix"]
+        assert answer_of(grpcurl(path, f"{POLICY}/ListPolicies", flags=flags))["policies"]

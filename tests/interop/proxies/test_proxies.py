@@ -1,0 +1,203 @@
+"""nginx and HAProxy in front of the server, with the configurations of deploy/. The proxies listen on unix sockets."""
+
+import contextlib
+import pathlib
+import subprocess
+
+import grpc
+import pytest
+from contract import call, message_class, v1
+from programs import require
+from security import OBSERVATION, POLICY, SERVING, credentials, until
+from serving import DEADLINE_SECONDS, DEPLOY, running_server
+
+NGINX = """
+daemon off;
+pid {path}/nginx.pid;
+events {{}}
+http {{
+  access_log off;
+  client_body_temp_path {path};
+  proxy_temp_path {path};
+  fastcgi_temp_path {path};
+  uwsgi_temp_path {path};
+  scgi_temp_path {path};
+  include {path}/spikeserve.conf;
+}}
+"""
+
+
+def replaced(text, **parts):
+    """Returns the text of a configuration with each part replaced, which must occur exactly once."""
+    for part, value in parts.items():
+        assert text.count(part) == 1, f"{part}: expected once, received {text.count(part)} times"
+        text = text.replace(part, str(value))
+    return text
+
+
+@contextlib.contextmanager
+def running(command):
+    process = subprocess.Popen(command)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(timeout=DEADLINE_SECONDS)
+
+
+@contextlib.contextmanager
+def nginx(path, server, certificates):
+    program = require("nginx")
+    site = replaced(
+        (DEPLOY / "nginx" / "spikeserve.conf").read_text(),
+        **{
+            "127.0.0.1:50051": server.grpc,
+            "listen 443": f"listen unix:{path}/proxy.sock",
+            "/etc/spikeserve/server.pem": certificates / "server.pem",
+            "/etc/spikeserve/server.key": certificates / "server.key",
+        },
+    )
+    (path / "spikeserve.conf").write_text(site)
+    (path / "nginx.conf").write_text(NGINX.format(path=path))
+    with running([program, "-p", path, "-e", "stderr", "-c", path / "nginx.conf"]):
+        yield
+
+
+@contextlib.contextmanager
+def haproxy(path, server, certificates):
+    program = require("haproxy")
+    both = (certificates / "server.pem").read_text() + (certificates / "server.key").read_text()
+    (path / "spikeserve.pem").write_text(both)
+    configuration = replaced(
+        (DEPLOY / "haproxy" / "haproxy.cfg").read_text(),
+        **{
+            "127.0.0.1:50051": server.grpc,
+            "port 9464": f"port {server.http.rpartition(':')[2]}",
+            "bind :443": f"bind unix@{path}/proxy.sock",
+            "/etc/haproxy/spikeserve.pem": path / "spikeserve.pem",
+        },
+    )
+    (path / "haproxy.cfg").write_text(configuration)
+    with running([program, "-q", "-db", "-f", path / "haproxy.cfg"]):
+        yield
+
+
+@pytest.fixture(scope="module", params=[nginx, haproxy], ids=["nginx", "haproxy"])
+def channel(request, server, certificates, tmp_path_factory):
+    """A channel to the server through a proxy, over TLS."""
+    path: pathlib.Path = tmp_path_factory.mktemp("proxy")
+    options = [
+        ("grpc.ssl_target_name_override", "localhost"),
+        ("grpc.default_authority", "localhost"),
+        ("grpc.max_receive_message_length", -1),
+        ("grpc.use_local_subchannel_pool", 1),
+    ]
+    with request.param(path, server, certificates):
+        until((path / "proxy.sock").exists)
+        target = f"unix:{path}/proxy.sock"
+        with grpc.secure_channel(target, credentials(certificates), options) as opened:
+            until(lambda: healthy(opened))  # HAProxy checks the server first
+            yield opened
+
+
+def healthy(channel):
+    request = message_class("grpc.health.v1.HealthCheckRequest")()
+    try:
+        answer = call(channel, "/grpc.health.v1.Health/Check")(request, timeout=DEADLINE_SECONDS)
+    except grpc.RpcError:
+        return False
+    return answer.status == SERVING
+
+
+def open_session(channel):
+    request = v1("OpenSessionRequest", policy="cartpole")
+    return call(channel, f"/{POLICY}/OpenSession")(request, timeout=DEADLINE_SECONDS).session_id
+
+
+def test_unary_calls(channel):
+    list_policies = call(channel, f"/{POLICY}/ListPolicies")
+    futures = [
+        list_policies.future(v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS)
+        for _ in range(200)
+    ]
+    assert all(future.result().policies for future in futures)
+
+
+def test_a_large_call(channel):
+    requests = [v1("ActRequest", session_id="x" * 60)] * 50_000  # 3 MB, and its response 6 MB
+    answer = call(channel, f"/{POLICY}/ActBatch")(
+        v1("ActBatchRequest", requests=requests), timeout=DEADLINE_SECONDS
+    )
+    assert len(answer.results) == len(requests)
+
+
+def test_ping_pong(channel):
+    session = open_session(channel)
+    answered = []
+
+    def requests():
+        for step in range(50):
+            assert len(answered) == step  # the proxy holds no answer back
+            yield v1("ActRequest", session_id=session, step=step, observation=OBSERVATION)
+            until(lambda: len(answered) == step + 1)  # noqa: B023
+
+    answers = call(channel, f"/{POLICY}/ActStream")(requests(), timeout=DEADLINE_SECONDS)
+    for answer in answers:
+        answered.append(answer.step)
+    assert answered == list(range(50))
+
+
+def test_errors_keep_their_status_and_message(channel):
+    with pytest.raises(grpc.RpcError) as refused:
+        call(channel, f"/{POLICY}/CloseSession")(
+            v1("CloseSessionRequest", session_id="100%"), timeout=DEADLINE_SECONDS
+        )
+    assert refused.value.code() == grpc.StatusCode.NOT_FOUND
+    assert refused.value.details() == 'session_id: expected an open session, received "100%"'
+
+
+def test_a_cancelled_stream_leaves_the_session_usable(channel):
+    session = open_session(channel)
+    act = v1("ActRequest", session_id=session, step=0, observation=OBSERVATION)
+
+    def requests():
+        yield act
+        until(lambda: not answers.is_active())
+
+    answers = call(channel, f"/{POLICY}/ActStream")(requests(), timeout=DEADLINE_SECONDS)
+    assert next(answers).step == 0
+    answers.cancel()
+    assert open_session(channel)
+
+
+def test_a_deadline_passes_through(channel):
+    watch = call(channel, "/grpc.health.v1.Health/Watch")(
+        message_class("grpc.health.v1.HealthCheckRequest")(), timeout=0.5
+    )
+    assert next(watch).status == SERVING
+    with pytest.raises(grpc.RpcError) as late:
+        next(watch)
+    assert late.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+
+
+@pytest.mark.parametrize("proxy", [nginx, haproxy], ids=["nginx", "haproxy"])
+def test_a_server_that_has_stopped_is_unavailable(proxy, certificates, tmp_path):
+    with contextlib.ExitStack() as stack:
+        with running_server() as server:
+            stack.enter_context(proxy(tmp_path, server, certificates))
+            until((tmp_path / "proxy.sock").exists)
+            options = [
+                ("grpc.ssl_target_name_override", "localhost"),
+                ("grpc.default_authority", "localhost"),
+            ]
+            channel = stack.enter_context(
+                grpc.secure_channel(
+                    f"unix:{tmp_path}/proxy.sock", credentials(certificates), options
+                )
+            )
+            until(lambda: healthy(channel))
+        with pytest.raises(grpc.RpcError) as refused:
+            call(channel, f"/{POLICY}/ListPolicies")(
+                v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS
+            )
+        assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
