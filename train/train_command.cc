@@ -162,6 +162,9 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const Dataset& dataset
 absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& dataset) {
   absl::StatusOr<Policy> policy = ReadPolicyFile(flags.init);
   if (!policy.ok()) return policy.status();
+  if (policy->config.arithmetic != Arithmetic::kFloat32) {
+    return absl::InvalidArgumentError("--init: expected a policy in float32, received one in int8");
+  }
   if (auto status = CheckShape(flags.shape, policy->config); !status.ok()) return status;
   if (policy->environment != dataset.environment) {
     return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ",
