@@ -15,6 +15,7 @@
 #include "train/commands.h"
 #include "train/data/minari_reader.h"
 #include "train/evaluation/evaluation.h"
+#include "train/evaluation/training_record.h"
 #include "train/progress_bar.h"
 #include "train/record_flags.h"
 #include "train/train_flags.h"
@@ -96,12 +97,7 @@ std::string TrainingRecord(const std::string& command_line, const TrainOptions& 
       {"command", command_line}, {"seed", options.seed}, {"data", dataset.recipe}};
   if (evaluation.has_value()) record["evaluation"] = ToJson(*evaluation, config);
   if (validation >= 0.0) record["validation_loss"] = validation;
-  auto before = nlohmann::ordered_json::parse(earlier, nullptr, /*allow_exceptions=*/false);
-  if (before.is_object() && !before.empty()) {
-    record["lineage"] = before.value("lineage", nlohmann::ordered_json::array());
-    before.erase("lineage");
-    record["lineage"].push_back(std::move(before));
-  }
+  AddLineage(earlier, &record);
   return record.dump();
 }
 

@@ -14,7 +14,6 @@ std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy
 }
 
 std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy) {
-  if (policy->config.arithmetic == Arithmetic::kInt8) return MakeReferenceEngine(std::move(policy));
   return policy->config.is_dense() ? MakeDenseStreamingEngine(std::move(policy))
                                    : MakeSpikingStreamingEngine(std::move(policy));
 }
