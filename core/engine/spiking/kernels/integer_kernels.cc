@@ -56,8 +56,8 @@ void SumRowsImpl(const PackedIntegerPopulation& population, const int32_t* membe
   });
 }
 
-// Runs kVectors vectors of neurons, from `lane` on. Calls on_spike(tick, v, mask) for each vector
-// at each tick.
+// Runs kVectors vectors of neurons, from `lane` on. Calls on_spike(tick, v, spike) for each vector
+// at each tick, in which a lane that fires is -1 and the others are 0.
 template <int kVectors, class OnSpike>
 HWY_INLINE void RunLif(const IntegerLif& lif, const PackedIntegerPopulation& population,
                        const Drive<int16_t>& drive, int lane, OnSpike on_spike) {
@@ -80,8 +80,11 @@ HWY_INLINE void RunLif(const IntegerLif& lif, const PackedIntegerPopulation& pop
     }
     for (int v = 0; v < kVectors; ++v) {
       membrane[v] = hn::SaturatedAdd(hn::MulFixedPoint15(decay, membrane[v]), current[v]);
-      const auto spike = hn::Gt(membrane[v], hn::LoadU(d, silent + v * kVector16));
-      membrane[v] = hn::IfThenZeroElse(spike, membrane[v]);
+      // All bits of a lane are set if it fires. No mask register lies between two ticks, because
+      // moving a comparison there and back takes longer than the update itself.
+      const auto margin = hn::SaturatedSub(hn::LoadU(d, silent + v * kVector16), membrane[v]);
+      const auto spike = hn::BroadcastSignBit(margin);
+      membrane[v] = hn::AndNot(spike, membrane[v]);
       on_spike(tick, v, spike);
     }
   }
@@ -95,8 +98,9 @@ void LifBitsImpl(const IntegerLif& lif, const PackedIntegerPopulation& populatio
   ForEachBlock<kLifVectors, kVector16>(0, width, [&](int lane, auto vectors) HWY_ATTR {
     uint8_t* const block = bytes + lane / 8;
     RunLif<vectors>(lif, population, drive, first + lane,
-                    [d, block, stride](int tick, int v, auto spike)
-                        HWY_ATTR { StoreMask(d, spike, block + tick * stride, v); });
+                    [d, block, stride](int tick, int v, auto spike) HWY_ATTR {
+                      StoreMask(d, hn::MaskFromVec(spike), block + tick * stride, v);
+                    });
   });
 }
 
@@ -206,7 +210,7 @@ uint64_t LifActivityImpl(const IntegerLif& lif, const PackedIntegerPopulation& p
     VecI16 count[vectors];
     for (int v = 0; v < vectors; ++v) count[v] = hn::Zero(d);
     RunLif<vectors>(lif, population, drive, lane, [&](int, int v, auto spike) HWY_ATTR {
-      count[v] = hn::Sub(count[v], hn::VecFromMask(d, spike));  // a true lane is -1
+      count[v] = hn::Sub(count[v], spike);  // a lane that fires is -1
     });
     for (int v = 0; v < vectors; ++v) hn::StoreU(count[v], d, counts + lane + v * kVector16);
   });
