@@ -1,57 +1,28 @@
 """Integer policies on a real server give the spikes that a reading of the definition in NumPy gives."""
 
+import hashlib
 import json
-import os
-import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import spikeserve
 from integer_policy import IntegerPolicy
 from policy_file import read_policy
-from serving import SHIPPED_POLICIES, running_server
-from spikeserve.export import ModelConfig, export_policy
+from serving import SHIPPED_POLICIES
+from spikeserve.export import ModelConfig
 from spikeserve.integer_weights import quantize
 
 STEPS = 60  # three times the context
 NAMES = sorted(path.name for path in SHIPPED_POLICIES.iterdir())
 
 
-def shipped(name):
-    return SHIPPED_POLICIES / name / "1" / "policy.safetensors"
+def shipped(name, version):
+    return SHIPPED_POLICIES / name / str(version) / "policy.safetensors"
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Returns a folder with every shipped float32 policy, rounded by the Python package."""
-    folder = tmp_path_factory.mktemp("policies")
-    numbers = [
-        "return_offset",
-        "return_scale",
-        "target_return",
-        "modulator_mean",
-        "modulator_std",
-    ]
-    for name in NAMES:
-        tensors, metadata = read_policy(shipped(name))
-        config = ModelConfig(**json.loads(metadata["config"]))
-        space = json.loads(metadata["action_space"])
-        kind = spikeserve.Discrete if space.pop("type") == "Discrete" else spikeserve.Box
-        export_policy(
-            folder / name / "1" / "policy.safetensors",
-            quantize(tensors, config),
-            replace(config, arithmetic="int8"),
-            action_space=kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in space.items()}),
-            environment=metadata["environment"],
-            **{number: float(metadata[number]) for number in numbers},
-        )
-    return folder
-
-
-@pytest.fixture(scope="module")
-def client(folder):
-    with running_server(folder) as server, spikeserve.Client(server.grpc) as opened:
+def client(address):
+    with spikeserve.Client(address) as opened:
         yield opened
 
 
@@ -63,9 +34,10 @@ def encode(space, action):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_spike_is_that_of_the_definition(client, folder, name):
-    tensors, metadata = read_policy(folder / name / "1" / "policy.safetensors")
-    (policy,) = [p for p in client.list_policies() if p.name == name]
+def test_every_spike_is_that_of_the_definition(client, name):
+    tensors, metadata = read_policy(shipped(name, 2))
+    (policy,) = [p for p in client.list_policies() if p.name == name and p.is_default]
+    assert policy.version == 2
     model = IntegerPolicy(tensors, metadata)
     random = np.random.default_rng(1)
     mean, std = tensors["observation.mean"], tensors["observation.std"]
@@ -81,24 +53,15 @@ def test_every_spike_is_that_of_the_definition(client, folder, name):
     assert total > 0
 
 
-@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
-def test_the_python_package_and_spiketrain_round_alike(folder, tmp_path):
-    for name in NAMES[:3]:
-        rounded = tmp_path / name / "policy.safetensors"
-        subprocess.run(
-            [
-                os.environ["SPIKETRAIN_PROGRAM"],
-                "quantize",
-                f"--policy={shipped(name)}",
-                f"--out={rounded}",
-                "--episodes=1",
-            ],
-            check=True,
-        )
-        ours, _ = read_policy(folder / name / "1" / "policy.safetensors")
-        theirs, metadata = read_policy(rounded)
-        assert json.loads(metadata["config"])["arithmetic"] == "int8"
-        assert ours.keys() == theirs.keys()
-        for tensor, values in theirs.items():
-            assert values.dtype == ours[tensor].dtype
-            np.testing.assert_array_equal(values, ours[tensor], err_msg=tensor)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_python_package_rounds_as_spiketrain_did(name):
+    original, metadata = read_policy(shipped(name, 1))
+    rounded, rounded_metadata = read_policy(shipped(name, 2))
+    ours = quantize(original, ModelConfig(**json.loads(metadata["config"])))
+    assert ours.keys() == rounded.keys()
+    for tensor, values in rounded.items():
+        assert values.dtype == ours[tensor].dtype
+        np.testing.assert_array_equal(values, ours[tensor], err_msg=tensor)
+    training = json.loads(rounded_metadata["training"])
+    assert training["parent_sha256"] == hashlib.sha256(shipped(name, 1).read_bytes()).hexdigest()
+    assert training["paired_returns"]["episodes"] == 1000
