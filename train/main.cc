@@ -1,5 +1,5 @@
-// spiketrain: records data, trains policies on it, and plays them. Every subcommand has a file of
-// its own.
+// spiketrain: records data, trains policies on it, quantizes and plays them. Every subcommand has a
+// file of its own.
 #include <malloc.h>
 
 #include <limits>
@@ -27,6 +27,7 @@ int main(int argc, char** argv) {
   spikeserve::AddExpertCommand(program);
   spikeserve::AddDatasetCommand(program);
   spikeserve::AddTrainCommand(program);
+  spikeserve::AddQuantizeCommand(program);
   spikeserve::AddEvalCommand(program);
   spikeserve::AddReportCommand(program);
   return program.Run(argc, argv);

@@ -15,6 +15,7 @@
 #include "train/commands.h"
 #include "train/data/minari_reader.h"
 #include "train/evaluation/evaluation.h"
+#include "train/evaluation/training_record.h"
 #include "train/progress_bar.h"
 #include "train/record_flags.h"
 #include "train/train_flags.h"
@@ -96,12 +97,7 @@ std::string TrainingRecord(const std::string& command_line, const TrainOptions& 
       {"command", command_line}, {"seed", options.seed}, {"data", dataset.recipe}};
   if (evaluation.has_value()) record["evaluation"] = ToJson(*evaluation, config);
   if (validation >= 0.0) record["validation_loss"] = validation;
-  auto before = nlohmann::ordered_json::parse(earlier, nullptr, /*allow_exceptions=*/false);
-  if (before.is_object() && !before.empty()) {
-    record["lineage"] = before.value("lineage", nlohmann::ordered_json::array());
-    before.erase("lineage");
-    record["lineage"].push_back(std::move(before));
-  }
+  AddLineage(earlier, &record);
   return record.dump();
 }
 
@@ -162,6 +158,9 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const Dataset& dataset
 absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& dataset) {
   absl::StatusOr<Policy> policy = ReadPolicyFile(flags.init);
   if (!policy.ok()) return policy.status();
+  if (policy->config.arithmetic != Arithmetic::kFloat32) {
+    return absl::InvalidArgumentError("--init: expected a policy in float32, received one in int8");
+  }
   if (auto status = CheckShape(flags.shape, policy->config); !status.ok()) return status;
   if (policy->environment != dataset.environment) {
     return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ",

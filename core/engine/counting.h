@@ -26,13 +26,14 @@ inline uint64_t CountSpikes(const SpikeTrain& train) {
   return count;
 }
 
-// Returns the number of nonzero weights of `linear` that meet a nonzero element of `input`, which
-// is an array of [in] spikes or analog values.
-uint64_t CountProducts(const Linear& linear, const auto& input) {
+// Returns the number of nonzero weights of `map` (a Linear, an IntegerPopulation or an
+// IntegerOutput) that meet a nonzero element of `input`, which is an array of [in] spikes or analog
+// values.
+uint64_t CountProducts(const auto& map, const auto& input) {
   uint64_t count = 0;
-  for (size_t i = 0; i < linear.bias.values.size(); ++i) {
+  for (size_t i = 0; i < map.bias.values.size(); ++i) {
     for (size_t j = 0; j < input.size(); ++j) {
-      count += input[j] != 0 && linear.weight.at(static_cast<int>(i), static_cast<int>(j)) != 0.0f;
+      count += input[j] != 0 && map.weight.at(static_cast<int>(i), static_cast<int>(j)) != 0;
     }
   }
   return count;

@@ -1,26 +1,37 @@
-// Defines row-major float32 arrays, and the affine maps that they are the parameters of.
+// Defines row-major arrays of numbers, and the affine maps that they are the parameters of.
 //
 // Plain values; const members are thread-safe.
 #ifndef CORE_MATH_TENSOR_H_
 #define CORE_MATH_TENSOR_H_
 
 #include <cstddef>
+#include <cstdint>
+#include <utility>
 #include <vector>
 
 namespace spikeserve {
 
 // Stores a row-major array. The shape of a vector is {length}; the shape of a matrix is {out, in}.
-struct Tensor {
+template <class Number>
+struct BasicTensor {
   std::vector<int> shape;
-  std::vector<float> values;
+  std::vector<Number> values;
 
   // Returns a tensor of `shape` filled with zeros.
-  static Tensor Zeros(std::vector<int> shape);
+  static BasicTensor Zeros(std::vector<int> shape) {
+    size_t size = 1;
+    for (const int length : shape) size *= static_cast<size_t>(length);
+    return {.shape = std::move(shape), .values = std::vector<Number>(size)};
+  }
   // Returns one element of a matrix. REQUIRES: two dimensions, and indices within them.
-  float at(int row, int column) const {
+  Number at(int row, int column) const {
     return values[static_cast<size_t>(row) * shape[1] + column];
   }
 };
+
+using Tensor = BasicTensor<float>;
+using Int8Tensor = BasicTensor<int8_t>;
+using Int16Tensor = BasicTensor<int16_t>;
 
 // The affine map y = weight x + bias.
 struct Linear {

@@ -1,6 +1,8 @@
 #include "core/model/config.h"
 
 #include <cmath>
+#include <cstdint>
+#include <limits>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
@@ -14,7 +16,25 @@ absl::Status CheckRange(absl::string_view field, int value, int limit) {
       absl::StrCat(field, ": expected 1 to ", limit, ", received ", value));
 }
 
+// Checks what only integer policies require.
+absl::Status CheckInteger(const ModelConfig& config) {
+  if (config.is_dense()) {
+    return absl::InvalidArgumentError("arithmetic: expected float32 in mode dense, received int8");
+  }
+  if (config.integer_decay() > std::numeric_limits<int16_t>::max()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("membrane_decay: expected at most 32767/32768 after rounding with arithmetic "
+                     "int8, received ",
+                     config.membrane_decay));
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
+
+int ModelConfig::integer_decay() const {
+  return static_cast<int>(std::nearbyint(membrane_decay * 32768.0f));
+}
 
 absl::Status ModelConfig::Validate() const {
   absl::Status status;
@@ -39,7 +59,7 @@ absl::Status ModelConfig::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("threshold: expected a positive finite number, received ", threshold));
   }
-  return absl::OkStatus();
+  return arithmetic == Arithmetic::kInt8 ? CheckInteger(*this) : absl::OkStatus();
 }
 
 }  // namespace spikeserve

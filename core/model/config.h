@@ -30,6 +30,10 @@ enum class Merge { kSum, kConcat };
 // appendix's sigmoid.
 enum class Gate { kSoftmax, kSigmoid };
 
+// The numbers of the spike-driven parts: float32, or 8-bit weights with 16-bit currents and
+// membranes (see integer_weights.h).
+enum class Arithmetic { kFloat32, kInt8 };
+
 // Names in policy files and on command lines; see enum_names.h.
 constexpr std::array<EnumName<Mode>, 5> EnumNames(Mode) {
   return {{{Mode::kBaseline, "baseline"},
@@ -50,6 +54,9 @@ constexpr std::array<EnumName<Merge>, 2> EnumNames(Merge) {
 constexpr std::array<EnumName<Gate>, 2> EnumNames(Gate) {
   return {{{Gate::kSoftmax, "softmax"}, {Gate::kSigmoid, "sigmoid"}}};
 }
+constexpr std::array<EnumName<Arithmetic>, 2> EnumNames(Arithmetic) {
+  return {{{Arithmetic::kFloat32, "float32"}, {Arithmetic::kInt8, "int8"}}};
+}
 
 struct ModelConfig {
   Mode mode = Mode::kFull;
@@ -66,6 +73,7 @@ struct ModelConfig {
   PhaseClock phase_clock = PhaseClock::kTimestep;
   Merge merge = Merge::kSum;
   Gate gate = Gate::kSoftmax;
+  Arithmetic arithmetic = Arithmetic::kFloat32;
 
   int head_size() const { return hidden_size / heads; }  // d_h
   bool is_dense() const { return mode == Mode::kDense; }
@@ -79,6 +87,10 @@ struct ModelConfig {
   int merged_size() const {
     return is_dense() || merge == Merge::kConcat ? hidden_size : head_size();
   }
+
+  // Returns the membrane decay of integer neurons in units of 1 / 32768, rounded to the nearest
+  // integer, ties to even. Fits int16_t in a valid config with Arithmetic::kInt8.
+  int integer_decay() const;
 
   // Returns INVALID_ARGUMENT if a value is out of range. The message names the field, the expected
   // and the received value.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <variant>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -20,7 +21,7 @@ std::string ShapeText(const std::vector<int>& shape) {
   return absl::StrCat("[", absl::StrJoin(shape, ", ", append_length), "]");
 }
 
-bool HasShape(const Tensor& tensor, const std::vector<int>& expected) {
+bool HasShape(const auto& tensor, const std::vector<int>& expected) {
   if (tensor.shape.size() != expected.size()) return false;
   size_t size = 1;
   for (size_t i = 0; i < expected.size(); ++i) {
@@ -31,13 +32,14 @@ bool HasShape(const Tensor& tensor, const std::vector<int>& expected) {
   return tensor.values.size() == size;
 }
 
-absl::Status CheckTensor(const TensorSlot& slot) {
-  const Tensor& tensor = *slot.tensor;
-  if (!HasShape(tensor, slot.shape)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "tensor ", Quoted(slot.name), ": expected shape ", ShapeText(slot.shape), ", received ",
-        ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
-  }
+absl::Status CheckShape(const TensorSlot& slot, const auto& tensor) {
+  if (HasShape(tensor, slot.shape)) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "tensor ", Quoted(slot.name), ": expected shape ", ShapeText(slot.shape), ", received ",
+      ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
+}
+
+absl::Status CheckAllFinite(const TensorSlot& slot, const Tensor& tensor) {
   for (size_t i = 0; i < tensor.values.size(); ++i) {
     if (std::isfinite(tensor.values[i])) continue;
     return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(slot.name),
@@ -45,6 +47,13 @@ absl::Status CheckTensor(const TensorSlot& slot) {
                                                    tensor.values[i], " at index ", i));
   }
   return absl::OkStatus();
+}
+
+absl::Status CheckTensor(const TensorSlot& slot) {
+  absl::Status status =
+      std::visit([&](const auto* tensor) { return CheckShape(slot, *tensor); }, slot.tensor);
+  if (!status.ok() || !std::holds_alternative<Tensor*>(slot.tensor)) return status;
+  return CheckAllFinite(slot, *slot.floats());
 }
 
 absl::Status CheckFinite(absl::string_view field, float value) {
@@ -90,6 +99,11 @@ absl::Status CheckWeights(const Policy& policy) {
   for (size_t i = 0; i < weights.observation_std.values.size(); ++i) {
     absl::Status status = CheckPositive(absl::StrCat("tensor \"observation.std\" at index ", i),
                                         weights.observation_std.values[i]);
+    if (!status.ok()) return status;
+  }
+  if (policy.config.arithmetic != Arithmetic::kInt8) return absl::OkStatus();
+  for (size_t i = 0; i < weights.layers.size(); ++i) {
+    absl::Status status = CheckIntegerMaps(absl::StrCat("layers.", i), weights.layers[i].integer);
     if (!status.ok()) return status;
   }
   return absl::OkStatus();
@@ -147,7 +161,7 @@ bool FeedsNeurons(const ModelConfig& config, absl::string_view name) {
 // the linear map that the tensor belongs to.
 void Initialise(const ModelConfig& config, uint64_t seed, int fan_in, const TensorSlot& slot) {
   const std::string& name = slot.name;
-  Tensor* const tensor = slot.tensor;
+  Tensor* const tensor = slot.floats();
   const TensorRandom random(seed, name);
   const bool is_bias = absl::EndsWith(name, ".bias");
   const double bound = 1.0 / std::sqrt(static_cast<double>(fan_in));
@@ -195,7 +209,7 @@ Policy RandomPolicy(const ModelConfig& config, int observation_size,
     for (int& length : slot.shape) {
       if (length < 0) length = kDenseTimesteps;
     }
-    *slot.tensor = Tensor::Zeros(slot.shape);
+    *slot.floats() = Tensor::Zeros(slot.shape);
     if (slot.shape.size() == 2) fan_in = slot.shape[1];  // a bias comes right after its weight
     Initialise(config, seed, fan_in, slot);
   }

@@ -34,8 +34,8 @@ struct Policy {
   int observation_size() const { return static_cast<int>(weights.observation_mean.values.size()); }
 
   // Returns INVALID_ARGUMENT unless the config and the action space are valid, every tensor has the
-  // shape that they require, every number is finite, the scales and deviations are positive, and
-  // `training` is a JSON object.
+  // shape that they require, every number is finite and in its range (see integer_weights.h for
+  // integers), the scales and deviations are positive, and `training` is a JSON object.
   absl::Status Validate() const;
 };
 
@@ -50,8 +50,8 @@ struct Policy {
 // - everything else: uniform in [-1/sqrt(fan-in), 1/sqrt(fan-in))
 //
 // Equal seeds give equal policies on every machine, because every number is a function of seed,
-// tensor name and index in integer arithmetic. REQUIRES: a valid config and action space,
-// observation_size >= 1.
+// tensor name and index in integer arithmetic. REQUIRES: a valid config with Arithmetic::kFloat32,
+// a valid action space, observation_size >= 1. Quantize (quantize.h) makes an integer policy of it.
 Policy RandomPolicy(const ModelConfig& config, int observation_size,
                     const ActionSpace& action_space, uint64_t seed);
 

@@ -1,6 +1,7 @@
 #include "core/model/policy_file.h"
 
 #include <utility>
+#include <variant>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
@@ -15,7 +16,21 @@ namespace {
 // no such tensor.
 int ObservationSize(const Safetensors& contents) {
   const auto found = contents.tensors.find("observation.mean");
-  return found == contents.tensors.end() ? 0 : static_cast<int>(found->second.values.size());
+  if (found == contents.tensors.end()) return 0;
+  return std::visit([](const auto& tensor) { return static_cast<int>(tensor.values.size()); },
+                    found->second);
+}
+
+// Moves `tensor` to `place`. INVALID_ARGUMENT if it has another dtype.
+template <class Typed>
+absl::Status Take(const std::string& name, AnyTensor tensor, Typed* place) {
+  if (auto* const typed = std::get_if<Typed>(&tensor)) {
+    *place = std::move(*typed);
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name), ": expected dtype ",
+                                                 Quoted(DtypeName(Typed())), ", received ",
+                                                 Quoted(DtypeName(tensor))));
 }
 
 // Moves every tensor to its place in `policy`. Policy::Validate checks the shapes and the numbers.
@@ -28,12 +43,15 @@ absl::Status TakeTensors(Safetensors& contents, Policy* policy) {
       return absl::InvalidArgumentError(
           absl::StrCat("tensor ", Quoted(slot.name), ": expected, but missing"));
     }
-    *slot.tensor = std::move(node.mapped());
+    absl::Status status = std::visit(
+        [&](auto* place) { return Take(slot.name, std::move(node.mapped()), place); }, slot.tensor);
+    if (!status.ok()) return status;
   }
   if (contents.tensors.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(contents.tensors.begin()->first),
                                                  ": not expected in a policy of mode ",
-                                                 std::string(ToString(policy->config.mode))));
+                                                 std::string(ToString(policy->config.mode)), " in ",
+                                                 std::string(ToString(policy->config.arithmetic))));
 }
 
 absl::StatusOr<Policy> Read(const std::string& path) {
@@ -64,7 +82,8 @@ absl::Status WritePolicyFile(const Policy& policy, const std::string& path) {
   Weights weights = policy.weights;
   for (const TensorSlot& slot : TensorSlots(policy.config, policy.observation_size(),
                                             policy.action_space.size(), &weights)) {
-    contents.tensors[slot.name] = std::move(*slot.tensor);
+    std::visit([&](auto* tensor) { contents.tensors[slot.name] = std::move(*tensor); },
+               slot.tensor);
   }
   return WriteSafetensors(contents, path);
 }

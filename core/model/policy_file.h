@@ -13,10 +13,10 @@
 
 namespace spikeserve {
 
-// Reads and validates a policy. Strict: a missing, unknown or misshapen tensor, a dtype other than
-// F32, a number that is not finite, an unknown key in `config` or a malformed container is an
-// error. NOT_FOUND if there is no such file, INVALID_ARGUMENT otherwise; messages start with the
-// path.
+// Reads and validates a policy. Strict: a missing, unknown or misshapen tensor, another dtype than
+// the config's arithmetic requires, a number that is not finite or out of range, an unknown key in
+// `config` or a malformed container is an error. NOT_FOUND if there is no such file,
+// INVALID_ARGUMENT otherwise; messages start with the path.
 absl::StatusOr<Policy> ReadPolicyFile(const std::string& path);
 
 // Writes `policy` to a temporary file in the same directory and renames it to `path`, so that a

@@ -77,6 +77,10 @@ std::string FormatConfig(const ModelConfig& config) {
       object[key] = value;  // exact: every float32 is a double
     }
   });
+  // Files without this key are float32, so that versions that do not know the key can read them.
+  if (config.arithmetic != Arithmetic::kFloat32) {
+    object["arithmetic"] = std::string(ToString(config.arithmetic));
+  }
   return object.dump();
 }
 
@@ -92,6 +96,7 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
       reader.Required(key, &member);
     }
   });
+  reader.Optional("arithmetic", &config->arithmetic);
   return reader.Finish();
 }
 

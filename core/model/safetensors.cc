@@ -9,6 +9,8 @@
 #include <limits>
 #include <system_error>
 #include <tuple>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -25,9 +27,20 @@ static_assert(std::endian::native == std::endian::little, "the file's byte order
 constexpr char kMetadataKey[] = "__metadata__";
 constexpr uint64_t kPrefixBytes = sizeof(uint64_t);
 
+// Returns the name of a dtype in the file.
+constexpr absl::string_view Name(float) { return "F32"; }
+constexpr absl::string_view Name(int8_t) { return "I8"; }
+constexpr absl::string_view Name(int16_t) { return "I16"; }
+
+// Returns the bytes of one number of a tensor.
+size_t NumberBytes(const AnyTensor& tensor) {
+  return std::visit([](const auto& numbers) { return sizeof(*numbers.values.data()); }, tensor);
+}
+
 // The name, the shape and the byte range of one tensor in the data section.
 struct Entry {
   std::string name;
+  AnyTensor tensor;  // empty, of the file's dtype
   std::vector<int> shape;
   uint64_t begin = 0;  // bytes
   uint64_t end = 0;
@@ -122,10 +135,11 @@ absl::Status ParseShape(const json& shape, Entry* entry) {
   return absl::OkStatus();
 }
 
-// Returns the size of a tensor of this shape in bytes, or limit + 1 if it is larger than `limit`.
-uint64_t SizeInBytes(const std::vector<int>& shape, uint64_t limit) {
+// Returns the size in bytes of a tensor of this shape whose numbers have `number` bytes, or
+// limit + 1 if it is larger than `limit`.
+uint64_t SizeInBytes(const std::vector<int>& shape, size_t number, uint64_t limit) {
   if (std::find(shape.begin(), shape.end(), 0) != shape.end()) return 0;
-  uint64_t size = sizeof(float);
+  uint64_t size = number;
   for (const int length : shape) {
     if (size > limit / static_cast<uint64_t>(length)) return limit + 1;
     size *= static_cast<uint64_t>(length);
@@ -144,7 +158,7 @@ absl::Status ParseOffsets(const json& offsets, uint64_t data_size, Entry* entry)
     return TensorError(entry->name, absl::StrCat("data_offsets with begin <= end <= ", data_size),
                        absl::StrCat("[", entry->begin, ", ", entry->end, "]"));
   }
-  const uint64_t size = SizeInBytes(entry->shape, data_size);
+  const uint64_t size = SizeInBytes(entry->shape, NumberBytes(entry->tensor), data_size);
   if (size > data_size) {
     return TensorError(entry->name, absl::StrCat("at most ", data_size, " bytes"),
                        "a shape that takes more");
@@ -152,6 +166,16 @@ absl::Status ParseOffsets(const json& offsets, uint64_t data_size, Entry* entry)
   if (entry->end - entry->begin == size) return absl::OkStatus();
   return TensorError(entry->name, absl::StrCat(size, " bytes as its shape says"),
                      absl::StrCat("data_offsets of ", entry->end - entry->begin));
+}
+
+absl::Status ParseDtype(const json& dtype, Entry* entry) {
+  for (const AnyTensor& tensor :
+       {AnyTensor(Tensor()), AnyTensor(Int8Tensor()), AnyTensor(Int16Tensor())}) {
+    if (dtype != DtypeName(tensor)) continue;
+    entry->tensor = tensor;
+    return absl::OkStatus();
+  }
+  return TensorError(entry->name, "dtype \"F32\", \"I8\" or \"I16\"", Describe(dtype));
 }
 
 absl::StatusOr<Entry> ParseEntry(const std::string& name, const json& value, uint64_t data_size) {
@@ -163,12 +187,10 @@ absl::StatusOr<Entry> ParseEntry(const std::string& name, const json& value, uin
     if (item.key() == "dtype" || item.key() == "shape" || item.key() == "data_offsets") continue;
     return TensorError(name, "dtype, shape and data_offsets", Quoted(item.key()));
   }
-  if (value["dtype"] != "F32") {
-    return TensorError(name, "dtype \"F32\"", Describe(value["dtype"]));
-  }
   Entry entry;
   entry.name = name;
-  absl::Status status = ParseShape(value["shape"], &entry);
+  absl::Status status = ParseDtype(value["dtype"], &entry);
+  if (status.ok()) status = ParseShape(value["shape"], &entry);
   if (status.ok()) status = ParseOffsets(value["data_offsets"], data_size, &entry);
   if (!status.ok()) return status;
   return entry;
@@ -203,7 +225,28 @@ absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t dat
   return entries;
 }
 
+// Allocates the tensor of `entry` and reads its numbers.
+absl::StatusOr<AnyTensor> ReadTensor(std::ifstream& file, const Entry& entry) {
+  AnyTensor tensor = entry.tensor;
+  absl::Status status = std::visit(
+      [&](auto& numbers) {
+        numbers = std::decay_t<decltype(numbers)>::Zeros(entry.shape);
+        return ReadBytes(file, entry.end - entry.begin, numbers.values.data());
+      },
+      tensor);
+  if (!status.ok()) return status;
+  return tensor;
+}
+
 }  // namespace
+
+std::string DtypeName(const AnyTensor& tensor) {
+  return std::visit(
+      [](const auto& numbers) {
+        return std::string(Name(typename std::decay_t<decltype(numbers.values)>::value_type()));
+      },
+      tensor);
+}
 
 absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path) {
   const absl::StatusOr<uint64_t> file_size = FileSize(path);
@@ -223,10 +266,9 @@ absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path) {
 
   Safetensors contents{.metadata = *std::move(metadata), .tensors = {}};
   for (const Entry& entry : *entries) {
-    Tensor& tensor = contents.tensors[entry.name];
-    tensor = Tensor::Zeros(entry.shape);
-    absl::Status status = ReadBytes(file, entry.end - entry.begin, tensor.values.data());
-    if (!status.ok()) return status;
+    absl::StatusOr<AnyTensor> tensor = ReadTensor(file, entry);
+    if (!tensor.ok()) return tensor.status();
+    contents.tensors[entry.name] = *std::move(tensor);
   }
   return contents;
 }
@@ -236,12 +278,22 @@ absl::Status WriteSafetensors(const Safetensors& contents, const std::string& pa
   if (!contents.metadata.empty()) header[kMetadataKey] = contents.metadata;
   std::vector<absl::string_view> pieces(2);  // the length prefix and the header, set at the end
   uint64_t offset = 0;
-  for (const auto& [name, tensor] : contents.tensors) {
-    const uint64_t size = tensor.values.size() * sizeof(float);
-    header[name] = {
-        {"dtype", "F32"}, {"shape", tensor.shape}, {"data_offsets", {offset, offset + size}}};
-    pieces.emplace_back(reinterpret_cast<const char*>(tensor.values.data()), size);
-    offset += size;
+  const auto add = [&](const std::string& name, const AnyTensor& any) {
+    std::visit(
+        [&](const auto& tensor) {
+          const uint64_t size = tensor.values.size() * NumberBytes(any);
+          header[name] = {{"dtype", DtypeName(any)},
+                          {"shape", tensor.shape},
+                          {"data_offsets", {offset, offset + size}}};
+          pieces.emplace_back(reinterpret_cast<const char*>(tensor.values.data()), size);
+          offset += size;
+        },
+        any);
+  };
+  for (const size_t bytes : {sizeof(float), sizeof(int16_t), sizeof(int8_t)}) {
+    for (const auto& [name, tensor] : contents.tensors) {
+      if (NumberBytes(tensor) == bytes) add(name, tensor);
+    }
   }
   std::string text;
   try {

@@ -1,5 +1,5 @@
-// Reads and writes the safetensors container: named float32 tensors and string metadata in one
-// file.
+// Reads and writes the safetensors container: named tensors of float32, int8 or int16 numbers and
+// string metadata in one file.
 //
 // Layout: N, an unsigned 64-bit little-endian integer; N bytes of UTF-8 JSON that begin with `{`
 // and may end in spaces; then the tensors' data, row-major, packed and little-endian. The JSON maps
@@ -13,6 +13,7 @@
 #include <cstdint>
 #include <map>
 #include <string>
+#include <variant>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -21,22 +22,28 @@
 namespace spikeserve {
 
 inline constexpr uint64_t kMaxSafetensorsHeaderBytes = 100'000'000;
-// 2^30 float32 values, so that every count of values fits in an int.
+// Room for 2^30 float32 values.
 inline constexpr uint64_t kMaxSafetensorsFileBytes = uint64_t{1} << 32;
+
+// A tensor of dtype F32, I8 or I16.
+using AnyTensor = std::variant<Tensor, Int8Tensor, Int16Tensor>;
+
+// Returns the name of a tensor's dtype in the file: "F32", "I8" or "I16".
+std::string DtypeName(const AnyTensor& tensor);
 
 struct Safetensors {
   std::map<std::string, std::string> metadata;
-  std::map<std::string, Tensor> tensors;
+  std::map<std::string, AnyTensor> tensors;
 };
 
-// Reads a container in which every tensor is F32. Compares every size in the file with the size of
-// the file before it is used, and requires that every data byte belongs to exactly one tensor.
-// NOT_FOUND if there is no such file, INVALID_ARGUMENT if the format is violated; the message names
-// the tensor or field, but not the path.
+// Reads a container in which every tensor is F32, I8 or I16. Compares every size in the file with
+// the size of the file before it is used, and requires that every data byte belongs to exactly one
+// tensor. NOT_FOUND if there is no such file, INVALID_ARGUMENT if the format is violated; the
+// message names the tensor or field, but not the path.
 absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path);
 
-// Writes the layout of the reference implementation: tensors sorted by name (all have the same
-// dtype), and the header padded with spaces to a multiple of 8 bytes. Replaces `path` atomically
+// Writes the layout of the reference implementation: tensors sorted by dtype (widest first), then
+// by name, and the header padded with spaces to a multiple of 8 bytes. Replaces `path` atomically
 // (see file.h). REQUIRES: the number of values of every tensor matches its shape.
 absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path);
 

@@ -8,12 +8,24 @@ namespace {
 // Collects the tensor slots of one policy, in the order of the calls of Add.
 class SlotList {
  public:
-  void Add(std::string name, std::vector<int> shape, Tensor* tensor) {
+  template <class Number>
+  void Add(std::string name, std::vector<int> shape, BasicTensor<Number>* tensor) {
     slots_.push_back({.name = std::move(name), .shape = std::move(shape), .tensor = tensor});
   }
   void Add(const std::string& name, int out, int in, Linear* linear) {
     Add(name + ".weight", {out, in}, &linear->weight);
     Add(name + ".bias", {out}, &linear->bias);
+  }
+  void Add(const std::string& name, int out, int in, IntegerPopulation* population) {
+    Add(name + ".weight", {out, in}, &population->weight);
+    Add(name + ".scale", {out}, &population->scale);
+    Add(name + ".bias", {out}, &population->bias);
+    Add(name + ".threshold", {out}, &population->threshold);
+  }
+  void Add(const std::string& name, int out, int in, IntegerOutput* output) {
+    Add(name + ".weight", {out, in}, &output->weight);
+    Add(name + ".scale", {out}, &output->scale);
+    Add(name + ".bias", {out}, &output->bias);
   }
   void Add(const std::string& name, int size, Norm* norm) {
     Add(name + ".weight", {size}, &norm->weight);
@@ -39,9 +51,11 @@ void AddLayer(const ModelConfig& config, const std::string& name, LayerWeights* 
   const int d = config.hidden_size;
   const std::string attention = name + ".attention";
   if (!config.is_dense()) slots->Add(name + ".coder", d, &layer->coder);
-  slots->Add(attention + ".query", d, config.attention_inputs(), &layer->query);
-  slots->Add(attention + ".key", d, config.attention_inputs(), &layer->key);
-  slots->Add(attention + ".value", d, config.attention_inputs(), &layer->value);
+  VisitMaps(config.arithmetic, *layer, [&](auto& maps) {
+    slots->Add(attention + ".query", d, config.attention_inputs(), &maps.query);
+    slots->Add(attention + ".key", d, config.attention_inputs(), &maps.key);
+    slots->Add(attention + ".value", d, config.attention_inputs(), &maps.value);
+  });
   if (!config.is_dense()) slots->Add(attention + ".scale", {config.heads}, &layer->scale);
   if (config.has_routing()) {
     const int m = config.routing_hidden_size;
@@ -51,8 +65,10 @@ void AddLayer(const ModelConfig& config, const std::string& name, LayerWeights* 
   slots->Add(attention + ".output", d, config.merged_size(), &layer->attention_output);
   slots->Add(attention + ".norm", d, &layer->attention_norm);
   if (!config.is_dense()) slots->Add(name + ".ffn.coder", d, &layer->ffn_coder);
-  slots->Add(name + ".ffn.hidden", config.ffn_size, d, &layer->ffn_hidden);
-  slots->Add(name + ".ffn.output", d, config.ffn_size, &layer->ffn_output);
+  VisitMaps(config.arithmetic, *layer, [&](auto& maps) {
+    slots->Add(name + ".ffn.hidden", config.ffn_size, d, &maps.ffn_hidden);
+    slots->Add(name + ".ffn.output", d, config.ffn_size, &maps.ffn_output);
+  });
   slots->Add(name + ".ffn.norm", d, &layer->ffn_norm);
 }
 

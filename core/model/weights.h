@@ -1,4 +1,5 @@
-// Defines the parameters of one SNN-DT, as row-major float32 arrays named as in the policy file.
+// Defines the parameters of one SNN-DT, as row-major arrays named as in the policy file. All are
+// float32, except those of integer_weights.h.
 //
 // Symbols: d hidden size, H heads, L layers, m routing hidden size, F FFN size, obs observation
 // length, act outputs of the action head, in = d + H with phase spikes and d without. Immutable
@@ -8,11 +9,14 @@
 
 #include <functional>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "core/math/tensor.h"
 #include "core/model/config.h"
+#include "core/model/integer_weights.h"
 
 namespace spikeserve {
 
@@ -36,19 +40,28 @@ struct Embedding {
 
 struct LayerWeights {
   Coder coder;              // not in dense mode
-  Linear query;             // [d, in], [d]
-  Linear key;               // [d, in], [d]
-  Linear value;             // [d, in], [d]
+  Linear query;             // [d, in], [d]; float32 only
+  Linear key;               // [d, in], [d]; float32 only
+  Linear value;             // [d, in], [d]; float32 only
   Tensor scale;             // [H]: c_h; not in dense mode, where the scale is 1/sqrt(d_h)
   Linear routing_hidden;    // [m, d], [m]; modes with routing
   Linear routing_gate;      // [H, m], [H]; modes with routing
   Linear attention_output;  // [d, d_h] ([d, d] if heads are concatenated, and in dense mode), [d]
   Norm attention_norm;
   Coder ffn_coder;    // not in dense mode
-  Linear ffn_hidden;  // [F, d], [F]
-  Linear ffn_output;  // [d, F], [d]
+  Linear ffn_hidden;  // [F, d], [F]; float32 only
+  Linear ffn_output;  // [d, F], [d]; float32 only
   Norm ffn_norm;
+  IntegerMaps integer;  // replaces the maps marked "float32 only" if the arithmetic is int8
 };
+
+// Calls `visit` with the spike-driven maps of a layer in the model's arithmetic: the members query,
+// key, value, ffn_hidden and ffn_output of `layer`, or those of `layer.integer`.
+template <class Layer, class Visitor>
+decltype(auto) VisitMaps(Arithmetic arithmetic, Layer& layer, Visitor&& visit) {
+  return arithmetic == Arithmetic::kInt8 ? std::forward<Visitor>(visit)(layer.integer)
+                                         : std::forward<Visitor>(visit)(layer);
+}
 
 struct Weights {
   Embedding embed_return;
@@ -74,7 +87,10 @@ inline constexpr int kDenseTimesteps = 1024;
 struct TensorSlot {
   std::string name;
   std::vector<int> shape;
-  Tensor* tensor;
+  std::variant<Tensor*, Int8Tensor*, Int16Tensor*> tensor;
+
+  // Returns the place of a float32 tensor. REQUIRES: the tensor is float32.
+  Tensor* floats() const { return std::get<Tensor*>(tensor); }
 };
 
 // Returns every tensor of a policy with this config, in a fixed order, each with a pointer to its

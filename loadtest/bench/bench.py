@@ -79,6 +79,8 @@ def engine_contestants(arguments, folder):
     return {
         "spikeserve_silent": [engine, shipped],
         "spikeserve_loud": [engine],
+        "spikeserve_silent_int8": [engine, shipped, "--arithmetic=int8"],
+        "spikeserve_loud_int8": [engine, "--arithmetic=int8"],
         "spikeserve_silent_together": [engine, shipped, f"--together={BATCH}"],
         "spikeserve_loud_together": [engine, f"--together={BATCH}"],
         "reference": [engine, shipped, "--engine=reference", "--episode_steps=20"],

@@ -17,6 +17,7 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
+#include "core/model/quantize.h"
 #include "loadtest/bench/contestant.h"
 
 namespace spikeserve {
@@ -25,17 +26,28 @@ namespace {
 struct Flags {
   std::string policy;
   std::string engine = "streaming";
-  ModelConfig random;  // shape of a random policy
+  std::string arithmetic;  // of the spike-driven parts; empty: that of the policy
+  ModelConfig random;      // shape of a random policy
   int together = 1;
   int episode_steps = 500;
 };
 
-absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
+absl::StatusOr<Policy> GivenPolicy(const Flags& flags) {
   if (!flags.policy.empty()) return ReadPolicyFile(flags.policy);
   ModelConfig config = flags.random;
   config.ffn_size = 4 * config.hidden_size;
   if (auto status = config.Validate(); !status.ok()) return status;
   return RandomPolicy(config, /*observation_size=*/4, ActionSpace::Discrete(2), /*seed=*/1);
+}
+
+absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
+  absl::StatusOr<Policy> policy = GivenPolicy(flags);
+  if (!policy.ok() || flags.arithmetic.empty()) return policy;
+  const absl::StatusOr<Arithmetic> arithmetic =
+      ParseEnum<Arithmetic>("--arithmetic", flags.arithmetic);
+  if (!arithmetic.ok()) return arithmetic.status();
+  if (*arithmetic == policy->config.arithmetic) return policy;
+  return Quantize(*policy);  // fails for a policy that is already in int8
 }
 
 // An agent and its CartPole environment. Not thread-safe.
@@ -128,6 +140,8 @@ int main(int argc, char** argv) {
   CLI::App app("A contestant of the benchmark, see contestant.h", "engine_bench");
   app.add_option("--policy", flags.policy, "Policy file; default: a random policy");
   app.add_option("--engine", flags.engine)->check(CLI::IsMember({"streaming", "reference"}));
+  app.add_option("--arithmetic", flags.arithmetic,
+                 "float32 or int8: rounds a float32 policy; default: the policy's");
   app.add_option("--hidden_size", flags.random.hidden_size, "d of a random policy");
   app.add_option("--ticks", flags.random.ticks, "T of a random policy");
   app.add_option("--context", flags.random.context, "N of a random policy, in timesteps");

@@ -5,6 +5,8 @@ import statistics
 ENGINE_NAMES = {
     "spikeserve_silent": "spikeserve, shipped CartPole policy",
     "spikeserve_loud": "spikeserve, unregularised (random weights)",
+    "spikeserve_silent_int8": "spikeserve, shipped CartPole policy, 8-bit weights",
+    "spikeserve_loud_int8": "spikeserve, unregularised, 8-bit weights",
     "spikeserve_silent_together": "spikeserve, shipped policy, 64 sessions together",
     "spikeserve_loud_together": "spikeserve, unregularised, 64 sessions together",
     "reference": "reference engine, shipped policy, episodes of one window",
@@ -42,6 +44,8 @@ def engine_targets(engine):
     return [
         ["decisions a second, silent policy", *verdict(rate[silent], 60_000)],
         ["decisions a second, unregularised", *verdict(rate["spikeserve_loud"], 25_000)],
+        ["8-bit weights, times float32, silent policy", *verdict(ratio(engine, f"{silent}_int8", silent), 1.4)],
+        ["8-bit weights, times float32, unregularised", *verdict(ratio(engine, "spikeserve_loud_int8", "spikeserve_loud"), 2)],
         ["times libtorch eager, full window", *verdict(ratio(engine, silent, "torch_snn_window"), 300)],
         ["times the dense model in libtorch, full window", *verdict(ratio(engine, silent, "torch_dense_window"), 30)],
         ["times the cached dense model in ONNX Runtime", *verdict(ratio(engine, silent, "onnx_dense_cached"), 1)],

@@ -1,6 +1,6 @@
 // Tests that the streaming engine equals the reference engine bit for bit in spikes by stage,
-// operations and readout: for random policies of many shapes, over episodes much longer than the
-// context, on every SIMD target of this processor.
+// operations and readout: for random policies of many shapes in both arithmetics, over episodes
+// much longer than the context, on every SIMD target of this processor.
 
 #include <gtest/gtest.h>
 
@@ -11,6 +11,7 @@
 #include "core/engine/spiking/kernels/targets.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
+#include "core/model/quantize.h"
 #include "tests/support/small_config.h"
 
 namespace spikeserve {
@@ -95,7 +96,7 @@ ModelConfig ConfigOf(int hidden_size, int heads) {
   return config;
 }
 
-std::vector<Shape> Shapes() {
+std::vector<Shape> Float32Shapes() {
   std::vector<Shape> shapes;
   const auto add = [&shapes](std::string name, const ModelConfig& config) -> Shape& {
     shapes.push_back({.name = std::move(name), .config = config});
@@ -141,10 +142,24 @@ std::vector<Shape> Shapes() {
   return shapes;
 }
 
+// Returns every shape in every arithmetic that its mode has.
+std::vector<Shape> Shapes() {
+  std::vector<Shape> shapes = Float32Shapes();
+  for (Shape& shape : Float32Shapes()) {
+    if (shape.config.is_dense()) continue;
+    shape.name += "_int8";
+    shape.config.arithmetic = Arithmetic::kInt8;
+    shapes.push_back(std::move(shape));
+  }
+  return shapes;
+}
+
 // Returns a random policy with increased weights, so that queries and keys fire and every path of
 // attention is used. In a plain random policy they hardly fire.
 Policy MakePolicy(const Shape& shape, uint64_t seed) {
-  Policy policy = RandomPolicy(shape.config, shape.observation_size, shape.action_space, seed);
+  ModelConfig config = shape.config;
+  config.arithmetic = Arithmetic::kFloat32;
+  Policy policy = RandomPolicy(config, shape.observation_size, shape.action_space, seed);
   for (LayerWeights& layer : policy.weights.layers) {
     for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.ffn_hidden}) {
       for (float& weight : linear->weight.values) weight *= 3.0f;
@@ -152,7 +167,7 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
     for (size_t h = 1; h < layer.scale.values.size(); h += 2) layer.scale.values[h] *= -1.5f;
     layer.ffn_hidden.weight.values[3] = 0.0f;  // a zero weight does not count as a synapse
   }
-  return policy;
+  return shape.config.arithmetic == Arithmetic::kInt8 ? *Quantize(policy) : policy;
 }
 
 class EngineParityTest : public testing::TestWithParam<Shape> {
@@ -238,13 +253,19 @@ TEST_P(EngineParityTest, PopulationsAreAlive) {
 INSTANTIATE_TEST_SUITE_P(Shapes, EngineParityTest, testing::ValuesIn(Shapes()),
                          [](const auto& test) { return test.param.name; });
 
-TEST(EngineParityAtPaperSizeTest, StreamingEqualsReference) {
-  const Shape shape = {.name = "paper", .config = {}, .steps = 26};
+class EngineParityAtPaperSizeTest : public testing::TestWithParam<Arithmetic> {};
+
+TEST_P(EngineParityAtPaperSizeTest, StreamingEqualsReference) {
+  const Shape shape = {.name = "paper", .config = {.arithmetic = GetParam()}, .steps = 26};
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
   const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
   const std::vector<Engine::Output> actual = Play(*MakeStreamingEngine(policy), shape);
   for (int step = 0; step < shape.steps; ++step) ExpectEqual(actual[step], expected[step], step);
 }
+
+INSTANTIATE_TEST_SUITE_P(Arithmetics, EngineParityAtPaperSizeTest,
+                         testing::Values(Arithmetic::kFloat32, Arithmetic::kInt8),
+                         [](const auto& test) { return std::string(ToString(test.param)); });
 
 }  // namespace
 }  // namespace spikeserve

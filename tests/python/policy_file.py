@@ -1,8 +1,11 @@
-"""Reads and writes policy files with NumPy only: float32 tensors by name, and metadata strings."""
+"""Reads and writes policy files with NumPy only: tensors by name, and metadata strings."""
 
 import json
 
 import numpy as np
+
+
+DTYPES = {"F32": "<f4", "I16": "<i2", "I8": "<i1"}  # by name in the file, widest first
 
 
 def read_policy(path):
@@ -13,7 +16,8 @@ def read_policy(path):
     tensors = {}
     for name, entry in header.items():
         begin, end = (header_end + offset for offset in entry["data_offsets"])
-        tensors[name] = np.frombuffer(data[begin:end], "<f4").reshape(entry["shape"]).copy()
+        dtype = DTYPES[entry["dtype"]]
+        tensors[name] = np.frombuffer(data[begin:end], dtype).reshape(entry["shape"]).copy()
     return tensors, metadata
 
 

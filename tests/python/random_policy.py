@@ -1,7 +1,10 @@
 """Writes policy files with random weights through spikeserve.export."""
 
+from dataclasses import replace
+
 import numpy as np
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
+from spikeserve.integer_weights import quantize
 
 SMALL = {"hidden_size": 16, "heads": 2, "ticks": 4, "context": 5, "ffn_size": 32}
 DENSE_TIMESTEPS = 8
@@ -26,11 +29,13 @@ def random_tensors(config, observation_size, action_size, seed=0):
 def export_random(folder, name, environment, seed=0, **config):
     """Writes version 1 of the policy `name` below `folder`, for a Gymnasium environment."""
     config = ModelConfig(**(SMALL | config))
+    float32 = replace(config, arithmetic="float32")
     space = environment.action_space
     size = int(space.n) if hasattr(space, "n") else space.shape[0]
+    tensors = random_tensors(float32, environment.observation_space.shape[0], size, seed)
     export_policy(
         folder / name / "1" / "policy.safetensors",
-        random_tensors(config, environment.observation_space.shape[0], size, seed),
+        quantize(tensors, float32) if config.is_int8 else tensors,
         config,
         action_space=space,
         environment=environment.spec.id,

@@ -16,9 +16,10 @@ FLEET = {"scope": "FLEET", "learning_rate": 0.3}
 SAMPLING = {"action_selection": "SAMPLE", "temperature": 4.0}
 
 
-@pytest.fixture
-def folder(tmp_path):
-    shutil.copytree(SHIPPED_POLICIES / "cartpole", tmp_path / "cartpole")
+@pytest.fixture(params=["1", "2"], ids=["float32", "int8"])
+def folder(tmp_path, request):
+    """Returns a folder with one shipped version of the policy as version 1."""
+    shutil.copytree(SHIPPED_POLICIES / "cartpole" / request.param, tmp_path / "cartpole" / "1")
     return tmp_path
 
 

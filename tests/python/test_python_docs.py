@@ -10,7 +10,7 @@ def test_the_examples_run(address, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run_examples("python.md", address)
     printed = capsys.readouterr().out
-    assert "cartpole/1 plays CartPole-v1: return 500.0 " in printed
+    assert "cartpole/2 plays CartPole-v1: return 500.0 " in printed
     assert "Act: INVALID_ARGUMENT: observation: expected 4 numbers, received 3" in printed
     assert "[100.0, 100.0, 100.0, 100.0]" in printed
     with running_server(tmp_path / "policies") as exported:

@@ -2,7 +2,9 @@
 
 import json
 import os
+import shutil
 import stat
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -13,13 +15,17 @@ import spikeserve
 from random_policy import SMALL, export_random, random_tensors
 from serving import SHIPPED_POLICIES, running_server
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
+from spikeserve.integer_weights import quantize
 
-SHIPPED = SHIPPED_POLICIES / "cartpole" / "1" / "policy.safetensors"
+SHIPPED = {
+    version: SHIPPED_POLICIES / "cartpole" / version / "policy.safetensors" for version in "12"
+}
 SHAPES = [
     *({"mode": mode} for mode in ModelConfig.CHOICES["mode"]),
     {"mode": "full", "merge": "concat", "gate": "sigmoid", "phase_clock": "window"},
     {"mode": "pos", "coder": "bernoulli", "layers": 1, "heads": 4},
     {"mode": "route", "routing_hidden_size": 3, "ffn_size": 7, "threshold": 0.5},
+    *({"mode": mode, "arithmetic": "int8"} for mode in ModelConfig.CHOICES["mode"][:-1]),
 ]
 
 
@@ -56,8 +62,9 @@ def play(client, policy):
     return [(d.action, d.action_probabilities.tolist(), d.stats.spikes) for d in decisions]
 
 
-def test_the_server_plays_an_exported_policy_as_the_original(tmp_path):
-    metadata, tensors = read(SHIPPED)
+@pytest.mark.parametrize("version", SHIPPED, ids=["float32", "int8"])
+def test_the_server_plays_an_exported_policy_as_the_original(tmp_path, version):
+    metadata, tensors = read(SHIPPED[version])
     numbers = ["return_offset", "return_scale", "target_return", "modulator_mean", "modulator_std"]
     path = tmp_path / "copy" / "1" / "policy.safetensors"
     export_policy(
@@ -71,7 +78,8 @@ def test_the_server_plays_an_exported_policy_as_the_original(tmp_path):
     )
     assert os.listdir(path.parent) == ["policy.safetensors"]
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
-    (tmp_path / "original").symlink_to(SHIPPED_POLICIES / "cartpole")
+    (tmp_path / "original" / "1").mkdir(parents=True)
+    shutil.copy(SHIPPED[version], tmp_path / "original" / "1")
     with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
         copy, original = client.list_policies()
         assert vars(copy) | {"name": "original"} == vars(original)
@@ -109,13 +117,15 @@ def test_a_box_policy_acts_within_its_bounds(tmp_path):
     assert decision.action_probabilities is None
 
 
-def test_tensor_names_and_shapes_are_those_of_the_shipped_policy():
-    metadata, tensors = read(SHIPPED)
+@pytest.mark.parametrize("version", SHIPPED, ids=["float32", "int8"])
+def test_tensor_names_and_shapes_are_those_of_the_shipped_policy(version):
+    metadata, tensors = read(SHIPPED[version])
     shapes = tensor_shapes(ModelConfig(**json.loads(metadata["config"])), 4, 2)
     assert {name: tensor.shape for name, tensor in tensors.items()} == shapes
 
 
 CONFIG = ModelConfig(**SMALL)
+INT8 = replace(CONFIG, arithmetic="int8")
 FIELDS = {"action_space": spikeserve.Discrete(2), "environment": "CartPole-v1", "target_return": 1}
 
 
@@ -150,6 +160,65 @@ def export_broken(path, name, tensor, space=FIELDS["action_space"]):
 def test_bad_tensors_are_refused_by_name(path, name, tensor, message):
     with pytest.raises(ValueError, match=f'tensor "{name}": .*{message}'):
         export_broken(path, name, tensor)
+    assert os.listdir(path.parent) == []
+
+
+def test_integer_tensors_are_written_as_integers(path):
+    tensors = quantize(random_tensors(CONFIG, 4, 2), CONFIG)
+    export_policy(path, tensors, INT8, **FIELDS)
+    metadata, written = read(path)
+    assert json.loads(metadata["config"])["arithmetic"] == "int8"
+    name = "layers.0.attention.query"
+    dtypes = {
+        part: str(written[f"{name}.{part}"].dtype)
+        for part in ("weight", "scale", "bias", "threshold")
+    }
+    assert dtypes == {"weight": "int8", "scale": "float32", "bias": "int16", "threshold": "int16"}
+    np.testing.assert_array_equal(
+        written["layers.1.ffn.output.weight"], tensors["layers.1.ffn.output.weight"]
+    )
+    export_policy(path, random_tensors(CONFIG, 4, 2), CONFIG, **FIELDS)
+    assert "arithmetic" not in json.loads(read(path)[0]["config"])
+
+
+def test_weights_round_to_the_nearest_level_ties_to_even():
+    tensors = random_tensors(CONFIG, 4, 2)
+    weight = tensors["layers.0.attention.query.weight"]
+    weight[:2] = 0
+    weight[0, :4] = [127, 1.5, 2.5, -0.5]
+    rounded = quantize(tensors, CONFIG)
+    assert rounded["layers.0.attention.query.weight"][0, :4].tolist() == [127, 2, 2, 0]
+    assert rounded["layers.0.attention.query.threshold"][:2].tolist() == [1, 16384]
+    with pytest.raises(ValueError, match="arithmetic: expected float32, received 'int8'"):
+        quantize(rounded, INT8)
+    with pytest.raises(ValueError, match="mode: expected a spiking mode, received 'dense'"):
+        quantize(tensors, ModelConfig(mode="dense"))
+    tensors["layers.1.ffn.hidden.bias"][3] = 1e9
+    with pytest.raises(
+        ValueError, match=r'"layers.1.ffn.hidden.bias": .* 32767 units, .* at index 3'
+    ):
+        quantize(tensors, CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "value", "message"),
+    [
+        ("layers.0.attention.key.weight", (1, 2), -128, "-127 to 127, received -128 at index 20"),
+        ("layers.0.attention.key.weight", (0, 0), 0.5, "integers from -128 to 127, received 0.5"),
+        ("layers.0.attention.key.weight", (0, 1), 200, "integers from -128 to 127, received 200"),
+        ("layers.0.attention.key.bias", 3, 40000, "integers from -32768 to 32767, received 40000"),
+        ("layers.1.ffn.hidden.threshold", 4, 0, "1 to 32767, received 0 at index 4"),
+        ("layers.1.ffn.hidden.scale", 5, 0, "positive numbers, received 0.0 at index 5"),
+        ("layers.1.ffn.output.scale", 6, np.nan, "finite in float32, received nan at index 6"),
+        ("layers.0.attention.value.bias", 7, -32767, "of at most 32767, received "),
+    ],
+)
+def test_bad_integers_are_refused_by_name(path, name, index, value, message):
+    tensors = quantize(random_tensors(CONFIG, 4, 2), CONFIG)
+    tensors[name] = tensors[name].astype(float)
+    tensors[name][index] = value
+    with pytest.raises(ValueError, match=message):
+        export_policy(path, tensors, INT8, **FIELDS)
     assert os.listdir(path.parent) == []
 
 
@@ -194,6 +263,7 @@ def test_bad_fields_are_refused_by_name(path, field, value, message):
         ("membrane_decay", 1.5, "expected 0 to 1, received 1.5"),
         ("threshold", 0.0, "expected a positive finite number, received 0.0"),
         ("threshold", 1e-60, "expected a positive finite number, received 1e-60"),
+        ("arithmetic", "int4", "expected one of float32, int8, received 'int4'"),
     ],
 )
 def test_a_bad_config_is_refused_by_field(field, value, message):
@@ -201,6 +271,13 @@ def test_a_bad_config_is_refused_by_field(field, value, message):
         ModelConfig(**{field: value})
     assert str(error.value).endswith(message)
     assert str(error.value).startswith("hidden_size" if field == "heads" else field)
+
+
+def test_integers_have_their_own_limits():
+    with pytest.raises(ValueError, match="arithmetic: expected float32 in mode dense"):
+        ModelConfig(mode="dense", arithmetic="int8")
+    with pytest.raises(ValueError, match="membrane_decay: expected at most 32767/32768"):
+        ModelConfig(membrane_decay=1.0, arithmetic="int8")
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(path, monkeypatch):

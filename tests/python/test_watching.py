@@ -154,7 +154,7 @@ def fill_in(expression, instance):
     """Returns the expression of a panel with the variables replaced, as Grafana sends it."""
     for variable, value in (
         ("$policy", "cartpole"),
-        ("$version", "1"),
+        ("$version", "2"),
         ("$instance", instance),
         ("$__rate_interval", "1m"),
     ):

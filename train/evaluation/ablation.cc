@@ -8,10 +8,12 @@ namespace {
 
 void Clear(Tensor* tensor) { AsVector(tensor->values).setZero(); }
 
-// Clears the columns after the d coder columns.
-void ClearPhaseColumns(int hidden_size, Tensor* weight) {
-  const int phase_columns = weight->shape[1] - hidden_size;
-  AsMatrix(weight->values, weight->shape[0]).rightCols(phase_columns).setZero();
+// Clears the columns after the d coder columns of a matrix of float32 or int8 numbers.
+void ClearPhaseColumns(int hidden_size, auto* weight) {
+  const auto columns = static_cast<size_t>(weight->shape[1]);
+  for (size_t i = 0; i < weight->values.size(); ++i) {
+    if (i % columns >= static_cast<size_t>(hidden_size)) weight->values[i] = 0;
+  }
 }
 
 absl::Status Missing(absl::string_view part, const ModelConfig& config) {
@@ -35,9 +37,11 @@ absl::Status Ablate(absl::string_view part, Policy* policy) {
   } else if (part == "phase") {
     if (!config.has_phase()) return Missing(part, config);
     for (LayerWeights& layer : weights.layers) {
-      for (Linear* linear : {&layer.query, &layer.key, &layer.value}) {
-        ClearPhaseColumns(config.hidden_size, &linear->weight);
-      }
+      VisitMaps(config.arithmetic, layer, [&](auto& maps) {
+        for (auto* map : {&maps.query, &maps.key, &maps.value}) {
+          ClearPhaseColumns(config.hidden_size, &map->weight);
+        }
+      });
     }
   } else if (part == "routing") {
     if (!config.has_routing()) return Missing(part, config);

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <system_error>
+#include <variant>
 
 #include "core/base/status.h"
 #include "core/model/safetensors.h"
@@ -21,13 +22,12 @@ absl::StatusOr<std::vector<float>> ReadTable(const std::string& path, const std:
   if (!file.ok()) {
     return Annotate(file.status(), path);
   }
-  const auto tensor = file->tensors.find(kTensor);
-  if (file->metadata[kName] != name || tensor == file->tensors.end() ||
-      tensor->second.shape != shape) {
+  auto* const tensor = std::get_if<Tensor>(&file->tensors[kTensor]);
+  if (file->metadata[kName] != name || tensor == nullptr || tensor->shape != shape) {
     return absl::InvalidArgumentError(
         absl::StrCat(path, ": expected the value table ", name, ", received another table"));
   }
-  return std::move(tensor->second.values);
+  return std::move(tensor->values);
 }
 
 absl::Status WriteTable(const std::vector<float>& values, const std::string& path,
@@ -35,9 +35,9 @@ absl::Status WriteTable(const std::vector<float>& values, const std::string& pat
   std::error_code error;
   std::filesystem::create_directories(std::filesystem::path(path).parent_path(), error);
   if (error) return absl::UnavailableError(absl::StrCat(path, ": ", error.message()));
-  return WriteSafetensors(
-      {.metadata = {{kName, name}}, .tensors = {{kTensor, {.shape = shape, .values = values}}}},
-      path);
+  return WriteSafetensors({.metadata = {{kName, name}},
+                           .tensors = {{kTensor, Tensor{.shape = shape, .values = values}}}},
+                          path);
 }
 
 }  // namespace spikeserve

@@ -21,8 +21,8 @@ std::vector<TensorSlot> Slots(Policy* policy) {
 Parameters::Parameters(const Policy& policy) {
   Policy copy = policy;
   for (const TensorSlot& slot : Slots(&copy)) {
-    const std::vector<int64_t> shape(slot.tensor->shape.begin(), slot.tensor->shape.end());
-    torch::Tensor tensor = torch::from_blob(slot.tensor->values.data(), shape).clone();
+    const std::vector<int64_t> shape(slot.floats()->shape.begin(), slot.floats()->shape.end());
+    torch::Tensor tensor = torch::from_blob(slot.floats()->values.data(), shape).clone();
     tensor.set_requires_grad(!absl::StartsWith(slot.name, "observation."));
     tensors_.emplace(slot.name, tensor);
   }
@@ -40,7 +40,7 @@ torch::Tensor Parameters::Norm(const torch::Tensor& x, const std::string& name) 
 void Parameters::Store(Policy* policy) const {
   for (const TensorSlot& slot : Slots(policy)) {
     const torch::Tensor tensor = tensors_.at(slot.name).detach().contiguous();
-    std::copy_n(tensor.data_ptr<float>(), tensor.numel(), slot.tensor->values.begin());
+    std::copy_n(tensor.data_ptr<float>(), tensor.numel(), slot.floats()->values.begin());
   }
 }
 

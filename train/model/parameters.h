@@ -15,7 +15,7 @@ namespace spikeserve {
 class Parameters {
  public:
   // Copies the policy's weights. All tensors require a gradient except `observation.*`, which are
-  // computed from the data and not trained.
+  // computed from the data and not trained. REQUIRES: the policy is float32.
   explicit Parameters(const Policy& policy);
 
   // REQUIRES: a tensor of that name exists.

@@ -7,6 +7,7 @@
 
 #include "core/engine/counting.h"
 #include "core/engine/prefix_engine.h"
+#include "core/engine/reference/populations.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"
 #include "core/neuron/coder.h"
@@ -16,30 +17,9 @@
 namespace spikeserve {
 namespace {
 
-// Returns W x + b. Starts with the bias and adds the products in ascending order of the input.
-std::vector<float> Affine(const Linear& linear, const std::vector<float>& input) {
-  std::vector<float> output = linear.bias.values;
-  for (size_t i = 0; i < output.size(); ++i) {
-    for (size_t j = 0; j < input.size(); ++j) {
-      output[i] += linear.weight.at(static_cast<int>(i), static_cast<int>(j)) * input[j];
-    }
-  }
-  return output;
-}
-
 void Normalize(const Norm& norm, std::vector<float>& x) {
   LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
 }
-
-// The coder spikes of one token. Neurons whose weights are added together form a group: neurons of
-// equal period for the rate coder, neurons that fire at the same tick for the Bernoulli coder,
-// which has no periods.
-struct CodedToken {
-  bool periodic = false;  // true for the rate coder
-  // [T]: the neurons of period n, or those that fire at tick n, for n = 1 ... T; ascending.
-  std::vector<std::vector<int>> groups;
-  SpikeTrain spikes;  // [T][d]
-};
 
 // Computes one decision over the whole episode. Symbols: T ticks, H heads, d hidden size, d_h head
 // size, R coder spikes, P phase spikes.
@@ -86,14 +66,8 @@ class ReferencePass {
     return tokens_[token].timestep >= tokens_.back().timestep - reach;
   }
 
-  void AddMultiplies(size_t token, const Linear& linear, const std::vector<float>& input) {
-    if (IsNew(token)) counts_.multiply_accumulates += CountProducts(linear, input);
-  }
-
-  float Rate(const SpikeTrain& train, int neuron) const {
-    int count = 0;
-    for (const auto& tick : train) count += tick[neuron];
-    return static_cast<float>(count) / static_cast<float>(config_.ticks);
+  void AddMultiplies(size_t token, const auto& map, const std::vector<float>& input) {
+    if (IsNew(token)) counts_.multiply_accumulates += CountProducts(map, input);
   }
 
   void Embed(size_t i) {
@@ -156,45 +130,18 @@ class ReferencePass {
     return coded;
   }
 
-  // Returns the current into output neuron i at `tick` (1 ... T), summed in the canonical order:
-  // the bias; then, for each period n that divides the tick, ascending, the sum over the neurons of
-  // that period, ascending; then the phase spikes by head.
-  float Current(const Linear& linear, int i, const CodedToken& coded, const SpikeTrain& phase,
-                int tick) const {
-    float current = linear.bias.values[i];
-    for (int n = coded.periodic ? 1 : tick; n <= tick; ++n) {
-      if (tick % n != 0) continue;
-      float group = 0.0f;
-      for (const int j : coded.groups[n - 1]) group += linear.weight.at(i, j);
-      current += group;
-    }
-    for (size_t k = 0; k < phase[tick - 1].size(); ++k) {
-      if (phase[tick - 1][k]) {
-        current += linear.weight.at(i, config_.hidden_size + static_cast<int>(k));
-      }
-    }
-    return current;
-  }
-
-  // Returns LIF(W [R || P] + b): [T][out].
-  SpikeTrain Project(const Linear& linear, const CodedToken& coded, const SpikeTrain& phase,
+  // Returns the spikes of a population of either arithmetic: [T][out].
+  template <class Population>
+  SpikeTrain Project(const Population& population, const CodedToken& coded, const SpikeTrain& phase,
                      size_t token) {
-    const int outputs = static_cast<int>(linear.bias.values.size());
-    SpikeTrain train(config_.ticks, std::vector<uint8_t>(outputs, 0));
-    for (int i = 0; i < outputs; ++i) {
-      float membrane = 0.0f;
-      for (int tick = 1; tick <= config_.ticks; ++tick) {
-        train[tick - 1][i] = lif_.Step(Current(linear, i, coded, phase, tick), membrane);
-      }
-    }
     if (IsNew(token)) {
       for (int tick = 0; tick < config_.ticks; ++tick) {
         std::vector<uint8_t> input = coded.spikes[tick];
         input.insert(input.end(), phase[tick].begin(), phase[tick].end());
-        counts_.accumulates += CountProducts(linear, input);
+        counts_.accumulates += CountProducts(population, input);
       }
     }
-    return train;
+    return Fire(config_, population, coded, phase);
   }
 
   void Layer(int layer) {
@@ -205,14 +152,18 @@ class ReferencePass {
     for (size_t i = 0; i < tokens_.size(); ++i) {
       const CodedToken coded = Code(weights.coder, x_[i], i, 2 * layer);
       const SpikeTrain phase = PhaseSpikes(tokens_[i].timestep);
-      keys_.push_back(Project(weights.key, coded, phase, i));
-      values_.push_back(Project(weights.value, coded, phase, i));
+      // In the last layer, only the state token's output is used.
+      const bool has_output = !last_layer || tokens_[i].kind == TokenKind::kState;
+      SpikeTrain query;
+      VisitMaps(config_.arithmetic, weights, [&](const auto& maps) {
+        keys_.push_back(Project(maps.key, coded, phase, i));
+        values_.push_back(Project(maps.value, coded, phase, i));
+        if (has_output) query = Project(maps.query, coded, phase, i);
+      });
       AddSpikes(i, Stage::kCoder, layer, coded.spikes);
       AddSpikes(i, Stage::kKey, layer, keys_[i]);
       AddSpikes(i, Stage::kValue, layer, values_[i]);
-      // In the last layer, only the state token's output is used.
-      if (last_layer && tokens_[i].kind != TokenKind::kState) continue;
-      const SpikeTrain query = Project(weights.query, coded, phase, i);
+      if (!has_output) continue;
       AddSpikes(i, Stage::kQuery, layer, query);
       Attention(layer, query, i);
       FeedForward(layer, i);
@@ -344,13 +295,15 @@ class ReferencePass {
   void FeedForward(int layer, size_t i) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const CodedToken coded = Code(weights.ffn_coder, x_[i], i, 2 * layer + 1);
-    const SpikeTrain hidden = Project(weights.ffn_hidden, coded, SpikeTrain(config_.ticks), i);
-    AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
-    AddSpikes(i, Stage::kFfnHidden, layer, hidden);
-    std::vector<float> rates;
-    for (int j = 0; j < config_.ffn_size; ++j) rates.push_back(Rate(hidden, j));
-    AddMultiplies(i, weights.ffn_output, rates);
-    AddResidual(i, Affine(weights.ffn_output, rates), weights.ffn_norm);
+    VisitMaps(config_.arithmetic, weights, [&](const auto& maps) {
+      const SpikeTrain hidden = Project(maps.ffn_hidden, coded, SpikeTrain(config_.ticks), i);
+      AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
+      AddSpikes(i, Stage::kFfnHidden, layer, hidden);
+      std::vector<float> rates;
+      for (int j = 0; j < config_.ffn_size; ++j) rates.push_back(Rate(hidden, j));
+      AddMultiplies(i, maps.ffn_output, rates);
+      AddResidual(i, MapCounts(maps.ffn_output, hidden), weights.ffn_norm);
+    });
   }
 
   void AddResidual(size_t i, const std::vector<float>& update, const Norm& norm) {

@@ -7,17 +7,6 @@
 namespace spikeserve {
 namespace {
 
-// Returns the number of nonzero weights of each input, [in].
-std::vector<uint32_t> NonzeroByInput(const Linear& linear) {
-  const int outputs = linear.weight.shape[0];
-  const int inputs = linear.weight.shape[1];
-  std::vector<uint32_t> nonzero(inputs, 0);
-  for (int i = 0; i < outputs; ++i) {
-    for (int j = 0; j < inputs; ++j) nonzero[j] += linear.weight.at(i, j) != 0.0f;
-  }
-  return nonzero;
-}
-
 // Returns exp(-|c_h| distance) for every head and distance, [H][d_h + 1].
 std::vector<float> AttentionWeights(const ModelConfig& config, const Tensor& scale) {
   std::vector<float> weights;
@@ -31,40 +20,19 @@ std::vector<float> AttentionWeights(const ModelConfig& config, const Tensor& sca
 
 }  // namespace
 
-PackedLinear Pack(std::initializer_list<const Linear*> linears) {
-  PackedLinear packed;
-  packed.inputs = (*linears.begin())->weight.shape[1];
-  for (const Linear* linear : linears) packed.width += PadToLanes(linear->weight.shape[0]);
-  packed.rows.assign(static_cast<size_t>(packed.inputs) * packed.width, 0.0f);
-  packed.bias.assign(packed.width, 0.0f);
-  packed.nonzero.assign(packed.inputs, 0);
-  int lane = 0;
-  for (const Linear* linear : linears) {
-    const int outputs = linear->weight.shape[0];
-    for (int i = 0; i < outputs; ++i) {
-      packed.bias[lane + i] = linear->bias.values[i];
-      for (int j = 0; j < packed.inputs; ++j) {
-        packed.rows[static_cast<size_t>(j) * packed.width + lane + i] = linear->weight.at(i, j);
-      }
-    }
-    const std::vector<uint32_t> nonzero = NonzeroByInput(*linear);
-    for (int j = 0; j < packed.inputs; ++j) packed.nonzero[j] += nonzero[j];
-    packed.outputs = lane + outputs;
-    lane += PadToLanes(outputs);
-  }
-  return packed;
-}
-
-PackedWeights::PackedWeights(const Policy& policy)
+template <class Arithmetic>
+PackedWeights<Arithmetic>::PackedWeights(const Policy& policy)
     : embed_return(Pack({&policy.weights.embed_return.linear})),
       embed_state(Pack({&policy.weights.embed_state.linear})),
       embed_action(Pack({&policy.weights.embed_action.linear})),
       head_nonzero(NonzeroByInput(policy.weights.head)),
       periods({policy.config.membrane_decay, policy.config.threshold}, policy.config.ticks) {
+  const int d = policy.config.hidden_size;
   for (const LayerWeights& weights : policy.weights.layers) {
-    PackedLayer layer;
-    layer.key_value_query = Pack({&weights.key, &weights.value, &weights.query});
-    layer.nonzero_query = NonzeroByInput(weights.query);
+    const auto& maps = Arithmetic::MapsOf(weights);
+    PackedLayer<Arithmetic> layer;
+    layer.key_value_query = Arithmetic::PackPopulations({&maps.key, &maps.value, &maps.query}, d);
+    layer.nonzero_query = NonzeroByInput(maps.query);
     if (policy.config.has_routing()) {
       layer.routing_hidden = Pack({&weights.routing_hidden});
       layer.routing_gate = Pack({&weights.routing_gate});
@@ -75,11 +43,14 @@ PackedWeights::PackedWeights(const Policy& policy)
       }
     }
     layer.attention_output = Pack({&weights.attention_output});
-    layer.ffn_hidden = Pack({&weights.ffn_hidden});
-    layer.ffn_output = Pack({&weights.ffn_output});
+    layer.ffn_hidden = Arithmetic::PackPopulations({&maps.ffn_hidden}, d);
+    layer.ffn_output = Arithmetic::PackOutput(maps.ffn_output, policy.config.ticks);
     layer.attention_weight = AttentionWeights(policy.config, weights.scale);
     layers.push_back(std::move(layer));
   }
 }
+
+template struct PackedWeights<Float32Arithmetic>;
+template struct PackedWeights<Int8Arithmetic>;
 
 }  // namespace spikeserve

@@ -2,6 +2,7 @@
 
 #include <bit>
 
+#include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/neuron/phase.h"
 
 namespace spikeserve {
@@ -83,7 +84,7 @@ void SpikeInput::CodeBernoulli(const Coder& coder, const float* x, const Bernoul
 
 void SpikeInput::Rates(std::vector<float>* rates) const {
   rates->assign(neurons_, 0.0f);
-  for (const Group& group : groups_) {
+  for (const SpikeGroup& group : groups_) {
     for (int m = group.first; m < group.first + group.count; ++m) {
       (*rates)[members_[m]] += static_cast<float>(group.spikes);  // integers, so the sum is exact
     }
@@ -91,48 +92,9 @@ void SpikeInput::Rates(std::vector<float>* rates) const {
   for (float& rate : *rates) rate /= static_cast<float>(ticks_);
 }
 
-const kernels::Drive& SpikeInput::DriveOf(const PackedLinear& linear, int width,
-                                          const PhaseSpikes* phase) {
-  if (sums_.size() < groups_.size() * width) sums_.resize(groups_.size() * width);
-  afferents_.clear();
-  for (const Group& group : groups_) {
-    const int32_t* members = members_.data() + group.first;
-    const float* sum = linear.row(*members);
-    if (group.count > 1) {
-      float* buffer = sums_.data() + afferents_.size() * width;
-      kernels::SumRows(linear, members, group.count, width, buffer);
-      sum = buffer;
-    }
-    afferents_.push_back({.sum = sum, .next = group.tick, .period = periodic_ ? group.tick : 0});
-  }
-  drive_.ticks = ticks_;
-  drive_.offsets.assign(ticks_ + 1, 0);
-  // One more than the terms that can fire, because the loop below also writes groups that do not
-  // fire, and then overwrites them.
-  const size_t terms =
-      ticks_ * groups_.size() + (phase == nullptr ? 0 : phase->generators.size()) + 1;
-  if (drive_.terms.size() < terms) drive_.terms.resize(terms);
-  const float** term = drive_.terms.data();
-  for (int tick = 1; tick <= ticks_; ++tick) {
-    for (Afferent& afferent : afferents_) {
-      const bool fires = afferent.next == tick;
-      *term = afferent.sum;
-      term += fires;  // branch-free, because the branch would be unpredictable
-      afferent.next += fires ? afferent.period : 0;
-    }
-    if (phase != nullptr) {
-      for (int k = phase->offsets[tick - 1]; k < phase->offsets[tick]; ++k) {
-        *term++ = linear.row(neurons_ + phase->generators[k]);
-      }
-    }
-    drive_.offsets[tick] = static_cast<int>(term - drive_.terms.data());
-  }
-  return drive_;
-}
-
 uint64_t SpikeInput::Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const {
   uint64_t products = 0;
-  for (const Group& group : groups_) {
+  for (const SpikeGroup& group : groups_) {
     uint64_t synapses = 0;
     for (int m = group.first; m < group.first + group.count; ++m) synapses += nonzero[members_[m]];
     products += synapses * group.spikes;

@@ -3,8 +3,11 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/engine/spiking/arithmetic.h"
 #include "core/engine/spiking/attention_cache.h"
+#include "core/engine/spiking/drive_builder.h"
 #include "core/engine/spiking/kernels/attention_kernels.h"
+#include "core/engine/spiking/kernels/integer_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
 #include "core/engine/spiking/kernels/routing_kernels.h"
@@ -44,36 +47,40 @@ struct NewToken {
 };
 
 // Buffers of one thread, reused by its calls. Their contents do not outlive a call.
+template <class Arithmetic>
 struct Scratch {
   std::vector<NewToken> tokens;
-  std::vector<float> input;      // a token's embedding input
-  SpikeInput spikes;             // into the current population
+  std::vector<float> input;  // a token's embedding input
+  SpikeInput spikes;         // into the current population
+  DriveBuilder<typename Arithmetic::Current> drives;
   AlignedVector<uint32_t> bits;  // [T][pad(d) / 32]: keys, values or queries
   AlignedVector<uint32_t> keys;  // [T][H][W]
   AlignedVector<uint32_t> values;
-  AlignedVector<float> y;        // [T][H][d_h]
-  AlignedVector<float> routing;  // [pad(m)]
-  AlignedVector<float> gates;    // [pad(H)]
-  AlignedVector<float> merged;   // [d_h] or [d]
-  AlignedVector<float> update;   // [pad(d)]
-  AlignedVector<float> hidden;   // [pad(F)]
+  AlignedVector<float> y;                               // [T][H][d_h]
+  AlignedVector<float> routing;                         // [pad(m)]
+  AlignedVector<float> gates;                           // [pad(H)]
+  AlignedVector<float> merged;                          // [d_h] or [d]
+  AlignedVector<float> update;                          // [pad(d)]
+  AlignedVector<typename Arithmetic::Activity> hidden;  // [pad(F)]
 };
 
-Scratch& ThreadScratch() {
-  thread_local Scratch scratch;
+template <class Arithmetic>
+Scratch<Arithmetic>& ThreadScratch() {
+  thread_local Scratch<Arithmetic> scratch;
   return scratch;
 }
 
 // Computes new tokens of any number of contexts. The tokens of one context belong to the same
 // timestep.
+template <class Arithmetic>
 class TokenPass {
  public:
-  TokenPass(const Policy& policy, const PackedWeights& packed)
+  TokenPass(const Policy& policy, const PackedWeights<Arithmetic>& packed)
       : policy_(policy),
         config_(policy.config),
-        lif_{config_.membrane_decay, config_.threshold},
+        lif_(Arithmetic::NeuronOf(policy.config)),
         packed_(packed),
-        scratch_(ThreadScratch()) {}
+        scratch_(ThreadScratch<Arithmetic>()) {}
 
   // Adds the next token of the context's timestep and computes its embedding from `input`. Its cost
   // is added to `counts`.
@@ -127,6 +134,9 @@ class TokenPass {
   }
 
  private:
+  using Population = typename Arithmetic::Population;
+  using Drive = kernels::Drive<typename Arithmetic::Current>;
+
   float* x() { return token_->x.data(); }
   Counts& counts() { return *token_->counts; }
   const PhaseSpikes& phase() const { return token_->context->phase; }
@@ -137,9 +147,10 @@ class TokenPass {
                                                : packed_.embed_action;
   }
 
-  void Affine(const PackedLinear& linear, const float* input, AlignedVector<float>& output) {
-    output.resize(linear.width);
-    counts().multiply_accumulates += kernels::Affine(linear, input, output.data());
+  // `input` is an array of float, or of spike counts for an integer map.
+  void Affine(const auto& map, const auto* input, AlignedVector<float>& output) {
+    output.resize(map.width);
+    counts().multiply_accumulates += kernels::Affine(map, input, output.data());
   }
 
   void Normalize(const Norm& norm) {
@@ -167,7 +178,7 @@ class TokenPass {
   // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O).
   void Attend(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
-    const PackedLayer& packed = packed_.layers[layer];
+    const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
     const AttentionCache& cache = token_->context->caches[layer];
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
     counts().attention_products += cache.ValueSpikes(token_->band);
@@ -182,19 +193,19 @@ class TokenPass {
 
   // Computes keys, values and, if `needs_query`, queries: LIF(W [R || P] + b). Returns the number
   // of value spikes.
-  uint64_t Project(const PackedLayer& packed, bool needs_query) {
-    const PackedLinear& linear = packed.key_value_query;
+  uint64_t Project(const PackedLayer<Arithmetic>& packed, bool needs_query) {
+    const Population& population = packed.key_value_query;
     const int section = PadToLanes(config_.hidden_size);
-    const kernels::Drive& drive =
-        scratch_.spikes.DriveOf(linear, needs_query ? 3 * section : 2 * section, &phase());
+    const int width = needs_query ? 3 * section : 2 * section;
+    const Drive& drive = scratch_.drives.Build(scratch_.spikes, population, width, &phase());
     const auto run = [&](int first, AlignedVector<uint32_t>& heads) {
-      return RunSection(linear, drive, first, section, heads);
+      return RunSection(population, drive, first, section, heads);
     };
     counts().spikes(Stage::kKey) += run(0, scratch_.keys);
     const uint64_t value_spikes = run(section, scratch_.values);
     counts().spikes(Stage::kValue) += value_spikes;
     if (needs_query) counts().spikes(Stage::kQuery) += run(2 * section, token_->query);
-    counts().accumulates += scratch_.spikes.Products(linear.nonzero, &phase());
+    counts().accumulates += scratch_.spikes.Products(population.nonzero, &phase());
     if (!needs_query)
       counts().accumulates -= scratch_.spikes.Products(packed.nonzero_query, &phase());
     return value_spikes;
@@ -202,16 +213,16 @@ class TokenPass {
 
   // Computes the spikes of the d neurons from lane `first` on and groups them by head, [T][H][W].
   // Returns the number of spikes.
-  uint64_t RunSection(const PackedLinear& linear, const kernels::Drive& drive, int first,
-                      int section, AlignedVector<uint32_t>& heads) {
+  uint64_t RunSection(const Population& population, const Drive& drive, int first, int section,
+                      AlignedVector<uint32_t>& heads) {
     const int size = config_.head_size();
     const int words = (size + 31) / 32;
     heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
     if (size % 32 == 0) {  // a head consists of whole words, so nothing has to be moved
-      kernels::LifBits(lif_, linear.bias.data(), drive, first, section, heads.data());
+      kernels::LifBits(lif_, population, drive, first, section, heads.data());
     } else {
       scratch_.bits.resize(static_cast<size_t>(config_.ticks) * section / kLanes);
-      kernels::LifBits(lif_, linear.bias.data(), drive, first, section, scratch_.bits.data());
+      kernels::LifBits(lif_, population, drive, first, section, scratch_.bits.data());
       uint32_t* out = heads.data();
       for (int tick = 0; tick < config_.ticks; ++tick) {
         const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * section / kLanes;
@@ -236,7 +247,7 @@ class TokenPass {
   // Computes mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or concatenated. scratch_.y
   // contains only the `ticks` ticks at which a head's output is not zero; the other ticks add
   // nothing, whatever their gates are.
-  void Merge(const PackedLayer& packed, int ticks) {
+  void Merge(const PackedLayer<Arithmetic>& packed, int ticks) {
     const int stride = PadToLanes(config_.heads);
     scratch_.gates.resize(static_cast<size_t>(ticks) * stride);
     if (config_.has_routing()) {
@@ -254,7 +265,7 @@ class TokenPass {
 
   // Computes the gates of the `ticks` ticks in scratch_.y, [ticks][stride]. The equations define
   // gates at the other ticks too, so their operations are counted, although they are not computed.
-  void Route(const PackedLayer& packed, int ticks, int stride) {
+  void Route(const PackedLayer<Arithmetic>& packed, int ticks, int stride) {
     const PackedLinear& hidden = packed.routing_hidden;
     scratch_.routing.resize(static_cast<size_t>(ticks) * hidden.width);
     counts().multiply_accumulates += kernels::AffineTicks(
@@ -276,14 +287,15 @@ class TokenPass {
   // x <- LayerNorm(x + W2 (spike count / T) + b2).
   void FeedForward(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
-    const PackedLayer& packed = packed_.layers[layer];
+    const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
     Code(weights.ffn_coder, 2 * layer + 1, Stage::kFfnIn);
-    const PackedLinear& linear = packed.ffn_hidden;
-    scratch_.hidden.resize(linear.width);
-    const kernels::Drive& drive = scratch_.spikes.DriveOf(linear, linear.width, nullptr);
+    const Population& population = packed.ffn_hidden;
+    scratch_.hidden.resize(population.width);
+    const Drive& drive =
+        scratch_.drives.Build(scratch_.spikes, population, population.width, nullptr);
     counts().spikes(Stage::kFfnHidden) +=
-        kernels::LifRates(lif_, linear.bias.data(), drive, linear.width, scratch_.hidden.data());
-    counts().accumulates += scratch_.spikes.Products(linear.nonzero, nullptr);
+        kernels::LifActivity(lif_, population, drive, scratch_.hidden.data());
+    counts().accumulates += scratch_.spikes.Products(population.nonzero, nullptr);
     Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
     AddResidual(weights.ffn_norm);
   }
@@ -295,13 +307,14 @@ class TokenPass {
 
   const Policy& policy_;
   const ModelConfig& config_;
-  const Lif lif_;
-  const PackedWeights& packed_;
-  Scratch& scratch_;
+  const typename Arithmetic::Neuron lif_;
+  const PackedWeights<Arithmetic>& packed_;
+  Scratch<Arithmetic>& scratch_;
   size_t token_count_ = 0;
   NewToken* token_ = nullptr;  // the current token
 };
 
+template <class Arithmetic>
 class StreamingEngine final : public Engine {
  public:
   explicit StreamingEngine(std::shared_ptr<const Policy> policy)
@@ -325,7 +338,7 @@ class StreamingEngine final : public Engine {
   }
 
   void DecideTogether(absl::Span<const Decision> decisions) const override {
-    TokenPass pass(*policy_, packed_);
+    TokenPass<Arithmetic> pass(*policy_, packed_);
     for (const Decision& decision : decisions) {
       auto& context = static_cast<StreamingContext&>(*decision.context);
       Counts& counts = decision.output->counts;
@@ -335,7 +348,7 @@ class StreamingEngine final : public Engine {
       counts.spikes(Stage::kPhase) += context.phase.generators.size();  // once per timestep
       const float standard_return = StandardizeReturn(*policy_, decision.return_to_go);
       pass.Add(context, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
-      std::vector<float>& input = ThreadScratch().input;
+      std::vector<float>& input = ThreadScratch<Arithmetic>().input;
       StandardizeObservation(*policy_, decision.observation, &input);
       pass.Add(context, counts, TokenKind::kState, input);
     }
@@ -346,7 +359,7 @@ class StreamingEngine final : public Engine {
   }
 
   void AppendActionsTogether(absl::Span<const TakenAction> actions) const override {
-    TokenPass pass(*policy_, packed_);
+    TokenPass<Arithmetic> pass(*policy_, packed_);
     for (const TakenAction& action : actions) {
       auto& context = static_cast<StreamingContext&>(*action.context);
       context.action_counts = Counts();
@@ -360,13 +373,16 @@ class StreamingEngine final : public Engine {
 
  private:
   std::shared_ptr<const Policy> policy_;
-  PackedWeights packed_;
+  PackedWeights<Arithmetic> packed_;
 };
 
 }  // namespace
 
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {
-  return std::make_unique<StreamingEngine>(std::move(policy));
+  if (policy->config.arithmetic == Arithmetic::kInt8) {
+    return std::make_unique<StreamingEngine<Int8Arithmetic>>(std::move(policy));
+  }
+  return std::make_unique<StreamingEngine<Float32Arithmetic>>(std::move(policy));
 }
 
 }  // namespace spikeserve

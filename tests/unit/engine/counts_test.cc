@@ -35,9 +35,9 @@ TEST(CountsTest, ADecisionBearsItsThreeTokens) {
   for (TensorSlot& slot : TensorSlots(config, 4, 2, &policy.weights)) {
     const bool coder = slot.name.find("coder") != std::string::npos;
     const bool bias = slot.name.ends_with("bias");
-    const bool weight = slot.name.ends_with("weight") && slot.tensor->shape.size() == 2;
-    if (coder) slot.tensor->values.assign(slot.tensor->values.size(), bias ? 2.0f : 0.0f);
-    if (weight) slot.tensor->values.assign(slot.tensor->values.size(), -0.5f);
+    const bool weight = slot.name.ends_with("weight") && slot.floats()->shape.size() == 2;
+    if (coder) slot.floats()->values.assign(slot.floats()->values.size(), bias ? 2.0f : 0.0f);
+    if (weight) slot.floats()->values.assign(slot.floats()->values.size(), -0.5f);
   }
   const auto shared = std::make_shared<const Policy>(policy);
   for (const auto& engine : {MakeReferenceEngine(shared), MakeStreamingEngine(shared)}) {

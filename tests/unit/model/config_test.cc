@@ -23,6 +23,8 @@ TEST(ConfigNames, RoundTrip) {
     EXPECT_EQ(ToString(*ParseEnum<Merge>("merge", name)), name);
   for (const char* name : {"softmax", "sigmoid"})
     EXPECT_EQ(ToString(*ParseEnum<Gate>("gate", name)), name);
+  for (const char* name : {"float32", "int8"})
+    EXPECT_EQ(ToString(*ParseEnum<Arithmetic>("arithmetic", name)), name);
 }
 
 TEST(ConfigNames, UnknownNamesAreRefusedWithTheKnownOnes) {
@@ -44,6 +46,20 @@ TEST(ModelConfig, SizesFollowTheMode) {
   EXPECT_EQ(ModelConfig{.mode = Mode::kPos}.attention_inputs(), 132);
   EXPECT_EQ(ModelConfig{.merge = Merge::kConcat}.merged_size(), 128);
   EXPECT_EQ(ModelConfig{.mode = Mode::kDense}.merged_size(), 128);
+}
+
+TEST(ModelConfig, IntegerDecayRoundsToTheNearest) {
+  EXPECT_EQ(ModelConfig{}.integer_decay(), 31130);  // 0.95 * 32768 = 31129.6
+  EXPECT_EQ(ModelConfig{.membrane_decay = 0.0f}.integer_decay(), 0);
+  EXPECT_EQ(ModelConfig{.membrane_decay = 0.5f / 32768.0f}.integer_decay(), 0) << "ties to even";
+  EXPECT_EQ(ModelConfig{.membrane_decay = 1.5f / 32768.0f}.integer_decay(), 2) << "ties to even";
+  EXPECT_EQ(ModelConfig{.membrane_decay = 1.0f}.integer_decay(), 32768);
+}
+
+TEST(ModelConfig, Int8AcceptsTheLargestDecayThatFits) {
+  EXPECT_TRUE((ModelConfig{.membrane_decay = 32767.0f / 32768.0f, .arithmetic = Arithmetic::kInt8}
+                   .Validate()
+                   .ok()));
 }
 
 TEST(ModelConfig, ValidateNamesTheField) {
@@ -68,6 +84,15 @@ TEST(ModelConfig, ValidateNamesTheField) {
       {{.membrane_decay = nan}, "membrane_decay: expected 0 to 1, received nan"},
       {{.threshold = 0.0f}, "threshold: expected a positive finite number, received 0"},
       {{.threshold = infinity}, "threshold: expected a positive finite number, received inf"},
+      {{.mode = Mode::kDense, .arithmetic = Arithmetic::kInt8},
+       "arithmetic: expected float32 in mode dense, received int8"},
+      {{.membrane_decay = 1.0f, .arithmetic = Arithmetic::kInt8},
+       "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
+       "received 1"},
+      // Below 1, but rounded to 32768.
+      {{.membrane_decay = 32767.5f / 32768.0f, .arithmetic = Arithmetic::kInt8},
+       "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
+       "received 0.999985"},
   };
   for (const auto& c : cases) {
     const absl::Status status = c.config.Validate();

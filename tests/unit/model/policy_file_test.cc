@@ -8,8 +8,11 @@
 #include <functional>
 #include <limits>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
+#include "core/model/quantize.h"
 #include "core/model/safetensors.h"
 #include "nlohmann/json.hpp"
 #include "tests/support/files.h"
@@ -33,6 +36,10 @@ std::vector<uint32_t> Bits(const std::vector<float>& values) {
   for (const float value : values) bits.push_back(std::bit_cast<uint32_t>(value));
   return bits;
 }
+template <class Integer>
+std::vector<uint32_t> Bits(const std::vector<Integer>& values) {
+  return {values.begin(), values.end()};
+}
 
 void ExpectBitEqual(Policy a, Policy b) {
   EXPECT_EQ(a.config, b.config);
@@ -49,8 +56,12 @@ void ExpectBitEqual(Policy a, Policy b) {
   const std::vector<TensorSlot> a_slots = slots(a), b_slots = slots(b);
   ASSERT_EQ(a_slots.size(), b_slots.size());
   for (size_t i = 0; i < a_slots.size(); ++i) {
-    EXPECT_EQ(a_slots[i].tensor->shape, b_slots[i].tensor->shape) << a_slots[i].name;
-    EXPECT_EQ(Bits(a_slots[i].tensor->values), Bits(b_slots[i].tensor->values)) << a_slots[i].name;
+    std::visit(
+        [&](const auto* a_tensor, const auto* b_tensor) {
+          EXPECT_EQ(a_tensor->shape, b_tensor->shape) << a_slots[i].name;
+          EXPECT_EQ(Bits(a_tensor->values), Bits(b_tensor->values)) << a_slots[i].name;
+        },
+        a_slots[i].tensor, b_slots[i].tensor);
   }
 }
 
@@ -74,6 +85,16 @@ TEST_F(PolicyFileTest, EveryShapeRoundTripsBitForBit) {
           ExpectRoundTrip(SmallPolicy(config, space), Path());
         }
       }
+    }
+  }
+}
+
+TEST_F(PolicyFileTest, IntegerPoliciesRoundTripBitForBit) {
+  for (const Mode mode : {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull}) {
+    for (const Merge merge : {Merge::kSum, Merge::kConcat}) {
+      ModelConfig config = SmallConfig(mode);
+      config.merge = merge;
+      ExpectRoundTrip(*Quantize(SmallPolicy(config)), Path());
     }
   }
 }
@@ -115,7 +136,23 @@ TEST_F(PolicyFileTest, MetadataIsReadableByOthers) {
   const json config = json::parse(contents->metadata.at("config"));
   EXPECT_EQ(config["mode"], "full");
   EXPECT_EQ(config["hidden_size"], 16);
-  EXPECT_EQ(config.size(), 14u);
+  EXPECT_EQ(config.size(), 14u) << "no arithmetic means float32";
+}
+
+TEST_F(PolicyFileTest, IntegerTensorsHaveTheDtypesThatOthersExpect) {
+  ASSERT_TRUE(WritePolicyFile(*Quantize(SmallPolicy()), Path()).ok());
+  const auto contents = ReadSafetensors(Path());
+  ASSERT_TRUE(contents.ok());
+  EXPECT_EQ(json::parse(contents->metadata.at("config"))["arithmetic"], "int8");
+  const auto dtype = [&](const char* name) { return DtypeName(contents->tensors.at(name)); };
+  EXPECT_EQ(dtype("layers.1.attention.query.weight"), "I8");
+  EXPECT_EQ(dtype("layers.1.attention.query.scale"), "F32");
+  EXPECT_EQ(dtype("layers.1.attention.query.bias"), "I16");
+  EXPECT_EQ(dtype("layers.1.attention.query.threshold"), "I16");
+  EXPECT_EQ(dtype("layers.1.attention.scale"), "F32");
+  EXPECT_EQ(dtype("layers.1.ffn.output.weight"), "I8");
+  EXPECT_EQ(dtype("layers.1.ffn.output.bias"), "F32");
+  EXPECT_EQ(dtype("layers.1.attention.output.weight"), "F32");
 }
 
 TEST_F(PolicyFileTest, OtherAnnotationsAreLeftAlone) {
@@ -155,10 +192,14 @@ struct Refusal {
   std::string message;
 };
 
+std::vector<float>& Floats(Safetensors& contents, const std::string& name) {
+  return std::get<Tensor>(contents.tensors.at(name)).values;
+}
+
 class PolicyFileRefusalTest : public DirectoryTest {
  protected:
-  void ExpectRefused(const std::vector<Refusal>& refusals) {
-    ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("good")).ok());
+  void ExpectRefused(const std::vector<Refusal>& refusals, const Policy& policy = SmallPolicy()) {
+    ASSERT_TRUE(WritePolicyFile(policy, Path("good")).ok());
     for (const Refusal& refusal : refusals) {
       Safetensors contents = *ReadSafetensors(Path("good"));
       refusal.change(contents);
@@ -181,9 +222,9 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
       {[](auto& c) {
          c.tensors["embed.timestep.weight"] = Tensor::Zeros({4, 16});
        },
-       "tensor \"embed.timestep.weight\": not expected in a policy of mode full"},
+       "tensor \"embed.timestep.weight\": not expected in a policy of mode full in float32"},
       {[](auto& c) { c.tensors["layers.2.coder.gain"] = Tensor::Zeros({16}); },
-       "tensor \"layers.2.coder.gain\": not expected in a policy of mode full"},
+       "tensor \"layers.2.coder.gain\": not expected in a policy of mode full in float32"},
       {[](auto& c) {
          c.tensors["head.weight"] = Tensor::Zeros({2, 17});
        },
@@ -198,14 +239,143 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
        "tensor \"observation.mean\": expected at least one value, received 0"},
       {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({5}); },
        "tensor \"embed.state.weight\": expected shape [16, 5], received [16, 4] with 64 values"},
-      {[](auto& c) { c.tensors["layers.0.attention.query.weight"].values[7] = kNan; },
+      {[](auto& c) { Floats(c, "layers.0.attention.query.weight")[7] = kNan; },
        "tensor \"layers.0.attention.query.weight\": expected finite numbers, received nan at index "
        "7"},
-      {[](auto& c) { c.tensors["phase.omega"].values[1] = kInfinity; },
+      {[](auto& c) { Floats(c, "phase.omega")[1] = kInfinity; },
        "tensor \"phase.omega\": expected finite numbers, received inf at index 1"},
-      {[](auto& c) { c.tensors["observation.std"].values[2] = -1.0f; },
+      {[](auto& c) { Floats(c, "observation.std")[2] = -1.0f; },
        "tensor \"observation.std\" at index 2: expected a positive finite number, received -1"},
   });
+}
+
+TEST_F(PolicyFileRefusalTest, TensorsOfAnotherDtype) {
+  ExpectRefused({
+      {[](auto& c) { c.tensors["head.bias"] = Int8Tensor::Zeros({2}); },
+       "tensor \"head.bias\": expected dtype \"F32\", received \"I8\""},
+      {[](auto& c) { c.tensors["observation.mean"] = Int16Tensor::Zeros({4}); },
+       "tensor \"observation.mean\": expected dtype \"F32\", received \"I16\""},
+      {[](auto& c) {
+         c.tensors["layers.0.ffn.hidden.weight"] = Int8Tensor::Zeros({32, 16});
+       },
+       "tensor \"layers.0.ffn.hidden.weight\": expected dtype \"F32\", received \"I8\""},
+      {[](auto& c) { c.tensors["layers.0.ffn.hidden.scale"] = Tensor::Zeros({32}); },
+       "tensor \"layers.0.ffn.hidden.scale\": not expected in a policy of mode full in float32"},
+  });
+}
+
+TEST_F(PolicyFileRefusalTest, IntegerTensors) {
+  const auto ints8 = [](Safetensors & c, const char* name) -> auto& {
+    return std::get<Int8Tensor>(c.tensors.at(name)).values;
+  };
+  const auto ints16 = [](Safetensors & c, const char* name) -> auto& {
+    return std::get<Int16Tensor>(c.tensors.at(name)).values;
+  };
+  // The largest sum that is allowed, in neuron 2 of 16 coder and 2 phase inputs.
+  const auto fill_neuron = [=](Safetensors& c, int bias) {
+    for (int j = 0; j < 18; ++j) {
+      ints8(c, "layers.1.attention.key.weight")[2 * 18 + j] = j % 2 == 0 ? 127 : -127;
+    }
+    ints16(c, "layers.1.attention.key.bias")[2] = static_cast<int16_t>(bias);
+  };
+  const std::string too_large =
+      "tensor \"layers.1.attention.key.weight\": expected |bias| + sum of |weight| of at most "
+      "32767, received 32768 at index 2";
+  std::vector<Refusal> refusals = {
+      {[](auto& c) { c.tensors.erase("layers.0.attention.value.scale"); },
+       "tensor \"layers.0.attention.value.scale\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("layers.1.ffn.hidden.threshold"); },
+       "tensor \"layers.1.ffn.hidden.threshold\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("layers.1.ffn.output.scale"); },
+       "tensor \"layers.1.ffn.output.scale\": expected, but missing"},
+      {[](auto& c) { c.tensors["layers.0.ffn.output.threshold"] = Int16Tensor::Zeros({16}); },
+       "tensor \"layers.0.ffn.output.threshold\": not expected in a policy of mode full in int8"},
+      {[](auto& c) { c.tensors["layers.0.ffn.hidden.threshold"] = Int16Tensor::Zeros({31}); },
+       "tensor \"layers.0.ffn.hidden.threshold\": expected shape [32], received [31] with 31 "
+       "values"},
+      {[=](auto& c) { ints8(c, "layers.0.attention.query.weight")[5] = -128; },
+       "tensor \"layers.0.attention.query.weight\": expected -127 to 127, received -128 at index "
+       "5"},
+      {[=](auto& c) { ints8(c, "layers.1.ffn.output.weight")[0] = -128; },
+       "tensor \"layers.1.ffn.output.weight\": expected -127 to 127, received -128 at index 0"},
+      {[=](auto& c) { ints16(c, "layers.0.attention.key.threshold")[3] = 0; },
+       "tensor \"layers.0.attention.key.threshold\": expected 1 to 32767, received 0 at index 3"},
+      {[=](auto& c) { ints16(c, "layers.0.ffn.hidden.threshold")[31] = -5; },
+       "tensor \"layers.0.ffn.hidden.threshold\": expected 1 to 32767, received -5 at index 31"},
+      {[](auto& c) { Floats(c, "layers.0.ffn.output.bias")[4] = kInfinity; },
+       "tensor \"layers.0.ffn.output.bias\": expected finite numbers, received inf at index 4"},
+      {[=](auto& c) { fill_neuron(c, 32767 - 18 * 127 + 1); }, too_large},
+      {[=](auto& c) { fill_neuron(c, -(32767 - 18 * 127 + 1)); }, too_large},
+      {[=](auto& c) {
+         for (int j = 0; j < 18; ++j) ints8(c, "layers.1.attention.key.weight")[2 * 18 + j] = 0;
+         ints16(c, "layers.1.attention.key.bias")[2] = -32768;
+       },
+       too_large},
+  };
+  for (const char* name : {"layers.1.attention.query.scale", "layers.0.ffn.output.scale"}) {
+    const std::string tensor = "tensor \"" + std::string(name) + "\": expected ";
+    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = 0.0f; },
+                        tensor + "positive finite numbers, received 0 at index 1"});
+    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = -0.5f; },
+                        tensor + "positive finite numbers, received -0.5 at index 1"});
+    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = kNan; },
+                        tensor + "finite numbers, received nan at index 1"});
+  }
+  for (const char* name : {"layers.0.attention.query", "layers.0.attention.key",
+                           "layers.0.attention.value", "layers.0.ffn.hidden"}) {
+    const std::string population = name;
+    for (const auto& [part, dtype] : {std::pair("weight", "I8"), std::pair("scale", "F32"),
+                                      std::pair("bias", "I16"), std::pair("threshold", "I16")}) {
+      const std::string tensor = population + "." + part;
+      const bool is_float = std::string(dtype) == "F32";
+      refusals.push_back({[=](auto& c) {
+                            if (is_float) {
+                              c.tensors[tensor] = Int8Tensor::Zeros({16});
+                            } else {
+                              c.tensors[tensor] = Tensor::Zeros({16});
+                            }
+                          },
+                          "tensor \"" + tensor + "\": expected dtype \"" + dtype +
+                              "\", received \"" + (is_float ? "I8" : "F32") + "\""});
+    }
+  }
+  refusals.push_back(
+      {[](auto& c) { c.tensors["layers.0.ffn.output.bias"] = Int16Tensor::Zeros({16}); },
+       "tensor \"layers.0.ffn.output.bias\": expected dtype \"F32\", received \"I16\""});
+  const Policy policy = *Quantize(SmallPolicy());
+  ExpectRefused(refusals, policy);
+
+  Safetensors contents = *ReadSafetensors(Path("good"));
+  fill_neuron(contents, 32767 - 18 * 127);
+  ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
+  EXPECT_TRUE(ReadPolicyFile(Path()).ok()) << ReadPolicyFile(Path()).status();
+}
+
+TEST_F(PolicyFileRefusalTest, IntegerConfig) {
+  const auto set = [](const char* key, const json& value) {
+    return [=](Safetensors& c) {
+      json config = json::parse(c.metadata["config"]);
+      config[key] = value;
+      c.metadata["config"] = config.dump();
+    };
+  };
+  ExpectRefused(
+      {
+          {set("arithmetic", "int4"),
+           "config.arithmetic: expected float32 or int8, received \"int4\""},
+          {set("arithmetic", "float32"),
+           "tensor \"layers.0.attention.query.weight\": expected dtype \"F32\", received \"I8\""},
+          {set("mode", "dense"), "arithmetic: expected float32 in mode dense, received int8"},
+          {set("membrane_decay", 1.0),
+           "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
+           "received 1"},
+          {set("ticks", 257), "ticks: expected 1 to 256, received 257"},
+          {set("ffn_size", 16385), "ffn_size: expected 1 to 16384, received 16385"},
+      },
+      *Quantize(SmallPolicy()));
+  ExpectRefused({{set("arithmetic", "int8"),
+                  "tensor \"layers.0.attention.query.weight\": expected dtype \"I8\", received "
+                  "\"F32\""}});
 }
 
 TEST_F(PolicyFileRefusalTest, ADenseTimestepEmbeddingOfNoRows) {
@@ -345,7 +515,7 @@ TEST_F(PolicyFileRefusalTest, Config) {
   set("layers", 3, "tensor \"layers.2.coder.gain\": expected, but missing");
   set("mode", "baseline",
       "tensor \"layers.0.routing.gate.bias\": not expected in a policy of "
-      "mode baseline");
+      "mode baseline in float32");
   ExpectRefused(refusals);
 }
 

@@ -21,7 +21,7 @@ std::vector<float> AllValues(Policy policy) {
   std::vector<float> all;
   for (const TensorSlot& slot : TensorSlots(policy.config, policy.observation_size(),
                                             policy.action_space.size(), &policy.weights)) {
-    all.insert(all.end(), slot.tensor->values.begin(), slot.tensor->values.end());
+    all.insert(all.end(), slot.floats()->values.begin(), slot.floats()->values.end());
   }
   return all;
 }

@@ -34,11 +34,24 @@ TEST_F(SafetensorsTest, ReadsAFileWrittenByHand) {
   ASSERT_TRUE(contents.ok()) << contents.status();
   EXPECT_THAT(contents->metadata, ElementsAre(Pair("by", "hand")));
   ASSERT_EQ(contents->tensors.size(), 3u);
-  EXPECT_THAT(contents->tensors.at("b").shape, ElementsAre(2, 1));
-  EXPECT_THAT(contents->tensors.at("b").values, ElementsAre(1.0f, -2.0f));
-  EXPECT_THAT(contents->tensors.at("a").shape, IsEmpty());
-  EXPECT_THAT(contents->tensors.at("a").values, ElementsAre(0.5f));
-  EXPECT_THAT(contents->tensors.at("none").values, IsEmpty());
+  const auto floats = [&](const char* name) {
+    return std::get<Tensor>(contents->tensors.at(name));
+  };
+  EXPECT_THAT(floats("b").shape, ElementsAre(2, 1));
+  EXPECT_THAT(floats("b").values, ElementsAre(1.0f, -2.0f));
+  EXPECT_THAT(floats("a").shape, IsEmpty());
+  EXPECT_THAT(floats("a").values, ElementsAre(0.5f));
+  EXPECT_THAT(floats("none").values, IsEmpty());
+}
+
+TEST_F(SafetensorsTest, ReadsIntegers) {
+  WriteBytes(Path(), Container(R"({"w":{"dtype":"I16","shape":[2],"data_offsets":[0,4]},)"
+                               R"("b":{"dtype":"I8","shape":[3],"data_offsets":[4,7]}})",
+                               std::string("\xff\x7f\x00\x80\x01\x80\x7f", 7)));
+  const auto contents = ReadSafetensors(Path());
+  ASSERT_TRUE(contents.ok()) << contents.status();
+  EXPECT_THAT(std::get<Int16Tensor>(contents->tensors.at("w")).values, ElementsAre(32767, -32768));
+  EXPECT_THAT(std::get<Int8Tensor>(contents->tensors.at("b")).values, ElementsAre(1, -128, 127));
 }
 
 TEST_F(SafetensorsTest, ReadsAFileWithoutTensors) {
@@ -50,14 +63,29 @@ TEST_F(SafetensorsTest, ReadsAFileWithoutTensors) {
 
 TEST_F(SafetensorsTest, WritesTheReferenceLayout) {
   const Safetensors contents = {.metadata = {{"by", "us"}},
-                                .tensors = {{"b", {.shape = {2, 1}, .values = {1.0f, -2.0f}}},
-                                            {"a", {.shape = {}, .values = {0.5f}}}}};
+                                .tensors = {{"b", Tensor{.shape = {2, 1}, .values = {1.0f, -2.0f}}},
+                                            {"a", Tensor{.shape = {}, .values = {0.5f}}}}};
   ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
   std::string header = R"({"__metadata__":{"by":"us"},)"
                        R"("a":{"dtype":"F32","shape":[],"data_offsets":[0,4]},)"
                        R"("b":{"dtype":"F32","shape":[2,1],"data_offsets":[4,12]}})";
   while (header.size() % 8 != 0) header.push_back(' ');
   EXPECT_EQ(ReadBytes(Path()), Container(header, kHalf + kOne + kMinusTwo));
+}
+
+TEST_F(SafetensorsTest, WritesWideTensorsFirst) {
+  const Safetensors contents = {.metadata = {},
+                                .tensors = {{"a", Int8Tensor{.shape = {2}, .values = {1, -1}}},
+                                            {"b", Int16Tensor{.shape = {1}, .values = {-2}}},
+                                            {"c", Tensor{.shape = {1}, .values = {1.0f}}},
+                                            {"d", Int8Tensor{.shape = {1}, .values = {127}}}}};
+  ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
+  std::string header = R"({"c":{"dtype":"F32","shape":[1],"data_offsets":[0,4]},)"
+                       R"("b":{"dtype":"I16","shape":[1],"data_offsets":[4,6]},)"
+                       R"("a":{"dtype":"I8","shape":[2],"data_offsets":[6,8]},)"
+                       R"("d":{"dtype":"I8","shape":[1],"data_offsets":[8,9]}})";
+  while (header.size() % 8 != 0) header.push_back(' ');
+  EXPECT_EQ(ReadBytes(Path()), Container(header, kOne + "\xfe\xff\x01\xff\x7f"));
 }
 
 TEST_F(SafetensorsTest, MissingFileIsNotFound) {
@@ -171,10 +199,11 @@ TEST_F(SafetensorsHeaderTest, RefusesBrokenEntries) {
       {R"({"a":{"dtype":"F32","shape":[4],"data_offsets":[0,16],"x":1}})",
        "expected dtype, shape and data_offsets, received \"x\""},
       {R"({"a":{"dtype":"F64","shape":[2],"data_offsets":[0,16]}})",
-       "tensor \"a\": expected dtype \"F32\", received \"F64\""},
+       "tensor \"a\": expected dtype \"F32\", \"I8\" or \"I16\", received \"F64\""},
       {R"({"a":{"dtype":"Q7","shape":[2],"data_offsets":[0,16]}})",
-       "tensor \"a\": expected dtype \"F32\", received \"Q7\""},
-      {R"({"a":{"dtype":32,"shape":[4],"data_offsets":[0,16]}})", "dtype \"F32\", received 32"},
+       "tensor \"a\": expected dtype \"F32\", \"I8\" or \"I16\", received \"Q7\""},
+      {R"({"a":{"dtype":32,"shape":[4],"data_offsets":[0,16]}})",
+       "dtype \"F32\", \"I8\" or \"I16\", received 32"},
       {R"({"a":{"dtype":"F32","shape":4,"data_offsets":[0,16]}})", "expected a shape, received 4"},
       {R"({"a":{"dtype":"F32","shape":[-4],"data_offsets":[0,16]}})", "in its shape, received -4"},
       {R"({"a":{"dtype":"F32","shape":[4.0],"data_offsets":[0,16]}})",
@@ -190,6 +219,10 @@ TEST_F(SafetensorsHeaderTest, RefusesBrokenEntries) {
        "expected at most 16 bytes, received a shape that takes more"},
       {R"({"a":{"dtype":"F32","shape":[3],"data_offsets":[0,16]}})",
        "expected 12 bytes as its shape says, received data_offsets of 16"},
+      {R"({"a":{"dtype":"I16","shape":[4],"data_offsets":[0,16]}})",
+       "expected 8 bytes as its shape says, received data_offsets of 16"},
+      {R"({"a":{"dtype":"I8","shape":[17],"data_offsets":[0,16]}})",
+       "expected at most 16 bytes, received a shape that takes more"},
   });
 }
 

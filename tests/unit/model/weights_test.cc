@@ -18,7 +18,7 @@ using Shapes = std::map<std::string, std::vector<int>>;
 Shapes ShapesOf(const ModelConfig& config) {
   Weights weights;
   Shapes shapes;
-  std::set<Tensor*> places;
+  std::set<decltype(TensorSlot::tensor)> places;
   for (const TensorSlot& slot :
        TensorSlots(config, /*observation_size=*/5, /*action_size=*/3, &weights)) {
     EXPECT_TRUE(shapes.emplace(slot.name, slot.shape).second) << slot.name;
@@ -131,6 +131,19 @@ TEST(TensorSlots, DenseHasTimestepsAndNoNeurons) {
   Shapes expected = CommonShapes();
   expected["embed.timestep.weight"] = {-1, 16};
   EXPECT_EQ(ShapesOf(OneLayer(Mode::kDense)), expected);
+}
+
+TEST(TensorSlots, Int8HasIntegerMaps) {
+  ModelConfig config = OneLayer(Mode::kBaseline);
+  config.arithmetic = Arithmetic::kInt8;
+  Shapes expected = SpikingShapes();
+  for (const char* name : {"attention.query", "attention.key", "attention.value", "ffn.hidden"}) {
+    const std::string population = "layers.0." + std::string(name);
+    expected[population + ".scale"] = expected[population + ".bias"];
+    expected[population + ".threshold"] = expected[population + ".bias"];
+  }
+  expected["layers.0.ffn.output.scale"] = {16};
+  EXPECT_EQ(ShapesOf(config), expected);
 }
 
 TEST(TensorSlots, EveryLayerHasItsOwn) {

@@ -45,6 +45,22 @@ cmp whole.json resumed.json
 grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=1 --seed=2000000 --json | grep -q '"first_seed": 2000000'
 
+# Rounds a policy to integers; equal starts give a small difference, and a policy is rounded once.
+"$spiketrain" quantize --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 --json |
+  grep -q '"difference_95_percent"'
+grep -aq "parent_sha256.*$(sha256sum <whole/policy.safetensors | cut -d' ' -f1)" new/2/policy.safetensors ||
+  fail "the parent's hash"
+grep -aq 'command.*spiketrain quantize --policy=whole/policy.safetensors .*lineage.*--out=whole' new/2/policy.safetensors ||
+  fail "the command or the lineage of the integer policy"
+"$spiketrain" eval --policy=new/2/policy.safetensors --episodes=1 --ablate=phase --json | grep -q '"phase"'
+refuses 'new/2/policy.safetensors: arithmetic: expected float32, received int8' \
+  quantize --policy=new/2/policy.safetensors --out=x
+refuses '--out: expected the file to write, received none' quantize --policy=whole/policy.safetensors
+refuses '--policy: expected a policy file, received none' quantize --out=x
+refuses '--episodes: expected at least 1, received 0' quantize --policy=whole/policy.safetensors --out=x --episodes=0
+refuses '--init: expected a policy in float32, received one in int8' \
+  train --data=data.cbor --init=new/2/policy.safetensors --out=x
+
 # Records episodes of a student, labelled by the expert.
 "$spiketrain" dataset --steps=100 --expert_fraction=0 --student=whole/policy.safetensors --weigh --out=student-v0 |
   grep -q '"student_steps":'
@@ -66,7 +82,7 @@ fi
 grep -q 'expected a run of .* --learning_rate=1 .*, received one of ' message || fail "report: $(cat message)"
 refuses "--out: expected the directory to write into, received none" report
 
-refuses 'command: expected one of expert, dataset, train, eval, report, received none'
+refuses 'command: expected one of expert, dataset, train, quantize, eval, report, received none'
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8

@@ -6,6 +6,9 @@
                   action_space=env.action_space, environment="CartPole-v1",
                   return_offset=250, return_scale=250, target_return=500)
 
+With `ModelConfig(arithmetic="int8")` the spike-driven weights are 8-bit integers; `quantize` of
+`spikeserve.integer_weights` rounds float32 weights to such tensors.
+
 The exporter checks everything that the server checks, before it writes anything. It needs the
 package `safetensors` (`spikeserve[export]`), and neither PyTorch nor a server.
 """
@@ -24,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.check import check
+from spikeserve.integer_weights import check_integers, integer_dtype, integer_shapes
 from spikeserve.model_config import ModelConfig
 from spikeserve.spaces import ActionSpace, Discrete, as_action_space
 
@@ -64,7 +68,7 @@ def export_policy(
 
     space = as_action_space(action_space)
     _check_space(space)
-    arrays = {name: _float32(name, tensor) for name, tensor in tensors.items()}
+    arrays = {name: _convert(name, tensor, config) for name, tensor in tensors.items()}
     _check_tensors(arrays, config, _action_size(space))
     numbers = {
         "return_offset": _number("return_offset", return_offset),
@@ -75,7 +79,7 @@ def export_policy(
     }
     metadata = {
         "format": FORMAT,
-        "config": json.dumps(asdict(config)),
+        "config": json.dumps(_config_values(config)),
         "action_space": json.dumps({"type": type(space).__name__, **asdict(space)}),
         "environment": environment,
         "training": _json("training", training or {}),
@@ -126,7 +130,7 @@ def _layer_shapes(config: ModelConfig, layer: str) -> dict[str, Shape]:
     shapes |= _linear(f"{layer}.ffn.hidden", config.ffn_size, d)
     shapes |= _linear(f"{layer}.ffn.output", d, config.ffn_size)
     shapes |= _pair(f"{layer}.ffn.norm", "weight", d)
-    return shapes
+    return shapes | (integer_shapes(config, layer) if config.is_int8 else {})
 
 
 def _linear(name: str, outputs: int, inputs: int) -> dict[str, Shape]:
@@ -154,19 +158,44 @@ def _check_space(space: ActionSpace) -> None:
         check(fits, "action_space", expected, f"{low} and {high}")
 
 
-def _float32(name: str, tensor: Any) -> NDArray[np.float32]:
+def _config_values(config: ModelConfig) -> dict[str, Any]:
+    values = asdict(config)
+    if not config.is_int8:
+        del values["arithmetic"]  # so that servers that do not know the key can read the file
+    return values
+
+
+def _convert(name: str, tensor: Any, config: ModelConfig) -> NDArray[Any]:
+    """Returns the tensor as an array of the dtype that the file requires."""
+    array = _real(name, tensor)
+    dtype = integer_dtype(name) if config.is_int8 else None
+    if dtype is not None:
+        return _integers(name, array, dtype)
+    with np.errstate(over="ignore"):  # an overflow becomes infinite, which _check_tensor rejects
+        return np.ascontiguousarray(array, np.float32).reshape(array.shape)
+
+
+def _integers(name: str, array: NDArray[Any], dtype: type[np.signedinteger[Any]]) -> NDArray[Any]:
+    limits = np.iinfo(dtype)
+    bad = ~((array >= limits.min) & (array <= limits.max) & (np.rint(array) == array))
+    for i in np.flatnonzero(bad)[:1]:
+        expected = f"integers from {limits.min} to {limits.max}"
+        check(False, f'tensor "{name}"', expected, f"{array.flat[i]} at index {i}")
+    return np.ascontiguousarray(array, dtype).reshape(array.shape)
+
+
+def _real(name: str, tensor: Any) -> NDArray[Any]:
     try:
         array = np.asarray(tensor.detach().cpu().numpy() if hasattr(tensor, "detach") else tensor)
     except (TypeError, ValueError) as error:
         received = f"{type(tensor).__name__} ({error})"
         raise ValueError(f'tensor "{name}": expected real numbers, received {received}') from error
     check(array.dtype.kind in "fiu", f'tensor "{name}"', "real numbers", f"dtype {array.dtype}")
-    with np.errstate(over="ignore"):  # an overflow becomes infinite, which _check_tensor rejects
-        return np.ascontiguousarray(array, np.float32).reshape(array.shape)
+    return array
 
 
 def _check_tensors(
-    arrays: Mapping[str, NDArray[np.float32]], config: ModelConfig, action_size: int
+    arrays: Mapping[str, NDArray[Any]], config: ModelConfig, action_size: int
 ) -> None:
     mean = 'tensor "observation.mean"'
     check("observation.mean" in arrays, mean, "a tensor", "none")
@@ -179,12 +208,14 @@ def _check_tensors(
         check(name in expected, f'tensor "{name}"', f"no such tensor in mode {config.mode}", "one")
     for name, shape in expected.items():
         _check_tensor(name, arrays[name], shape)
+    if config.is_int8:
+        check_integers(arrays, config)
     std = arrays["observation.std"]
     for i in np.flatnonzero(std <= 0)[:1]:
         check(False, 'tensor "observation.std"', "positive numbers", f"{std[i]} at index {i}")
 
 
-def _check_tensor(name: str, array: NDArray[np.float32], expected: Shape) -> None:
+def _check_tensor(name: str, array: NDArray[Any], expected: Shape) -> None:
     field = f'tensor "{name}"'
     fits = len(array.shape) == len(expected) and all(
         length >= 1 if wanted is None else length == wanted

@@ -32,6 +32,7 @@ class ModelConfig:
     phase_clock: str = "timestep"  # or window
     merge: str = "sum"  # or concat
     gate: str = "softmax"  # or sigmoid
+    arithmetic: str = "float32"  # of the spike-driven weights; or int8
 
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "mode": ("baseline", "pos", "route", "full", "dense"),
@@ -39,6 +40,7 @@ class ModelConfig:
         "phase_clock": ("timestep", "window"),
         "merge": ("sum", "concat"),
         "gate": ("softmax", "sigmoid"),
+        "arithmetic": ("float32", "int8"),
     }
     # The largest sizes that the server accepts.
     LIMITS: ClassVar[dict[str, int]] = {
@@ -64,6 +66,16 @@ class ModelConfig:
         check(0 <= self.membrane_decay <= 1, "membrane_decay", "0 to 1", self.membrane_decay)
         fits = bool(0 < np.float32(self.threshold) < np.inf)
         check(fits, "threshold", "a positive finite number", self.threshold)
+        if self.is_int8:
+            check(not self.is_dense, "arithmetic", "float32 in mode dense", repr(self.arithmetic))
+            fits = np.rint(np.float32(self.membrane_decay) * np.float32(32768)) <= 32767
+            expected = "at most 32767/32768 after rounding with arithmetic int8"
+            check(bool(fits), "membrane_decay", expected, self.membrane_decay)
+
+    @property
+    def is_int8(self) -> bool:
+        """Returns whether the spike-driven weights are 8-bit integers."""
+        return self.arithmetic == "int8"
 
     @property
     def is_dense(self) -> bool:

@@ -88,7 +88,7 @@ void SumRowsImpl(const PackedLinear& linear, const int32_t* members, int count, 
 // Runs kVectors vectors of neurons, from `lane` on. Calls on_spike(tick, v, mask) for each vector
 // at each tick.
 template <int kVectors, class OnSpike>
-HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive& drive, int lane,
+HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive<float>& drive, int lane,
                        OnSpike on_spike) {
   const F32 d;
   const auto decay = hn::Set(d, lif.decay);
@@ -117,7 +117,7 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive& drive, in
   }
 }
 
-void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int first, int width,
+void LifBitsImpl(const Lif& lif, const float* bias, const Drive<float>& drive, int first, int width,
                  uint32_t* bits) {
   const F32 d;
   uint8_t* const bytes = reinterpret_cast<uint8_t*>(bits);
@@ -130,7 +130,7 @@ void LifBitsImpl(const Lif& lif, const float* bias, const Drive& drive, int firs
   });
 }
 
-uint64_t LifRatesImpl(const Lif& lif, const float* bias, const Drive& drive, int width,
+uint64_t LifRatesImpl(const Lif& lif, const float* bias, const Drive<float>& drive, int width,
                       float* rates) {
   const F32 d;
   const I32 di;
@@ -180,17 +180,21 @@ void CoderPeriods(const PeriodTable& table, const float* x, const float* gain, c
   HWY_DYNAMIC_DISPATCH(CoderPeriodsImpl)(table, x, gain, bias, size, periods, active);
 }
 
-void SumRows(const PackedLinear& linear, const int32_t* members, int count, int width, float* sum) {
+const float* SumRows(const PackedLinear& linear, const int32_t* members, int count, int width,
+                     float* sum) {
+  if (count == 1) return linear.row(*members);
   HWY_DYNAMIC_DISPATCH(SumRowsImpl)(linear, members, count, width, sum);
+  return sum;
 }
 
-void LifBits(const Lif& lif, const float* bias, const Drive& drive, int first, int width,
-             uint32_t* bits) {
-  HWY_DYNAMIC_DISPATCH(LifBitsImpl)(lif, bias, drive, first, width, bits);
+void LifBits(const Lif& lif, const PackedLinear& linear, const Drive<float>& drive, int first,
+             int width, uint32_t* bits) {
+  HWY_DYNAMIC_DISPATCH(LifBitsImpl)(lif, linear.bias.data(), drive, first, width, bits);
 }
 
-uint64_t LifRates(const Lif& lif, const float* bias, const Drive& drive, int width, float* rates) {
-  return HWY_DYNAMIC_DISPATCH(LifRatesImpl)(lif, bias, drive, width, rates);
+uint64_t LifActivity(const Lif& lif, const PackedLinear& linear, const Drive<float>& drive,
+                     float* rates) {
+  return HWY_DYNAMIC_DISPATCH(LifRatesImpl)(lif, linear.bias.data(), drive, linear.width, rates);
 }
 
 uint64_t CountBits(const uint32_t* words, int count) {

@@ -7,7 +7,7 @@
 
 #include <cstdint>
 
-#include "core/engine/spiking/packed_weights.h"
+#include "core/engine/spiking/packed_linear.h"
 
 namespace spikeserve::kernels {
 

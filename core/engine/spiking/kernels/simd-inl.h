@@ -4,7 +4,7 @@
 #include <cstring>
 #include <type_traits>
 
-#include "core/engine/spiking/packed_weights.h"
+#include "core/engine/spiking/packed_linear.h"
 #include "hwy/highway.h"
 
 // Highway's include guard, which admits this file once per target.
@@ -47,7 +47,8 @@ HWY_INLINE auto MaskFromBits(D d, uint32_t bits) {
 
 // Returns `address`, but hides its origin from the compiler. Otherwise GCC moves the offset of each
 // vector of a row out of the loop over rows, and has no registers left for the sums.
-HWY_INLINE const float* Opaque(const float* address) {
+template <class T>
+HWY_INLINE const T* Opaque(const T* address) {
   asm("" : "+r"(address));
   return address;
 }
@@ -56,26 +57,28 @@ HWY_INLINE const float* Opaque(const float* address) {
 // one row must be in ascending order of v.
 template <class D, class Mask>
 HWY_INLINE void StoreMask(D d, Mask mask, uint8_t* bytes, int v) {
-  if constexpr (kVector >= 8) {
-    hn::StoreMaskBits(d, mask, bytes + v * kVector / 8);
+  constexpr int kMaskLanes = static_cast<int>(hn::MaxLanes(D()));
+  if constexpr (kMaskLanes >= 8) {
+    hn::StoreMaskBits(d, mask, bytes + v * kMaskLanes / 8);
   } else {
-    constexpr int kPerByte = 8 / kVector;
-    const int shift = v % kPerByte * kVector;
+    constexpr int kPerByte = 8 / kMaskLanes;
+    const int shift = v % kPerByte * kMaskLanes;
     uint8_t& byte = bytes[v / kPerByte];
     byte = static_cast<uint8_t>((shift == 0 ? 0 : byte) | MaskBits(d, mask) << shift);
   }
 }
 
 // Calls block(lane, count<V>) for the lanes [lane, width), both multiples of kLanes, in blocks of V
-// vectors. V is kVectors first, so that the chains of additions overlap, and then halves down to
-// kLanes lanes.
-template <int kVectors, class Block>
+// vectors of kVectorLanes lanes. V is kVectors first, so that the chains of additions overlap, and
+// then halves down to kLanes lanes.
+template <int kVectors, int kVectorLanes = kVector, class Block>
 HWY_INLINE void ForEachBlock(int lane, int width, Block block) {
-  constexpr int kBlock = kVectorsPerWord > kVectors ? kVectorsPerWord : kVectors;
-  for (; lane + kBlock * kVector <= width; lane += kBlock * kVector) {
+  constexpr int kSmallest = kLanes / kVectorLanes;
+  constexpr int kBlock = kSmallest > kVectors ? kSmallest : kVectors;
+  for (; lane + kBlock * kVectorLanes <= width; lane += kBlock * kVectorLanes) {
     block(lane, std::integral_constant<int, kBlock>());
   }
-  if constexpr (kBlock > kVectorsPerWord) ForEachBlock<kBlock / 2>(lane, width, block);
+  if constexpr (kBlock > kSmallest) ForEachBlock<kBlock / 2, kVectorLanes>(lane, width, block);
 }
 
 }  // namespace spikeserve::kernels::HWY_NAMESPACE

@@ -4,6 +4,8 @@
 
 #include <gtest/gtest.h>
 
+#include "core/engine/spiking/drive_builder.h"
+#include "core/engine/spiking/packed_linear.h"
 #include "core/math/counter_random.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/phase.h"
@@ -73,7 +75,8 @@ class SpikeInputTest : public testing::TestWithParam<CoderKind> {
 TEST_P(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
   const Linear& key = policy_.weights.layers[0].key;
   const PackedLinear packed = Pack({&key});
-  const kernels::Drive& drive = input_.DriveOf(packed, packed.width, &phase_);
+  DriveBuilder<float> builder;
+  const kernels::Drive<float>& drive = builder.Build(input_, packed, packed.width, &phase_);
   for (int tick = 1; tick <= config_.ticks; ++tick) {
     for (int i = 0; i < config_.hidden_size; ++i) {
       float current = packed.bias[i];

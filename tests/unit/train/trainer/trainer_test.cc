@@ -46,7 +46,7 @@ std::vector<float> AllWeights(const Trainer& trainer) {
   Policy policy = trainer.CurrentPolicy();
   std::vector<float> all;
   for (const TensorSlot& slot : TensorSlots(policy.config, 4, 2, &policy.weights)) {
-    all.insert(all.end(), slot.tensor->values.begin(), slot.tensor->values.end());
+    all.insert(all.end(), slot.floats()->values.begin(), slot.floats()->values.end());
   }
   return all;
 }

@@ -1,0 +1,60 @@
+#include "core/engine/spiking/packed_integers.h"
+
+#include <limits>
+
+#include "core/engine/spiking/packed_weights.h"
+
+namespace spikeserve {
+
+PackedIntegerPopulation Pack(std::initializer_list<const IntegerPopulation*> populations,
+                             int hidden_size) {
+  PackedIntegerPopulation packed;
+  packed.inputs = (*populations.begin())->weight.shape[1];
+  for (const auto* population : populations) {
+    packed.width += PadToLanes(population->weight.shape[0]);
+  }
+  packed.rows.assign(static_cast<size_t>(packed.inputs) * packed.width, 0);
+  packed.bias.assign(packed.width, 0);
+  packed.silent.assign(packed.width, std::numeric_limits<int16_t>::max());
+  packed.nonzero.assign(packed.inputs, 0);
+  int lane = 0;
+  for (const IntegerPopulation* population : populations) {
+    const int outputs = population->weight.shape[0];
+    for (int k = 0; k < outputs; ++k) {
+      packed.bias[lane + k] = population->bias.values[k];
+      packed.silent[lane + k] = static_cast<int16_t>(population->threshold.values[k] - 1);
+      for (int j = 0; j < packed.inputs; ++j) {
+        const int8_t weight = population->weight.at(k, j);
+        packed.rows[static_cast<size_t>(j) * packed.width + lane + k] = weight;
+        packed.nonzero[j] += weight != 0;
+      }
+    }
+    packed.outputs = lane + outputs;
+    lane += PadToLanes(outputs);
+  }
+  packed.phase_rows.assign(packed.row(hidden_size), packed.row(packed.inputs));
+  return packed;
+}
+
+PackedIntegerOutput Pack(const IntegerOutput& output, int ticks) {
+  const int outputs = output.weight.shape[0];
+  PackedIntegerOutput packed;
+  packed.inputs = output.weight.shape[1];
+  packed.width = PadToLanes(outputs);
+  packed.rows.assign(static_cast<size_t>(PadToLanes(packed.inputs)) * packed.width, 0);
+  packed.factor.assign(packed.width, 0.0f);
+  packed.bias.assign(packed.width, 0.0f);
+  packed.nonzero.assign(PadToLanes(packed.inputs), 0);
+  for (int k = 0; k < outputs; ++k) {
+    packed.factor[k] = output.scale.values[k] / static_cast<float>(ticks);
+    packed.bias[k] = output.bias.values[k];
+    for (int j = 0; j < packed.inputs; ++j) {
+      const int8_t weight = output.weight.at(k, j);
+      packed.rows[(static_cast<size_t>(j / 2) * packed.width + k) * 2 + j % 2] = weight;
+      packed.nonzero[j] = static_cast<int16_t>(packed.nonzero[j] + (weight != 0));
+    }
+  }
+  return packed;
+}
+
+}  // namespace spikeserve

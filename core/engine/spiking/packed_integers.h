@@ -1,0 +1,61 @@
+// Stores the integer maps of a layer in the layout of the streaming engine: each lane is an output
+// neuron, and rows start on cache lines.
+//
+// Immutable once built, and thread-safe.
+#ifndef CORE_ENGINE_SPIKING_PACKED_INTEGERS_H_
+#define CORE_ENGINE_SPIKING_PACKED_INTEGERS_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <initializer_list>
+
+#include "core/engine/spiking/aligned_vector.h"
+#include "core/model/integer_weights.h"
+
+namespace spikeserve {
+
+// One or several populations of equal inputs side by side. Each is padded to a multiple of kLanes
+// (packed_weights.h) with neurons that never fire.
+struct PackedIntegerPopulation {
+  int inputs = 0;
+  int outputs = 0;             // number of lanes up to the last one that is not padding
+  int width = 0;               // number of all lanes
+  AlignedVector<int8_t> rows;  // [inputs][width]
+  // [inputs - d][width]: the rows of the phase inputs, which are added one by one, as currents.
+  AlignedVector<int16_t> phase_rows;
+  AlignedVector<int16_t> bias;      // [width]
+  AlignedVector<int16_t> silent;    // [width]: the largest membrane that does not fire
+  AlignedVector<uint32_t> nonzero;  // [inputs]: number of nonzero weights of an input
+
+  // Returns the weights of one input, [width].
+  const int8_t* row(int input) const { return rows.data() + static_cast<size_t>(input) * width; }
+  // Returns the weights of a phase generator, [width].
+  const int16_t* phase_row(int generator) const {
+    return phase_rows.data() + static_cast<size_t>(generator) * width;
+  }
+};
+
+// The map of spike counts to updates. The rows of two successive inputs are interleaved, so that
+// one instruction multiplies both by their counts and adds the products.
+struct PackedIntegerOutput {
+  int inputs = 0;                  // F
+  int width = 0;                   // number of all lanes
+  AlignedVector<int8_t> rows;      // [pad(F) / 2][width][2]
+  AlignedVector<float> factor;     // [width]: scale / T
+  AlignedVector<float> bias;       // [width]
+  AlignedVector<int16_t> nonzero;  // [pad(F)]: number of nonzero weights of an input
+
+  // Returns the interleaved weights of the inputs 2 pair and 2 pair + 1, [width][2].
+  const int8_t* row(int pair) const { return rows.data() + static_cast<size_t>(pair) * width * 2; }
+};
+
+// Packs populations of equal inputs side by side. Inputs from `hidden_size` on are phase inputs.
+PackedIntegerPopulation Pack(std::initializer_list<const IntegerPopulation*> populations,
+                             int hidden_size);
+
+// Packs the map of spike counts over `ticks` ticks.
+PackedIntegerOutput Pack(const IntegerOutput& output, int ticks);
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_SPIKING_PACKED_INTEGERS_H_

@@ -1,0 +1,91 @@
+#include "core/model/integer_weights.h"
+
+#include <cmath>
+#include <cstdint>
+#include <cstdlib>
+#include <limits>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/json.h"
+#include "core/model/config.h"
+
+namespace spikeserve {
+namespace {
+
+// The sums of ffn.output fit 32 bits in every valid config, so files need no check of their own.
+static_assert(int64_t{kLargestInt8Weight} * ModelLimits::kTicks * ModelLimits::kFfnSize <=
+              std::numeric_limits<int32_t>::max());
+
+absl::Status TensorError(absl::string_view name, absl::string_view expected, auto received,
+                         size_t index) {
+  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name), ": expected ", expected,
+                                                 ", received ", received, " at index ", index));
+}
+
+absl::Status CheckWeights(const std::string& name, const Int8Tensor& weight) {
+  for (size_t i = 0; i < weight.values.size(); ++i) {
+    const int value = weight.values[i];
+    if (std::abs(value) > kLargestInt8Weight) {
+      return TensorError(name, "-127 to 127", value, i);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckScale(const std::string& name, const Tensor& scale) {
+  for (size_t i = 0; i < scale.values.size(); ++i) {
+    if (!(scale.values[i] > 0.0f && std::isfinite(scale.values[i]))) {
+      return TensorError(name, "positive finite numbers", scale.values[i], i);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckThreshold(const std::string& name, const Int16Tensor& threshold) {
+  for (size_t i = 0; i < threshold.values.size(); ++i) {
+    if (threshold.values[i] < 1) {
+      return TensorError(name, "1 to 32767", int{threshold.values[i]}, i);
+    }
+  }
+  return absl::OkStatus();
+}
+
+// Checks that no current into the population can leave 16 bits.
+absl::Status CheckCurrents(const std::string& name, const IntegerPopulation& population) {
+  const int outputs = population.weight.shape[0];
+  const int inputs = population.weight.shape[1];
+  for (int k = 0; k < outputs; ++k) {
+    int current = std::abs(int{population.bias.values[k]});
+    for (int j = 0; j < inputs; ++j) current += std::abs(int{population.weight.at(k, j)});
+    if (current > kLargestCurrent) {
+      return TensorError(name + ".weight",
+                         absl::StrCat("|bias| + sum of |weight| of at most ", kLargestCurrent),
+                         current, k);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckPopulation(const std::string& name, const IntegerPopulation& population) {
+  absl::Status status = CheckWeights(name + ".weight", population.weight);
+  status.Update(CheckScale(name + ".scale", population.scale));
+  status.Update(CheckThreshold(name + ".threshold", population.threshold));
+  status.Update(CheckCurrents(name, population));
+  return status;
+}
+
+}  // namespace
+
+absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps) {
+  absl::Status status = CheckPopulation(absl::StrCat(name, ".attention.query"), maps.query);
+  status.Update(CheckPopulation(absl::StrCat(name, ".attention.key"), maps.key));
+  status.Update(CheckPopulation(absl::StrCat(name, ".attention.value"), maps.value));
+  status.Update(CheckPopulation(absl::StrCat(name, ".ffn.hidden"), maps.ffn_hidden));
+  const std::string output = absl::StrCat(name, ".ffn.output");
+  status.Update(CheckWeights(output + ".weight", maps.ffn_output.weight));
+  status.Update(CheckScale(output + ".scale", maps.ffn_output.scale));
+  return status;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,53 @@
+// Defines the spike-driven maps of a layer in integer arithmetic (Arithmetic::kInt8).
+//
+// Weights are 8-bit integers in units of a scale, one scale per output neuron; currents, membranes
+// and thresholds are 16-bit integers in the same units (see core/neuron/integer_lif.h). Sums are
+// exact, so the order of addition does not matter. Symbols as in weights.h. Plain values.
+#ifndef CORE_MODEL_INTEGER_WEIGHTS_H_
+#define CORE_MODEL_INTEGER_WEIGHTS_H_
+
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "core/math/tensor.h"
+
+namespace spikeserve {
+
+// The largest magnitude of an 8-bit weight. -128 is not used, so that the range is symmetric.
+inline constexpr int kLargestInt8Weight = 127;
+// The largest magnitude that |bias| + sum over the inputs of |weight| may have for one neuron. No
+// current can then leave 16 bits, in any order of addition.
+inline constexpr int kLargestCurrent = 32767;
+
+// A population of integer LIF neurons and its synapses.
+struct IntegerPopulation {
+  Int8Tensor weight;      // [out, in], in units of scale; -127 to 127
+  Tensor scale;           // [out], > 0: the float32 weight is weight * scale
+  Int16Tensor bias;       // [out], in units of scale
+  Int16Tensor threshold;  // [out], in units of scale; at least 1
+};
+
+// The affine map of spike counts to the analog update of a token:
+// update_k = (scale_k / T) * float(sum over j of count_j * weight_kj) + bias_k.
+struct IntegerOutput {
+  Int8Tensor weight;  // [out, in], in units of scale; -127 to 127
+  Tensor scale;       // [out], > 0
+  Tensor bias;        // [out]
+};
+
+// The maps of one layer that spikes drive.
+struct IntegerMaps {
+  IntegerPopulation query;       // [d, in], [d]
+  IntegerPopulation key;         // [d, in], [d]
+  IntegerPopulation value;       // [d, in], [d]
+  IntegerPopulation ffn_hidden;  // [F, d], [F]
+  IntegerOutput ffn_output;      // [d, F], [d]
+};
+
+// Returns INVALID_ARGUMENT if a number of layer `name` ("layers.0") is out of its range, or if the
+// magnitudes of a neuron's bias and weights add up to more than kLargestCurrent. The message names
+// the tensor. REQUIRES: the tensors have the shapes of TensorSlots.
+absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps);
+
+}  // namespace spikeserve
+
+#endif  // CORE_MODEL_INTEGER_WEIGHTS_H_

@@ -1,0 +1,69 @@
+#include "train/evaluation/paired_evaluation.h"
+
+#include <cmath>
+#include <utility>
+
+#include "absl/strings/str_format.h"
+#include "core/math/vector_view.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr double kDeviations = 1.959964;  // half the width of a 95% interval of the normal
+
+}  // namespace
+
+std::vector<double> PairedEvaluation::differences() const {
+  std::vector<double> differences;
+  for (size_t i = 0; i < first.returns.size(); ++i) {
+    differences.push_back(second.returns[i] - first.returns[i]);
+  }
+  return differences;
+}
+
+MeanInterval MeanWithInterval(const std::vector<double>& values) {
+  const auto count = static_cast<double>(values.size());
+  const double mean = AsVector(values).mean();
+  const double squares = (AsVector(values).array() - mean).square().sum();
+  const double variance = count > 1.0 ? squares / (count - 1.0) : 0.0;
+  const double margin = kDeviations * std::sqrt(variance / count);
+  return {.mean = mean, .low = mean - margin, .high = mean + margin};
+}
+
+absl::StatusOr<PairedEvaluation> EvaluatePair(std::shared_ptr<const Policy> first,
+                                              std::shared_ptr<const Policy> second,
+                                              const EvaluationOptions& options) {
+  absl::StatusOr<Evaluation> a = Evaluate(std::move(first), options);
+  if (!a.ok()) return a.status();
+  absl::StatusOr<Evaluation> b = Evaluate(std::move(second), options);
+  if (!b.ok()) return b.status();
+  return PairedEvaluation{.first = *std::move(a), .second = *std::move(b)};
+}
+
+nlohmann::ordered_json ToJson(const PairedEvaluation& pair) {
+  const MeanInterval difference = MeanWithInterval(pair.differences());
+  return {
+      {"environment", pair.first.environment},
+      {"episodes", pair.first.options.episodes},
+      {"first_seed", pair.first.options.first_seed},
+      {"mean_returns", {pair.first.mean_return(), pair.second.mean_return()}},
+      {"mean_difference", difference.mean},
+      {"difference_95_percent", {difference.low, difference.high}},
+      {"spikes_per_decision",
+       {pair.first.spikes_per_decision(), pair.second.spikes_per_decision()}},
+  };
+}
+
+std::string ToText(const PairedEvaluation& pair) {
+  const MeanInterval difference = MeanWithInterval(pair.differences());
+  return absl::StrFormat(
+      "%s, %d episodes from seed %d\n"
+      "return %.2f before, %.2f after; difference %.3f (95%% interval %.3f to %.3f)\n"
+      "spikes per decision %.1f before, %.1f after (%+.2f%%)\n",
+      pair.first.environment, pair.first.options.episodes, pair.first.options.first_seed,
+      pair.first.mean_return(), pair.second.mean_return(), difference.mean, difference.low,
+      difference.high, pair.first.spikes_per_decision(), pair.second.spikes_per_decision(),
+      100.0 * (pair.second.spikes_per_decision() / pair.first.spikes_per_decision() - 1.0));
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,108 @@
+#include <cstdio>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <system_error>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/status.h"
+#include "core/environment/environment.h"
+#include "core/model/policy_file.h"
+#include "core/model/quantize.h"
+#include "train/commands.h"
+#include "train/evaluation/paired_evaluation.h"
+#include "train/evaluation/training_record.h"
+#include "train/record_flags.h"
+
+namespace spikeserve {
+namespace {
+
+struct QuantizeFlags {
+  std::string policy;
+  std::string out;
+  EvaluationOptions options = {.episodes = 1000, .first_seed = 2'000'000};
+  bool json = false;
+};
+
+absl::Status CheckFlags(const QuantizeFlags& flags) {
+  if (flags.policy.empty()) {
+    return absl::InvalidArgumentError("--policy: expected a policy file, received none");
+  }
+  if (flags.out.empty()) {
+    return absl::InvalidArgumentError("--out: expected the file to write, received none");
+  }
+  const absl::Status status = flags.options.Validate();
+  return status.ok() ? status : NameFlag(status);
+}
+
+absl::Status MakeDirectoryOf(const std::string& path) {
+  const std::filesystem::path directory = std::filesystem::path(path).parent_path();
+  std::error_code error;
+  if (!directory.empty()) std::filesystem::create_directories(directory, error);
+  if (!error) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--out: cannot make the directory ", directory.string(), ": ", error.message()));
+}
+
+// Plays both policies where their environment is ours; nothing otherwise.
+absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
+                                                         const Policy& integer,
+                                                         const EvaluationOptions& options) {
+  if (!MakeEnvironment(parent.environment).ok()) return std::optional<PairedEvaluation>();
+  absl::StatusOr<PairedEvaluation> pair = EvaluatePair(
+      std::make_shared<const Policy>(parent), std::make_shared<const Policy>(integer), options);
+  if (!pair.ok()) return pair.status();
+  return std::optional<PairedEvaluation>(*std::move(pair));
+}
+
+// The record of how the integer policy came to be.
+std::string QuantizationRecord(const std::string& command_line, const std::string& parent_sha256,
+                               const std::optional<PairedEvaluation>& pair, const Policy& parent,
+                               const ModelConfig& config) {
+  nlohmann::ordered_json record = {{"command", command_line}, {"parent_sha256", parent_sha256}};
+  if (pair.has_value()) {
+    record["paired_returns"] = ToJson(*pair);
+    record["evaluation"] = ToJson(pair->second, config);
+  }
+  AddLineage(parent.training, &record);
+  return record.dump();
+}
+
+absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& command_line) {
+  if (absl::Status status = CheckFlags(flags); !status.ok()) return status;
+  const absl::StatusOr<Policy> parent = ReadPolicyFile(flags.policy);
+  if (!parent.ok()) return parent.status();
+  const absl::StatusOr<std::string> sha256 = FileSha256(flags.policy);
+  if (!sha256.ok()) return sha256.status();
+  absl::StatusOr<Policy> integer = Quantize(*parent);
+  if (!integer.ok()) return Annotate(integer.status(), flags.policy);
+  const absl::StatusOr<std::optional<PairedEvaluation>> pair =
+      PlayBoth(*parent, *integer, flags.options);
+  if (!pair.ok()) return pair.status();
+  if (absl::Status status = MakeDirectoryOf(flags.out); !status.ok()) return status;
+  integer->training = QuantizationRecord(command_line, *sha256, *pair, *parent, integer->config);
+  if (absl::Status status = WritePolicyFile(*integer, flags.out); !status.ok()) return status;
+  if (!pair->has_value()) return absl::OkStatus();
+  std::fputs((flags.json ? ToJson(**pair).dump(2) + "\n" : ToText(**pair)).c_str(), stdout);
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddQuantizeCommand(Program& program) {
+  const Command command = program.root().AddCommand(
+      "quantize", "Rounds a policy's spike-driven weights to 8-bit integers");
+  const auto flags = std::make_shared<QuantizeFlags>();
+  command.Flags("Rounding")
+      .Add("policy", "FILE", &flags->policy, "Policy file in float32")
+      .Add("out", "FILE", &flags->out, "Policy file to write, in int8")
+      .Add("episodes", "N", &flags->options.episodes, "Episodes that both policies play")
+      .Add("seed", "N", &flags->options.first_seed,
+           "Seed of the first start; later episodes count on")
+      .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
+  command.SetAction([flags, &program] { return QuantizePolicy(*flags, program.CommandLine()); });
+}
+
+}  // namespace spikeserve
