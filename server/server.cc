@@ -40,6 +40,9 @@ constexpr absl::Duration kTokensInterval = absl::Seconds(1);
 // the services instead, which delay the refusal (RefusalPacer).
 constexpr int64_t kLargestReceived = 64 << 20;
 
+// The health page reports a server whose loops do not finish a turn within this time.
+constexpr absl::Duration kHealthTimeout = absl::Seconds(1);
+
 // The interval of looking whether the calls in flight have ended.
 constexpr absl::Duration kDrainPollInterval = absl::Milliseconds(1);
 
@@ -162,7 +165,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .metrics = metrics_.get(),
               .clock = &clock_,
               .worker = &worker_,
-              .serving = [this] { return serving(); }}) {}
+              .serving = [this] { return serving() && TransportResponds(); }}) {}
 
 ServiceParts Server::Parts(BackgroundWorker* worker) {
   return {.calls = &calls_,
@@ -230,6 +233,10 @@ absl::Status Server::StartGrpc() {
   }
   PublishHealth();
   return absl::OkStatus();
+}
+
+bool Server::TransportResponds() const {
+  return transport_ == nullptr || transport_->Responds(kHealthTimeout);
 }
 
 void Server::PublishHealth() {

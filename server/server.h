@@ -81,6 +81,8 @@ class Server {
   void WarnOfCallsInFlight();
   absl::Status StartHttp();
   bool serving() const { return !stopping_ && !store_.draining(); }
+  // Returns true unless the loops of the transport are stuck.
+  bool TransportResponds() const;
   void PublishHealth();
 
   const ServerOptions options_;

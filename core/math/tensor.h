@@ -6,7 +6,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <utility>
 #include <vector>
 
 namespace spikeserve {
@@ -18,10 +17,10 @@ struct BasicTensor {
   std::vector<Number> values;
 
   // Returns a tensor of `shape` filled with zeros.
-  static BasicTensor Zeros(std::vector<int> shape) {
+  static BasicTensor Zeros(const std::vector<int>& shape) {
     size_t size = 1;
     for (const int length : shape) size *= static_cast<size_t>(length);
-    return {.shape = std::move(shape), .values = std::vector<Number>(size)};
+    return {.shape = shape, .values = std::vector<Number>(size)};
   }
   // Returns one element of a matrix. REQUIRES: two dimensions, and indices within them.
   Number at(int row, int column) const {

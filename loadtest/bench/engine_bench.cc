@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
@@ -23,6 +24,8 @@
 namespace spikeserve {
 namespace {
 
+constexpr int kObservationSize = 4;  // of CartPole-v1, which every policy plays
+
 struct Flags {
   std::string policy;
   std::string engine = "streaming";
@@ -32,12 +35,20 @@ struct Flags {
   int episode_steps = 500;
 };
 
+absl::StatusOr<Policy> ReadCartPolePolicy(const std::string& path) {
+  absl::StatusOr<Policy> policy = ReadPolicyFile(path);
+  if (!policy.ok() || policy->observation_size() == kObservationSize) return policy;
+  return absl::InvalidArgumentError(absl::StrCat("--policy: expected observations of ",
+                                                 kObservationSize, " elements, received ",
+                                                 policy->observation_size()));
+}
+
 absl::StatusOr<Policy> GivenPolicy(const Flags& flags) {
-  if (!flags.policy.empty()) return ReadPolicyFile(flags.policy);
+  if (!flags.policy.empty()) return ReadCartPolePolicy(flags.policy);
   ModelConfig config = flags.random;
   config.ffn_size = 4 * config.hidden_size;
   if (auto status = config.Validate(); !status.ok()) return status;
-  return RandomPolicy(config, /*observation_size=*/4, ActionSpace::Discrete(2), /*seed=*/1);
+  return RandomPolicy(config, kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
 }
 
 absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {

@@ -22,10 +22,10 @@ constexpr size_t kQueuedFrames = 1000;
 constexpr absl::Duration kClosingTimeout = absl::Seconds(1);
 constexpr size_t kMaxDropped = 1 << 20;
 
-// The streams of a connection read no further messages while it stores more bytes than this: less
-// when all connections together use a quarter of their budget.
-constexpr int64_t kStored = 1 << 20;
-constexpr int64_t kStoredWhenScarce = 64 << 10;
+// The streams of a connection read no further messages while it stores more bytes of answers
+// than this: less when all connections together use a quarter of their budget.
+constexpr int64_t kStoredAnswers = 1 << 20;
+constexpr int64_t kAnswersWhenScarce = 64 << 10;
 constexpr int64_t kScarceFraction = 4;
 
 constexpr char kResetLimit[] = "--max_resets_per_second";
@@ -180,7 +180,7 @@ void Connection::Continue() {
 bool Connection::MayRead() const {
   const ByteBudget& process = *shared_->bytes_in_flight;
   const bool scarce = process.used() > process.limit() / kScarceFraction;
-  return bytes_ <= (scarce ? kStoredWhenScarce : kStored);
+  return answer_bytes_ <= (scarce ? kAnswersWhenScarce : kStoredAnswers);
 }
 
 void Connection::ReadOnLater(int32_t id) {

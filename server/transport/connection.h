@@ -75,6 +75,7 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   CallRouter& router() override { return *shared_->router; }
   const TransportLimits& limits() const override { return *shared_->limits; }
   bool CountBytes(int64_t bytes) override;
+  void CountAnswers(int64_t bytes) override { answer_bytes_ += bytes; }
   void WantFlush() override;
   bool MayRead() const override;
   void ReadOnLater(int32_t id) override;
@@ -128,7 +129,8 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   absl::Duration headers_since_ = absl::InfiniteDuration();  // a header block is incomplete
   FrameBudget resets_;
   FrameBudget control_frames_;
-  int64_t bytes_ = 0;  // that streams store
+  int64_t bytes_ = 0;         // that streams store
+  int64_t answer_bytes_ = 0;  // those that are answers
   std::unique_ptr<nghttp2_session, FreeSession> session_;
   absl::flat_hash_map<int32_t, std::unique_ptr<GrpcStream>> streams_;
   std::vector<std::unique_ptr<GrpcStream>> closed_streams_;  // destroyed when no callback runs

@@ -58,7 +58,10 @@ ssize_t ReadCallback(nghttp2_session* /*session*/, int32_t /*id*/, uint8_t* out,
 
 }  // namespace
 
-GrpcStream::~GrpcStream() { owner_->CountBytes(-counted_); }
+GrpcStream::~GrpcStream() {
+  owner_->CountBytes(-counted_);
+  owner_->CountAnswers(-counted_answers_);
+}
 
 bool GrpcStream::AddHeader(absl::string_view name, absl::string_view value) {
   header_bytes_ += static_cast<int64_t>(name.size() + value.size()) + kHeaderOverhead;
@@ -208,15 +211,18 @@ void GrpcStream::Consume(size_t bytes) {
 }
 
 void GrpcStream::CountStored() {
-  const auto stored = static_cast<int64_t>(reader_.buffered() + unread_.size() + answer_.size());
-  const bool within_limits = owner_->CountBytes(stored - std::exchange(counted_, stored));
-  if (within_limits || finished_ || reader_.buffered() + unread_.size() == 0) return;
-  Finish(absl::ResourceExhaustedError(
-      "the server holds as many bytes of requests as it may; try again later"));
+  const auto request = static_cast<int64_t>(reader_.buffered() + unread_.size());
+  const auto answers = static_cast<int64_t>(answer_.size());
+  owner_->CountAnswers(answers - std::exchange(counted_answers_, answers));
+  const bool within_limits =
+      owner_->CountBytes(request + answers - std::exchange(counted_, request + answers));
+  if (within_limits || finished_ || request == 0) return;
   unread_ = {};
   reader_ = {};
-  owner_->CountBytes(static_cast<int64_t>(answer_.size()) - counted_);
-  counted_ = static_cast<int64_t>(answer_.size());
+  owner_->CountBytes(-request);
+  counted_ -= request;
+  Finish(absl::ResourceExhaustedError(
+      "the server holds as many bytes of requests as it may; try again later"));
 }
 
 void GrpcStream::Send(const google::protobuf::MessageLite& message) {

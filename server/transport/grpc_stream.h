@@ -33,9 +33,11 @@ class GrpcStream final : public Call {
     // Counts bytes that the stream stores, or stores no longer if `bytes` is negative. Returns
     // false if a limit is exceeded; the bytes are counted in any case.
     virtual bool CountBytes(int64_t bytes) = 0;
+    // Counts those of these bytes that are answers.
+    virtual void CountAnswers(int64_t bytes) = 0;
     // The connection has something to send at the end of the turn.
     virtual void WantFlush() = 0;
-    // Returns false while the connection stores so much that its streams must not read on.
+    // Returns false while the connection stores so many answers that its streams must not read on.
     virtual bool MayRead() const = 0;
     // Calls ReadOn() of stream `id`, if it still exists, once MayRead() returns true.
     virtual void ReadOnLater(int32_t id) = 0;
@@ -137,8 +139,9 @@ class GrpcStream final : public Call {
   bool headers_submitted_ = false;
   bool waiting_for_answer_ = false;  // nghttp2 asked for data and received none
   bool finished_ = false;
-  std::string http_refusal_;  // status, if an HTTP error is the answer
-  int64_t counted_ = 0;       // bytes that were passed to CountBytes()
+  std::string http_refusal_;     // status, if an HTTP error is the answer
+  int64_t counted_ = 0;          // bytes that were passed to CountBytes()
+  int64_t counted_answers_ = 0;  // bytes that were passed to CountAnswers()
 };
 
 }  // namespace spikeserve
