@@ -99,8 +99,10 @@ class Server {
   CallTracker calls_;
   CallGate gate_;
   HealthService health_;
-  std::unique_ptr<TlsContext> tls_;       // null without TLS
-  std::unique_ptr<Transport> transport_;  // outlives the workers, which post to its loops
+  std::unique_ptr<TlsContext> tls_;  // null without TLS
+  // Calls refer to the services, the transport holds calls, and the workers post to its loops.
+  Services services_;
+  std::unique_ptr<Transport> transport_;
   BackgroundWorker worker_;
   BackgroundWorker admin_worker_;
   PolicyService service_;
@@ -109,7 +111,6 @@ class Server {
   InferenceHandler inference_handler_;
   InferenceService inference_service_;
   ReflectionService reflection_service_;
-  Services services_;
   std::atomic<bool> stopping_ = false;
   int64_t trimmed_at_ = 0;  // connections closed when memory was last trimmed; of memory_trimmer_
   const StatusPages pages_;

@@ -227,7 +227,7 @@ void GrpcStream::CountStored() {
 
 void GrpcStream::Send(const google::protobuf::MessageLite& message) {
   if (finished_) return;
-  if (sent_ == answer_.size() || sent_ > kUnsentLimit) {
+  if (sent_ > kUnsentLimit) {
     answer_.erase(0, sent_);
     sent_ = 0;
   }
@@ -293,6 +293,15 @@ void GrpcStream::SubmitWithData(const std::vector<nghttp2_nv>& headers) {
   owner_->WantFlush();
 }
 
+void GrpcStream::FreeAnswers() {
+  answer_.clear();
+  if (answer_.capacity() > kUnsentLimit) answer_.shrink_to_fit();
+  sent_ = 0;
+  owner_->CountAnswers(-counted_answers_);
+  owner_->CountBytes(-counted_answers_);
+  counted_ -= std::exchange(counted_answers_, 0);
+}
+
 ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
   const bool was_full = unsent() > kUnsentLimit;
   const size_t count = std::min(size, unsent());
@@ -301,6 +310,7 @@ ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
   if (count > 0) unsent_since_ = unsent() > 0 ? loop().now() : absl::InfiniteDuration();
   if (was_full && unsent() <= kUnsentLimit) owner_->ReadOnLater(id_);
   if (unsent() > 0) return static_cast<ssize_t>(count);
+  FreeAnswers();
   if (finished_) {
     *flags |= NGHTTP2_DATA_FLAG_EOF;
     if (!http_refusal_.empty()) return static_cast<ssize_t>(count);

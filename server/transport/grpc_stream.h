@@ -91,6 +91,8 @@ class GrpcStream final : public Call {
   // Lets the client send `bytes` more.
   void Consume(size_t bytes);
   void CountStored();
+  // Frees the answers, which were sent completely.
+  void FreeAnswers();
   bool reading() const {
     return !paused_ && !finished_ && unsent() <= kUnsentLimit && owner_->MayRead();
   }

@@ -90,6 +90,34 @@ TEST_F(StreamTest, TooLongARequestIsAnsweredAndTheStreamGoesOn) {
   EXPECT_TRUE(stream->Finish().ok());
 }
 
+// The answers of one round exceed what the server stores for one connection that does not read.
+TEST_F(StreamTest, AnswersThatWereReadMakeRoomForOthers) {
+  constexpr int kStreams = 90;
+  constexpr int kActions = 4000;  // an answer holds one float per action: 16,000 bytes
+  WriteRandomPolicy(policies_.path(), "wide", 1, ActionSpace::Discrete(kActions));
+  StartServer();
+  std::vector<std::string> sessions;
+  std::vector<std::unique_ptr<grpc::ClientContext>> contexts;
+  std::vector<std::unique_ptr<TestClient::Stream>> streams;
+  for (int i = 0; i < kStreams; ++i) {
+    sessions.push_back(client_->Open("wide"));
+    contexts.push_back(NewContext());
+    streams.push_back(client_->stub().ActStream(contexts.back().get()));
+  }
+  for (int64_t step = 0; step < 3; ++step) {
+    for (int i = 0; i < kStreams; ++i) {
+      v1::ActResponse response;
+      ASSERT_TRUE(streams[i]->Write(MakeActRequest(sessions[i], step)));
+      ASSERT_TRUE(streams[i]->Read(&response)) << "stream " << i << ", step " << step;
+      EXPECT_EQ(response.step(), step);
+    }
+  }
+  for (const auto& stream : streams) {
+    EXPECT_TRUE(stream->WritesDone());
+    EXPECT_TRUE(stream->Finish().ok());
+  }
+}
+
 TEST_F(StreamTest, ABatchAnswersItemByItem) {
   const std::string first = client_->Open("discrete");
   const std::string second = client_->Open("box");
