@@ -1,7 +1,7 @@
 // Serves gRPC over HTTP/2: listens, and runs event loops that carry the calls to routers.
 //
 // gRPC's protocol is implemented here on nghttp2 (framing, HPACK, flow control) and OpenSSL (TLS).
-// A connection stays on the loop that it was given, which is the loop with the fewest connections.
+// New connections go to the loops in turn, and stay there.
 #ifndef SERVER_TRANSPORT_TRANSPORT_H_
 #define SERVER_TRANSPORT_TRANSPORT_H_
 
