@@ -1,6 +1,6 @@
 # Links gRPC's own libraries statically. In a static library an access to a thread-local variable costs an instruction
 # instead of a function call, and every RPC makes hundreds of them. The libraries that gRPC uses stay shared.
-foreach(library address_sorting gpr grpc grpc++ grpc++_reflection upb)
+foreach(library address_sorting gpr grpc grpc++ upb)
   find_library(SPIKESERVE_STATIC_${library} lib${library}.a REQUIRED)
   mark_as_advanced(SPIKESERVE_STATIC_${library})
   get_target_property(configuration gRPC::${library} IMPORTED_CONFIGURATIONS)

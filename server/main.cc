@@ -50,7 +50,6 @@ void AddFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
       .Add("listen", "HOST:PORT", &options->listen,
            "Address of gRPC, or unix:PATH; port 0: a free one")
-      .Add("transport", EnumKind<TransportKind>(), &options->transport, "What carries gRPC")
       .Add("loops", "N", &options->loops, "Threads that serve connections; 0: one for each core")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
            "Status page and /metrics; empty: none")
@@ -97,6 +96,9 @@ absl::Status Serve(const ServerOptions& options) {
   // A long request's memory goes back to the system when it is answered.
   mallopt(M_TRIM_THRESHOLD, 4 << 20);
   mallopt(M_MMAP_THRESHOLD, 1 << 20);
+
+  // OpenSSL writes to sockets without MSG_NOSIGNAL; a client that left must not end the server.
+  std::signal(SIGPIPE, SIG_IGN);
 
   // Blocks the signals before there are threads, which inherit this; only sigwait receives them.
   sigset_t stop_signals;

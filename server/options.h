@@ -2,7 +2,6 @@
 #ifndef SERVER_OPTIONS_H_
 #define SERVER_OPTIONS_H_
 
-#include <array>
 #include <cstdint>
 #include <string>
 
@@ -14,17 +13,9 @@
 
 namespace spikeserve {
 
-// What carries gRPC: gRPC's own C++ server, or server/transport.
-enum class TransportKind { kGrpc, kNghttp2 };
-
-constexpr std::array<EnumName<TransportKind>, 2> EnumNames(TransportKind) {
-  return {{{TransportKind::kGrpc, "grpc"}, {TransportKind::kNghttp2, "nghttp2"}}};
-}
-
 struct ServerOptions {
   std::string listen = "127.0.0.1:50051";  // gRPC: HOST:PORT or unix:PATH; port 0 picks a free one
-  TransportKind transport = TransportKind::kNghttp2;
-  int64_t loops = 0;  // threads that serve connections; 0: one for each core
+  int64_t loops = 0;                       // threads that serve connections; 0: one for each core
   TransportLimits transport_limits;
   bool reflection_v1alpha = false;             // serve the old version of reflection, too
   std::string http_listen = "127.0.0.1:9464";  // status page, metrics; port 0 as above; or empty

@@ -1,15 +1,8 @@
 #include "server/server.h"
 
-#include <grpc/support/log.h>
-#include <grpcpp/ext/proto_server_reflection_plugin.h>
-#include <grpcpp/health_check_service_interface.h>
-#include <grpcpp/security/server_credentials.h>
-#include <grpcpp/server_builder.h>
 #include <malloc.h>
 #include <sched.h>
 
-#include <algorithm>
-#include <chrono>
 #include <utility>
 #include <vector>
 
@@ -17,15 +10,15 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "core/base/status.h"
-#include "grpc/health/v1/health.grpc.pb.h"
 #include "server/base/log.h"
+#include "server/services/service_name.h"
 
 namespace spikeserve {
 namespace {
 
 // How long a stopping server keeps refusing calls with UNAVAILABLE, so that busy clients and health
-// watchers learn that it stops. After Shutdown(), gRPC itself would answer calls with CANCELLED,
-// which clients do not retry.
+// watchers learn that it stops. Clients retry UNAVAILABLE elsewhere; a connection that closes under
+// a call can end it with a code that they do not retry.
 constexpr absl::Duration kDrainNotice = absl::Milliseconds(250);
 
 // Calls that take long, such as Explain, run one at a time on one worker; the calls of operators,
@@ -34,11 +27,6 @@ constexpr size_t kLongCallsWaiting = 16;
 
 // The interval at which the tokens file is read again.
 constexpr absl::Duration kTokensInterval = absl::Seconds(1);
-
-// The largest message that gRPC passes to the services. gRPC reads a message completely before it
-// refuses it for its length, and refuses it without delay. Messages up to this limit are refused by
-// the services instead, which delay the refusal (RefusalPacer).
-constexpr int64_t kLargestReceived = 64 << 20;
 
 // The health page reports a server whose loops do not finish a turn within this time.
 constexpr absl::Duration kHealthTimeout = absl::Seconds(1);
@@ -59,15 +47,6 @@ int AvailableCores() {
   cpu_set_t cores;
   CPU_ZERO(&cores);
   return sched_getaffinity(0, sizeof(cores), &cores) == 0 ? CPU_COUNT(&cores) : 1;
-}
-
-// Silences the many lines that gRPC logs for a port that is in use; StartGrpc reports it in one
-// line.
-std::unique_ptr<grpc::Server> BuildQuietly(grpc::ServerBuilder& builder) {
-  gpr_set_log_function([](gpr_log_func_args*) {});
-  auto server = builder.BuildAndStart();
-  gpr_set_log_function(nullptr);
-  return server;
 }
 
 }  // namespace
@@ -148,17 +127,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .reflection_v1alpha = options.reflection_v1alpha}),
       worker_(kLongCallsWaiting),
       admin_worker_(kLongCallsWaiting),
-      service_(Parts(&worker_), &handler_),
       head_handler_(registry_.get(), &store_),
-      admin_service_(Parts(&admin_worker_), &admin_handler_, &head_handler_),
       inference_handler_(registry_.get(), &store_, &handler_, &clock_, options.session_ttl),
-      inference_service_(Parts(&admin_worker_), &inference_handler_),
-      reflection_service_({v1::PolicyService::service_full_name(),
-                           v1::PolicyAdmin::service_full_name(),
-                           inference::GRPCInferenceService::service_full_name(),
-                           grpc::health::v1::Health::service_full_name(),
-                           grpc::reflection::v1::ServerReflection::service_full_name(),
-                           "grpc.reflection.v1alpha.ServerReflection"}),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
               .store = &store_,
@@ -167,20 +137,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .worker = &worker_,
               .serving = [this] { return serving() && TransportResponds(); }}) {}
 
-ServiceParts Server::Parts(BackgroundWorker* worker) {
-  return {.calls = &calls_,
-          .authenticator = authenticator_.get(),
-          .metrics = metrics_.get(),
-          .clock = &clock_,
-          .worker = worker,
-          .max_message_bytes = options_.max_message_bytes};
-}
-
 absl::Status Server::StartTransport() {
-  return options_.transport == TransportKind::kGrpc ? StartGrpc() : StartNghttp2();
-}
-
-absl::Status Server::StartNghttp2() {
   auto address = ParseAddressOrUnix("--listen", options_.listen);
   if (!address.ok()) return address.status();
   if (options_.tls.enabled()) {
@@ -206,48 +163,15 @@ absl::Status Server::StartNghttp2() {
   return transport_->Start();
 }
 
-absl::Status Server::StartGrpc() {
-  grpc::EnableDefaultHealthCheckService(true);
-  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
-  // gRPC implements health checks without the generated messages. Using one of them links them into
-  // the program, so that reflection can describe them.
-  grpc::health::v1::HealthCheckRequest::descriptor();
-  grpc::ServerBuilder builder;
-  // With SO_REUSEPORT a second server could listen on the same port and take some of the calls.
-  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
-  auto address = ParseAddress("--listen", options_.listen);
-  if (!address.ok()) return address.status();
-  grpc_address_ = *std::move(address);
-  const auto credentials = MakeServerCredentials(options_.tls);
-  if (!credentials.ok()) return credentials.status();
-  builder.AddListeningPort(options_.listen, *credentials, &grpc_address_.port);
-  builder.SetMaxReceiveMessageSize(
-      static_cast<int>(std::max(options_.max_message_bytes, kLargestReceived)));
-  builder.RegisterService(&service_);
-  builder.RegisterService(&inference_service_);
-  builder.RegisterService(&admin_service_);
-  builder.RegisterService(&reflection_service_);
-  grpc_ = BuildQuietly(builder);
-  if (grpc_ == nullptr || grpc_address_.port == 0) {
-    return absl::UnavailableError(absl::StrCat("--listen: cannot listen on ", options_.listen));
-  }
-  PublishHealth();
-  return absl::OkStatus();
-}
-
 bool Server::TransportResponds() const {
   return transport_ == nullptr || transport_->Responds(kHealthTimeout);
 }
 
 void Server::PublishHealth() {
-  const auto publish = [this](const std::string& service, bool is_serving) {
-    health_.SetServing(service, is_serving);
-    if (grpc_ != nullptr) grpc_->GetHealthCheckService()->SetServingStatus(service, is_serving);
-  };
-  publish("", serving());
-  publish(v1::PolicyService::service_full_name(), serving());
-  publish(inference::GRPCInferenceService::service_full_name(), serving());
-  publish(v1::PolicyAdmin::service_full_name(), !stopping_);
+  health_.SetServing("", serving());
+  health_.SetServing(ServiceName<v1::ListPoliciesRequest>(), serving());
+  health_.SetServing(ServiceName<inference::ServerLiveRequest>(), serving());
+  health_.SetServing(ServiceName<v1::LoadPolicyRequest>(), !stopping_);
 }
 
 void Server::ReloadTokens() {
@@ -277,35 +201,23 @@ void Server::Stop() {
   poller_.reset();
   token_reloader_.reset();
   memory_trimmer_.reset();
-  if (grpc_ != nullptr) StopGrpc();
-  if (transport_ != nullptr) StopNghttp2();
+  if (transport_ != nullptr) StopTransport();
   http_.reset();
 }
 
-void Server::StopNghttp2() {
+void Server::StopTransport() {
   gate_.Drain();  // before health turns NOT_SERVING: a client that sees it is not served any more
   transport_->Drain();
   PublishHealth();
   absl::SleepFor(kDrainNotice);
   const absl::Duration end = clock_.Now() + options_.drain_timeout;
   while (gate_.calls() > 0 && clock_.Now() < end) absl::SleepFor(kDrainPollInterval);
-  if (gate_.calls() > 0) WarnOfCallsInFlight();
+  if (gate_.calls() > 0) {
+    LogWarning("calls were still in flight after the drain timeout",
+               {{"drain_timeout", absl::FormatDuration(options_.drain_timeout)}});
+  }
   health_.EndWatches();
   transport_->Stop(kLeaveTimeout);
-}
-
-void Server::WarnOfCallsInFlight() {
-  LogWarning("calls were still in flight after the drain timeout",
-             {{"drain_timeout", absl::FormatDuration(options_.drain_timeout)}});
-}
-
-void Server::StopGrpc() {
-  calls_.Drain();  // before health turns NOT_SERVING: a client that sees it is not served any more
-  PublishHealth();
-  absl::SleepFor(kDrainNotice);
-  if (!calls_.WaitUntilIdle(options_.drain_timeout)) WarnOfCallsInFlight();
-  grpc_->Shutdown(std::chrono::system_clock::now());  // also ends health watches, which have no end
-  grpc_.reset();
 }
 
 }  // namespace spikeserve

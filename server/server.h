@@ -2,8 +2,6 @@
 #ifndef SERVER_SERVER_H_
 #define SERVER_SERVER_H_
 
-#include <grpcpp/server.h>
-
 #include <atomic>
 #include <memory>
 #include <string>
@@ -28,11 +26,6 @@
 #include "server/options.h"
 #include "server/policies/policy_poller.h"
 #include "server/policies/policy_registry.h"
-#include "server/rpc/call_tracker.h"
-#include "server/rpc/inference_service.h"
-#include "server/rpc/policy_admin_service.h"
-#include "server/rpc/policy_service.h"
-#include "server/rpc/reflection_service.h"
 #include "server/services/call_gate.h"
 #include "server/services/health_service.h"
 #include "server/services/services.h"
@@ -70,15 +63,9 @@ class Server {
          std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
          std::unique_ptr<Recordings> recordings);
 
-  ServiceParts Parts(BackgroundWorker* worker);
   void ReloadTokens();
-  // Starts the transport that the options name.
   absl::Status StartTransport();
-  absl::Status StartGrpc();
-  absl::Status StartNghttp2();
-  void StopGrpc();
-  void StopNghttp2();
-  void WarnOfCallsInFlight();
+  void StopTransport();
   absl::Status StartHttp();
   bool serving() const { return !stopping_ && !store_.draining(); }
   // Returns true unless the loops of the transport are stuck.
@@ -96,7 +83,6 @@ class Server {
   SessionReaper reaper_;
   const PolicyHandler handler_;
   const AdminHandler admin_handler_;
-  CallTracker calls_;
   CallGate gate_;
   HealthService health_;
   std::unique_ptr<TlsContext> tls_;  // null without TLS
@@ -105,17 +91,12 @@ class Server {
   std::unique_ptr<Transport> transport_;
   BackgroundWorker worker_;
   BackgroundWorker admin_worker_;
-  PolicyService service_;
   const HeadHandler head_handler_;
-  PolicyAdminService admin_service_;
   InferenceHandler inference_handler_;
-  InferenceService inference_service_;
-  ReflectionService reflection_service_;
   std::atomic<bool> stopping_ = false;
   int64_t trimmed_at_ = 0;  // connections closed when memory was last trimmed; of memory_trimmer_
   const StatusPages pages_;
   Address grpc_address_;
-  std::unique_ptr<grpc::Server> grpc_;
   std::unique_ptr<HttpServer> http_;
   // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;

@@ -6,13 +6,13 @@
 #include <openssl/ssl.h>
 #include <openssl/x509.h>
 
+#include <memory>
+
+#include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 
 namespace spikeserve {
 namespace {
-
-// The interval at which gRPC reads the files again.
-constexpr unsigned kRefreshSeconds = 2;
 
 template <auto kFree>
 struct Free {
@@ -103,21 +103,6 @@ absl::Status CheckTlsFiles(const TlsFiles& files) {
   }
   if (files.client_ca.empty()) return absl::OkStatus();
   return ReadCertificate("--tls_client_ca", files.client_ca).status();
-}
-
-absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
-    const TlsFiles& files) {
-  if (!files.enabled()) return grpc::InsecureServerCredentials();
-  if (auto status = CheckTlsFiles(files); !status.ok()) return status;
-  grpc::experimental::TlsServerCredentialsOptions options(
-      std::make_shared<grpc::experimental::FileWatcherCertificateProvider>(
-          files.key, files.certificate, files.client_ca, kRefreshSeconds));
-  options.watch_identity_key_cert_pairs();
-  if (!files.client_ca.empty()) {
-    options.watch_root_certs();
-    options.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
-  }
-  return grpc::experimental::TlsServerCredentials(options);
 }
 
 void SetUpTls(const TlsFiles* files, ssl_ctx_st* context) {

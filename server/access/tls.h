@@ -2,13 +2,9 @@
 #ifndef SERVER_ACCESS_TLS_H_
 #define SERVER_ACCESS_TLS_H_
 
-#include <grpcpp/security/server_credentials.h>
-
-#include <memory>
 #include <string>
 
 #include "absl/status/status.h"
-#include "absl/status/statusor.h"
 
 struct ssl_ctx_st;  // OpenSSL's SSL_CTX
 
@@ -30,12 +26,6 @@ struct TlsFiles {
 // Returns INVALID_ARGUMENT, which names flag and file, if a file has another content than expected
 // or the key does not belong to the certificate. Returns OK if TLS is off.
 absl::Status CheckTlsFiles(const TlsFiles& files);
-
-// Returns the credentials of the gRPC port. gRPC reads the files again every 2 seconds. Returns
-// the
-// errors of CheckTlsFiles: gRPC would fail every handshake without an error message.
-absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
-    const TlsFiles& files);
 
 // Configures HTTPS with the same files and the same requirement for client certificates. The files
 // are read for each connection; while a file is invalid, handshakes fail. `files` must outlive

@@ -8,6 +8,7 @@
 #include "server/services/handler_calls.h"
 #include "server/services/infer_stream_call.h"
 #include "server/services/reflection.h"
+#include "server/services/service_name.h"
 
 namespace spikeserve {
 namespace {
@@ -108,7 +109,7 @@ void Services::AddBackground(Method method, Handler* handler, HandlerMethod hand
 }
 
 void Services::AddPolicyService() {
-  service_names_.push_back(v1::ListPoliciesRequest::descriptor()->file()->service(0)->full_name());
+  service_names_.push_back(ServiceName<v1::ListPoliciesRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
   const PolicyHandler* policy = handlers_.policy;
   AddInline(Method::kListPolicies, policy, &PolicyHandler::ListPolicies);
@@ -129,7 +130,7 @@ void Services::AddPolicyService() {
 }
 
 void Services::AddPolicyAdmin() {
-  service_names_.push_back(v1::LoadPolicyRequest::descriptor()->file()->service(0)->full_name());
+  service_names_.push_back(ServiceName<v1::LoadPolicyRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
   const auto add_admin = [this](Method method, auto handler_method) {
     AddBackground(method, handlers_.admin, handler_method, handlers_.admin_worker);
@@ -154,8 +155,7 @@ void Services::AddPolicyAdmin() {
 }
 
 void Services::AddInferenceService() {
-  service_names_.push_back(
-      inference::ServerLiveRequest::descriptor()->file()->service(0)->full_name());
+  service_names_.push_back(ServiceName<inference::ServerLiveRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
   InferenceHandler* handler = handlers_.inference;
   AddInline(Method::kServerLive, handler, &InferenceHandler::ServerLive);

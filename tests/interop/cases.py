@@ -4,7 +4,6 @@ import contextlib
 import pathlib
 import shutil
 
-import transport
 from contract import PROTO
 from programs import run
 from serving import SHIPPED_POLICIES, running_server
@@ -29,8 +28,6 @@ CORE = ["empty_unary", "large_unary", "ping_pong", "unimplemented"]  # of every 
 
 def check(client, case, address, *files, **environment):
     """Runs a case: `client`, a command, with the case, the address, the folder of .proto files and `files`."""
-    if transport.NGHTTP2:
-        environment["COMPRESSION_REFUSED"] = "1"
     finished = run(
         "env", *(f"{k}={v}" for k, v in environment.items()), *client, case, address, PROTO, *files
     )

@@ -4,7 +4,6 @@ import pathlib
 
 import cases
 import pytest
-import transport
 from programs import INSTALLED, missing, require
 from serving import running_server
 
@@ -35,9 +34,6 @@ def test_mutual_tls(mutual_tls_server, certificates, case):
     check(case, mutual_tls_server.grpc, *(certificates / name for name in names))
 
 
-@pytest.mark.skipif(
-    not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket"
-)
 def test_unix_socket(tmp_path):
     with running_server(flags=[f"--listen=unix:{tmp_path}/spikeserve.sock"]) as started:
         for case in cases.CORE:

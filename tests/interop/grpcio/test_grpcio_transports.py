@@ -2,7 +2,6 @@
 
 import grpc
 import pytest
-import transport
 from contract import call, v1
 from security import OBSERVATION, POLICY, credentials
 from serving import DEADLINE_SECONDS, running_server
@@ -67,9 +66,6 @@ def test_mutual_tls_without_a_certificate_fails(mutual_tls_server, tls_credentia
     assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
 
 
-@pytest.mark.skipif(
-    not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket"
-)
 def test_unix_socket(tmp_path):
     path = tmp_path / "spikeserve.sock"
     with running_server(flags=[f"--listen=unix:{path}"]) as started:

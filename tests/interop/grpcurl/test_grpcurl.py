@@ -4,7 +4,6 @@ import json
 import shutil
 
 import pytest
-import transport
 from contract import v1
 from programs import require, run
 from security import OBSERVATION, POLICY
@@ -140,9 +139,6 @@ def test_mutual_tls(mutual_tls_server, certificates):
     assert grpcurl(mutual_tls_server.grpc, "list", flags=stranger).returncode != 0
 
 
-@pytest.mark.skipif(
-    not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket"
-)
 def test_unix_socket(tmp_path):
     path = tmp_path / "spikeserve.sock"
     with running_server(flags=[f"--listen=unix:{path}"]):

@@ -4,7 +4,6 @@ import re
 import xml.etree.ElementTree
 
 import pytest
-import transport
 from programs import require, run
 from security import POLICY
 
@@ -44,7 +43,6 @@ def report(address, path, *flags):
     return cases, failed
 
 
-@pytest.mark.skipif(not transport.NGHTTP2, reason="gRPC's own server fails 49 of the 145 cases")
 @pytest.mark.parametrize("fixture", ["server", "tls_server"])
 def test_every_case_passes(request, tmp_path, fixture):
     flags = ["--tls", "--insecure"] if fixture == "tls_server" else []

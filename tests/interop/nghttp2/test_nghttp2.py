@@ -3,7 +3,6 @@
 import re
 
 import pytest
-import transport
 from contract import v1
 from programs import require, run
 from security import POLICY
@@ -15,7 +14,7 @@ def test_a_get_is_answered(server):
     fetched = run(require("nghttp"), "-v", "-n", f"http://{server.grpc}/{POLICY}/ListPolicies")
     assert fetched.returncode == 0, fetched.stderr
     (status,) = re.findall(r"recv \(stream_id=\d+\) :status: (\d+)", fetched.stdout)
-    assert status == ("405" if transport.NGHTTP2 else "200")
+    assert status == "405"
 
 
 def test_a_get_over_tls_is_answered(tls_server):

@@ -5,7 +5,6 @@ import subprocess
 
 import cases
 import pytest
-import transport
 from programs import INSTALLED, require
 from serving import running_server
 
@@ -39,9 +38,6 @@ def test_mutual_tls(client, mutual_tls_server, certificates, case):
     cases.check(client, case, mutual_tls_server.grpc, *(certificates / name for name in names))
 
 
-@pytest.mark.skipif(
-    not transport.NGHTTP2, reason="only the nghttp2 transport listens on a unix socket"
-)
 def test_unix_socket(client, tmp_path):
     with running_server(flags=[f"--listen=unix:{tmp_path}/spikeserve.sock"]) as started:
         for case in cases.CORE:

@@ -5,7 +5,6 @@ import shutil
 
 import grpc
 import pytest
-import transport
 from contract import message_class, v1
 from http2_client import Http2Client, framed, headers
 from security import OBSERVATION, POLICY, SERVING
@@ -59,8 +58,7 @@ def test_an_error_is_one_block_of_headers(client):
     assert answer.headers["content-type"].startswith("application/grpc")
     assert answer.grpc_status == grpc.StatusCode.NOT_FOUND.value[0]
     assert not answer.data
-    if transport.NGHTTP2:
-        assert "grpc-status" in answer.headers  # Trailers-Only
+    assert "grpc-status" in answer.headers  # Trailers-Only
 
 
 @pytest.mark.parametrize(
@@ -70,7 +68,6 @@ def test_content_types_of_grpc_are_served(client, content_type):
     assert client.call(LIST, EMPTY, content_type=content_type).grpc_status == OK
 
 
-@pytest.mark.skipif(not transport.NGHTTP2, reason="gRPC's own server serves any content type")
 @pytest.mark.parametrize(
     "content_type", ["application/json", "text/html", "application/grpcx", "", None]
 )
@@ -84,23 +81,17 @@ def test_another_content_type_is_415(client, content_type):
 def test_another_http_method_is_405(client, method):
     stream = client.begin(headers(LIST, method=method), end=True)
     answer = client.wait(stream)
-    if transport.NGHTTP2:
-        assert answer.headers[":status"] == "405"
-        assert answer.headers["allow"] == "POST"
-    else:
-        assert answer.grpc_status != OK
+    assert answer.headers[":status"] == "405"
+    assert answer.headers["allow"] == "POST"
     assert serves(client)
 
 
 def test_a_call_without_te_is_served(client):
     """`te: trailers` detects proxies that drop trailers. Of the known servers only gRPC's in C++ insists on it."""
     answer = client.call(LIST, EMPTY, te=None)
-    assert answer.grpc_status == (OK if transport.NGHTTP2 else grpc.StatusCode.UNKNOWN.value[0])
+    assert answer.grpc_status == OK
 
 
-@pytest.mark.skipif(
-    not transport.NGHTTP2, reason="gRPC's own server decompresses gzip and ignores other names"
-)
 @pytest.mark.parametrize("encoding", ["gzip", "snappy"])
 def test_an_unknown_encoding_is_unimplemented_and_names_the_known_ones(client, encoding):
     answer = client.call(LIST, EMPTY, grpc_encoding=encoding)
@@ -113,9 +104,7 @@ def test_a_compressed_message_without_an_encoding_is_internal(client):
     stream = client.begin(headers(LIST))
     client.send(stream, framed(b"xx", compressed=1), end=True)
     answer = client.wait(stream)
-    assert answer.grpc_status in (
-        (INTERNAL,) if transport.NGHTTP2 else (INTERNAL, OK, UNIMPLEMENTED)
-    )
+    assert answer.grpc_status == INTERNAL
     assert serves(client)
 
 
@@ -137,15 +126,10 @@ def test_a_timeout_that_cannot_be_read_leaves_the_connection_usable(client, time
 def test_the_server_ends_a_call_at_its_deadline(client):
     stream = client.begin(headers(STREAM, grpc_timeout="200m"))
     answer = client.wait(stream)
-    assert answer.grpc_status == DEADLINE_EXCEEDED or answer.reset is not None
-    if transport.NGHTTP2:
-        assert answer.grpc_status == DEADLINE_EXCEEDED
+    assert answer.grpc_status == DEADLINE_EXCEEDED
     assert serves(client)
 
 
-@pytest.mark.skipif(
-    not transport.NGHTTP2, reason="gRPC's own server sends frames after its RST_STREAM"
-)
 def test_the_server_ends_a_watch_at_its_deadline(client):
     stream = client.begin(headers("/grpc.health.v1.Health/Watch", grpc_timeout="200m"))
     client.send(stream, framed(b""), end=True)
@@ -186,8 +170,7 @@ def test_many_messages_in_one_frame_and_padding(client):
     session = open_session(client)
     stream = client.begin(headers(STREAM))
     requests = b"".join(framed(act_request(session, step)) for step in range(50))
-    padding = {"pad_length": 255} if transport.NGHTTP2 else {}  # gRPC's own server refuses padding
-    client.send(stream, requests, end=True, **padding)
+    client.send(stream, requests, end=True, pad_length=255)
     answer = client.wait(stream)
     assert answer.grpc_status == OK
     response = message_class("spikeserve.v1.ActResponse")
@@ -227,8 +210,6 @@ def test_a_unary_call_without_a_message_is_an_error(client):
 
 
 def test_a_length_beyond_the_limit_is_refused_before_its_bytes_arrive(client):
-    if not transport.NGHTTP2:
-        pytest.skip("gRPC's own server reads up to 64 MiB before it refuses a message")
     stream = client.begin(headers(OPEN))
     client.send(stream, b"\x00\xff\xff\xff\xff" + b"x" * 1000)
     assert client.wait(stream).grpc_status == RESOURCE_EXHAUSTED
@@ -314,4 +295,4 @@ def test_a_draining_server_sends_goaway_finishes_the_call_and_closes():
         answer = client.wait(stream)
         assert answer.grpc_status == grpc.StatusCode.UNAVAILABLE.value[0]
         client.wait_closed()
-    assert client.goaway == 0 or not transport.NGHTTP2  # gRPC's own server sometimes names an error
+    assert client.goaway == 0

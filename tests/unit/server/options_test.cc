@@ -4,7 +4,6 @@
 #include <gtest/gtest.h>
 
 #include "server/base/address.h"
-#include "server/rpc/status_map.h"
 
 namespace spikeserve {
 namespace {
@@ -37,15 +36,6 @@ TEST(OptionsTest, DefaultsNeedOnlyPolicies) {
   EXPECT_TRUE(options.Validate().ok()) << options.Validate();
   options.http_listen = "";
   EXPECT_TRUE(options.Validate().ok()) << options.Validate();
-}
-
-TEST(StatusMapTest, CodesAndMessagesAreKept) {
-  for (int code = 1; code <= 16; ++code) {
-    const auto status = ToGrpcStatus(absl::Status(static_cast<absl::StatusCode>(code), "why"));
-    EXPECT_EQ(static_cast<int>(status.error_code()), code);
-    EXPECT_EQ(status.error_message(), "why");
-  }
-  EXPECT_TRUE(ToGrpcStatus(absl::OkStatus()).ok());
 }
 
 }  // namespace
