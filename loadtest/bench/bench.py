@@ -5,12 +5,10 @@ the median over the rounds. A ratio is the median of the ratios within a round.
 """
 
 import argparse
-import contextlib
 import json
 import os
 import pathlib
 import platform
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -18,22 +16,14 @@ import time
 
 import programs
 import report
-
-ROOT = pathlib.Path(__file__).parents[2]
-BENCH = pathlib.Path(__file__).parent
-POLICIES = ROOT / "deploy/policies"
-SHIPPED = POLICIES / "cartpole/1/policy.safetensors"
-
-SESSIONS = [1, 8, 64, 512]
-BATCH = 64  # requests
-# Bound of the initial states of CartPole. The shipped policy was trained to emit few spikes there.
-OBSERVATION_BOUND = 0.05
+import server_bench
+from server_bench import BATCH, BENCH, SHIPPED, summarize
 
 
 def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bin", type=pathlib.Path, required=True, help="folder of the programs")
-    parser.add_argument("--python", type=pathlib.Path, required=True, help="a Python with the packages of requirements.txt")
+    parser.add_argument("--python", type=pathlib.Path, help="a Python with the packages of requirements.txt; without it, no PyTorch")
     parser.add_argument("--json", type=pathlib.Path, required=True, help="output file for programs")
     parser.add_argument("--markdown", type=pathlib.Path, required=True, help="output file for readers")
     parser.add_argument("--rounds", type=int, default=5)
@@ -42,11 +32,6 @@ def parse_arguments():
     sections = ["engine", "growth", "sessions", "server", "learning"]
     parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     return parser.parse_args()
-
-
-def summarize(rounds):
-    """Returns the median of every key over the rounds, which are dicts of numbers."""
-    return {key: statistics.median(r[key] for r in rounds) for key in rounds[0]}
 
 
 def run_contestants(commands, rounds, seconds):
@@ -124,142 +109,6 @@ def measure_sessions(arguments):
     return results
 
 
-def load_flags(mode, sessions):
-    """Returns the flags of spikeload for a mode. A batch holds BATCH requests, or all sessions if there are fewer."""
-    streams = -(-sessions // BATCH) if mode == "batch" else min(8, sessions)
-    flags = {"mode": mode, "sessions": sessions, "streams": streams}
-    return {**flags, "policy": SHIPPED.parts[-3], "observation_bound": OBSERVATION_BOUND}
-
-
-def running_spikeserve(arguments):
-    command = [arguments.bin / "spikeserve", f"--policies={POLICIES}", "--listen=127.0.0.1:0", "--http_listen="]
-    return programs.running_server(command, "spikeserve: serving gRPC on ")
-
-
-@contextlib.contextmanager
-def running_servers(arguments):
-    """Starts spikeserve, the echo service, and the echo service that also runs the engine. Yields them by name."""
-    echo = [arguments.bin / "echo_server"]
-    with (
-        running_spikeserve(arguments) as spikeserve_server,
-        programs.running_server(echo, "listening on ") as echo_server,
-        programs.running_server([*echo, f"--policy={SHIPPED}"], "listening on ") as deciding_echo,
-    ):
-        yield {"spikeserve": spikeserve_server, "echo": echo_server, "deciding_echo": deciding_echo}
-
-
-def measure_learning(arguments):
-    """Measures 64 sessions that learn, as a share of 64 frozen sessions in the same round."""
-    spikeload, sessions = arguments.bin / "spikeload", 64
-    cases = [(mode, scope) for mode in ("unary", "stream") for scope in ("fleet", "session")]
-    rounds = {case: [] for case in cases}
-    with running_spikeserve(arguments) as server:
-        for _ in range(arguments.rounds):
-            for mode, scope in cases:
-                flags = {**load_flags(mode, sessions), "duration": f"{arguments.seconds}s"}
-                frozen = programs.measure_load(spikeload, server, **flags)
-                learning = programs.measure_load(spikeload, server, learning_scope=scope, **flags)
-                keys = ("decisions_per_second", "processor_seconds_per_decision")
-                shares = {f"share_of_{key}": learning[key] / frozen[key] for key in keys}
-                rounds[mode, scope].append({**{key: learning[key] for key in keys}, **shares})
-    return [
-        {"mode": mode, "scope": scope, "sessions": sessions, **summarize(rounds[mode, scope])} for mode, scope in cases
-    ]
-
-
-@contextlib.contextmanager
-def running_torch_server(arguments):
-    """Starts the Python server."""
-    with tempfile.TemporaryDirectory() as stubs:
-        proto = ROOT / "proto"
-        subprocess.run(
-            [arguments.python, "-m", "grpc_tools.protoc", f"-I{proto}", f"--python_out={stubs}"]
-            + [f"--grpc_python_out={stubs}", proto / "spikeserve/v1/policy_service.proto"],
-            check=True,
-        )
-        command = [arguments.python, BENCH / "torch_server.py", SHIPPED, stubs]
-        with programs.running_server(command, "listening on ") as server:
-            yield server
-
-
-def share(measured, case, key, name="spikeserve", of="echo"):
-    """Returns the median over rounds of the ratio of `key` between the servers `name` and `of`."""
-    pairs = zip(measured[name][case], measured[of][case], strict=True)
-    return statistics.median(ours[key] / theirs[key] for ours, theirs in pairs)
-
-
-def measure_servers(arguments):
-    """Measures closed-loop rates by mode and sessions, then latencies at half of the peak rate of spikeserve."""
-    rounds, spikeload = min(arguments.rounds, 3), arguments.bin / "spikeload"
-    duration, cost = f"{arguments.seconds}s", "processor_seconds_per_decision"
-    cases = [(mode, sessions) for mode in ("unary", "stream", "batch") for sessions in SESSIONS]
-    names = ("spikeserve", "echo")
-    bound_cases = [("unary", 64), ("stream", 64)]
-    measured = {name: {case: [] for case in cases} for name in names}
-    measured["deciding_echo"] = {case: [] for case in bound_cases}
-    half = {mode: {name: [] for name in names} for mode in ("unary", "stream")}
-    with running_servers(arguments) as servers:
-
-        def load(name, mode, sessions, **flags):
-            flags = {**load_flags(mode, sessions), "duration": duration, **flags}
-            return programs.measure_load(spikeload, servers[name], **flags)
-
-        for _ in range(rounds):
-            for case in cases:
-                for name, results in measured.items():
-                    if case in results:
-                        results[case].append(load(name, *case))
-        sessions = SESSIONS[-1]
-        for mode, results in half.items():
-            peak = summarize(measured["spikeserve"][mode, sessions])["decisions_per_second"]
-            for _ in range(rounds):
-                for name in names:
-                    results[name].append(load(name, mode, sessions, rate=peak / 2))
-    return {
-        "closed_loop": [
-            {
-                "mode": mode,
-                "sessions": sessions,
-                **{name: summarize(measured[name][mode, sessions]) for name in names},
-                "share_of_echo": share(measured, (mode, sessions), "decisions_per_second"),
-                "processor_share_of_echo": 1 / share(measured, (mode, sessions), cost),
-            }
-            for mode, sessions in cases
-        ],
-        "bounds": [
-            {
-                "mode": mode,
-                "sessions": sessions,
-                **{name: summarize(results[mode, sessions]) for name, results in measured.items()},
-                "share_at_best": 1 / share(measured, (mode, sessions), cost, name="deciding_echo"),
-                "share_reached": 1 / share(measured, (mode, sessions), cost),
-                "share_of_deciding_echo": 1 / share(measured, (mode, sessions), cost, of="deciding_echo"),
-            }
-            for mode, sessions in bound_cases
-        ],
-        "half_peak": [
-            {"mode": mode, "sessions": sessions, **{name: summarize(results[name]) for name in names}}
-            for mode, results in half.items()
-        ],
-    }
-
-
-def measure_torch_server(arguments):
-    with running_torch_server(arguments) as server:
-        return [
-            {
-                "sessions": sessions,
-                **programs.measure_load(
-                    arguments.bin / "spikeload",
-                    server,
-                    **load_flags("unary", sessions),
-                    duration=f"{2 * arguments.seconds}s",
-                ),
-            }
-            for sessions in SESSIONS[:3]
-        ]
-
-
 def machine():
     with open("/proc/cpuinfo") as file:
         model = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
@@ -285,8 +134,8 @@ def main():
     section("engine", lambda: measure_engines(arguments))
     section("growth", lambda: run_contestants(growth_contestants(arguments), arguments.rounds, arguments.seconds / 2))
     section("sessions", lambda: measure_sessions(arguments))
-    section("server", lambda: {**measure_servers(arguments), "torch_server": measure_torch_server(arguments)})
-    section("learning", lambda: measure_learning(arguments))
+    section("server", lambda: server_bench.measure_servers(arguments))
+    section("learning", lambda: server_bench.measure_learning(arguments))
     result["duration_seconds"] = time.monotonic() - start
     arguments.json.write_text(json.dumps(result, indent=2) + "\n")
     arguments.markdown.write_text(report.to_markdown(result))

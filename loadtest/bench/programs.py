@@ -5,7 +5,7 @@ import json
 import subprocess
 import time
 
-# The first core runs the measured program, the other cores run the load generators.
+# The first core runs the measured program, the other cores run the load generators. "1-": from core 1 to the last one.
 MEASURED_CORE = "0"
 LOAD_CORES = "1-"
 
@@ -76,9 +76,9 @@ class Server:
 
 
 @contextlib.contextmanager
-def running_server(command, announcement):
+def running_server(command, announcement, cores=MEASURED_CORE):
     """Starts a server and yields it. Its first line of output is `announcement` and its HOST:PORT."""
-    server = subprocess.Popen(on_cores(MEASURED_CORE, command), stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen(on_cores(cores, command), stdout=subprocess.PIPE, text=True)
     try:
         line = server.stdout.readline()
         if not line.startswith(announcement):
@@ -90,12 +90,12 @@ def running_server(command, announcement):
         server.stdout.close()
 
 
-def measure_load(spikeload, server, **flags):
+def measure_load(spikeload, server, cores=LOAD_CORES, **flags):
     """Returns the report of spikeload for one run, and the processor time of the server for each decision."""
     flags = {"server": server.address, **flags}
     command = [spikeload, "--json", *(f"--{name}={value}" for name, value in flags.items())]
     before = server.processor_seconds()
-    result = subprocess.run(on_cores(LOAD_CORES, command), check=True, capture_output=True, text=True)
+    result = subprocess.run(on_cores(cores, command), check=True, capture_output=True, text=True)
     report = json.loads(result.stdout)
     used = server.processor_seconds() - before
     return {**report, "processor_seconds_per_decision": used / report["decisions"]}
