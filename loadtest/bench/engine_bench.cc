@@ -3,11 +3,13 @@
 //
 // The inputs are those of CartPole, played in closed loop by the policy itself. The environment is
 // reset when its episode ends, and the context every --episode_steps decisions, so that policies
-// with episodes of different lengths can be compared.
+// with episodes of different lengths can be compared. With --observation_bound, the observations
+// are random as those of spikeload, so that the engine can be compared with a server under load.
 
 #include <CLI/CLI.hpp>
 #include <iostream>
 #include <memory>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -33,6 +35,7 @@ struct Flags {
   ModelConfig random;      // shape of a random policy
   int together = 1;
   int episode_steps = 500;
+  float observation_bound = 0.0f;  // 0: CartPole's own observations
 };
 
 absl::StatusOr<Policy> ReadCartPolePolicy(const std::string& path) {
@@ -64,18 +67,23 @@ absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
 // An agent and its CartPole environment. Not thread-safe.
 class Player {
  public:
-  Player(const Engine* engine, int episode_steps, uint64_t seed)
+  Player(const Engine* engine, const Flags& flags, uint64_t seed)
       : engine_(engine),
         environment_(*MakeEnvironment("CartPole-v1")),
-        episode_steps_(episode_steps),
+        episode_steps_(flags.episode_steps),
+        observation_bound_(flags.observation_bound),
         seed_(seed),
+        random_(static_cast<std::minstd_rand::result_type>(seed)),
         encoded_(static_cast<size_t>(engine->policy().action_space.size())) {
     Reset();
   }
 
   // Returns the inputs of the next decision. REQUIRES: Act() is called once the decision is made.
   Engine::Decision Next() {
-    if (steps_++ % episode_steps_ == 0) context_ = engine_->NewContext(0);
+    if (steps_++ % episode_steps_ == 0) {
+      context_ = engine_->NewContext(0);
+      if (observation_bound_ > 0) Reset();
+    }
     return {context_.get(), return_to_go_, observation_, &output_};
   }
 
@@ -85,16 +93,27 @@ class Player {
     ChooseAction(policy.weights.head, policy.action_space, output_.readout, ActionSelection(), 0,
                  &choice_);
     policy.action_space.Encode(choice_.action, absl::MakeSpan(encoded_));
-    const StepResult step = environment_->Step(choice_.action);
-    observation_ = step.observation;
-    return_to_go_ -= static_cast<float>(step.reward);
-    if (step.done()) Reset();
+    observation_bound_ > 0 ? Observe() : Step();
     return {context_.get(), encoded_};
   }
 
   uint64_t spikes() const { return output_.counts.total_spikes(); }
 
  private:
+  void Step() {
+    const StepResult step = environment_->Step(choice_.action);
+    observation_ = step.observation;
+    return_to_go_ -= static_cast<float>(step.reward);
+    if (step.done()) Reset();
+  }
+
+  // Draws an observation and receives CartPole's reward.
+  void Observe() {
+    std::uniform_real_distribution<float> uniform(-observation_bound_, observation_bound_);
+    for (float& value : observation_) value = uniform(random_);
+    return_to_go_ -= 1.0f;
+  }
+
   void Reset() {
     observation_ = environment_->Reset(seed_++);
     return_to_go_ = engine_->policy().target_return;
@@ -103,7 +122,9 @@ class Player {
   const Engine* const engine_;
   std::unique_ptr<Environment> environment_;
   const int episode_steps_;  // decisions after which the context starts anew
+  const float observation_bound_;
   uint64_t seed_;
+  std::minstd_rand random_;
   int64_t steps_ = 0;
   std::unique_ptr<Engine::Context> context_;
   float return_to_go_ = 0.0f;
@@ -136,8 +157,7 @@ absl::Status Run(const Flags& flags) {
       flags.engine == "streaming" ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
   std::vector<Player> players;
   for (int i = 0; i < flags.together; ++i) {
-    players.emplace_back(engine.get(), flags.episode_steps,
-                         /*seed=*/1000 * static_cast<uint64_t>(i));
+    players.emplace_back(engine.get(), flags, /*seed=*/1000 * static_cast<uint64_t>(i));
   }
   RunContestant([&] { return PlayTogether(*engine, players); });
   return absl::OkStatus();
@@ -158,6 +178,8 @@ int main(int argc, char** argv) {
   app.add_option("--context", flags.random.context, "N of a random policy, in timesteps");
   app.add_option("--together", flags.together, "Agents that decide together");
   app.add_option("--episode_steps", flags.episode_steps, "Decisions of a context");
+  app.add_option("--observation_bound", flags.observation_bound,
+                 "Bound of random observations; default: those of CartPole");
   CLI11_PARSE(app, argc, argv);
   const absl::Status status = spikeserve::Run(flags);
   if (status.ok()) return 0;

@@ -134,8 +134,9 @@ def half_peak(bench, servers, rounds, peaks):
 
 
 def batch_share(bench, arguments, servers, rounds):
-    """Compares the rate of ActBatch with that of the engine alone, for as many sessions, in turns."""
+    """Compares the rate of ActBatch with that of the engine alone, for as many sessions and like requests, in turns."""
     command = [arguments.bin / "engine_bench", f"--policy={SHIPPED}", f"--together={BATCH}"]
+    command += ["--episode_steps=200", f"--observation_bound={OBSERVATION_BOUND}"]  # as spikeload
     commands = {"float32": command, "int8": [*command, "--arithmetic=int8"]}
     shares = {name: [] for name in commands}
     with programs.running_contestants(commands) as contestants:
@@ -143,7 +144,7 @@ def batch_share(bench, arguments, servers, rounds):
             for contestant in contestants:
                 measured = contestant.measure(arguments.seconds)
                 rate = measured["decisions"] / measured["seconds"]
-                report = bench.load(servers[contestant.name], "batch", SESSIONS[-1])
+                report = bench.load(servers[contestant.name], "batch", BATCH)
                 shares[contestant.name].append({"engine": rate, "server_rate": 1 / report[COST]})
     return [
         {"server": name, **summarize(rounds), "share": statistics.median(r["server_rate"] / r["engine"] for r in rounds)}
