@@ -98,6 +98,8 @@ struct ConnectionCallbacks {
     nghttp2_option* option = nullptr;
     nghttp2_option_new(&option);
     nghttp2_option_set_no_auto_window_update(option, 1);
+    // nghttp2 would keep closed streams for the priorities of others, which are not used.
+    nghttp2_option_set_no_closed_streams(option, 1);
     return option;
   }
 };
@@ -115,7 +117,7 @@ Connection::Connection(std::unique_ptr<Socket> socket, std::unique_ptr<Connectio
   static const nghttp2_session_callbacks* const callbacks = ConnectionCallbacks::Make();
   static const nghttp2_option* const option = ConnectionCallbacks::MakeOption();
   nghttp2_session* session = nullptr;
-  nghttp2_session_server_new2(&session, callbacks, this, option);
+  nghttp2_session_server_new3(&session, callbacks, this, option, frame_memory_.allocator());
   session_.reset(session);
   const TransportLimits& limits = *shared_->limits;
   const std::array<nghttp2_settings_entry, 3> settings = {{
@@ -218,6 +220,7 @@ void Connection::Gather() {
     const uint8_t* data = nullptr;
     const ssize_t size = nghttp2_session_mem_send(session_.get(), &data);
     if (size <= 0) return;
+    has_buffers_ = true;
     unsent_.append(reinterpret_cast<const char*>(data), static_cast<size_t>(size));
   }
 }
@@ -277,7 +280,15 @@ void Connection::CheckTimes() {
           "message: expected all of its bytes within --request_timeout, received a part"));
     }
   }
-  if (never_called || stuck) Abort(NGHTTP2_NO_ERROR);
+  if (never_called || stuck) return Abort(NGHTTP2_NO_ERROR);
+  if (has_buffers_ && streams_.empty() && unsent_.empty()) ReleaseBuffers();
+}
+
+void Connection::ReleaseBuffers() {
+  if (nghttp2_session_want_write(session_.get()) != 0) return;
+  frame_memory_.Release();
+  unsent_.shrink_to_fit();
+  has_buffers_ = false;
 }
 
 void Connection::GoAway() {

@@ -20,6 +20,7 @@
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
 #include "server/transport/frame_budget.h"
+#include "server/transport/frame_memory.h"
 #include "server/transport/grpc_stream.h"
 #include "server/transport/limits.h"
 #include "server/transport/socket.h"
@@ -92,6 +93,8 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   void ContinueLater();
   // Returns false if the connection was closed.
   bool Receive(absl::string_view data);
+  // Gives back the memory that an idle connection does not need.
+  void ReleaseBuffers();
   // Appends frames of the session to `unsent_`, up to a limit.
   void Gather();
   // Sets which events the loop waits for.
@@ -131,12 +134,14 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   FrameBudget control_frames_;
   int64_t bytes_ = 0;         // that streams store
   int64_t answer_bytes_ = 0;  // those that are answers
+  FrameMemory frame_memory_;
   std::unique_ptr<nghttp2_session, FreeSession> session_;
   absl::flat_hash_map<int32_t, std::unique_ptr<GrpcStream>> streams_;
   std::vector<std::unique_ptr<GrpcStream>> closed_streams_;  // destroyed when no callback runs
   std::vector<int32_t> to_read_on_;
-  std::string unsent_;    // frames, not yet written
-  size_t written_ = 0;    // bytes of `unsent_` that were written
+  std::string unsent_;  // frames, not yet written
+  size_t written_ = 0;  // bytes of `unsent_` that were written
+  bool has_buffers_ = true;
   uint32_t watched_ = 0;  // events
   absl::Duration closing_since_ = absl::InfiniteDuration();
   size_t dropped_ = 0;  // bytes received since then
