@@ -29,7 +29,8 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
            "Frames without a purpose that a connection may send")
       .Add("max_connection_bytes", "BYTES", &limits->max_connection_bytes,
            "Requests and answers in flight on one connection")
-      .Add("max_bytes_in_flight", "BYTES", &limits->max_bytes_in_flight, "As above, on all")
+      .Add("max_tenant_bytes", "BYTES", &limits->max_tenant_bytes, "As above, of one tenant")
+      .Add("max_bytes_in_flight", "BYTES", &limits->max_bytes_in_flight, "As above, of all")
       .Add("max_connections", "N", &limits->max_connections, "Connections at a time")
       .Add("max_connections_per_address", "N", &limits->max_connections_per_address,
            "Connections of one client address")

@@ -1,10 +1,10 @@
-"""Prints the processor time of a call by part, for spikeserve and both echo services, as a Markdown table.
+"""Prints the processor time of a call by part, for the echo service and for spikeserve, as a Markdown table.
 
 usage: profile_calls.py --bin=build/release/bin [--mode=unary] [--sessions=64] [--rate=0] [--rounds=7] [--seconds=1]
 
-Needs perf of Linux and the permission to use it. The library and symbol of a sample decide its part. So the time of gRPC
+Needs perf of Linux and the permission to use it. The library and symbol of a sample decide its part. So the time of HTTP/2
 and protobuf in malloc, memcpy and locks counts as libraries. The sampling rate is low, because samples are expensive in
-a virtual machine.
+a virtual machine. The policy is the shipped one of CartPole, in int8.
 """
 
 import argparse
@@ -13,8 +13,7 @@ import pathlib
 import subprocess
 import tempfile
 
-import bench
-import programs
+import server_bench
 
 SAMPLES_PER_SECOND = 1000
 ENGINE = (
@@ -29,22 +28,34 @@ ENGINE = (
     "StreamingEngine",
     "TokenPass",
 )
-PARTS = ["engine", "spikeserve's own", "protobuf", "gRPC", "libraries", "kernel"]
+TRANSPORT = (
+    "grpc_core::",
+    "grpc::",
+    "spikeserve::Acceptor",
+    "spikeserve::Connection",
+    "spikeserve::EventLoop",
+    "spikeserve::GrpcStream",
+    "spikeserve::MessageReader",
+    "spikeserve::TransportLoop",
+    "PlainSocket",
+)
+PARTS = ["engine", "spikeserve's own", "protobuf", "HTTP/2 and gRPC", "libraries", "kernel"]
 
 
 def part_of(library, symbol):
     if library.startswith("[kernel"):
         return "kernel"
-    if symbol.startswith("[.] grpc"):  # includes templates of gRPC for messages of spikeserve
-        return "gRPC"
+    transport = "nghttp2" in library or any(name in symbol for name in TRANSPORT)
+    if transport or symbol.startswith("[.] grpc"):
+        return "HTTP/2 and gRPC"
     if "protobuf" in library or "google::protobuf" in symbol or "spikeserve::v1::" in symbol:
         return "protobuf"
     if any(name in symbol for name in ENGINE):
         return "engine"
     if "prometheus" in library or "spikeserve::" in symbol:
         return "spikeserve's own"
-    # The programs link gRPC statically.
-    return "gRPC" if library in ("spikeserve", "echo_server") else "libraries"
+    # The echo links gRPC statically.
+    return "HTTP/2 and gRPC" if library == "echo_server" else "libraries"
 
 
 def shares(recording):
@@ -61,13 +72,13 @@ def shares(recording):
     return {part: percent / sum(parts.values()) for part, percent in parts.items()}
 
 
-def measure(spikeload, server, flags):
+def measure(bench, server, arguments):
     """Returns the microseconds of processor time of a decision by part, and their sum."""
     with tempfile.NamedTemporaryFile() as recording:
         command = ["perf", "record", "-q", "-e", "cpu-clock", "-F", str(SAMPLES_PER_SECOND), "-p", str(server.pid)]
         perf = subprocess.Popen([*command, "-o", recording.name], stderr=subprocess.DEVNULL)
         try:
-            load = programs.measure_load(spikeload, server, **flags)
+            load = bench.load(server, arguments.mode, arguments.sessions, rate=arguments.rate)
         finally:
             perf.terminate()
             perf.wait()
@@ -85,16 +96,13 @@ def main():
     parser.add_argument("--rounds", type=int, default=7, help="number of rounds; the result is their median")
     parser.add_argument("--seconds", type=float, default=1, help="seconds for each server in a round")
     arguments = parser.parse_args()
-    flags = bench.load_flags(arguments.mode, arguments.sessions)
-    flags.update(rate=arguments.rate, duration=f"{arguments.seconds}s")
-    names = ("echo", "deciding_echo", "spikeserve")
-    rounds = {name: [] for name in names}
-    with bench.running_servers(arguments) as servers:
+    rounds = {"echo": [], "spikeserve": []}
+    with server_bench.prepared(arguments) as bench, bench.echo() as echo, bench.spikeserve("int8") as spikeserve:
         for _ in range(arguments.rounds):
-            for name in names:
-                rounds[name].append(measure(arguments.bin / "spikeload", servers[name], flags))
-    columns = [bench.summarize(rounds[name]) for name in names]
-    print("| µs a call | echo | echo with the engine in it | spikeserve |\n| --- | ---: | ---: | ---: |")
+            rounds["echo"].append(measure(bench, echo, arguments))
+            rounds["spikeserve"].append(measure(bench, spikeserve, arguments))
+    columns = [server_bench.summarize(results) for results in rounds.values()]
+    print("| µs a call | echo | spikeserve |\n| --- | ---: | ---: |")
     for part in [*PARTS, "together"]:
         print(f"| {part} | " + " | ".join(f"{column[part]:.1f}" for column in columns) + " |")
 

@@ -14,6 +14,7 @@
 #include "core/session/session_quota.h"
 #include "server/access/rate_limit.h"
 #include "server/access/refusal_pacer.h"
+#include "server/base/byte_budget.h"
 
 namespace spikeserve {
 
@@ -49,6 +50,9 @@ class Tenant final : public SessionQuota {
   // Returns RESOURCE_EXHAUSTED if a request of `bytes` is longer than max_message_bytes.
   absl::Status CheckMessage(int64_t bytes) const;
 
+  // What the calls of this tenant store in the transport.
+  ByteBudget& bytes_in_flight() { return bytes_in_flight_; }
+
   // Delays the refusals of all callers of this tenant.
   RefusalPacer& refusals() { return refusals_; }
 
@@ -56,6 +60,7 @@ class Tenant final : public SessionQuota {
   const std::string name_;
   RateLimit decisions_;
   RefusalPacer refusals_;
+  ByteBudget bytes_in_flight_;
   std::atomic<int64_t> max_sessions_ = 0;
   std::atomic<int64_t> max_message_bytes_ = 0;
   std::atomic<int64_t> sessions_ = 0;

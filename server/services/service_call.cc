@@ -17,7 +17,10 @@ void ServiceCall::Start() {
     caller_ = Admit(*context_.authenticator, call_->head().authorization, method_);
     admission_ = caller_.status();
   }
-  if (admission_.ok()) return;
+  if (admission_.ok()) {
+    const std::shared_ptr<Tenant>& tenant = caller().tenant();
+    return call_->ChargeTo(std::shared_ptr<ByteBudget>(tenant, &tenant->bytes_in_flight()));
+  }
   // Refused before a byte of the request was read.
   call_->DropRequest();
   Observe(admission_, start);

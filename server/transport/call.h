@@ -15,6 +15,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "server/base/byte_budget.h"
 #include "server/transport/event_loop.h"
 
 namespace spikeserve {
@@ -45,6 +46,10 @@ class Call {
   // Stops calling OnMessage(), and so, by flow control, the client, until ResumeReading().
   virtual void PauseReading() = 0;
   virtual void ResumeReading() = 0;
+
+  // Counts the bytes that the call stores as those of a tenant, too, which may not exceed
+  // TransportLimits::max_tenant_bytes.
+  virtual void ChargeTo(std::shared_ptr<ByteBudget> tenant) = 0;
 
   // Drops the rest of the request as it arrives, without storing any of it.
   virtual void DropRequest() = 0;

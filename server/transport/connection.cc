@@ -98,8 +98,6 @@ struct ConnectionCallbacks {
     nghttp2_option* option = nullptr;
     nghttp2_option_new(&option);
     nghttp2_option_set_no_auto_window_update(option, 1);
-    // nghttp2 would keep closed streams for the priorities of others, which are not used.
-    nghttp2_option_set_no_closed_streams(option, 1);
     return option;
   }
 };
@@ -180,8 +178,8 @@ void Connection::Continue() {
 }
 
 bool Connection::MayRead() const {
-  const ByteBudget& process = *shared_->bytes_in_flight;
-  const bool scarce = process.used() > process.limit() / kScarceFraction;
+  const int64_t limit = shared_->limits->max_bytes_in_flight;
+  const bool scarce = shared_->bytes_in_flight->used() > limit / kScarceFraction;
   return answer_bytes_ <= (scarce ? kAnswersWhenScarce : kStoredAnswers);
 }
 
@@ -351,13 +349,9 @@ void Connection::Close() {
 
 bool Connection::CountBytes(int64_t bytes) {
   bytes_ += bytes;
-  if (bytes <= 0) {
-    shared_->bytes_in_flight->Release(-bytes);
-    return true;
-  }
-  const bool process = shared_->bytes_in_flight->Acquire(bytes);
-  if (!process) shared_->bytes_in_flight->Release(-bytes);  // counts them all the same
-  return process && bytes_ <= shared_->limits->max_connection_bytes;
+  const TransportLimits& limits = *shared_->limits;
+  const bool process_admits = shared_->bytes_in_flight->Count(bytes, limits.max_bytes_in_flight);
+  return process_admits && (bytes <= 0 || bytes_ <= limits.max_connection_bytes);
 }
 
 GrpcStream* Connection::FindStream(int32_t id) {

@@ -16,7 +16,7 @@
 #include "absl/container/flat_hash_map.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
-#include "server/transport/byte_budget.h"
+#include "server/base/byte_budget.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
 #include "server/transport/frame_budget.h"

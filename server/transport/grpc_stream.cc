@@ -59,7 +59,7 @@ ssize_t ReadCallback(nghttp2_session* /*session*/, int32_t /*id*/, uint8_t* out,
 }  // namespace
 
 GrpcStream::~GrpcStream() {
-  owner_->CountBytes(-counted_);
+  Count(-counted_);
   owner_->CountAnswers(-counted_answers_);
 }
 
@@ -210,19 +210,25 @@ void GrpcStream::Consume(size_t bytes) {
   owner_->WantFlush();
 }
 
+bool GrpcStream::Count(int64_t bytes) {
+  const bool tenant_admits =
+      tenant_ == nullptr || tenant_->Count(bytes, owner_->limits().max_tenant_bytes);
+  return owner_->CountBytes(bytes) && tenant_admits;
+}
+
 void GrpcStream::CountStored() {
   const auto request = static_cast<int64_t>(reader_.buffered() + unread_.size());
   const auto answers = static_cast<int64_t>(answer_.size());
   owner_->CountAnswers(answers - std::exchange(counted_answers_, answers));
-  const bool within_limits =
-      owner_->CountBytes(request + answers - std::exchange(counted_, request + answers));
+  const bool within_limits = Count(request + answers - std::exchange(counted_, request + answers));
   if (within_limits || finished_ || request == 0) return;
   unread_ = {};
   reader_ = {};
-  owner_->CountBytes(-request);
+  Count(-request);
   counted_ -= request;
   Finish(absl::ResourceExhaustedError(
-      "the server holds as many bytes of requests as it may; try again later"));
+      "the server holds as many bytes of requests as it may, in all or of this caller; try again "
+      "later"));
 }
 
 void GrpcStream::Send(const google::protobuf::MessageLite& message) {
@@ -298,7 +304,7 @@ void GrpcStream::FreeAnswers() {
   if (answer_.capacity() > kUnsentLimit) answer_.shrink_to_fit();
   sent_ = 0;
   owner_->CountAnswers(-counted_answers_);
-  owner_->CountBytes(-counted_answers_);
+  Count(-counted_answers_);
   counted_ -= std::exchange(counted_answers_, 0);
 }
 

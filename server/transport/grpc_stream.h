@@ -83,6 +83,7 @@ class GrpcStream final : public Call {
   void Finish(const absl::Status& status) override;
   void PauseReading() override { paused_ = true; }
   void ResumeReading() override;
+  void ChargeTo(std::shared_ptr<ByteBudget> tenant) override { tenant_ = std::move(tenant); }
   void DropRequest() override { dropping_ = true; }
 
  private:
@@ -91,6 +92,9 @@ class GrpcStream final : public Call {
   // Lets the client send `bytes` more.
   void Consume(size_t bytes);
   void CountStored();
+  // Counts `bytes`, which the stream stores or, below 0, has freed. Returns false if the
+  // connection, the tenant or the process exceeds its limit.
+  bool Count(int64_t bytes);
   // Frees the answers, which were sent completely.
   void FreeAnswers();
   bool reading() const {
@@ -123,6 +127,7 @@ class GrpcStream final : public Call {
   int64_t header_bytes_ = 0;
   int64_t headers_ = 0;
   std::shared_ptr<CallHandler> handler_;
+  std::shared_ptr<ByteBudget> tenant_;  // null: the caller is not known yet
   EventLoop::Timer deadline_timer_;
   MessageReader reader_;
   std::string unread_;  // received while reading was paused

@@ -27,6 +27,7 @@ absl::Status TransportLimits::Validate() const {
   status.Update(CheckAtLeastOne("--max_resets_per_second", max_resets_per_second));
   status.Update(CheckAtLeastOne("--max_control_frames_per_second", max_control_frames_per_second));
   status.Update(CheckAtLeastOne("--max_connection_bytes", max_connection_bytes));
+  status.Update(CheckAtLeastOne("--max_tenant_bytes", max_tenant_bytes));
   status.Update(CheckAtLeastOne("--max_bytes_in_flight", max_bytes_in_flight));
   status.Update(CheckAtLeastOne("--max_connections", max_connections));
   status.Update(CheckAtLeastOne("--max_connections_per_address", max_connections_per_address));

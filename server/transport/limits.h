@@ -24,6 +24,7 @@ struct TransportLimits {
   int64_t max_connection_bytes = 16 << 20;  // of requests that wait and answers not yet sent
 
   // Of all connections.
+  int64_t max_tenant_bytes = 128 << 20;     // as above, of one tenant
   int64_t max_bytes_in_flight = 256 << 20;  // of requests that wait and answers not yet sent
   int64_t max_connections = 10'000;
   int64_t max_connections_per_address = 1'000;  // of one client address

@@ -38,7 +38,6 @@ int64_t ConnectionsThatFit(int64_t wanted) {
 
 Transport::Transport(const TransportOptions& options)
     : options_(options),
-      bytes_in_flight_(options.limits.max_bytes_in_flight),
       connections_(ConnectionsThatFit(options.limits.max_connections),
                    options.limits.max_connections_per_address) {}
 

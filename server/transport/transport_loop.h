@@ -10,7 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/clock.h"
-#include "server/transport/byte_budget.h"
+#include "server/base/byte_budget.h"
 #include "server/transport/call.h"
 #include "server/transport/connection.h"
 #include "server/transport/connection_table.h"

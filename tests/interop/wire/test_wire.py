@@ -1,14 +1,21 @@
 """What a client of gRPC does not send, or does not show: frames as they are on the wire."""
 
 import base64
+import contextlib
+import json
 import shutil
+import socket
+import ssl
+import struct
 
 import grpc
+import h2.connection
+import h2.exceptions
 import pytest
-from contract import message_class, v1
+from contract import call, message_class, v1
 from http2_client import Http2Client, framed, headers
-from security import OBSERVATION, POLICY, SERVING
-from serving import SHIPPED_POLICIES, running_server
+from security import OBSERVATION, POLICY, SERVING, TOKENS, credentials, tls_flags
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server
 
 LIST = f"/{POLICY}/ListPolicies"
 OPEN = f"/{POLICY}/OpenSession"
@@ -296,3 +303,51 @@ def test_a_draining_server_sends_goaway_finishes_the_call_and_closes():
         assert answer.grpc_status == grpc.StatusCode.UNAVAILABLE.value[0]
         client.wait_closed()
     assert client.goaway == 0
+
+
+def test_a_tenant_has_a_budget_of_its_own(tmp_path):
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps(TOKENS))
+    flags = [f"--tokens={tokens}", f"--max_tenant_bytes={5 << 20}"]
+    incomplete = b"\x00\x00\x30\x00\x00" + b"x" * (2 << 20)  # 2 of 3 MiB
+    with running_server(flags=flags) as started, contextlib.ExitStack() as connections:
+
+        def begin(token):
+            """Sends a part of a request on a new connection. Returns the connection and its stream."""
+            client = connections.enter_context(Http2Client(started.grpc))
+            stream = client.begin(headers(OPEN, authorization=f"Bearer {token}"))
+            with contextlib.suppress(h2.exceptions.StreamClosedError):  # the refusal came first
+                client.send(stream, incomplete)
+            return client, stream
+
+        begin("agent")
+        begin("agent")
+        client, stream = begin("agent")
+        assert client.wait(stream).grpc_status == RESOURCE_EXHAUSTED
+        client, _ = begin("rival")
+        stream = client.begin(headers(LIST, authorization="Bearer rival"))
+        client.send(stream, framed(EMPTY), end=True)
+        assert client.wait(stream).grpc_status == OK
+
+
+def test_a_client_that_resets_its_tls_connection_does_not_end_the_server(certificates):
+    """OpenSSL writes in a way that raises SIGPIPE; no HTTP library has switched the signal off here."""
+    flags = [*tls_flags(certificates), "--http_listen="]
+    context = ssl.create_default_context(cafile=certificates / "ca.pem")
+    context.set_alpn_protocols(["h2"])
+    with running_server(flags=flags) as started:
+        host, port = started.grpc.rsplit(":", 1)
+        for _ in range(20):
+            plain = socket.create_connection((host, int(port)))
+            secured = context.wrap_socket(plain, server_hostname="localhost")
+            peer = h2.connection.H2Connection()
+            peer.initiate_connection()
+            for _ in range(50):
+                peer.ping(b"12345678")  # each has an answer
+            linger = struct.pack("ii", 1, 0)
+            secured.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            secured.sendall(peer.data_to_send())
+            secured.close()  # resets
+        with grpc.secure_channel(started.grpc, credentials(certificates)) as channel:
+            list_policies = call(channel, LIST)
+            assert list_policies(v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS).policies

@@ -3,7 +3,7 @@
 #include <memory>
 #include <vector>
 
-#include "server/transport/byte_budget.h"
+#include "server/base/byte_budget.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/frame_budget.h"
 #include "server/transport/limits.h"
@@ -33,11 +33,13 @@ TEST(FrameBudgetTest, EarnsWhatThePeerMayAnswer) {
 }
 
 TEST(ByteBudgetTest, Bounds) {
-  ByteBudget budget(100);
-  EXPECT_TRUE(budget.Acquire(60));
-  EXPECT_FALSE(budget.Acquire(41));
-  EXPECT_TRUE(budget.Acquire(40));
-  budget.Release(100);
+  ByteBudget budget;
+  EXPECT_TRUE(budget.Count(60, 100));
+  EXPECT_FALSE(budget.Count(41, 100));
+  EXPECT_EQ(budget.used(), 101);
+  EXPECT_TRUE(budget.Count(-41, 100));
+  EXPECT_TRUE(budget.Count(40, 100));
+  EXPECT_TRUE(budget.Count(-100, 0));
   EXPECT_EQ(budget.used(), 0);
 }
 
