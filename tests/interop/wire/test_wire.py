@@ -7,6 +7,7 @@ import shutil
 import socket
 import ssl
 import struct
+import time
 
 import grpc
 import h2.connection
@@ -337,17 +338,21 @@ def test_a_client_that_resets_its_tls_connection_does_not_end_the_server(certifi
     context.set_alpn_protocols(["h2"])
     with running_server(flags=flags) as started:
         host, port = started.grpc.rsplit(":", 1)
-        for _ in range(20):
+        for i in range(40):
             plain = socket.create_connection((host, int(port)))
             secured = context.wrap_socket(plain, server_hostname="localhost")
             peer = h2.connection.H2Connection()
             peer.initiate_connection()
-            for _ in range(50):
-                peer.ping(b"12345678")  # each has an answer
+            for _ in range(80):
+                stream = peer.get_next_available_stream_id()
+                peer.send_headers(stream, headers(LIST))
+                peer.send_data(stream, framed(EMPTY), end_stream=True)
             linger = struct.pack("ii", 1, 0)
             secured.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
             secured.sendall(peer.data_to_send())
-            secured.close()  # resets
+            time.sleep(i * 1e-4)  # the reset has to arrive while the server is answering
+            secured.shutdown(socket.SHUT_WR)  # only a reset after this raises the signal
+            secured.close()
         with grpc.secure_channel(started.grpc, credentials(certificates)) as channel:
             list_policies = call(channel, LIST)
             assert list_policies(v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS).policies
