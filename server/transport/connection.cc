@@ -138,12 +138,29 @@ void Connection::OnReady(uint32_t events) {
   if (closed_) return;
   if (closing_since_ != absl::InfiniteDuration()) return DropInput();
   if ((events & EPOLLOUT) != 0) WantFlush();
-  if ((events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0 || socket_->read_waits_for_write()) ReadAll();
+  if ((events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0 || socket_->read_waits_for_write()) {
+    ReadWhenDue();
+  }
+}
+
+void Connection::ReadWhenDue() {
+  if (!socket_->is_handshaking()) return ReadAll();
+  if (waits_for_handshake_) return Close();  // only an error is reported of a socket that waits
+  if (shared_->handshakes.MayStep()) return ContinueHandshake();
+  waits_for_handshake_ = true;
+  watched_ = 0;
+  loop().ChangeWatch(socket_->fd(), watched_, this);
+  shared_->handshakes.Wait(this);
+}
+
+void Connection::ContinueHandshake() {
+  waits_for_handshake_ = false;
+  const absl::Duration start = shared_->handshakes.Now();
+  ReadAll();
+  shared_->handshakes.Charge(shared_->handshakes.Now() - start);
 }
 
 void Connection::ReadAll() {
-  // A handshake takes a millisecond of processor time, so other connections take turns with them.
-  if (socket_->is_handshaking() && --shared_->handshakes_left < 0) return;
   thread_local std::array<char, kReadBytes> buffer;
   for (int i = 0; i < kReadsPerTurn; ++i) {
     const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
@@ -225,7 +242,8 @@ void Connection::Gather() {
 
 void Connection::Flush() {
   wants_flush_ = false;
-  if (closed_ || closing_since_ != absl::InfiniteDuration()) return;
+  if (closed_ || closing_since_ != absl::InfiniteDuration() || waits_for_handshake_) return;
+  if (socket_->is_handshaking()) return UpdateWatch();  // writing would continue the handshake
   while (true) {
     if (unsent_.empty()) Gather();
     if (unsent_.empty()) break;
@@ -306,6 +324,7 @@ void Connection::Drain() {
 }
 
 void Connection::Abort(uint32_t error) {
+  if (socket_->is_handshaking()) return Close();  // there is nothing to tell the client yet
   nghttp2_session_terminate_session(session_.get(), error);
   Gather();
   if (!unsent_.empty()) socket_->Write(absl::string_view(unsent_).substr(written_));
@@ -344,6 +363,7 @@ void Connection::Close() {
   loop().Unwatch(socket_->fd());
   CloseStreams();
   if (continues_) std::erase(shared_->to_continue, this);
+  if (waits_for_handshake_) shared_->handshakes.Remove(this);
   shared_->closed(this);
 }
 
@@ -395,7 +415,10 @@ int Connection::OnFrame(const nghttp2_frame& frame) {
       if (stream == nullptr) return 0;
       if (frame.headers.cat == NGHTTP2_HCAT_REQUEST) {
         stream->StartCall();
-        slot_->MarkCaller();
+        if (is_stranger()) {
+          slot_->MarkCaller();
+          shared_->called(this);
+        }
       }
       if (ends_stream) stream->OnHalfClose();
       return 0;

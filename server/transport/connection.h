@@ -22,21 +22,25 @@
 #include "server/transport/frame_budget.h"
 #include "server/transport/frame_memory.h"
 #include "server/transport/grpc_stream.h"
+#include "server/transport/handshake_queue.h"
 #include "server/transport/limits.h"
 #include "server/transport/socket.h"
 
 namespace spikeserve {
 
-class Connection final : public EventLoop::Source, public GrpcStream::Owner {
+class Connection final : public EventLoop::Source,
+                         public HandshakeQueue::Waiter,
+                         public GrpcStream::Owner {
  public:
   // What all connections of a loop share. Outlives them.
   struct Shared {
     EventLoop* loop;
     CallRouter* router;
     const TransportLimits* limits;
-    ByteBudget* bytes_in_flight;                // of the process
-    std::function<void(Connection*)> closed;    // destroys the connection at the end of the turn
-    int handshakes_left = 1;                    // that may be continued in this turn
+    ByteBudget* bytes_in_flight;              // of the process
+    std::function<void(Connection*)> closed;  // destroys the connection at the end of the turn
+    HandshakeQueue handshakes;
+    std::function<void(Connection*)> called;    // the connection has made its first call
     FrameBudget log_lines = FrameBudget(10);    // about clients that exceed a limit
     std::vector<Connection*> to_flush = {};     // have something to send at the end of the turn
     std::vector<Connection*> to_continue = {};  // have something to read in the next turn
@@ -50,6 +54,9 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
 
   // EventLoop::Source
   void OnReady(uint32_t events) override;
+
+  // HandshakeQueue::Waiter
+  void ContinueHandshake() override;
 
   // Reads what earlier turns have left.
   void Continue();
@@ -88,6 +95,8 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
     void operator()(nghttp2_session* session) const { nghttp2_session_del(session); }
   };
 
+  // Reads what is there, or waits until the TLS handshake may continue.
+  void ReadWhenDue();
   void ReadAll();
   // Calls Continue() in the next turn.
   void ContinueLater();
@@ -142,6 +151,7 @@ class Connection final : public EventLoop::Source, public GrpcStream::Owner {
   std::string unsent_;  // frames, not yet written
   size_t written_ = 0;  // bytes of `unsent_` that were written
   bool has_buffers_ = true;
+  bool waits_for_handshake_ = false;
   uint32_t watched_ = 0;  // events
   absl::Duration closing_since_ = absl::InfiniteDuration();
   size_t dropped_ = 0;  // bytes received since then

@@ -11,7 +11,11 @@
 namespace spikeserve {
 namespace {
 
-constexpr int kEventsPerTurn = 256;
+constexpr int kEventsPerWait = 256;
+
+// A turn handles sockets for about this long. Then what was gathered is decided and sent before the
+// other sockets are handled, so that a flood on some does not delay the answers of all.
+constexpr absl::Duration kTurnTime = absl::Milliseconds(1);
 
 }  // namespace
 
@@ -27,21 +31,32 @@ absl::StatusOr<std::unique_ptr<EventLoop>> EventLoop::Create(const Clock* clock)
 }
 
 void EventLoop::Run() {
-  std::array<epoll_event, kEventsPerTurn> events;
+  std::array<epoll_event, kEventsPerWait> events;
+  int ready = 0;
+  int next = 0;  // of `events`, the first one that was not handled
   while (true) {
     {
       absl::MutexLock lock(&mutex_);
       if (stopping_) return;
     }
-    const int ready = epoll_wait(epoll_.get(), events.data(), kEventsPerTurn, MillisecondsToWait());
+    if (next >= ready) {
+      ready = epoll_wait(epoll_.get(), events.data(), kEventsPerWait, MillisecondsToWait());
+      next = 0;
+    }
     now_ = clock_->Now();
-    for (int i = 0; i < ready; ++i) {
-      auto* source = static_cast<Source*>(events[i].data.ptr);
-      if (source != nullptr) source->OnReady(events[i].events);
+    while (next < ready) {
+      const epoll_event& event = events[next++];
+      auto* source = static_cast<Source*>(event.data.ptr);
+      if (source != nullptr) source->OnReady(event.events);
+      if (clock_->Now() - now_ > kTurnTime) break;
     }
     RunTimers();
     RunPosted();
     for (const auto& work : end_of_turn_) work();
+    for (int i = next; i < ready; ++i) {
+      const auto is_source = [&](const auto& source) { return source.get() == events[i].data.ptr; };
+      if (std::ranges::any_of(garbage_, is_source)) events[i].data.ptr = nullptr;
+    }
     garbage_.clear();
   }
 }

@@ -6,9 +6,9 @@
 //   (*loop)->Stop();
 //   thread.join();
 //
-// A turn of the loop handles what is ready: sockets, timers, posted work, and then the work that
-// AtEndOfTurn() registered. Work that gathers over a turn, such as decisions and bytes to write, is
-// done once at its end.
+// A turn of the loop handles what is ready: sockets, as far as a millisecond takes it, timers,
+// posted work, and then the work that AtEndOfTurn() registered. Work that gathers over a turn, such
+// as decisions and bytes to write, is done once at its end.
 //
 // Thread-safety: Post() and Stop() may be called from any thread, everything else only from the
 // thread of Run(), or before Run() starts.

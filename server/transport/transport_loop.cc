@@ -17,20 +17,25 @@ absl::StatusOr<std::unique_ptr<TransportLoop>> TransportLoop::Create(const Trans
   auto events = EventLoop::Create(clock);
   if (!events.ok()) return events.status();
   return std::unique_ptr<TransportLoop>(
-      new TransportLoop(limits, bytes_in_flight, *std::move(events)));
+      new TransportLoop(limits, bytes_in_flight, clock, *std::move(events)));
 }
 
 TransportLoop::TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in_flight,
-                             std::unique_ptr<EventLoop> events)
+                             const Clock* clock, std::unique_ptr<EventLoop> events)
     : events_(std::move(events)),
       shared_({.loop = events_.get(),
                .router = nullptr,
                .limits = limits,
                .bytes_in_flight = bytes_in_flight,
-               .closed = [this](Connection* connection) {
-                 auto node = connections_.extract(connection);
-                 if (!node.empty()) events_->DeleteLater(std::move(node.mapped()));
-               }}) {}
+               .closed =
+                   [this](Connection* connection) {
+                     strangers_.erase(AgeOf(connection));
+                     auto node = connections_.extract(connection);
+                     if (!node.empty()) events_->DeleteLater(std::move(node.mapped()));
+                   },
+               .handshakes = HandshakeQueue(events_.get(), clock),
+               .called = [this](Connection* connection) { strangers_.erase(AgeOf(connection)); }}) {
+}
 
 TransportLoop::~TransportLoop() { Join(); }
 
@@ -51,21 +56,16 @@ void TransportLoop::Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<Connec
   auto connection = std::make_unique<Connection>(std::move(socket), std::move(slot), &shared_);
   Connection* key = connection.get();
   connections_.emplace(key, std::move(connection));
+  strangers_.insert(AgeOf(key));
   if (!key->Start().ok()) key->Close();
 }
 
 void TransportLoop::CloseOldestStranger() {
-  Connection* oldest = nullptr;
-  for (const auto& [key, connection] : connections_) {
-    if (!connection->is_stranger()) continue;
-    if (oldest == nullptr || connection->connected() < oldest->connected()) oldest = key;
-  }
-  if (oldest != nullptr) oldest->Close();
+  if (!strangers_.empty()) strangers_.begin()->second->Close();
 }
 
 void TransportLoop::FlushWrites() {
   for (Connection* connection : std::exchange(shared_.to_flush, {})) connection->Flush();
-  shared_.handshakes_left = 1;
 }
 
 void TransportLoop::CheckTimes() {

@@ -4,7 +4,9 @@
 
 #include <functional>
 #include <memory>
+#include <set>
 #include <thread>
+#include <utility>
 
 #include "absl/container/flat_hash_map.h"
 #include "absl/status/status.h"
@@ -57,14 +59,20 @@ class TransportLoop {
   bool empty() const { return connections_.empty(); }
 
  private:
-  TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in_flight,
+  // Orders connections by the time of their start.
+  using Age = std::pair<absl::Duration, Connection*>;
+
+  TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in_flight, const Clock* clock,
                 std::unique_ptr<EventLoop> events);
+
+  static Age AgeOf(Connection* connection) { return {connection->connected(), connection}; }
 
   void CheckTimes();
 
   const std::unique_ptr<EventLoop> events_;
   Connection::Shared shared_;
   absl::flat_hash_map<Connection*, std::unique_ptr<Connection>> connections_;
+  std::set<Age> strangers_;  // connections without a call, the oldest first
   std::thread thread_;
 };
 
