@@ -19,7 +19,7 @@ void ServiceCall::Start() {
   }
   if (admission_.ok()) {
     const std::shared_ptr<Tenant>& tenant = caller().tenant();
-    return call_->ChargeTo(std::shared_ptr<ByteBudget>(tenant, &tenant->bytes_in_flight()));
+    return call_->Admit(std::shared_ptr<ByteBudget>(tenant, &tenant->bytes_in_flight()));
   }
   // Refused before a byte of the request was read.
   call_->DropRequest();

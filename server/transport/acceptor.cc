@@ -17,7 +17,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr int kAcceptedPerTurn = 64;
+constexpr int kAcceptedPerTurn = 16;
 
 // A dead client is noticed after a minute of silence and three unanswered probes.
 constexpr int kKeepAliveIdleSeconds = 60;
@@ -82,6 +82,19 @@ void Acceptor::Stop() {
 }
 
 void Acceptor::OnReady(uint32_t /*events*/) {
+  StrangerQueue& queue = loops_.front()->stranger_queue();
+  if (queue.MayRun()) return OnTurn();
+  loops_.front()->events().ChangeWatch(listener_.get(), 0, this);
+  queue.Wait(this);
+}
+
+void Acceptor::OnTurn() {
+  if (!listener_.valid()) return;  // stopped meanwhile
+  loops_.front()->events().ChangeWatch(listener_.get(), EPOLLIN, this);
+  loops_.front()->stranger_queue().Run([this] { AcceptSome(); });
+}
+
+void Acceptor::AcceptSome() {
   for (int i = 0; i < kAcceptedPerTurn && listener_.valid(); ++i) {
     sockaddr_storage peer = {};
     socklen_t size = sizeof(peer);

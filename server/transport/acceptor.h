@@ -14,11 +14,12 @@
 #include "server/transport/event_loop.h"
 #include "server/transport/file_descriptor.h"
 #include "server/transport/limits.h"
+#include "server/transport/stranger_queue.h"
 #include "server/transport/transport_loop.h"
 
 namespace spikeserve {
 
-class Acceptor final : public EventLoop::Source {
+class Acceptor final : public EventLoop::Source, public StrangerQueue::Waiter {
  public:
   // The loops take turns. All arguments must outlive the acceptor; `tls` is null for plain text.
   Acceptor(FileDescriptor listener, const std::vector<std::unique_ptr<TransportLoop>>* loops,
@@ -30,8 +31,10 @@ class Acceptor final : public EventLoop::Source {
   void Stop();
 
   void OnReady(uint32_t events) override;
+  void OnTurn() override;
 
  private:
+  void AcceptSome();
   // Serves a connection or refuses it.
   void Take(FileDescriptor fd, const std::string& address);
   // Accepts one connection although the process may open no more files, and closes it, so that its

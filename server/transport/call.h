@@ -47,9 +47,9 @@ class Call {
   virtual void PauseReading() = 0;
   virtual void ResumeReading() = 0;
 
-  // Counts the bytes that the call stores as those of a tenant, too, which may not exceed
-  // TransportLimits::max_tenant_bytes.
-  virtual void ChargeTo(std::shared_ptr<ByteBudget> tenant) = 0;
+  // The caller is known. Counts the bytes that the call stores as those of its tenant, too, which
+  // may not exceed TransportLimits::max_tenant_bytes.
+  virtual void Admit(std::shared_ptr<ByteBudget> tenant) = 0;
 
   // Drops the rest of the request as it arrives, without storing any of it.
   virtual void DropRequest() = 0;

@@ -10,9 +10,12 @@
 namespace spikeserve {
 namespace {
 
-constexpr size_t kReadBytes = 64 << 10;   // at a time
-constexpr int kReadsPerTurn = 4;          // then other connections get their turn
+constexpr size_t kReadBytes = 16 << 10;   // at a time, a record of TLS
+constexpr int kReadsPerStep = 16;         // then other connections get their turn
 constexpr size_t kWriteBytes = 64 << 10;  // at a time
+
+// The time after which a step of a connection ends; it may be exceeded by what one read brings.
+constexpr absl::Duration kStepTime = absl::Microseconds(300);
 
 // A connection stops reading while this many frames wait for the client to take them, for example
 // acknowledgements of a flood of PINGs.
@@ -138,31 +141,34 @@ void Connection::OnReady(uint32_t events) {
   if (closed_) return;
   if (closing_since_ != absl::InfiniteDuration()) return DropInput();
   if ((events & EPOLLOUT) != 0) WantFlush();
-  if ((events & (EPOLLIN | EPOLLHUP | EPOLLERR)) != 0 || socket_->read_waits_for_write()) {
-    ReadWhenDue();
+  const bool failed = (events & (EPOLLHUP | EPOLLERR)) != 0;
+  if (waits_for_turn_) {
+    if (failed) Close();
+    return;
   }
+  if (failed || (events & EPOLLIN) != 0 || socket_->read_waits_for_write()) ReadWhenDue();
 }
 
 void Connection::ReadWhenDue() {
-  if (!socket_->is_handshaking()) return ReadAll();
-  if (waits_for_handshake_) return Close();  // only an error is reported of a socket that waits
-  if (shared_->handshakes.MayStep()) return ContinueHandshake();
-  waits_for_handshake_ = true;
-  watched_ = 0;
-  loop().ChangeWatch(socket_->fd(), watched_, this);
-  shared_->handshakes.Wait(this);
+  if (is_known_) return ReadAll();
+  if (shared_->stranger_queue.MayRun()) return OnTurn();
+  waits_for_turn_ = true;
+  UpdateWatch();
+  shared_->stranger_queue.Wait(this);
 }
 
-void Connection::ContinueHandshake() {
-  waits_for_handshake_ = false;
-  const absl::Duration start = shared_->handshakes.Now();
-  ReadAll();
-  shared_->handshakes.Charge(shared_->handshakes.Now() - start);
+void Connection::OnTurn() {
+  waits_for_turn_ = false;
+  shared_->stranger_queue.Run([this] {
+    ReadStored();
+    if (!closed_ && closing_since_ == absl::InfiniteDuration()) ReadAll();
+  });
 }
 
 void Connection::ReadAll() {
   thread_local std::array<char, kReadBytes> buffer;
-  for (int i = 0; i < kReadsPerTurn; ++i) {
+  const absl::Duration end = shared_->clock->Now() + kStepTime;
+  for (int i = 0; i < kReadsPerStep && shared_->clock->Now() < end; ++i) {
     const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
     if (result.outcome == Socket::Outcome::kClosed) return Close();
     if (result.outcome == Socket::Outcome::kBlocked) break;
@@ -186,12 +192,23 @@ void Connection::ContinueLater() {
 
 void Connection::Continue() {
   continues_ = false;
-  if (closed_) return;
-  for (const int32_t id : std::exchange(to_read_on_, {})) {
-    if (closed_) return;
-    if (GrpcStream* stream = FindStream(id)) stream->ReadOn();
-  }
+  if (closed_ || waits_for_turn_) return;
+  if (!is_known_) return ReadWhenDue();
+  ReadStored();
   if (!closed_ && socket_->has_buffered_input()) ReadAll();
+}
+
+void Connection::ReadStored() {
+  const absl::Duration end = shared_->clock->Now() + kStepTime;
+  std::vector<int32_t> ids = std::exchange(to_read_on_, {});
+  while (!ids.empty() && !closed_ && shared_->clock->Now() < end) {
+    GrpcStream* const stream = FindStream(ids.back());
+    ids.pop_back();
+    if (stream != nullptr) stream->ReadOn();
+  }
+  if (closed_ || ids.empty()) return;
+  to_read_on_.insert(to_read_on_.end(), ids.begin(), ids.end());
+  ContinueLater();
 }
 
 bool Connection::MayRead() const {
@@ -242,7 +259,7 @@ void Connection::Gather() {
 
 void Connection::Flush() {
   wants_flush_ = false;
-  if (closed_ || closing_since_ != absl::InfiniteDuration() || waits_for_handshake_) return;
+  if (closed_ || closing_since_ != absl::InfiniteDuration()) return;
   if (socket_->is_handshaking()) return UpdateWatch();  // writing would continue the handshake
   while (true) {
     if (unsent_.empty()) Gather();
@@ -271,7 +288,7 @@ void Connection::Flush() {
 void Connection::UpdateWatch() {
   const bool backed_up =
       nghttp2_session_get_outbound_queue_size(session_.get()) > kQueuedFrames && !unsent_.empty();
-  uint32_t events = backed_up ? 0U : static_cast<uint32_t>(EPOLLIN);
+  uint32_t events = backed_up || waits_for_turn_ ? 0U : static_cast<uint32_t>(EPOLLIN);
   if (!unsent_.empty() || socket_->read_waits_for_write()) events |= EPOLLOUT;
   if (events == watched_) return;
   watched_ = events;
@@ -363,7 +380,7 @@ void Connection::Close() {
   loop().Unwatch(socket_->fd());
   CloseStreams();
   if (continues_) std::erase(shared_->to_continue, this);
-  if (waits_for_handshake_) shared_->handshakes.Remove(this);
+  if (waits_for_turn_) shared_->stranger_queue.Remove(this);
   shared_->closed(this);
 }
 

@@ -22,24 +22,25 @@
 #include "server/transport/frame_budget.h"
 #include "server/transport/frame_memory.h"
 #include "server/transport/grpc_stream.h"
-#include "server/transport/handshake_queue.h"
 #include "server/transport/limits.h"
 #include "server/transport/socket.h"
+#include "server/transport/stranger_queue.h"
 
 namespace spikeserve {
 
 class Connection final : public EventLoop::Source,
-                         public HandshakeQueue::Waiter,
+                         public StrangerQueue::Waiter,
                          public GrpcStream::Owner {
  public:
   // What all connections of a loop share. Outlives them.
   struct Shared {
     EventLoop* loop;
+    const Clock* clock;
     CallRouter* router;
     const TransportLimits* limits;
     ByteBudget* bytes_in_flight;              // of the process
     std::function<void(Connection*)> closed;  // destroys the connection at the end of the turn
-    HandshakeQueue handshakes;
+    StrangerQueue stranger_queue;
     std::function<void(Connection*)> called;    // the connection has made its first call
     FrameBudget log_lines = FrameBudget(10);    // about clients that exceed a limit
     std::vector<Connection*> to_flush = {};     // have something to send at the end of the turn
@@ -55,10 +56,10 @@ class Connection final : public EventLoop::Source,
   // EventLoop::Source
   void OnReady(uint32_t events) override;
 
-  // HandshakeQueue::Waiter
-  void ContinueHandshake() override;
+  // StrangerQueue::Waiter
+  void OnTurn() override;
 
-  // Reads what earlier turns have left.
+  // Reads what earlier turns of the loop have left.
   void Continue();
   // Sends what is ready to be sent, as far as the client takes it.
   void Flush();
@@ -86,6 +87,7 @@ class Connection final : public EventLoop::Source,
   void CountAnswers(int64_t bytes) override { answer_bytes_ += bytes; }
   void WantFlush() override;
   bool MayRead() const override;
+  void MarkKnown() override { is_known_ = true; }
   void ReadOnLater(int32_t id) override;
 
  private:
@@ -95,9 +97,11 @@ class Connection final : public EventLoop::Source,
     void operator()(nghttp2_session* session) const { nghttp2_session_del(session); }
   };
 
-  // Reads what is there, or waits until the TLS handshake may continue.
+  // Reads what is there; a stranger may have to wait for its turn.
   void ReadWhenDue();
   void ReadAll();
+  // Passes on what streams have stored, for as long as a step may take.
+  void ReadStored();
   // Calls Continue() in the next turn.
   void ContinueLater();
   // Returns false if the connection was closed.
@@ -151,8 +155,9 @@ class Connection final : public EventLoop::Source,
   std::string unsent_;  // frames, not yet written
   size_t written_ = 0;  // bytes of `unsent_` that were written
   bool has_buffers_ = true;
-  bool waits_for_handshake_ = false;
-  uint32_t watched_ = 0;  // events
+  bool is_known_ = false;        // a call was admitted
+  bool waits_for_turn_ = false;  // in the queue of strangers
+  uint32_t watched_ = 0;         // events
   absl::Duration closing_since_ = absl::InfiniteDuration();
   size_t dropped_ = 0;  // bytes received since then
   bool wants_flush_ = false;

@@ -199,6 +199,11 @@ void GrpcStream::OnDrain() {
   if (handler_ != nullptr && !finished_) handler_->OnDrain();
 }
 
+void GrpcStream::Admit(std::shared_ptr<ByteBudget> tenant) {
+  tenant_ = std::move(tenant);
+  owner_->MarkKnown();
+}
+
 void GrpcStream::ResumeReading() {
   paused_ = false;
   ReadOn();

@@ -39,6 +39,8 @@ class GrpcStream final : public Call {
     virtual void WantFlush() = 0;
     // Returns false while the connection stores so many answers that its streams must not read on.
     virtual bool MayRead() const = 0;
+    // A call was admitted: the client is no stranger any more.
+    virtual void MarkKnown() = 0;
     // Calls ReadOn() of stream `id`, if it still exists, once MayRead() returns true.
     virtual void ReadOnLater(int32_t id) = 0;
   };
@@ -83,7 +85,7 @@ class GrpcStream final : public Call {
   void Finish(const absl::Status& status) override;
   void PauseReading() override { paused_ = true; }
   void ResumeReading() override;
-  void ChargeTo(std::shared_ptr<ByteBudget> tenant) override { tenant_ = std::move(tenant); }
+  void Admit(std::shared_ptr<ByteBudget> tenant) override;
   void DropRequest() override { dropping_ = true; }
 
  private:

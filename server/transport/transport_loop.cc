@@ -24,6 +24,7 @@ TransportLoop::TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in
                              const Clock* clock, std::unique_ptr<EventLoop> events)
     : events_(std::move(events)),
       shared_({.loop = events_.get(),
+               .clock = clock,
                .router = nullptr,
                .limits = limits,
                .bytes_in_flight = bytes_in_flight,
@@ -33,7 +34,7 @@ TransportLoop::TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in
                      auto node = connections_.extract(connection);
                      if (!node.empty()) events_->DeleteLater(std::move(node.mapped()));
                    },
-               .handshakes = HandshakeQueue(events_.get(), clock),
+               .stranger_queue = StrangerQueue(events_.get(), clock),
                .called = [this](Connection* connection) { strangers_.erase(AgeOf(connection)); }}) {
 }
 

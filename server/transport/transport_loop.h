@@ -33,6 +33,7 @@ class TransportLoop {
   ~TransportLoop();
 
   EventLoop& events() { return *events_; }
+  StrangerQueue& stranger_queue() { return shared_.stranger_queue; }
 
   // Sets what answers the calls. `router` must outlive the loop's run.
   void SetRouter(CallRouter* router) { shared_.router = router; }
