@@ -219,7 +219,11 @@ def loops_section(server):
         ]
         for case in server["loops"]
     ]
-    text = "One loop on one core and two loops on two, with the same 512 sessions of the policy in int8 and the same load.\n\n"
+    text = "One loop on one core and two loops on two, with the same 512 sessions of the policy in int8 and the same load. "
+    if not server["loops"][0]["own_cores"]:
+        text += "The load generator shares the cores, so the rates are not those of a server that has them alone; the ratio is "
+        text += "what the processor time of a call allows. "
+    text = text.rstrip() + "\n\n"
     header = ["mode", "one loop, decisions/s", "two loops", "ratio", "one loop, processor µs a call", "two loops"]
     return text + table(header, rows)
 
