@@ -1,13 +1,9 @@
 #include "server/agent/convert.h"
 
-#include <cmath>
-#include <limits>
 #include <optional>
 #include <string>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/string_view.h"
-#include "core/base/json.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
 #include "nlohmann/json.hpp"
@@ -59,108 +55,44 @@ void ToProto(const Answer& answer, bool dense, v1::DecisionStats* proto) {
   proto->set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
 }
 
-// Refuses fields that would have no effect with the other options.
-absl::Status CheckApplies(const v1::LearningConfig& config, const LearningOptions& options) {
-  const auto unset = [](const char* field, absl::string_view unless, double received) {
-    return absl::InvalidArgumentError(absl::StrCat("learning.", field, ": expected unset unless ",
-                                                   unless, ", received ", received));
-  };
-  if (config.has_discount() && options.modulator != Modulator::kRealized) {
-    return unset("discount", "modulator is realized", config.discount());
+absl::StatusOr<LearningRequest> LearningFromProto(const v1::LearningConfig& config) {
+  if (!v1::LearningConfig::Scope_IsValid(config.scope())) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "learning.scope: expected SESSION or FLEET, received ", static_cast<int>(config.scope())));
   }
-  if (options.scope == Scope::kSession) return absl::OkStatus();
-  if (config.has_max_drift()) {
-    return unset("max_drift", "scope is SESSION, because the server bounds shared heads",
-                 config.max_drift());
-  }
-  if (config.has_guard_margin()) {
-    return unset("guard_margin", "scope is SESSION, because the server guards shared heads",
-                 config.guard_margin());
-  }
-  return absl::OkStatus();
+  LearningRequest request;
+  request.scope = config.scope() == v1::LearningConfig::FLEET ? Scope::kFleet : Scope::kSession;
+  request.rule = config.rule();
+  request.modulator = config.modulator();
+  if (config.has_learning_rate()) request.learning_rate = config.learning_rate();
+  if (config.has_trace_decay()) request.trace_decay = config.trace_decay();
+  if (config.has_discount()) request.discount = config.discount();
+  if (config.has_clip()) request.clip = config.clip();
+  if (config.has_max_drift()) request.max_drift = config.max_drift();
+  if (config.has_guard_margin()) request.guard_margin = config.guard_margin();
+  return request;
 }
 
 }  // namespace
 
-absl::StatusOr<ActionSelection> SelectionFromProto(const v1::OpenSessionRequest& request) {
-  ActionSelection selection;
+absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& request) {
+  SessionRequest settings;
+  if (request.has_target_return()) settings.target_return = request.target_return();
+  settings.seed = request.seed();
   if (!v1::ActionSelection_IsValid(request.action_selection())) {
     return absl::InvalidArgumentError(
         absl::StrCat("action_selection: expected GREEDY or SAMPLE, received ",
                      static_cast<int>(request.action_selection())));
   }
-  selection.sample = request.action_selection() == v1::SAMPLE;
-  if (!request.has_temperature()) return selection;
-  if (!selection.sample) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("temperature: expected unset unless action_selection is SAMPLE, received ",
-                     request.temperature()));
+  settings.sample = request.action_selection() == v1::SAMPLE;
+  if (request.has_temperature()) settings.temperature = request.temperature();
+  if (request.has_learning()) {
+    const auto learning = LearningFromProto(request.learning());
+    if (!learning.ok()) return learning.status();
+    settings.learning = *learning;
   }
-  // Decisions divide by the temperature in float32, where doubles below kSmallest are subnormal or
-  // zero.
-  constexpr double kSmallest = std::numeric_limits<float>::min();
-  constexpr double kLargest = std::numeric_limits<float>::max();
-  if (!(request.temperature() >= kSmallest && request.temperature() <= kLargest)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("temperature: expected a finite number above 0 within float32, received ",
-                     request.temperature()));
-  }
-  selection.temperature = static_cast<float>(request.temperature());
-  return selection;
-}
-
-absl::StatusOr<LearningOptions> LearningFromProto(const v1::LearningConfig& config,
-                                                  const ActionSpace& space,
-                                                  const ActionSelection& selection) {
-  if (!v1::LearningConfig::Scope_IsValid(config.scope())) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "learning.scope: expected SESSION or FLEET, received ", static_cast<int>(config.scope())));
-  }
-  LearningOptions options;
-  options.scope = config.scope() == v1::LearningConfig::FLEET ? Scope::kFleet : Scope::kSession;
-  if (!config.rule().empty()) {
-    const auto rule = ParseEnum<Rule>("learning.rule", config.rule());
-    if (!rule.ok()) return rule.status();
-    options.rule = *rule;
-  }
-  if (!config.modulator().empty()) {
-    const auto modulator = ParseEnum<Modulator>("learning.modulator", config.modulator());
-    if (!modulator.ok()) return modulator.status();
-    options.modulator = *modulator;
-  }
-  if (auto status = CheckApplies(config, options); !status.ok()) return status;
-  options.learning_rate = config.has_learning_rate()
-                              ? config.learning_rate()
-                              : LearningOptions::DefaultLearningRate(options.modulator);
-  if (config.has_trace_decay()) options.trace_decay = config.trace_decay();
-  if (config.has_discount()) options.discount = config.discount();
-  if (config.has_clip()) options.clip = config.clip();
-  if (config.has_max_drift()) options.max_drift = config.max_drift();
-  if (config.has_guard_margin()) options.guard_margin = config.guard_margin();
-  if (auto status = options.Validate(space, selection); !status.ok()) return status;
-  return options;
-}
-
-absl::StatusOr<Eigen::VectorXf> HeadDeltaFromProto(const v1::OpenSessionRequest& request,
-                                                   const Policy& policy) {
-  Eigen::VectorXf delta = AsVector(request.head_delta());
-  if (delta.size() == 0) return delta;
-  const auto size = static_cast<Eigen::Index>(policy.weights.head.weight.values.size());
-  if (request.has_learning() && request.learning().scope() == v1::LearningConfig::FLEET) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("head_delta: expected none where learning.scope is FLEET, received ",
-                     delta.size(), " numbers"));
-  }
-  if (delta.size() != size) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("head_delta: expected ", size, " numbers, received ", delta.size()));
-  }
-  for (Eigen::Index i = 0; i < size; ++i) {
-    if (std::isfinite(delta[i])) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat("head_delta[", i, "]: expected a finite number, received ", delta[i]));
-  }
-  return delta;
+  settings.head_delta = AsVector(request.head_delta());
+  return settings;
 }
 
 v1::ActionSpace ToProto(const ActionSpace& space) {

@@ -34,28 +34,12 @@ absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& 
 
 absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
                                                 const ServedPolicy& served) {
-  SessionOptions options;
-  options.policy = served.name;
-  options.version = served.version;
-  options.seed = request.seed();
-  options.target_return = request.has_target_return()
-                              ? request.target_return()
-                              : static_cast<double>(served.policy().target_return);
-  if (auto status = CheckTargetReturn(options.target_return); !status.ok()) return status;
-  const auto selection = SelectionFromProto(request);
-  if (!selection.ok()) return selection.status();
-  options.action_selection = *selection;
-  if (request.has_learning()) {
-    const auto learning =
-        LearningFromProto(request.learning(), served.policy().action_space, *selection);
-    if (!learning.ok()) return learning.status();
-    options.learning = *learning;
-  }
-  auto head_delta = HeadDeltaFromProto(request, served.policy());
-  if (!head_delta.ok()) return head_delta.status();
-  options.head_delta = *std::move(head_delta);
+  auto settings = RequestFromProto(request);
+  if (!settings.ok()) return settings.status();
+  auto options = ResolveSession(*std::move(settings), served);
+  if (!options.ok()) return options.status();
   if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
-  options.labels.insert(request.labels().begin(), request.labels().end());
+  options->labels.insert(request.labels().begin(), request.labels().end());
   return options;
 }
 

@@ -1,0 +1,60 @@
+#include "core/learning/learning_request.h"
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+
+namespace spikeserve {
+namespace {
+
+// Refuses fields that would have no effect with the other options.
+absl::Status CheckApplies(const LearningRequest& request, const LearningOptions& options) {
+  const auto unset = [](const char* field, absl::string_view unless, double received) {
+    return absl::InvalidArgumentError(absl::StrCat("learning.", field, ": expected unset unless ",
+                                                   unless, ", received ", received));
+  };
+  if (request.discount.has_value() && options.modulator != Modulator::kRealized) {
+    return unset("discount", "modulator is realized", *request.discount);
+  }
+  if (options.scope == Scope::kSession) return absl::OkStatus();
+  if (request.max_drift.has_value()) {
+    return unset("max_drift", "scope is SESSION, because the server bounds shared heads",
+                 *request.max_drift);
+  }
+  if (request.guard_margin.has_value()) {
+    return unset("guard_margin", "scope is SESSION, because the server guards shared heads",
+                 *request.guard_margin);
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<LearningOptions> ResolveLearning(const LearningRequest& request,
+                                                const ActionSpace& space,
+                                                const ActionSelection& selection) {
+  LearningOptions options;
+  options.scope = request.scope;
+  if (!request.rule.empty()) {
+    const auto rule = ParseEnum<Rule>("learning.rule", request.rule);
+    if (!rule.ok()) return rule.status();
+    options.rule = *rule;
+  }
+  if (!request.modulator.empty()) {
+    const auto modulator = ParseEnum<Modulator>("learning.modulator", request.modulator);
+    if (!modulator.ok()) return modulator.status();
+    options.modulator = *modulator;
+  }
+  if (auto status = CheckApplies(request, options); !status.ok()) return status;
+  options.learning_rate =
+      request.learning_rate.value_or(LearningOptions::DefaultLearningRate(options.modulator));
+  options.trace_decay = request.trace_decay.value_or(options.trace_decay);
+  options.discount = request.discount.value_or(options.discount);
+  options.clip = request.clip.value_or(options.clip);
+  options.max_drift = request.max_drift.value_or(options.max_drift);
+  options.guard_margin = request.guard_margin.value_or(options.guard_margin);
+  if (auto status = options.Validate(space, selection); !status.ok()) return status;
+  return options;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,36 @@
+// The learning that a caller requests for a session, before defaults and checks.
+//
+// Plain values; free functions without shared state.
+#ifndef CORE_LEARNING_LEARNING_REQUEST_H_
+#define CORE_LEARNING_LEARNING_REQUEST_H_
+
+#include <optional>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "core/learning/learning_options.h"
+
+namespace spikeserve {
+
+// Empty names and absent numbers select the defaults of LearningOptions.
+struct LearningRequest {
+  Scope scope = Scope::kSession;
+  std::string rule;
+  std::string modulator;
+  std::optional<double> learning_rate = std::nullopt;
+  std::optional<double> trace_decay = std::nullopt;
+  std::optional<double> discount = std::nullopt;
+  std::optional<double> clip = std::nullopt;
+  std::optional<double> max_drift = std::nullopt;
+  std::optional<double> guard_margin = std::nullopt;
+};
+
+// Returns the options that `request` asks for. Returns INVALID_ARGUMENT for an unknown name, for a
+// field that would have no effect, and for options that LearningOptions::Validate refuses.
+absl::StatusOr<LearningOptions> ResolveLearning(const LearningRequest& request,
+                                                const ActionSpace& space,
+                                                const ActionSelection& selection);
+
+}  // namespace spikeserve
+
+#endif  // CORE_LEARNING_LEARNING_REQUEST_H_
