@@ -14,6 +14,8 @@ packages=(
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
   prometheus-cpp-dev libcpp-httplib-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
   libeigen3-dev libnghttp2-dev dpkg-dev file
+  # the Python engine
+  python3-dev
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo

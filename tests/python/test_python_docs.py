@@ -3,11 +3,12 @@
 import numpy as np
 import spikeserve
 from documentation import run_examples
-from serving import running_server
+from serving import DEPLOY, running_server
 
 
 def test_the_examples_run(address, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "deploy").symlink_to(DEPLOY)
     run_examples("python.md", address)
     printed = capsys.readouterr().out
     assert "cartpole/2 plays CartPole-v1: return 500.0 " in printed

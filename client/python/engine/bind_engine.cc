@@ -1,0 +1,180 @@
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "client/python/engine/bindings.h"
+#include "client/python/engine/convert.h"
+
+namespace spikeserve {
+namespace {
+
+namespace nb = nanobind;
+using nb::literals::operator""_a;
+
+template <typename Number>
+absl::Span<const Number> View(const InputArray<Number>& array) {
+  return {array.data(), array.size()};
+}
+
+std::shared_ptr<PlayedPolicy> Open(const nb::object& path) {
+  const auto name = nb::cast<std::string>(nb::module_::import_("os").attr("fspath")(path));
+  absl::StatusOr<std::shared_ptr<const PlayedPolicy>> played = nullptr;
+  {
+    const nb::gil_scoped_release release;
+    played = PlayedPolicy::Read(name);
+  }
+  return std::const_pointer_cast<PlayedPolicy>(ValueOrRaise(std::move(played)));
+}
+
+std::shared_ptr<LocalSession> OpenSession(std::shared_ptr<PlayedPolicy> played,
+                                          std::optional<double> target_return, uint64_t seed,
+                                          bool sample, std::optional<double> temperature,
+                                          const nb::object& learning,
+                                          const nb::object& head_delta) {
+  SessionRequest request = {
+      .target_return = target_return, .seed = seed, .sample = sample, .temperature = temperature};
+  if (!learning.is_none()) request.learning = ToLearningRequest(learning);
+  if (!head_delta.is_none()) {
+    const auto delta = ToArray<float>("head_delta", head_delta, 1);
+    request.head_delta =
+        Eigen::Map<const Eigen::VectorXf>(delta.data(), static_cast<Eigen::Index>(delta.size()));
+  }
+  return ValueOrRaise(LocalSession::Open(std::move(played), std::move(request)));
+}
+
+BoundDecision Act(LocalSession& session, nb::handle observation, double reward) {
+  const auto values = ToArray<float>("observation", observation, 1);
+  absl::StatusOr<Answer> answer = Answer();
+  {
+    const nb::gil_scoped_release release;
+    answer = session.Act(View(values), reward);
+  }
+  return ToBound(ValueOrRaise(std::move(answer)), session.policy());
+}
+
+EpisodeSummary EndEpisode(LocalSession& session, double reward, bool terminated, bool truncated,
+                          std::optional<double> target_return) {
+  const EpisodeEnd end = {.reward = reward,
+                          .terminated = terminated,
+                          .target_return = target_return,
+                          .truncated = truncated};
+  absl::StatusOr<EpisodeSummary> summary = EpisodeSummary();
+  {
+    const nb::gil_scoped_release release;
+    summary = session.EndEpisode(end);
+  }
+  return ValueOrRaise(std::move(summary));
+}
+
+nb::object Explain(LocalSession& session) {
+  absl::StatusOr<LocalSession::Explained> explained = LocalSession::Explained();
+  {
+    const nb::gil_scoped_release release;
+    explained = session.Explain();
+  }
+  return ToPython(ValueOrRaise(std::move(explained)), session.policy());
+}
+
+void CheckRows(const char* field, size_t expected, size_t received) {
+  if (expected == received) return;
+  throw nb::value_error(
+      absl::StrCat(field, ": expected ", expected, " rows, received ", received).c_str());
+}
+
+BoundBatch ActBatch(const std::shared_ptr<PlayedPolicy>& played,
+                    const std::vector<std::shared_ptr<LocalSession>>& sessions,
+                    nb::handle observations, nb::handle rewards) {
+  const auto inputs = ToArray<float>("observations", observations, 2);
+  CheckRows("observations", sessions.size(), inputs.shape(0));
+  std::vector<double> earned(sessions.size());
+  if (!rewards.is_none()) {
+    const auto given = ToArray<double>("rewards", rewards, 1);
+    CheckRows("rewards", sessions.size(), given.shape(0));
+    std::copy_n(given.data(), given.size(), earned.begin());
+  }
+  const bool ours = std::all_of(sessions.begin(), sessions.end(), [&](const auto& session) {
+    return &session->played() == played.get();
+  });
+  if (!ours) {
+    throw nb::value_error("sessions: expected sessions of this engine, received another engine's");
+  }
+  absl::StatusOr<std::vector<Answer>> answers = std::vector<Answer>();
+  {
+    const nb::gil_scoped_release release;
+    answers = LocalSession::ActTogether(sessions, View(inputs), earned);
+  }
+  return {.answers = ValueOrRaise(std::move(answers)),
+          .discrete = played->policy().action_space.is_discrete(),
+          .dense = played->policy().config.is_dense()};
+}
+
+void BindSession(nb::module_& module) {
+  nb::class_<LocalSession>(module, "Session",
+                           "The session of one agent: its context window, return-to-go and step.")
+      .def("act", &Act, "observation"_a, "reward"_a = 0.0,
+           "Returns the decision at this step and moves to the next step.\n\n"
+           "`observation` is in environment units. `reward` is for the previous action; step 0\n"
+           "ignores it. After an error the session is unchanged.")
+      .def("end_episode", &EndEpisode, "reward"_a, "terminated"_a = false, "truncated"_a = false,
+           "target_return"_a = nb::none(),
+           "Takes the last reward, ends the episode and moves to step 0 of the next episode.\n\n"
+           "`target_return` is for the next episode; None: the target return of the session.")
+      .def("explain", &Explain,
+           "Recomputes the last decision and returns its spikes, attention and gates.\n\n"
+           "Takes about a thousand times as long as a decision.")
+      .def("state", &StateOf, "Returns the state of the session.")
+      .def_prop_ro("step", [](LocalSession& session) {
+        const nb::gil_scoped_release release;
+        return session.With([](const AgentSession& agent) { return agent.session().step; });
+      });
+}
+
+template <typename Get>
+auto OfPolicy(Get get) {
+  return [get](const PlayedPolicy& played) { return get(played.policy()); };
+}
+
+}  // namespace
+
+void BindEngine(nb::module_& module) {
+  BindSession(module);
+  nb::class_<PlayedPolicy>(module, "Engine",
+                           "Plays one policy file in this process. Thread-safe.\n\n"
+                           "ValueError or FileNotFoundError if the file is not a valid policy.")
+      .def(nb::new_(&Open), "path"_a)
+      .def("session", &OpenSession, nb::kw_only(), "target_return"_a = nb::none(), "seed"_a = 0,
+           "sample"_a = false, "temperature"_a = nb::none(), "learning"_a = nb::none(),
+           "head_delta"_a = nb::none(),
+           "Opens a session. None selects the default of the policy.\n\n"
+           "`learning` is a Learning of this package or of the client.")
+      .def("act_batch", &ActBatch, "sessions"_a, "observations"_a, "rewards"_a = nb::none(),
+           "Decides for different sessions of this engine at once, as `act` does for each.\n\n"
+           "observations: [rows, observation_size]; rewards: [rows], None: all 0. After an error,\n"
+           "which names the row, no session has changed.")
+      .def_prop_ro("observation_size",
+                   OfPolicy([](const Policy& p) { return p.observation_size(); }))
+      .def_prop_ro("action_space",
+                   OfPolicy([](const Policy& p) { return ToPython(p.action_space); }))
+      .def_prop_ro("context_length", OfPolicy([](const Policy& p) { return p.config.context; }))
+      .def_prop_ro("target_return", OfPolicy([](const Policy& p) { return p.target_return; }))
+      .def_prop_ro("training_return", OfPolicy([](const Policy& p) { return TrainingReturn(p); }))
+      .def_prop_ro("environment", OfPolicy([](const Policy& p) { return p.environment; }))
+      .def_prop_ro("mode",
+                   OfPolicy([](const Policy& p) { return std::string(ToString(p.config.mode)); }))
+      .def_prop_ro("arithmetic", OfPolicy([](const Policy& p) {
+                     return std::string(ToString(p.config.arithmetic));
+                   }))
+      .def_prop_ro("training", OfPolicy([](const Policy& p) { return p.training; }),
+                   "The record of the training, as JSON.");
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,87 @@
+// Plays one policy file in this process, without a server.
+//
+//   auto policy = PlayedPolicy::Read("policy.safetensors");
+//   auto session = LocalSession::Open(*policy, SessionRequest());
+//   absl::StatusOr<Answer> answer = (*session)->Act(observation, /*reward=*/0.0);
+//
+// Thread-safe: a session admits one call at a time, different sessions are independent. Answers are
+// equal, bit for bit, to those of the server for the same requests.
+#ifndef CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_
+#define CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/types/span.h"
+#include "core/base/clock.h"
+#include "core/session/explanation.h"
+#include "core/session/session_request.h"
+#include "core/session/session_store.h"
+
+namespace spikeserve {
+
+// A policy with its engine, and the head that its fleet sessions share. Immutable apart from that
+// head.
+class PlayedPolicy {
+ public:
+  // Errors: see ReadPolicyFile.
+  static absl::StatusOr<std::shared_ptr<const PlayedPolicy>> Read(const std::string& path);
+
+  const Policy& policy() const { return served_->policy(); }
+  const std::shared_ptr<const ServedPolicy>& served() const { return served_; }
+  const Clock& clock() const { return clock_; }
+
+ private:
+  explicit PlayedPolicy(Policy policy);
+
+  std::shared_ptr<const ServedPolicy> served_;
+  SteadyClock clock_;
+};
+
+// One agent's session. Always decides at the step that it expects next, so no call is a retry.
+class LocalSession {
+ public:
+  // Errors: see ResolveSession.
+  static absl::StatusOr<std::shared_ptr<LocalSession>> Open(
+      std::shared_ptr<const PlayedPolicy> played, SessionRequest request);
+
+  LocalSession(std::shared_ptr<const PlayedPolicy> played, Session session);
+
+  const PlayedPolicy& played() const { return *played_; }
+  const Policy& policy() const { return played_->policy(); }
+
+  // Errors of the methods: see AgentSession.
+  absl::StatusOr<Answer> Act(absl::Span<const float> observation, double reward);
+  absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
+  // A recomputed decision, and the value of the session that made it.
+  struct Explained {
+    Session session;
+    Explanation explanation;
+  };
+  // Takes about a thousand times as long as a decision. Holds the lock only for a copy.
+  absl::StatusOr<Explained> Explain();
+
+  // Calls `read` with the session while no other call changes it.
+  template <typename Read>
+  auto With(Read read) {
+    const absl::MutexLock lock(&entry_->mutex);
+    return read(static_cast<const AgentSession&>(entry_->agent));
+  }
+
+  // Decides for several different sessions of one policy at once; row i of `observations` [rows *
+  // obs] and `rewards`[i] belong to sessions[i]. On an error, no session changes.
+  static absl::StatusOr<std::vector<Answer>> ActTogether(
+      absl::Span<const std::shared_ptr<LocalSession>> sessions,
+      absl::Span<const float> observations, absl::Span<const double> rewards);
+
+ private:
+  const std::shared_ptr<const PlayedPolicy> played_;
+  const std::shared_ptr<SessionEntry> entry_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_
