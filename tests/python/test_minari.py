@@ -1,5 +1,6 @@
 """Minari reads the datasets of spiketrain, and spiketrain trains on datasets of Minari."""
 
+import json
 import os
 import pathlib
 import subprocess
@@ -8,6 +9,8 @@ import gymnasium
 import minari
 import numpy as np
 import pytest
+import safetensors
+from gymnasium import spaces
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
@@ -80,3 +83,63 @@ def test_spiketrain_trains_on_minari_data(environment_id, tmp_path):
     record_with_minari(environment_id, directory)
     printed = spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY)
     assert printed.startswith(f"{environment_id}, 1 episodes")
+
+
+def record_spaces(directory: pathlib.Path, observation_space: spaces.Space, action_space: spaces.Space) -> None:
+    """Records random episodes of an environment that Gymnasium does not know."""
+    (directory / "data").mkdir(parents=True)
+    storage = MinariStorage.new(
+        directory / "data", observation_space=observation_space, action_space=action_space, jpeg_encoding=False
+    )
+    observation_space.seed(0)
+    action_space.seed(0)
+    episodes = []
+    for seed in range(3):
+        observations = [observation_space.sample() for _ in range(9)]
+        if isinstance(observation_space, spaces.Dict):
+            observations = {key: np.stack([o[key] for o in observations]) for key in observation_space}
+        actions = [action_space.sample() for _ in range(8)]
+        ends = [False] * 7 + [True]
+        episodes.append(EpisodeBuffer(seed, seed, None, observations, actions, [1.0] * 8, ends, [False] * 8))
+    storage.update_episodes(episodes)
+    storage.update_metadata({"dataset_id": directory.name, "minari_version": minari.__version__})
+
+
+@pytest.mark.parametrize(
+    ("observation_space", "size", "action_space", "expected"),
+    [
+        (spaces.Box(-1, 1, (2, 3), np.float64), 6, spaces.Discrete(3, start=5), {"type": "Discrete", "n": 3}),
+        (spaces.Box(0, 9, (4,), np.int64), 4, spaces.MultiDiscrete([2, 3]), {"type": "Discrete", "n": 6}),
+        (
+            spaces.Box(-1, 1, (1,), np.float32),
+            1,
+            spaces.Box(np.array([[-1.0, 0.0], [2.0, 3.0]]), np.array([[1.0, 0.5], [4.0, 9.0]]), dtype=np.float64),
+            {"type": "Box", "low": [-1, 0, 2, 3], "high": [1, 0.5, 4, 9]},
+        ),
+    ],
+    ids=["start", "multidiscrete", "box"],
+)
+def test_spaces_of_others_are_mapped(observation_space, size, action_space, expected, tmp_path):
+    directory = tmp_path / "other-v0"
+    record_spaces(directory, observation_space, action_space)
+    spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY)
+    with safetensors.safe_open(tmp_path / "run/policy.safetensors", "np") as file:
+        assert json.loads(file.metadata()["action_space"]) == expected
+        assert file.get_tensor("observation.mean").shape == (size,)
+
+
+@pytest.mark.parametrize(
+    ("observation_space", "action_space", "reason"),
+    [
+        (spaces.Dict({"a": spaces.Box(0, 1, (2,))}), spaces.Discrete(2), "observation_space: expected Box, received Dict"),
+        (spaces.Box(0, 1, (2,)), spaces.MultiBinary(3), "action_space: expected Discrete, MultiDiscrete or Box"),
+        (spaces.Box(0, 1, (2,)), spaces.MultiDiscrete([99, 99]), "action_space: expected at most 4096 combinations"),
+    ],
+    ids=["dict", "multibinary", "multidiscrete"],
+)
+def test_spaces_that_cannot_be_mapped_are_refused_by_name(observation_space, action_space, reason, tmp_path):
+    directory = tmp_path / "other-v0"
+    record_spaces(directory, observation_space, action_space)
+    with pytest.raises(subprocess.CalledProcessError) as refused:
+        spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY)
+    assert reason in refused.value.stderr

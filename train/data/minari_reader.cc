@@ -21,6 +21,8 @@
 namespace spikeserve {
 namespace {
 
+constexpr int64_t kLargestJointSpace = 4096;  // the outputs of an action head
+
 // Parses Python's dialect of JSON. Infinities, which standard JSON lacks, become +-1e300, which is
 // beyond the range of float.
 absl::StatusOr<nlohmann::json> ParsePython(absl::string_view field, absl::string_view text) {
@@ -47,14 +49,30 @@ absl::Status AppendBounds(absl::string_view field, const nlohmann::json& json,
   return status;
 }
 
+// Appends `json`, an integer or a nested list of integers, to `values`.
+absl::Status AppendIntegers(absl::string_view field, const nlohmann::json& json,
+                            std::vector<int64_t>* values) {
+  if (json.is_array()) {
+    for (const nlohmann::json& item : json) {
+      if (auto status = AppendIntegers(field, item, values); !status.ok()) return status;
+    }
+    return absl::OkStatus();
+  }
+  int64_t value = 0;
+  auto status = ReadJson(field, json, &value);
+  values->push_back(value);
+  return status;
+}
+
 // A space as described by Minari's serialisation of Gymnasium spaces.
 struct SpaceDescription {
   std::string type;
   std::vector<int> shape;  // Box
   nlohmann::json low;      // Box: a number, or a nested list of numbers
   nlohmann::json high;
-  int n = 0;  // Discrete
-  int start = 0;
+  // Discrete and MultiDiscrete: the number of indices of each element, and its first index.
+  std::vector<int64_t> counts;
+  std::vector<int64_t> starts;
 
   int size() const {
     return std::accumulate(shape.begin(), shape.end(), 1, std::multiplies<int>());
@@ -74,6 +92,7 @@ absl::StatusOr<SpaceDescription> ParseSpace(absl::string_view field, absl::strin
   const auto parsed = ParsePython(field, text);
   if (!parsed.ok()) return parsed.status();
   SpaceDescription space;
+  nlohmann::json counts, starts;
   JsonObject object(field, *parsed);
   object.AllowOtherKeys();
   object.Required("type", &space.type);
@@ -82,21 +101,45 @@ absl::StatusOr<SpaceDescription> ParseSpace(absl::string_view field, absl::strin
     object.Required("low", &space.low);
     object.Required("high", &space.high);
   } else if (space.type == "Discrete") {
-    object.Required("n", &space.n);
-    object.Optional("start", &space.start);
+    object.Required("n", &counts);
+    object.Optional("start", &starts);
+  } else if (space.type == "MultiDiscrete") {
+    object.Required("nvec", &counts);
+    object.Optional("start", &starts);
   }
   if (auto status = object.Finish(); !status.ok()) return status;
+  if (counts.is_null()) return space;
+  if (auto status = AppendIntegers(field, counts, &space.counts); !status.ok()) return status;
+  if (!starts.is_null()) {
+    if (auto status = AppendIntegers(field, starts, &space.starts); !status.ok()) return status;
+  }
+  space.starts.resize(space.counts.size());
   return space;
+}
+
+// Returns the Discrete space of all combinations of the elements.
+absl::StatusOr<ActionSpace> JointSpace(const SpaceDescription& description) {
+  int64_t joint = 1;
+  for (const int64_t count : description.counts) {
+    if (count < 1 || count > kLargestJointSpace) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "action_space: expected 1 to ", kLargestJointSpace, " indices, received ", count));
+    }
+    joint *= count;
+    if (joint > kLargestJointSpace) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "action_space: expected at most ", kLargestJointSpace, " combinations, received more"));
+    }
+  }
+  return ActionSpace::Discrete(static_cast<int>(joint));
 }
 
 absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
   ActionSpace space;
-  if (description.type == "Discrete") {
-    if (description.start != 0) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "action_space: expected Discrete from 0, received one from ", description.start));
-    }
-    space = ActionSpace::Discrete(description.n);
+  if (!description.counts.empty()) {
+    auto joint = JointSpace(description);
+    if (!joint.ok()) return joint;
+    space = *std::move(joint);
   } else if (description.type == "Box") {
     auto low = description.Bounds("action_space.low", description.low);
     if (!low.ok()) return low.status();
@@ -104,8 +147,8 @@ absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
     if (!high.ok()) return high.status();
     space = ActionSpace::Box(*std::move(low), *std::move(high));
   } else {
-    return absl::InvalidArgumentError(
-        absl::StrCat("action_space: expected Discrete or Box, received ", description.type));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "action_space: expected Discrete, MultiDiscrete or Box, received ", description.type));
   }
   if (auto status = space.Validate(); !status.ok()) return Annotate(status, "action_space");
   return space;
@@ -115,7 +158,7 @@ absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
 struct Description {
   Dataset dataset;  // without its episodes
   int episodes = 0;
-  bool ours = false;  // whether this project wrote the dataset
+  SpaceDescription actions;
 };
 
 absl::StatusOr<Description> ReadDescription(const nlohmann::json& metadata) {
@@ -134,8 +177,9 @@ absl::StatusOr<Description> ReadDescription(const nlohmann::json& metadata) {
   const auto observations = ParseSpace("observation_space", observation_space);
   if (!observations.ok()) return observations.status();
   if (observations->type != "Box") {
-    return absl::InvalidArgumentError(
-        absl::StrCat("observation_space: expected Box, received ", observations->type));
+    return absl::InvalidArgumentError(absl::StrCat("observation_space: expected Box, received ",
+                                                   observations->type,
+                                                   "; record with Gymnasium's FlattenObservation"));
   }
   const auto actions = ParseSpace("action_space", action_space);
   if (!actions.ok()) return actions.status();
@@ -147,8 +191,8 @@ absl::StatusOr<Description> ReadDescription(const nlohmann::json& metadata) {
              .action_space = *std::move(space),
              .recipe = {{"minari", id}},
              .episodes = {}};
-  description.ours = !own.is_null();
-  if (description.ours) {
+  description.actions = *actions;
+  if (!own.is_null()) {
     JsonObject ours(kMinariExtension, own);
     ours.Required("environment", &dataset.environment);
     ours.Required("recipe", &dataset.recipe);
@@ -166,9 +210,8 @@ absl::StatusOr<Description> ReadDescription(const nlohmann::json& metadata) {
 
 class Reader {
  public:
-  // `ours` tells whether this project wrote the file.
-  Reader(const Hdf5File& file, bool ours, Dataset* dataset)
-      : file_(file), ours_(ours), dataset_(*dataset) {}
+  Reader(const Hdf5File& file, const SpaceDescription& actions, Dataset* dataset)
+      : file_(file), space_(actions), dataset_(*dataset) {}
 
   absl::Status Read(int episodes) {
     for (int i = 0; i < episodes; ++i) {
@@ -195,10 +238,7 @@ class Reader {
       if (!values.ok()) return values.status();
       *ended = !values->empty() && values->back();
     }
-    // The infos of foreign datasets have no known meaning.
-    if (ours_) {
-      if (auto status = ReadInfos(group + "/infos", &episode); !status.ok()) return status;
-    }
+    if (auto status = ReadInfos(group + "/infos", &episode); !status.ok()) return status;
     episode.actor = file_.ReadString(group, "actor").value_or("unknown");
     episode.seed = static_cast<uint64_t>(file_.ReadInteger(group, "seed").value_or(0));
     if (const auto asked = file_.ReadDouble(group, "asked_return"); asked.ok()) {
@@ -212,43 +252,83 @@ class Reader {
   }
 
   absl::Status ReadActions(const std::string& name, std::vector<Action>* actions) {
-    if (dataset_.action_space.is_discrete()) {
-      const auto values = file_.Read<int64_t>(name);
-      if (!values.ok()) return values.status();
-      for (const int64_t value : values->values) {
-        actions->push_back({.discrete = static_cast<int>(value), .continuous = {}});
-      }
-      return absl::OkStatus();
-    }
+    if (dataset_.action_space.is_discrete()) return ReadIndices(name, actions);
     const auto values = file_.Read<float>(name);
     if (!values.ok()) return values.status();
-    const auto columns = static_cast<size_t>(values->shape.columns.value_or(1));
-    for (size_t at = 0; at + columns <= values->values.size(); at += columns) {
-      const auto begin = values->values.begin() + static_cast<int64_t>(at);
-      actions->push_back(
-          {.discrete = 0, .continuous = {begin, begin + static_cast<int64_t>(columns)}});
+    const int64_t columns = values->shape.columns.value_or(1);
+    if (auto status = CheckColumns(name, dataset_.action_space.size(), columns); !status.ok()) {
+      return status;
+    }
+    for (int64_t row = 0; row < values->shape.rows; ++row) {
+      const auto begin = values->values.begin() + row * columns;
+      actions->push_back({.discrete = 0, .continuous = {begin, begin + columns}});
     }
     return absl::OkStatus();
   }
 
+  // Reads one index an action, or one for each element of a MultiDiscrete, which become the index
+  // of their combination: the last element changes fastest.
+  absl::Status ReadIndices(const std::string& name, std::vector<Action>* actions) {
+    const auto values = file_.Read<int64_t>(name);
+    if (!values.ok()) return values.status();
+    const auto elements = static_cast<int64_t>(space_.counts.size());
+    if (auto status = CheckColumns(name, elements, values->shape.columns.value_or(1));
+        !status.ok()) {
+      return status;
+    }
+    for (int64_t row = 0; row < values->shape.rows; ++row) {
+      int64_t joint = 0;
+      for (int64_t i = 0; i < elements; ++i) {
+        const int64_t index = values->values[row * elements + i] - space_.starts[i];
+        if (index < 0 || index >= space_.counts[i]) {
+          return absl::InvalidArgumentError(
+              absl::StrCat(name, ": expected ", space_.starts[i], " to ",
+                           space_.starts[i] + space_.counts[i] - 1, ", received ",
+                           index + space_.starts[i], " at step ", row));
+        }
+        joint = joint * space_.counts[i] + index;
+      }
+      actions->push_back({.discrete = static_cast<int>(joint), .continuous = {}});
+    }
+    return absl::OkStatus();
+  }
+
+  static absl::Status CheckColumns(const std::string& name, int64_t expected, int64_t received) {
+    if (expected == received) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat(name, ": expected ", expected, " values an action, received ", received));
+  }
+
+  // Infos belong to observations, so there may be one more than actions.
   absl::Status ReadInfos(const std::string& group, Episode* episode) {
+    const size_t steps = episode->actions.size();
     if (file_.Exists(group + "/label")) {
       if (auto status = ReadActions(group + "/label", &episode->labels); !status.ok()) {
         return status;
       }
-      episode->labels.resize(episode->actions.size());
+      if (auto status = TrimInfos(group + "/label", steps, &episode->labels); !status.ok()) {
+        return status;
+      }
     }
-    if (file_.Exists(group + "/weight")) {
-      const auto weights = file_.Read<float>(group + "/weight");
-      if (!weights.ok()) return weights.status();
-      episode->weights = weights->values;
-      episode->weights.resize(episode->actions.size());
+    if (!file_.Exists(group + "/weight")) return absl::OkStatus();
+    const auto weights = file_.Read<float>(group + "/weight");
+    if (!weights.ok()) return weights.status();
+    episode->weights = weights->values;
+    return TrimInfos(group + "/weight", steps, &episode->weights);
+  }
+
+  template <typename T>
+  static absl::Status TrimInfos(const std::string& name, size_t steps, std::vector<T>* infos) {
+    if (infos->size() != steps && infos->size() != steps + 1) {
+      return absl::InvalidArgumentError(absl::StrCat(name, ": expected ", steps, " or ", steps + 1,
+                                                     " rows, received ", infos->size()));
     }
+    infos->resize(steps);
     return absl::OkStatus();
   }
 
   const Hdf5File& file_;
-  const bool ours_;
+  const SpaceDescription& space_;
   Dataset& dataset_;
 };
 
@@ -262,7 +342,7 @@ absl::StatusOr<Dataset> Read(const std::string& directory) {
   const absl::StatusOr<Hdf5File> file = Hdf5File::Open(directory + kMinariData);
   if (!file.ok()) return file.status();
   Dataset& dataset = description->dataset;
-  Reader reader(*file, description->ours, &dataset);
+  Reader reader(*file, description->actions, &dataset);
   if (auto status = reader.Read(description->episodes); !status.ok()) return status;
   if (dataset.episodes.empty()) {
     return absl::InvalidArgumentError("total_episodes: expected at least 1, received 0");

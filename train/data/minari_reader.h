@@ -12,9 +12,9 @@ namespace spikeserve {
 // Returns whether `path` is a directory with the metadata file of a Minari dataset.
 bool IsMinariDataset(const std::string& path);
 
-// Reads a Minari dataset with a Box observation and a Discrete or Box action, written by this
-// project or by any other program. The environment of a foreign dataset is the id in its env_spec,
-// or the dataset's id if it has none; its actor is "unknown". Errors start with the path.
+// Reads a Minari dataset, written by this project or by any other program. INVALID_ARGUMENT names
+// what minari_layout.h does not support. The environment of a foreign dataset is the id in its
+// env_spec, or the dataset's id if it has none; its actor is "unknown". Errors start with the path.
 absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory);
 
 }  // namespace spikeserve

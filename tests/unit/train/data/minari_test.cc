@@ -112,6 +112,78 @@ TEST(MinariTest, ADatasetFromElsewhereHasTheEnvironmentOfItsSpec) {
   EXPECT_EQ(read->recipe["minari"], "elsewhere-v0");
 }
 
+TEST(MinariTest, LabelsAndWeightsOfADatasetFromElsewhereAreRead) {
+  const std::string directory = TemporaryDirectory("labelled-v0");
+  Dataset written = *RecordDataset({.steps = 300, .disturbed_fraction = 0.3});
+  for (Episode& episode : written.episodes) {
+    episode.weights.assign(episode.actions.size(), 0.5f);
+  }
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  EditMetadata(directory, "\"spikeserve\"", "\"another\"");
+  const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);
+  ASSERT_TRUE(read.ok()) << read.status();
+  written.recipe = {{"minari", "labelled-v0"}};
+  ExpectSame(*read, written);
+}
+
+TEST(MinariTest, ALabelForOnlySomeStepsIsRefused) {
+  const std::string directory = TemporaryDirectory("short-v0");
+  Dataset written = *RecordDataset({.steps = 50});
+  written.episodes.resize(1);
+  written.episodes[0].weights.assign(3, 1.0f);
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  EXPECT_THAT(std::string(ReadMinariDataset(directory).status().message()),
+              HasSubstr("episode_0/infos/weight: expected"));
+}
+
+TEST(MinariTest, IndicesAreCountedFromTheStartOfTheSpace) {
+  const std::string directory = TemporaryDirectory("started-v0");
+  Dataset written = *RecordDataset({.steps = 50});
+  written.action_space = ActionSpace::Discrete(3);
+  for (Episode& episode : written.episodes) {
+    for (Action& action : episode.actions) action.discrete += 1;
+  }
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  EditMetadata(directory, R"(\"start\":0)", R"(\"start\":1)");
+  const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->action_space, ActionSpace::Discrete(3));
+  for (size_t i = 0; i < written.episodes.size(); ++i) {
+    for (size_t step = 0; step < written.episodes[i].actions.size(); ++step) {
+      EXPECT_EQ(read->episodes[i].actions[step].discrete,
+                written.episodes[i].actions[step].discrete - 1);
+    }
+  }
+}
+
+TEST(MinariTest, TheLastElementOfAMultiDiscreteChangesFastest) {
+  const std::string directory = TemporaryDirectory("joint-v0");
+  Dataset written = *RecordDataset({.steps = 50});
+  written.episodes.resize(1);
+  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
+  EditMetadata(directory, R"(\"type\":\"Discrete\")", R"(\"type\":\"MultiDiscrete\")");
+  EditMetadata(directory, R"(\"n\":2)", R"(\"nvec\":[2, 3])");
+  EditMetadata(directory, R"(\"start\":0)", R"(\"start\":[0, 4])");
+  auto file = Hdf5File::Create(directory + "/data/main_data.hdf5");
+  ASSERT_TRUE(file.ok()) << file.status();
+  ASSERT_TRUE(file->CreateGroup("episode_0").ok());
+  const std::vector<float> observations(12);
+  const std::vector<int64_t> actions = {0, 6, 1, 5};
+  const std::vector<double> rewards(2);
+  const std::vector<uint8_t> ends(2);
+  ASSERT_TRUE(file->Write<float>("episode_0/observations", {3, 4}, observations).ok());
+  ASSERT_TRUE(file->Write<int64_t>("episode_0/actions", {2, 2}, actions).ok());
+  ASSERT_TRUE(file->Write<double>("episode_0/rewards", {2, {}}, rewards).ok());
+  ASSERT_TRUE(file->Write<uint8_t>("episode_0/terminations", {2, {}}, ends).ok());
+  ASSERT_TRUE(file->Write<uint8_t>("episode_0/truncations", {2, {}}, ends).ok());
+  ASSERT_TRUE(file->Close().ok());
+  const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->action_space, ActionSpace::Discrete(6));
+  EXPECT_EQ(read->episodes[0].actions[0].discrete, 2);  // 0 * 3 + (6 - 4)
+  EXPECT_EQ(read->episodes[0].actions[1].discrete, 4);  // 1 * 3 + (5 - 4)
+}
+
 TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
   const Dataset dataset = *RecordDataset({.steps = 50});
   EXPECT_THAT(std::string(WriteMinariDataset(dataset, "/tmp/plain").message()),
@@ -129,8 +201,13 @@ TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
                 testing::AllOf(HasSubstr(directory), HasSubstr(reason)));
   };
   expect_refusal(R"(\"type\":\"Discrete\")", R"(\"type\":\"MultiBinary\")",
-                 "action_space: expected Discrete or Box, received MultiBinary");
-  expect_refusal(R"(\"start\":0)", R"(\"start\":1)", "expected Discrete from 0");
+                 "action_space: expected Discrete, MultiDiscrete or Box, received MultiBinary");
+  expect_refusal(R"(\"start\":0)", R"(\"start\":1)",
+                 "episode_0/actions: expected 1 to 2, received 0 at step");
+  expect_refusal(R"(\"n\":2)", R"(\"n\":5000)", "expected 1 to 4096 indices, received 5000");
+  expect_refusal(R"(\"n\":2)", R"(\"n\":[64, 65])", "at most 4096 combinations, received more");
+  expect_refusal(R"(\"n\":2)", R"(\"n\":[2, 2])",
+                 "episode_0/actions: expected 2 values an action, received 1");
   expect_refusal(R"(\"type\": \"Box\")", R"(\"type\": \"Dict\")",
                  "observation_space: expected Box, received Dict");
   expect_refusal(R"(\"shape\": [4])", R"(\"shape\": [5])", "episode_0: observations: expected");
