@@ -1,4 +1,4 @@
-"""Runs every Python example of docs/python.md, in order."""
+"""Runs every Python example of docs/python.md and docs/imitation.md, in order."""
 
 import numpy as np
 import spikeserve
@@ -18,3 +18,7 @@ def test_the_examples_run(address, tmp_path, monkeypatch, capsys):
         evaluation = spikeserve.evaluate("Pendulum-v1", server=exported.grpc, episodes=1)
     assert evaluation.policy == "pendulum"
     assert np.isfinite(evaluation.mean_return)
+
+
+def test_the_examples_of_imitation_run(address):
+    run_examples("imitation.md", address)

@@ -2,7 +2,8 @@
 
 Start with `Client` and `Session`. `VectorSession` acts in Gymnasium vector environments.
 `AsyncClient` is the client for asyncio. `evaluate` plays whole episodes. The module
-`spikeserve.export` writes policy files.
+`spikeserve.export` writes policy files. `spikeserve.engine` plays them without a server, and
+`imitate` trains them for any Gymnasium environment.
 """
 
 import importlib.metadata
@@ -26,6 +27,7 @@ from spikeserve.errors import (
     UnimplementedError,
 )
 from spikeserve.evaluation import Evaluation, evaluate
+from spikeserve.imitating import imitate
 from spikeserve.retry import RetryOptions
 from spikeserve.session import Session
 from spikeserve.spaces import ActionSpace, Box, Discrete
@@ -81,4 +83,5 @@ __all__ = [
     "VectorSession",
     "__version__",
     "evaluate",
+    "imitate",
 ]

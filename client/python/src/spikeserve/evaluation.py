@@ -75,17 +75,23 @@ def evaluate(
 ) -> Evaluation:
     """Plays episodes of the Gymnasium environment `env_id` with the most probable actions.
 
-    Episode i is reset with seed `seed` + i. `server` is an address, or a client with its own
-    options. Without `policy`, plays the served policy that was made for this environment.
+    Episode i is reset with seed `seed` + i. The spaces of the environment are mapped to those of a
+    policy (`spikeserve.flat_spaces`). `server` is an address, or a client with its own options.
+    Without `policy`, plays the served policy that was made for this environment.
 
     LookupError if no such policy is served. ValueError if `episodes` is less than 1, or if the
     action space of the policy differs from that of the environment.
     """
     import gymnasium  # an optional dependency that agents on robots do not need
 
+    from spikeserve.flat_spaces import FlatEnvironment
+
     check(episodes >= 1, "episodes", "at least 1", episodes)
     connection = Client(server) if isinstance(server, str) else contextlib.nullcontext(server)
-    with connection as client, contextlib.closing(gymnasium.make(env_id)) as environment:
+    with (
+        connection as client,
+        contextlib.closing(FlatEnvironment(gymnasium.make(env_id))) as environment,
+    ):
         name = policy or choose_policy(client.list_policies(), env_id).name
         with client.open_session(name) as session:
             assert session.opening is not None

@@ -1,0 +1,139 @@
+"""Maps between the spaces of an environment and those of a policy.
+
+A policy reads one vector of float32 numbers, and chooses an index or a vector within bounds. The
+mappings are the same wherever a policy is trained, evaluated or played: `spiketrain` maps the
+actions of Minari files in the same way.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from spikeserve.check import check
+
+LARGEST_JOINT_SPACE = 4096  # the outputs of an action head
+_OBSERVATIONS = "Box, Discrete, MultiDiscrete, MultiBinary, or Dict or Tuple of these"
+_ACTIONS = "Discrete, MultiDiscrete, MultiBinary or Box"
+
+
+class ObservationMap:
+    """Flattens observations by `gymnasium.spaces.flatten`, as FlattenObservation does.
+
+    ValueError for a space that has no fixed number of elements, such as Sequence or Text.
+    """
+
+    def __init__(self, space: spaces.Space[Any]) -> None:
+        check(space.is_np_flattenable, "observation_space", _OBSERVATIONS, space)
+        self._space = space
+        self.size = spaces.flatdim(space)
+        check(self.size >= 1, "observation_space", "at least one element", space)
+
+    def flatten(self, observation: Any) -> NDArray[np.float32]:
+        """Returns the observation as float32 [size]."""
+        return np.asarray(spaces.flatten(self._space, observation), np.float32).reshape(self.size)
+
+
+class ActionMap:
+    """Maps actions to those of a policy: `space` is a Discrete from 0 or a Box of one dimension.
+
+    A MultiDiscrete or MultiBinary becomes one index of all combinations, in which the last element
+    changes fastest. ValueError for other spaces, for a Box without finite bounds, and for too many
+    combinations.
+    """
+
+    def __init__(self, native: spaces.Space[Any]) -> None:
+        self._native = native
+        self.space: spaces.Discrete | spaces.Box
+        if isinstance(native, spaces.Box):
+            bounded = bool(np.all(np.isfinite(native.low)) and np.all(np.isfinite(native.high)))
+            check(bounded, "action_space", "finite bounds", native)
+            low, high = (np.asarray(b, np.float32).ravel() for b in (native.low, native.high))
+            check(bool(np.all(low < high)), "action_space", "lower bounds below the upper", native)
+            self.space = spaces.Box(low, high, dtype=np.float32)
+            return
+        self._start, self._lengths = _index_ranges(native)
+        joint = int(np.prod(self._lengths, dtype=object))
+        check(
+            joint <= LARGEST_JOINT_SPACE,
+            "action_space",
+            f"at most {LARGEST_JOINT_SPACE} combinations",
+            joint,
+        )
+        self.space = spaces.Discrete(joint)
+
+    def to_native(self, action: Any) -> Any:
+        """Converts an action of `space` to one of the environment."""
+        if isinstance(self._native, spaces.Box):
+            values = np.asarray(action).reshape(self._native.shape)
+            if np.issubdtype(self._native.dtype, np.integer):
+                values = np.rint(values)
+            return values.astype(self._native.dtype)
+        if isinstance(self._native, spaces.Discrete):
+            return int(action) + int(self._native.start)
+        indices = np.array(np.unravel_index(int(action), self._lengths)) + self._start
+        return indices.reshape(self._native.shape).astype(self._native.dtype)
+
+    def to_flat(self, action: Any) -> int | NDArray[np.float32]:
+        """Converts an action of the environment to one of `space`. Clips values to the bounds."""
+        if isinstance(self.space, spaces.Box):
+            values = np.asarray(action, np.float32).ravel()
+            check(
+                values.shape == self.space.shape,
+                "action",
+                f"shape {self.space.shape}",
+                values.shape,
+            )
+            return np.clip(values, self.space.low, self.space.high)
+        indices = np.asarray(action, np.int64).ravel() - self._start
+        in_range = indices.shape == self._lengths.shape and bool(
+            np.all(indices >= 0) and np.all(indices < self._lengths)
+        )
+        check(in_range, "action", f"one of {self._native}", action)
+        return int(np.ravel_multi_index(tuple(indices), tuple(self._lengths)))
+
+    def sample(self, random: np.random.Generator) -> int | NDArray[np.float32]:
+        """Draws an action of `space` uniformly."""
+        if isinstance(self.space, spaces.Discrete):
+            return int(random.integers(self.space.n))
+        return random.uniform(self.space.low, self.space.high).astype(np.float32)
+
+
+def _index_ranges(native: spaces.Space[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the first index and the number of indices of each element of an action."""
+    if isinstance(native, spaces.Discrete):
+        return np.array([native.start], np.int64), np.array([native.n], np.int64)
+    if isinstance(native, spaces.MultiDiscrete):
+        return np.ravel(native.start).astype(np.int64), np.ravel(native.nvec).astype(np.int64)
+    if isinstance(native, spaces.MultiBinary):
+        size = int(np.prod(native.shape))
+        return np.zeros(size, np.int64), np.full(size, 2, np.int64)
+    raise ValueError(f"action_space: expected {_ACTIONS}, received {native}")
+
+
+class FlatEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Gives an environment the spaces of a policy. `native_observation` is the last observation."""
+
+    def __init__(self, environment: Any) -> None:
+        super().__init__(environment)
+        self.observations = ObservationMap(environment.observation_space)
+        self.actions = ActionMap(environment.action_space)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (self.observations.size,), np.float32)
+        self.action_space = self.actions.space
+        self.native_observation: Any = None
+
+    def reset(self, **arguments: Any) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Resets the environment. Returns the flat observation and the infos."""
+        self.native_observation, infos = self.env.reset(**arguments)
+        return self.observations.flatten(self.native_observation), infos
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Steps with an action of the flat space. Returns the flat observation and the rest."""
+        native = self.actions.to_native(action)
+        self.native_observation, reward, terminated, truncated, infos = self.env.step(native)
+        flat = self.observations.flatten(self.native_observation)
+        return flat, float(reward), bool(terminated), bool(truncated), infos

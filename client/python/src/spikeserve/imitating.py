@@ -1,0 +1,39 @@
+"""`imitate`: from a Gymnasium environment and an expert to a served policy."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from spikeserve.imitation.options import ImitationOptions
+    from spikeserve.imitation.pipeline import ImitationResult
+
+
+def imitate(
+    env_id: str,
+    expert: str | Callable[..., Any],
+    out: str | pathlib.Path,
+    *,
+    options: ImitationOptions | None = None,
+    wrappers: Sequence[Callable[[Any], Any]] = (),
+    spiketrain: str | None = None,
+) -> ImitationResult:
+    """Trains a policy that imitates `expert` in a Gymnasium environment, and evaluates it.
+
+    `expert` is a callable of (observation) or (environment, observation), its name
+    `module:function`, a policy of Stable-Baselines3 (`PPO:file.zip`), or a dataset of Minari (an id
+    or a folder), which cannot label the policy's own states. Everything is written below `out`:
+    data, stages, policies for `spikeserve --policies`, report.md and metadata.json. A call with
+    equal arguments continues an interrupted run, and equal arguments give an equal policy.
+
+    Needs the extra `spikeserve[imitation]` and the program `spiketrain`: the argument, $SPIKETRAIN,
+    or on PATH. ValueError for an environment or expert that cannot be used, before anything is
+    recorded.
+    """
+    from spikeserve.imitation import pipeline  # its dependencies are optional
+
+    return pipeline.imitate(
+        env_id, expert, out, options=options, wrappers=wrappers, spiketrain=spiketrain
+    )

@@ -1,0 +1,123 @@
+"""The actors: the expert with disturbances, the student, chance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spikeserve.engine import Engine, Session
+from spikeserve.imitation.episodes import Choice, FlatAction, Row
+from spikeserve.imitation.experts import Expert
+
+
+class RandomActor:
+    """Draws every action uniformly."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def choose(self, rows: list[Row]) -> list[Choice]:
+        """Returns a random action for each row."""
+        return [Choice(row.environment.actions.sample(self._draws(row))) for row in rows]
+
+    def end(self, row: Row) -> None:
+        """Does nothing."""
+
+    def _draws(self, row: Row) -> np.random.Generator:
+        return np.random.default_rng([self._seed, row.episode.seed, row.episode.steps])
+
+
+@dataclass(frozen=True)
+class Bursts:
+    """Bursts of random actions."""
+
+    seed: int
+    disturbed: float  # share of the episodes with bursts
+    rate: float  # largest probability that a burst begins at a step
+    longest: int  # steps
+
+
+class _Disturbance:
+    """The random actions of one episode."""
+
+    def __init__(self, bursts: Bursts, row: Row) -> None:
+        self._random = np.random.default_rng([bursts.seed, row.episode.seed])
+        disturbed = self._random.random() < bursts.disturbed
+        self._rate = bursts.rate * self._random.random() if disturbed else 0.0
+        self._longest = bursts.longest
+        self._left = 0
+
+    def action(self, row: Row) -> FlatAction | None:
+        """Returns the random action of this step; None outside of a burst."""
+        if self._left == 0 and self._random.random() < self._rate:
+            self._left = int(self._random.integers(1, self._longest, endpoint=True))
+        if self._left == 0:
+            return None
+        self._left -= 1
+        return row.environment.actions.sample(self._random)
+
+
+class ExpertActor:
+    """Plays the expert. Bursts of random actions replace its actions, but not its labels."""
+
+    def __init__(self, expert: Expert, bursts: Bursts | None = None) -> None:
+        self._expert = expert
+        self._bursts = bursts
+        self._disturbances: dict[int, _Disturbance] = {}
+
+    def choose(self, rows: list[Row]) -> list[Choice]:
+        """Returns the expert's action as label, and the action to execute."""
+        return [self._choose(row) for row in rows]
+
+    def end(self, row: Row) -> None:
+        """Forgets the disturbance of the episode."""
+        self._disturbances.pop(row.index, None)
+
+    def _choose(self, row: Row) -> Choice:
+        label = row.environment.actions.to_flat(self._expert(row.environment))
+        if self._bursts is None:
+            return Choice(label)
+        if row.index not in self._disturbances:
+            self._disturbances[row.index] = _Disturbance(self._bursts, row)
+        action = self._disturbances[row.index].action(row)
+        return Choice(label if action is None else action, label)
+
+
+class StudentActor:
+    """Plays a policy with the engine. An expert, if there is one, labels the states it reaches."""
+
+    def __init__(self, engine: Engine, expert: Expert | None = None) -> None:
+        self._engine = engine
+        self._expert = expert
+        self._sessions: dict[int, Session] = {}
+
+    def choose(self, rows: list[Row]) -> list[Choice]:
+        """Returns the greedy actions of the policy."""
+        sessions = [self._session(row) for row in rows]
+        batch = self._engine.act_batch(
+            sessions,
+            np.stack([row.episode.observations[-1] for row in rows]),
+            np.array([row.reward for row in rows]),
+        )
+        discrete = batch.actions.ndim == 1
+        return [
+            Choice(int(action) if discrete else action, self._label(row), int(spikes))
+            for row, action, spikes in zip(rows, batch.actions, batch.spikes, strict=True)
+        ]
+
+    def end(self, row: Row) -> None:
+        """Ends the episode of the row's session."""
+        self._sessions[row.index].end_episode(
+            row.reward, row.episode.terminated, row.episode.truncated
+        )
+
+    def _session(self, row: Row) -> Session:
+        if row.index not in self._sessions:
+            self._sessions[row.index] = self._engine.session()
+        return self._sessions[row.index]
+
+    def _label(self, row: Row) -> FlatAction | None:
+        if self._expert is None:
+            return None
+        return row.environment.actions.to_flat(self._expert(row.environment))

@@ -1,0 +1,101 @@
+"""The command `python -m spikeserve imitate`."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import shlex
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from spikeserve.imitation.options import ImitationOptions
+
+
+def add_command(subcommands: Any) -> None:
+    """Adds the command and its flags to the parser of the package."""
+    parser = subcommands.add_parser(
+        "imitate",
+        help="train a policy that imitates an expert in a Gymnasium environment",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("env_id", help="id of Gymnasium; `module:id` if a module registers it")
+    parser.add_argument(
+        "--expert", required=True, help="module:function, ALGORITHM:FILE.zip, or a Minari dataset"
+    )
+    parser.add_argument(
+        "--out", required=True, help="folder of the run; an interrupted run continues"
+    )
+    parser.add_argument(
+        "--wrapper", action="append", default=[], help="module:class of a wrapper; may be repeated"
+    )
+    parser.add_argument(
+        "--spiketrain", help="the program; default: $SPIKETRAIN, or the one on PATH"
+    )
+    for setting in dataclasses.fields(ImitationOptions):
+        _add_setting(parser, setting)
+    parser.set_defaults(run=_run)
+
+
+def _pairs(text: str) -> tuple[tuple[float, float], ...]:
+    pairs = []
+    for item in filter(None, text.split(",")):
+        hidden, _, readout = item.partition(":")
+        pairs.append((float(hidden), float(readout)))
+    return tuple(pairs)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(shlex.split(text))
+
+
+# How the settings that are not plain numbers are written on the command line.
+_PARSERS: dict[str, Callable[[str], Any]] = {
+    "max_episode_steps": int,
+    "silence": _pairs,
+    "train_flags": _words,
+}
+
+
+def _add_setting(parser: argparse.ArgumentParser, setting: dataclasses.Field[Any]) -> None:
+    shown: Any = setting.default
+    if setting.name == "silence":
+        shown = ",".join(f"{hidden:g}:{readout:g}" for hidden, readout in ImitationOptions.silence)
+    suffix = f" [{shown}]" if shown not in (None, ()) else ""
+    parser.add_argument(
+        "--" + setting.name.replace("_", "-"),
+        type=_PARSERS.get(setting.name, type(setting.default)),
+        default=setting.default,
+        metavar="VALUE",
+        help=setting.metadata["help"].replace("%", "%%") + suffix,
+    )
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from spikeserve.imitation.environments import load_object
+    from spikeserve.imitation.pipeline import imitate
+
+    settings = {
+        field.name: getattr(arguments, field.name) for field in dataclasses.fields(ImitationOptions)
+    }
+    try:
+        result = imitate(
+            arguments.env_id,
+            arguments.expert,
+            arguments.out,
+            options=ImitationOptions(**settings),
+            wrappers=[load_object(wrapper, "wrapper") for wrapper in arguments.wrapper],
+            spiketrain=arguments.spiketrain,
+        )
+    except (ValueError, RuntimeError) as error:
+        print(f"spikeserve imitate: {error}", file=sys.stderr)
+        return 1
+    print(f"expert: {result.expert_figures.mean:.1f} ± {result.expert_figures.std:.1f}")
+    for path, figures in (
+        (result.policy, result.figures),
+        (result.quantized, result.quantized_figures),
+    ):
+        spikes = f"{figures.spikes_per_decision:.0f} spikes a decision"
+        print(f"{path}: return {figures.mean:.1f} ± {figures.std:.1f}, {spikes}")
+    print(result.report)
+    return 0

@@ -1,0 +1,107 @@
+"""Reads and writes datasets of Minari."""
+
+from __future__ import annotations
+
+import importlib.util
+import pathlib
+import shutil
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import gymnasium
+import minari
+import numpy as np
+from minari.data_collector.episode_buffer import EpisodeBuffer
+from minari.dataset.minari_storage import MinariStorage
+
+from spikeserve.check import check
+from spikeserve.flat_spaces import ActionMap, FlatEnvironment, ObservationMap
+from spikeserve.imitation.episodes import Episode
+
+
+def check_packages() -> None:
+    """ValueError if a package that Minari imports only when it writes or reads is missing."""
+    for package in ("h5py", "PIL"):
+        found = importlib.util.find_spec(package) is not None
+        check(found, package, "the package, which spikeserve[imitation] installs", None)
+
+
+def write_dataset(
+    folder: pathlib.Path, episodes: Iterable[Episode], environment: FlatEnvironment, name: str
+) -> None:
+    """Writes a dataset in the spaces of a policy. `name` is the environment of the policy.
+
+    The labels are in infos/label and the weights in infos/weight. The folder appears when it is
+    complete.
+    """
+    partial = folder.with_name(folder.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    (partial / "data").mkdir(parents=True)
+    storage = MinariStorage.new(
+        partial / "data",
+        observation_space=environment.observation_space,
+        action_space=environment.action_space,
+        env_spec=gymnasium.envs.registration.EnvSpec(name),
+    )
+    storage.update_episodes([_buffer(index, episode) for index, episode in enumerate(episodes)])
+    storage.update_metadata({"dataset_id": folder.name, "minari_version": minari.__version__})
+    partial.rename(folder)
+
+
+def _buffer(index: int, episode: Episode) -> EpisodeBuffer:
+    last = episode.steps - 1
+    infos: dict[str, Any] = {}
+    # Infos belong to observations, of which there is one more than actions.
+    if episode.labels:
+        infos["label"] = [*episode.labels, episode.labels[-1]]
+    if episode.weights:
+        infos["weight"] = [*episode.weights, episode.weights[-1]]
+    return EpisodeBuffer(
+        index,
+        episode.seed,
+        None,
+        episode.observations,
+        episode.actions,
+        episode.rewards,
+        [episode.terminated and step == last for step in range(episode.steps)],
+        [not episode.terminated and step == last for step in range(episode.steps)],
+        infos or None,
+    )
+
+
+def read_dataset(source: str | pathlib.Path) -> Iterator[Episode]:
+    """Reads the episodes of a dataset, an id or a folder, and maps them to the spaces of a policy.
+
+    ValueError if its spaces cannot be mapped.
+    """
+    folder = pathlib.Path(source)
+    if (folder / "data/metadata.json").is_file():
+        dataset = minari.MinariDataset(folder / "data")
+    else:
+        dataset = minari.load_dataset(str(source))
+    observations = ObservationMap(dataset.observation_space)
+    actions = ActionMap(dataset.action_space)
+    for stored in dataset.iterate_episodes():
+        steps = len(stored.rewards)
+        infos = stored.infos or {}
+        yield Episode(
+            seed=int(stored.id),
+            observations=[
+                observations.flatten(_at(stored.observations, t)) for t in range(steps + 1)
+            ],
+            actions=[actions.to_flat(stored.actions[t]) for t in range(steps)],
+            labels=[actions.to_flat(label) for label in infos.get("label", [])[:steps]],
+            weights=[float(weight) for weight in infos.get("weight", [])[:steps]],
+            rewards=np.asarray(stored.rewards, np.float64).tolist(),
+            terminated=bool(stored.terminations[-1]),
+            truncated=bool(stored.truncations[-1]),
+        )
+
+
+def _at(observations: Any, step: int) -> Any:
+    """Returns one step of arrays that a Dict or Tuple space nests."""
+    if isinstance(observations, dict):
+        return {key: _at(value, step) for key, value in observations.items()}
+    if isinstance(observations, tuple):
+        return tuple(_at(value, step) for value in observations)
+    return observations[step]

@@ -1,0 +1,52 @@
+"""Makes the environments that `imitate` plays."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+
+from spikeserve.check import check
+from spikeserve.flat_spaces import FlatEnvironment
+
+
+def load_object(path: str, field: str) -> Any:
+    """Imports `module:name`. ValueError, which names `field`, if there is no such object."""
+    module_name, separator, name = path.partition(":")
+    check(bool(separator and module_name and name), field, "module:name", path)
+    try:
+        return getattr(importlib.import_module(module_name), name)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(
+            f"{field}: expected an importable module:name, received {path}: {error}"
+        ) from error
+
+
+class EnvironmentFactory:
+    """Makes equal environments with the spaces of a policy.
+
+    `env_id` is an id of Gymnasium, with `module:` before it if a module registers it. `wrappers`
+    are classes or functions, applied in order.
+    """
+
+    def __init__(
+        self,
+        env_id: str,
+        wrappers: Sequence[Callable[[Any], Any]] = (),
+        max_episode_steps: int | None = None,
+    ) -> None:
+        self._env_id = env_id
+        self._wrappers = list(wrappers)
+        self._max_episode_steps = max_episode_steps
+        # A policy plays only where it was trained, so the name includes the wrappers.
+        names = [getattr(wrapper, "__name__", type(wrapper).__name__) for wrapper in self._wrappers]
+        self.name = "+".join([env_id, *names])
+
+    def make(self) -> FlatEnvironment:
+        """Makes one environment."""
+        environment: Any = gymnasium.make(self._env_id, max_episode_steps=self._max_episode_steps)
+        for wrapper in self._wrappers:
+            environment = wrapper(environment)
+        return FlatEnvironment(environment)

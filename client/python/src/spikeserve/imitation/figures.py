@@ -1,0 +1,97 @@
+"""Plays evaluations: returns and spikes of an actor on given starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from spikeserve.engine import Engine
+from spikeserve.imitation.actors import RandomActor, StudentActor
+from spikeserve.imitation.environments import EnvironmentFactory
+from spikeserve.imitation.episodes import Actor, Episode, play
+from spikeserve.imitation.progress import progress_bar
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The result of an evaluation. `returns` are in the order of the seeds."""
+
+    returns: list[float]
+    decisions: int
+    spikes: int
+    first_seed: int = 0
+
+    @classmethod
+    def of(cls, episodes: Iterable[Episode]) -> Figures:
+        """Summarises episodes."""
+        ordered = sorted(episodes, key=lambda episode: episode.seed)
+        return cls(
+            [episode.episode_return for episode in ordered],
+            sum(episode.steps for episode in ordered),
+            sum(episode.spikes for episode in ordered),
+            ordered[0].seed,
+        )
+
+    @property
+    def mean(self) -> float:
+        """Returns the mean return."""
+        return float(np.mean(self.returns))
+
+    @property
+    def std(self) -> float:
+        """Returns the standard deviation of the returns."""
+        return float(np.std(self.returns))
+
+    @property
+    def spikes_per_decision(self) -> float:
+        """Returns the mean spikes of a decision."""
+        return self.spikes / self.decisions
+
+    def falls_by(self, reference: Figures) -> tuple[float, float]:
+        """Returns the mean fall from the reference on equal starts, and its standard error."""
+        falls = np.array(reference.returns) - np.array(self.returns)
+        return float(falls.mean()), float(falls.std() / np.sqrt(len(falls)))
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the fields and the means."""
+        means = {
+            "mean_return": self.mean,
+            "std_return": self.std,
+            "spikes_per_decision": self.spikes_per_decision,
+            "episodes": len(self.returns),
+        }
+        return means | asdict(self)
+
+    @classmethod
+    def from_json(cls, stored: dict[str, Any]) -> Figures:
+        """Restores what to_json returned."""
+        return cls(**{name: stored[name] for name in cls.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """Evaluates actors on the environments of one factory."""
+
+    factory: EnvironmentFactory
+    environments: int
+
+    def evaluate(self, actor: Actor, first_seed: int, episodes: int, title: str) -> Figures:
+        """Plays `episodes` starts from `first_seed` on."""
+        seeds = iter(range(first_seed, first_seed + episodes))
+        played = []
+        with progress_bar(episodes, "episodes", title) as progress:
+            for episode in play(self.factory.make, actor, seeds, self.environments):
+                played.append(episode)
+                progress.update(1)
+        return Figures.of(played)
+
+    def evaluate_policy(self, path: Any, first_seed: int, episodes: int, title: str) -> Figures:
+        """Plays a policy file with the engine, with its most probable actions."""
+        return self.evaluate(StudentActor(Engine(path)), first_seed, episodes, title)
+
+    def evaluate_chance(self, first_seed: int, episodes: int) -> Figures:
+        """Plays uniformly random actions."""
+        return self.evaluate(RandomActor(first_seed), first_seed, episodes, "random actions play")

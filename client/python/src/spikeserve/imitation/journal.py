@@ -1,0 +1,59 @@
+"""The folder of a run: its settings, and the results of finished parts."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+from spikeserve.check import check
+from spikeserve.imitation.figures import Figures
+
+
+class Journal:
+    """Keeps results below a folder, so that an interrupted run continues where it was.
+
+    ValueError if the folder holds a run with other settings.
+    """
+
+    def __init__(self, folder: pathlib.Path, settings: dict[str, Any]) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / "settings.json"
+        stored = json.loads(path.read_text()) if path.is_file() else settings
+        # Through JSON, because JSON turns tuples into lists.
+        given = json.loads(json.dumps(settings))
+        differing = (
+            [name for name in given if stored.get(name) != given[name]] if path.is_file() else []
+        )
+        check(
+            not differing,
+            "out",
+            f"the settings of {path}, or another folder",
+            f"other {', '.join(differing)}",
+        )
+        self._write(path, settings)
+
+    def figures(self, name: str, evaluate: Callable[[], Figures]) -> Figures:
+        """Returns the stored figures of `name`, or evaluates and stores them."""
+        stored = self.part(f"evaluations/{name}", lambda: evaluate().to_json())
+        return Figures.from_json(stored)
+
+    def part(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Returns the stored object of `name`, or makes and stores it with the seconds it took."""
+        path = self.folder / f"{name}.json"
+        if not path.is_file():
+            begin = time.monotonic()
+            made = make()
+            self._write(path, made | {"seconds": round(time.monotonic() - begin, 1)})
+        loaded: dict[str, Any] = json.loads(path.read_text())
+        return loaded
+
+    @staticmethod
+    def _write(path: pathlib.Path, value: dict[str, Any]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial")
+        partial.write_text(json.dumps(value, indent=2) + "\n")
+        partial.rename(path)

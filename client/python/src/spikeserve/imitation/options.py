@@ -1,0 +1,78 @@
+"""The settings of `imitate`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from spikeserve.check import check
+
+# Environment seeds: those below are for data, those from the second on for the final figures.
+FIRST_SELECTION_SEED = 1_000_000
+FIRST_UNSEEN_SEED = 2_000_000
+
+_SILENCE = ((3.0, 15.0), (1.5, 9.0), (0.7, 5.0), (0.3, 3.0))
+
+
+def _setting(default: Any, text: str) -> Any:
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True)
+class ImitationOptions:
+    """How `imitate` records, trains and evaluates. The defaults suit small control tasks."""
+
+    seed: int = _setting(0, "seed of every random draw")
+    environments: int = _setting(16, "environments that are played at the same time")
+    max_episode_steps: int | None = _setting(None, "longest episode; default: the environment's")
+
+    steps: int = _setting(60_000, "steps of the expert to record")
+    disturbed: float = _setting(0.8, "share of its episodes with bursts of random actions")
+    burst_rate: float = _setting(0.3, "largest probability that a burst begins at a step")
+    longest_burst: int = _setting(8, "most steps of a burst")
+
+    hidden_size: int = _setting(128, "hidden size d of the policy")
+    clip_steps: int = _setting(5, "timesteps of a training clip; 0: the whole context")
+    batch: int = _setting(64, "clips of an iteration")
+    learning_rate: float = _setting(2e-3, "peak learning rate")
+    iterations: int = _setting(800, "iterations of the first training")
+    train_flags: tuple[str, ...] = _setting((), "more flags of `spiketrain train`, in one string")
+    threads: int = _setting(1, "threads of a training; the last bits of the weights depend on it")
+
+    rounds: int = _setting(2, "rounds in which the policy plays and the expert labels its states")
+    round_steps: int = _setting(20_000, "steps of a round")
+    round_iterations: int = _setting(400, "iterations of the training after a round")
+
+    silence: tuple[tuple[float, float], ...] = _setting(
+        _SILENCE, "target firing rates of the steps to silence, in percent: HIDDEN:READOUT,..."
+    )
+    silence_iterations: int = _setting(400, "iterations of a step to silence")
+    tolerance: float = _setting(
+        0.02, "largest loss of return by silence, as a share of the distance from random to expert"
+    )
+
+    selection_episodes: int = _setting(50, "episodes of an evaluation between trainings")
+    episodes: int = _setting(300, "episodes of the final evaluation, on unseen starts")
+
+    def __post_init__(self) -> None:
+        at_least_one = (
+            "environments",
+            "steps",
+            "longest_burst",
+            "hidden_size",
+            "batch",
+            "iterations",
+            "threads",
+            "round_steps",
+            "round_iterations",
+            "silence_iterations",
+            "selection_episodes",
+            "episodes",
+        )
+        for name in at_least_one:
+            check(getattr(self, name) >= 1, name, "at least 1", getattr(self, name))
+        for name in ("seed", "clip_steps", "rounds", "tolerance"):
+            check(getattr(self, name) >= 0, name, "at least 0", getattr(self, name))
+        check(self.rounds <= 10, "rounds", "at most 10", self.rounds)
+        for name in ("disturbed", "burst_rate"):
+            check(0 <= getattr(self, name) <= 1, name, "a share from 0 to 1", getattr(self, name))

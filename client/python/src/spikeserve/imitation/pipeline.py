@@ -1,0 +1,276 @@
+"""`imitate`: records, trains, asks the expert again, silences, quantises and evaluates."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from spikeserve.engine import Engine
+from spikeserve.imitation.actors import Bursts, ExpertActor, StudentActor
+from spikeserve.imitation.datasets import check_packages, read_dataset, write_dataset
+from spikeserve.imitation.environments import EnvironmentFactory
+from spikeserve.imitation.episodes import Actor, Budget, Episode, play
+from spikeserve.imitation.experts import Expert, is_dataset, load_expert
+from spikeserve.imitation.figures import Evaluator, Figures
+from spikeserve.imitation.journal import Journal
+from spikeserve.imitation.options import FIRST_SELECTION_SEED, FIRST_UNSEEN_SEED, ImitationOptions
+from spikeserve.imitation.policy_record import write_with_record
+from spikeserve.imitation.progress import progress_bar
+from spikeserve.imitation.report import write_report
+from spikeserve.imitation.training import Spiketrain, Training, find_spiketrain
+
+# Every round of data has environment seeds of its own.
+_SEEDS_OF_A_ROUND = 50_000
+
+
+@dataclass(frozen=True)
+class ImitationResult:
+    """The outcome of `imitate`. The figures are of starts that nothing else used."""
+
+    policies: pathlib.Path  # a folder for `spikeserve --policies`
+    policy: pathlib.Path  # the policy in float32
+    quantized: pathlib.Path  # the same with 8-bit weights
+    report: pathlib.Path
+    figures: Figures  # of `policy`
+    quantized_figures: Figures
+    expert_figures: Figures
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A trained policy with its figures on the starts for selection."""
+
+    name: str
+    policy: pathlib.Path
+    figures: Figures
+
+
+def imitate(
+    env_id: str,
+    expert: str | Callable[..., Any],
+    out: str | pathlib.Path,
+    *,
+    options: ImitationOptions | None = None,
+    wrappers: Sequence[Callable[[Any], Any]] = (),
+    spiketrain: str | None = None,
+) -> ImitationResult:
+    """See `spikeserve.imitate`."""
+    options = options or ImitationOptions()
+    check_packages()
+    factory = EnvironmentFactory(env_id, wrappers, options.max_episode_steps)
+    trainer = Spiketrain(find_spiketrain(spiketrain), options.threads)
+    factory.make().close()  # refuses an environment that cannot be used
+    source = str(expert) if is_dataset(expert) else load_expert(expert)
+    settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
+    journal = Journal(pathlib.Path(out), settings)
+    return _Run(factory, source, options, trainer, journal).run()
+
+
+def _name_of(expert: str | Callable[..., Any]) -> str:
+    if not callable(expert):
+        return str(expert)
+    return (
+        f"{getattr(expert, '__module__', '')}:{getattr(expert, '__qualname__', repr(type(expert)))}"
+    )
+
+
+class _Run:
+    """One run. Every method skips what an interrupted run has finished."""
+
+    def __init__(
+        self,
+        factory: EnvironmentFactory,
+        source: str | Expert,
+        options: ImitationOptions,
+        trainer: Spiketrain,
+        journal: Journal,
+    ) -> None:
+        self._factory = factory
+        self._dataset = source if isinstance(source, str) else None
+        self._expert = None if isinstance(source, str) else source
+        self._options = options
+        self._trainer = trainer
+        self._journal = journal
+        self._evaluator = Evaluator(factory, options.environments)
+        self._data: list[pathlib.Path] = []
+        self._stages: list[_Candidate] = []
+
+    def run(self) -> ImitationResult:
+        """Runs every part and writes policies and report."""
+        self._record_expert()
+        best = self._learn_to_play()
+        silent = self._silence(best)
+        return self._publish(silent)
+
+    # Data
+
+    def _record_expert(self) -> None:
+        if self._expert is None:
+            assert self._dataset is not None
+            source = self._dataset
+            self._write_data("expert", lambda: list(read_dataset(source)))
+            return
+        options = self._options
+        bursts = Bursts(options.seed, options.disturbed, options.burst_rate, options.longest_burst)
+        actor = ExpertActor(self._expert, bursts)
+        self._write_data(
+            "expert", lambda: self._play_steps(actor, options.steps, 0, "expert plays")
+        )
+
+    def _record_round(self, number: int, student: pathlib.Path) -> None:
+        actor = StudentActor(Engine(student), self._expert)
+        first_seed = number * _SEEDS_OF_A_ROUND
+        title = f"round {number}: policy plays, expert labels"
+        self._write_data(
+            f"round{number}",
+            lambda: self._play_steps(actor, self._options.round_steps, first_seed, title),
+        )
+
+    def _play_steps(self, actor: Actor, steps: int, first_seed: int, title: str) -> list[Episode]:
+        # Runs with other seeds play other starts. All of them are below those of evaluations.
+        first_seed += 100_000 * (self._options.seed % 5)
+        episodes = []
+        with progress_bar(steps, "steps", title) as progress:
+            budget = Budget(steps, first_seed, progress)
+            for episode in play(self._factory.make, actor, budget, self._options.environments):
+                budget.count(episode)
+                episodes.append(episode)
+        return episodes
+
+    def _write_data(self, name: str, record: Callable[[], list[Episode]]) -> None:
+        folder = self._journal.folder / "data" / f"{name}-v0"
+        if not folder.is_dir():
+            environment = self._factory.make()
+            write_dataset(folder, record(), environment, self._factory.name)
+            environment.close()
+        self._data.append(folder)
+
+    # Training
+
+    def _train(
+        self, name: str, iterations: int, init: _Candidate | None, flags: Sequence[str] = ()
+    ) -> _Candidate:
+        options = self._options
+        number = len(self._stages) + 1
+        stage = f"{number}-{name}"
+        common = [
+            f"--clip_steps={options.clip_steps}",
+            f"--batch={options.batch}",
+            f"--learning_rate={options.learning_rate}",
+            *([] if init else [f"--hidden_size={options.hidden_size}"]),
+            *flags,
+            *options.train_flags,
+        ]
+        training = Training(
+            self._data, options.seed + number, iterations, common, init.policy if init else None
+        )
+        out = self._journal.folder / "stages" / stage
+        self._journal.part(
+            f"stages/{stage}", lambda: {"policy": str(self._trainer.train(training, out))}
+        )
+        policy = out / "policy.safetensors"
+        figures = self._journal.figures(
+            stage,
+            lambda: self._evaluator.evaluate_policy(
+                policy, FIRST_SELECTION_SEED, options.selection_episodes, f"{stage} plays"
+            ),
+        )
+        candidate = _Candidate(stage, policy, figures)
+        self._stages.append(candidate)
+        return candidate
+
+    def _learn_to_play(self) -> _Candidate:
+        """Trains on the expert's data, then on the policy's own states. Returns the best policy."""
+        candidate = self._train("play", self._options.iterations, None)
+        rounds = 0 if self._expert is None else self._options.rounds
+        for number in range(1, rounds + 1):
+            self._record_round(number, candidate.policy)
+            candidate = self._train(f"round{number}", self._options.round_iterations, candidate)
+        return max(self._stages, key=lambda stage: stage.figures.mean)
+
+    def _silence(self, loud: _Candidate) -> _Candidate:
+        """Lowers the firing rates in steps while the return holds. Returns the last such policy."""
+        chance = self._journal.figures(
+            "chance",
+            lambda: self._evaluator.evaluate_chance(
+                FIRST_SELECTION_SEED, self._options.environments
+            ),
+        )
+        allowed = self._options.tolerance * abs(self._expert_return() - chance.mean)
+        kept = loud
+        for hidden, readout in self._options.silence:
+            flags = [f"--target_rate={hidden}", f"--readout_rate={readout}"]
+            step = self._train(f"silence-{hidden:g}", self._options.silence_iterations, kept, flags)
+            fall, error = step.figures.falls_by(loud.figures)
+            if fall - error > allowed:
+                break
+            kept = step
+        return kept
+
+    # Results
+
+    def _expert_return(self) -> float:
+        return self._expert_figures(
+            FIRST_SELECTION_SEED, self._options.selection_episodes, "expert-selection"
+        ).mean
+
+    def _expert_figures(self, first_seed: int, episodes: int, name: str) -> Figures:
+        """Returns the expert's figures on given starts, or those of its dataset."""
+        expert = self._expert
+        if expert is None:
+            return self._journal.figures("expert", lambda: Figures.of(read_dataset(self._data[0])))
+        return self._journal.figures(
+            name,
+            lambda: self._evaluator.evaluate(
+                ExpertActor(expert), first_seed, episodes, "expert plays"
+            ),
+        )
+
+    def _publish(self, chosen: _Candidate) -> ImitationResult:
+        folder = self._journal.folder
+        stage = folder / "stages/quantized/policy.safetensors"
+        quantized = self._trainer.quantize(chosen.policy, stage)
+        first, first_figures = self._publish_version(1, chosen.policy)
+        second, second_figures = self._publish_version(2, quantized)
+        result = ImitationResult(
+            policies=folder / "policies",
+            policy=first,
+            quantized=second,
+            report=folder / "report.md",
+            figures=first_figures,
+            quantized_figures=second_figures,
+            expert_figures=self._expert_figures(
+                FIRST_UNSEEN_SEED, self._options.episodes, "expert-unseen"
+            ),
+        )
+        stages = {stage.name: stage.figures for stage in self._stages}
+        name = _policy_name(self._factory.name)
+        write_report(result.report, self._journal, name, chosen.name, stages, result)
+        return result
+
+    def _publish_version(self, version: int, source: pathlib.Path) -> tuple[pathlib.Path, Figures]:
+        """Evaluates a policy on unseen starts and writes it as a version that can be served."""
+        options = self._options
+        title = f"version {version} plays unseen starts"
+        figures = self._journal.figures(
+            f"version-{version}",
+            lambda: self._evaluator.evaluate_policy(
+                source, FIRST_UNSEEN_SEED, options.episodes, title
+            ),
+        )
+        name = _policy_name(self._factory.name)
+        folder = self._journal.folder / "policies" / name / str(version)
+        evaluation = {key: value for key, value in figures.to_json().items() if key != "returns"}
+        settings = {"environment": self._factory.name, **asdict(options)}
+        target = folder / "policy.safetensors"
+        write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
+        return target, figures
+
+
+def _policy_name(environment: str) -> str:
+    """Returns a name for a folder of policies: lunarlander for LunarLander-v3."""
+    plain = re.sub(r"-v\d+", "", environment.rpartition(":")[2]).lower()
+    return re.sub(r"[^a-z0-9]+", "-", plain).strip("-")

@@ -1,0 +1,83 @@
+"""Runs `spiketrain`."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from spikeserve.check import check
+
+
+def find_spiketrain(path: str | None = None) -> str:
+    """Returns the program: `path`, $SPIKETRAIN, the one beside this Python, or the one on PATH."""
+    named = path or os.environ.get("SPIKETRAIN")
+    beside = pathlib.Path(sys.executable).with_name("spiketrain")
+    found = named or (str(beside) if beside.is_file() else shutil.which("spiketrain"))
+    check(
+        found is not None, "spiketrain", "the program on PATH, in $SPIKETRAIN or as an option", None
+    )
+    assert found is not None
+    check(shutil.which(found) is not None, "spiketrain", "a program", found)
+    return found
+
+
+@dataclass(frozen=True)
+class Training:
+    """The flags of one training."""
+
+    data: Sequence[pathlib.Path]
+    seed: int
+    iterations: int
+    flags: Sequence[str] = ()
+    init: pathlib.Path | None = None  # policy to continue from
+
+
+@dataclass
+class Spiketrain:
+    """Trains and quantises policies. `commands` are the command lines that ran."""
+
+    program: str
+    threads: int
+    commands: list[str] = field(default_factory=list)
+
+    def train(self, training: Training, out: pathlib.Path) -> pathlib.Path:
+        """Trains into the folder `out` and returns the policy. Continues an interrupted run."""
+        flags = [
+            "--data=" + ",".join(map(str, training.data)),
+            f"--out={out}",
+            f"--seed={training.seed}",
+            f"--iterations={training.iterations}",
+            "--episodes=1",  # of its own evaluation, which is not used here
+            "--resume",
+            *training.flags,
+        ]
+        if training.init is not None:
+            flags.append(f"--init={training.init}")
+        policy = out / "policy.safetensors"
+        if not policy.is_file():
+            self._run("train", *flags)
+        return policy
+
+    def quantize(self, policy: pathlib.Path, out: pathlib.Path) -> pathlib.Path:
+        """Writes the policy with 8-bit weights to the file `out`."""
+        if not out.is_file():
+            self._run("quantize", f"--policy={policy}", f"--out={out}", "--episodes=1")
+        return out
+
+    def _run(self, *arguments: str) -> None:
+        command = [self.program, *arguments]
+        self.commands.append(shlex.join(command))
+        environment = os.environ | {"OMP_NUM_THREADS": str(self.threads)}
+        finished = subprocess.run(
+            command, env=environment, check=False, stdout=subprocess.PIPE, text=True
+        )
+        if finished.returncode != 0:
+            raise RuntimeError(
+                f"{shlex.join(command)}: status {finished.returncode}\n{finished.stdout}"
+            )

@@ -1,0 +1,57 @@
+"""Two-minute forms of `python -m spikeserve imitate`: from an environment and an expert to a served policy."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import spikeserve
+from serving import running_server
+
+TINY = "--environments=8 --hidden-size=32 --selection-episodes=16 --episodes=40".split()
+
+
+def imitate(out, env_id, expert, *flags):
+    """Runs the command. Returns the metadata of the run."""
+    command = [sys.executable, "-m", "spikeserve", "imitate", env_id, f"--expert={expert}", f"--out={out}"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([*command, *TINY, *flags], check=True, env=environment)
+    return json.loads((out / "metadata.json").read_text())
+
+
+def mean_return(figures, title):
+    (match,) = [value for name, value in figures.items() if name.startswith(title)]
+    return match["mean_return"]
+
+
+def served_return(out, env_id, name, episodes):
+    """Plays the same starts as the final evaluation on a real server, with the policy of version 2."""
+    with running_server(out / "policies") as addresses:
+        played = spikeserve.evaluate(env_id, name, server=addresses.grpc, episodes=episodes, seed=2_000_000)
+    assert played.version == 2
+    return played.mean_return
+
+
+def test_cartpole(tmp_path):
+    flags = ["--steps=12000", "--iterations=250", "--rounds=1", "--round-steps=4000", "--round-iterations=120"]
+    silence = ["--silence=3:15,1.5:9", "--silence-iterations=100"]
+    metadata = imitate(tmp_path, "CartPole-v1", "home_made:balance", *flags, *silence)
+    figures = metadata["figures"]
+    assert mean_return(figures, "expert") == 500
+    assert mean_return(figures, "cartpole/1") > 450
+    assert served_return(tmp_path, "CartPole-v1", "cartpole", 40) == mean_return(figures, "cartpole/2")
+    loud = metadata["stages"]["2-round1"]["spikes_per_decision"]
+    assert metadata["stages"]["3-silence-3"]["spikes_per_decision"] < loud / 2
+
+
+def test_an_environment_with_dict_observations_and_multidiscrete_actions(tmp_path):
+    flags = ["--steps=12000", "--iterations=300", "--rounds=1", "--round-steps=4000", "--round-iterations=100"]
+    silence = ["--silence=3:15", "--silence-iterations=100"]
+    figures = imitate(tmp_path, "home_made:HomeMade-v0", "home_made:go_to_corner", *flags, *silence)["figures"]
+    chance = json.loads((tmp_path / "evaluations/chance.json").read_text())["mean_return"]
+    expert = mean_return(figures, "expert")
+    policy = mean_return(figures, "homemade/1")
+    assert policy > expert - 0.1 * (expert - chance)
+    served = served_return(tmp_path, "home_made:HomeMade-v0", "homemade", 40)
+    assert served == pytest.approx(mean_return(figures, "homemade/2"), abs=1e-9)
