@@ -66,6 +66,8 @@ void AddFlags(Command program, ServerOptions* options) {
            "Policies: DIR/<policy>/<version>/policy.safetensors")
       .Add("poll_policies", "DURATION", &options->poll_policies,
            "Interval of checks for changed policies; 0: never")
+      .AddSwitch("allow_no_policies", &options->allow_no_policies,
+                 "Start although no policy can be served")
       .Add("policy_settings", "FILE", &options->policy_settings,
            "JSON file that stores the settings of operators");
   program.Flags("Sessions")

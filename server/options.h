@@ -22,9 +22,10 @@ struct ServerOptions {
   int64_t max_message_bytes = 4 << 20;         // of one request over gRPC, from any caller
   absl::Duration drain_timeout = absl::Seconds(30);  // for calls in flight when the server stops
 
-  std::string policies;          // directory of <policy>/<version>/policy.safetensors
-  absl::Duration poll_policies;  // interval of looking for changed policies; 0: on request only
-  std::string policy_settings;   // file that keeps what operators set; empty: not kept
+  std::string policies;            // directory of <policy>/<version>/policy.safetensors
+  absl::Duration poll_policies;    // interval of looking for changed policies; 0: on request only
+  bool allow_no_policies = false;  // start although nothing can be served
+  std::string policy_settings;     // file that keeps what operators set; empty: not kept
 
   absl::Duration session_ttl = absl::Minutes(10);    // idle time that ends a session
   absl::Duration compact_after = absl::Seconds(10);  // idle time that shrinks one to its history

@@ -49,6 +49,17 @@ int AvailableCores() {
   return sched_getaffinity(0, sizeof(cores), &cores) == 0 ? CPU_COUNT(&cores) : 1;
 }
 
+// Returns FAILED_PRECONDITION if nothing can be served and no operator wants that.
+absl::Status CheckServesPolicies(const ServerOptions& options, PolicyRegistry& registry,
+                                 const ReloadReport& report) {
+  if (options.allow_no_policies || registry.HasUnloaded() ||
+      !registry.catalog()->policies().empty()) {
+    return absl::OkStatus();
+  }
+  return absl::FailedPreconditionError(
+      absl::StrCat("--policies: ", ExplainNoPolicies(options.policies, report.refused)));
+}
+
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
@@ -65,6 +76,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
       },
       &report);
   if (!registry.ok()) return registry.status();
+  if (auto status = CheckServesPolicies(options, **registry, report); !status.ok()) return status;
   for (const absl::Status& status : report.refused) {
     LogWarning("policy refused", {{"error", status.message()}});
   }
@@ -72,7 +84,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     LogWarning("setting pending", {{"setting", setting}});
   }
   if ((*registry)->catalog()->policies().empty()) {
-    LogWarning("no policy could be loaded", {{"policies", options.policies}});
+    LogWarning("no policy is served", {{"policies", options.policies}});
   }
 
   std::unique_ptr<Recordings> recordings;

@@ -1,7 +1,9 @@
 #include "server/agent/recordings.h"
 
+#include <stdlib.h>
 #include <unistd.h>
 
+#include <cerrno>
 #include <filesystem>
 #include <system_error>
 #include <utility>
@@ -24,10 +26,17 @@ absl::StatusOr<std::unique_ptr<Recordings>> Recordings::Create(const std::string
                                                                Metrics* metrics) {
   std::error_code error;
   std::filesystem::create_directories(directory, error);
-  if (error || access(directory.c_str(), W_OK | X_OK) != 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--record_dir: expected a writable directory, received ", directory));
+  // A recording is a folder. Creating one is the only check that also finds full and read-only file
+  // systems, and what a superuser cannot do either.
+  std::string probe = (std::filesystem::path(directory) / ".probe-XXXXXX").string();
+  if (error || mkdtemp(probe.data()) == nullptr) {
+    if (!error) error = std::error_code(errno, std::generic_category());
+    return absl::FailedPreconditionError(absl::StrCat(
+        "--record_dir: expected a directory in which the server can create folders, received ",
+        directory, ": ", error.message(),
+        ". Give the user of the server write access, or record into another directory"));
   }
+  rmdir(probe.c_str());
   return std::unique_ptr<Recordings>(new Recordings(directory, metrics));
 }
 

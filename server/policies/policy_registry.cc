@@ -46,6 +46,11 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
     if (!settings.ok()) return Annotate(settings.status(), "--policy_settings");
     absl::MutexLock change(&registry->change_mutex_);
     registry->settings_ = *std::move(settings);
+    // A file that cannot be written would refuse the first change of an operator.
+    if (auto status = registry->Save(registry->settings_); !status.ok()) {
+      return Annotate(
+          status, "--policy_settings: expected a file in a directory that the server can write");
+    }
   }
   auto loaded = registry->Reload();
   if (!loaded.ok()) return Annotate(loaded.status(), "--policies");
@@ -69,6 +74,11 @@ std::vector<std::string> PolicyRegistry::ApplySettings(PolicyCatalog* catalog) c
     if (!versions.empty()) policy->second.settings = std::move(effective);
   }
   return waiting;
+}
+
+bool PolicyRegistry::HasUnloaded() {
+  absl::MutexLock change(&change_mutex_);
+  return !settings_.unloaded.empty();
 }
 
 absl::Status PolicyRegistry::Save(const Settings& settings) const {

@@ -38,7 +38,8 @@ class PolicyRegistry {
   // Loads the policies of `directory`, and the settings at `settings_path` unless it is empty.
   // Files that cannot be loaded are listed in `report`; all others are served. A setting whose
   // version is not served is kept and takes effect when the version is loaded. Returns NOT_FOUND if
-  // there is no such directory, INVALID_ARGUMENT if the settings file is not valid.
+  // there is no such directory, INVALID_ARGUMENT if the settings file is not valid, and the error
+  // of the system if it cannot be written.
   static absl::StatusOr<std::unique_ptr<PolicyRegistry>> Load(const std::string& directory,
                                                               const std::string& settings_path,
                                                               NewObserver new_observer,
@@ -48,6 +49,9 @@ class PolicyRegistry {
   std::shared_ptr<const PolicyCatalog> catalog() const;
 
   const std::string& directory() const { return directory_; }
+
+  // Returns true if operators have unloaded versions that are not loaded again.
+  bool HasUnloaded();
 
   // Updates the catalog from the directory: loads new and changed files, and unloads versions whose
   // files were removed, unless a setting uses them. If a changed file is refused, the version that

@@ -8,6 +8,7 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/functional/function_ref.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -64,7 +65,54 @@ absl::Status WarmUp(const Engine& engine, const std::string& path) {
       absl::StrCat(path, ": expected a finite first decision, received NaN or infinity"));
 }
 
+constexpr char kFileName[] = "policy.safetensors";
+
+bool HasPolicyFile(const fs::path& directory) {
+  std::error_code error;
+  return fs::exists(directory / kFileName, error);
+}
+
+// Returns the first folder of `directory` for which `condition` holds, or an empty path.
+fs::path FirstFolder(const fs::path& directory,
+                     absl::FunctionRef<bool(const fs::path& folder)> condition) {
+  const auto folders = ListFolders(directory);
+  if (!folders.ok()) return {};
+  const auto found = std::find_if(folders->begin(), folders->end(), condition);
+  return found == folders->end() ? fs::path() : *found;
+}
+
+// Returns true if `directory` has the folders of versions, such as 1/policy.safetensors.
+bool HasVersions(const fs::path& directory) {
+  return !FirstFolder(directory, HasPolicyFile).empty();
+}
+
+bool HasPolicies(const fs::path& directory) { return !FirstFolder(directory, HasVersions).empty(); }
+
+std::string UseInstead(absl::string_view what, const fs::path& meant) {
+  return absl::StrCat("this is ", what, "; use --policies=", meant.string());
+}
+
 }  // namespace
+
+std::string ExplainNoPolicies(const std::string& directory,
+                              const std::vector<absl::Status>& refused) {
+  const fs::path path = fs::absolute(directory).lexically_normal();
+  // A path that ends with a slash has an empty last element.
+  const fs::path folder = path.has_filename() ? path : path.parent_path();
+  std::string reason = "the directory has no policies; copy or train one (docs/policies.md)";
+  if (HasPolicyFile(folder)) {
+    reason = UseInstead("the folder of one version", folder.parent_path().parent_path());
+  } else if (HasVersions(folder)) {
+    reason = UseInstead("the folder of one policy", folder.parent_path());
+  } else if (const fs::path below = FirstFolder(folder, HasPolicies); !below.empty()) {
+    reason = UseInstead("a directory above the policies", below);
+  } else if (!refused.empty()) {
+    reason = std::string(refused.front().message());
+  }
+  return absl::StrCat(directory, ": expected <policy>/<version>/", kFileName,
+                      ", received no version that can be served: ", reason,
+                      ". To start without a policy, use --allow_no_policies");
+}
 
 FileStamp StampOf(const std::string& path) {
   struct stat file = {};
@@ -110,8 +158,7 @@ absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory) {
 }
 
 std::string PolicyFilePath(const std::string& directory, const PolicyVersion& version) {
-  return (fs::path(directory) / version.policy / absl::StrCat(version.version) /
-          "policy.safetensors")
+  return (fs::path(directory) / version.policy / absl::StrCat(version.version) / kFileName)
       .string();
 }
 

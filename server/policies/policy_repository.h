@@ -45,6 +45,11 @@ struct PolicyFolders {
 // Lists the policies and versions in `directory`. Returns NOT_FOUND if there is no such directory.
 absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory);
 
+// Explains why nothing of `directory` can be served and what to do: names the directory that was
+// probably meant if `directory` is one level too deep or too high, else the first of `refused`.
+std::string ExplainNoPolicies(const std::string& directory,
+                              const std::vector<absl::Status>& refused);
+
 // Returns true if `name` is valid for a policy or a label: letters, digits, '.', '-' and '_', not
 // starting with '.'. Names become part of paths and metric labels.
 bool IsPlainName(const std::string& name);

@@ -124,12 +124,46 @@ TEST_F(PolicyFilesTest, TheLogIsJsonIfAskedFor) {
   EXPECT_THAT(line["error"].get<std::string>(), HasSubstr(path));
 }
 
-TEST_F(PolicyFilesTest, NothingToServeIsSaid) {
+// Starts a server of `directory` that must refuse to start, and returns the reason.
+std::string RefusedStart(const fs::path& directory) {
+  const auto server = ServerProcess::Start(directory.string());
+  EXPECT_FALSE(server.ok());
+  return std::string(server.status().message());
+}
+
+TEST_F(PolicyFilesTest, NothingToServeStopsTheStartWithWhatToDo) {
   const TemporaryDirectory empty;
-  const auto server = ServerProcess::Start(empty.path().string());
+  EXPECT_THAT(RefusedStart(empty.path()),
+              AllOf(HasSubstr("--policies: " + empty.path().string() +
+                              ": expected <policy>/<version>/policy.safetensors"),
+                    HasSubstr("the directory has no policies"), HasSubstr("--allow_no_policies")));
+  fs::create_directories(empty.path() / "bad/1");
+  EXPECT_THAT(RefusedStart(empty.path()),
+              HasSubstr((empty.path() / "bad/1/policy.safetensors").string()));
+}
+
+TEST_F(PolicyFilesTest, ADirectoryOfTheWrongLevelNamesTheRightOne) {
+  const std::string right = "use --policies=" + policies_.path().string() + ".";
+  EXPECT_THAT(RefusedStart(policies_.path() / "discrete"),
+              AllOf(HasSubstr("the folder of one policy"), HasSubstr(right)));
+  EXPECT_THAT(RefusedStart(policies_.path() / "discrete" / ""), HasSubstr(right));
+  EXPECT_THAT(RefusedStart(policies_.path() / "discrete" / "1"),
+              AllOf(HasSubstr("the folder of one version"), HasSubstr(right)));
+  const TemporaryDirectory above;
+  fs::rename(policies_.path() / "box", above.path() / "box");
+  fs::create_directories(above.path() / "policies");
+  fs::rename(above.path() / "box", above.path() / "policies" / "box");
+  EXPECT_THAT(RefusedStart(above.path()),
+              AllOf(HasSubstr("a directory above the policies"),
+                    HasSubstr("use --policies=" + (above.path() / "policies").string())));
+}
+
+TEST_F(PolicyFilesTest, NothingIsServedIfThatIsMeant) {
+  const TemporaryDirectory empty;
+  const auto server = ServerProcess::Start(empty.path().string(), {"--allow_no_policies"});
   ASSERT_TRUE(server.ok()) << server.status();
   EXPECT_THAT((*server)->Log(),
-              AllOf(HasSubstr("no policy could be loaded"), HasSubstr(empty.path().string())));
+              AllOf(HasSubstr("no policy is served"), HasSubstr(empty.path().string())));
 }
 
 }  // namespace

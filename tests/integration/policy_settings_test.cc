@@ -71,10 +71,27 @@ TEST_F(PolicySettingsTest, SettingsOutliveTheServer) {
   EXPECT_EQ(Held().size(), 4u);
 }
 
+TEST_F(PolicySettingsTest, AFileThatCannotBeWrittenStopsTheStart) {
+  // Not even a superuser can create files in /proc.
+  for (const std::string path : {(kept_.path() / "no such folder" / "settings.json").string(),
+                                 std::string("/proc/settings.json")}) {
+    const auto server =
+        ServerProcess::Start(policies_.path().string(), {"--policy_settings=" + path});
+    ASSERT_FALSE(server.ok()) << path;
+    EXPECT_THAT(std::string(server.status().message()),
+                HasSubstr("--policy_settings: expected a file in a directory that the server can "
+                          "write: " +
+                          path));
+  }
+}
+
 TEST_F(PolicySettingsTest, WhatCannotBeWrittenDownIsNotSet) {
-  const std::string path = (kept_.path() / "no such folder" / "settings.json").string();
+  const auto folder = kept_.path() / "folder";
+  std::filesystem::create_directory(folder);
+  const std::string path = (folder / "settings.json").string();
   StartServer({"--policy_settings=" + path});
   Connect();
+  std::filesystem::remove_all(folder);
   v1::SetDefaultVersionRequest request;
   request.set_policy("discrete");
   request.set_version(1);
@@ -126,6 +143,16 @@ TEST_F(PolicySettingsTest, ASettingWaitsForAPolicyThatIsNotThere) {
   std::filesystem::rename(kept_.path() / "away", folder);
   ASSERT_TRUE(TryLoad(1).ok());
   EXPECT_THAT(Held(), ElementsAre("1 default stable 0%"));
+}
+
+TEST_F(PolicySettingsTest, AServerWhoseLastVersionWasUnloadedStartsAgain) {
+  const auto box = policies_.path() / "box";
+  std::filesystem::remove_all(box);
+  Restart();
+  ASSERT_TRUE(TryUnload(2).ok());
+  ASSERT_TRUE(TryUnload(1).ok());
+  Restart();
+  EXPECT_TRUE(Versions().empty());
 }
 
 TEST_F(PolicySettingsTest, APauseOutlivesTheServer) {

@@ -64,6 +64,16 @@ TEST_F(ProgramTest, BadSettings) {
   }
 }
 
+TEST_F(ProgramTest, ADirectoryThatCannotBeRecordedIntoStopsTheStart) {
+  // Not even a superuser can create folders in /proc.
+  for (const std::string directory : {"/proc", "/proc/recordings"}) {
+    ExpectFailure({policies(), "--record_dir=" + directory},
+                  "--record_dir: expected a directory in which the server can create folders, "
+                  "received " +
+                      directory);
+  }
+}
+
 TEST_F(ProgramTest, TakenPorts) {
   ExpectFailure({policies(), "--listen=" + server_->grpc_address(), "--http_listen="},
                 "--listen: cannot listen on " + server_->grpc_address());
