@@ -19,7 +19,9 @@
 #include "train/progress_bar.h"
 #include "train/record_flags.h"
 #include "train/train_flags.h"
+#include "train/train_summary.h"
 #include "train/trainer/initial_policy.h"
+#include "train/trainer/return_scaling.h"
 #include "train/trainer/trainer.h"
 
 namespace spikeserve {
@@ -33,6 +35,7 @@ struct TrainFlags {
   std::string init;                // initial policy file; empty: random weights
   std::optional<std::string> env;  // absent: that of the data, or CartPole-v1
   ShapeFlags shape;
+  std::optional<double> target_return;  // absent: that of --init, the environment or the data
   std::optional<double> return_offset;  // absent: the default of the environment
   std::optional<double> return_scale;
   TrainerFlags trainer;
@@ -72,8 +75,10 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     if (last || iteration % flags.checkpoint_every == 0) {
       if (auto status = trainer->SaveCheckpoint(checkpoint); !status.ok()) return status;
     }
-    progress.Update(iteration, absl::StrFormat("loss %.4f, validation %.4f, excess rate %.4f",
-                                               shown_loss, validation, step.hinge));
+    const std::string held_out =
+        validation < 0.0 ? "" : absl::StrFormat(", validation %.4f", validation);
+    progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
+                                               held_out, step.hinge));
   }
   return validation;
 }
@@ -170,7 +175,29 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& datas
   return policy;
 }
 
-// Writes policy.safetensors, and prints the evaluation if there is one.
+// Returns where the target return of the initial policy comes from.
+TargetSource TargetSourceOf(const TrainFlags& flags, const Policy& initial) {
+  if (flags.target_return.has_value()) return TargetSource::kFlag;
+  if (!flags.init.empty()) return TargetSource::kInitialPolicy;
+  return ReturnScalingOf(initial.environment).ok() ? TargetSource::kEnvironment
+                                                   : TargetSource::kData;
+}
+
+// Returns the policy of --init, or a new one, with the target return of the flag.
+absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const Dataset& dataset) {
+  if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
+  }
+  absl::StatusOr<Policy> policy =
+      flags.init.empty() ? NewPolicy(flags, dataset) : GivenPolicy(flags, dataset);
+  if (policy.ok() && flags.target_return.has_value()) {
+    policy->target_return = static_cast<float>(*flags.target_return);
+  }
+  return policy;
+}
+
+// Writes policy.safetensors and prints the summary.
 absl::Status Finish(const TrainFlags& flags, const std::string& command_line,
                     const TrainOptions& options, const Dataset& dataset, const Policy& initial,
                     double validation, Policy policy) {
@@ -179,15 +206,16 @@ absl::Status Finish(const TrainFlags& flags, const std::string& command_line,
   if (!evaluation.ok()) return evaluation.status();
   policy.training = TrainingRecord(command_line, options, dataset, validation, *evaluation,
                                    policy.config, initial.training);
-  if (auto status = WritePolicyFile(policy, absl::StrCat(flags.out, "/policy.safetensors"));
-      !status.ok()) {
-    return status;
-  }
-  if (!evaluation->has_value()) return absl::OkStatus();
-  const ModelConfig& config = policy.config;
+  const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
+  if (auto status = WritePolicyFile(policy, path); !status.ok()) return status;
+  const TrainSummary summary = {
+      .path = path,
+      .target_source = TargetSourceOf(flags, initial),
+      .validation_loss = validation,
+      .evaluation = *evaluation,
+      .spikes_on_data = evaluation->has_value() ? 0.0 : SpikesOnData(policy, dataset)};
   std::fputs(
-      (flags.json ? ToJson(**evaluation, config).dump(2) + "\n" : ToText(**evaluation, config))
-          .c_str(),
+      (flags.json ? ToJson(summary, policy).dump(2) + "\n" : ToText(summary, policy)).c_str(),
       stdout);
   return absl::OkStatus();
 }
@@ -206,8 +234,7 @@ absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
   }
   const absl::StatusOr<Dataset> dataset = MakeDataset(flags);
   if (!dataset.ok()) return dataset.status();
-  const absl::StatusOr<Policy> initial =
-      flags.init.empty() ? NewPolicy(flags, *dataset) : GivenPolicy(flags, *dataset);
+  const absl::StatusOr<Policy> initial = MakeInitialPolicy(flags, *dataset);
   if (!initial.ok()) return initial.status();
 
   Trainer trainer(*initial, *dataset, *options);
@@ -232,6 +259,8 @@ void AddFlags(Command command, TrainFlags* flags) {
       .Add("checkpoint_every", "N", &flags->checkpoint_every, "Iterations between checkpoints")
       .Add("validate_every", "N", &flags->validate_every, "Iterations between validations")
       .Add("episodes", "N", &flags->episodes, "Episodes of the evaluation at the end")
+      .Add("target_return", "RETURN", &flags->target_return,
+           "Return that the policy is asked for; default: by environment or data")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   FlagGroup shape = command.Flags("Shape");
   AddModeFlag(shape, &flags->shape);

@@ -1,0 +1,48 @@
+// Says at the end of a training what was made and how to go on.
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef TRAIN_TRAIN_SUMMARY_H_
+#define TRAIN_TRAIN_SUMMARY_H_
+
+#include <array>
+#include <optional>
+#include <string>
+
+#include "core/base/enum_names.h"
+#include "core/dataset/dataset.h"
+#include "core/model/policy.h"
+#include "nlohmann/json.hpp"
+#include "train/evaluation/evaluation.h"
+
+namespace spikeserve {
+
+// Where the target return of a policy comes from.
+enum class TargetSource { kFlag, kInitialPolicy, kEnvironment, kData };
+
+constexpr std::array<EnumName<TargetSource>, 4> EnumNames(TargetSource) {
+  return {{{TargetSource::kFlag, "flag"},
+           {TargetSource::kInitialPolicy, "initial_policy"},
+           {TargetSource::kEnvironment, "environment"},
+           {TargetSource::kData, "data"}}};
+}
+
+struct TrainSummary {
+  std::string path;  // of the policy file
+  TargetSource target_source;
+  double validation_loss;                // below 0: no episodes were held out
+  std::optional<Evaluation> evaluation;  // absent: the environment cannot be played here
+  double spikes_on_data;                 // per decision; see SpikesOnData
+};
+
+// Returns the spikes per decision of a policy that is shown the observations and rewards of the
+// first 1000 steps of `dataset`, whatever actions it takes.
+double SpikesOnData(const Policy& policy, const Dataset& dataset);
+
+std::string ToText(const TrainSummary& summary, const Policy& policy);
+
+// Returns the evaluation, if there is one, and the summary.
+nlohmann::ordered_json ToJson(const TrainSummary& summary, const Policy& policy);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_TRAIN_SUMMARY_H_
