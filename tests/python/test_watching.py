@@ -15,7 +15,8 @@ import urllib.request
 import grpc
 import pytest
 
-from serving import DEADLINE_SECONDS, DEPLOY, Service, running_server
+from security import ADMIN, POLICY
+from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, Service, running_server
 
 PROMETHEUS_YML = DEPLOY / "prometheus" / "prometheus.yml"
 ALERTS_YML = DEPLOY / "prometheus" / "alerts.yml"
@@ -117,11 +118,48 @@ def play(service):
         assert error.value.code() == code
 
 
+def roll_out_in_vain(agent, admin):
+    """Rolls out version 2 of cartpole, whose returns are worse here, until the server aborts it."""
+    admin.SetDefaultVersion(policy="cartpole", version=1)
+    admin.StartRollout(policy="cartpole", version=2, steps=[50])
+
+    def aborted():
+        for _ in range(10):
+            session = agent.OpenSession(policy="cartpole")
+            agent.Act(session_id=session.session_id, observation=OBSERVATION)
+            agent.EndEpisode(
+                session_id=session.session_id, reward=2 - session.version, terminated=True
+            )
+            agent.CloseSession(session_id=session.session_id)
+        return admin.ListRollouts().rollouts[0].state == 2  # ABORTED
+
+    wait_for(aborted, "the end of the roll-out")
+    admin.SetDefaultVersion(policy="cartpole", version=2)
+
+
+def shadow(agent, admin, address):
+    """Lets version 3 of cartpole, which decides differently, shadow version 2."""
+    admin.SetShadow(policy="cartpole", shadow_version=3)
+    session = agent.OpenSession(policy="cartpole").session_id
+    for step in range(200):
+        angle = (step % 20 - 10) / 100
+        observation = [0.0, 0.0, angle, -angle * (step % 7)]
+        agent.Act(session_id=session, step=step, observation=observation, reward=1.0)
+    agent.CloseSession(session_id=session)
+    wait_for(lambda: 'agreement="differ"' in get(f"http://{address}/metrics"), "another action")
+
+
 @pytest.fixture(scope="module")
-def server():
-    """Starts a server, plays with it and yields its addresses."""
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        play(Service(channel, "spikeserve.v1.PolicyService"))
+def server(tmp_path_factory):
+    """Starts a server, plays with it, operates it and yields its addresses."""
+    policies = tmp_path_factory.mktemp("policies") / "policies"
+    shutil.copytree(SHIPPED_POLICIES, policies)
+    shutil.copytree(policies / "cartpole-dial" / "1", policies / "cartpole" / "3")
+    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        agent, admin = Service(channel, POLICY), Service(channel, ADMIN)
+        roll_out_in_vain(agent, admin)
+        shadow(agent, admin, addresses.http)
+        play(agent)
         yield addresses
 
 
@@ -144,7 +182,7 @@ def prometheus(server, tmp_path_factory):
         errors = 'spikeserve_rpc_duration_seconds_count{code="INVALID_ARGUMENT"}'
         [(_, before)] = wait_for(lambda: api.query(errors), "the first scrape")
         with grpc.insecure_channel(server.grpc) as channel:
-            play(Service(channel, "spikeserve.v1.PolicyService"))
+            play(Service(channel, POLICY))
         wait_for(lambda: api.query(f"{errors} > {before}"), "a scrape after the play")
         wait_for(lambda: all(rule["health"] == "ok" for rule in api.rules()), "the rules")
         yield api

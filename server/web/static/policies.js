@@ -9,13 +9,25 @@ const QUANTILES = [['p50', 0.5], ['p90', 0.9], ['p99', 0.99], ['p99.9', 0.999]];
 
 /** Returns one row for each policy version with its figures over a window. */
 export function policyRows(window, energyModel) {
-  const rows = window.to.status.policies.map((policy) => policyRow(policy, window, energyModel));
+  const rollouts = new Map(window.to.status.rollouts.map((rollout) => [`${rollout.policy}/${rollout.version}`, rollout]));
+  const rows = window.to.status.policies.map((policy) => policyRow(policy, window, energyModel, rollouts));
   const power = rows.reduce((sum, row) => sum + (row.power || 0), 0);
   for (const row of rows) row.powerShare = power > 0 ? row.power / power : 0;
   return rows;
 }
 
-function policyRow(policy, window, energyModel) {
+/** Returns the share of the new sessions that a version gets, its labels, whether it is the shadow, and its roll-out. */
+function trafficText(policy, rollout) {
+  const parts = [];
+  if (policy.traffic_percent !== undefined) parts.push(`${policy.traffic_percent} %`);
+  else if (policy.is_default) parts.push('100 %');
+  parts.push(...policy.version_labels);
+  if (policy.is_shadow) parts.push('(shadow)');
+  if (rollout) parts.push(`(roll-out ${rollout.state.toLowerCase()})`);
+  return parts.join(' ') || NOTHING;
+}
+
+function policyRow(policy, window, energyModel, rollouts) {
   const labels = {policy: policy.name, version: policy.version};
   const withModel = {...labels, energy_model: energyModel};
   const decisions = window.increase('spikeserve_decisions_total', labels);
@@ -28,6 +40,7 @@ function policyRow(policy, window, energyModel) {
     mode: policy.mode,
     environment: policy.environment,
     isDefault: policy.is_default,
+    traffic: trafficText(policy, rollouts.get(`${policy.name}/${policy.version}`)),
     sessions: window.gauge('spikeserve_sessions', labels) ?? 0,
     decisionRate: window.rate('spikeserve_decisions_total', labels),
     spikes: perDecision(window.increase('spikeserve_spikes_total', labels)),
@@ -70,11 +83,24 @@ export class Policies {
       name,
       {key: 'environment', label: 'Environment', value: (row) => row.environment, isText: true,
        text: (row) => `${row.environment} ${row.mode}${row.isDefault ? ' (default)' : ''}`},
+      {key: 'traffic', label: 'New sessions', value: (row) => row.traffic, text: (row) => row.traffic, isText: true},
       numberColumn('meanReturn', 'Mean return since start', fixed),
       numberColumn('episodes', 'Episodes since start', count),
       numberColumn('drift', 'Head drift', (x) => fixed(x, 4)),
       numberColumn('updates', 'Head updates per second', fixed),
     ], {sort: 'episodes', descending: true, key});
+    this.rollouts = new Table(document.getElementById('rollouts-table'), [
+      {key: 'key', label: 'Roll-out', value: (row) => row.key, text: (row) => row.key, isText: true},
+      {key: 'state', label: 'State', value: (row) => row.state, text: (row) => row.state, isText: true},
+      numberColumn('percent', 'Reached, %', count),
+      numberColumn('episodes', 'Episodes', count),
+      numberColumn('meanReturn', 'Mean return', fixed),
+      numberColumn('stableReturn', 'Mean return, stable', fixed),
+      numberColumn('failed', 'Sessions with errors', count),
+      numberColumn('p99', 'p99', seconds),
+      numberColumn('stableP99', 'p99, stable', seconds),
+      {key: 'reason', label: 'Why', value: (row) => row.reason, text: (row) => row.reason, isText: true},
+    ], {sort: 'key', key});
     const unit = document.getElementById('stage-unit');
     const stageText = (spikes) => (unit.value === 'spikes' ? fixed(spikes) : si(spikes * JOULES_PER_SPIKE, 'J'));
     unit.addEventListener('change', () => this.stages.show(this.stages.rows));
@@ -100,9 +126,31 @@ export class Policies {
     this.returns.show(rows);
     this.stages.show(rows);
     this.calls.show(callRows(window));
+    const rollouts = window.to.status.rollouts;
+    document.getElementById('rollouts').hidden = rollouts.length === 0;
+    this.rollouts.show(rollouts.map(rolloutRow));
     showTotals(rows, window);
     showMostEnergy(rows, energyModel);
   }
+}
+
+function rolloutRow(rollout) {
+  const fresh = rollout.new_version_evidence;
+  const stable = rollout.stable_version_evidence;
+  const measured = (evidence) => (Number(evidence.decisions) > 0 ? evidence.p99_seconds : undefined);
+  const returned = (evidence) => (Number(evidence.episodes) > 0 ? evidence.mean_return : undefined);
+  return {
+    key: `${rollout.policy}/${rollout.version}`,
+    state: rollout.state.toLowerCase(),
+    percent: rollout.percent,
+    episodes: Number(fresh.episodes),
+    meanReturn: returned(fresh),
+    stableReturn: returned(stable),
+    failed: Number(fresh.failed_sessions),
+    p99: measured(fresh),
+    stableP99: measured(stable),
+    reason: rollout.reason,
+  };
 }
 
 function callRows(window) {
