@@ -13,13 +13,20 @@ def shell(tmp_path):
         yield started
 
 
-def test_serve_your_own_policy(shell, tmp_path):
-    *_, drained = shell.run("policies.md")
+def check_policies(shell, directory):
+    *_, rollout, history, drained = shell.run("policies.md")
+    assert "cartpole/2: cancelled at 1 % (steps 1,10,50,100)" in rollout
+    assert "AbortRollout by " in history
     assert drained == "draining, open sessions: 0\nserving, open sessions: 0\n"
-    assert (tmp_path / "my-policies/cartpole/2/policy.safetensors").exists()
+    assert sorted(path.name for path in (directory / "my-policies/cartpole").iterdir()) == ["1", "2"]
+    assert [path.name for path in (directory / "my-policies/cartpole/1").iterdir()] == ["policy.safetensors"]
 
 
-def test_secure_it(shell):
+def test_serve_your_own_policy(shell, tmp_path):
+    check_policies(shell, tmp_path)
+
+
+def check_security(shell):
     _, over_tls, _, with_tokens = shell.run("security.md")
     assert "cartpole-sparse" in over_tls
     assert over_tls.endswith("SERVING\n")
@@ -28,11 +35,14 @@ def test_secure_it(shell):
     assert status["serving"] is True
 
 
-@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
-def test_record_and_retrain(shell, tmp_path):
-    recordings = tmp_path / "recordings"
+def test_secure_it(shell):
+    check_security(shell)
+
+
+def check_recording(shell, directory):
+    recordings = directory / "recordings"
     # The server writes an episode after it has answered, so replay waits for the third file.
-    wait = f"until ls {recordings}/*/000002.cbor >{tmp_path}/listed 2>&1; do :; done"
+    wait = f"until ls {recordings}/*/000002.cbor >{directory}/listed 2>&1; do :; done"
     edits = [
         ("spikectl replay", f"{wait}\nspikectl replay"),
         ("/tmp/recordings", str(recordings)),
@@ -41,5 +51,26 @@ def test_record_and_retrain(shell, tmp_path):
     _, played, replayed, trained = shell.run("recording.md", edits)
     assert "mean return 500.0" in played
     assert "1500 decisions of 3 episodes, all equal bit for bit" in replayed
-    assert "return" in trained
-    assert (tmp_path / "my-policies/cartpole/2/policy.safetensors").exists()
+    assert "policy: retrained/policy.safetensors" in trained
+    assert "target return: 500, the default for CartPole-v1" in trained
+    served = directory / "retrained-policies/cartpole"
+    assert sorted(str(path.relative_to(served)) for path in served.rglob("*.safetensors")) == [
+        "1/policy.safetensors",
+        "2/policy.safetensors",
+    ]
+
+
+@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
+def test_record_and_retrain(shell, tmp_path):
+    check_recording(shell, tmp_path)
+
+
+@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
+def test_pages_do_not_disturb_each_other(shell, tmp_path):
+    """Walks the pages one after the other in one directory, each of them twice."""
+    for _ in range(2):
+        check_policies(shell, tmp_path)
+        served = (tmp_path / "my-policies/cartpole/2/policy.safetensors").read_bytes()
+        check_recording(shell, tmp_path)
+        assert (tmp_path / "my-policies/cartpole/2/policy.safetensors").read_bytes() == served
+        check_security(shell)
