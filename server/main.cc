@@ -69,7 +69,11 @@ void AddFlags(Command program, ServerOptions* options) {
       .AddSwitch("allow_no_policies", &options->allow_no_policies,
                  "Start although no policy can be served")
       .Add("policy_settings", "FILE", &options->policy_settings,
-           "JSON file that stores the settings of operators");
+           "JSON file that stores the settings of operators")
+      .Add("audit_log", "FILE", &options->audit_log,
+           "File to which the actions of operators are appended")
+      .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,
+           "What loading a version does to the default");
   program.Flags("Sessions")
       .Add("session_ttl", "DURATION", &options->session_ttl, "Idle time that ends a session")
       .Add("compact_after", "DURATION", &options->compact_after,

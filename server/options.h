@@ -9,6 +9,7 @@
 #include "absl/time/time.h"
 #include "server/access/tls.h"
 #include "server/base/log.h"
+#include "server/policies/policy_registry.h"
 #include "server/transport/limits.h"
 
 namespace spikeserve {
@@ -22,10 +23,12 @@ struct ServerOptions {
   int64_t max_message_bytes = 4 << 20;         // of one request over gRPC, from any caller
   absl::Duration drain_timeout = absl::Seconds(30);  // for calls in flight when the server stops
 
-  std::string policies;            // directory of <policy>/<version>/policy.safetensors
-  absl::Duration poll_policies;    // interval of looking for changed policies; 0: on request only
-  bool allow_no_policies = false;  // start although nothing can be served
-  std::string policy_settings;     // file that keeps what operators set; empty: not kept
+  std::string policies;          // directory of <policy>/<version>/policy.safetensors
+  absl::Duration poll_policies;  // interval of looking for changed policies; 0: on request only
+  DefaultRule default_version = DefaultRule::kStay;  // unless an operator sets it
+  bool allow_no_policies = false;                    // start although nothing can be served
+  std::string policy_settings;  // file that keeps what operators set; empty: not kept
+  std::string audit_log;        // file that keeps what operators did; empty: not kept
 
   absl::Duration session_ttl = absl::Minutes(10);    // idle time that ends a session
   absl::Duration compact_after = absl::Seconds(10);  // idle time that shrinks one to its history

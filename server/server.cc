@@ -11,6 +11,7 @@
 #include "absl/time/time.h"
 #include "core/base/status.h"
 #include "server/base/log.h"
+#include "server/rollouts/traffic_metrics.h"
 #include "server/services/service_name.h"
 
 namespace spikeserve {
@@ -27,6 +28,9 @@ constexpr size_t kLongCallsWaiting = 16;
 
 // The interval at which the tokens file is read again.
 constexpr absl::Duration kTokensInterval = absl::Seconds(1);
+
+// The interval of judging roll-outs.
+constexpr absl::Duration kRolloutInterval = absl::Milliseconds(200);
 
 // The health page reports a server whose loops do not finish a turn within this time.
 constexpr absl::Duration kHealthTimeout = absl::Seconds(1);
@@ -70,7 +74,9 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   metrics->SetSessionsLimit(options.max_sessions);
   ReloadReport report;
   auto registry = PolicyRegistry::Load(
-      options.policies, options.policy_settings,
+      {.directory = options.policies,
+       .settings_path = options.policy_settings,
+       .default_rule = options.default_version},
       [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy);
       },
@@ -87,21 +93,26 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     LogWarning("no policy is served", {{"policies", options.policies}});
   }
 
+  auto audit_log = AuditLog::Open(options.audit_log);
+  if (!audit_log.ok()) return audit_log.status();
   std::unique_ptr<Recordings> recordings;
   if (!options.record_dir.empty()) {
     auto created = Recordings::Create(options.record_dir, metrics.get());
     if (!created.ok()) return created.status();
     recordings = *std::move(created);
   }
-  auto server =
-      std::unique_ptr<Server>(new Server(options, *std::move(authenticator), *std::move(registry),
-                                         std::move(metrics), std::move(recordings)));
+  metrics->AddSource([served = registry->get()] { return CollectTraffic(*served->catalog()); });
+  auto server = std::unique_ptr<Server>(new Server(options, *std::move(authenticator),
+                                                   *std::move(registry), *std::move(audit_log),
+                                                   std::move(metrics), std::move(recordings)));
   if (auto status = server->StartTransport(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
     server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
                                                      report.refused);
   }
+  server->rollout_ticker_ = std::make_unique<Periodic>(
+      kRolloutInterval, [pointer = server.get()] { pointer->rollouts_.Tick(); });
   if (!options.tokens.empty()) {
     server->token_reloader_ = std::make_unique<Periodic>(
         kTokensInterval, [pointer = server.get()] { pointer->ReloadTokens(); });
@@ -110,12 +121,13 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
 }
 
 Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
-               std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
-               std::unique_ptr<Recordings> recordings)
+               std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
+               std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings)
     : options_(options),
       authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
       registry_(std::move(registry)),
+      audit_log_(std::move(audit_log)),
       recordings_(std::move(recordings)),
       shadows_(metrics_->registry()),
       store_(options.max_sessions, &clock_),
@@ -123,7 +135,11 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               {.compact_after = options.compact_after, .time_to_live = options.session_ttl},
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
       handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get()),
-      admin_handler_(registry_.get(), &store_, [this](bool) { PublishHealth(); }),
+      audit_(audit_log_.get(), registry_.get(), &store_),
+      rollouts_(registry_.get(), metrics_.get(), &clock_,
+                [this](const RolloutManager::Change& change) { audit_.Record(change); }),
+      rollout_handler_(registry_.get(), &rollouts_),
+      admin_handler_(registry_.get(), &store_, audit_log_.get(), [this](bool) { PublishHealth(); }),
       services_({.gate = &gate_,
                  .authenticator = authenticator_.get(),
                  .metrics = metrics_.get(),
@@ -132,6 +148,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                 {.policy = &handler_,
                  .admin = &admin_handler_,
                  .heads = &head_handler_,
+                 .rollouts = &rollout_handler_,
+                 .audit = &audit_,
                  .inference = &inference_handler_,
                  .health = &health_,
                  .worker = &worker_,
@@ -143,6 +161,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       inference_handler_(registry_.get(), &store_, &handler_, &clock_, options.session_ttl),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
+              .rollouts = &rollout_handler_,
               .store = &store_,
               .metrics = metrics_.get(),
               .clock = &clock_,
@@ -211,6 +230,8 @@ Server::~Server() { Stop(); }
 void Server::Stop() {
   if (stopping_.exchange(true)) return;
   poller_.reset();
+  rollout_ticker_.reset();
+  rollouts_.SaveEvidence();
   token_reloader_.reset();
   memory_trimmer_.reset();
   if (transport_ != nullptr) StopTransport();

@@ -14,11 +14,14 @@
 #include "server/access/authenticator.h"
 #include "server/access/tls_context.h"
 #include "server/admin/admin_handler.h"
+#include "server/admin/audit.h"
 #include "server/admin/head_handler.h"
+#include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/recordings.h"
 #include "server/agent/shadow_runner.h"
 #include "server/base/address.h"
+#include "server/base/audit_log.h"
 #include "server/base/background_worker.h"
 #include "server/base/periodic.h"
 #include "server/inference/inference_handler.h"
@@ -26,6 +29,7 @@
 #include "server/options.h"
 #include "server/policies/policy_poller.h"
 #include "server/policies/policy_registry.h"
+#include "server/rollouts/rollout_manager.h"
 #include "server/services/call_gate.h"
 #include "server/services/health_service.h"
 #include "server/services/services.h"
@@ -60,8 +64,8 @@ class Server {
 
  private:
   Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
-         std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<Metrics> metrics,
-         std::unique_ptr<Recordings> recordings);
+         std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
+         std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings);
 
   void ReloadTokens();
   absl::Status StartTransport();
@@ -77,11 +81,15 @@ class Server {
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
   const std::unique_ptr<PolicyRegistry> registry_;
+  const std::unique_ptr<AuditLog> audit_log_;
   const std::unique_ptr<Recordings> recordings_;  // null without --record_dir; outlives the store
   ShadowRunner shadows_;
   SessionStore store_;
   SessionReaper reaper_;
   const PolicyHandler handler_;
+  const Audit audit_;
+  RolloutManager rollouts_;
+  const RolloutHandler rollout_handler_;
   const AdminHandler admin_handler_;
   CallGate gate_;
   HealthService health_;
@@ -100,6 +108,7 @@ class Server {
   std::unique_ptr<HttpServer> http_;
   // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;
+  std::unique_ptr<Periodic> rollout_ticker_;
   std::unique_ptr<Periodic> token_reloader_;
   std::unique_ptr<Periodic> memory_trimmer_;
 };

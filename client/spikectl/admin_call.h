@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <iostream>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,11 +28,18 @@ struct AdminFlags {
   const ServerFlags* server = nullptr;
   std::string policy;
   int64_t version = 0;
-  std::string label;                // a label of a version, such as stable
-  std::vector<std::string> shares;  // VERSION:PERCENT: shares of the new sessions
-  int64_t shadow = 0;               // the version that shadows the others; 0: none
-  bool cancel = false;              // ends draining: the version accepts new sessions again
-  bool weights = false;             // also prints the weights of the head
+  std::string label;                        // a label of a version, such as stable
+  std::vector<std::string> shares;          // VERSION:PERCENT: shares of the new sessions
+  std::optional<int64_t> shadow;            // the version that shadows the others; 0: none
+  bool make_default = false;                // also makes a loaded version the default
+  std::vector<std::string> steps;           // percentages of a roll-out
+  absl::Duration hold = absl::Minutes(10);  // time that each step is held
+  int64_t min_episodes = 20;                // of the new version in each step
+  std::vector<std::string> abort_if;        // MEASURE:PERCENT%: what ends a roll-out
+  bool abort = false;                       // ends the running roll-out
+  int32_t limit = 20;                       // entries of the history
+  bool cancel = false;                      // ends draining: the version accepts new sessions again
+  bool weights = false;                     // also prints the weights of the head
 };
 
 // Longer than the timeout of a decision, because loading a version reads files and tries the

@@ -1,6 +1,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/numbers.h"
@@ -11,6 +12,8 @@
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/head_actions.h"
+#include "client/spikectl/rollout_actions.h"
+#include "client/spikectl/traffic_report.h"
 
 namespace spikeserve {
 namespace {
@@ -25,15 +28,25 @@ ordered_json NamedJson(const AdminFlags& flags) {
   return {{"policy", flags.policy}, {"version", flags.version}};
 }
 
+// Prints what a call did, and the whole traffic of the policy before and after it.
+void PrintTraffic(const AdminFlags& flags, const std::string& text, ordered_json json,
+                  const v1::TrafficChange& traffic) {
+  AddTraffic(traffic, &json);
+  Print(flags, absl::StrCat(text, ToText(traffic)), json);
+}
+
 absl::Status Load(const AdminFlags& flags) {
-  const auto response =
-      CallAdmin(flags, &AdminStub::LoadPolicy, VersionRequest<v1::LoadPolicyRequest>(flags));
+  auto request = VersionRequest<v1::LoadPolicyRequest>(flags);
+  request.set_make_default(flags.make_default);
+  const auto response = CallAdmin(flags, &AdminStub::LoadPolicy, request);
   if (!response.ok()) return response.status();
   ordered_json json = NamedJson(flags);
   json["is_default"] = response->policy().is_default();
+  AddTraffic(response->traffic(), &json);
   Print(
       flags,
-      absl::StrCat("loaded ", Named(flags), response->policy().is_default() ? ", the default" : ""),
+      absl::StrCat("loaded ", Named(flags), response->policy().is_default() ? ", the default" : "",
+                   ToText(response->traffic())),
       json);
   return absl::OkStatus();
 }
@@ -42,7 +55,8 @@ absl::Status Unload(const AdminFlags& flags) {
   const auto response =
       CallAdmin(flags, &AdminStub::UnloadPolicy, VersionRequest<v1::UnloadPolicyRequest>(flags));
   if (!response.ok()) return response.status();
-  Print(flags, absl::StrCat("unloaded ", Named(flags)), NamedJson(flags));
+  PrintTraffic(flags, absl::StrCat("unloaded ", Named(flags)), NamedJson(flags),
+               response->traffic());
   return absl::OkStatus();
 }
 
@@ -51,8 +65,8 @@ absl::Status Default(const AdminFlags& flags) {
                                   VersionRequest<v1::SetDefaultVersionRequest>(flags));
   if (!response.ok()) return response.status();
   const std::string& policy = flags.policy;
-  Print(flags, absl::StrCat("the default of ", policy, " is version ", response->version()),
-        {{"policy", policy}, {"version", response->version()}});
+  PrintTraffic(flags, absl::StrCat("the default of ", policy, " is version ", response->version()),
+               {{"policy", policy}, {"version", response->version()}}, response->traffic());
   return absl::OkStatus();
 }
 
@@ -63,7 +77,8 @@ absl::Status Label(const AdminFlags& flags) {
   if (!response.ok()) return response.status();
   ordered_json json = NamedJson(flags);
   json["label"] = request.label();
-  Print(flags, absl::StrCat(request.label(), " is ", Named(flags)), json);
+  PrintTraffic(flags, absl::StrCat(request.label(), " is ", Named(flags)), std::move(json),
+               response->traffic());
   return absl::OkStatus();
 }
 
@@ -73,8 +88,8 @@ absl::Status Unlabel(const AdminFlags& flags) {
   request.set_label(flags.label);
   const auto response = CallAdmin(flags, &AdminStub::RemoveLabel, request);
   if (!response.ok()) return response.status();
-  Print(flags, absl::StrCat("removed ", request.label(), " of ", request.policy()),
-        {{"policy", request.policy()}, {"label", request.label()}});
+  PrintTraffic(flags, absl::StrCat("removed ", request.label(), " of ", request.policy()),
+               {{"policy", request.policy()}, {"label", request.label()}}, response->traffic());
   return absl::OkStatus();
 }
 
@@ -94,29 +109,64 @@ absl::StatusOr<v1::TrafficShare> ParseShare(absl::string_view text) {
   return share;
 }
 
-absl::Status Traffic(const AdminFlags& flags) {
-  v1::SetTrafficRequest request;
-  request.set_policy(flags.policy);
-  request.set_shadow_version(flags.shadow);
-  ordered_json shares = ordered_json::array();
-  for (const std::string& text : flags.shares) {
-    const auto share = ParseShare(text);
+// Parses --shares; "none" gives all sessions to the default version.
+absl::StatusOr<std::vector<v1::TrafficShare>> ParseShares(const std::vector<std::string>& texts) {
+  std::vector<v1::TrafficShare> shares;
+  if (texts.size() == 1 && texts[0] == "none") return shares;
+  for (const std::string& text : texts) {
+    auto share = ParseShare(text);
     if (!share.ok()) return share.status();
-    *request.add_shares() = *share;
-    shares.push_back({{"version", share->version()}, {"percent", share->percent()}});
+    shares.push_back(*std::move(share));
   }
-  const auto response = CallAdmin(flags, &AdminStub::SetTraffic, request);
+  return shares;
+}
+
+// Prints the change of the shares or the shadow that `response` reports.
+template <typename Response>
+absl::Status PrintTrafficResponse(const AdminFlags& flags,
+                                  const absl::StatusOr<Response>& response) {
   if (!response.ok()) return response.status();
-  const std::string to = absl::StrJoin(flags.shares, ", ");
-  Print(
-      flags,
-      absl::StrCat(
-          "traffic of ", request.policy(), ": ", to.empty() ? "the default" : to,
-          request.shadow_version() == 0 ? "" : absl::StrCat("; shadow ", request.shadow_version())),
-      {{"policy", request.policy()},
-       {"shares", shares},
-       {"shadow_version", request.shadow_version()}});
+  const v1::Traffic& after = response->traffic().after();
+  ordered_json shares = ordered_json::array();
+  for (const v1::TrafficShare& share : after.shares()) {
+    shares.push_back({{"version", share.version()}, {"percent", share.percent()}});
+  }
+  PrintTraffic(
+      flags, absl::StrCat("traffic of ", flags.policy),
+      {{"policy", flags.policy}, {"shares", shares}, {"shadow_version", after.shadow_version()}},
+      response->traffic());
   return absl::OkStatus();
+}
+
+// Changes only what a flag names.
+absl::Status Traffic(const AdminFlags& flags) {
+  if (flags.shares.empty() && !flags.shadow.has_value()) {
+    return absl::InvalidArgumentError(
+        "--shares: expected shares, none, or --shadow instead, received neither; --shares=none "
+        "gives all sessions to the default version, --shadow=0 removes the shadow");
+  }
+  const auto shares = ParseShares(flags.shares);
+  if (!shares.ok()) return shares.status();
+  const auto fill = [&](auto request) {
+    request.set_policy(flags.policy);
+    if constexpr (requires { request.add_shares(); }) {
+      request.mutable_shares()->Add(shares->begin(), shares->end());
+    }
+    if constexpr (requires { request.set_shadow_version(0); }) {
+      request.set_shadow_version(*flags.shadow);
+    }
+    return request;
+  };
+  if (flags.shares.empty()) {
+    return PrintTrafficResponse(
+        flags, CallAdmin(flags, &AdminStub::SetShadow, fill(v1::SetShadowRequest())));
+  }
+  if (!flags.shadow.has_value()) {
+    return PrintTrafficResponse(
+        flags, CallAdmin(flags, &AdminStub::SetTrafficShares, fill(v1::SetTrafficSharesRequest())));
+  }
+  return PrintTrafficResponse(
+      flags, CallAdmin(flags, &AdminStub::SetTraffic, fill(v1::SetTrafficRequest())));
 }
 
 template <typename List>
@@ -232,17 +282,49 @@ void AddTraffic(FlagGroup& group, AdminFlags* flags) {
   AddPolicy(group, flags);
   group
       .AddList("shares", "VERSION:PERCENT,...", &flags->shares,
-               "Shares of new sessions; default: all to the default version")
+               "Shares of new sessions, or \"none\": all to the default version")
       .Add("shadow", "N", &flags->shadow, "Version that shadows the others; 0: none");
+}
+
+void AddFilter(FlagGroup& group, AdminFlags* flags) {
+  group.Add("policy", "NAME", &flags->policy, "Policy; default: every one");
+}
+
+void AddMakeDefault(FlagGroup& group, AdminFlags* flags) {
+  group.AddSwitch("make_default", &flags->make_default, "Also make the version the default");
+}
+
+void AddLoad(FlagGroup& group, AdminFlags* flags) {
+  AddVersion(group, flags);
+  AddMakeDefault(group, flags);
+}
+
+void AddPromote(FlagGroup& group, AdminFlags* flags) {
+  AddHeadVersion(group, flags);
+  AddMakeDefault(group, flags);
+}
+
+void AddRollout(FlagGroup& group, AdminFlags* flags) {
+  AddVersion(group, flags);
+  group
+      .AddList("steps", "PERCENT,...", &flags->steps,
+               "Shares of the new version; default: 1,10,50,100")
+      .Add("hold", "DURATION", &flags->hold, "Time that each step is held")
+      .Add("min_episodes", "N", &flags->min_episodes,
+           "Episodes of the new version in each step, at least")
+      .AddList("abort_if", "MEASURE:MARGIN%,...", &flags->abort_if,
+               "Worse by more; default: return:0%,errors:1%,p99:25%")
+      .AddSwitch("abort", &flags->abort, "End the running roll-out");
+}
+
+void AddHistory(FlagGroup& group, AdminFlags* flags) {
+  AddFilter(group, flags);
+  group.Add("limit", "N", &flags->limit, "Entries to show, at most");
 }
 
 void AddHead(FlagGroup& group, AdminFlags* flags) {
   AddHeadVersion(group, flags);
   group.AddSwitch("weights", &flags->weights, "Also print the weights; only with --json");
-}
-
-void AddFilter(FlagGroup& group, AdminFlags* flags) {
-  group.Add("policy", "NAME", &flags->policy, "Policy; default: every one");
 }
 
 void AddVersionFilter(FlagGroup& group, AdminFlags* flags) {
@@ -263,18 +345,20 @@ struct Action {
 };
 
 constexpr Action kActions[] = {
-    {"load", "Loads a version from its file", true, AddVersion, Load},
+    {"load", "Loads a version from its file", true, AddLoad, Load},
     {"unload", "Stops serving a version to new sessions", true, AddVersion, Unload},
     {"default", "Makes a version the default", true, AddNewDefault, Default},
     {"label", "Names a version", true, AddVersionAndLabel, Label},
     {"unlabel", "Removes the name of a version", true, AddPolicyAndLabel, Unlabel},
     {"traffic", "Splits new sessions among versions, or shadows them", true, AddTraffic, Traffic},
+    {"rollout", "Moves new sessions to a version step by step", true, AddRollout, ChangeRollout},
+    {"rollouts", "Shows the last roll-outs", false, nullptr, ShowRollouts},
+    {"history", "Shows who changed what", false, AddHistory, ShowHistory},
     {"reload", "Looks for new, changed and removed policy files", false, nullptr, Reload},
     {"sessions", "Lists open sessions", false, AddVersionFilter, Sessions},
     {"drain", "Refuses new sessions", false, AddCancel, Drain},
     {"head", "Shows the learned head of a fleet", true, AddHead, ShowHead},
-    {"promote", "Writes and loads a version with the learned head", true, AddHeadVersion,
-     PromoteHead},
+    {"promote", "Writes and loads a version with the learned head", true, AddPromote, PromoteHead},
     {"rollback", "Returns to the policy's own head", true, AddHeadVersion, RollbackHead},
     {"pause", "Pauses learning", false, AddFilter, PauseLearning},
     {"resume", "Resumes learning", false, AddFilter, ResumeLearning},

@@ -5,6 +5,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "client/spikectl/admin_call.h"
+#include "client/spikectl/traffic_report.h"
 
 namespace spikeserve {
 namespace {
@@ -52,14 +53,17 @@ absl::Status ShowHead(const AdminFlags& flags) {
 }
 
 absl::Status PromoteHead(const AdminFlags& flags) {
-  const auto request = VersionRequest<v1::PromoteHeadRequest>(flags);
+  auto request = VersionRequest<v1::PromoteHeadRequest>(flags);
+  request.set_make_default(flags.make_default);
   const auto promoted = CallAdmin(flags, &AdminStub::PromoteHead, request);
   if (!promoted.ok()) return promoted.status();
-  Print(
-      flags,
-      absl::StrCat("wrote and loaded ", request.policy(), "/", promoted->version(), ": ",
-                   promoted->path()),
-      {{"policy", request.policy()}, {"version", promoted->version()}, {"path", promoted->path()}});
+  ordered_json json = {
+      {"policy", request.policy()}, {"version", promoted->version()}, {"path", promoted->path()}};
+  AddTraffic(promoted->traffic(), &json);
+  Print(flags,
+        absl::StrCat("wrote and loaded ", request.policy(), "/", promoted->version(), ": ",
+                     promoted->path(), ToText(promoted->traffic())),
+        json);
   return absl::OkStatus();
 }
 

@@ -1,9 +1,15 @@
 #include <cstdio>
 #include <iostream>
 #include <string>
+#include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
+#include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
 #include "nlohmann/json.hpp"
 
@@ -39,17 +45,53 @@ std::string ToText(const v1::ActionSpace& space) {
   return absl::StrCat("Box(", space.box().low_size(), ")");
 }
 
-void PrintText(const v1::ListPoliciesResponse& response) {
-  absl::PrintF("%-20s %7s %7s  %-15s %-8s %11s  %-11s %7s %13s %15s\n", "POLICY", "VERSION",
+// Returns no roll-outs for callers that may not list them, such as agents.
+v1::ListRolloutsResponse ListRollouts(const Client& client) {
+  grpc::ClientContext context;
+  context.set_deadline(absl::ToChronoTime(absl::Now() + kAdminTimeout));
+  v1::ListRolloutsResponse response;
+  const auto stub = v1::PolicyAdmin::NewStub(client.channel());
+  if (!stub->ListRollouts(&context, {}, &response).ok()) response.Clear();
+  return response;
+}
+
+// Returns the state of the last roll-out of this version, such as "running"; empty if it had none.
+std::string RolloutOf(const v1::PolicyInfo& policy, const v1::ListRolloutsResponse& rollouts) {
+  for (const v1::Rollout& rollout : rollouts.rollouts()) {
+    if (rollout.policy() == policy.name() && rollout.version() == policy.version()) {
+      return absl::AsciiStrToLower(v1::Rollout::State_Name(rollout.state()));
+    }
+  }
+  return "";
+}
+
+// Returns the share of the new sessions, the labels and the shadow of a version, for example
+// "95% stable shadow".
+std::string TrafficText(const v1::PolicyInfo& policy, const std::string& rollout) {
+  std::vector<std::string> parts;
+  if (policy.has_traffic_percent()) {
+    parts.push_back(absl::StrCat(policy.traffic_percent(), "%"));
+  } else if (policy.is_default()) {
+    parts.emplace_back("100%");
+  }
+  parts.insert(parts.end(), policy.version_labels().begin(), policy.version_labels().end());
+  if (policy.is_shadow()) parts.emplace_back("(shadow)");
+  if (!rollout.empty()) parts.push_back(absl::StrCat("(roll-out ", rollout, ")"));
+  return absl::StrJoin(parts, " ");
+}
+
+void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsResponse& rollouts) {
+  absl::PrintF("%-20s %7s %7s  %-15s %-8s %11s  %-11s %7s %13s %15s  %s\n", "POLICY", "VERSION",
                "DEFAULT", "ENVIRONMENT", "MODE", "OBSERVATION", "ACTION", "CONTEXT",
-               "TARGET_RETURN", "TRAINING_RETURN");
+               "TARGET_RETURN", "TRAINING_RETURN", "TRAFFIC");
   for (const v1::PolicyInfo& policy : response.policies()) {
     const std::string training_return =
         policy.has_training_return() ? absl::StrFormat("%.1f", policy.training_return()) : "-";
-    absl::PrintF("%-20s %7d %7s  %-15s %-8s %11d  %-11s %7d %13.1f %15s\n", policy.name(),
+    absl::PrintF("%-20s %7d %7s  %-15s %-8s %11d  %-11s %7d %13.1f %15s  %s\n", policy.name(),
                  policy.version(), policy.is_default() ? "yes" : "", policy.environment(),
                  policy.mode(), policy.observation_size(), ToText(policy.action_space()),
-                 policy.context_length(), policy.target_return(), training_return);
+                 policy.context_length(), policy.target_return(), training_return,
+                 TrafficText(policy, RolloutOf(policy, rollouts)));
   }
 }
 
@@ -58,13 +100,16 @@ absl::Status ListPolicies(const ServerFlags& flags) {
   if (!client.ok()) return client.status();
   const auto response = (*client)->ListPolicies();
   if (!response.ok()) return response.status();
+  const v1::ListRolloutsResponse rollouts = ListRollouts(**client);
   if (!flags.json) {
-    PrintText(*response);
+    PrintText(*response, rollouts);
     return absl::OkStatus();
   }
   ordered_json json = {{"policies", ordered_json::array()}};
   for (const v1::PolicyInfo& policy : response->policies()) {
     json["policies"].push_back(ToJson(policy));
+    const std::string rollout = RolloutOf(policy, rollouts);
+    if (!rollout.empty()) json["policies"].back()["rollout_state"] = rollout;
   }
   std::cout << json.dump(2) << "\n";
   return absl::OkStatus();

@@ -10,6 +10,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/functional/function_ref.h"
+#include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "core/engine/engine.h"
 #include "core/learning/fleet_head.h"
@@ -19,8 +20,8 @@
 
 namespace spikeserve {
 
-// Observes the sessions of a policy. Every event is reported once; retries, failed requests and
-// rebuilt caches are not reported. Implementations are thread-safe, return quickly, and never call
+// Observes the sessions of a policy. Every event is reported once; retries and rebuilt caches are
+// not reported. Implementations are thread-safe, return quickly, and never call
 // back into a session.
 class SessionObserver {
  public:
@@ -28,6 +29,8 @@ class SessionObserver {
 
   virtual void OnOpen() {}
   virtual void OnDecision(const Answer& /*answer*/) {}
+  // A request for a decision was refused or failed; the session is unchanged.
+  virtual void OnError(absl::string_view /*session_id*/) {}
   virtual void OnEpisodeEnd(double /*episode_return*/) {}
   virtual void OnHeadUpdate(UpdateOutcome /*outcome*/) {}
   virtual void OnLearned(const LearningSummary& /*summary*/) {}  // end of an episode with learning

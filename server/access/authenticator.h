@@ -40,6 +40,8 @@ class Credential {
 
   const std::shared_ptr<Tenant>& tenant() const { return tenant_; }
   Role role() const { return entry_.role; }
+  // Returns the name that the tokens file gives to the token; empty if it gives none.
+  const std::string& name() const { return entry_.name; }
 
   // Returns true if this caller may read the sessions of `tenant`: list, get and explain them.
   bool CanRead(absl::string_view tenant) const {

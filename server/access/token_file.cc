@@ -69,6 +69,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TokenEntry* ent
   object.Required("role", &entry->role);
   object.Optional("expires", &expires);
   object.Optional("sees", &sees);
+  object.Optional("name", &entry->name);
   if (auto status = object.Finish(); !status.ok()) return status;
   const auto digest = ParseDigest(field, hash);
   if (!digest.ok()) return digest.status();

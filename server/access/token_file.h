@@ -4,7 +4,8 @@
 //                            "max_message_bytes": 65536}},
 //    "tokens": [{"sha256": "<64 hexadecimal digits>", "tenant": "fleet-a", "role": "agent",
 //                "expires": "2027-01-31T00:00:00Z"},
-//               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all"}]}
+//               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all",
+//                "name": "alice"}]}
 //
 // An absent limit does not apply. A token without `expires` is valid until it is removed. `sees`
 // tells whose sessions the token may read: those of its "tenant" (the default) or "all". The file
@@ -39,6 +40,7 @@ struct TokenEntry {
   Role role = Role::kAgent;
   absl::Time expires = absl::InfiniteFuture();
   bool sees_all = false;  // may read the sessions of every tenant
+  std::string name = "";  // of its holder, for the history of operators' actions
 
   bool operator==(const TokenEntry&) const = default;
 };

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/admin/session_info.h"
+#include "server/admin/traffic.h"
 #include "server/agent/convert.h"
 
 namespace spikeserve {
@@ -25,13 +26,42 @@ void ToProto(const std::vector<PolicyVersion>& versions, Proto* list) {
   }
 }
 
+template <typename Proto>
+std::vector<TrafficShare> SharesFromProto(const Proto& list) {
+  std::vector<TrafficShare> shares;
+  for (const v1::TrafficShare& share : list) {
+    shares.push_back({.version = share.version(), .percent = share.percent()});
+  }
+  return shares;
+}
+
+void ToProto(const AuditEntry& entry, v1::HistoryEntry* proto) {
+  proto->set_time(absl::ToDoubleSeconds(entry.time - absl::UnixEpoch()));
+  proto->set_action(entry.action);
+  proto->set_token(entry.token);
+  proto->set_tenant(entry.tenant);
+  proto->set_certificate(entry.peer.certificate);
+  proto->set_address(entry.peer.address);
+  proto->set_policy(entry.policy);
+  proto->set_request(entry.request);
+  proto->set_code(static_cast<int32_t>(entry.outcome.code()));
+  proto->set_message(std::string(entry.outcome.message()));
+  proto->set_before(entry.before);
+  proto->set_after(entry.after);
+}
+
 }  // namespace
 
 absl::Status AdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
                                       v1::LoadPolicyResponse* response) const {
-  const auto served =
-      registry_->LoadVersion({.policy = request.policy(), .version = request.version()});
-  if (!served.ok()) return served.status();
+  absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
+  const auto load = [&] {
+    served = registry_->LoadVersion({.policy = request.policy(), .version = request.version()},
+                                    request.make_default());
+    return served.status();
+  };
+  auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), load);
+  if (!status.ok()) return status;
   const auto catalog = registry_->catalog();
   const auto policy = catalog->FindPolicy(request.policy());
   if (!policy.ok()) return policy.status();  // another call has unloaded it since
@@ -40,8 +70,10 @@ absl::Status AdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
 }
 
 absl::Status AdminHandler::UnloadPolicy(const v1::UnloadPolicyRequest& request,
-                                        v1::UnloadPolicyResponse* /*response*/) const {
-  return registry_->Unload({.policy = request.policy(), .version = request.version()});
+                                        v1::UnloadPolicyResponse* response) const {
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
+    return registry_->Unload({.policy = request.policy(), .version = request.version()});
+  });
 }
 
 absl::Status AdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest& /*request*/,
@@ -59,30 +91,66 @@ absl::Status AdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest& /*req
 
 absl::Status AdminHandler::SetDefaultVersion(const v1::SetDefaultVersionRequest& request,
                                              v1::SetDefaultVersionResponse* response) const {
-  const auto version = registry_->SetDefault(request.policy(), request.version());
-  if (!version.ok()) return version.status();
-  response->set_version(*version);
-  return absl::OkStatus();
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
+    const auto version = registry_->SetDefault(request.policy(), request.version());
+    if (version.ok()) response->set_version(*version);
+    return version.status();
+  });
 }
 
 absl::Status AdminHandler::SetLabel(const v1::SetLabelRequest& request,
-                                    v1::SetLabelResponse* /*response*/) const {
-  return registry_->SetLabel({.policy = request.policy(), .version = request.version()},
-                             request.label());
+                                    v1::SetLabelResponse* response) const {
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
+    return registry_->SetLabel({.policy = request.policy(), .version = request.version()},
+                               request.label());
+  });
 }
 
 absl::Status AdminHandler::RemoveLabel(const v1::RemoveLabelRequest& request,
-                                       v1::RemoveLabelResponse* /*response*/) const {
-  return registry_->RemoveLabel(request.policy(), request.label());
+                                       v1::RemoveLabelResponse* response) const {
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
+                       [&] { return registry_->RemoveLabel(request.policy(), request.label()); });
 }
 
 absl::Status AdminHandler::SetTraffic(const v1::SetTrafficRequest& request,
-                                      v1::SetTrafficResponse* /*response*/) const {
-  std::vector<TrafficShare> shares;
-  for (const v1::TrafficShare& share : request.shares()) {
-    shares.push_back({.version = share.version(), .percent = share.percent()});
+                                      v1::SetTrafficResponse* response) const {
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
+    return registry_->SetTraffic(request.policy(), SharesFromProto(request.shares()),
+                                 request.shadow_version());
+  });
+}
+
+absl::Status AdminHandler::SetTrafficShares(const v1::SetTrafficSharesRequest& request,
+                                            v1::SetTrafficSharesResponse* response) const {
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
+    return registry_->SetShares(request.policy(), SharesFromProto(request.shares()));
+  });
+}
+
+absl::Status AdminHandler::SetShadow(const v1::SetShadowRequest& request,
+                                     v1::SetShadowResponse* response) const {
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
+    return registry_->SetShadow(request.policy(), request.shadow_version());
+  });
+}
+
+absl::Status AdminHandler::ListHistory(const Credential& caller,
+                                       const v1::ListHistoryRequest& request,
+                                       v1::ListHistoryResponse* response) const {
+  if (request.limit() < 0 || request.limit() > kLargestPageSize) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("limit: expected 0 to ", kLargestPageSize, ", received ", request.limit()));
   }
-  return registry_->SetTraffic(request.policy(), std::move(shares), request.shadow_version());
+  const int32_t limit = request.limit() == 0 ? kDefaultPageSize : request.limit();
+  const auto wanted = [&](const AuditEntry& entry) {
+    const bool is_of_server = entry.peer.address.empty();
+    return (is_of_server || caller.CanRead(entry.tenant)) &&
+           (request.policy().empty() || request.policy() == entry.policy);
+  };
+  for (const AuditEntry& entry : history_->Last(wanted, static_cast<size_t>(limit))) {
+    ToProto(entry, response->add_entries());
+  }
+  return absl::OkStatus();
 }
 
 absl::Status AdminHandler::Drain(const v1::DrainRequest& request,

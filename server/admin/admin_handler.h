@@ -11,6 +11,7 @@
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/base/audit_log.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -18,10 +19,14 @@ namespace spikeserve {
 
 class AdminHandler {
  public:
-  // `registry` and `store` must outlive the handler. Drain calls `on_draining` with the new
-  // draining state, on the thread of its caller.
-  AdminHandler(PolicyRegistry* registry, SessionStore* store, std::function<void(bool)> on_draining)
-      : registry_(registry), store_(store), on_draining_(std::move(on_draining)) {}
+  // `registry`, `store` and `history` must outlive the handler. Drain calls `on_draining` with the
+  // new draining state, on the thread of its caller.
+  AdminHandler(PolicyRegistry* registry, SessionStore* store, const AuditLog* history,
+               std::function<void(bool)> on_draining)
+      : registry_(registry),
+        store_(store),
+        history_(history),
+        on_draining_(std::move(on_draining)) {}
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
   // status that policy_admin.proto names.
@@ -38,6 +43,13 @@ class AdminHandler {
                            v1::RemoveLabelResponse* response) const;
   absl::Status SetTraffic(const v1::SetTrafficRequest& request,
                           v1::SetTrafficResponse* response) const;
+  absl::Status SetTrafficShares(const v1::SetTrafficSharesRequest& request,
+                                v1::SetTrafficSharesResponse* response) const;
+  absl::Status SetShadow(const v1::SetShadowRequest& request,
+                         v1::SetShadowResponse* response) const;
+  // Lists the actions of the tenants that `caller` may read, and those of the server itself.
+  absl::Status ListHistory(const Credential& caller, const v1::ListHistoryRequest& request,
+                           v1::ListHistoryResponse* response) const;
   // Lists the sessions that `caller` may read; see Credential::CanRead.
   absl::Status ListSessions(const Credential& caller, const v1::ListSessionsRequest& request,
                             v1::ListSessionsResponse* response) const;
@@ -46,6 +58,7 @@ class AdminHandler {
  private:
   PolicyRegistry* const registry_;
   SessionStore* const store_;
+  const AuditLog* const history_;
   const std::function<void(bool)> on_draining_;
 };
 

@@ -11,6 +11,7 @@
 #include "core/learning/learner.h"
 #include "core/model/policy_file.h"
 #include "nlohmann/json.hpp"
+#include "server/admin/traffic.h"
 #include "server/policies/policy_repository.h"
 
 namespace spikeserve {
@@ -106,7 +107,10 @@ absl::Status HeadHandler::PromoteHead(const v1::PromoteHeadRequest& request,
   if (auto status = WriteNewVersion(Promoted(**served, *snapshot), path); !status.ok()) {
     return status;
   }
-  if (const auto loaded = registry_->LoadVersion(version); !loaded.ok()) return loaded.status();
+  auto loaded = ChangeTraffic(*registry_, version.policy, response->mutable_traffic(), [&] {
+    return registry_->LoadVersion(version, request.make_default()).status();
+  });
+  if (!loaded.ok()) return loaded;
   response->set_version(version.version);
   response->set_path(path);
   return absl::OkStatus();

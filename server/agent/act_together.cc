@@ -37,7 +37,10 @@ void ActTogether(absl::Span<ActItem> items) {
     ActItem& item = items[i];
     item.entry->mutex.AssertHeld();
     item.status = calls[i].answer.status();
-    if (!item.status.ok()) continue;
+    if (!item.status.ok()) {
+      item.entry->served->observer->OnError(item.request->session_id());
+      continue;
+    }
     if (item.entry->shadow != nullptr && !calls[i].is_retry) {
       item.entry->shadow_steps.push_back(
           MakeShadowStep(*item.request, item.entry->agent.session()));

@@ -30,6 +30,12 @@ enum class Method {
   kSetLabel,
   kRemoveLabel,
   kSetTraffic,
+  kSetTrafficShares,
+  kSetShadow,
+  kStartRollout,
+  kAbortRollout,
+  kListRollouts,
+  kListHistory,
   kListSessions,
   kDrain,
   kGetHead,
@@ -60,7 +66,7 @@ struct MethodInfo {
   Access access;
 };
 
-inline constexpr std::array<MethodInfo, 35> kMethodTable = {{
+inline constexpr std::array<MethodInfo, 41> kMethodTable = {{
     {Method::kListPolicies, "ListPolicies", Access::kAnyRole},
     {Method::kOpenSession, "OpenSession", Access::kAgentOrOperator},
     {Method::kAct, "Act", Access::kAgentOrOperator},
@@ -77,6 +83,12 @@ inline constexpr std::array<MethodInfo, 35> kMethodTable = {{
     {Method::kSetLabel, "SetLabel", Access::kOperatorOnly},
     {Method::kRemoveLabel, "RemoveLabel", Access::kOperatorOnly},
     {Method::kSetTraffic, "SetTraffic", Access::kOperatorOnly},
+    {Method::kSetTrafficShares, "SetTrafficShares", Access::kOperatorOnly},
+    {Method::kSetShadow, "SetShadow", Access::kOperatorOnly},
+    {Method::kStartRollout, "StartRollout", Access::kOperatorOnly},
+    {Method::kAbortRollout, "AbortRollout", Access::kOperatorOnly},
+    {Method::kListRollouts, "ListRollouts", Access::kViewerOrOperator},
+    {Method::kListHistory, "ListHistory", Access::kViewerOrOperator},
     {Method::kListSessions, "ListSessions", Access::kViewerOrOperator},
     {Method::kDrain, "Drain", Access::kOperatorOnly},
     {Method::kGetHead, "GetHead", Access::kViewerOrOperator},

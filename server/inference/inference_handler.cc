@@ -1,6 +1,7 @@
 #include "server/inference/inference_handler.h"
 
 #include <map>
+#include <ranges>
 #include <utility>
 #include <vector>
 
@@ -178,7 +179,8 @@ absl::Status InferenceHandler::RepositoryModelLoad(
       absl::StrCat("model_name: expected a policy in the policy directory, received ",
                    Quoted(request.model_name())));
   bool found = false;
-  for (const PolicyVersion& version : folders->versions) {
+  // The highest version first: it becomes the default of a policy that was not served.
+  for (const PolicyVersion& version : folders->versions | std::views::reverse) {
     if (version.policy != request.model_name()) continue;
     if (!std::exchange(found, true)) status = absl::OkStatus();
     status.Update(registry_->LoadVersion(version).status());
@@ -194,18 +196,22 @@ absl::Status InferenceHandler::RepositoryModelUnload(
   const auto policy = catalog->FindPolicy(request.model_name());
   if (!policy.ok()) return policy.status();
   for (const auto& [version, served] : (*policy)->versions) {
-    if (const std::string use = (*policy)->settings.DescribeUse(version); !use.empty()) {
+    const std::string use = (*policy)->settings.DescribeUseBesideDefault(version);
+    if (!use.empty()) {
       return absl::FailedPreconditionError(
           absl::StrCat("model_name: expected a policy without a version that a setting uses, "
                        "received one whose version ",
                        version, " is ", use));
     }
   }
+  // The default last: it can be unloaded once it is the only version.
+  const int64_t last = (*policy)->DefaultVersion();
   for (const auto& [version, served] : (*policy)->versions) {
+    if (version == last) continue;
     auto status = registry_->Unload({.policy = request.model_name(), .version = version});
     if (!status.ok()) return status;
   }
-  return absl::OkStatus();
+  return registry_->Unload({.policy = request.model_name(), .version = last});
 }
 
 absl::Status InferenceHandler::ModelInfer(const Credential& caller,

@@ -60,6 +60,8 @@ Metrics::Metrics()
       decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
                                   "Time to compute one decision, without network and queueing.")),
       sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
+      policy_errors_(Register(BuildCounter(), "spikeserve_policy_errors_total",
+                              "Decisions that were refused or failed, of open sessions.")),
       episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Ended episodes.")),
       episode_return_(Register(BuildHistogram(), "spikeserve_episode_return",
                                "Return of each ended episode, in the environment's units.")),
@@ -140,6 +142,7 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.horowitz_45nm = &energy_.Add(with("energy_model", "horowitz_45nm"));
   handles.decision_duration = &decision_duration_.Add(labels, ComputeSeconds());
   handles.sessions = &sessions_.Add(labels);
+  handles.errors = &policy_errors_.Add(labels);
   handles.episodes = &episodes_.Add(labels);
   handles.episode_return = &episode_return_.Add(labels, Returns());
   handles.episode_return_mean = &episode_return_mean_.Add(labels);
@@ -157,7 +160,14 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
                                                     .rollbacks = &rollbacks_.Add(of)};
   }
   return std::make_shared<PolicyMetrics>(absl::StrCat(name, "/", version), handles,
-                                         policy.config.is_dense());
+                                         EvidenceOf(name, version), policy.config.is_dense());
+}
+
+VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {
+  absl::MutexLock lock(&evidence_mutex_);
+  std::unique_ptr<VersionEvidence>& evidence = evidence_[{name, version}];
+  if (evidence == nullptr) evidence = std::make_unique<VersionEvidence>();
+  return evidence.get();
 }
 
 void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {
@@ -177,6 +187,7 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
 std::vector<prometheus::MetricFamily> Metrics::Collect() const {
   std::vector<prometheus::MetricFamily> families = registry_.Collect();
   absl::c_move(CollectProcessMetrics(), std::back_inserter(families));
+  for (const auto& source : sources_) absl::c_move(source(), std::back_inserter(families));
   return families;
 }
 

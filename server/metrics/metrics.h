@@ -12,11 +12,16 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <functional>
+#include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
+#include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/session/served_policy.h"
 #include "prometheus/counter.h"
@@ -26,6 +31,7 @@
 #include "prometheus/metric_family.h"
 #include "prometheus/registry.h"
 #include "server/base/method_table.h"
+#include "server/metrics/version_evidence.h"
 
 namespace spikeserve {
 
@@ -43,6 +49,16 @@ class Metrics {
   // not outlive this object.
   std::shared_ptr<SessionObserver> NewPolicyObserver(const std::string& name, int64_t version,
                                                      const Policy& policy);
+
+  // Returns the evidence about one policy version that all its observers count into. It lives as
+  // long as this object.
+  VersionEvidence* EvidenceOf(const std::string& name, int64_t version);
+
+  // Adds a function whose metrics Collect returns with the others: for metrics that are read from
+  // other state. It must be safe to call as long as this object. To be called before Collect.
+  void AddSource(std::function<std::vector<prometheus::MetricFamily>()> source) {
+    sources_.push_back(std::move(source));
+  }
 
   // Records the duration of one call. For ActStream and ModelStreamInfer: of one request.
   void ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration);
@@ -73,6 +89,11 @@ class Metrics {
     return builder.Name(name).Help(help).Register(registry_);
   }
 
+  std::vector<std::function<std::vector<prometheus::MetricFamily>()>> sources_;
+  absl::Mutex evidence_mutex_;
+  std::map<std::pair<std::string, int64_t>, std::unique_ptr<VersionEvidence>> evidence_
+      ABSL_GUARDED_BY(evidence_mutex_);
+
   prometheus::Registry registry_;  // owns everything below
   prometheus::Family<prometheus::Counter>& decisions_;
   prometheus::Family<prometheus::Histogram>& spikes_per_decision_;
@@ -81,6 +102,7 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& energy_;
   prometheus::Family<prometheus::Histogram>& decision_duration_;
   prometheus::Family<prometheus::Gauge>& sessions_;
+  prometheus::Family<prometheus::Counter>& policy_errors_;
   prometheus::Family<prometheus::Counter>& episodes_;
   prometheus::Family<prometheus::Histogram>& episode_return_;
   prometheus::Family<prometheus::Gauge>& episode_return_mean_;

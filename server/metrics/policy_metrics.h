@@ -17,6 +17,7 @@
 #include "prometheus/counter.h"
 #include "prometheus/gauge.h"
 #include "prometheus/histogram.h"
+#include "server/metrics/version_evidence.h"
 
 namespace spikeserve {
 
@@ -43,6 +44,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Counter* horowitz_45nm;
     prometheus::Histogram* decision_duration;
     prometheus::Gauge* sessions;
+    prometheus::Counter* errors;
     prometheus::Counter* episodes;
     prometheus::Histogram* episode_return;
     prometheus::Gauge* episode_return_mean;
@@ -52,14 +54,18 @@ class PolicyMetrics final : public SessionObserver {
   };
 
   // `name` stands for the policy version in log lines. `dense`: see EstimateEnergy. The handles
-  // must outlive this object.
-  PolicyMetrics(std::string name, const Handles& handles, bool dense)
-      : name_(std::move(name)), handles_(handles), dense_(dense) {
+  // and `evidence` must outlive this object.
+  PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence, bool dense)
+      : name_(std::move(name)), handles_(handles), evidence_(*evidence), dense_(dense) {
     handles_.info->Increment();
   }
   ~PolicyMetrics() override { handles_.info->Decrement(); }
 
-  void OnOpen() override { handles_.sessions->Increment(); }
+  void OnOpen() override {
+    handles_.sessions->Increment();
+    evidence_.CountSession();
+  }
+  void OnError(absl::string_view session_id) override;
   void OnClose() override { handles_.sessions->Decrement(); }
   void OnDecision(const Answer& answer) override;
   void OnEpisodeEnd(double episode_return) override;
@@ -69,6 +75,7 @@ class PolicyMetrics final : public SessionObserver {
  private:
   const std::string name_;
   const Handles handles_;
+  VersionEvidence& evidence_;
   const bool dense_;
   absl::Mutex mutex_;
   int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;

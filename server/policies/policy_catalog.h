@@ -39,6 +39,7 @@ struct CatalogPolicy {
   std::map<int64_t, std::shared_ptr<const ServedPolicy>> versions;  // never empty
   PolicySettings settings;
 
+  // Returns settings.default_version, or the highest version if it is 0.
   int64_t DefaultVersion() const;
 };
 

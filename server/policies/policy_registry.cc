@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
@@ -34,13 +35,32 @@ absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name,
   return absl::OkStatus();
 }
 
+// Returns the error of CheckShares, NOT_FOUND if a version is not served, or the error of
+// CheckShadow.
+absl::Status CheckTraffic(const CatalogPolicy& policy, const std::string& name,
+                          const std::vector<TrafficShare>& shares, int64_t shadow_version) {
+  if (auto status = CheckShares(shares); !status.ok()) return status;
+  for (const TrafficShare& share : shares) {
+    if (auto status = CheckVersion(policy, name, share.version); !status.ok()) return status;
+  }
+  return CheckShadow(policy, name, shares, shadow_version);
+}
+
+absl::Status CheckNoRollout(const PolicySettings& settings) {
+  if (!settings.rollout_running()) return absl::OkStatus();
+  return absl::FailedPreconditionError(
+      absl::StrCat("rollout: expected none that is running, received one of version ",
+                   settings.rollout->version, "; abort it first"));
+}
+
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
-    const std::string& directory, const std::string& settings_path, NewObserver new_observer,
-    ReloadReport* report) {
+absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOptions options,
+                                                                     NewObserver new_observer,
+                                                                     ReloadReport* report) {
+  const std::string settings_path = options.settings_path;
   auto registry = std::unique_ptr<PolicyRegistry>(
-      new PolicyRegistry(directory, settings_path, std::move(new_observer)));
+      new PolicyRegistry(std::move(options), std::move(new_observer)));
   if (!settings_path.empty()) {
     auto settings = ReadSettings(settings_path);
     if (!settings.ok()) return Annotate(settings.status(), "--policy_settings");
@@ -60,20 +80,46 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(
 
 std::vector<std::string> PolicyRegistry::ApplySettings(PolicyCatalog* catalog) const {
   std::vector<std::string> waiting;
-  for (const auto& [name, settings] : settings_.policies) {
-    const auto policy = catalog->policies().find(name);
-    std::set<int64_t> versions;
-    if (policy != catalog->policies().end()) {
-      for (const auto& [version, served] : policy->second.versions) versions.insert(version);
-    }
+  const auto effective_settings = [&](const std::string& name, const std::set<int64_t>& versions) {
+    change_mutex_.AssertHeld();
+    const auto set = settings_.policies.find(name);
+    if (set == settings_.policies.end()) return PolicySettings();
     std::vector<std::string> lines;
-    PolicySettings effective = EffectiveSettings(settings, versions, &lines);
+    PolicySettings effective = EffectiveSettings(set->second, versions, &lines);
     for (const std::string& line : lines) {
-      waiting.push_back(absl::StrCat(settings_path_, ": policies.", name, ".", line));
+      waiting.push_back(absl::StrCat(options_.settings_path, ": policies.", name, ".", line));
     }
-    if (!versions.empty()) policy->second.settings = std::move(effective);
+    return effective;
+  };
+  for (const auto& [name, settings] : settings_.policies) {
+    if (!catalog->policies().contains(name)) effective_settings(name, {});
+  }
+  for (auto& [name, policy] : catalog->policies()) {
+    std::set<int64_t> versions;
+    for (const auto& [version, served] : policy.versions) versions.insert(version);
+    PolicySettings effective = effective_settings(name, versions);
+    const bool follows =
+        effective.default_follows_highest || options_.default_rule == DefaultRule::kHighest;
+    if (effective.default_version == 0 && !follows) {
+      const int64_t before = policy.settings.default_version;
+      effective.default_version = versions.contains(before) ? before : *versions.rbegin();
+    }
+    policy.settings = std::move(effective);
   }
   return waiting;
+}
+
+absl::Status PolicyRegistry::KeepDefaults(const PolicyCatalog& catalog) {
+  Settings settings = settings_;
+  for (const auto& [name, policy] : catalog.policies()) {
+    PolicySettings& kept = settings.policies[name];
+    if (kept.default_version == 0 && !kept.default_follows_highest) {
+      kept.default_version = policy.settings.default_version;  // 0 with DefaultRule::kHighest
+    }
+  }
+  if (settings.policies == settings_.policies) return absl::OkStatus();
+  settings_ = std::move(settings);
+  return Save(settings_);
 }
 
 bool PolicyRegistry::HasUnloaded() {
@@ -82,7 +128,8 @@ bool PolicyRegistry::HasUnloaded() {
 }
 
 absl::Status PolicyRegistry::Save(const Settings& settings) const {
-  return settings_path_.empty() ? absl::OkStatus() : WriteSettings(settings, settings_path_);
+  return options_.settings_path.empty() ? absl::OkStatus()
+                                        : WriteSettings(settings, options_.settings_path);
 }
 
 std::shared_ptr<const PolicyCatalog> PolicyRegistry::catalog() const {
@@ -101,21 +148,21 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     const PolicyVersion& version) {
   // The stamp is taken before reading, so that a file that changes while it is read is read again.
   KnownFile& file = files_[version];
-  file.stamp = StampOf(PolicyFilePath(directory_, version));
+  file.stamp = StampOf(PolicyFilePath(options_.directory, version));
   std::shared_ptr<LearningSwitch>& learning = learning_[version.policy];
   if (learning == nullptr) {
     learning = std::make_shared<LearningSwitch>();
     const auto set = settings_.policies.find(version.policy);
     learning->set_paused(set != settings_.policies.end() && set->second.learning_paused);
   }
-  auto served = LoadPolicyVersion(directory_, version, learning, new_observer_);
+  auto served = LoadPolicyVersion(options_.directory, version, learning, new_observer_);
   file.status = served.status();
   return served;
 }
 
 absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
   absl::MutexLock change(&change_mutex_);
-  auto folders = ListPolicyFolders(directory_);
+  auto folders = ListPolicyFolders(options_.directory);
   if (!folders.ok()) return folders.status();
   ReloadReport report;
   report.refused = std::move(folders->refused);
@@ -123,6 +170,7 @@ absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
   LoadChanged(folders->versions, &catalog, &report);
   UnloadRemoved(&catalog, &report);
   report.waiting = ApplySettings(&catalog);
+  if (auto status = KeepDefaults(catalog); !status.ok()) report.refused.push_back(status);
   if (!report.loaded.empty() || !report.unloaded.empty()) Publish(std::move(catalog));
   return report;
 }
@@ -133,7 +181,7 @@ void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, Pol
   for (const PolicyVersion& version : versions) {
     if (settings_.unloaded.contains(version)) continue;
     const auto known = files_.find(version);
-    const FileStamp stamp = StampOf(PolicyFilePath(directory_, version));
+    const FileStamp stamp = StampOf(PolicyFilePath(options_.directory, version));
     if (known == files_.end() || known->second.stamp != stamp) {
       if (auto served = Read(version); served.ok()) {
         catalog->policies()[version.policy].versions[version.version] = *std::move(served);
@@ -150,10 +198,16 @@ void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, Pol
 void PolicyRegistry::UnloadRemoved(PolicyCatalog* catalog, ReloadReport* report) {
   for (auto policy = catalog->policies().begin(); policy != catalog->policies().end();) {
     auto& versions = policy->second.versions;
+    const PolicySettings& settings = policy->second.settings;
+    // The default of a policy that disappears as a whole protects no other version.
+    const bool none_left = absl::c_all_of(versions, [&](const auto& item) {
+      return StampOf(PolicyFilePath(options_.directory, {policy->first, item.first})).size < 0;
+    });
     for (auto it = versions.begin(); it != versions.end();) {
       const PolicyVersion version = {.policy = policy->first, .version = it->first};
-      const std::string path = PolicyFilePath(directory_, version);
-      const std::string use = policy->second.settings.DescribeUse(version.version);
+      const std::string path = PolicyFilePath(options_.directory, version);
+      const std::string use = none_left ? settings.DescribeUseBesideDefault(version.version)
+                                        : settings.DescribeUse(version.version);
       const bool gone = StampOf(path).size < 0;
       if (gone && !use.empty()) {
         report->refused.push_back(absl::FailedPreconditionError(
@@ -171,7 +225,7 @@ void PolicyRegistry::UnloadRemoved(PolicyCatalog* catalog, ReloadReport* report)
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
-    const PolicyVersion& version) {
+    const PolicyVersion& version, bool make_default) {
   if (!IsPlainName(version.policy)) {
     return absl::InvalidArgumentError(
         absl::StrCat("policy: expected a name of letters, digits, '.', '-', '_', received ",
@@ -182,16 +236,25 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
         absl::StrCat("version: expected at least 1, received ", version.version));
   }
   absl::MutexLock change(&change_mutex_);
+  Settings settings = settings_;
+  bool changed = settings.unloaded.erase(version) == 1;
+  if (make_default) {
+    PolicySettings& policy = settings.policies[version.policy];
+    if (auto status = CheckNoRollout(policy); !status.ok()) return status;
+    policy.default_version = version.version;
+    policy.default_follows_highest = false;
+    changed = true;
+  }
   auto served = Read(version);
   if (!served.ok()) return served.status();
-  Settings settings = settings_;
-  if (settings.unloaded.erase(version) == 1) {
+  if (changed) {
     if (auto status = Save(settings); !status.ok()) return status;
     settings_ = std::move(settings);
   }
   PolicyCatalog catalog = *this->catalog();
   catalog.policies()[version.policy].versions[version.version] = *served;
   ApplySettings(&catalog);
+  if (auto status = KeepDefaults(catalog); !status.ok()) return status;
   Publish(std::move(catalog));
   return served;
 }
@@ -205,13 +268,18 @@ absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
   if (auto status = CheckVersion(policy, version.policy, version.version); !status.ok()) {
     return status;
   }
-  if (const std::string use = policy.settings.DescribeUse(version.version); !use.empty()) {
+  const bool is_last = policy.versions.size() == 1;
+  const std::string use = is_last ? policy.settings.DescribeUseBesideDefault(version.version)
+                                  : policy.settings.DescribeUse(version.version);
+  if (!use.empty()) {
     return absl::FailedPreconditionError(
         absl::StrCat("version: expected one that no setting uses, received ", version.version,
                      ", which is ", use));
   }
   Settings settings = settings_;
   settings.unloaded.insert(version);
+  // Otherwise a later load of this version would take the default from another one.
+  if (is_last) settings.policies[version.policy].default_version = 0;
   if (auto status = Save(settings); !status.ok()) return status;
   settings_ = std::move(settings);
   policy.versions.erase(version.version);
@@ -240,12 +308,14 @@ absl::Status PolicyRegistry::Change(
 absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, int64_t version) {
   int64_t result = version;
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
     if (version == 0) {
       result = served.versions.rbegin()->first;
     } else if (auto known = CheckVersion(served, policy, version); !known.ok()) {
       return known;
     }
     settings->default_version = version;
+    settings->default_follows_highest = version == 0;
     return absl::OkStatus();
   };
   if (auto status = Change(policy, change); !status.ok()) return status;
@@ -276,15 +346,29 @@ absl::Status PolicyRegistry::RemoveLabel(const std::string& policy, const std::s
 absl::Status PolicyRegistry::SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
                                         int64_t shadow_version) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
-    if (auto status = CheckShares(shares); !status.ok()) return status;
-    for (const TrafficShare& share : shares) {
-      if (auto status = CheckVersion(served, policy, share.version); !status.ok()) return status;
-    }
-    auto status = CheckShadow(served, policy, shares, shadow_version);
-    if (status.ok()) {
-      settings->shares = std::move(shares);
-      settings->shadow_version = shadow_version;
-    }
+    if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
+    auto status = CheckTraffic(served, policy, shares, shadow_version);
+    if (!status.ok()) return status;
+    settings->shares = std::move(shares);
+    settings->shadow_version = shadow_version;
+    return status;
+  });
+}
+
+absl::Status PolicyRegistry::SetShares(const std::string& policy,
+                                       std::vector<TrafficShare> shares) {
+  return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
+    if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
+    auto status = CheckTraffic(served, policy, shares, served.settings.shadow_version);
+    if (status.ok()) settings->shares = std::move(shares);
+    return status;
+  });
+}
+
+absl::Status PolicyRegistry::SetShadow(const std::string& policy, int64_t shadow_version) {
+  return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
+    auto status = CheckShadow(served, policy, served.settings.shares, shadow_version);
+    if (status.ok()) settings->shadow_version = shadow_version;
     return status;
   });
 }

@@ -8,6 +8,7 @@
 #ifndef SERVER_POLICIES_POLICY_REGISTRY_H_
 #define SERVER_POLICIES_POLICY_REGISTRY_H_
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -20,6 +21,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
+#include "core/base/enum_names.h"
 #include "server/policies/policy_catalog.h"
 #include "server/policies/policy_repository.h"
 
@@ -33,22 +35,38 @@ struct ReloadReport {
   std::vector<std::string> waiting;     // settings whose version is not served; start with the path
 };
 
+// What the default version of a policy does, unless an operator sets it, when versions are loaded.
+// It begins as the highest version.
+enum class DefaultRule {
+  kStay,     // stays the version that it is
+  kHighest,  // is always the highest version
+};
+
+constexpr std::array<EnumName<DefaultRule>, 2> EnumNames(DefaultRule) {
+  return {{{DefaultRule::kStay, "stay"}, {DefaultRule::kHighest, "highest"}}};
+}
+
+struct RegistryOptions {
+  std::string directory;           // of the policies
+  std::string settings_path = "";  // empty: settings are not saved
+  DefaultRule default_rule = DefaultRule::kStay;
+};
+
 class PolicyRegistry {
  public:
-  // Loads the policies of `directory`, and the settings at `settings_path` unless it is empty.
-  // Files that cannot be loaded are listed in `report`; all others are served. A setting whose
-  // version is not served is kept and takes effect when the version is loaded. Returns NOT_FOUND if
-  // there is no such directory, INVALID_ARGUMENT if the settings file is not valid, and the error
-  // of the system if it cannot be written.
-  static absl::StatusOr<std::unique_ptr<PolicyRegistry>> Load(const std::string& directory,
-                                                              const std::string& settings_path,
+  // Loads the policies of the directory, and the settings unless their path is empty. Files that
+  // cannot be loaded are listed in `report`; all others are served. A setting whose version is not
+  // served is kept and takes effect when the version is loaded. Returns NOT_FOUND if there is no
+  // such directory, INVALID_ARGUMENT if the settings file is not valid, and the error of the system
+  // if it cannot be written.
+  static absl::StatusOr<std::unique_ptr<PolicyRegistry>> Load(RegistryOptions options,
                                                               NewObserver new_observer,
                                                               ReloadReport* report);
 
   // Returns the current snapshot. Never null.
   std::shared_ptr<const PolicyCatalog> catalog() const;
 
-  const std::string& directory() const { return directory_; }
+  const std::string& directory() const { return options_.directory; }
 
   // Returns true if operators have unloaded versions that are not loaded again.
   bool HasUnloaded();
@@ -59,23 +77,24 @@ class PolicyRegistry {
   absl::StatusOr<ReloadReport> Reload();
 
   // Loads this version now and replaces a version of the same number, even if its file has not
-  // changed. Returns NOT_FOUND if there is no file and INVALID_ARGUMENT if it is refused; then
-  // nothing changes.
-  absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadVersion(const PolicyVersion& version);
+  // changed. If `make_default`, it also becomes the default. Returns NOT_FOUND if there is no file
+  // and INVALID_ARGUMENT if it is refused; then nothing changes.
+  absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadVersion(const PolicyVersion& version,
+                                                                  bool make_default = false);
 
   // The methods below return NOT_FOUND and change nothing if the policy or version is not served.
 
   // Unloads a version. Reload does not load it again until LoadVersion was called for it. Returns
-  // FAILED_PRECONDITION while a setting of an operator uses it.
+  // FAILED_PRECONDITION while a setting of an operator uses it, or it is the default and the policy
+  // has other versions.
   absl::Status Unload(const PolicyVersion& version);
 
-  // Sets the default version; 0 makes the default follow the highest version. Returns the version
-  // that is the default now.
-  absl::StatusOr<int64_t> SetDefault(const std::string& policy, int64_t version);
+  // The next methods return FAILED_PRECONDITION while a roll-out of the policy is running, because
+  // it sets the default and the shares.
 
-  // Points `label` at a version. Returns INVALID_ARGUMENT unless IsPlainName(label).
-  absl::Status SetLabel(const PolicyVersion& version, const std::string& label);
-  absl::Status RemoveLabel(const std::string& policy, const std::string& label);
+  // Sets the default version; 0 makes the default follow the highest version, now and after later
+  // loads. Returns the version that is the default now.
+  absl::StatusOr<int64_t> SetDefault(const std::string& policy, int64_t version);
 
   // Sets how new sessions that name no version are divided between versions (empty: all to the
   // default), and the version that shadows the others (0: none). Returns INVALID_ARGUMENT unless
@@ -83,6 +102,22 @@ class PolicyRegistry {
   // actions than a version it would shadow.
   absl::Status SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
                           int64_t shadow_version);
+  // As SetTraffic, but keeps the shadow.
+  absl::Status SetShares(const std::string& policy, std::vector<TrafficShare> shares);
+
+  // As SetTraffic, but keeps the shares, also during a roll-out.
+  absl::Status SetShadow(const std::string& policy, int64_t shadow_version);
+
+  // Points `label` at a version. Returns INVALID_ARGUMENT unless IsPlainName(label).
+  absl::Status SetLabel(const PolicyVersion& version, const std::string& label);
+  absl::Status RemoveLabel(const std::string& policy, const std::string& label);
+
+  // Applies `change` to the settings of the policy, saves them and puts them into force. `policy`
+  // is the state before the change. If `change` returns an error, nothing changes.
+  absl::Status Change(
+      const std::string& policy,
+      absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)>
+          change);
 
   // Pauses or resumes learning in all versions of a policy, or of all served policies if `policy`
   // is empty. After a pause has returned, their shared heads do not change.
@@ -95,26 +130,24 @@ class PolicyRegistry {
     absl::Status status;  // OK, or why the file was refused
   };
 
-  PolicyRegistry(std::string directory, std::string settings_path, NewObserver new_observer)
-      : directory_(std::move(directory)),
-        settings_path_(std::move(settings_path)),
-        new_observer_(std::move(new_observer)) {}
+  PolicyRegistry(RegistryOptions options, NewObserver new_observer)
+      : options_(std::move(options)), new_observer_(std::move(new_observer)) {}
 
   void Publish(PolicyCatalog catalog) ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Puts into force the settings whose versions are in `catalog`. Returns one line for each setting
-  // that waits for its version.
+  // Puts into force the settings whose versions are in `catalog`. A default that waits for its
+  // version, or was never set, stays the version that it was; if there was none, it is the highest.
+  // Returns one line for each setting that waits for its version.
   std::vector<std::string> ApplySettings(PolicyCatalog* catalog) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+
+  // Adds to the settings the defaults that are in force and were never set, so that neither a later
+  // load nor a restart moves them. Writes the settings if that changes them.
+  absl::Status KeepDefaults(const PolicyCatalog& catalog)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   // Writes the settings to their file, if there is one.
   absl::Status Save(const Settings& settings) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-
-  // Applies `change` to the settings of the policy, saves them and puts them into force.
-  absl::Status Change(
-      const std::string& policy,
-      absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)>
-          change);
 
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> Read(const PolicyVersion& version)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
@@ -123,8 +156,7 @@ class PolicyRegistry {
   void UnloadRemoved(PolicyCatalog* catalog, ReloadReport* report)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
-  const std::string directory_;
-  const std::string settings_path_;  // empty: settings are not saved
+  const RegistryOptions options_;
   const NewObserver new_observer_;
 
   absl::Mutex change_mutex_;  // held during a whole change; taken before mutex_

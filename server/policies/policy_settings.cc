@@ -38,12 +38,14 @@ absl::Status CheckLabels(absl::string_view field, const std::map<std::string, in
 Json PolicyJson(const PolicySettings& settings) {
   Json json = Json::object();
   if (settings.default_version != 0) json["default_version"] = settings.default_version;
+  if (settings.default_follows_highest) json["default_follows_highest"] = true;
   if (!settings.labels.empty()) json["labels"] = settings.labels;
   for (const TrafficShare& share : settings.shares) {
     json["shares"].push_back({{"version", share.version}, {"percent", share.percent}});
   }
   if (settings.shadow_version != 0) json["shadow_version"] = settings.shadow_version;
   if (settings.learning_paused) json["learning_paused"] = true;
+  if (settings.rollout.has_value()) json["rollout"] = RolloutJson(*settings.rollout);
   return json;
 }
 
@@ -59,11 +61,18 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TrafficShare* s
 absl::Status ReadJson(absl::string_view field, const Json& json, PolicySettings* settings) {
   JsonObject object(field, json);
   object.Optional("default_version", &settings->default_version, kFirstVersion);
+  object.Optional("default_follows_highest", &settings->default_follows_highest);
   object.Optional("shadow_version", &settings->shadow_version, kFirstVersion);
   object.Optional("learning_paused", &settings->learning_paused);
   object.Optional("labels", &settings->labels);
   object.Optional("shares", &settings->shares);
+  object.Optional("rollout", &settings->rollout);
   if (auto status = object.Finish(); !status.ok()) return status;
+  if (settings->default_follows_highest && settings->default_version != 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ".default_version: expected none beside default_follows_highest, ",
+                     "received ", settings->default_version));
+  }
   const auto labels = CheckLabels(absl::StrCat(field, ".labels"), settings->labels);
   if (!labels.ok()) return labels;
   const auto shares = CheckShares(settings->shares);
@@ -72,7 +81,13 @@ absl::Status ReadJson(absl::string_view field, const Json& json, PolicySettings*
 }
 
 std::string PolicySettings::DescribeUse(int64_t version) const {
-  if (version == default_version) return "the default";
+  return version == default_version ? "the default" : DescribeUseBesideDefault(version);
+}
+
+std::string PolicySettings::DescribeUseBesideDefault(int64_t version) const {
+  if (rollout_running() && (version == rollout->version || version == rollout->stable_version)) {
+    return "part of a roll-out";
+  }
   for (const auto& [label, labelled] : labels) {
     if (labelled == version) return absl::StrCat("label ", label);
   }

@@ -5,7 +5,8 @@
 //                              "shares": [{"version": 1, "percent": 95},
 //                                         {"version": 2, "percent": 5}],
 //                              "shadow_version": 3,
-//                              "learning_paused": true}},
+//                              "learning_paused": true},
+//                 "pendulum": {"default_follows_highest": true}},
 //    "unloaded": {"cartpole": [4]}}
 //
 // Free functions without shared state; safe to call from many threads.
@@ -14,6 +15,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -23,6 +25,7 @@
 #include "absl/strings/string_view.h"
 #include "nlohmann/json.hpp"
 #include "server/policies/policy_repository.h"
+#include "server/policies/rollout.h"
 
 namespace spikeserve {
 
@@ -36,14 +39,20 @@ struct TrafficShare {
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TrafficShare* share);
 
 struct PolicySettings {
-  int64_t default_version = 0;  // 0: the highest version
+  int64_t default_version = 0;           // 0: not chosen yet, or the highest version
+  bool default_follows_highest = false;  // then default_version is 0
   std::map<std::string, int64_t> labels = {};
   std::vector<TrafficShare> shares = {};  // sum to 100 %; empty: all to the default
   int64_t shadow_version = 0;             // 0: none
   bool learning_paused = false;
+  std::optional<Rollout> rollout = {};  // the last one
+
+  bool rollout_running() const { return rollout.has_value() && rollout->running(); }
 
   // Returns the first setting that uses `version`, such as "label stable"; empty if none does.
   std::string DescribeUse(int64_t version) const;
+  // As DescribeUse, without the default.
+  std::string DescribeUseBesideDefault(int64_t version) const;
 
   // Returns the share of `version` in percent; 0 if `shares` does not name it.
   int PercentOf(int64_t version) const;

@@ -14,6 +14,7 @@
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
 #include "server/base/background_worker.h"
+#include "server/base/peer.h"
 #include "server/services/unary_call.h"
 
 namespace spikeserve {
@@ -53,7 +54,7 @@ class InlineCall final : public UnaryCall<Request, Response> {
 };
 
 // Runs `Answer` on a background worker. For methods that take long. A call that is over before its
-// turn comes is not computed.
+// turn comes is not computed. An `Answer` that is recorded takes (caller, peer, request, response).
 template <typename Request, typename Response, typename Answer>
 class BackgroundCall final : public UnaryCall<Request, Response> {
  public:
@@ -69,21 +70,33 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
  private:
   void Handle() override {
     auto self = std::static_pointer_cast<BackgroundCall>(this->shared_from_this());
+    if constexpr (kTakesPeer) peer_ = this->call()->peer();
     const absl::Status status =
         worker_.Submit([self = std::move(self), loop = &this->call()->loop()]() mutable {
           if (self->over_) {
             // Destroyed on the loop's thread, like every call.
             return loop->Post([self = std::move(self)] {});
           }
-          const CallOutcome outcome =
-              self->answer_(self->caller(), self->request(), self->response(), nullptr);
+          const CallOutcome outcome = self->Compute();
           loop->Post([self = std::move(self), outcome] { self->End(outcome); });
         });
     if (!status.ok()) this->End(status);
   }
 
+  static constexpr bool kTakesPeer =
+      std::is_invocable_v<Answer, const Credential&, const Peer&, const Request&, Response*>;
+
+  CallOutcome Compute() {
+    if constexpr (kTakesPeer) {
+      return answer_(this->caller(), peer_, this->request(), this->response());
+    } else {
+      return answer_(this->caller(), this->request(), this->response(), nullptr);
+    }
+  }
+
   BackgroundWorker& worker_;
   const Answer& answer_;
+  Peer peer_;  // set before the worker reads it
   std::atomic<bool> over_ = false;
 };
 

@@ -108,6 +108,30 @@ void Services::AddBackground(Method method, Handler* handler, HandlerMethod hand
              });
 }
 
+template <typename Handler, typename HandlerMethod>
+void Services::AddAdmin(Method method, Handler* handler, HandlerMethod handler_method) {
+  if (GetMethodInfo(method).access != Access::kOperatorOnly) {
+    return AddBackground(method, handler, handler_method, handlers_.admin_worker);
+  }
+  using Types = decltype(MessagesOf(handler_method));
+  using Request = typename Types::Request;
+  using Response = typename Types::Response;
+  const auto answer = [audit = handlers_.audit, method, handler, handler_method](
+                          const Credential& caller, const Peer& peer, const Request& request,
+                          Response* response) {
+    std::string before = audit->StateBefore(request);
+    auto status = Invoke(*handler, handler_method, caller, request, response, nullptr);
+    audit->Record(method, caller, peer, request, std::move(before), status);
+    return CallOutcome(std::move(status));
+  };
+  using AnswerType = decltype(answer);
+  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
+             [this, method, answer](Call* call, LoopServices* /*loop*/) {
+               return Started(std::make_shared<BackgroundCall<Request, Response, AnswerType>>(
+                   &context_, call, method, handlers_.admin_worker, &answer));
+             });
+}
+
 void Services::AddPolicyService() {
   service_names_.push_back(ServiceName<v1::ListPoliciesRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
@@ -133,7 +157,7 @@ void Services::AddPolicyAdmin() {
   service_names_.push_back(ServiceName<v1::LoadPolicyRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
   const auto add_admin = [this](Method method, auto handler_method) {
-    AddBackground(method, handlers_.admin, handler_method, handlers_.admin_worker);
+    AddAdmin(method, handlers_.admin, handler_method);
   };
   add_admin(Method::kLoadPolicy, &AdminHandler::LoadPolicy);
   add_admin(Method::kUnloadPolicy, &AdminHandler::UnloadPolicy);
@@ -142,10 +166,19 @@ void Services::AddPolicyAdmin() {
   add_admin(Method::kSetLabel, &AdminHandler::SetLabel);
   add_admin(Method::kRemoveLabel, &AdminHandler::RemoveLabel);
   add_admin(Method::kSetTraffic, &AdminHandler::SetTraffic);
+  add_admin(Method::kSetTrafficShares, &AdminHandler::SetTrafficShares);
+  add_admin(Method::kSetShadow, &AdminHandler::SetShadow);
+  add_admin(Method::kListHistory, &AdminHandler::ListHistory);
+  const auto add_rollouts = [this](Method method, auto handler_method) {
+    AddAdmin(method, handlers_.rollouts, handler_method);
+  };
+  add_rollouts(Method::kStartRollout, &RolloutHandler::StartRollout);
+  add_rollouts(Method::kAbortRollout, &RolloutHandler::AbortRollout);
+  add_rollouts(Method::kListRollouts, &RolloutHandler::ListRollouts);
   add_admin(Method::kListSessions, &AdminHandler::ListSessions);
   add_admin(Method::kDrain, &AdminHandler::Drain);
   const auto add_heads = [this](Method method, auto handler_method) {
-    AddBackground(method, handlers_.heads, handler_method, handlers_.admin_worker);
+    AddAdmin(method, handlers_.heads, handler_method);
   };
   add_heads(Method::kGetHead, &HeadHandler::GetHead);
   add_heads(Method::kPromoteHead, &HeadHandler::PromoteHead);
@@ -167,10 +200,8 @@ void Services::AddInferenceService() {
   AddInline(Method::kModelConfig, handler, &InferenceHandler::ModelConfig);
   AddInline(Method::kModelStatistics, handler, &InferenceHandler::ModelStatistics);
   AddInline(Method::kRepositoryIndex, handler, &InferenceHandler::RepositoryIndex);
-  AddBackground(Method::kRepositoryModelLoad, handler, &InferenceHandler::RepositoryModelLoad,
-                handlers_.admin_worker);
-  AddBackground(Method::kRepositoryModelUnload, handler, &InferenceHandler::RepositoryModelUnload,
-                handlers_.admin_worker);
+  AddAdmin(Method::kRepositoryModelLoad, handler, &InferenceHandler::RepositoryModelLoad);
+  AddAdmin(Method::kRepositoryModelUnload, handler, &InferenceHandler::RepositoryModelUnload);
   table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kModelStreamInfer).name),
              [this](Call* call, LoopServices* loop) {
                return Started(std::make_shared<InferStreamCall>(

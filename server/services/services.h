@@ -7,7 +7,9 @@
 #include <vector>
 
 #include "server/admin/admin_handler.h"
+#include "server/admin/audit.h"
 #include "server/admin/head_handler.h"
+#include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/inference/inference_handler.h"
@@ -24,6 +26,8 @@ struct Handlers {
   const PolicyHandler* policy;
   const AdminHandler* admin;
   const HeadHandler* heads;
+  const RolloutHandler* rollouts;
+  const Audit* audit;
   InferenceHandler* inference;
   HealthService* health;
   BackgroundWorker* worker;        // runs what takes long, such as Explain
@@ -53,6 +57,10 @@ class Services {
   template <typename Handler, typename HandlerMethod>
   void AddBackground(Method method, Handler* handler, HandlerMethod handler_method,
                      BackgroundWorker* worker);
+  // As AddBackground, on the worker of operators. If only operators may call the method, which
+  // means that it changes something, the call is recorded in the audit log.
+  template <typename Handler, typename HandlerMethod>
+  void AddAdmin(Method method, Handler* handler, HandlerMethod handler_method);
 
   const ServiceContext context_;
   const Handlers handlers_;

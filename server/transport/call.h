@@ -16,6 +16,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "server/base/byte_budget.h"
+#include "server/base/peer.h"
 #include "server/transport/event_loop.h"
 
 namespace spikeserve {
@@ -34,6 +35,8 @@ class Call {
 
   virtual const CallHead& head() const = 0;
   virtual EventLoop& loop() = 0;
+  // Returns the client's address and certificate. Reads them from the system at each call.
+  virtual Peer peer() const = 0;
 
   // Queues `message`, which is sent at the end of the loop's turn. Does nothing if the call has
   // been finished, by Finish() or by its deadline.

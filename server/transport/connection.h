@@ -81,6 +81,9 @@ class Connection final : public EventLoop::Source,
 
   // GrpcStream::Owner
   EventLoop& loop() override { return *shared_->loop; }
+  Peer peer() const override {
+    return {.address = slot_->address(), .certificate = socket_->peer_subject()};
+  }
   CallRouter& router() override { return *shared_->router; }
   const TransportLimits& limits() const override { return *shared_->limits; }
   bool CountBytes(int64_t bytes) override;

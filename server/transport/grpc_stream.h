@@ -28,6 +28,7 @@ class GrpcStream final : public Call {
    public:
     virtual ~Owner() = default;
     virtual EventLoop& loop() = 0;
+    virtual Peer peer() const = 0;
     virtual CallRouter& router() = 0;
     virtual const TransportLimits& limits() const = 0;
     // Counts bytes that the stream stores, or stores no longer if `bytes` is negative. Returns
@@ -80,6 +81,7 @@ class GrpcStream final : public Call {
 
   // Call
   const CallHead& head() const override { return head_; }
+  Peer peer() const override { return owner_->peer(); }
   EventLoop& loop() override { return owner_->loop(); }
   void Send(const google::protobuf::MessageLite& message) override;
   void Finish(const absl::Status& status) override;

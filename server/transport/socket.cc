@@ -2,6 +2,7 @@
 
 #include <openssl/err.h>
 #include <openssl/ssl.h>
+#include <openssl/x509.h>
 #include <sys/socket.h>
 
 #include <algorithm>
@@ -46,6 +47,7 @@ class TlsSocket final : public Socket {
   bool read_waits_for_write() const override { return read_waits_for_write_; }
   bool is_handshaking() const override { return SSL_is_init_finished(ssl_.get()) == 0; }
   bool has_buffered_input() const override { return SSL_pending(ssl_.get()) > 0; }
+  std::string peer_subject() const override;
 
   Result Read(absl::Span<char> buffer) override {
     if (!AgreedOnHttp2()) return {Outcome::kClosed};
@@ -96,6 +98,18 @@ class TlsSocket final : public Socket {
   const std::unique_ptr<SSL, Free> ssl_;
   bool read_waits_for_write_ = false;
 };
+
+std::string TlsSocket::peer_subject() const {
+  const std::unique_ptr<X509, decltype(&X509_free)> certificate(
+      SSL_get1_peer_certificate(ssl_.get()), &X509_free);
+  if (certificate == nullptr) return "";
+  const std::unique_ptr<BIO, decltype(&BIO_free)> text(BIO_new(BIO_s_mem()), &BIO_free);
+  if (text == nullptr) return "";
+  X509_NAME_print_ex(text.get(), X509_get_subject_name(certificate.get()), 0, XN_FLAG_RFC2253);
+  char* bytes = nullptr;
+  const long length = BIO_get_mem_data(text.get(), &bytes);
+  return std::string(bytes, static_cast<size_t>(length));
+}
 
 }  // namespace
 

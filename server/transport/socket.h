@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <string>
 
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
@@ -40,6 +41,8 @@ class Socket {
   virtual bool is_handshaking() const { return false; }
   // Returns true if a blocked Read() waits until the socket can be written.
   virtual bool read_waits_for_write() const { return false; }
+  // Returns the subject of the client's certificate (RFC 2253); empty if it sent none.
+  virtual std::string peer_subject() const { return ""; }
   // Returns true if bytes can be read although the file descriptor is not ready.
   virtual bool has_buffered_input() const { return false; }
 };

@@ -124,12 +124,16 @@ bool Matches(const SessionInfo& session, absl::string_view lower_case) {
 }  // namespace
 
 absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamily>& families,
-                                       const v1::ListPoliciesResponse& policies, double time,
+                                       const v1::ListPoliciesResponse& policies,
+                                       const v1::ListRolloutsResponse& rollouts, double time,
                                        bool serving) {
   const auto policies_json = MessageToJson(policies);
   if (!policies_json.ok()) return policies_json.status();
+  const auto rollouts_json = MessageToJson(rollouts);
+  if (!rollouts_json.ok()) return rollouts_json.status();
   Json status = {{"time", time}, {"version", std::string(Version())}, {"serving", serving}};
   status["policies"] = Json::parse(*policies_json)["policies"];
+  status["rollouts"] = Json::parse(*rollouts_json)["rollouts"];
   for (const prometheus::MetricFamily& family : families) {
     Json& series = status["metrics"][family.name] = Json::array();
     for (const auto& metric : family.metric) series.push_back(SeriesToJson(metric, family.type));

@@ -12,16 +12,19 @@
 #include "prometheus/metric_family.h"
 #include "server/access/authenticator.h"
 #include "server/base/http_query.h"
+#include "spikeserve/v1/policy_admin.pb.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
-// Returns {"time", "version", "serving", "policies", "metrics"}. "time" is in seconds of a
-// monotonic clock. "policies" is the list of ListPolicies. "metrics" maps the name of each metric
-// family to a list of {"labels", "value"}, or of {"labels", "count", "sum", "buckets"}, where
-// "buckets" holds cumulative [upper bound, count] pairs and the last bound, infinity, is null.
+// Returns {"time", "version", "serving", "policies", "rollouts", "metrics"}. "time" is in seconds
+// of a monotonic clock. "policies" is the list of ListPolicies, "rollouts" that of ListRollouts.
+// "metrics" maps the name of each metric family to a list of {"labels", "value"}, or of {"labels",
+// "count", "sum", "buckets"}, where "buckets" holds cumulative [upper bound, count] pairs and the
+// last bound, infinity, is null.
 absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamily>& families,
-                                       const v1::ListPoliciesResponse& policies, double time,
+                                       const v1::ListPoliciesResponse& policies,
+                                       const v1::ListRolloutsResponse& rollouts, double time,
                                        bool serving);
 
 // Returns {"open", "matching", "sessions"}. "open" is the number of sessions that `caller` may

@@ -91,8 +91,10 @@ HttpResponse StatusPages::Health() const {
 absl::StatusOr<std::string> StatusPages::Status() const {
   v1::ListPoliciesResponse policies;
   if (auto status = parts_.handler->ListPolicies({}, &policies); !status.ok()) return status;
-  return StatusJson(parts_.metrics->Collect(), policies, absl::ToDoubleSeconds(parts_.clock->Now()),
-                    parts_.serving());
+  v1::ListRolloutsResponse rollouts;
+  if (auto status = parts_.rollouts->ListRollouts({}, &rollouts); !status.ok()) return status;
+  return StatusJson(parts_.metrics->Collect(), policies, rollouts,
+                    absl::ToDoubleSeconds(parts_.clock->Now()), parts_.serving());
 }
 
 absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,

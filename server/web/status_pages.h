@@ -10,6 +10,7 @@
 #include "core/base/clock.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/metrics/metrics.h"
@@ -24,6 +25,7 @@ class StatusPages {
   struct Parts {
     const Authenticator* authenticator;
     const PolicyHandler* handler;
+    const RolloutHandler* rollouts;
     SessionStore* store;
     const Metrics* metrics;
     const Clock* clock;

@@ -36,7 +36,8 @@ TEST_F(SpikectlAdminTest, RefusesAFlagThatWouldDoNothing) {
 TEST_F(SpikectlAdminTest, AVersionFromLoadToUnload) {
   AddVersion2();
   const std::string policy = "--policy=pendulum-v1";
-  EXPECT_EQ(AdminJson("load", {policy, "--version=2"})["is_default"], true);
+  EXPECT_EQ(AdminJson("load", {policy, "--version=2"})["is_default"], false);
+  EXPECT_EQ(AdminJson("default", {policy, "--version=2"})["version"], 2);
   EXPECT_EQ(AdminJson("default", {policy, "--version=1"})["version"], 1);
   EXPECT_EQ(AdminJson("label", {policy, "--version=2", "--label=canary"})["label"], "canary");
   const auto traffic = AdminJson("traffic", {policy, "--shares=1:90,2:10", "--shadow=2"});
@@ -49,7 +50,7 @@ TEST_F(SpikectlAdminTest, AVersionFromLoadToUnload) {
   EXPECT_EQ(second["is_shadow"], true);
 
   ExpectOneLineError(Admin("unload", {policy, "--version=2"}), "FAILED_PRECONDITION");
-  AdminJson("traffic", {policy});
+  AdminJson("traffic", {policy, "--shares=none", "--shadow=0"});
   AdminJson("unlabel", {policy, "--label=canary"});
   AdminJson("unload", {policy, "--version=2"});
   EXPECT_EQ(AdminJson("reload", {})["loaded"].size(), 0u);
@@ -109,6 +110,11 @@ TEST_F(SpikectlAdminTest, MistakesAreNamed) {
   ExpectOneLineError(Admin("load", {}), "--policy: expected a name");
   ExpectOneLineError(Admin("promote", {}), "--policy: expected a name");
   ExpectOneLineError(Admin("pause", {"--policy=nobody"}), "NOT_FOUND");
+  ExpectOneLineError(Admin("traffic", {"--policy=pendulum-v1"}), "--shares: expected shares, none");
+  ExpectOneLineError(Admin("rollout", {"--policy=pendulum-v1", "--steps=few"}),
+                     "--steps: expected percentages such as 1,10,50,100, received \"few\"");
+  ExpectOneLineError(Admin("rollout", {"--policy=pendulum-v1", "--abort_if=returns"}),
+                     "--abort_if: expected return, errors or p99");
   ExpectOneLineError(Admin("traffic", {"--policy=pendulum-v1", "--shares=1"}),
                      "--shares: expected VERSION:PERCENT");
   ExpectOneLineError(Admin("load", {"--policy=pendulum-v1", "--version=9"}), "NOT_FOUND");

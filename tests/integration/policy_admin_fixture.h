@@ -50,10 +50,11 @@ class PolicyAdminTest : public ServerTest {
     return admin_->UnloadPolicy(NewContext().get(), request, &response);
   }
 
-  grpc::Status TryLoad(int version) {
+  grpc::Status TryLoad(int version, bool make_default = false) {
     v1::LoadPolicyRequest request;
     request.set_policy("discrete");
     request.set_version(version);
+    request.set_make_default(make_default);
     v1::LoadPolicyResponse response;
     return admin_->LoadPolicy(NewContext().get(), request, &response);
   }

@@ -21,7 +21,7 @@ TEST_F(PolicyAdminTest, NewSessionsGetTheNewVersionAndRunningOnesKeepTheirs) {
   const std::string old_session = client_->Open();
   const v1::ActResponse first = client_->Act(old_session, 0);
   AddVersion(3);
-  ASSERT_TRUE(TryLoad(3).ok());
+  ASSERT_TRUE(TryLoad(3, /*make_default=*/true).ok());
   EXPECT_EQ(DefaultVersion(), 3);
   ASSERT_TRUE(TryUnload(2).ok());
 
@@ -109,11 +109,23 @@ TEST_F(PolicyAdminTest, AVersionThatIsInUseStays) {
 }
 
 TEST_F(PolicyAdminTest, AnUnloadedVersionStaysAwayUntilItIsLoaded) {
-  ASSERT_TRUE(TryUnload(2).ok());
+  ASSERT_TRUE(TryUnload(1).ok());
   EXPECT_EQ(Reload().loaded_size(), 0);
+  EXPECT_THAT(Versions(), ElementsAre(2));
+  ASSERT_TRUE(TryLoad(1).ok());
+  EXPECT_THAT(Versions(), ElementsAre(1, 2));
+  EXPECT_EQ(DefaultVersion(), 2);
+}
+
+TEST_F(PolicyAdminTest, TheDefaultIsUnloadedLast) {
+  ExpectError(TryUnload(2), grpc::StatusCode::FAILED_PRECONDITION, "which is the default");
+  ASSERT_TRUE(TryUnload(1).ok());
+  ASSERT_TRUE(TryUnload(2).ok());
+  EXPECT_THAT(Versions(), ElementsAre());
+  ASSERT_TRUE(TryLoad(1).ok());
   EXPECT_EQ(DefaultVersion(), 1);
   ASSERT_TRUE(TryLoad(2).ok());
-  EXPECT_EQ(DefaultVersion(), 2);
+  EXPECT_EQ(DefaultVersion(), 1);
 }
 
 TEST_F(PolicyAdminTest, LabelsNameVersions) {
@@ -273,7 +285,7 @@ TEST_F(PolicyAdminTest, ASwapUnder64RunningStreamsLosesNoCallAndNoSession) {
   }
   for (int version = 3; version < 13; ++version) {
     AddVersion(version);
-    ASSERT_TRUE(TryLoad(version).ok());
+    ASSERT_TRUE(TryLoad(version, /*make_default=*/true).ok());
     EXPECT_EQ(DefaultVersion(), version);
     ASSERT_TRUE(TryUnload(version - 1).ok());
     const double before = Metric("spikeserve_decisions_total");

@@ -149,8 +149,8 @@ TEST_F(PolicySettingsTest, AServerWhoseLastVersionWasUnloadedStartsAgain) {
   const auto box = policies_.path() / "box";
   std::filesystem::remove_all(box);
   Restart();
-  ASSERT_TRUE(TryUnload(2).ok());
   ASSERT_TRUE(TryUnload(1).ok());
+  ASSERT_TRUE(TryUnload(2).ok());
   Restart();
   EXPECT_TRUE(Versions().empty());
 }

@@ -23,7 +23,8 @@ from serving import DEADLINE_SECONDS, running_server
     ],
 )
 def test_an_open_door_is_not_served_by_accident(tmp_path, tokens, flags, message):
-    program = [os.environ["SPIKESERVE_PROGRAM"], f"--policies={tmp_path}", "--listen=127.0.0.1:0"]
+    policies = [f"--policies={tmp_path}", "--allow_no_policies"]
+    program = [os.environ["SPIKESERVE_PROGRAM"], *policies, "--listen=127.0.0.1:0"]
     flags = [flag.format(tokens=tokens) for flag in flags]
     finished = subprocess.run(
         [*program, "--http_listen=127.0.0.1:0", *flags],

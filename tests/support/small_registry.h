@@ -25,7 +25,7 @@ class SmallRegistry {
     for (const std::string& name : names) WriteVersion(name, 1);
     ReloadReport report;
     auto registry = PolicyRegistry::Load(
-        directory_.path().string(), /*settings_path=*/"",
+        {.directory = directory_.path().string()},
         [this](const std::string& name, int64_t version, const Policy& loaded) {
           return metrics_.NewPolicyObserver(name, version, loaded);
         },

@@ -25,7 +25,24 @@ Settings SomeSettings() {
       .labels = {{"canary", 2}, {"stable", 1}},
       .shares = {{.version = 1, .percent = 95}, {.version = 2, .percent = 5}},
       .shadow_version = 3,
-      .learning_paused = true};
+      .learning_paused = true,
+      .rollout = Rollout{.version = 2,
+                         .stable_version = 1,
+                         .steps = {1, 100},
+                         .hold_seconds = 0.5,
+                         .min_episodes = 3,
+                         .abort_if = {{RolloutMeasure::kErrors, 0.01}},
+                         .state = RolloutState::kAborted,
+                         .step = 1,
+                         .held_seconds = 0.25,
+                         .episodes_at_step = 7,
+                         .started = 1.5,
+                         .step_started = 2.5,
+                         .ended = 3.5,
+                         .reason = "worse",
+                         .new_evidence = {1, 2, 3, 4.5, 5.5},
+                         .stable_evidence = {6, 7, 8, 9.5, 10.5}}};
+  settings.policies["pendulum"] = {.default_follows_highest = true};
   settings.unloaded = {{.policy = "cartpole", .version = 4}};
   return settings;
 }
@@ -70,6 +87,8 @@ TEST(PolicySettings, EveryWrongValueIsRefusedByItsField) {
           "policies.p.default_version: expected an integer of at least 1");
   refused(R"({"default_version": "1"})",
           "policies.p.default_version: expected an integer of at least 1");
+  refused(R"({"default_version": 1, "default_follows_highest": true})",
+          "policies.p.default_version: expected none beside default_follows_highest, received 1");
   refused(R"({"shadow_version": 1.5})",
           "policies.p.shadow_version: expected an integer of at least 1");
   refused(R"({"learning_paused": 1})", "policies.p.learning_paused: expected true or false");
@@ -111,6 +130,7 @@ TEST(PolicySettings, TheUseOfAVersionIsNamed) {
   EXPECT_EQ(settings.DescribeUse(2), "label canary");
   EXPECT_EQ(settings.DescribeUse(3), "the shadow");
   EXPECT_EQ(settings.DescribeUse(4), "");
+  EXPECT_EQ(settings.DescribeUseBesideDefault(1), "label stable");
   EXPECT_EQ(settings.PercentOf(2), 5);
   EXPECT_EQ(settings.PercentOf(3), 0);
 }

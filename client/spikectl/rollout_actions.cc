@@ -1,0 +1,212 @@
+#include "client/spikectl/rollout_actions.h"
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
+#include "absl/time/time.h"
+#include "client/spikectl/traffic_report.h"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::ordered_json;
+
+// Parses MEASURE or MEASURE:PERCENT%.
+absl::StatusOr<v1::RolloutCondition> ParseCondition(absl::string_view text) {
+  const auto refuse = [&] {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--abort_if: expected return, errors or p99, and optionally a margin such as return:5%, ",
+        "received \"", text, "\""));
+  };
+  const std::pair<absl::string_view, absl::string_view> parts =
+      absl::StrSplit(text, absl::MaxSplits(':', 1));
+  v1::RolloutCondition condition;
+  v1::RolloutCondition::Measure measure;
+  if (!v1::RolloutCondition::Measure_Parse(absl::AsciiStrToUpper(parts.first), &measure)) {
+    return refuse();
+  }
+  condition.set_measure(measure);
+  absl::string_view margin = parts.second;
+  if (margin.empty()) return condition;
+  double percent = 0.0;
+  if (!absl::ConsumeSuffix(&margin, "%") || !absl::SimpleAtod(margin, &percent)) return refuse();
+  condition.set_margin(percent / 100.0);
+  return condition;
+}
+
+absl::StatusOr<v1::StartRolloutRequest> StartRequest(const AdminFlags& flags) {
+  auto request = VersionRequest<v1::StartRolloutRequest>(flags);
+  for (const std::string& text : flags.steps) {
+    int32_t percent = 0;
+    if (!absl::SimpleAtoi(text, &percent)) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "--steps: expected percentages such as 1,10,50,100, received \"", text, "\""));
+    }
+    request.add_steps(percent);
+  }
+  request.set_hold_seconds(absl::ToDoubleSeconds(flags.hold));
+  request.set_min_episodes(flags.min_episodes);
+  for (const std::string& text : flags.abort_if) {
+    const auto condition = ParseCondition(text);
+    if (!condition.ok()) return condition.status();
+    *request.add_abort_if() = *condition;
+  }
+  return request;
+}
+
+std::string StateText(const v1::Rollout& rollout) {
+  return absl::AsciiStrToLower(v1::Rollout::State_Name(rollout.state()));
+}
+
+std::string ToText(const v1::VersionEvidence& evidence) {
+  return absl::StrFormat(
+      "%d sessions (%d with errors), %d episodes of mean return %.4g, p99 %.3g ms",
+      evidence.sessions(), evidence.failed_sessions(), evidence.episodes(), evidence.mean_return(),
+      1e3 * evidence.p99_seconds());
+}
+
+std::string ToText(const v1::Rollout& rollout) {
+  return absl::StrCat(rollout.policy(), "/", rollout.version(), ": ", StateText(rollout), " at ",
+                      rollout.percent(), " % (steps ", absl::StrJoin(rollout.steps(), ","), "); ",
+                      rollout.reason(), "\n  version ", rollout.version(), ": ",
+                      ToText(rollout.new_version_evidence()), "\n  version ",
+                      rollout.stable_version(), ": ", ToText(rollout.stable_version_evidence()));
+}
+
+ordered_json ToJson(const v1::VersionEvidence& evidence) {
+  return {{"sessions", evidence.sessions()},
+          {"failed_sessions", evidence.failed_sessions()},
+          {"episodes", evidence.episodes()},
+          {"mean_return", evidence.mean_return()},
+          {"return_deviation", evidence.return_deviation()},
+          {"decisions", evidence.decisions()},
+          {"p99_seconds", evidence.p99_seconds()}};
+}
+
+ordered_json ToJson(const v1::Rollout& rollout) {
+  ordered_json conditions = ordered_json::array();
+  for (const v1::RolloutCondition& condition : rollout.abort_if()) {
+    conditions.push_back({{"measure", absl::AsciiStrToLower(
+                                          v1::RolloutCondition::Measure_Name(condition.measure()))},
+                          {"margin", condition.margin()}});
+  }
+  return {{"policy", rollout.policy()},
+          {"version", rollout.version()},
+          {"stable_version", rollout.stable_version()},
+          {"state", StateText(rollout)},
+          {"steps", rollout.steps()},
+          {"step", rollout.step()},
+          {"percent", rollout.percent()},
+          {"hold_seconds", rollout.hold_seconds()},
+          {"min_episodes", rollout.min_episodes()},
+          {"abort_if", conditions},
+          {"reason", rollout.reason()},
+          {"started", rollout.started()},
+          {"step_started", rollout.step_started()},
+          {"ended", rollout.ended()},
+          {"new_version_evidence", ToJson(rollout.new_version_evidence())},
+          {"stable_version_evidence", ToJson(rollout.stable_version_evidence())}};
+}
+
+template <typename Response>
+absl::Status PrintChanged(const AdminFlags& flags, const absl::StatusOr<Response>& response) {
+  if (!response.ok()) return response.status();
+  ordered_json json = ToJson(response->rollout());
+  AddTraffic(response->traffic(), &json);
+  Print(flags, absl::StrCat(ToText(response->rollout()), spikeserve::ToText(response->traffic())),
+        json);
+  return absl::OkStatus();
+}
+
+// Returns who made a change: the token and the certificate, as far as there are any, and the
+// address.
+std::string CallerOf(const v1::HistoryEntry& entry) {
+  if (entry.address().empty()) return "the server";
+  std::vector<std::string> parts;
+  if (!entry.token().empty()) parts.push_back(entry.token());
+  if (!entry.tenant().empty()) parts.push_back(absl::StrCat("tenant ", entry.tenant()));
+  if (!entry.certificate().empty()) parts.push_back(entry.certificate());
+  parts.push_back(entry.address());
+  return absl::StrJoin(parts, ", ");
+}
+
+std::string ToText(const v1::HistoryEntry& entry) {
+  const absl::Time time = absl::UnixEpoch() + absl::Seconds(entry.time());
+  std::string text =
+      absl::StrCat(absl::FormatTime("%Y-%m-%dT%H:%M:%SZ", time, absl::UTCTimeZone()), " ",
+                   entry.action(), " by ", CallerOf(entry), "\n  request: ", entry.request());
+  if (entry.code() != 0) return absl::StrCat(text, "\n  refused: ", entry.message());
+  return absl::StrCat(text, "\n  before:  ", entry.before(), "\n  after:   ", entry.after());
+}
+
+ordered_json ToJson(const v1::HistoryEntry& entry) {
+  const auto parse = [](const std::string& text) {
+    auto json = ordered_json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
+    return json.is_discarded() ? ordered_json() : json;
+  };
+  return {{"time", entry.time()},
+          {"action", entry.action()},
+          {"token", entry.token()},
+          {"tenant", entry.tenant()},
+          {"certificate", entry.certificate()},
+          {"address", entry.address()},
+          {"policy", entry.policy()},
+          {"request", parse(entry.request())},
+          {"code", entry.code()},
+          {"message", entry.message()},
+          {"before", parse(entry.before())},
+          {"after", parse(entry.after())}};
+}
+
+}  // namespace
+
+absl::Status ChangeRollout(const AdminFlags& flags) {
+  if (flags.abort) {
+    v1::AbortRolloutRequest request;
+    request.set_policy(flags.policy);
+    return PrintChanged(flags, CallAdmin(flags, &AdminStub::AbortRollout, request));
+  }
+  const auto request = StartRequest(flags);
+  if (!request.ok()) return request.status();
+  return PrintChanged(flags, CallAdmin(flags, &AdminStub::StartRollout, *request));
+}
+
+absl::Status ShowRollouts(const AdminFlags& flags) {
+  const auto response = CallAdmin(flags, &AdminStub::ListRollouts, v1::ListRolloutsRequest());
+  if (!response.ok()) return response.status();
+  std::vector<std::string> lines;
+  ordered_json rollouts = ordered_json::array();
+  for (const v1::Rollout& rollout : response->rollouts()) {
+    lines.push_back(ToText(rollout));
+    rollouts.push_back(ToJson(rollout));
+  }
+  Print(flags, lines.empty() ? "no roll-outs" : absl::StrJoin(lines, "\n"),
+        {{"rollouts", rollouts}});
+  return absl::OkStatus();
+}
+
+absl::Status ShowHistory(const AdminFlags& flags) {
+  v1::ListHistoryRequest request;
+  request.set_policy(flags.policy);
+  request.set_limit(flags.limit);
+  const auto response = CallAdmin(flags, &AdminStub::ListHistory, request);
+  if (!response.ok()) return response.status();
+  std::vector<std::string> lines;
+  ordered_json entries = ordered_json::array();
+  for (const v1::HistoryEntry& entry : response->entries()) {
+    lines.push_back(ToText(entry));
+    entries.push_back(ToJson(entry));
+  }
+  Print(flags, lines.empty() ? "no actions" : absl::StrJoin(lines, "\n"), {{"entries", entries}});
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,127 @@
+#include "server/admin/rollout_handler.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/time/time.h"
+#include "server/admin/traffic.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr double kP99 = 0.99;
+
+absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
+  Rollout plan;
+  plan.version = request.version();
+  plan.steps.assign(request.steps().begin(), request.steps().end());
+  if (request.has_hold_seconds()) plan.hold_seconds = request.hold_seconds();
+  if (request.has_min_episodes()) plan.min_episodes = request.min_episodes();
+  for (const v1::RolloutCondition& condition : request.abort_if()) {
+    if (!v1::RolloutCondition::Measure_IsValid(condition.measure())) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("abort_if.measure: expected RETURN, ERRORS or P99, received ",
+                       static_cast<int>(condition.measure())));
+    }
+    plan.abort_if.push_back({.measure = static_cast<RolloutMeasure>(condition.measure()),
+                             .margin = condition.margin()});
+  }
+  return plan;
+}
+
+void ToProto(const VersionEvidence::Counts& counts, v1::VersionEvidence* proto) {
+  proto->set_sessions(counts.sessions);
+  proto->set_failed_sessions(counts.failed_sessions);
+  proto->set_episodes(counts.episodes);
+  proto->set_mean_return(counts.return_mean);
+  proto->set_return_deviation(std::sqrt(counts.return_variance()));
+  proto->set_decisions(counts.durations.total());
+  proto->set_p99_seconds(counts.durations.Quantile(kP99));
+}
+
+// Returns what the running step waits for.
+std::string WaitsFor(const RolloutManager::Progress& progress) {
+  const Rollout& rollout = progress.rollout;
+  std::vector<std::string> waits;
+  const double seconds = rollout.hold_seconds - rollout.held_seconds;
+  if (seconds > 0.0) {
+    const auto left = absl::Seconds(static_cast<int64_t>(std::ceil(seconds)));
+    waits.push_back(absl::FormatDuration(left));
+  }
+  const int64_t episodes =
+      rollout.min_episodes - (progress.new_version.episodes - rollout.episodes_at_step);
+  if (episodes > 0) {
+    waits.push_back(absl::StrCat(episodes, " more episodes of version ", rollout.version));
+  }
+  return waits.empty() ? "the step ends" : "waits for " + absl::StrJoin(waits, " and ");
+}
+
+void ToProto(const std::string& policy, const RolloutManager::Progress& progress,
+             v1::Rollout* proto) {
+  const Rollout& rollout = progress.rollout;
+  proto->set_policy(policy);
+  proto->set_version(rollout.version);
+  proto->set_stable_version(rollout.stable_version);
+  proto->set_state(static_cast<v1::Rollout::State>(rollout.state));
+  proto->mutable_steps()->Add(rollout.steps.begin(), rollout.steps.end());
+  proto->set_step(static_cast<int32_t>(rollout.step));
+  proto->set_percent(rollout.percent());
+  proto->set_hold_seconds(rollout.hold_seconds);
+  proto->set_min_episodes(rollout.min_episodes);
+  for (const RolloutCondition& condition : rollout.abort_if) {
+    auto* added = proto->add_abort_if();
+    added->set_measure(static_cast<v1::RolloutCondition::Measure>(condition.measure));
+    added->set_margin(condition.margin);
+  }
+  proto->set_reason(rollout.running() ? WaitsFor(progress) : rollout.reason);
+  proto->set_started(rollout.started);
+  proto->set_step_started(rollout.step_started);
+  proto->set_ended(rollout.ended);
+  ToProto(progress.new_version, proto->mutable_new_version_evidence());
+  ToProto(progress.stable_version, proto->mutable_stable_version_evidence());
+}
+
+static_assert(static_cast<int>(v1::RolloutCondition::P99) ==
+              static_cast<int>(RolloutMeasure::kP99));
+static_assert(static_cast<int>(v1::Rollout::CANCELLED) ==
+              static_cast<int>(RolloutState::kCancelled));
+
+}  // namespace
+
+void RolloutHandler::Describe(const std::string& policy, v1::Rollout* rollout) const {
+  const auto list = rollouts_->List();
+  if (const auto found = list.find(policy); found != list.end()) {
+    ToProto(policy, found->second, rollout);
+  }
+}
+
+absl::Status RolloutHandler::StartRollout(const v1::StartRolloutRequest& request,
+                                          v1::StartRolloutResponse* response) const {
+  const auto plan = PlanFromProto(request);
+  if (!plan.ok()) return plan.status();
+  auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
+                              [&] { return rollouts_->Start(request.policy(), *plan); });
+  Describe(request.policy(), response->mutable_rollout());
+  return status;
+}
+
+absl::Status RolloutHandler::AbortRollout(const v1::AbortRolloutRequest& request,
+                                          v1::AbortRolloutResponse* response) const {
+  auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
+                              [&] { return rollouts_->Cancel(request.policy()); });
+  Describe(request.policy(), response->mutable_rollout());
+  return status;
+}
+
+absl::Status RolloutHandler::ListRollouts(const v1::ListRolloutsRequest& /*request*/,
+                                          v1::ListRolloutsResponse* response) const {
+  for (const auto& [policy, progress] : rollouts_->List()) {
+    ToProto(policy, progress, response->add_rollouts());
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,41 @@
+// Answers the requests of PolicyAdmin about roll-outs.
+//
+// Thread-safe.
+#ifndef SERVER_ADMIN_ROLLOUT_HANDLER_H_
+#define SERVER_ADMIN_ROLLOUT_HANDLER_H_
+
+#include <string>
+
+#include "absl/status/status.h"
+#include "server/policies/policy_registry.h"
+#include "server/rollouts/rollout_manager.h"
+#include "spikeserve/v1/policy_admin.pb.h"
+
+namespace spikeserve {
+
+class RolloutHandler {
+ public:
+  // `registry` and `rollouts` must outlive this object.
+  RolloutHandler(const PolicyRegistry* registry, RolloutManager* rollouts)
+      : registry_(registry), rollouts_(rollouts) {}
+
+  // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
+  // status that policy_admin.proto names.
+  absl::Status StartRollout(const v1::StartRolloutRequest& request,
+                            v1::StartRolloutResponse* response) const;
+  absl::Status AbortRollout(const v1::AbortRolloutRequest& request,
+                            v1::AbortRolloutResponse* response) const;
+  absl::Status ListRollouts(const v1::ListRolloutsRequest& request,
+                            v1::ListRolloutsResponse* response) const;
+
+ private:
+  // Fills in the last roll-out of `policy`.
+  void Describe(const std::string& policy, v1::Rollout* rollout) const;
+
+  const PolicyRegistry* const registry_;
+  RolloutManager* const rollouts_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_ADMIN_ROLLOUT_HANDLER_H_

@@ -1,0 +1,16 @@
+// Identifies the other end of a connection.
+#ifndef SERVER_BASE_PEER_H_
+#define SERVER_BASE_PEER_H_
+
+#include <string>
+
+namespace spikeserve {
+
+struct Peer {
+  std::string address;      // IP address; "unix" for a socket of the file system
+  std::string certificate;  // subject of the client's certificate, RFC 2253; empty: none
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_BASE_PEER_H_

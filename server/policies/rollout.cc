@@ -1,0 +1,133 @@
+#include "server/policies/rollout.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "core/base/json_object.h"
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr int64_t kFirstVersion = 1;
+
+Json EvidenceJson(const RolloutEvidence& evidence) {
+  return {{"sessions", evidence.sessions},
+          {"failed_sessions", evidence.failed_sessions},
+          {"episodes", evidence.episodes},
+          {"return_mean", evidence.return_mean},
+          {"return_squares", evidence.return_squares}};
+}
+
+absl::Status CheckSteps(const std::vector<int>& steps) {
+  const bool in_range = std::all_of(steps.begin(), steps.end(),
+                                    [](int percent) { return percent >= 1 && percent <= 100; });
+  const bool ascending =
+      std::adjacent_find(steps.begin(), steps.end(), std::greater_equal<>()) == steps.end();
+  if (!steps.empty() && in_range && ascending) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("steps: expected ascending percentages in [1, 100], received ",
+                   steps.empty() ? "none" : absl::StrJoin(steps, ",")));
+}
+
+}  // namespace
+
+absl::Status ReadJson(absl::string_view field, const Json& json, RolloutCondition* condition) {
+  JsonObject object(field, json);
+  object.Required("measure", &condition->measure);
+  object.Required("margin", &condition->margin);
+  return object.Finish();
+}
+
+absl::Status ReadJson(absl::string_view field, const Json& json, RolloutEvidence* evidence) {
+  JsonObject object(field, json);
+  object.Required("sessions", &evidence->sessions, 0);
+  object.Required("failed_sessions", &evidence->failed_sessions, 0);
+  object.Required("episodes", &evidence->episodes, 0);
+  object.Required("return_mean", &evidence->return_mean);
+  object.Required("return_squares", &evidence->return_squares);
+  return object.Finish();
+}
+
+absl::Status Rollout::Validate() const {
+  if (auto status = CheckSteps(steps); !status.ok()) return status;
+  if (!std::isfinite(hold_seconds) || hold_seconds <= 0.0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("hold_seconds: expected a number above 0, received ", hold_seconds));
+  }
+  if (min_episodes < 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("min_episodes: expected at least 0, received ", min_episodes));
+  }
+  if (step < 0 || step >= std::ssize(steps)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("step: expected an index of steps, received ", step));
+  }
+  std::set<RolloutMeasure> seen;
+  for (const RolloutCondition& condition : abort_if) {
+    const absl::string_view measure = ToString(condition.measure);
+    if (!seen.insert(condition.measure).second) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("abort_if: expected each measure once, received ", measure, " twice"));
+    }
+    if (!std::isfinite(condition.margin) || condition.margin < 0.0) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "abort_if.", measure, ": expected a margin of at least 0, received ", condition.margin));
+    }
+  }
+  return absl::OkStatus();
+}
+
+Json RolloutJson(const Rollout& rollout) {
+  Json json = {{"version", rollout.version},
+               {"stable_version", rollout.stable_version},
+               {"steps", rollout.steps},
+               {"hold_seconds", rollout.hold_seconds},
+               {"min_episodes", rollout.min_episodes},
+               {"abort_if", Json::array()},
+               {"state", std::string(ToString(rollout.state))},
+               {"step", rollout.step},
+               {"held_seconds", rollout.held_seconds},
+               {"episodes_at_step", rollout.episodes_at_step},
+               {"started", rollout.started},
+               {"step_started", rollout.step_started},
+               {"ended", rollout.ended},
+               {"reason", rollout.reason},
+               {"new_evidence", EvidenceJson(rollout.new_evidence)},
+               {"stable_evidence", EvidenceJson(rollout.stable_evidence)}};
+  for (const RolloutCondition& condition : rollout.abort_if) {
+    json["abort_if"].push_back(
+        {{"measure", std::string(ToString(condition.measure))}, {"margin", condition.margin}});
+  }
+  return json;
+}
+
+absl::Status ReadJson(absl::string_view field, const Json& json, Rollout* rollout) {
+  JsonObject object(field, json);
+  object.Required("version", &rollout->version, kFirstVersion);
+  object.Required("stable_version", &rollout->stable_version, kFirstVersion);
+  object.Required("steps", &rollout->steps);
+  object.Required("hold_seconds", &rollout->hold_seconds);
+  object.Required("min_episodes", &rollout->min_episodes);
+  object.Required("abort_if", &rollout->abort_if);
+  object.Required("state", &rollout->state);
+  object.Required("step", &rollout->step);
+  object.Required("held_seconds", &rollout->held_seconds);
+  object.Required("episodes_at_step", &rollout->episodes_at_step);
+  object.Required("started", &rollout->started);
+  object.Required("step_started", &rollout->step_started);
+  object.Required("ended", &rollout->ended);
+  object.Required("reason", &rollout->reason);
+  object.Required("new_evidence", &rollout->new_evidence);
+  object.Required("stable_evidence", &rollout->stable_evidence);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const auto valid = rollout->Validate();
+  if (valid.ok()) return valid;
+  return absl::InvalidArgumentError(absl::StrCat(field, ".", valid.message()));
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,282 @@
+#include "server/rollouts/rollout_manager.h"
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "server/base/log.h"
+#include "server/rollouts/rollout_judge.h"
+
+namespace spikeserve {
+namespace {
+
+// The interval at which the evidence of a running roll-out is saved. A crash loses at most this
+// much of it.
+constexpr absl::Duration kSaveInterval = absl::Seconds(5);
+
+double UnixSeconds() { return absl::ToDoubleSeconds(absl::Now() - absl::UnixEpoch()); }
+
+// The new version comes first, so that a growing share keeps the routing keys that it had.
+std::vector<TrafficShare> SharesOf(const Rollout& rollout) {
+  std::vector<TrafficShare> shares = {{.version = rollout.version, .percent = rollout.percent()}};
+  if (rollout.percent() < 100) {
+    shares.push_back({.version = rollout.stable_version, .percent = 100 - rollout.percent()});
+  }
+  return shares;
+}
+
+VersionEvidence::Counts CountsOf(const RolloutEvidence& kept) {
+  return {.sessions = kept.sessions,
+          .failed_sessions = kept.failed_sessions,
+          .episodes = kept.episodes,
+          .return_mean = kept.return_mean,
+          .return_squares = kept.return_squares};
+}
+
+RolloutEvidence EvidenceOf(const VersionEvidence::Counts& counts) {
+  return {.sessions = counts.sessions,
+          .failed_sessions = counts.failed_sessions,
+          .episodes = counts.episodes,
+          .return_mean = counts.return_mean,
+          .return_squares = counts.return_squares};
+}
+
+absl::Status CheckStart(const CatalogPolicy& policy, const PolicySettings& settings,
+                        const Rollout& plan) {
+  if (settings.rollout_running()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("rollout: expected none that is running, received one of version ",
+                     settings.rollout->version));
+  }
+  if (!settings.shares.empty()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("shares: expected none, because a roll-out sets them, received shares of ",
+                     settings.shares.size(), " versions; remove them first"));
+  }
+  const auto next = policy.versions.find(plan.version);
+  if (next == policy.versions.end()) {
+    return absl::NotFoundError(
+        absl::StrCat("version: expected a served version, received ", plan.version));
+  }
+  if (plan.version == policy.DefaultVersion()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("version: expected one that is not the default, received ", plan.version));
+  }
+  if (SameSpaces(*next->second, *policy.versions.at(policy.DefaultVersion()))) {
+    return absl::OkStatus();
+  }
+  return absl::FailedPreconditionError(
+      absl::StrCat("version: expected the observations and actions of version ",
+                   policy.DefaultVersion(), ", the default, received version ", plan.version));
+}
+
+}  // namespace
+
+RolloutManager::RolloutManager(PolicyRegistry* registry, Metrics* metrics, const Clock* clock,
+                               std::function<void(const Change&)> changed)
+    : registry_(registry), metrics_(metrics), clock_(clock), changed_(std::move(changed)) {
+  absl::MutexLock lock(&mutex_);
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    if (!policy.settings.rollout_running()) continue;
+    Watch(name, *policy.settings.rollout);
+    running_[name] = {.ticked = clock_->Now(),
+                      .saved = clock_->Now(),
+                      .held_seconds = policy.settings.rollout->held_seconds};
+  }
+}
+
+void RolloutManager::Watch(const std::string& policy, const Rollout& rollout) {
+  metrics_->EvidenceOf(policy, rollout.version)->Watch(CountsOf(rollout.new_evidence));
+  metrics_->EvidenceOf(policy, rollout.stable_version)->Watch(CountsOf(rollout.stable_evidence));
+}
+
+void RolloutManager::Stop(const std::string& policy, const Rollout& rollout) {
+  metrics_->EvidenceOf(policy, rollout.version)->Stop();
+  metrics_->EvidenceOf(policy, rollout.stable_version)->Stop();
+}
+
+RolloutManager::Progress RolloutManager::ProgressOf(const std::string& policy,
+                                                    const Rollout& rollout) const {
+  if (!rollout.running()) {
+    return {rollout, CountsOf(rollout.new_evidence), CountsOf(rollout.stable_evidence)};
+  }
+  return {rollout, metrics_->EvidenceOf(policy, rollout.version)->Read(),
+          metrics_->EvidenceOf(policy, rollout.stable_version)->Read()};
+}
+
+absl::Status RolloutManager::Start(const std::string& policy, Rollout plan) {
+  absl::MutexLock lock(&mutex_);
+  if (plan.steps.empty()) plan.steps = {1, 10, 50, 100};
+  if (plan.abort_if.empty()) plan.abort_if = DefaultConditions();
+  if (auto status = plan.Validate(); !status.ok()) return status;
+  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    if (auto status = CheckStart(served, *settings, plan); !status.ok()) return status;
+    plan.stable_version = served.DefaultVersion();
+    plan.started = plan.step_started = UnixSeconds();
+    Watch(policy, plan);
+    settings->default_version = plan.stable_version;
+    settings->default_follows_highest = false;
+    settings->shares = SharesOf(plan);
+    settings->rollout = plan;
+    return absl::OkStatus();
+  };
+  auto status = registry_->Change(policy, change);
+  if (status.ok()) running_[policy] = {.ticked = clock_->Now(), .saved = clock_->Now()};
+  return status;
+}
+
+absl::Status RolloutManager::Cancel(const std::string& policy) {
+  absl::MutexLock lock(&mutex_);
+  return End(policy, RolloutState::kCancelled, "an operator ended it");
+}
+
+std::map<std::string, RolloutManager::Progress> RolloutManager::List() const {
+  absl::MutexLock lock(&mutex_);
+  std::map<std::string, Progress> list;
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    if (!policy.settings.rollout.has_value()) continue;
+    Progress progress = ProgressOf(name, *policy.settings.rollout);
+    const auto running = running_.find(name);
+    if (progress.rollout.running() && running != running_.end()) {
+      progress.rollout.held_seconds = running->second.held_seconds;
+    }
+    list.emplace(name, std::move(progress));
+  }
+  return list;
+}
+
+void RolloutManager::SaveEvidence() {
+  absl::MutexLock lock(&mutex_);
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    if (policy.settings.rollout_running()) SaveOrLog(name);
+  }
+}
+
+void RolloutManager::SaveOrLog(const std::string& policy) {
+  const auto status = Save(policy, [](Rollout*, PolicySettings*) {});
+  if (!status.ok()) LogError("roll-out not saved", {{"error", status.message()}});
+}
+
+void RolloutManager::Tick() {
+  absl::MutexLock lock(&mutex_);
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, policy] : catalog->policies()) {
+    if (policy.settings.rollout_running()) TickOne(name, policy);
+  }
+}
+
+void RolloutManager::TickOne(const std::string& policy, const CatalogPolicy& catalog_policy) {
+  Progress progress = ProgressOf(policy, *catalog_policy.settings.rollout);
+  const Rollout& rollout = progress.rollout;
+  Running& running = running_[policy];
+  const absl::Duration now = clock_->Now();
+  running.held_seconds += absl::ToDoubleSeconds(now - std::exchange(running.ticked, now));
+  std::string worse;
+  for (const int64_t version : {rollout.version, rollout.stable_version}) {
+    if (!catalog_policy.versions.contains(version)) {
+      worse = absl::StrCat("version ", version, " is not served any more");
+    }
+  }
+  if (worse.empty()) {
+    worse = FindWorse(rollout.abort_if, progress.new_version, progress.stable_version);
+  }
+  if (!worse.empty()) {
+    SaveAndReport("AbortRollout", policy, worse, [&] {
+      mutex_.AssertHeld();
+      return End(policy, RolloutState::kAborted, worse);
+    });
+  } else if (running.held_seconds >= rollout.hold_seconds &&
+             progress.new_version.episodes - rollout.episodes_at_step >= rollout.min_episodes) {
+    Advance(policy, progress);
+  } else if (now - running.saved >= kSaveInterval) {
+    running.saved = now;
+    SaveOrLog(policy);
+  }
+}
+
+void RolloutManager::Advance(const std::string& policy, const Progress& progress) {
+  const Rollout& rollout = progress.rollout;
+  if (rollout.step + 1 < std::ssize(rollout.steps)) {
+    const int next = rollout.steps[static_cast<size_t>(rollout.step) + 1];
+    const std::string reason =
+        absl::StrCat("from ", rollout.percent(), " % to ", next, " % of the new sessions");
+    return SaveAndReport("AdvanceRollout", policy, reason, [&] {
+      mutex_.AssertHeld();
+      running_[policy].held_seconds = 0.0;
+      return Save(policy, [&](Rollout* changed, PolicySettings* settings) {
+        ++changed->step;
+        changed->step_started = UnixSeconds();
+        changed->episodes_at_step = progress.new_version.episodes;
+        settings->shares = SharesOf(*changed);
+      });
+    });
+  }
+  SaveAndReport("CompleteRollout", policy, "every step was held", [&] {
+    mutex_.AssertHeld();
+    auto status = Save(policy, [&](Rollout* changed, PolicySettings* settings) {
+      changed->state = RolloutState::kCompleted;
+      changed->ended = UnixSeconds();
+      changed->reason = "every step was held";
+      if (changed->percent() < 100) return;
+      settings->default_version = changed->version;
+      settings->shares.clear();
+    });
+    if (status.ok()) Stop(policy, rollout);
+    return status;
+  });
+}
+
+absl::Status RolloutManager::End(const std::string& policy, RolloutState state,
+                                 const std::string& reason) {
+  std::optional<Rollout> ended;
+  auto status = Save(policy, [&](Rollout* changed, PolicySettings* settings) {
+    changed->state = state;
+    changed->ended = UnixSeconds();
+    changed->reason = reason;
+    settings->shares.clear();
+    ended = *changed;
+  });
+  if (status.ok()) Stop(policy, *ended);
+  return status;
+}
+
+absl::Status RolloutManager::Save(const std::string& policy,
+                                  absl::FunctionRef<void(Rollout*, PolicySettings*)> change) {
+  return registry_->Change(policy, [&](const CatalogPolicy& /*served*/, PolicySettings* settings) {
+    mutex_.AssertHeld();
+    if (!settings->rollout_running()) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("rollout: expected one that is running, received none of policy ", policy));
+    }
+    Rollout& rollout = *settings->rollout;
+    const Progress progress = ProgressOf(policy, rollout);
+    rollout.new_evidence = EvidenceOf(progress.new_version);
+    rollout.stable_evidence = EvidenceOf(progress.stable_version);
+    rollout.held_seconds = running_[policy].held_seconds;
+    change(&rollout, settings);
+    return absl::OkStatus();
+  });
+}
+
+void RolloutManager::SaveAndReport(const std::string& action, const std::string& policy,
+                                   const std::string& reason,
+                                   absl::FunctionRef<absl::Status()> save) {
+  const auto before = registry_->catalog();
+  if (auto status = save(); !status.ok()) {
+    return LogError("roll-out not changed",
+                    {{"policy", policy}, {"action", action}, {"error", status.message()}});
+  }
+  changed_({.action = action,
+            .policy = policy,
+            .reason = reason,
+            .before = before,
+            .after = registry_->catalog()});
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,44 @@
+#include "server/rollouts/sequential_test.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+namespace spikeserve {
+namespace {
+
+// Scale of the effects that the test looks for, in standard deviations of one observation.
+constexpr double kEffect = 0.5;
+
+// Returns ln Phi(z), the logarithm of the normal distribution function. Below -30, where Phi
+// underflows, returns its asymptote.
+double LogNormalDistribution(double z) {
+  if (z > -30.0) return std::log(0.5 * std::erfc(-z / std::numbers::sqrt2));
+  return -0.5 * z * z - std::log(-z * std::sqrt(2.0 * std::numbers::pi));
+}
+
+}  // namespace
+
+double LogWorseRatio(const Comparison& comparison, double scale) {
+  if (std::min(comparison.new_count, comparison.stable_count) < kFewestObservations) {
+    return -std::numeric_limits<double>::infinity();
+  }
+  const auto new_count = static_cast<double>(comparison.new_count);
+  const auto stable_count = static_cast<double>(comparison.stable_count);
+  // Welch's variance of the difference of two means, and its variance if one observation had
+  // variance 1.
+  const double variance =
+      comparison.new_variance / new_count + comparison.stable_variance / stable_count;
+  const double unit = 1.0 / new_count + 1.0 / stable_count;
+  const double least = 1e-6 * scale * scale;
+  const double deviation =
+      std::sqrt(std::max({variance / unit, least, std::numeric_limits<double>::min()}));
+  const double effect = comparison.difference / deviation;
+  // The integral of the likelihood ratio over the half-normal mixture, in closed form.
+  const double total = unit + kEffect * kEffect;
+  const double z = effect * kEffect / std::sqrt(unit * total);
+  return std::numbers::ln2 + 0.5 * std::log(unit / total) + 0.5 * z * z + LogNormalDistribution(z);
+}
+
+}  // namespace spikeserve
