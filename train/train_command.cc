@@ -80,6 +80,8 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
                                                held_out, step.hinge));
   }
+  // A run that was resumed after its last iteration has not validated yet.
+  if (validation < 0.0 && trainer->has_validation()) validation = trainer->ValidationLoss();
   return validation;
 }
 

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/strip.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "client/spikectl/admin_call.h"
@@ -59,7 +60,8 @@ v1::ListRolloutsResponse ListRollouts(const Client& client) {
 std::string RolloutOf(const v1::PolicyInfo& policy, const v1::ListRolloutsResponse& rollouts) {
   for (const v1::Rollout& rollout : rollouts.rollouts()) {
     if (rollout.policy() == policy.name() && rollout.version() == policy.version()) {
-      return absl::AsciiStrToLower(v1::Rollout::State_Name(rollout.state()));
+      return absl::AsciiStrToLower(
+          absl::StripPrefix(v1::Rollout::State_Name(rollout.state()), "STATE_"));
     }
   }
   return "";

@@ -30,7 +30,9 @@ absl::StatusOr<v1::RolloutCondition> ParseCondition(absl::string_view text) {
       absl::StrSplit(text, absl::MaxSplits(':', 1));
   v1::RolloutCondition condition;
   v1::RolloutCondition::Measure measure;
-  if (!v1::RolloutCondition::Measure_Parse(absl::AsciiStrToUpper(parts.first), &measure)) {
+  if (!v1::RolloutCondition::Measure_Parse(
+          absl::StrCat("MEASURE_", absl::AsciiStrToUpper(parts.first)), &measure) ||
+      measure == v1::RolloutCondition::MEASURE_UNSPECIFIED) {
     return refuse();
   }
   condition.set_measure(measure);
@@ -62,8 +64,13 @@ absl::StatusOr<v1::StartRolloutRequest> StartRequest(const AdminFlags& flags) {
   return request;
 }
 
+// Returns the name of an enumerator without its prefix, in lower case.
+std::string WordOf(absl::string_view name, absl::string_view prefix) {
+  return absl::AsciiStrToLower(absl::StripPrefix(name, prefix));
+}
+
 std::string StateText(const v1::Rollout& rollout) {
-  return absl::AsciiStrToLower(v1::Rollout::State_Name(rollout.state()));
+  return WordOf(v1::Rollout::State_Name(rollout.state()), "STATE_");
 }
 
 std::string ToText(const v1::VersionEvidence& evidence) {
@@ -94,9 +101,9 @@ ordered_json ToJson(const v1::VersionEvidence& evidence) {
 ordered_json ToJson(const v1::Rollout& rollout) {
   ordered_json conditions = ordered_json::array();
   for (const v1::RolloutCondition& condition : rollout.abort_if()) {
-    conditions.push_back({{"measure", absl::AsciiStrToLower(
-                                          v1::RolloutCondition::Measure_Name(condition.measure()))},
-                          {"margin", condition.margin()}});
+    conditions.push_back(
+        {{"measure", WordOf(v1::RolloutCondition::Measure_Name(condition.measure()), "MEASURE_")},
+         {"margin", condition.margin()}});
   }
   return {{"policy", rollout.policy()},
           {"version", rollout.version()},

@@ -1,8 +1,10 @@
 #include "server/admin/rollout_handler.h"
 
-#include <algorithm>
+#include <array>
 #include <cmath>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -14,6 +16,38 @@ namespace {
 
 constexpr double kP99 = 0.99;
 
+constexpr std::array<std::pair<RolloutMeasure, v1::RolloutCondition::Measure>, 3> kMeasures = {
+    {{RolloutMeasure::kReturn, v1::RolloutCondition::MEASURE_RETURN},
+     {RolloutMeasure::kErrors, v1::RolloutCondition::MEASURE_ERRORS},
+     {RolloutMeasure::kP99, v1::RolloutCondition::MEASURE_P99}}};
+
+absl::StatusOr<RolloutMeasure> MeasureFromProto(v1::RolloutCondition::Measure proto) {
+  for (const auto& [measure, known] : kMeasures) {
+    if (known == proto) return measure;
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat("abort_if.measure: expected MEASURE_RETURN, MEASURE_ERRORS or MEASURE_P99, ",
+                   "received ", static_cast<int>(proto)));
+}
+
+v1::RolloutCondition::Measure ToProto(RolloutMeasure measure) {
+  return kMeasures[static_cast<size_t>(measure)].second;
+}
+
+v1::Rollout::State ToProto(RolloutState state) {
+  switch (state) {
+    case RolloutState::kRunning:
+      return v1::Rollout::STATE_RUNNING;
+    case RolloutState::kCompleted:
+      return v1::Rollout::STATE_COMPLETED;
+    case RolloutState::kAborted:
+      return v1::Rollout::STATE_ABORTED;
+    case RolloutState::kCancelled:
+      break;
+  }
+  return v1::Rollout::STATE_CANCELLED;
+}
+
 absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
   Rollout plan;
   plan.version = request.version();
@@ -21,13 +55,9 @@ absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
   if (request.has_hold_seconds()) plan.hold_seconds = request.hold_seconds();
   if (request.has_min_episodes()) plan.min_episodes = request.min_episodes();
   for (const v1::RolloutCondition& condition : request.abort_if()) {
-    if (!v1::RolloutCondition::Measure_IsValid(condition.measure())) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("abort_if.measure: expected RETURN, ERRORS or P99, received ",
-                       static_cast<int>(condition.measure())));
-    }
-    plan.abort_if.push_back({.measure = static_cast<RolloutMeasure>(condition.measure()),
-                             .margin = condition.margin()});
+    const auto measure = MeasureFromProto(condition.measure());
+    if (!measure.ok()) return measure.status();
+    plan.abort_if.push_back({.measure = *measure, .margin = condition.margin()});
   }
   return plan;
 }
@@ -65,7 +95,7 @@ void ToProto(const std::string& policy, const RolloutManager::Progress& progress
   proto->set_policy(policy);
   proto->set_version(rollout.version);
   proto->set_stable_version(rollout.stable_version);
-  proto->set_state(static_cast<v1::Rollout::State>(rollout.state));
+  proto->set_state(ToProto(rollout.state));
   proto->mutable_steps()->Add(rollout.steps.begin(), rollout.steps.end());
   proto->set_step(static_cast<int32_t>(rollout.step));
   proto->set_percent(rollout.percent());
@@ -73,7 +103,7 @@ void ToProto(const std::string& policy, const RolloutManager::Progress& progress
   proto->set_min_episodes(rollout.min_episodes);
   for (const RolloutCondition& condition : rollout.abort_if) {
     auto* added = proto->add_abort_if();
-    added->set_measure(static_cast<v1::RolloutCondition::Measure>(condition.measure));
+    added->set_measure(ToProto(condition.measure));
     added->set_margin(condition.margin);
   }
   proto->set_reason(rollout.running() ? WaitsFor(progress) : rollout.reason);
@@ -83,11 +113,6 @@ void ToProto(const std::string& policy, const RolloutManager::Progress& progress
   ToProto(progress.new_version, proto->mutable_new_version_evidence());
   ToProto(progress.stable_version, proto->mutable_stable_version_evidence());
 }
-
-static_assert(static_cast<int>(v1::RolloutCondition::P99) ==
-              static_cast<int>(RolloutMeasure::kP99));
-static_assert(static_cast<int>(v1::Rollout::CANCELLED) ==
-              static_cast<int>(RolloutState::kCancelled));
 
 }  // namespace
 

@@ -252,7 +252,7 @@ def test_a_rollout_of_a_worse_version_ends_by_itself(policies, tmp_path, episode
             in metrics
         )
         [status] = json.loads(server.get("/status.json"))["rollouts"]
-        assert status["state"] == "ABORTED"
+        assert status["state"] == "STATE_ABORTED"
         latest = server.act_on("history")["entries"][0]
         assert latest["action"] == "AbortRollout"
         assert latest["address"] == ""

@@ -17,6 +17,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.wait import WebDriverWait
 
+from security import ADMIN
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, running_server
 
 SESSIONS = 1000
@@ -191,10 +192,31 @@ def test_returns_and_learning_are_shown(page, server):
         service.CloseSession(session_id=session)
     assert ended.learning.updates == 1
     shown = "document.querySelector('#returns-table tbody').textContent"
-    page.wait_for(f"{shown}.includes('(default){ended.episode_return:.1f}1')", "the episode")
+    page.wait_for(f"{shown}.includes('100 %{ended.episode_return:.1f}1')", "the episode")
     [row] = [row for row in rows(page, "returns-table") if row[0] == "quiet/1"]
-    assert row[:4] == ["quiet/1", "CartPole-v1 full (default)", "7.0", "1"]
-    assert float(row[4]) == pytest.approx(ended.learning.head_drift, abs=1e-4)
+    assert row[:5] == ["quiet/1", "CartPole-v1 full (default)", "100 %", "7.0", "1"]
+    assert float(row[5]) == pytest.approx(ended.learning.head_drift, abs=1e-4)
+
+
+def test_traffic_and_rollouts_are_shown(browser, tmp_path):
+    for version in ("1", "2"):
+        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", tmp_path / "robot" / version)
+    with running_server(tmp_path) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        admin = Service(channel, ADMIN)
+        admin.SetDefaultVersion(policy="robot", version=1)
+        admin.SetLabel(policy="robot", version=1, label="stable")
+        admin.SetShadow(policy="robot", shadow_version=2)
+        admin.StartRollout(policy="robot", version=2, steps=[25])
+        browser.driver.get(f"http://{addresses.http}/")
+        browser.wait_for("document.querySelectorAll('#rollouts-table tbody tr').length === 1", "the roll-out")
+        [rollout] = rows(browser, "rollouts-table")
+        assert rollout[:4] == ["robot/2", "running", "25", "0"]
+        assert rollout[-1].startswith("waits for ")
+        assert [row[2] for row in rows(browser, "returns-table")] == [
+            "75 % stable",
+            "25 % (shadow) (roll-out running)",
+        ]
+        assert browser.problems() == []
 
 
 def test_every_stage_and_call_is_there(page):

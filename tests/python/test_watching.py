@@ -131,7 +131,7 @@ def roll_out_in_vain(agent, admin):
                 session_id=session.session_id, reward=2 - session.version, terminated=True
             )
             agent.CloseSession(session_id=session.session_id)
-        return admin.ListRollouts().rollouts[0].state == 2  # ABORTED
+        return admin.ListRollouts().rollouts[0].state == 3  # STATE_ABORTED
 
     wait_for(aborted, "the end of the roll-out")
     admin.SetDefaultVersion(policy="cartpole", version=2)
@@ -184,6 +184,9 @@ def prometheus(server, tmp_path_factory):
         with grpc.insecure_channel(server.grpc) as channel:
             play(Service(channel, POLICY))
         wait_for(lambda: api.query(f"{errors} > {before}"), "a scrape after the play")
+        # The shadow computes later than the answers, and later still on a busy machine.
+        shadowed = "increase(spikeserve_shadow_decisions_total[1m]) > 0"
+        wait_for(lambda: api.query(shadowed), "a scrape after the shadow's decisions")
         wait_for(lambda: all(rule["health"] == "ok" for rule in api.rules()), "the rules")
         yield api
 

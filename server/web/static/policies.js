@@ -16,6 +16,11 @@ export function policyRows(window, energyModel) {
   return rows;
 }
 
+/** Returns the state of a roll-out, such as running. */
+function stateOf(rollout) {
+  return rollout.state.replace('STATE_', '').toLowerCase();
+}
+
 /** Returns the share of the new sessions that a version gets, its labels, whether it is the shadow, and its roll-out. */
 function trafficText(policy, rollout) {
   const parts = [];
@@ -23,7 +28,7 @@ function trafficText(policy, rollout) {
   else if (policy.is_default) parts.push('100 %');
   parts.push(...policy.version_labels);
   if (policy.is_shadow) parts.push('(shadow)');
-  if (rollout) parts.push(`(roll-out ${rollout.state.toLowerCase()})`);
+  if (rollout) parts.push(`(roll-out ${stateOf(rollout)})`);
   return parts.join(' ') || NOTHING;
 }
 
@@ -141,7 +146,7 @@ function rolloutRow(rollout) {
   const returned = (evidence) => (Number(evidence.episodes) > 0 ? evidence.mean_return : undefined);
   return {
     key: `${rollout.policy}/${rollout.version}`,
-    state: rollout.state.toLowerCase(),
+    state: stateOf(rollout),
     percent: rollout.percent,
     episodes: Number(fresh.episodes),
     meanReturn: returned(fresh),
