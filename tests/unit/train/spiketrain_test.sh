@@ -51,6 +51,15 @@ grep -q 'spikes per decision' told.txt || fail "the spikes"
 "$spiketrain" train --data=data.cbor --out=asked "${tiny[@]}" --iterations=1 --target_return=321 2>/dev/null |
   grep -qx 'target return: 321, from --target_return' || fail "--target_return"
 "$spiketrain" eval --policy=asked/policy.safetensors --episodes=1 >/dev/null
+# An environment that spiketrain cannot play: the data of CartPole under another name of the same length.
+LC_ALL=C sed 's/CartPole-v1/MyRobot1-v1/g' data.cbor >other.cbor
+"$spiketrain" train --data=other.cbor --out=other "${tiny[@]}" --iterations=1 >other.txt 2>/dev/null
+grep -q '^target return: .*, the best return in the data; ' other.txt || fail "the target of the data: $(cat other.txt)"
+grep -q '^spikes per decision: [1-9].* on the observations of the data' other.txt || fail "the spikes on the data"
+grep -q '^closed-loop play: skipped, because spiketrain does not have MyRobot1-v1. Serve the policy' other.txt ||
+  fail "the play that was skipped"
+"$spiketrain" train --data=other.cbor --out=other "${tiny[@]}" --iterations=1 --json 2>/dev/null |
+  grep -q '"closed_loop_play": "skipped"' || fail "the JSON of a play that was skipped"
 refuses '--target_return: expected a finite number, received inf' train --data=data.cbor --out=x --target_return=inf
 
 "$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=tuned --batch=4 --episodes=2 \
