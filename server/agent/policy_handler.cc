@@ -205,21 +205,28 @@ void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
   answer_group(acts.size());
 }
 
-absl::Status PolicyHandler::ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
-                                     v1::ActBatchResponse* response, DeferredWork* deferred) const {
-  std::vector<AgentAct> acts;
-  acts.reserve(request.requests_size());
-  for (const v1::ActRequest& item : request.requests()) {
+absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
+  if (request.requests_size() <= kMaxBatch) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("requests: expected at most ", kMaxBatch,
+                                                 ", received ", request.requests_size()));
+}
+
+int PolicyHandler::ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request,
+                                 int first, v1::ActBatchResponse* response,
+                                 DeferredWork* deferred) const {
+  const int end = std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
+  absl::InlinedVector<AgentAct, kMaxSessionsPerGroup> acts;
+  for (int i = first; i < end; ++i) {
     acts.push_back({.caller = &caller,
-                    .request = &item,
+                    .request = &request.requests(i),
                     .response = response->add_results()->mutable_response()});
   }
   ActMany(absl::MakeSpan(acts), deferred, [](absl::Span<AgentAct> /*group*/) {});
-  for (size_t i = 0; i < acts.size(); ++i) {
-    if (!acts[i].status.ok())
-      SetError(acts[i].status, response->mutable_results(static_cast<int>(i)));
+  for (int i = first; i < end; ++i) {
+    const absl::Status& status = acts[static_cast<size_t>(i - first)].status;
+    if (!status.ok()) SetError(status, response->mutable_results(i));
   }
-  return absl::OkStatus();
+  return end;
 }
 
 absl::Status PolicyHandler::EndEpisode(const Credential& caller,

@@ -28,6 +28,9 @@ struct LabelLimits {
   static constexpr size_t kBytes = 256;  // of a key, a value or a routing key
 };
 
+// The largest number of requests in one ActBatch.
+inline constexpr int kMaxBatch = 1024;
+
 // One of many decisions that are requested together, each by a caller of its own.
 struct AgentAct {
   const Credential* caller = nullptr;
@@ -68,9 +71,13 @@ class PolicyHandler {
   // part of `acts`, so that its answers can be sent before the next group is decided.
   void ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
                absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const;
-  // Answers each item. An item that fails has its own code in `response`; the call returns OK.
-  absl::Status ActBatch(const Credential& caller, const v1::ActBatchRequest& request,
-                        v1::ActBatchResponse* response, DeferredWork* deferred) const;
+  // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
+  static absl::Status CheckBatch(const v1::ActBatchRequest& request);
+  // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
+  // after the last one. An item that fails has its own code in `response`.
+  // REQUIRES: CheckBatch returned OK.
+  int ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request, int first,
+                    v1::ActBatchResponse* response, DeferredWork* deferred) const;
   absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,

@@ -4,8 +4,24 @@
 
 #include "server/access/admission.h"
 #include "server/agent/convert.h"
+#include "server/services/request_parser.h"
 
 namespace spikeserve {
+namespace {
+
+// Returns the error of an item that exceeded a limit of its tenant; OK if there is none. The batch
+// succeeds, but its caller has to wait as if all of it had been refused.
+absl::Status RefusalWithin(const v1::ActBatchResponse& response) {
+  for (const v1::ActResult& result : response.results()) {
+    if (result.code() == static_cast<int>(absl::StatusCode::kResourceExhausted)) {
+      return absl::ResourceExhaustedError(result.message());
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
 void ActCall::Handle() {
   const auto self = std::static_pointer_cast<ActCall>(shared_from_this());
   queue_.Add({.client = self,
@@ -20,11 +36,24 @@ void ActCall::OnDecided(ActMessages& /*messages*/, const absl::Status& status,
   End(status);
 }
 
+void ActBatchCall::Handle() {
+  if (auto status = PolicyHandler::CheckBatch(request()); !status.ok()) return End(status);
+  queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
+}
+
+bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
+  if (call() == nullptr) return true;
+  decided_ = handler.ActBatchGroup(caller(), request(), decided_, response(), deferred);
+  if (decided_ < request().requests_size()) return false;
+  End({absl::OkStatus(), RefusalWithin(*response())});
+  return true;
+}
+
 void ActStreamCall::HandleMessage(absl::string_view message) {
   const absl::Duration received = context().clock->Now();
   auto messages = std::make_shared<ActMessages>();
-  if (!messages->request()->ParseFromArray(message.data(), static_cast<int>(message.size()))) {
-    return Finish(UnreadableError());
+  if (auto status = ParseRequest(message, messages->request()); !status.ok()) {
+    return Finish(status);
   }
   // The next request of a tenant with a limit must wait if this one is refused.
   const size_t most = caller().tenant()->limits_decisions() ? 1 : kMaxInProgress;

@@ -1,4 +1,4 @@
-// Act and ActStream: calls whose decisions are made together with those of other calls.
+// Act, ActBatch and ActStream: calls whose decisions an ActQueue makes.
 //
 // Confined to the thread of the call's loop.
 #ifndef SERVER_SERVICES_ACT_CALLS_H_
@@ -27,6 +27,24 @@ class ActCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, public 
   void Handle() override;
 
   ActQueue& queue_;
+};
+
+// Decides its requests in groups, one in a turn of the loop, so that other calls do not wait for
+// all of them.
+class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchResponse>,
+                           public ActBatchClient {
+ public:
+  // `queue` must outlive the call.
+  ActBatchCall(const ServiceContext* context, Call* call, ActQueue* queue)
+      : UnaryCall(context, call, Method::kActBatch), queue_(*queue) {}
+
+  bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) override;
+
+ private:
+  void Handle() override;
+
+  ActQueue& queue_;
+  int decided_ = 0;  // requests
 };
 
 // Answers any number of requests. A request that fails is answered with its error, and the stream

@@ -5,7 +5,6 @@
 #include "absl/functional/function_ref.h"
 #include "absl/hash/hash.h"
 #include "absl/types/span.h"
-#include "server/agent/deferred_work.h"
 
 namespace spikeserve {
 namespace {
@@ -38,6 +37,15 @@ void ActQueue::Add(Act act) {
                            ? 0
                            : absl::HashOf(act.messages->request()->session_id()) % queues_.size();
   added_[owner].push_back(std::move(act));
+  AskForTurn();
+}
+
+void ActQueue::AddBatch(std::shared_ptr<ActBatchClient> batch) {
+  batches_.push_back(std::move(batch));
+  AskForTurn();
+}
+
+void ActQueue::AskForTurn() {
   // A request that is read while the queue runs needs another turn.
   if (std::exchange(running_, false)) loop_.events().Post([] {});
 }
@@ -56,7 +64,19 @@ void ActQueue::Run() {
         [owner = queues_[i], batch] { owner->foreign_.push_back(batch); });
   }
   for (const auto& batch : std::exchange(foreign_, {})) DecideForeign(batch);
+  if (!batches_.empty()) DecideBatchGroup();
+  if (!batches_.empty()) AskForTurn();
   running_ = false;
+}
+
+void ActQueue::DecideBatchGroup() {
+  const std::shared_ptr<ActBatchClient> batch = std::move(batches_.front());
+  batches_.pop_front();
+  DeferredWork deferred;
+  const bool done = batch->DecideGroup(handler_, &deferred);
+  loop_.FlushWrites();
+  deferred.Run();
+  if (!done) batches_.push_back(batch);
 }
 
 void ActQueue::Decide(std::vector<Act> acts) {

@@ -9,12 +9,14 @@
 #ifndef SERVER_SERVICES_ACT_QUEUE_H_
 #define SERVER_SERVICES_ACT_QUEUE_H_
 
+#include <deque>
 #include <memory>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
 #include "server/access/authenticator.h"
+#include "server/agent/deferred_work.h"
 #include "server/agent/policy_handler.h"
 #include "server/services/call_messages.h"
 #include "server/transport/transport_loop.h"
@@ -32,6 +34,15 @@ class ActClient {
   // passed to Add().
   virtual void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,
                          absl::Duration received) = 0;
+};
+
+// A call with many requests, of which the queue decides one group in a turn.
+class ActBatchClient {
+ public:
+  virtual ~ActBatchClient() = default;
+  // Decides the next group of at most kMaxSessionsPerGroup requests. Returns true if none is left.
+  // Called on the thread of the loop that the call came from.
+  virtual bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) = 0;
 };
 
 class ActQueue {
@@ -54,6 +65,10 @@ class ActQueue {
   // Adds a request, which is decided at the end of the turn.
   void Add(Act act);
 
+  // Adds a call of many requests. Each turn decides one group of one such call, after everything
+  // that Add() added; several such calls take turns.
+  void AddBatch(std::shared_ptr<ActBatchClient> batch);
+
   // Decides what was added and passes on what belongs to other loops. The answers of each group are
   // written before the next group is decided; then what the answers need not wait for is done.
   void Run();
@@ -67,6 +82,9 @@ class ActQueue {
   };
 
   void Decide(std::vector<Act> acts);
+  void DecideBatchGroup();
+  // Makes sure that Run() is called for what was added.
+  void AskForTurn();
   void DecideForeign(const std::shared_ptr<Batch>& batch);
 
   const PolicyHandler& handler_;
@@ -74,6 +92,7 @@ class ActQueue {
   std::vector<ActQueue*> queues_;
   std::vector<std::vector<Act>> added_;  // by the loop that the session belongs to
   std::vector<std::shared_ptr<Batch>> foreign_;
+  std::deque<std::shared_ptr<ActBatchClient>> batches_;
   bool running_ = false;  // in Run(), and no further turn was asked for
 };
 

@@ -5,7 +5,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "server/services/call_gate.h"
-#include "server/services/service_call.h"
+#include "server/services/request_parser.h"
 
 namespace spikeserve {
 namespace {
@@ -23,8 +23,8 @@ class HealthService::CheckCall : public CallHandler {
 
   void OnMessage(absl::string_view message) override {
     grpc::health::v1::HealthCheckRequest request;
-    if (!request.ParseFromArray(message.data(), static_cast<int>(message.size()))) {
-      return call_->Finish(UnreadableError());
+    if (auto status = ParseRequest(message, &request); !status.ok()) {
+      return call_->Finish(status);
     }
     Answer(request.service());
   }

@@ -1,6 +1,7 @@
 #include "server/services/infer_stream_call.h"
 
 #include "server/access/admission.h"
+#include "server/services/request_parser.h"
 
 namespace spikeserve {
 
@@ -15,9 +16,7 @@ absl::Status InferStreamCall::Answer(const inference::ModelInferRequest& request
 void InferStreamCall::HandleMessage(absl::string_view message) {
   const absl::Duration start = context().clock->Now();
   inference::ModelInferRequest request;
-  if (!request.ParseFromArray(message.data(), static_cast<int>(message.size()))) {
-    return Finish(UnreadableError());
-  }
+  if (auto status = ParseRequest(message, &request); !status.ok()) return Finish(status);
   inference::ModelStreamInferResponse response;
   const absl::Status status = Answer(request, message.size(), response.mutable_infer_response());
   Observe(status, start);

@@ -7,7 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/services/call_gate.h"
-#include "server/services/service_call.h"
+#include "server/services/request_parser.h"
 
 namespace spikeserve {
 namespace {
@@ -96,8 +96,8 @@ void AnswerReflection(const v1::ServerReflectionRequest& request,
 
 void ReflectionCall::OnMessage(absl::string_view message) {
   v1::ServerReflectionRequest request;
-  if (!request.ParseFromArray(message.data(), static_cast<int>(message.size()))) {
-    return call_->Finish(UnreadableError());
+  if (auto status = ParseRequest(message, &request); !status.ok()) {
+    return call_->Finish(status);
   }
   v1::ServerReflectionResponse response;
   AnswerReflection(request, services_, &response);

@@ -6,11 +6,6 @@
 
 namespace spikeserve {
 
-absl::Status UnreadableError() {
-  return absl::InternalError(
-      "message: expected a request of this method, received bytes that are none");
-}
-
 void ServiceCall::Start() {
   const absl::Duration start = context_.clock->Now();
   if (admission_.ok()) {

@@ -19,10 +19,6 @@
 
 namespace spikeserve {
 
-// Returns the error of a message whose bytes are no request of the method: INTERNAL, as gRPC's own
-// servers answer.
-absl::Status UnreadableError();
-
 class ServiceCall : public CallHandler, public std::enable_shared_from_this<ServiceCall> {
  public:
   // `context` must outlive the call.

@@ -41,17 +41,6 @@ std::shared_ptr<CallHandler> Started(std::shared_ptr<ServiceCall> call) {
   return call;
 }
 
-// Returns the error of an item that exceeded a limit of its tenant; OK if there is none. The batch
-// succeeds, but its caller has to wait as if all of it had been refused.
-absl::Status RefusalWithin(const v1::ActBatchResponse& response) {
-  for (const v1::ActResult& result : response.results()) {
-    if (result.code() == static_cast<int>(absl::StatusCode::kResourceExhausted)) {
-      return absl::ResourceExhaustedError(result.message());
-    }
-  }
-  return absl::OkStatus();
-}
-
 }  // namespace
 
 Services::Services(const ServiceContext& context, const Handlers& handlers)
@@ -76,11 +65,7 @@ void Services::AddInline(Method method, Handler* handler, HandlerMethod handler_
   using Response = typename Types::Response;
   const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
                                                 Response* response, DeferredWork* deferred) {
-    CallOutcome outcome(Invoke(*handler, handler_method, caller, request, response, deferred));
-    if constexpr (std::is_same_v<Response, v1::ActBatchResponse>) {
-      if (outcome.status.ok()) outcome.refusal = RefusalWithin(*response);
-    }
-    return outcome;
+    return CallOutcome(Invoke(*handler, handler_method, caller, request, response, deferred));
   };
   using AnswerType = decltype(answer);
   table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
@@ -138,7 +123,6 @@ void Services::AddPolicyService() {
   const PolicyHandler* policy = handlers_.policy;
   AddInline(Method::kListPolicies, policy, &PolicyHandler::ListPolicies);
   AddInline(Method::kOpenSession, policy, &PolicyHandler::OpenSession);
-  AddInline(Method::kActBatch, policy, &PolicyHandler::ActBatch);
   AddInline(Method::kEndEpisode, policy, &PolicyHandler::EndEpisode);
   AddInline(Method::kGetSession, policy, &PolicyHandler::GetSession);
   AddInline(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
@@ -146,6 +130,10 @@ void Services::AddPolicyService() {
   table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kAct).name),
              [this](Call* call, LoopServices* loop) {
                return Started(std::make_shared<ActCall>(&context_, call, &loop->acts()));
+             });
+  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kActBatch).name),
+             [this](Call* call, LoopServices* loop) {
+               return Started(std::make_shared<ActBatchCall>(&context_, call, &loop->acts()));
              });
   table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kActStream).name),
              [this](Call* call, LoopServices* loop) {

@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "server/access/admission.h"
 #include "server/services/call_messages.h"
+#include "server/services/request_parser.h"
 #include "server/services/service_call.h"
 
 namespace spikeserve {
@@ -56,11 +57,9 @@ class UnaryCall : public ServiceCall {
     if (std::exchange(received_, true)) {
       return Finish(absl::InternalError("message: expected one request, received a second one"));
     }
-    if (!messages_.request()->ParseFromArray(message.data(), static_cast<int>(message.size()))) {
-      return End(UnreadableError());
-    }
-    const auto status =
+    auto status =
         CheckSize(caller(), static_cast<int64_t>(message.size()), context().max_message_bytes);
+    if (status.ok()) status = ParseRequest(message, messages_.request());
     if (!status.ok()) return End(status);
     Handle();
   }

@@ -1,0 +1,172 @@
+"""What one caller sends is bounded: its memory, and how long other callers wait for it."""
+
+import json
+import os
+import threading
+
+import grpc
+import pytest
+from security import OBSERVATION, POLICY, TOKENS, service_with
+from serving import DEADLINE_SECONDS, message_class, running_server
+
+from tests.attacks.process import MEGABYTE, Process
+
+ITEMS_MOST = 1024
+
+
+@pytest.fixture(scope="module")
+def addresses(tmp_path_factory):
+    """Starts a server with one loop, so that all calls meet in it."""
+    tokens = tmp_path_factory.mktemp("tokens") / "tokens.json"
+    tokens.write_text(json.dumps(TOKENS))
+    with running_server(flags=[f"--tokens={tokens}", "--loops=1"]) as started:
+        yield started
+
+
+def raw_call(addresses, method, body, token):
+    """Sends bytes as the request of a method. Returns the status code."""
+    options = [("grpc.use_local_subchannel_pool", 1)]  # a connection for each call
+    with grpc.insecure_channel(addresses.grpc, options) as channel:
+        call = channel.unary_unary(method)
+        try:
+            call(
+                body,
+                metadata=[("authorization", f"Bearer {token}")],
+                timeout=4 * DEADLINE_SECONDS,
+            )
+        except grpc.RpcError as error:
+            return error.code()
+    return grpc.StatusCode.OK
+
+
+def peak_of(addresses, count, *call):
+    """Makes `count` calls at once. Returns their codes and the memory that they took at most."""
+    process = Process(addresses.process.pid)
+    idle = process.memory()
+    process.reset_peak()
+    codes = []
+    threads = [
+        threading.Thread(target=lambda: codes.append(raw_call(addresses, *call)))
+        for _ in range(count)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return codes, process.peak() - idle
+
+
+def test_long_requests_with_a_wrong_token_occupy_no_memory(addresses):
+    body = os.urandom(MEGABYTE) * 60
+    codes, peak = peak_of(addresses, 20, f"/{POLICY}/OpenSession", body, "wrong")
+    # gRPC's client reports what it notices first: the answer, or that the server reads no further.
+    assert set(codes) <= {grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.UNAVAILABLE}
+    assert peak < 40 * MEGABYTE
+
+
+@pytest.mark.parametrize(
+    "method",
+    [f"/{POLICY}/ActBatch", "/inference.GRPCInferenceService/ModelInfer"],
+)
+def test_a_request_of_empty_elements_takes_four_times_its_size(addresses, method):
+    tags = {f"/{POLICY}/ActBatch": b"\x0a\x00"}
+    body = tags.get(method, b"\x2a\x00") * (2 * MEGABYTE - 512)
+    codes, peak = peak_of(addresses, 4, method, body, "agent")
+    assert codes == [grpc.StatusCode.INVALID_ARGUMENT] * 4
+    assert peak < 4 * 4 * len(body)
+
+
+def test_a_batch_is_bounded_and_so_is_its_answer(addresses):
+    with service_with(addresses, "agent") as agent:
+        unknown = {"session_id": "0" * 32, "step": 1, "observation": OBSERVATION}
+        with pytest.raises(grpc.RpcError) as refused:
+            agent.ActBatch(requests=[unknown] * (ITEMS_MOST + 1))
+        assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert refused.value.details() == "requests: expected at most 1024, received 1025"
+
+        with grpc.insecure_channel(addresses.grpc) as channel:
+            request = message_class(channel, "spikeserve.v1.ActBatchRequest")(
+                requests=[unknown] * ITEMS_MOST
+            )
+        answer = agent.ActBatch(requests=[unknown] * ITEMS_MOST)
+        assert len(answer.results) == ITEMS_MOST
+        assert answer.ByteSize() <= 4 * request.ByteSize()
+
+
+def test_a_batch_is_decided_in_the_order_of_its_requests(addresses):
+    with service_with(addresses, "agent") as agent:
+        sessions = [agent.OpenSession(policy="cartpole", seed=s).session_id for s in range(3)]
+        items = [
+            {"session_id": session, "step": step, "observation": OBSERVATION, "reward": 1.0}
+            for step in range(30)
+            for session in sessions
+        ]
+        results = agent.ActBatch(requests=items).results
+        assert [result.code for result in results] == [0] * 90
+        assert [result.response.step for result in results] == [i["step"] for i in items]
+        assert [result.response.session_id for result in results] == sessions * 30
+
+
+def test_other_calls_are_answered_while_a_batch_is_decided(addresses):
+    with (
+        service_with(addresses, "agent") as agent,
+        service_with(addresses, "rival") as rival,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        neighbour = rival.OpenSession(policy="cartpole").session_id
+        step = 0
+        request_class = message_class(channel, "spikeserve.v1.ActBatchRequest")
+        batch_call = channel.unary_unary(
+            f"/{POLICY}/ActBatch", request_serializer=request_class.SerializeToString
+        )
+        answered = []
+        for _ in range(5):  # the machine may stop one of the programs for a while
+            session = agent.OpenSession(policy="cartpole").session_id
+            items = [
+                {"session_id": session, "step": i, "observation": OBSERVATION}
+                for i in range(ITEMS_MOST)
+            ]
+            batch = batch_call.future(
+                request_class(requests=items),
+                metadata=[("authorization", "Bearer agent")],
+                timeout=DEADLINE_SECONDS,
+            )
+            first = step
+            while not batch.done():
+                rival.Act(session_id=neighbour, step=step, observation=OBSERVATION)
+                step += 1
+            assert batch.code() == grpc.StatusCode.OK
+            answered.append(step - first)
+        # Without a pause between the groups of a batch, one call waits for all of it.
+        assert max(answered) > 5, answered
+
+
+def test_a_cancelled_batch_is_decided_no_further(addresses):
+    with (
+        service_with(addresses, "agent") as agent,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        request_class = message_class(channel, "spikeserve.v1.ActBatchRequest")
+        batch_call = channel.unary_unary(
+            f"/{POLICY}/ActBatch", request_serializer=request_class.SerializeToString
+        )
+        decided = []
+        for _ in range(5):  # as above
+            session = agent.OpenSession(policy="cartpole").session_id
+            items = [
+                {"session_id": session, "step": i, "observation": OBSERVATION}
+                for i in range(ITEMS_MOST)
+            ]
+            batch = batch_call.future(
+                request_class(requests=items),
+                metadata=[("authorization", "Bearer agent")],
+                timeout=DEADLINE_SECONDS,
+            )
+            while agent.GetSession(session_id=session).decisions == 0 and not batch.done():
+                pass
+            batch.cancel()
+            counts = [-1]
+            while counts[-1] != (now := agent.GetSession(session_id=session).decisions):
+                counts.append(now)
+            decided.append(counts[-1])
+        assert min(decided) < ITEMS_MOST, decided
