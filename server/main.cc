@@ -114,6 +114,9 @@ absl::Status Serve(const ServerOptions& options) {
   sigaddset(&stop_signals, SIGINT);
   pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
 
+  // A file that exceeds the limit of the process is an error of the call that wrote it.
+  signal(SIGXFSZ, SIG_IGN);
+
   SetLogFormat(options.log_format);
   const auto server = Server::Start(options);
   if (!server.ok()) return server.status();

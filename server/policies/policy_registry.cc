@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "server/policies/version_writer.h"
 
 namespace spikeserve {
 namespace {
@@ -72,6 +73,7 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOpt
           status, "--policy_settings: expected a file in a directory that the server can write");
     }
   }
+  SweepUnfinishedVersions(directory);
   auto loaded = registry->Reload();
   if (!loaded.ok()) return Annotate(loaded.status(), "--policies");
   *report = *std::move(loaded);

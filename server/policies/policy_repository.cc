@@ -39,18 +39,6 @@ absl::StatusOr<std::vector<fs::path>> ListFolders(const fs::path& directory) {
   return folders;
 }
 
-// Parses the name of a version folder. Accepts only decimal digits without a leading zero, so that
-// no two folders stand for the same version.
-absl::StatusOr<int64_t> ParseVersion(const fs::path& folder) {
-  const std::string name = folder.filename().string();
-  int64_t version = 0;
-  if (!absl::SimpleAtoi(name, &version) || version < 1 || absl::StrCat(version) != name) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(folder.string(), ": expected a version, a positive integer, as its name"));
-  }
-  return version;
-}
-
 // Makes one decision, so that all data that a decision touches is in memory before the first
 // request. Returns INVALID_ARGUMENT if the result is not finite.
 absl::Status WarmUp(const Engine& engine, const std::string& path) {
@@ -128,6 +116,16 @@ bool IsPlainName(const std::string& name) {
   });
 }
 
+absl::StatusOr<int64_t> ParseVersion(const fs::path& folder) {
+  const std::string name = folder.filename().string();
+  int64_t version = 0;
+  if (!absl::SimpleAtoi(name, &version) || version < 1 || absl::StrCat(version) != name) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(folder.string(), ": expected a version, a positive integer, as its name"));
+  }
+  return version;
+}
+
 absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory) {
   const auto policies = ListFolders(directory);
   if (!policies.ok()) return policies.status();
@@ -146,6 +144,8 @@ absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory) {
     }
     for (const fs::path& version_folder : *versions) {
       const auto version = ParseVersion(version_folder);
+      std::error_code ignored;
+      if (version.ok() && fs::is_empty(version_folder, ignored)) continue;
       if (version.ok()) {
         found.versions.push_back({.policy = name, .version = *version});
       } else {

@@ -5,7 +5,9 @@
 #define SERVER_POLICIES_POLICY_REPOSITORY_H_
 
 #include <compare>
+#include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <memory>
@@ -42,7 +44,12 @@ struct PolicyFolders {
   std::vector<absl::Status> refused;    // folders with invalid names; messages start with the path
 };
 
-// Lists the policies and versions in `directory`. Returns NOT_FOUND if there is no such directory.
+// Returns the version that a folder stands for, by its name: decimal digits without a leading zero,
+// so that no two folders stand for the same version. Returns INVALID_ARGUMENT for any other name.
+absl::StatusOr<int64_t> ParseVersion(const std::filesystem::path& folder);
+
+// Lists the policies and versions in `directory`, without empty version folders. Returns NOT_FOUND
+// if there is no such directory.
 absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory);
 
 // Explains why nothing of `directory` can be served and what to do: names the directory that was
@@ -50,8 +57,11 @@ absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory);
 std::string ExplainNoPolicies(const std::string& directory,
                               const std::vector<absl::Status>& refused);
 
-// Returns true if `name` is valid for a policy or a label: letters, digits, '.', '-' and '_', not
-// starting with '.'. Names become part of paths and metric labels.
+// The longest name of a policy or a label, in bytes.
+inline constexpr size_t kLongestName = 128;
+
+// Returns true if `name` is valid for a policy or a label: at most kLongestName letters, digits,
+// '.', '-' and '_', not starting with '.'. Names become part of paths and metric labels.
 bool IsPlainName(const std::string& name);
 
 std::string PolicyFilePath(const std::string& directory, const PolicyVersion& version);
