@@ -4,10 +4,16 @@
 #include <spdlog/spdlog.h>
 
 #include <atomic>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -43,17 +49,55 @@ std::string Escaped(absl::string_view text) {
             nlohmann::json::error_handler_t::replace);
 }
 
+// Counts the lines of one kind.
+class LineBudget {
+ public:
+  // Returns how many lines were left out since the last one, or nothing if this one is to be left
+  // out, too.
+  std::optional<int64_t> Take(absl::Time now) {
+    if (now - second_ >= absl::Seconds(1) || now < second_) {
+      second_ = now;
+      lines_ = 0;
+    }
+    if (++lines_ > kMostLinesPerSecond) {
+      ++suppressed_;
+      return std::nullopt;
+    }
+    return std::exchange(suppressed_, 0);
+  }
+
+ private:
+  absl::Time second_ = absl::InfinitePast();  // start of the running second
+  int64_t lines_ = 0;                         // in it
+  int64_t suppressed_ = 0;
+};
+
+// Returns the result of LineBudget::Take() for a line of this kind. There are as many kinds as
+// constants in the program.
+std::optional<int64_t> TakeLine(spdlog::level::level_enum level, absl::string_view message) {
+  using Kind = std::pair<int, std::string>;
+  static absl::Mutex mutex(absl::kConstInit);
+  static auto* const budgets = new std::map<Kind, LineBudget>();  // never destroyed, as Logger()
+  absl::MutexLock lock(&mutex);
+  return (*budgets)[Kind(level, message)].Take(absl::Now());
+}
+
+void AppendField(bool json, absl::string_view key, absl::string_view value, std::string* line) {
+  if (json) {
+    absl::StrAppend(line, ",\"", key, "\":", Escaped(value));
+  } else {
+    absl::StrAppend(line, " ", key, "=", Escaped(value));
+  }
+}
+
 void Write(spdlog::level::level_enum level, absl::string_view message,
            std::initializer_list<LogField> fields) {
+  const auto suppressed = TakeLine(level, message);
+  if (!suppressed.has_value()) return;
   const bool json = format.load(std::memory_order_relaxed) == LogFormat::kJson;
   std::string line = json ? absl::StrCat("\"message\":", Escaped(message)) : std::string(message);
-  for (const LogField& field : fields) {
-    if (json) {
-      absl::StrAppend(&line, ",\"", field.key, "\":", Escaped(field.value));
-    } else {
-      absl::StrAppend(&line, " ", field.key, "=", Escaped(field.value));
-    }
-  }
+  for (const LogField& field : fields) AppendField(json, field.key, field.value, &line);
+  if (*suppressed > 0) AppendField(json, "suppressed", absl::StrCat(*suppressed), &line);
   Logger().log(level, spdlog::string_view_t(line));
 }
 

@@ -8,7 +8,11 @@
 //   {"time":"2027-01-31T12:00:00.000Z","level":"warning","message":"policy refused","path":"a/...
 //
 // Escapes control characters and invalid UTF-8 in values, because values may come from clients: a
-// value can neither forge a log line nor send control sequences to a terminal. Thread-safe.
+// value can neither forge a log line nor send control sequences to a terminal.
+//
+// Writes at most kMostLinesPerSecond lines of a kind a second, so that events that clients cause
+// cannot fill a disk. Lines of the same level and message are of one kind. The next line of the
+// kind says in the field `suppressed` how many were left out. Thread-safe.
 #ifndef SERVER_BASE_LOG_H_
 #define SERVER_BASE_LOG_H_
 
@@ -19,6 +23,8 @@
 #include "core/base/enum_names.h"
 
 namespace spikeserve {
+
+inline constexpr int kMostLinesPerSecond = 10;
 
 enum class LogFormat { kText, kJson };
 

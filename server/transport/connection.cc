@@ -411,10 +411,8 @@ int Connection::OnHeader(int32_t id, absl::string_view name, absl::string_view v
 
 int Connection::Condemn(absl::string_view limit) {
   condemned_ = true;
-  if (shared_->log_lines.Take(loop().now())) {
-    LogWarning("connection closed, because its client has exceeded a limit",
-               {{"client", slot_->address()}, {"limit", limit}});
-  }
+  LogWarning("connection closed, because its client has exceeded a limit",
+             {{"client", slot_->address()}, {"limit", limit}});
   return NGHTTP2_ERR_CALLBACK_FAILURE;
 }
 

@@ -42,7 +42,6 @@ class Connection final : public EventLoop::Source,
     std::function<void(Connection*)> closed;  // destroys the connection at the end of the turn
     StrangerQueue stranger_queue;
     std::function<void(Connection*)> called;    // the connection has made its first call
-    FrameBudget log_lines = FrameBudget(10);    // about clients that exceed a limit
     std::vector<Connection*> to_flush = {};     // have something to send at the end of the turn
     std::vector<Connection*> to_continue = {};  // have something to read in the next turn
   };

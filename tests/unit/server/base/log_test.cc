@@ -3,8 +3,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <string>
 
+#include "absl/time/clock.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -49,6 +51,30 @@ TEST_F(LogTest, ValuesAreEscapedInBothFormats) {
     EXPECT_EQ(line.find('\n'), line.size() - 1) << line;
     for (const char c : line.substr(0, line.size() - 1)) EXPECT_TRUE(c >= ' ' && c <= '~') << line;
   }
+}
+
+TEST_F(LogTest, AFloodOfOneKindIsCut) {
+  testing::internal::CaptureStderr();
+  for (int i = 0; i < 1000; ++i) LogWarning("flood", {{"number", std::to_string(i)}});
+  LogError("flood");  // another kind
+  const std::string lines = testing::internal::GetCapturedStderr();
+  const auto count = std::count(lines.begin(), lines.end(), '\n');
+  EXPECT_GT(count, kMostLinesPerSecond);
+  EXPECT_LE(count, 3 * kMostLinesPerSecond);  // a busy machine may need more than a second
+  EXPECT_THAT(lines, HasSubstr("error flood\n"));
+}
+
+TEST_F(LogTest, ALineSaysHowManyWereLeftOut) {
+  testing::internal::CaptureStderr();
+  const absl::Time end = absl::Now() + absl::Seconds(30);
+  std::string lines;
+  while (lines.find("suppressed=") == std::string::npos && absl::Now() < end) {
+    for (int i = 0; i < 100; ++i) LogWarning("left out");
+    lines += testing::internal::GetCapturedStderr();
+    testing::internal::CaptureStderr();
+  }
+  testing::internal::GetCapturedStderr();
+  EXPECT_THAT(lines, HasSubstr("warning left out suppressed=\""));
 }
 
 }  // namespace
