@@ -89,6 +89,11 @@ class AgentSession {
   // Records the episodes that start after this call.
   void RecordTo(std::unique_ptr<EpisodeRecorder> recorder) { recorder_ = std::move(recorder); }
 
+  // Returns where the recording of the last episode that has ended is now.
+  RecordingState recording_state() const {
+    return recorder_ == nullptr ? RecordingState::kNotRecorded : recorder_->last_state();
+  }
+
   // Frees the engine's context. The next decision rebuilds it.
   void DropContext();
 

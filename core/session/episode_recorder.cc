@@ -31,6 +31,7 @@ void EpisodeRecorder::OnDecision(const Session& session, absl::Span<const float>
 }
 
 void EpisodeRecorder::Start(const Session& session) {
+  last_ = nullptr;
   const Policy& policy = served_->policy();
   const SessionOptions& options = session.options;
   Episode episode;
@@ -90,7 +91,7 @@ void EpisodeRecorder::CutOff() {
 void EpisodeRecorder::PassToSink() {
   Dataset dataset = *std::move(running_);
   running_.reset();
-  if (dataset.episodes[0].steps() > 0) sink_(std::move(dataset));
+  last_ = dataset.episodes[0].steps() > 0 ? sink_(std::move(dataset)) : nullptr;
 }
 
 }  // namespace spikeserve

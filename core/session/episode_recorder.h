@@ -4,6 +4,7 @@
 #ifndef CORE_SESSION_EPISODE_RECORDER_H_
 #define CORE_SESSION_EPISODE_RECORDER_H_
 
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -15,6 +16,16 @@
 
 namespace spikeserve {
 
+// Where the recording of an episode is.
+enum class RecordingState {
+  kNotRecorded,  // nowhere, for example because it was lost
+  kQueued,       // in memory; a crash loses it
+  kStored,       // on the disk
+};
+
+// Follows the recording of one episode. Thread-safe.
+using RecordingTicket = std::shared_ptr<const std::atomic<RecordingState>>;
+
 // Passes every finished episode to a sink.
 class EpisodeRecorder {
  public:
@@ -22,9 +33,9 @@ class EpisodeRecorder {
   // occupy.
   static constexpr int kLongestEpisode = 100'000;
 
-  // Receives every episode of at least one complete step, as a dataset of one episode. A decision
-  // may wait for the sink, so it must be quick and must never block.
-  using Sink = std::function<void(Dataset)>;
+  // Receives every episode of at least one complete step, as a dataset of one episode, and returns
+  // its ticket. A decision may wait for the sink, so it must be quick and must never block.
+  using Sink = std::function<RecordingTicket(Dataset)>;
 
   EpisodeRecorder(std::shared_ptr<const ServedPolicy> served, Sink sink);
 
@@ -42,6 +53,11 @@ class EpisodeRecorder {
   // recorded as truncated.
   void OnEnd(double reward, absl::Span<const float> observation, bool terminated, bool truncated);
 
+  // Returns where the last episode that has ended is now.
+  RecordingState last_state() const {
+    return last_ == nullptr ? RecordingState::kNotRecorded : last_->load();
+  }
+
  private:
   void Start(const Session& session);
   void PassToSink();
@@ -52,6 +68,7 @@ class EpisodeRecorder {
   const std::shared_ptr<const ServedPolicy> served_;
   const Sink sink_;
   std::optional<Dataset> running_;  // of one episode; absent: none is being recorded
+  RecordingTicket last_;            // of the last episode that has ended; null: it was not recorded
 };
 
 }  // namespace spikeserve

@@ -131,6 +131,18 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
   return proto;
 }
 
+v1::RecordingState ToProto(RecordingState state) {
+  switch (state) {
+    case RecordingState::kQueued:
+      return v1::QUEUED;
+    case RecordingState::kStored:
+      return v1::STORED;
+    case RecordingState::kNotRecorded:
+      break;
+  }
+  return v1::NOT_RECORDED;
+}
+
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
   v1::EndEpisodeResponse proto;
   proto.set_episode_return(summary.episode_return);

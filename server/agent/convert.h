@@ -25,6 +25,7 @@ absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& re
 v1::ActionSpace ToProto(const ActionSpace& space);
 // REQUIRES: `entry` is the policy that `served` is a version of.
 v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served);
+v1::RecordingState ToProto(RecordingState state);
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary);
 v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta);
 

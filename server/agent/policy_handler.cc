@@ -244,6 +244,7 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
   const auto summary = (*entry)->agent.EndEpisode(end);
   if (!summary.ok()) return summary.status();
   *response = ToProto(*summary);
+  response->set_recording(ToProto((*entry)->agent.recording_state()));
   return absl::OkStatus();
 }
 

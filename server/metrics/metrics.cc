@@ -101,6 +101,13 @@ Metrics::Metrics()
       sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
                                 "Limit on the open sessions of all policies together.")
                            .Add({})) {
+  recording_queue_episodes_ =
+      &Register(BuildGauge(), "spikeserve_recording_queue_episodes",
+                "Recorded episodes that wait to be written. A crash loses them.")
+           .Add({});
+  recording_queue_bytes_ = &Register(BuildGauge(), "spikeserve_recording_queue_bytes",
+                                     "Memory of the recorded episodes that wait to be written.")
+                                .Add({});
   auto& recorded = Register(BuildCounter(), "spikeserve_recorded_episodes_total",
                             "Episodes of recorded sessions, by outcome: written, queue_full or "
                             "write_failed. Episodes that are not written are lost.");

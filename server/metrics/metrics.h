@@ -70,6 +70,12 @@ class Metrics {
     recorded_episodes_[static_cast<size_t>(outcome)]->Increment();
   }
 
+  // Changes the gauges of the episodes that wait to be written.
+  void AddRecordingQueue(int64_t episodes, int64_t bytes) {
+    recording_queue_episodes_->Increment(static_cast<double>(episodes));
+    recording_queue_bytes_->Increment(static_cast<double>(bytes));
+  }
+
   // Exports the limit on open sessions.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
 
@@ -118,6 +124,17 @@ class Metrics {
   prometheus::Counter* reaped_idle_;
   prometheus::Gauge* sessions_limit_;
   std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
+  prometheus::Gauge* recording_queue_episodes_;
+  prometheus::Gauge* recording_queue_bytes_;
+  // The time series of one policy version.
+  struct VersionSeries {
+    int observers = 0;
+    std::map<const void*, std::function<void()>> removals;  // by series
+  };
+  absl::Mutex versions_mutex_;
+  std::map<std::string, VersionSeries> versions_
+      ABSL_GUARDED_BY(versions_mutex_);  // by name/number
+
   // Created when a method first returns a code, because most pairs never occur.
   std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
 };

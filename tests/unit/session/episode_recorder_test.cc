@@ -19,8 +19,10 @@ class EpisodeRecorderTest : public ::testing::Test {
   std::unique_ptr<AgentSession> Open(SessionOptions options = SmallOptions()) {
     auto agent =
         std::make_unique<AgentSession>(served_, NewSession("id", std::move(options)), &clock_);
-    agent->RecordTo(std::make_unique<EpisodeRecorder>(
-        served_, [this](Dataset dataset) { recorded_.push_back(std::move(dataset)); }));
+    agent->RecordTo(std::make_unique<EpisodeRecorder>(served_, [this](Dataset dataset) {
+      recorded_.push_back(std::move(dataset));
+      return std::make_shared<const std::atomic<RecordingState>>(RecordingState::kStored);
+    }));
     return agent;
   }
 
@@ -86,6 +88,16 @@ TEST_F(EpisodeRecorderTest, AnEpisodeIsWhatWasAskedAndAnswered) {
   ASSERT_EQ(recorded_.size(), 2u);
   EXPECT_EQ(recorded_[1].episodes[0].served->episode, 1);
   EXPECT_EQ(recorded_[1].episodes[0].served->target_return, 20.0);
+}
+
+TEST_F(EpisodeRecorderTest, TheStateIsThatOfTheLastEpisodeThatEnded) {
+  const auto agent = Open();
+  EXPECT_EQ(agent->recording_state(), RecordingState::kNotRecorded);
+  Play(*agent, 2);
+  ASSERT_TRUE(agent->EndEpisode({.reward = 1.0}).ok());
+  EXPECT_EQ(agent->recording_state(), RecordingState::kStored);
+  Play(*agent, 1);
+  EXPECT_EQ(agent->recording_state(), RecordingState::kNotRecorded);
 }
 
 TEST_F(EpisodeRecorderTest, AnUnknownLastObservationIsNoNumber) {

@@ -1,0 +1,92 @@
+"""What EndEpisode says about a recording is true, on a full disk, too."""
+
+import subprocess
+import urllib.request
+
+import grpc
+import pytest
+from security import OBSERVATION, until
+from serving import Service, message_class, running_server
+
+STEPS = 200
+LONGEST_FILE = 8192  # bytes; shorter than an episode of STEPS, longer than the log
+EPISODES = 100
+
+
+class Player:
+    """Plays recorded episodes."""
+
+    def __init__(self, channel, record=True):
+        self._policy = Service(channel, "spikeserve.v1.PolicyService")
+        opened = self._policy.OpenSession(policy="cartpole-sparse", record=record)
+        self._session = opened.session_id
+        self.recording = opened.recording
+        states = message_class(channel, "spikeserve.v1.EndEpisodeResponse").DESCRIPTOR
+        self._states = states.fields_by_name["recording"].enum_type.values_by_number
+
+    def play(self, steps=STEPS):
+        items = [
+            {"session_id": self._session, "step": step, "observation": OBSERVATION}
+            for step in range(steps)
+        ]
+        for result in self._policy.ActBatch(requests=items).results:
+            assert result.code == 0
+        return self.end()
+
+    def end(self):
+        """Ends the episode, or asks again about the last one."""
+        ended = self._policy.EndEpisode(session_id=self._session, terminated=True)
+        return self._states[ended.recording].name
+
+
+def metric(addresses, name):
+    with urllib.request.urlopen(f"http://{addresses.http}/metrics") as page:
+        lines = page.read().decode().splitlines()
+    (line,) = [line for line in lines if line.startswith(f"{name} ")]
+    return float(line.split()[1])
+
+
+def test_stored_means_that_the_file_is_there(tmp_path):
+    with (
+        running_server(flags=[f"--record_dir={tmp_path}"]) as addresses,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        player = Player(channel)
+        for episode in range(5):
+            path = tmp_path / player.recording / f"{episode:06}.cbor"
+            if player.play(steps=3) == "QUEUED":
+                until(lambda: player.end() == "STORED")
+            assert path.exists()
+        until(lambda: metric(addresses, "spikeserve_recording_queue_episodes") == 0)
+        assert metric(addresses, "spikeserve_recording_queue_bytes") == 0
+        assert Player(channel, record=False).play(steps=3) == "NOT_RECORDED"
+
+
+@pytest.mark.parametrize("sessions", [1, 3])
+def test_a_full_disk_is_one_line_in_the_log(tmp_path, sessions):
+    records, log_path = tmp_path / "records", tmp_path / "log"
+    with (
+        log_path.open("w") as log,
+        running_server(
+            flags=[f"--record_dir={records}"],
+            log=log,
+            prefix=["prlimit", f"--fsize={LONGEST_FILE}:"],
+        ) as addresses,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        players = [Player(channel) for _ in range(sessions)]
+        for _ in range(EPISODES // sessions):
+            for player in players:
+                player.play()
+        until(lambda: all(player.end() == "NOT_RECORDED" for player in players))
+        assert list(records.rglob("*")) == []
+        unlimited = "--fsize=unlimited:"
+        subprocess.run(["prlimit", f"--pid={addresses.process.pid}", unlimited], check=True)
+        players[0].play()
+        until(lambda: players[0].end() == "STORED")
+        assert len(list(records.rglob("*.cbor"))) == 1
+    lines = log_path.read_text().splitlines()
+    lost = EPISODES // sessions * sessions
+    assert len([line for line in lines if "recordings are lost" in line]) == 1
+    assert [line for line in lines if f'recordings are written again lost="{lost}"' in line]
+    assert len(lines) == 2
