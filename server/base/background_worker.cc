@@ -25,14 +25,29 @@ BackgroundWorker::~BackgroundWorker() {
   thread_.join();
 }
 
-absl::Status BackgroundWorker::Submit(std::function<void()> work) {
+absl::Status BackgroundWorker::Submit(const std::string& group, std::function<void()> work) {
   absl::MutexLock lock(&mutex_);
-  if (waiting_.size() >= max_waiting_) {
+  const auto found = waiting_.find(group);
+  if (found != waiting_.end() && found->second.size() >= max_waiting_) {
     return absl::UnavailableError(absl::StrCat("overloaded: expected fewer than ", max_waiting_,
                                                " waiting requests; ask again later"));
   }
-  waiting_.push_back(std::move(work));
+  if (found == waiting_.end()) turns_.push_back(group);
+  waiting_[group].push_back(std::move(work));
   return absl::OkStatus();
+}
+
+std::function<void()> BackgroundWorker::TakeNext() {
+  const auto group = waiting_.find(turns_.front());
+  turns_.pop_front();
+  std::function<void()> work = std::move(group->second.front());
+  group->second.pop_front();
+  if (group->second.empty()) {
+    waiting_.erase(group);
+  } else {
+    turns_.push_back(group->first);
+  }
+  return work;
 }
 
 void BackgroundWorker::Run() {
@@ -45,10 +60,10 @@ void BackgroundWorker::Run() {
     };
     mutex_.Await(absl::Condition(&due));
     if (waiting_.empty()) return;
-    const std::function<void()> work = std::move(waiting_.front());
-    waiting_.pop_front();
+    std::function<void()> work = TakeNext();
     mutex_.Unlock();
     work();
+    work = nullptr;  // frees what it holds outside of the lock
     mutex_.Lock();
   }
 }

@@ -53,8 +53,9 @@ class InlineCall final : public UnaryCall<Request, Response> {
   const Answer& answer_;
 };
 
-// Runs `Answer` on a background worker. For methods that take long. A call that is over before its
-// turn comes is not computed. An `Answer` that is recorded takes (caller, peer, request, response).
+// Runs `Answer` on a background worker. For methods that take long. The tenants of the callers take
+// turns. A call that is over before its turn comes is not computed. An `Answer` that is recorded
+// takes (caller, peer, request, response).
 template <typename Request, typename Response, typename Answer>
 class BackgroundCall final : public UnaryCall<Request, Response> {
  public:
@@ -72,15 +73,17 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
     auto self = std::static_pointer_cast<BackgroundCall>(this->shared_from_this());
     if constexpr (kTakesPeer) peer_ = this->call()->peer();
     const absl::Status status =
-        worker_.Submit([self = std::move(self), loop = &this->call()->loop()]() mutable {
-          if (self->over_) {
-            // Destroyed on the loop's thread, like every call.
-            return loop->Post([self = std::move(self)] {});
-          }
-          const CallOutcome outcome = self->Compute();
-          loop->Post([self = std::move(self), outcome] { self->End(outcome); });
-        });
-    if (!status.ok()) this->End(status);
+        worker_.Submit(this->caller().tenant()->name(),
+                       [self = std::move(self), loop = &this->call()->loop()]() mutable {
+                         if (self->over_) {
+                           // Destroyed on the loop's thread, like every call.
+                           return loop->Post([self = std::move(self)] {});
+                         }
+                         const CallOutcome outcome = self->Compute();
+                         loop->Post([self = std::move(self), outcome] { self->End(outcome); });
+                       });
+    // A caller that asks again at once is delayed, as after any other refusal.
+    if (!status.ok()) this->End({status, absl::ResourceExhaustedError(status.message())});
   }
 
   static constexpr bool kTakesPeer =

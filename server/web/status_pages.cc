@@ -114,7 +114,7 @@ absl::StatusOr<std::string> StatusPages::Explain(const Credential& caller,
   v1::ExplainResponse response;
   absl::Status explained;
   absl::Notification done;
-  const absl::Status accepted = parts_.worker->Submit([&] {
+  const absl::Status accepted = parts_.worker->Submit(caller.tenant()->name(), [&] {
     explained = parts_.handler->Explain(caller, explain, &response);
     done.Notify();
   });

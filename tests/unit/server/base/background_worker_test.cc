@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <string>
 #include <vector>
 
 #include "absl/synchronization/notification.h"
@@ -19,6 +20,27 @@ TEST(BackgroundWorkerTest, RunsWhatItAcceptedInOrderBeforeItEnds) {
   }
   ASSERT_EQ(ran.size(), 50u);
   for (int i = 0; i < 50; ++i) EXPECT_EQ(ran[static_cast<size_t>(i)], i);
+}
+
+TEST(BackgroundWorkerTest, GroupsTakeTurns) {
+  absl::Notification started, go_on;
+  std::string ran;
+  {
+    BackgroundWorker worker(/*max_waiting=*/3);
+    ASSERT_TRUE(worker
+                    .Submit([&] {
+                      started.Notify();
+                      go_on.WaitForNotification();
+                    })
+                    .ok());
+    started.WaitForNotification();
+    for (const std::string group : {"a", "a", "a", "b", "b", "c"}) {
+      EXPECT_TRUE(worker.Submit(group, [&ran, group] { ran += group; }).ok());
+    }
+    EXPECT_EQ(worker.Submit("a", [] {}).code(), absl::StatusCode::kUnavailable);
+    go_on.Notify();
+  }
+  EXPECT_EQ(ran, "abcaba");
 }
 
 TEST(BackgroundWorkerTest, RefusesWhatWouldPileUp) {

@@ -1,0 +1,114 @@
+"""Explanations take long: tenants take turns, and a cancelled call is not computed."""
+
+import re
+import threading
+
+import grpc
+from security import OBSERVATION, POLICY, http_body, service_with
+from serving import DEADLINE_SECONDS, message_class
+
+CALLERS = 24
+ANSWERS = 12
+
+
+def explainable(service):
+    """Opens a session that has decided, and returns its id."""
+    session = service.OpenSession(policy="cartpole").session_id
+    service.Act(session_id=session, step=0, observation=OBSERVATION)
+    return session
+
+
+class Crowd:
+    """Threads that explain one session without pause, each with a connection of its own."""
+
+    def __init__(self, addresses, session, token):
+        self.answered = 0
+        self.refused = 0
+        self._lock = threading.Lock()
+        self._stopped = threading.Event()
+        self._addresses, self._session, self._token = addresses, session, token
+        self._threads = [threading.Thread(target=self._run) for _ in range(CALLERS)]
+
+    def _run(self):
+        options = [("grpc.use_local_subchannel_pool", 1)]
+        with grpc.insecure_channel(self._addresses.grpc, options) as channel:
+            request = message_class(channel, "spikeserve.v1.ExplainRequest")(
+                session_id=self._session
+            )
+            explain = channel.unary_unary(f"/{POLICY}/Explain")
+            while not self._stopped.is_set():
+                try:
+                    explain(
+                        request.SerializeToString(),
+                        metadata=[("authorization", f"Bearer {self._token}")],
+                        timeout=DEADLINE_SECONDS,
+                    )
+                    answered = True
+                except grpc.RpcError as error:
+                    assert error.code() == grpc.StatusCode.UNAVAILABLE
+                    answered = False
+                with self._lock:
+                    self.answered += answered
+                    self.refused += not answered
+
+    def __enter__(self):
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stopped.set()
+        for thread in self._threads:
+            thread.join()
+
+
+def test_24_callers_of_one_tenant_leave_another_one_half(addresses):
+    with service_with(addresses, "agent") as agent, service_with(addresses, "rival") as rival:
+        crowded, alone = explainable(agent), explainable(rival)
+        with Crowd(addresses, crowded, "agent") as crowd:
+            while crowd.refused == 0:  # until the queue of the tenant is full
+                pass
+            before = crowd.answered
+            for _ in range(ANSWERS):
+                rival.Explain(session_id=alone)
+            # While the rival's answer travels, the crowd is served more than once in turn.
+            assert crowd.answered - before <= 3 * ANSWERS
+
+
+def computed(addresses):
+    page = http_body(addresses.http, "/metrics", "Bearer watchman").decode()
+    pattern = r'spikeserve_rpc_duration_seconds_count\{[^}]*method="Explain"[^}]*\} (\d+)'
+    return sum(int(count) for count in re.findall(pattern, page))
+
+
+def test_a_cancelled_call_is_not_computed(addresses):
+    with (
+        service_with(addresses, "agent") as agent,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
+        session = explainable(agent)
+        request = message_class(channel, "spikeserve.v1.ExplainRequest")(session_id=session)
+        explain = channel.unary_unary(f"/{POLICY}/Explain")
+        metadata = [("authorization", "Bearer agent")]
+        before = computed(addresses)
+        waiting = [
+            explain.future(request.SerializeToString(), metadata=metadata, timeout=DEADLINE_SECONDS)
+            for _ in range(14)
+        ]
+        for call in waiting:
+            call.cancel()
+        agent.Explain(session_id=session)  # after all of them
+        assert computed(addresses) - before <= 7
+
+
+def test_a_full_queue_is_unavailable_after_a_delay(addresses):
+    with service_with(addresses, "agent") as agent:
+        session = explainable(agent)
+        with Crowd(addresses, session, "agent") as crowd:
+            while crowd.refused == 0:
+                pass
+            answered, refused = crowd.answered, crowd.refused
+            while crowd.answered - answered < ANSWERS:
+                pass
+            # Refusals of callers that ask again at once would be hundreds for each answer.
+            assert crowd.refused - refused <= 40 * ANSWERS
