@@ -124,18 +124,57 @@ absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant)
   return absl::OkStatus();
 }
 
-std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const SessionEntry&)> wanted) {
+std::vector<ListedSession> SessionStore::ListAfter(
+    absl::string_view after, size_t limit, absl::FunctionRef<bool(const SessionEntry&)> wanted) {
   const absl::Duration now = clock_->Now();
-  std::vector<ListedSession> list;
+  const auto by_id = [](const auto& a, const auto& b) { return a.id < b.id; };
+  std::vector<ListedSession> first;  // a heap, the last id at its front
   for (Shard& shard : shards_) {
     absl::MutexLock lock(&shard.mutex);
     for (const auto& [id, slot] : shard.slots) {
-      if (!wanted(*slot.entry)) continue;
-      list.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});
+      const bool is_full = first.size() == limit;
+      if (!wanted(*slot.entry) || id <= after || (is_full && id >= first.front().id)) continue;
+      if (is_full) {
+        std::pop_heap(first.begin(), first.end(), by_id);
+        first.pop_back();
+      }
+      first.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});
+      std::push_heap(first.begin(), first.end(), by_id);
     }
   }
+  std::sort_heap(first.begin(), first.end(), by_id);
+  return first;
+}
+
+void SessionStore::ForEach(absl::FunctionRef<bool(const SessionEntry&)> wanted,
+                           absl::FunctionRef<void(const ListedSession&)> visit) {
+  const absl::Duration now = clock_->Now();
+  for (Shard& shard : shards_) {
+    std::vector<ListedSession> sessions;  // visited without the shard's lock
+    {
+      absl::MutexLock lock(&shard.mutex);
+      for (const auto& [id, slot] : shard.slots) {
+        if (!wanted(*slot.entry)) continue;
+        sessions.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});
+      }
+    }
+    for (const ListedSession& session : sessions) visit(session);
+  }
+}
+
+std::vector<ListedSession> SessionStore::List(absl::FunctionRef<bool(const SessionEntry&)> wanted) {
+  std::vector<ListedSession> list;
+  ForEach(wanted, [&](const ListedSession& session) { list.push_back(session); });
   std::sort(list.begin(), list.end(), [](const auto& a, const auto& b) { return a.id < b.id; });
   return list;
+}
+
+void SessionStore::Forgive(absl::Duration time) {
+  const absl::Duration now = clock_->Now();
+  for (Shard& shard : shards_) {
+    absl::MutexLock lock(&shard.mutex);
+    for (auto& [id, slot] : shard.slots) slot.last_used = std::min(now, slot.last_used + time);
+  }
 }
 
 int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {

@@ -98,10 +98,24 @@ class SessionStore {
   // Removes a session of `tenant`. NOT_FOUND if the tenant has no session with this id.
   absl::Status Close(absl::string_view id, absl::string_view tenant = "");
 
-  // Returns the open sessions for which `wanted` returns true, sorted by id, without resetting
-  // their idle timers. `wanted` is called under a lock of the store: it must be quick and must not
-  // take a session's lock.
+  // The methods below do not reset idle timers. `wanted` is called under a lock of the store: it
+  // must be quick and must not take a session's lock.
+
+  // Returns, sorted by id, the first `limit` sessions after the id `after` for which `wanted`
+  // returns true. Needs memory for these only.
+  std::vector<ListedSession> ListAfter(absl::string_view after, size_t limit,
+                                       absl::FunctionRef<bool(const SessionEntry&)> wanted);
+
+  // Calls `visit` for every open session for which `wanted` returns true, in no order. `visit` may
+  // take the session's lock. Needs memory for one shard.
+  void ForEach(absl::FunctionRef<bool(const SessionEntry&)> wanted,
+               absl::FunctionRef<void(const ListedSession&)> visit);
+
+  // Returns all open sessions for which `wanted` returns true, sorted by id.
   std::vector<ListedSession> List(absl::FunctionRef<bool(const SessionEntry&)> wanted);
+
+  // Does not count `time`, in which the process did not run, as idle time of the sessions.
+  void Forgive(absl::Duration time);
 
   // Removes every session that no request holds and that was not used for `time_to_live`. Returns
   // how many.

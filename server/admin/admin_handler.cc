@@ -169,21 +169,21 @@ absl::Status AdminHandler::ListSessions(const Credential& caller,
                                                    ", received ", request.page_size()));
   }
   int64_t open = 0;
-  const std::vector<ListedSession> sessions = store_->List([&](const SessionEntry& entry) {
+  const auto wanted = [&](const SessionEntry& entry) {
     if (!caller.CanRead(entry.tenant)) return false;
     ++open;
     return (request.policy().empty() || request.policy() == entry.served->name) &&
            (request.version() == 0 || request.version() == entry.served->version);
-  });
+  };
+  const auto size =
+      static_cast<size_t>(request.page_size() == 0 ? kDefaultPageSize : request.page_size());
   // A page token is the id of the last session of the page before, so pages neither skip nor repeat
   // a session while others open and close.
-  const auto first = std::find_if(sessions.begin(), sessions.end(), [&](const auto& session) {
-    return session.id > request.page_token();
-  });
-  const auto size = request.page_size() == 0 ? kDefaultPageSize : request.page_size();
-  const auto last = first + std::min<std::ptrdiff_t>(size, sessions.end() - first);
-  for (auto it = first; it != last; ++it) ToProto(*it, response->add_sessions());
-  if (last != sessions.end()) response->set_next_page_token((last - 1)->id);
+  const auto sessions = store_->ListAfter(request.page_token(), size + 1, wanted);
+  for (size_t i = 0; i < std::min(size, sessions.size()); ++i) {
+    ToProto(sessions[i], response->add_sessions());
+  }
+  if (sessions.size() > size) response->set_next_page_token(sessions[size - 1].id);
   response->set_open_sessions(open);
   return absl::OkStatus();
 }

@@ -2,14 +2,16 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <functional>
 #include <map>
+#include <tuple>
 #include <utility>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
 #include "core/base/json.h"
 #include "core/base/version.h"
 #include "nlohmann/json.hpp"
@@ -21,7 +23,6 @@ namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
-using v1::SessionInfo;
 
 constexpr int64_t kDefaultLimit = 50;
 constexpr int64_t kLargestLimit = 1000;
@@ -51,43 +52,56 @@ Json SeriesToJson(const prometheus::ClientMetric& metric, prometheus::MetricType
   return series;
 }
 
-// Compares two sessions by one column.
-using Less = std::function<bool(const SessionInfo&, const SessionInfo&)>;
+// What a session is sorted by. Small, because there is one for every session up to the end of the
+// page.
+struct SortKey {
+  std::string text;
+  double number = 0.0;
+};
 
-template <typename Field>
-Less By(Field (SessionInfo::*field)() const) {
-  return
-      [field](const SessionInfo& a, const SessionInfo& b) { return (a.*field)() < (b.*field)(); };
+using KeyOf = SortKey (*)(const ListedSession&, const AgentSession&);
+
+template <auto Field>
+SortKey Number(const ListedSession& /*listed*/, const AgentSession& agent) {
+  return {.number = static_cast<double>(agent.session().*Field)};
 }
 
-double SpikesPerDecision(const SessionInfo& session) {
-  const double decisions = static_cast<double>(std::max<uint64_t>(session.decisions(), 1));
-  return static_cast<double>(session.spikes()) / decisions;
+double SpikesPerDecision(const Session& session) {
+  const double decisions = static_cast<double>(std::max<uint64_t>(session.decisions, 1));
+  return static_cast<double>(session.spikes) / decisions;
 }
 
-const std::map<std::string, Less>& Columns() {
-  static const auto* const columns = new std::map<std::string, Less>{
-      {"session_id", By(&SessionInfo::session_id)},
+const std::map<std::string, KeyOf>& Columns() {
+  using Listed = const ListedSession&;
+  using Agent = const AgentSession&;
+  static const auto* const columns = new std::map<std::string, KeyOf>{
+      {"session_id", [](Listed listed, Agent) { return SortKey{.text = listed.id}; }},
       {"policy",
-       [](const SessionInfo& a, const SessionInfo& b) {
-         return std::pair(a.policy(), a.version()) < std::pair(b.policy(), b.version());
+       [](Listed, Agent agent) {
+         const SessionOptions& options = agent.session().options;
+         return SortKey{.text = options.policy, .number = static_cast<double>(options.version)};
        }},
-      {"episode", By(&SessionInfo::episode)},
-      {"step", By(&SessionInfo::step)},
-      {"episode_return", By(&SessionInfo::episode_return)},
-      {"decisions", By(&SessionInfo::decisions)},
+      {"episode", Number<&Session::episode>},
+      {"step", Number<&Session::step>},
+      {"episode_return", Number<&Session::episode_return>},
+      {"decisions", Number<&Session::decisions>},
       {"spikes_per_decision",
-       [](const SessionInfo& a, const SessionInfo& b) {
-         return SpikesPerDecision(a) < SpikesPerDecision(b);
-       }},
-      {"energy_joules", By(&SessionInfo::energy_joules)},
-      {"head_drift", By(&SessionInfo::head_drift)},
-      {"idle_seconds", By(&SessionInfo::idle_seconds)},
+       [](Listed, Agent agent) { return SortKey{.number = SpikesPerDecision(agent.session())}; }},
+      {"energy_joules", Number<&Session::energy_joules>},
+      {"head_drift", [](Listed, Agent agent) { return SortKey{.number = agent.HeadDrift()}; }},
+      {"idle_seconds",
+       [](Listed listed, Agent) { return SortKey{.number = absl::ToDoubleSeconds(listed.idle)}; }},
   };
   return *columns;
 }
 
-absl::StatusOr<Less> OrderOf(const HttpQuery& query) {
+// The order of a list of sessions.
+struct Order {
+  KeyOf key;
+  bool descending;
+};
+
+absl::StatusOr<Order> OrderOf(const HttpQuery& query) {
   const std::string sort = query.Get("sort", "session_id");
   const auto column = Columns().find(sort);
   if (column == Columns().end()) {
@@ -98,25 +112,65 @@ absl::StatusOr<Less> OrderOf(const HttpQuery& query) {
         ", received ", Quoted(sort)));
   }
   const std::string order = query.Get("order", "ascending");
-  if (order == "ascending") return column->second;
-  if (order == "descending") {
-    return Less(
-        [less = column->second](const SessionInfo& a, const SessionInfo& b) { return less(b, a); });
+  if (order == "ascending" || order == "descending") {
+    return Order{.key = column->second, .descending = order == "descending"};
   }
   return absl::InvalidArgumentError(
       absl::StrCat("order: expected ascending or descending, received ", Quoted(order)));
 }
 
+// A session in a list.
+struct Row {
+  SortKey key;
+  ListedSession session;
+};
+
+// Keeps the first `limit` rows in an order. Sessions with equal keys are sorted by id.
+class FirstRows {
+ public:
+  FirstRows(bool descending, size_t limit) : descending_(descending), limit_(limit) {}
+
+  void Add(Row row) {
+    const auto before = [this](const Row& a, const Row& b) { return IsBefore(a, b); };
+    if (rows_.size() == limit_) {
+      if (!IsBefore(row, rows_.front())) return;
+      std::pop_heap(rows_.begin(), rows_.end(), before);
+      rows_.pop_back();
+    }
+    rows_.push_back(std::move(row));
+    std::push_heap(rows_.begin(), rows_.end(), before);
+  }
+
+  // Returns the rows in their order.
+  std::vector<Row> Take() {
+    std::sort(rows_.begin(), rows_.end(),
+              [this](const Row& a, const Row& b) { return IsBefore(a, b); });
+    return std::move(rows_);
+  }
+
+ private:
+  bool IsBefore(const Row& a, const Row& b) const {
+    const auto key = [](const Row& row) { return std::tie(row.key.text, row.key.number); };
+    if (key(a) != key(b)) return descending_ ? key(b) < key(a) : key(a) < key(b);
+    return a.session.id < b.session.id;
+  }
+
+  const bool descending_;
+  const size_t limit_;
+  std::vector<Row> rows_;  // a heap, the last row at its front
+};
+
 // Returns true if the id, "policy/version", "tenant=name" or a "key=value" label of the session
 // contains the text, ignoring case.
-bool Matches(const SessionInfo& session, absl::string_view lower_case) {
+bool Matches(const ListedSession& listed, const SessionOptions& options,
+             absl::string_view lower_case) {
   const auto holds = [&](absl::string_view text) {
     return absl::StrContains(absl::AsciiStrToLower(text), lower_case);
   };
-  if (holds(session.session_id())) return true;
-  if (holds(absl::StrCat(session.policy(), "/", session.version()))) return true;
-  if (holds(absl::StrCat("tenant=", session.tenant()))) return true;
-  return std::any_of(session.labels().begin(), session.labels().end(), [&](const auto& label) {
+  if (lower_case.empty() || holds(listed.id)) return true;
+  if (holds(absl::StrCat(options.policy, "/", options.version))) return true;
+  if (holds(absl::StrCat("tenant=", options.tenant))) return true;
+  return std::any_of(options.labels.begin(), options.labels.end(), [&](const auto& label) {
     return holds(absl::StrCat(label.first, "=", label.second));
   });
 }
@@ -143,33 +197,39 @@ absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamil
 
 absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& caller,
                                          const HttpQuery& query) {
-  const auto less = OrderOf(query);
-  if (!less.ok()) return less.status();
-  const auto offset = query.GetInteger("offset", 0, 0, INT64_MAX);
+  const auto order = OrderOf(query);
+  if (!order.ok()) return order.status();
+  const auto offset = query.GetInteger("offset", 0, 0, INT64_MAX - kLargestLimit);
   if (!offset.ok()) return offset.status();
   const auto limit = query.GetInteger("limit", kDefaultLimit, 1, kLargestLimit);
   if (!limit.ok()) return limit.status();
 
+  // One list at a time, so that many readers together take no more memory and time than one.
+  static absl::Mutex one_at_a_time(absl::kConstInit);
+  absl::MutexLock turn(&one_at_a_time);
   const std::string filter = absl::AsciiStrToLower(query.Get("filter"));
-  const std::vector<ListedSession> visible =
-      store.List([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); });
-  std::vector<SessionInfo> matching;
-  for (const ListedSession& listed : visible) {
-    SessionInfo info;
-    ToProto(listed, &info);
-    if (Matches(info, filter)) matching.push_back(std::move(info));
-  }
-  std::stable_sort(matching.begin(), matching.end(), *less);
+  int64_t open = 0;
+  int64_t matching = 0;
+  FirstRows first(order->descending, static_cast<size_t>(*offset + *limit));
+  const auto visit = [&](const ListedSession& listed) {
+    ++open;
+    absl::MutexLock lock(&listed.entry->mutex);
+    const AgentSession& agent = listed.entry->agent;
+    if (!Matches(listed, agent.session().options, filter)) return;
+    ++matching;
+    first.Add({.key = order->key(listed, agent), .session = listed});
+  };
+  store.ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); }, visit);
 
-  const auto first = std::min<int64_t>(*offset, std::ssize(matching));
-  const auto last = std::min<int64_t>(first + *limit, std::ssize(matching));
+  const std::vector<Row> rows = first.Take();
   v1::ListSessionsResponse page;
-  for (int64_t i = first; i < last; ++i) *page.add_sessions() = matching[static_cast<size_t>(i)];
+  for (size_t i = static_cast<size_t>(*offset); i < rows.size(); ++i) {
+    ToProto(rows[i].session, page.add_sessions());
+  }
   const auto page_json = MessageToJson(page);
   if (!page_json.ok()) return page_json.status();
-  return Json{{"open", visible.size()},
-              {"matching", matching.size()},
-              {"sessions", Json::parse(*page_json)["sessions"]}}
+  return Json{
+      {"open", open}, {"matching", matching}, {"sessions", Json::parse(*page_json)["sessions"]}}
       .dump();
 }
 
