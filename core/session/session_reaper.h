@@ -1,4 +1,7 @@
 // Compacts the idle sessions of a store and finally removes them, in a thread of its own.
+//
+// Time in which the process did not run, for example because it was stopped, does not count as
+// idle: the requests of that time still wait to be read.
 #ifndef CORE_SESSION_SESSION_REAPER_H_
 #define CORE_SESSION_SESSION_REAPER_H_
 
