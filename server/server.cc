@@ -68,7 +68,8 @@ absl::Status CheckServesPolicies(const ServerOptions& options, PolicyRegistry& r
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
   if (auto status = options.Validate(); !status.ok()) return status;
-  auto authenticator = Authenticator::Create(options.tokens);
+  auto authenticator =
+      Authenticator::Create(options.tokens, std::max<int64_t>(options.max_sessions / 2, 1));
   if (!authenticator.ok()) return authenticator.status();
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);

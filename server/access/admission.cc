@@ -8,24 +8,25 @@
 namespace spikeserve {
 namespace {
 
-absl::StatusOr<const Credential*> Authenticate(const Authenticator& authenticator,
-                                               absl::string_view authorization) {
+absl::StatusOr<std::shared_ptr<const Credential>> Authenticate(const Authenticator& authenticator,
+                                                               absl::string_view authorization) {
   std::string buffer;
   return authenticator.Authenticate(ExtractToken(authorization, &buffer));
 }
 
 }  // namespace
 
-absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
-                                        absl::string_view authorization, Method method) {
+absl::StatusOr<std::shared_ptr<const Credential>> Admit(const Authenticator& authenticator,
+                                                        absl::string_view authorization,
+                                                        Method method) {
   const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
   if (auto status = CheckMayCall((*caller)->role(), method); !status.ok()) return status;
   return caller;
 }
 
-absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticator,
-                                               absl::string_view authorization) {
+absl::StatusOr<std::shared_ptr<const Credential>> AdmitToPages(const Authenticator& authenticator,
+                                                               absl::string_view authorization) {
   const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
   if (auto status = CheckMayReadStatus((*caller)->role()); !status.ok()) return status;

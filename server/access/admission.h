@@ -6,6 +6,7 @@
 #define SERVER_ACCESS_ADMISSION_H_
 
 #include <cstdint>
+#include <memory>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -18,14 +19,15 @@ namespace spikeserve {
 // Returns the caller that sent the `authorization` header, which may be empty. Returns
 // UNAUTHENTICATED without a valid token, PERMISSION_DENIED if the token's role may not call
 // `method`.
-absl::StatusOr<const Credential*> Admit(const Authenticator& authenticator,
-                                        absl::string_view authorization, Method method);
+absl::StatusOr<std::shared_ptr<const Credential>> Admit(const Authenticator& authenticator,
+                                                        absl::string_view authorization,
+                                                        Method method);
 
 // Returns the caller that sent the `authorization` header over HTTP, which may be empty. Returns
 // UNAUTHENTICATED without a valid token, PERMISSION_DENIED unless the role may read the status
 // page.
-absl::StatusOr<const Credential*> AdmitToPages(const Authenticator& authenticator,
-                                               absl::string_view authorization);
+absl::StatusOr<std::shared_ptr<const Credential>> AdmitToPages(const Authenticator& authenticator,
+                                                               absl::string_view authorization);
 
 // Checks a further request on a stream whose caller was admitted. Returns UNAUTHENTICATED if the
 // token has expired or was revoked since then, and otherwise the errors of CheckSize.

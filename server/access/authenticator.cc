@@ -33,30 +33,36 @@ bool Authenticator::DigestEqual::operator()(const Digest& a, const Digest& b) co
   return CRYPTO_memcmp(a.data(), b.data(), a.size()) == 0;
 }
 
-absl::StatusOr<std::unique_ptr<Authenticator>> Authenticator::Create(const std::string& path) {
-  auto authenticator = std::unique_ptr<Authenticator>(new Authenticator(path));
+absl::StatusOr<std::unique_ptr<Authenticator>> Authenticator::Create(const std::string& path,
+                                                                     int64_t default_sessions) {
+  auto authenticator = std::unique_ptr<Authenticator>(new Authenticator(path, default_sessions));
   if (path.empty()) {
-    authenticator->anonymous_ = std::make_unique<Credential>(std::make_shared<Tenant>(""),
-                                                             TokenEntry{.role = Role::kOperator});
+    authenticator->anonymous_ = std::make_shared<const Credential>(
+        std::make_shared<Tenant>(""), TokenEntry{.role = Role::kOperator});
     return authenticator;
   }
   if (auto status = authenticator->Reload(); !status.ok()) return status;
   return authenticator;
 }
 
-absl::StatusOr<const Credential*> Authenticator::Authenticate(absl::string_view token) const {
-  if (anonymous_ != nullptr) return anonymous_.get();
+absl::StatusOr<std::shared_ptr<const Credential>> Authenticator::Authenticate(
+    absl::string_view token) const {
+  if (anonymous_ != nullptr) return anonymous_;
   if (token.empty()) {
     return absl::UnauthenticatedError("authorization: expected \"Bearer TOKEN\", received none");
   }
-  const Table& table = *table_.load(std::memory_order_acquire);
-  const auto found = table.find(Sha256(token));
-  if (found == table.end()) {
+  const Digest digest = Sha256(token);
+  std::shared_ptr<const Credential> credential;
+  {
+    absl::ReaderMutexLock lock(&table_mutex_);
+    if (const auto found = table_.find(digest); found != table_.end()) credential = found->second;
+  }
+  if (credential == nullptr) {
     return absl::UnauthenticatedError(
         "authorization: expected a token of the tokens file, received an unknown one");
   }
-  if (auto status = found->second->CheckValid(); !status.ok()) return status;
-  return found->second.get();
+  if (auto status = credential->CheckValid(); !status.ok()) return status;
+  return credential;
 }
 
 absl::Status Authenticator::Reload() {
@@ -64,7 +70,7 @@ absl::Status Authenticator::Reload() {
   auto text = ReadFile(path_);
   if (!text.ok()) return Annotate(text.status(), "--tokens");
   absl::MutexLock lock(&mutex_);
-  if (!tables_.empty() && *text == text_) return absl::OkStatus();
+  if (text_ == *text) return absl::OkStatus();
   const auto file = ParseTokenFile(*text);
   if (!file.ok()) {
     return Annotate(file.status(), absl::StrCat("--tokens: ", path_));
@@ -81,24 +87,33 @@ std::shared_ptr<Tenant> Authenticator::TenantOf(const std::string& name) {
 }
 
 void Authenticator::Publish(const TokenFile& file) {
-  for (const auto& [name, limits] : file.tenants) TenantOf(name)->SetLimits(limits);
-  static const Table kNone;
-  const Table& old = tables_.empty() ? kNone : *tables_.back();
-  auto table = std::make_unique<Table>();
-  for (const TokenEntry& entry : file.tokens) {
-    const auto known = old.find(entry.sha256);
-    const bool unchanged = known != old.end() && known->second->entry_ == entry;
-    table->emplace(entry.sha256, unchanged
-                                     ? known->second
-                                     : std::make_shared<Credential>(TenantOf(entry.tenant), entry));
+  const int64_t share = file.tenants.size() > 1 ? default_sessions_ : 0;
+  for (const auto& [name, limits] : file.tenants) TenantOf(name)->SetLimits(limits, share);
+  Table table;
+  {
+    absl::ReaderMutexLock lock(&table_mutex_);
+    for (const TokenEntry& entry : file.tokens) {
+      const auto known = table_.find(entry.sha256);
+      const bool unchanged = known != table_.end() && known->second->entry_ == entry;
+      table.emplace(
+          entry.sha256,
+          unchanged ? known->second : std::make_shared<Credential>(TenantOf(entry.tenant), entry));
+    }
+    for (const auto& [digest, credential] : table_) {
+      const auto kept = table.find(digest);
+      const bool same = kept != table.end() && kept->second == credential;
+      if (!same) credential->revoked_.store(true, std::memory_order_relaxed);
+    }
   }
-  for (const auto& [digest, credential] : old) {
-    const auto kept = table->find(digest);
-    const bool same = kept != table->end() && kept->second == credential;
-    if (!same) credential->revoked_.store(true, std::memory_order_relaxed);
+  {
+    absl::MutexLock lock(&table_mutex_);
+    table_.swap(table);
   }
-  table_.store(table.get(), std::memory_order_release);
-  tables_.push_back(std::move(table));
+  table.clear();
+  // References are added under the mutex only, so a count of one is the map's own and stays one.
+  std::erase_if(tenants_, [&](const auto& item) {
+    return item.second.use_count() == 1 && !file.tenants.contains(item.first);
+  });
 }
 
 absl::string_view ExtractToken(absl::string_view authorization, std::string* buffer) {

@@ -4,18 +4,18 @@
 //   auto caller = (*authenticator)->Authenticate(token);
 //   if (caller.ok() && (*caller)->role() == Role::kOperator) ...
 //
-// Thread-safe. Authenticate takes no lock and allocates nothing: readers follow one pointer to an
-// immutable table. When the file changes, the old table is kept, because pointers to its
-// credentials stay in use; tables are small and files change rarely.
+// Thread-safe. Authenticate allocates nothing, and many threads may call it at the same time. When
+// the file changes, credentials that were removed live on until no call holds them.
 #ifndef SERVER_ACCESS_AUTHENTICATOR_H_
 #define SERVER_ACCESS_AUTHENTICATOR_H_
 
 #include <atomic>
+#include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
-#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/flat_hash_map.h"
@@ -31,7 +31,7 @@
 
 namespace spikeserve {
 
-// The tenant and the role of a token. Lives as long as the authenticator. Thread-safe.
+// The tenant and the role of a token. Thread-safe.
 class Credential {
  public:
   // REQUIRES: `tenant` is the tenant that `entry` names.
@@ -42,6 +42,8 @@ class Credential {
   Role role() const { return entry_.role; }
   // Returns the name that the tokens file gives to the token; empty if it gives none.
   const std::string& name() const { return entry_.name; }
+  // Returns true if this caller may open sessions that learn.
+  bool may_learn() const { return entry_.may_learn; }
 
   // Returns true if this caller may read the sessions of `tenant`: list, get and explain them.
   bool CanRead(absl::string_view tenant) const {
@@ -61,17 +63,21 @@ class Credential {
 
 class Authenticator {
  public:
-  // Reads the tokens file at `path`. If `path` is empty, every caller is an operator of one tenant
-  // that has an empty name and no limits. Errors name the file.
-  static absl::StatusOr<std::unique_ptr<Authenticator>> Create(const std::string& path);
+  // Reads the tokens file at `path`. `default_sessions` are the open sessions of a tenant without
+  // max_sessions, if the file has several tenants; 0 is no limit. If `path` is empty, every caller
+  // is an operator of one tenant that has an empty name and no limits. Errors name the file.
+  static absl::StatusOr<std::unique_ptr<Authenticator>> Create(const std::string& path,
+                                                               int64_t default_sessions = 0);
 
   // Returns the credential of `token`; an empty token means that the caller sent none. Returns
   // UNAUTHENTICATED if the token is missing, unknown, expired or revoked.
-  absl::StatusOr<const Credential*> Authenticate(absl::string_view token) const;
+  absl::StatusOr<std::shared_ptr<const Credential>> Authenticate(absl::string_view token) const
+      ABSL_LOCKS_EXCLUDED(table_mutex_);
 
   // Returns the pacer that delays refusals of `caller`: the pacer of its tenant, or, for a caller
   // that could not be authenticated, one pacer that all such callers share.
-  RefusalPacer& RefusalPacerFor(const absl::StatusOr<const Credential*>& caller) const {
+  RefusalPacer& RefusalPacerFor(
+      const absl::StatusOr<std::shared_ptr<const Credential>>& caller) const {
     return caller.ok() ? (*caller)->tenant()->refusals() : unauthenticated_;
   }
 
@@ -90,21 +96,25 @@ class Authenticator {
   };
   using Table = absl::flat_hash_map<Digest, std::shared_ptr<Credential>, DigestHash, DigestEqual>;
 
-  explicit Authenticator(std::string path) : path_(std::move(path)) {}
+  Authenticator(std::string path, int64_t default_sessions)
+      : path_(std::move(path)), default_sessions_(default_sessions) {}
 
-  void Publish(const TokenFile& file) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void Publish(const TokenFile& file) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_)
+      ABSL_LOCKS_EXCLUDED(table_mutex_);
   std::shared_ptr<Tenant> TenantOf(const std::string& name) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  const std::string path_;                 // empty: no tokens
-  std::unique_ptr<Credential> anonymous_;  // every caller's; null if tokens are required
-  std::atomic<const Table*> table_ = nullptr;
+  const std::string path_;  // empty: no tokens
+  const int64_t default_sessions_;
+  std::shared_ptr<const Credential> anonymous_;  // every caller's; null if tokens are required
   mutable RefusalPacer unauthenticated_;
 
-  absl::Mutex mutex_;  // taken by writers only
-  std::string text_ ABSL_GUARDED_BY(mutex_);
-  std::vector<std::unique_ptr<const Table>> tables_ ABSL_GUARDED_BY(mutex_);
-  // By name. Tenants are never removed, so that sessions keep their tenant when the file changes.
+  absl::Mutex mutex_;                                        // taken by writers only
+  std::optional<std::string> text_ ABSL_GUARDED_BY(mutex_);  // of the file that was applied
+  // By name. A tenant that was removed from the file is kept while sessions or calls belong to it.
   std::map<std::string, std::shared_ptr<Tenant>> tenants_ ABSL_GUARDED_BY(mutex_);
+
+  mutable absl::Mutex table_mutex_ ABSL_ACQUIRED_AFTER(mutex_);  // shared by readers
+  Table table_ ABSL_GUARDED_BY(table_mutex_);
 };
 
 // Returns the token of an `authorization` header: TOKEN of "Bearer TOKEN", or the password of HTTP

@@ -13,7 +13,7 @@ absl::Status TenantLimits::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat(field, ": expected a number of at least 0, received ", received));
   };
-  if (max_sessions < 0) return refuse("max_sessions", max_sessions);
+  if (max_sessions.value_or(0) < 0) return refuse("max_sessions", *max_sessions);
   if (!std::isfinite(decisions_per_second) || decisions_per_second < 0.0) {
     return refuse("decisions_per_second", decisions_per_second);
   }
@@ -21,8 +21,8 @@ absl::Status TenantLimits::Validate() const {
   return absl::OkStatus();
 }
 
-void Tenant::SetLimits(const TenantLimits& limits) {
-  max_sessions_.store(limits.max_sessions, std::memory_order_relaxed);
+void Tenant::SetLimits(const TenantLimits& limits, int64_t default_sessions) {
+  max_sessions_.store(limits.max_sessions.value_or(default_sessions), std::memory_order_relaxed);
   max_message_bytes_.store(limits.max_message_bytes, std::memory_order_relaxed);
   decisions_.Set(limits.decisions_per_second);
 }

@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -20,7 +21,8 @@ namespace spikeserve {
 
 // The limits of one tenant. 0 means that only the limits of the server apply.
 struct TenantLimits {
-  int64_t max_sessions = 0;           // open at the same time
+  // Open at the same time. Absent: the default share, if the server has more than one tenant.
+  std::optional<int64_t> max_sessions;
   double decisions_per_second = 0.0;  // on average; one second's decisions may come at once
   int64_t max_message_bytes = 0;      // of one request
 
@@ -34,8 +36,9 @@ class Tenant final : public SessionQuota {
 
   const std::string& name() const { return name_; }
 
-  // Replaces the limits. Open sessions stay open, even if there are more than the new limit.
-  void SetLimits(const TenantLimits& limits);
+  // Replaces the limits. `default_sessions` applies if max_sessions is absent; 0 is no limit. Open
+  // sessions stay open, even if there are more than the new limit.
+  void SetLimits(const TenantLimits& limits, int64_t default_sessions = 0);
 
   absl::Status Acquire() override;
   void Release() override { sessions_.fetch_sub(1, std::memory_order_relaxed); }

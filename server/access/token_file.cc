@@ -70,6 +70,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TokenEntry* ent
   object.Optional("expires", &expires);
   object.Optional("sees", &sees);
   object.Optional("name", &entry->name);
+  object.Optional("learning", &entry->may_learn);
   if (auto status = object.Finish(); !status.ok()) return status;
   const auto digest = ParseDigest(field, hash);
   if (!digest.ok()) return digest.status();

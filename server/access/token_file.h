@@ -5,11 +5,14 @@
 //    "tokens": [{"sha256": "<64 hexadecimal digits>", "tenant": "fleet-a", "role": "agent",
 //                "expires": "2027-01-31T00:00:00Z"},
 //               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all",
-//                "name": "alice"}]}
+//                "name": "alice"},
+//               {"sha256": "...", "tenant": "fleet-a", "role": "agent", "learning": false}]}
 //
-// An absent limit does not apply. A token without `expires` is valid until it is removed. `sees`
-// tells whose sessions the token may read: those of its "tenant" (the default) or "all". The file
-// holds hashes of tokens, so reading the file does not give access to the server.
+// An absent limit does not apply, except that several tenants share --max_sessions
+// (TenantLimits::max_sessions). Sessions of a token with `"learning": false` cannot learn. A token
+// without `expires` is valid until it is removed. `sees` tells whose sessions the token may read:
+// those of its "tenant" (the default) or "all". The file holds hashes of tokens, so reading the
+// file does not give access to the server.
 #ifndef SERVER_ACCESS_TOKEN_FILE_H_
 #define SERVER_ACCESS_TOKEN_FILE_H_
 
@@ -41,6 +44,7 @@ struct TokenEntry {
   absl::Time expires = absl::InfiniteFuture();
   bool sees_all = false;  // may read the sessions of every tenant
   std::string name = "";  // of its holder, for the history of operators' actions
+  bool may_learn = true;  // may open sessions that learn
 
   bool operator==(const TokenEntry&) const = default;
 };

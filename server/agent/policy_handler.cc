@@ -106,6 +106,10 @@ absl::Status PolicyHandler::OpenSessionAs(const Credential& caller, std::string 
   auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
   options->tenant = caller.tenant()->name();
+  if (options->learning.has_value() && !caller.may_learn()) {
+    return absl::PermissionDeniedError(
+        "learning: expected unset, because the token has \"learning\": false, received a config");
+  }
   const double target_return = options->target_return;
   SessionExtras extras;
   extras.id = *std::move(id);

@@ -77,7 +77,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   absl::Duration DelayFor(const absl::Status& status, size_t request_bytes) const;
 
   absl::Status admission_;
-  absl::StatusOr<const Credential*> caller_ = absl::UnauthenticatedError("");
+  absl::StatusOr<std::shared_ptr<const Credential>> caller_ = absl::UnauthenticatedError("");
   std::function<void()> delayed_;  // runs when `timer_` fires, or when the server drains
   EventLoop::Timer timer_;
 };

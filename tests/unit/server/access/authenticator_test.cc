@@ -81,7 +81,7 @@ TEST_F(AuthenticatorTest, KnowsItsTokens) {
 TEST_F(AuthenticatorTest, SeesItsTenantUnlessTheTokenSeesAll) {
   Write(File(Entry("own", "operator") + "," + Entry("all", "viewer", R"(, "sees": "all")")));
   const auto authenticator = Create();
-  const Credential* own = *authenticator->Authenticate("own");
+  const auto own = *authenticator->Authenticate("own");
   EXPECT_TRUE(own->CanRead("fleet"));
   EXPECT_FALSE(own->CanRead("rival"));
   EXPECT_TRUE((*authenticator->Authenticate("all"))->CanRead("rival"));
@@ -99,8 +99,8 @@ TEST_F(AuthenticatorTest, TokensExpire) {
 TEST_F(AuthenticatorTest, AChangedFileRevokesAndKeepsWhatStays) {
   Write(File(Entry("a", "agent") + "," + Entry("b", "agent")));
   const auto authenticator = Create();
-  const Credential* a = *authenticator->Authenticate("a");
-  const Credential* b = *authenticator->Authenticate("b");
+  const auto a = *authenticator->Authenticate("a");
+  const auto b = *authenticator->Authenticate("b");
   Write(File(Entry("b", "agent") + "," + Entry("c", "viewer")));
   ASSERT_TRUE(authenticator->Reload().ok());
   EXPECT_EQ(a->CheckValid().code(), absl::StatusCode::kUnauthenticated);

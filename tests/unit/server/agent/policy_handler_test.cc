@@ -37,7 +37,7 @@ class PolicyHandlerTest : public ::testing::Test {
 
   FakeClock clock_;
   std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
-  const Credential* caller_ = *authenticator_->Authenticate("");
+  const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
   SmallRegistry registry_{"small"};
   ShadowRunner shadows_{registry_.metrics().registry()};
   SessionStore store_{100, &clock_};
