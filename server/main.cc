@@ -87,6 +87,8 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("tls_client_ca", "FILE", &options->tls.client_ca,
            "PEM authorities of required client certificates")
       .Add("tokens", "FILE", &options->tokens, "JSON file of bearer tokens, roles and limits")
+      .AddSwitch("share_heads_across_tenants", &options->share_heads_across_tenants,
+                 "Fleet sessions of all tenants learn one head")
       .AddSwitch("insecure_network", &options->insecure_network,
                  "Serve a network without TLS or without tokens");
 }

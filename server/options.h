@@ -37,7 +37,8 @@ struct ServerOptions {
 
   TlsFiles tls;        // for gRPC and HTTP
   std::string tokens;  // file of bearer tokens, see token_file.h; empty: any caller may do anything
-  bool insecure_network = false;  // serve other machines without TLS or without tokens
+  bool share_heads_across_tenants = false;  // the fleet sessions of all tenants learn one head
+  bool insecure_network = false;            // serve other machines without TLS or without tokens
 
   LogFormat log_format = LogFormat::kText;  // of the lines on standard error
 

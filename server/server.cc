@@ -77,7 +77,8 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   auto registry = PolicyRegistry::Load(
       {.directory = options.policies,
        .settings_path = options.policy_settings,
-       .default_rule = options.default_version},
+       .default_rule = options.default_version,
+       .share_heads = options.share_heads_across_tenants},
       [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy);
       },

@@ -28,6 +28,7 @@ struct AdminFlags {
   const ServerFlags* server = nullptr;
   std::string policy;
   int64_t version = 0;
+  std::string tenant;                       // whose head; empty: the caller's tenant
   std::string label;                        // a label of a version, such as stable
   std::vector<std::string> shares;          // VERSION:PERCENT: shares of the new sessions
   std::optional<int64_t> shadow;            // the version that shadows the others; 0: none
@@ -68,6 +69,14 @@ Request VersionRequest(const AdminFlags& flags) {
   Request request;
   request.set_policy(flags.policy);
   request.set_version(flags.version);
+  return request;
+}
+
+// As VersionRequest, and with the value of --tenant.
+template <typename Request>
+Request HeadRequest(const AdminFlags& flags) {
+  auto request = VersionRequest<Request>(flags);
+  request.set_tenant(flags.tenant);
   return request;
 }
 

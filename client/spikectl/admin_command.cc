@@ -262,6 +262,7 @@ void AddNewDefault(FlagGroup& group, AdminFlags* flags) {
 void AddHeadVersion(FlagGroup& group, AdminFlags* flags) {
   AddPolicy(group, flags);
   group.Add("version", "N", &flags->version, "Version; 0: the default version");
+  group.Add("tenant", "NAME", &flags->tenant, "Tenant of the head; default: that of the token");
 }
 
 void AddLabel(FlagGroup& group, AdminFlags* flags) {

@@ -23,7 +23,7 @@ void PrintPaused(const AdminFlags& flags, bool paused) {
 }  // namespace
 
 absl::Status ShowHead(const AdminFlags& flags) {
-  auto request = VersionRequest<v1::GetHeadRequest>(flags);
+  auto request = HeadRequest<v1::GetHeadRequest>(flags);
   request.set_include_weights(flags.weights);
   const auto head = CallAdmin(flags, &AdminStub::GetHead, request);
   if (!head.ok()) return head.status();
@@ -53,7 +53,7 @@ absl::Status ShowHead(const AdminFlags& flags) {
 }
 
 absl::Status PromoteHead(const AdminFlags& flags) {
-  auto request = VersionRequest<v1::PromoteHeadRequest>(flags);
+  auto request = HeadRequest<v1::PromoteHeadRequest>(flags);
   request.set_make_default(flags.make_default);
   const auto promoted = CallAdmin(flags, &AdminStub::PromoteHead, request);
   if (!promoted.ok()) return promoted.status();
@@ -68,7 +68,7 @@ absl::Status PromoteHead(const AdminFlags& flags) {
 }
 
 absl::Status RollbackHead(const AdminFlags& flags) {
-  const auto request = VersionRequest<v1::RollbackHeadRequest>(flags);
+  const auto request = HeadRequest<v1::RollbackHeadRequest>(flags);
   const auto rolled_back = CallAdmin(flags, &AdminStub::RollbackHead, request);
   if (!rolled_back.ok()) return rolled_back.status();
   Print(flags,

@@ -12,6 +12,7 @@ FleetHead::FleetHead(std::shared_ptr<const Policy> policy, FleetOptions options)
     : policy_(std::move(policy)), options_(options) {
   absl::MutexLock lock(&mutex_);
   delta_.setZero(AsVector(policy_->weights.head.weight.values).size());
+  gathered_ = delta_;
   guard_ = ReturnGuard::New(delta_);
   Publish();
 }
@@ -21,14 +22,36 @@ std::shared_ptr<const FleetHead::Snapshot> FleetHead::Read() const {
   return snapshot_;
 }
 
-FleetHead::Merged FleetHead::Merge(const Eigen::VectorXf& contribution, double episode_return) {
+FleetHead::Member::Member(std::shared_ptr<FleetHead> head, std::string contributor)
+    : head_(std::move(head)), contributor_(std::move(contributor)) {
+  absl::MutexLock lock(&head_->mutex_);
+  head_->budget_.Join(contributor_);
+}
+
+FleetHead::Member::~Member() {
+  absl::MutexLock lock(&head_->mutex_);
+  head_->budget_.Leave(contributor_);
+}
+
+UpdateOutcome FleetHead::Add(const Eigen::VectorXf& contribution) {
   const UpdateBounds bounds = {.clip = options_.clip,
                                .max_norm = options_.max_drift * BaseNorm(*policy_)};
+  const bool gather = !guard_.has_reference && budget_.is_protected();
+  return ApplyUpdate(1.0, contribution, bounds, gather ? &gathered_ : &delta_);
+}
+
+FleetHead::Merged FleetHead::Merge(const Eigen::VectorXf& contribution, double episode_return,
+                                   const std::string& contributor, absl::Duration now) {
   Merged merged;
   absl::MutexLock lock(&mutex_);
-  merged.outcome = ApplyUpdate(1.0, contribution, bounds, &delta_);
+  // A caller without a name is no client.
+  const bool accepted = contributor.empty() || budget_.Take(contributor, now);
+  merged.outcome = accepted ? Add(contribution) : UpdateOutcome::kOverBudget;
   ++(merged.outcome == UpdateOutcome::kApplied ? updates_ : rejected_);
-  merged.rolled_back = guard_.OnEpisode(episode_return, options_.guard_margin, &delta_);
+  if (merged.outcome != UpdateOutcome::kOverBudget) {
+    merged.rolled_back = guard_.OnEpisode(episode_return, options_.guard_margin, &delta_);
+    if (guard_.returns.empty()) EndWindow(merged.rolled_back);
+  }
   if (merged.rolled_back) {
     updates_ = 0;
     ++rollbacks_;
@@ -38,10 +61,19 @@ FleetHead::Merged FleetHead::Merge(const Eigen::VectorXf& contribution, double e
   return merged;
 }
 
+void FleetHead::EndWindow(bool bad) {
+  budget_.OnWindowEnd(bad);
+  const double longest = options_.max_drift * BaseNorm(*policy_);
+  ApplyUpdate(1.0, gathered_, {.clip = longest, .max_norm = longest}, &delta_);
+  gathered_.setZero();
+}
+
 std::shared_ptr<const FleetHead::Snapshot> FleetHead::Rollback() {
   absl::MutexLock lock(&mutex_);
   std::shared_ptr<const Snapshot> before = Read();
   delta_.setZero();
+  gathered_.setZero();
+  budget_.OnWindowEnd(/*bad=*/false);
   guard_ = ReturnGuard::New(delta_);
   updates_ = 0;
   ++rollbacks_;

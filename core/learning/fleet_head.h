@@ -7,16 +7,23 @@
 // The order of the contributions changes each weight by at most kMergeTolerance, as long as neither
 // the limit of the drift nor the guard intervenes.
 //
+// A ContributionBudget bounds what one contributor can do. While a head with enough members to be
+// protected has no reference, its contributions are gathered and added at the end of the first
+// window, so that the reference is that of the policy's own head.
+//
 // Thread-safe.
 #ifndef CORE_LEARNING_FLEET_HEAD_H_
 #define CORE_LEARNING_FLEET_HEAD_H_
 
 #include <cstdint>
 #include <memory>
+#include <string>
 
 #include "Eigen/Core"
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "core/learning/contribution_budget.h"
 #include "core/learning/head_update.h"
 #include "core/learning/return_guard.h"
 #include "core/model/policy.h"
@@ -43,7 +50,7 @@ class FleetHead {
     Eigen::VectorXf delta;  // [act * d], row-major: W - W_base
     double drift = 0.0;     // |W - W_base| / |W_base|
     int64_t updates = 0;    // contributions merged since the last rollback
-    int64_t rejected = 0;   // contributions refused since the head was created
+    int64_t rejected = 0;   // contributions refused since the head was created, for any reason
     int64_t rollbacks = 0;  // by the guard or an operator, since the head was created
     WindowLevel level;      // of the last window of episodes; see return_guard.h
   };
@@ -60,14 +67,39 @@ class FleetHead {
     std::shared_ptr<const Snapshot> snapshot;  // after the merge
   };
   // Adds the contribution [act * d] of one episode and passes the return of that episode to the
-  // guard.
-  Merged Merge(const Eigen::VectorXf& contribution, double episode_return);
+  // guard, unless `contributor` has used up its budget. `now` is the time of a monotonic clock, the
+  // same clock in every call.
+  Merged Merge(const Eigen::VectorXf& contribution, double episode_return,
+               const std::string& contributor = "", absl::Duration now = absl::ZeroDuration());
+
+  // A session that decides with the head; protects the others by its presence (ContributionBudget).
+  class Member {
+   public:
+    Member(std::shared_ptr<FleetHead> head, std::string contributor);
+    ~Member();
+    Member(const Member&) = delete;
+    Member& operator=(const Member&) = delete;
+
+    FleetHead& head() const { return *head_; }
+    const std::string& contributor() const { return contributor_; }
+
+   private:
+    const std::shared_ptr<FleetHead> head_;
+    const std::string contributor_;
+  };
 
   // Restores the head of the policy bit for bit and starts a new guard. Returns the snapshot before
   // the rollback.
   std::shared_ptr<const Snapshot> Rollback();
 
  private:
+  // Returns how a contribution that is within the budget was added.
+  UpdateOutcome Add(const Eigen::VectorXf& contribution) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  // Starts a new window of the budget and adds what was gathered. `bad`: the guard has restored an
+  // earlier head.
+  void EndWindow(bool bad) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
   // Makes a snapshot of the members and lets Read return it.
   void Publish() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
@@ -76,7 +108,9 @@ class FleetHead {
 
   mutable absl::Mutex mutex_;  // held for a whole merge
   Eigen::VectorXf delta_ ABSL_GUARDED_BY(mutex_);
+  Eigen::VectorXf gathered_ ABSL_GUARDED_BY(mutex_);  // [act * d]: to add after the first window
   ReturnGuard guard_ ABSL_GUARDED_BY(mutex_);
+  ContributionBudget budget_ ABSL_GUARDED_BY(mutex_);
   int64_t updates_ ABSL_GUARDED_BY(mutex_) = 0;
   int64_t rejected_ ABSL_GUARDED_BY(mutex_) = 0;
   int64_t rollbacks_ ABSL_GUARDED_BY(mutex_) = 0;

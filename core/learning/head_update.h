@@ -13,11 +13,14 @@ namespace spikeserve {
 
 enum class UpdateOutcome {
   kApplied,
-  kNonFinite,  // refused: the step, or the head after it, holds NaN or infinity
+  kNonFinite,   // refused: the step, or the head after it, holds NaN or infinity
+  kOverBudget,  // refused: the contributor exceeds its share of a shared head
 };
 
-constexpr std::array<EnumName<UpdateOutcome>, 2> EnumNames(UpdateOutcome) {
-  return {{{UpdateOutcome::kApplied, "applied"}, {UpdateOutcome::kNonFinite, "non_finite"}}};
+constexpr std::array<EnumName<UpdateOutcome>, 3> EnumNames(UpdateOutcome) {
+  return {{{UpdateOutcome::kApplied, "applied"},
+           {UpdateOutcome::kNonFinite, "non_finite"},
+           {UpdateOutcome::kOverBudget, "over_budget"}}};
 }
 
 struct UpdateBounds {

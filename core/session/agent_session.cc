@@ -70,7 +70,13 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
     if (delta.size() == 0) delta.setZero(AsVector(policy.weights.head.weight.values).size());
     session_.learner = Learner::New(*session_.options.learning, policy, std::move(delta));
   }
-  if (InFleet()) return;
+  if (session_.options.learning.has_value() && session_.options.learning->scope == Scope::kFleet) {
+    const std::string& tenant = session_.options.tenant;
+    const bool by_tenant = served_->SharesHead(tenant) && !tenant.empty();
+    member_ = std::make_unique<FleetHead::Member>(served_->HeadOf(tenant),
+                                                  by_tenant ? tenant : session_.id);
+    return;
+  }
   const Eigen::VectorXf delta = HeadDelta();
   if (delta.size() > 0) head_ = HeadWith(policy, delta);
 }
@@ -189,16 +195,12 @@ Answer AgentSession::Choose(const Engine::Output& output, double return_to_go, d
   return answer;
 }
 
-bool AgentSession::InFleet() const {
-  return session_.options.learning.has_value() && session_.options.learning->scope == Scope::kFleet;
-}
-
 void AgentSession::ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const {
   const auto choose = [&](const Linear& head) {
     ChooseAction(head, served_->policy().action_space, readout, session_.options.action_selection,
                  RandomBits({session_.options.seed, session_.decisions}), choice);
   };
-  if (InFleet()) return choose(served_->fleet->Read()->head);
+  if (InFleet()) return choose(member_->head().Read()->head);
   choose(head_ ? *head_ : served_->policy().weights.head);
 }
 
@@ -349,11 +351,15 @@ std::optional<LearningSummary> AgentSession::LearnFromEpisode(const EpisodeEnd& 
 }
 
 void AgentSession::MergeIntoFleet(double episode_return, LearningSummary* summary) {
-  FleetHead& fleet = *served_->fleet;
+  FleetHead& fleet = member_->head();
   std::shared_ptr<const FleetHead::Snapshot> snapshot;
   const auto merge = [&] {
-    FleetHead::Merged merged = fleet.Merge(session_.learner->head_delta, episode_return);
+    FleetHead::Merged merged = fleet.Merge(session_.learner->head_delta, episode_return,
+                                           member_->contributor(), clock_->Now());
     served_->observer->OnHeadUpdate(merged.outcome);
+    if (merged.outcome == UpdateOutcome::kOverBudget) {
+      summary->rejected += std::exchange(summary->updates, 0);
+    }
     summary->rolled_back = merged.rolled_back;
     snapshot = std::move(merged.snapshot);
   };
@@ -374,17 +380,17 @@ void AgentSession::WatchPrivateHead(double episode_return, LearningSummary* summ
 }
 
 Eigen::VectorXf AgentSession::HeadDelta() const {
-  if (InFleet()) return served_->fleet->Read()->delta;
+  if (InFleet()) return member_->head().Read()->delta;
   return session_.learner.has_value() ? session_.learner->head_delta : session_.options.head_delta;
 }
 
 double AgentSession::HeadDrift() const {
-  if (InFleet()) return served_->fleet->Read()->drift;
+  if (InFleet()) return member_->head().Read()->drift;
   return FrobeniusNorm(HeadDelta()) / BaseNorm(served_->policy());
 }
 
 int64_t AgentSession::Rollbacks() const {
-  if (InFleet()) return served_->fleet->Read()->rollbacks;
+  if (InFleet()) return member_->head().Read()->rollbacks;
   return session_.learner.has_value() ? session_.learner->guard.rollbacks : 0;
 }
 

@@ -129,7 +129,7 @@ class AgentSession {
   void RebuildContext();
   absl::Span<const float> EncodedAction(const Action& action, std::vector<float>* encoded) const;
   Answer Choose(const Engine::Output& output, double return_to_go, double reward);
-  bool InFleet() const;
+  bool InFleet() const { return member_ != nullptr; }
   void ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const;
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
   std::optional<LearningSummary> LearnFromEpisode(const EpisodeEnd& end, double episode_return);
@@ -143,6 +143,7 @@ class AgentSession {
   Session session_;
   std::unique_ptr<Engine::Context> context_;  // null: rebuilt by the next decision
   std::optional<Linear> head_;  // private head; absent: the policy's or the fleet's head is used
+  std::unique_ptr<FleetHead::Member> member_;  // of the head that the fleet shares; null: of none
   std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded
   bool action_pending_ = false;                // true: the context lacks the last timestep's action
 };

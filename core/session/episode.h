@@ -27,8 +27,8 @@ struct EpisodeEnd {
 // The learning of a session in one episode.
 struct LearningSummary {
   Scope scope = Scope::kSession;
-  int64_t updates = 0;          // applied to the head; scope fleet: to the contribution
-  int64_t rejected = 0;         // updates that were refused because they were not finite
+  int64_t updates = 0;   // applied to the head; scope fleet: to the contribution
+  int64_t rejected = 0;  // updates that were refused: not finite, or over the budget of the fleet
   double head_drift = 0.0;      // of the head that the session uses
   ReturnStatistics returns;     // mu and sigma^2, with this episode included
   bool rolled_back = false;     // the guard restored the last good head

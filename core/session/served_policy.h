@@ -15,6 +15,7 @@
 #include "core/engine/engine.h"
 #include "core/learning/fleet_head.h"
 #include "core/learning/head_update.h"
+#include "core/learning/tenant_heads.h"
 #include "core/session/episode.h"
 #include "core/session/session.h"
 
@@ -70,11 +71,26 @@ struct ServedPolicy {
   int64_t version = 0;  // >= 1
   std::shared_ptr<const Engine> engine;
   std::shared_ptr<SessionObserver> observer;
+  // Learned by the sessions without a tenant, and by all sessions if the tenants share their heads.
   std::shared_ptr<FleetHead> fleet;
+  std::shared_ptr<TenantHeads> tenant_heads;  // null: the tenants share `fleet`
   // Shared by all versions of the policy that are served at the same time.
   std::shared_ptr<LearningSwitch> learning = std::make_shared<LearningSwitch>();
 
   const Policy& policy() const { return engine->policy(); }
+
+  // Returns the head that the fleet sessions of a tenant learn.
+  std::shared_ptr<FleetHead> HeadOf(const std::string& tenant) const {
+    return SharesHead(tenant) ? fleet : tenant_heads->Of(tenant);
+  }
+  // As above, but returns null if the tenant has learned nothing yet.
+  std::shared_ptr<FleetHead> FindHead(const std::string& tenant) const {
+    return SharesHead(tenant) ? fleet : tenant_heads->Find(tenant);
+  }
+  // Returns true if the tenant learns `fleet`.
+  bool SharesHead(const std::string& tenant) const {
+    return tenant.empty() || tenant_heads == nullptr;
+  }
 };
 
 }  // namespace spikeserve

@@ -1,68 +1,92 @@
 #include "server/admin/head_handler.h"
 
-#include <algorithm>
 #include <cstdint>
 #include <filesystem>
 #include <string>
 #include <system_error>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/json.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
-#include "core/model/policy_file.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/traffic.h"
 #include "server/policies/policy_repository.h"
+#include "server/policies/version_writer.h"
 
 namespace spikeserve {
 namespace {
 
 using nlohmann::json;
 
+// The training record that is stored in the file of `policy`, and how often a head of it was
+// promoted. The record of a promoted policy is that of the ancestor that was trained, so that
+// records do not grow from promotion to promotion.
+struct Ancestor {
+  json training;
+  int64_t promotions = 0;
+};
+
+Ancestor TrainedAncestor(const Policy& policy) {
+  Ancestor ancestor = {.training = json::parse(policy.training)};
+  while (ancestor.training.is_object() && ancestor.training.contains("promoted")) {
+    const json counted = ancestor.training["promoted"].is_object()
+                             ? ancestor.training["promoted"].value("promotions", json())
+                             : json();
+    ancestor.promotions += counted.is_number_integer() ? counted.get<int64_t>() : 1;
+    json parent = ancestor.training.value("parent_training", json());
+    ancestor.training = std::move(parent);
+  }
+  return ancestor;
+}
+
 // Returns the policy with the shared head as its action head. Its training record holds the lineage
-// of the head and, as `parent_training`, the record of the parent, whose evaluation does not apply
-// to the new head.
+// of the head and, as `parent_training`, the record of the ancestor that was trained, whose
+// evaluation does not apply to the new head.
 Policy Promoted(const ServedPolicy& served, const FleetHead::Snapshot& snapshot) {
   Policy policy = served.policy();
   policy.weights.head = snapshot.head;
+  Ancestor ancestor = TrainedAncestor(served.policy());
   const json lineage = {{"parent_version", served.version},
+                        {"promotions", ancestor.promotions + 1},
                         {"updates", snapshot.updates},
                         {"base_norm", BaseNorm(served.policy())},
                         {"delta_norm", FrobeniusNorm(snapshot.delta)},
                         {"drift", snapshot.drift},
                         {"watched_return", snapshot.level.mean}};
   policy.training =
-      json{{"promoted", lineage}, {"parent_training", json::parse(served.policy().training)}}
-          .dump();
+      json{{"promoted", lineage}, {"parent_training", std::move(ancestor.training)}}.dump();
   return policy;
 }
 
-// Returns the highest version in the directory plus one, so that no existing folder is overwritten.
-absl::StatusOr<int64_t> NextVersion(const std::string& directory, const std::string& policy) {
-  const auto folders = ListPolicyFolders(directory);
-  if (!folders.ok()) return folders.status();
-  int64_t highest = 0;
-  for (const PolicyVersion& version : folders->versions) {
-    if (version.policy == policy) highest = std::max(highest, version.version);
-  }
-  return highest + 1;
+// Returns the tenant whose head a request means.
+template <typename Request>
+absl::StatusOr<std::string> TenantOf(const Credential& caller, const Request& request) {
+  const std::string& tenant = request.tenant().empty() ? caller.tenant()->name() : request.tenant();
+  if (caller.CanRead(tenant)) return tenant;
+  return absl::PermissionDeniedError(
+      absl::StrCat("tenant: expected that of the token, received ", Quoted(request.tenant())));
 }
 
-absl::Status WriteNewVersion(const Policy& policy, const std::string& path) {
-  std::error_code error;
-  std::filesystem::create_directory(std::filesystem::path(path).parent_path(), error);
-  if (error) return absl::FailedPreconditionError(absl::StrCat(path, ": ", error.message()));
-  return WritePolicyFile(policy, path);
+// Returns the head of a tenant. Before the tenant has learned, this is a head like that of the
+// policy, which no session learns.
+std::shared_ptr<FleetHead> HeadOf(const ServedPolicy& served, const std::string& tenant) {
+  if (auto head = served.FindHead(tenant); head != nullptr) return head;
+  return std::make_shared<FleetHead>(
+      std::shared_ptr<const Policy>(served.engine, &served.policy()));
 }
 
 }  // namespace
 
-absl::Status HeadHandler::GetHead(const v1::GetHeadRequest& request,
+absl::Status HeadHandler::GetHead(const Credential& caller, const v1::GetHeadRequest& request,
                                   v1::GetHeadResponse* response) const {
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
+  const auto tenant = TenantOf(caller, request);
+  if (!tenant.ok()) return tenant.status();
   const Policy& policy = (*served)->policy();
-  const auto snapshot = (*served)->fleet->Read();
+  const auto snapshot = HeadOf(**served, *tenant)->Read();
   response->set_policy((*served)->name);
   response->set_version((*served)->version);
   response->set_base_norm(BaseNorm(policy));
@@ -73,15 +97,17 @@ absl::Status HeadHandler::GetHead(const v1::GetHeadRequest& request,
   response->set_rollbacks(snapshot->rollbacks);
   response->set_watched_return(snapshot->level.mean);
   response->set_paused((*served)->learning->paused());
-  const auto on_it =
-      store_->List([&](const SessionEntry& entry) { return entry.served == *served; });
-  for (const ListedSession& session : on_it) {
+  const bool shared = (*served)->SharesHead(*tenant);
+  const auto on_it = [&](const SessionEntry& entry) {
+    return entry.served == *served && (shared || entry.tenant == *tenant);
+  };
+  store_->ForEach(on_it, [&](const ListedSession& session) {
     absl::MutexLock lock(&session.entry->mutex);
     const auto& learning = session.entry->agent.session().options.learning;
     if (learning.has_value() && learning->scope == Scope::kFleet) {
       response->set_sessions(response->sessions() + 1);
     }
-  }
+  });
   if (!request.include_weights()) return absl::OkStatus();
   const std::vector<float>& base = policy.weights.head.weight.values;
   response->mutable_base()->Add(base.begin(), base.end());
@@ -89,38 +115,45 @@ absl::Status HeadHandler::GetHead(const v1::GetHeadRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status HeadHandler::PromoteHead(const v1::PromoteHeadRequest& request,
+absl::Status HeadHandler::PromoteHead(const Credential& caller,
+                                      const v1::PromoteHeadRequest& request,
                                       v1::PromoteHeadResponse* response) const {
   absl::MutexLock lock(&promote_mutex_);
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
-  const auto snapshot = (*served)->fleet->Read();
+  const auto tenant = TenantOf(caller, request);
+  if (!tenant.ok()) return tenant.status();
+  const auto snapshot = HeadOf(**served, *tenant)->Read();
   if (snapshot->drift == 0.0) {
     return absl::FailedPreconditionError(
         absl::StrCat("version: expected one whose shared head has learned, received ",
                      (*served)->version, ", whose shared head equals that of its file"));
   }
-  const auto next = NextVersion(registry_->directory(), (*served)->name);
-  if (!next.ok()) return next.status();
-  const PolicyVersion version = {.policy = (*served)->name, .version = *next};
-  const std::string path = PolicyFilePath(registry_->directory(), version);
-  if (auto status = WriteNewVersion(Promoted(**served, *snapshot), path); !status.ok()) {
-    return status;
-  }
-  auto loaded = ChangeTraffic(*registry_, version.policy, response->mutable_traffic(), [&] {
-    return registry_->LoadVersion(version, request.make_default()).status();
+  const auto version =
+      WriteNewVersion(registry_->directory(), (*served)->name, Promoted(**served, *snapshot));
+  if (!version.ok()) return version.status();
+  const std::string path = PolicyFilePath(registry_->directory(), *version);
+  auto loaded = ChangeTraffic(*registry_, version->policy, response->mutable_traffic(), [&] {
+    return registry_->LoadVersion(*version, request.make_default()).status();
   });
-  if (!loaded.ok()) return loaded;
-  response->set_version(version.version);
+  if (!loaded.ok()) {
+    std::error_code ignored;
+    std::filesystem::remove_all(std::filesystem::path(path).parent_path(), ignored);
+    return loaded;
+  }
+  response->set_version(version->version);
   response->set_path(path);
   return absl::OkStatus();
 }
 
-absl::Status HeadHandler::RollbackHead(const v1::RollbackHeadRequest& request,
+absl::Status HeadHandler::RollbackHead(const Credential& caller,
+                                       const v1::RollbackHeadRequest& request,
                                        v1::RollbackHeadResponse* response) const {
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
-  response->set_drift((*served)->fleet->Rollback()->drift);
+  const auto tenant = TenantOf(caller, request);
+  if (!tenant.ok()) return tenant.status();
+  response->set_drift(HeadOf(**served, *tenant)->Rollback()->drift);
   return absl::OkStatus();
 }
 

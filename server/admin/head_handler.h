@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "core/session/session_store.h"
+#include "server/access/authenticator.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -20,11 +21,14 @@ class HeadHandler {
   HeadHandler(PolicyRegistry* registry, SessionStore* store) : registry_(registry), store_(store) {}
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
-  // status that policy_admin.proto names; NOT_FOUND if the policy or version is not served.
-  absl::Status GetHead(const v1::GetHeadRequest& request, v1::GetHeadResponse* response) const;
-  absl::Status PromoteHead(const v1::PromoteHeadRequest& request,
+  // status that policy_admin.proto names; NOT_FOUND if the policy or version is not served. A
+  // caller reaches the heads of the tenants whose sessions it may read; the others are
+  // PERMISSION_DENIED.
+  absl::Status GetHead(const Credential& caller, const v1::GetHeadRequest& request,
+                       v1::GetHeadResponse* response) const;
+  absl::Status PromoteHead(const Credential& caller, const v1::PromoteHeadRequest& request,
                            v1::PromoteHeadResponse* response) const;
-  absl::Status RollbackHead(const v1::RollbackHeadRequest& request,
+  absl::Status RollbackHead(const Credential& caller, const v1::RollbackHeadRequest& request,
                             v1::RollbackHeadResponse* response) const;
   absl::Status PauseLearning(const v1::PauseLearningRequest& request,
                              v1::PauseLearningResponse* response) const;

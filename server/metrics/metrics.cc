@@ -156,7 +156,10 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.learning_updates = &learning_updates_.Add(labels);
   const absl::string_view reason = ToString(UpdateOutcome::kNonFinite);
   handles.learning_rejected_non_finite =
-      &learning_rejected_.Add(with("reason", {reason.data(), reason.size()}));
+      add(learning_rejected_, with("reason", {reason.data(), reason.size()}));
+  const absl::string_view over = ToString(UpdateOutcome::kOverBudget);
+  handles.learning_rejected_over_budget =
+      add(learning_rejected_, with("reason", {over.data(), over.size()}));
   for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
     const absl::string_view word = ToString(scope);
     const prometheus::Labels of = with("scope", {word.data(), word.size()});

@@ -40,8 +40,14 @@ void PolicyMetrics::OnEpisodeEnd(double episode_return) {
 }
 
 void PolicyMetrics::OnHeadUpdate(UpdateOutcome outcome) {
-  const bool applied = outcome == UpdateOutcome::kApplied;
-  (applied ? handles_.learning_updates : handles_.learning_rejected_non_finite)->Increment();
+  switch (outcome) {
+    case UpdateOutcome::kApplied:
+      return handles_.learning_updates->Increment();
+    case UpdateOutcome::kNonFinite:
+      return handles_.learning_rejected_non_finite->Increment();
+    case UpdateOutcome::kOverBudget:
+      return handles_.learning_rejected_over_budget->Increment();
+  }
 }
 
 void PolicyMetrics::OnLearned(const LearningSummary& summary) {

@@ -50,6 +50,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Gauge* episode_return_mean;
     prometheus::Counter* learning_updates;
     prometheus::Counter* learning_rejected_non_finite;
+    prometheus::Counter* learning_rejected_over_budget;
     std::array<LearningHandles, 2> learning;  // indexed by Scope
   };
 

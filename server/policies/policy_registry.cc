@@ -73,7 +73,7 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOpt
           status, "--policy_settings: expected a file in a directory that the server can write");
     }
   }
-  SweepUnfinishedVersions(directory);
+  SweepUnfinishedVersions(registry->directory());
   auto loaded = registry->Reload();
   if (!loaded.ok()) return Annotate(loaded.status(), "--policies");
   *report = *std::move(loaded);
@@ -157,7 +157,8 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     const auto set = settings_.policies.find(version.policy);
     learning->set_paused(set != settings_.policies.end() && set->second.learning_paused);
   }
-  auto served = LoadPolicyVersion(options_.directory, version, learning, new_observer_);
+  auto served =
+      LoadPolicyVersion(options_.directory, version, learning, new_observer_, options_.share_heads);
   file.status = served.status();
   return served;
 }

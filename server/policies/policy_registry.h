@@ -50,11 +50,13 @@ struct RegistryOptions {
   std::string directory;           // of the policies
   std::string settings_path = "";  // empty: settings are not saved
   DefaultRule default_rule = DefaultRule::kStay;
+  bool share_heads = false;  // see LoadPolicyVersion
 };
 
 class PolicyRegistry {
  public:
-  // Loads the policies of the directory, and the settings unless their path is empty. Files that
+  // Removes what killed processes have left in the directory (SweepUnfinishedVersions). Then
+  // loads the policies of the directory, and the settings unless their path is empty. Files that
   // cannot be loaded are listed in `report`; all others are served. A setting whose version is not
   // served is kept and takes effect when the version is loaded. Returns NOT_FOUND if there is no
   // such directory, INVALID_ARGUMENT if the settings file is not valid, and the error of the system

@@ -164,7 +164,7 @@ std::string PolicyFilePath(const std::string& directory, const PolicyVersion& ve
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version,
-    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer) {
+    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer, bool share_heads) {
   const std::string path = PolicyFilePath(directory, version);
   auto policy = ReadPolicyFile(path);
   if (!policy.ok()) return policy.status();
@@ -174,6 +174,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   const auto shared = std::make_shared<const Policy>(*std::move(policy));
   served->engine = MakeStreamingEngine(shared);
   served->fleet = std::make_shared<FleetHead>(shared);
+  if (!share_heads) served->tenant_heads = std::make_shared<TenantHeads>(shared);
   served->learning = std::move(learning);
   if (auto status = WarmUp(*served->engine, path); !status.ok()) return status;
   served->observer = new_observer(served->name, served->version, served->policy());

@@ -73,10 +73,12 @@ using NewObserver = std::function<std::shared_ptr<SessionObserver>(
 // Reads a version and makes one decision with it, so that all data that a decision touches is in
 // memory. Returns the errors of ReadPolicyFile, and INVALID_ARGUMENT if the decision is not finite;
 // messages start with the path. `learning` pauses this version together with the others that share
-// the switch.
+// the switch. `share_heads`: the fleet sessions of all tenants learn one head; otherwise each
+// tenant has its own.
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version,
-    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer);
+    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer,
+    bool share_heads = false);
 
 }  // namespace spikeserve
 

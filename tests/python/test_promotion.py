@@ -44,7 +44,7 @@ class Trainer:
 
     def promote(self, version):
         self.teach(version)
-        return self.admin.PromoteHead(policy="small", version=version)
+        return self.admin.PromoteHead(policy="small", version=version, make_default=True)
 
 
 def contents(folder):

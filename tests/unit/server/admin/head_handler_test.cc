@@ -36,13 +36,15 @@ class HeadHandlerTest : public ::testing::Test {
     request.set_policy(name);
     request.set_version(version);
     v1::PromoteHeadResponse response;
-    if (auto status = admin_.PromoteHead(request, &response); !status.ok()) return status;
+    if (auto status = admin_.PromoteHead(*caller_, request, &response); !status.ok()) return status;
     return response;
   }
 
   FakeClock clock_;
   SmallRegistry registry_{"a", "b"};
   SessionStore store_{10, &clock_};
+  const std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
+  const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
   HeadHandler admin_{registry_.get(), &store_};
 };
 
@@ -76,7 +78,7 @@ TEST_F(HeadHandlerTest, ARollbackIsOfOneVersion) {
   request.set_policy("a");
   request.set_version(1);
   v1::RollbackHeadResponse response;
-  ASSERT_TRUE(admin_.RollbackHead(request, &response).ok());
+  ASSERT_TRUE(admin_.RollbackHead(*caller_, request, &response).ok());
   EXPECT_GT(response.drift(), 0.0);
   EXPECT_EQ(Served("a", 1)->fleet->Read()->drift, 0.0);
   EXPECT_EQ(Served("a", 2)->fleet->Read()->rollbacks, 0);

@@ -1,0 +1,64 @@
+// Decides whether a shared head accepts a contribution, so that one contributor can neither outvote
+// the others nor flood the head.
+//
+//   budget.Join("a");
+//   if (budget.Take("a", now)) merge();
+//   budget.OnWindowEnd(/*bad=*/false);  // when the guard has judged a window
+//
+// A contributor is a session, or, for a head that several tenants share, a tenant. Every
+// contributor may contribute kPerMinute times a minute, and all of them together kTotalPerMinute
+// times. A head with at least kProtectedMembers members is protected: of the ReturnGuard::kWindow
+// episodes of a window, one contributor may give kPerWindow, fewer than the quarter that the
+// interquartile mean leaves out. A contributor that has given as many in a window that was bad
+// contributes nothing to the next kSuspendedWindows windows.
+//
+// Not thread-safe.
+#ifndef CORE_LEARNING_CONTRIBUTION_BUDGET_H_
+#define CORE_LEARNING_CONTRIBUTION_BUDGET_H_
+
+#include <cstddef>
+#include <map>
+#include <string>
+
+#include "absl/time/time.h"
+
+namespace spikeserve {
+
+class ContributionBudget {
+ public:
+  static constexpr int kPerMinute = 120;
+  static constexpr int kTotalPerMinute = 1200;
+  static constexpr size_t kProtectedMembers = 5;
+  static constexpr int kPerWindow = 4;
+  static constexpr int kSuspendedWindows = 10;
+
+  // Counts a session of `contributor`. Each Join() needs one Leave().
+  void Join(const std::string& contributor) { ++members_[contributor]; }
+  void Leave(const std::string& contributor);
+
+  // Returns true if the head has enough members to be protected.
+  bool is_protected() const { return members_.size() >= kProtectedMembers; }
+
+  // Counts a contribution and returns true if it is within the budget. `now` is the time of a
+  // monotonic clock, the same clock in every call.
+  bool Take(const std::string& contributor, absl::Duration now);
+
+  // Starts a new window. `bad`: the guard has restored an earlier head.
+  void OnWindowEnd(bool bad);
+
+ private:
+  struct Account {
+    int in_window = 0;
+    int in_minute = 0;
+    int suspended_windows = 0;
+  };
+
+  std::map<std::string, int> members_;  // open sessions by contributor
+  std::map<std::string, Account> accounts_;
+  absl::Duration minute_;  // start of the running minute
+  int total_in_minute_ = 0;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_LEARNING_CONTRIBUTION_BUDGET_H_
