@@ -41,10 +41,12 @@ constexpr absl::Duration kDrainPollInterval = absl::Milliseconds(1);
 // How long clients may take to read their last answers when the server stops.
 constexpr absl::Duration kLeaveTimeout = absl::Seconds(1);
 
-// The allocator keeps the memory of closed connections for new ones. After many were closed, for
-// example those of an attack, it is given back to the system.
+// The allocator keeps freed memory for later. After many connections were closed, for example those
+// of an attack, or much was freed otherwise, for example by policies or tokens that were removed,
+// it is given back to the system.
 constexpr absl::Duration kTrimInterval = absl::Seconds(2);
 constexpr int64_t kConnectionsToTrim = 16;
+constexpr size_t kBytesToTrim = 16 << 20;
 
 // Returns the number of cores that the process may use.
 int AvailableCores() {
@@ -189,11 +191,19 @@ absl::Status Server::StartTransport() {
   grpc_address_ = transport_->address();
   PublishHealth();
   services_.Attach(transport_.get());
-  memory_trimmer_ = std::make_unique<Periodic>(kTrimInterval, [this] {
-    const int64_t closed = transport_->connections().closed();
-    if (closed - std::exchange(trimmed_at_, closed) >= kConnectionsToTrim) malloc_trim(0);
-  });
+  memory_trimmer_ = std::make_unique<Periodic>(kTrimInterval, [this] { TrimMemory(); });
   return transport_->Start();
+}
+
+void Server::TrimMemory() {
+  const int64_t closed = transport_->connections().closed();
+  const bool many_closed = closed - std::exchange(trimmed_at_, closed) >= kConnectionsToTrim;
+  // What was given back still counts as free, so only what was freed since then matters.
+  const size_t free_bytes = mallinfo2().fordblks;
+  free_when_trimmed_ = std::min(free_when_trimmed_, free_bytes);
+  if (!many_closed && free_bytes - free_when_trimmed_ < kBytesToTrim) return;
+  malloc_trim(0);
+  free_when_trimmed_ = free_bytes;
 }
 
 bool Server::TransportResponds() const {

@@ -74,6 +74,7 @@ class Server {
   bool serving() const { return !stopping_ && !store_.draining(); }
   // Returns true unless the loops of the transport are stuck.
   bool TransportResponds() const;
+  void TrimMemory();
   void PublishHealth();
 
   const ServerOptions options_;
@@ -102,7 +103,9 @@ class Server {
   const HeadHandler head_handler_;
   InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
-  int64_t trimmed_at_ = 0;  // connections closed when memory was last trimmed; of memory_trimmer_
+  // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
+  int64_t trimmed_at_ = 0;
+  size_t free_when_trimmed_ = 0;
   const StatusPages pages_;
   Address grpc_address_;
   std::unique_ptr<HttpServer> http_;

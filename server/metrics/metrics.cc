@@ -89,8 +89,8 @@ Metrics::Metrics()
       rollbacks_(Register(BuildCounter(), "spikeserve_learning_rollbacks_total",
                           "Rollbacks of an action head to its last good state by a guard.")),
       policy_info_(Register(BuildGauge(), "spikeserve_policy_info",
-                            "Copies of a policy version in memory: 1 from its load until it "
-                            "is unloaded and its last session has ended, then 0.")),
+                            "Copies of a policy version in memory. The series of a version are "
+                            "removed when it is unloaded and its last session has ended.")),
       rpc_duration_(Register(
           BuildHistogram(), "spikeserve_rpc_duration_seconds",
           "Time to handle one call, measured on the server, by method and gRPC status code. For "
@@ -133,27 +133,36 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   const absl::string_view mode = ToString(policy.config.mode);
   info.emplace("mode", mode);
 
+  const std::string key = absl::StrCat(name, "/", version);
+  absl::MutexLock lock(&versions_mutex_);
+  VersionSeries& series = versions_[key];
+  ++series.observers;
+  const auto add = [&series](auto& family, const prometheus::Labels& of, auto... buckets) {
+    auto* metric = &family.Add(of, buckets...);
+    series.removals[metric] = [&family, metric] { family.Remove(metric); };
+    return metric;
+  };
   PolicyMetrics::Handles handles;
-  handles.info = &policy_info_.Add(info);
-  handles.decisions = &decisions_.Add(labels);
-  handles.spikes_per_decision = &spikes_per_decision_.Add(labels, Spikes());
+  handles.info = add(policy_info_, info);
+  handles.decisions = add(decisions_, labels);
+  handles.spikes_per_decision = add(spikes_per_decision_, labels, Spikes());
   for (int i = 0; i < kStages; ++i) {
     const absl::string_view stage = ToString(static_cast<Stage>(i));
     handles.spikes[static_cast<size_t>(i)] =
-        &spikes_.Add(with("stage", {stage.data(), stage.size()}));
+        add(spikes_, with("stage", {stage.data(), stage.size()}));
   }
-  handles.accumulates = &synaptic_operations_.Add(with("kind", "accumulate"));
-  handles.multiply_accumulates = &synaptic_operations_.Add(with("kind", "multiply_accumulate"));
-  handles.attention_products = &synaptic_operations_.Add(with("kind", "attention"));
-  handles.spike_5pj = &energy_.Add(with("energy_model", "spike_5pj"));
-  handles.horowitz_45nm = &energy_.Add(with("energy_model", "horowitz_45nm"));
-  handles.decision_duration = &decision_duration_.Add(labels, ComputeSeconds());
-  handles.sessions = &sessions_.Add(labels);
-  handles.errors = &policy_errors_.Add(labels);
-  handles.episodes = &episodes_.Add(labels);
-  handles.episode_return = &episode_return_.Add(labels, Returns());
-  handles.episode_return_mean = &episode_return_mean_.Add(labels);
-  handles.learning_updates = &learning_updates_.Add(labels);
+  handles.accumulates = add(synaptic_operations_, with("kind", "accumulate"));
+  handles.multiply_accumulates = add(synaptic_operations_, with("kind", "multiply_accumulate"));
+  handles.attention_products = add(synaptic_operations_, with("kind", "attention"));
+  handles.spike_5pj = add(energy_, with("energy_model", "spike_5pj"));
+  handles.horowitz_45nm = add(energy_, with("energy_model", "horowitz_45nm"));
+  handles.decision_duration = add(decision_duration_, labels, ComputeSeconds());
+  handles.sessions = add(sessions_, labels);
+  handles.errors = add(policy_errors_, labels);
+  handles.episodes = add(episodes_, labels);
+  handles.episode_return = add(episode_return_, labels, Returns());
+  handles.episode_return_mean = add(episode_return_mean_, labels);
+  handles.learning_updates = add(learning_updates_, labels);
   const absl::string_view reason = ToString(UpdateOutcome::kNonFinite);
   handles.learning_rejected_non_finite =
       add(learning_rejected_, with("reason", {reason.data(), reason.size()}));
@@ -163,14 +172,15 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
     const absl::string_view word = ToString(scope);
     const prometheus::Labels of = with("scope", {word.data(), word.size()});
-    handles.learning[static_cast<size_t>(scope)] = {.head_drift = &head_drift_.Add(of),
-                                                    .modulator_mean = &modulator_mean_.Add(of),
-                                                    .modulator_std = &modulator_std_.Add(of),
-                                                    .watched_return = &watched_return_.Add(of),
-                                                    .rollbacks = &rollbacks_.Add(of)};
+    handles.learning[static_cast<size_t>(scope)] = {.head_drift = add(head_drift_, of),
+                                                    .modulator_mean = add(modulator_mean_, of),
+                                                    .modulator_std = add(modulator_std_, of),
+                                                    .watched_return = add(watched_return_, of),
+                                                    .rollbacks = add(rollbacks_, of)};
   }
-  return std::make_shared<PolicyMetrics>(absl::StrCat(name, "/", version), handles,
-                                         EvidenceOf(name, version), policy.config.is_dense());
+  return std::make_shared<PolicyMetrics>(key, handles, EvidenceOf(name, version),
+                                         policy.config.is_dense(),
+                                         [this, key] { OnObserverEnd(key); });
 }
 
 VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {
@@ -178,6 +188,14 @@ VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {
   std::unique_ptr<VersionEvidence>& evidence = evidence_[{name, version}];
   if (evidence == nullptr) evidence = std::make_unique<VersionEvidence>();
   return evidence.get();
+}
+
+void Metrics::OnObserverEnd(const std::string& version) {
+  absl::MutexLock lock(&versions_mutex_);
+  const auto found = versions_.find(version);
+  if (--found->second.observers > 0) return;
+  for (const auto& [series, remove] : found->second.removals) remove();
+  versions_.erase(found);
 }
 
 void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {

@@ -45,8 +45,9 @@ class Metrics {
   Metrics(const Metrics&) = delete;
   Metrics& operator=(const Metrics&) = delete;
 
-  // Returns an observer that counts what the sessions of one policy version do. The observer must
-  // not outlive this object.
+  // Returns an observer that counts what the sessions of one policy version do. When the last
+  // observer of a version is destroyed, the time series of the version are removed. The observer
+  // must not outlive this object.
   std::shared_ptr<SessionObserver> NewPolicyObserver(const std::string& name, int64_t version,
                                                      const Policy& policy);
 
@@ -90,6 +91,8 @@ class Metrics {
 
  private:
   static constexpr int kCodes = 17;  // gRPC status codes
+
+  void OnObserverEnd(const std::string& version) ABSL_LOCKS_EXCLUDED(versions_mutex_);
 
   auto& Register(auto builder, const char* name, const char* help) {
     return builder.Name(name).Help(help).Register(registry_);

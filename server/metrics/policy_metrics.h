@@ -7,6 +7,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <utility>
 
@@ -55,12 +56,20 @@ class PolicyMetrics final : public SessionObserver {
   };
 
   // `name` stands for the policy version in log lines. `dense`: see EstimateEnergy. The handles
-  // and `evidence` must outlive this object.
-  PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence, bool dense)
-      : name_(std::move(name)), handles_(handles), evidence_(*evidence), dense_(dense) {
+  // and `evidence` must outlive this object. Calls `on_end` when it is destroyed.
+  PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence, bool dense,
+                std::function<void()> on_end)
+      : name_(std::move(name)),
+        handles_(handles),
+        evidence_(*evidence),
+        dense_(dense),
+        on_end_(std::move(on_end)) {
     handles_.info->Increment();
   }
-  ~PolicyMetrics() override { handles_.info->Decrement(); }
+  ~PolicyMetrics() override {
+    handles_.info->Decrement();
+    on_end_();
+  }
 
   void OnOpen() override {
     handles_.sessions->Increment();
@@ -78,6 +87,7 @@ class PolicyMetrics final : public SessionObserver {
   const Handles handles_;
   VersionEvidence& evidence_;
   const bool dense_;
+  const std::function<void()> on_end_;
   absl::Mutex mutex_;
   int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;
   double return_mean_ ABSL_GUARDED_BY(mutex_) = 0.0;

@@ -231,12 +231,16 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
     const PolicyVersion& version, bool make_default) {
   if (!IsPlainName(version.policy)) {
     return absl::InvalidArgumentError(
-        absl::StrCat("policy: expected a name of letters, digits, '.', '-', '_', received ",
-                     Quoted(version.policy)));
+        absl::StrCat("policy: expected a name of at most ", kLongestName,
+                     " letters, digits, '.', '-', '_', received ", Quoted(version.policy)));
   }
   if (version.version < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("version: expected at least 1, received ", version.version));
+  }
+  if (StampOf(PolicyFilePath(options_.directory, version)).size < 0) {
+    return absl::NotFoundError(absl::StrCat(PolicyFilePath(options_.directory, version),
+                                            ": expected a file that can be read"));
   }
   absl::MutexLock change(&change_mutex_);
   Settings settings = settings_;
@@ -327,8 +331,9 @@ absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, in
 
 absl::Status PolicyRegistry::SetLabel(const PolicyVersion& version, const std::string& label) {
   if (!IsPlainName(label)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("label: expected letters, digits, '.', '-', '_', received ", Quoted(label)));
+    return absl::InvalidArgumentError(absl::StrCat("label: expected at most ", kLongestName,
+                                                   " letters, digits, '.', '-', '_', received ",
+                                                   Quoted(label)));
   }
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
     auto status = CheckVersion(served, version.policy, version.version);

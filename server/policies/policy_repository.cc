@@ -111,7 +111,8 @@ FileStamp StampOf(const std::string& path) {
 }
 
 bool IsPlainName(const std::string& name) {
-  return !name.empty() && name.front() != '.' && std::all_of(name.begin(), name.end(), [](char c) {
+  if (name.empty() || name.size() > kLongestName || name.front() == '.') return false;
+  return std::all_of(name.begin(), name.end(), [](char c) {
     return absl::ascii_isalnum(c) || c == '.' || c == '-' || c == '_';
   });
 }
