@@ -227,9 +227,12 @@ absl::Status Server::StartHttp() {
   if (options_.http_listen.empty()) return absl::OkStatus();
   const auto address = ParseAddress("--http_listen", options_.http_listen);
   if (!address.ok()) return address.status();
-  auto http = HttpServer::Start(*address, options_.tls, [this](const HttpRequest& request) {
-    return pages_.Answer(request);
-  });
+  // A browser sends a page of another site, whose name resolves to this machine, with that name.
+  // With tokens such a page learns nothing, because it has none.
+  const bool local_names_only = address->is_loopback() && options_.tokens.empty();
+  auto http =
+      HttpServer::Start(*address, options_.tls, local_names_only,
+                        [this](const HttpRequest& request) { return pages_.Answer(request); });
   if (!http.ok()) {
     return Annotate(http.status(), "--http_listen");
   }

@@ -45,13 +45,39 @@ void SetSocketOptions(socket_t socket) {
   setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
 }
 
-void Answer(const HttpServer::Page& page, const httplib::Request& request,
+// Returns true if the header Host names this machine, with or without a port.
+bool NamesThisMachine(absl::string_view host) {
+  const size_t colon = host.rfind(':');
+  const bool has_port = colon != absl::string_view::npos && host.find(']', colon) == host.npos;
+  return Address{.host = std::string(has_port ? host.substr(0, colon) : host)}.is_loopback();
+}
+
+// The library sends a part of the body for each range that a request asks for, so a short request
+// could get an answer of a hundred megabytes. A server may ignore ranges (RFC 9110, 14.2).
+void IgnoreRanges(const httplib::Request& request) {
+  // The library passes its own request, which is not constant.
+  const_cast<httplib::Ranges&>(request.ranges).clear();  // NOLINT(*-pro-type-const-cast)
+}
+
+HttpResponse AnswerOf(const HttpServer::Page& page, bool local_names_only,
+                      const httplib::Request& request) {
+  if (request.method != "GET" && request.method != "HEAD") {
+    return {.code = 405, .body = "expected GET or HEAD\n"};
+  }
+  // A browser always sends the header; some programs that check health do not.
+  if (local_names_only && request.has_header("Host") &&
+      !NamesThisMachine(request.get_header_value("Host"))) {
+    return {.code = 403, .body = "Host: expected localhost or a loopback address\n"};
+  }
+  return page({.path = request.path,
+               .parameters = request.params,
+               .authorization = request.get_header_value("Authorization")});
+}
+
+void Answer(const HttpServer::Page& page, bool local_names_only, const httplib::Request& request,
             httplib::Response& response) {
-  const bool is_read = request.method == "GET" || request.method == "HEAD";
-  HttpResponse answer = is_read ? page({.path = request.path,
-                                        .parameters = request.params,
-                                        .authorization = request.get_header_value("Authorization")})
-                                : HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+  IgnoreRanges(request);
+  HttpResponse answer = AnswerOf(page, local_names_only, request);
   response.status = answer.code;
   if (answer.code == 401) response.set_header("WWW-Authenticate", "Basic realm=\"spikeserve\"");
   response.set_content(answer.body, answer.content_type);
@@ -59,8 +85,11 @@ void Answer(const HttpServer::Page& page, const httplib::Request& request,
 
 }  // namespace
 
-HttpServer::HttpServer(const TlsFiles& tls, Page page)
-    : tls_(tls), page_(std::move(page)), server_(MakeServer(&tls_)) {
+HttpServer::HttpServer(const TlsFiles& tls, bool local_names_only, Page page)
+    : tls_(tls),
+      local_names_only_(local_names_only),
+      page_(std::move(page)),
+      server_(MakeServer(&tls_)) {
   server_->new_task_queue = [] { return new httplib::ThreadPool(kThreads); };  // owned by server_
   server_->set_socket_options(SetSocketOptions);
   server_->set_keep_alive_max_count(1);
@@ -70,14 +99,15 @@ HttpServer::HttpServer(const TlsFiles& tls, Page page)
   server_->set_default_headers(PageHeaders());
   server_->set_pre_routing_handler(
       [this](const httplib::Request& request, httplib::Response& response) {
-        Answer(page_, request, response);
+        Answer(page_, local_names_only_, request, response);
         return httplib::Server::HandlerResponse::Handled;
       });
 }
 
 absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& listen,
-                                                              const TlsFiles& tls, Page page) {
-  auto server = std::unique_ptr<HttpServer>(new HttpServer(tls, std::move(page)));
+                                                              const TlsFiles& tls,
+                                                              bool local_names_only, Page page) {
+  auto server = std::unique_ptr<HttpServer>(new HttpServer(tls, local_names_only, std::move(page)));
   httplib::Server& http = *server->server_;
   const std::string host(absl::StripSuffix(absl::StripPrefix(listen.host, "["), "]"));
   server->address_ = listen;

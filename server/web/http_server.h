@@ -42,10 +42,12 @@ class HttpServer {
   // Answers a request. Called from several threads at once.
   using Page = std::function<HttpResponse(const HttpRequest& request)>;
 
-  // Starts a server on `listen`, with TLS if `tls` is enabled. Returns UNAVAILABLE if it cannot
-  // listen on the address. REQUIRES: MakeServerCredentials(tls) succeeded.
+  // Starts a server on `listen`, with TLS if `tls` is enabled. `local_names_only`: answers 403
+  // unless the header Host names this machine, as localhost or a loopback address. Returns
+  // UNAVAILABLE if it cannot listen on the address. REQUIRES: MakeServerCredentials(tls) succeeded.
   static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen,
-                                                           const TlsFiles& tls, Page page);
+                                                           const TlsFiles& tls,
+                                                           bool local_names_only, Page page);
 
   // Stops the server. Blocks until the requests that are being answered have been answered.
   ~HttpServer();
@@ -56,9 +58,10 @@ class HttpServer {
   const Address& address() const { return address_; }
 
  private:
-  HttpServer(const TlsFiles& tls, Page page);
+  HttpServer(const TlsFiles& tls, bool local_names_only, Page page);
 
   const TlsFiles tls_;
+  const bool local_names_only_;
   const Page page_;
   const std::unique_ptr<httplib::Server> server_;
   Address address_;
