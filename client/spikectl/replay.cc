@@ -37,6 +37,21 @@ v1::OpenSessionRequest Opening(const ServedEpisode& served, const std::string& p
   return request;
 }
 
+// Returns the action that was executed at `step`, or nothing if it is the answered one.
+std::optional<v1::Action> Executed(const Dataset& dataset, int step) {
+  const Episode& episode = dataset.episodes[0];
+  const Action& executed = episode.actions[static_cast<size_t>(step)];
+  if (executed == episode.answered(step)) return std::nullopt;
+  v1::Action action;
+  if (dataset.action_space.is_discrete()) {
+    action.set_discrete(executed.discrete);
+  } else {
+    action.mutable_continuous()->mutable_values()->Add(executed.continuous.begin(),
+                                                       executed.continuous.end());
+  }
+  return action;
+}
+
 // Compares one decision with what was recorded at `step`.
 class Comparison {
  public:
@@ -61,7 +76,7 @@ class Comparison {
 
  private:
   void CompareAction(const v1::Action& action) {
-    const Action& recorded = episode_.actions[step_];
+    const Action& recorded = episode_.answered(static_cast<int>(step_));
     if (dataset_.action_space.is_discrete()) {
       Compare("action", int64_t{recorded.discrete}, action.discrete());
     } else {
@@ -105,7 +120,9 @@ absl::Status ReplayEpisode(const Dataset& dataset, RemoteSession& session, Repla
   for (int step = 0; step < episode.steps(); ++step) {
     const auto observation =
         absl::MakeConstSpan(episode.observations).subspan(static_cast<size_t>(step) * size, size);
-    const auto response = session.Act(observation, step == 0 ? 0.0 : episode.rewards[step - 1]);
+    const auto response = step == 0 ? session.Act(observation, 0.0)
+                                    : session.Act(observation, episode.rewards[step - 1],
+                                                  Executed(dataset, step - 1));
     if (!response.ok()) return response.status();
     result->difference = Comparison(dataset, step).Find(*response);
     if (result->difference.has_value()) return absl::OkStatus();
@@ -124,7 +141,8 @@ absl::Status ReplayEpisodes(const std::vector<Dataset>& recording, RemoteSession
           session.EndEpisode({.reward = before.rewards.back(),
                               .terminated = before.terminated,
                               .truncated = before.truncated,
-                              .target_return = ServedOf(recording[i]).target_return});
+                              .target_return = ServedOf(recording[i]).target_return,
+                              .executed_action = Executed(recording[i - 1], before.steps() - 1)});
       if (!ended.ok()) return ended.status();
     }
     absl::Status status = ReplayEpisode(recording[i], session, result);

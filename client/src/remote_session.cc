@@ -4,21 +4,24 @@
 
 namespace spikeserve {
 
-absl::StatusOr<v1::ActResponse> RemoteSession::Act(absl::Span<const float> observation,
-                                                   double reward) {
-  absl::StatusOr<v1::ActResponse> response = client_->Act(MakeRequest(observation, reward));
+absl::StatusOr<v1::ActResponse> RemoteSession::Act(
+    absl::Span<const float> observation, double reward,
+    const std::optional<v1::Action>& executed_action) {
+  absl::StatusOr<v1::ActResponse> response =
+      client_->Act(MakeRequest(observation, reward, executed_action));
   if (!response.ok()) return response;
   if (absl::Status status = Accept(*response); !status.ok()) return status;
   return response;
 }
 
-v1::ActRequest RemoteSession::MakeRequest(absl::Span<const float> observation,
-                                          double reward) const {
+v1::ActRequest RemoteSession::MakeRequest(absl::Span<const float> observation, double reward,
+                                          const std::optional<v1::Action>& executed_action) const {
   v1::ActRequest request;
   request.set_session_id(session_id_);
   request.set_step(step_);
   request.mutable_observation()->Add(observation.begin(), observation.end());
   request.set_reward(reward);
+  if (executed_action.has_value()) *request.mutable_executed_action() = *executed_action;
   return request;
 }
 
@@ -40,6 +43,9 @@ absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOu
   request.set_truncated(outcome.truncated);
   if (outcome.target_return.has_value()) request.set_target_return(*outcome.target_return);
   request.mutable_observation()->Add(outcome.observation.begin(), outcome.observation.end());
+  if (outcome.executed_action.has_value()) {
+    *request.mutable_executed_action() = *outcome.executed_action;
+  }
   absl::StatusOr<v1::EndEpisodeResponse> response = client_->EndEpisode(request);
   if (response.ok()) step_ = 0;
   return response;

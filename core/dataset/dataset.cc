@@ -16,6 +16,12 @@ namespace spikeserve {
 
 using Json = nlohmann::json;
 
+// Reads an index of a Discrete space or the values of a Box.
+absl::Status ReadJson(absl::string_view field, const Json& json, Action* action) {
+  return json.is_array() ? ReadJson(field, json, &action->continuous)
+                         : ReadJson(field, json, &action->discrete);
+}
+
 absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* served) {
   JsonObject object(field, json);
   object.Required("policy", &served->policy);
@@ -29,6 +35,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* 
   object.Required("probabilities", &served->probabilities);
   object.Required("spikes", &served->spikes);
   object.Optional("temperature", &served->temperature);
+  object.Optional("answered_actions", &served->answered_actions);
   return object.Finish();
 }
 
@@ -56,7 +63,7 @@ Json ActionsToJson(const std::vector<Action>& actions, bool discrete) {
   return list;
 }
 
-Json ServedToJson(const ServedEpisode& served) {
+Json ServedToJson(const ServedEpisode& served, bool discrete) {
   Json json = {{"policy", served.policy},
                {"version", served.version},
                {"episode", served.episode},
@@ -68,6 +75,9 @@ Json ServedToJson(const ServedEpisode& served) {
                {"probabilities", served.probabilities},
                {"spikes", served.spikes}};
   if (served.temperature.has_value()) json["temperature"] = *served.temperature;
+  if (!served.answered_actions.empty()) {
+    json["answered_actions"] = ActionsToJson(served.answered_actions, discrete);
+  }
   return json;
 }
 
@@ -82,7 +92,7 @@ Json EpisodeToJson(const Episode& episode, bool discrete) {
   if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
   if (!episode.weights.empty()) json["weights"] = episode.weights;
   if (episode.target_return.has_value()) json["asked_return"] = *episode.target_return;
-  if (episode.served.has_value()) json["served"] = ServedToJson(*episode.served);
+  if (episode.served.has_value()) json["served"] = ServedToJson(*episode.served, discrete);
   return json;
 }
 
@@ -136,6 +146,14 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
     if (length == expected) continue;
     return absl::InvalidArgumentError(
         absl::StrCat("served.", field, ": expected ", expected, ", received ", length));
+  }
+  if (!served.answered_actions.empty() && served.answered_actions.size() != steps) {
+    return absl::InvalidArgumentError(absl::StrCat("served.answered_actions: expected ", steps,
+                                                   " or none, received ",
+                                                   served.answered_actions.size()));
+  }
+  for (const Action& action : served.answered_actions) {
+    if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
   }
   return absl::OkStatus();
 }

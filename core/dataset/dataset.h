@@ -29,9 +29,10 @@ struct ServedEpisode {
   // Whether the session learned, or started from a head that differs from the policy's.
   bool learning = false;
   std::map<std::string, std::string> labels;
-  std::vector<float> returns_to_go;  // [steps]: what each decision was conditioned on
-  std::vector<float> probabilities;  // [steps, n]; Discrete spaces only
-  std::vector<uint64_t> spikes;      // [steps]
+  std::vector<Action> answered_actions;  // [steps]; empty if every action was executed as answered
+  std::vector<float> returns_to_go;      // [steps]: what each decision was conditioned on
+  std::vector<float> probabilities;      // [steps, n]; Discrete spaces only
+  std::vector<uint64_t> spikes;          // [steps]
 };
 
 // One episode of `steps` actions.
@@ -55,6 +56,10 @@ struct Episode {
   const Action& label(int step) const { return labels.empty() ? actions[step] : labels[step]; }
   // Returns the weight of that action in the loss.
   float weight(int step) const { return weights.empty() ? 1.0f : weights[step]; }
+  // Returns the action that the server answered at `step`. REQUIRES: a served episode.
+  const Action& answered(int step) const {
+    return served->answered_actions.empty() ? actions[step] : served->answered_actions[step];
+  }
   int steps() const { return static_cast<int>(actions.size()); }
 };
 

@@ -37,25 +37,59 @@ Learner Learner::New(const LearningOptions& options, const Policy& policy,
 
 std::optional<UpdateOutcome> Learner::OnDecision(const LearningOptions& options,
                                                  const Policy& policy, const ActionChoice& choice,
-                                                 absl::Span<const float> readout,
-                                                 double return_to_go, double reward) {
+                                                 absl::Span<const float> rates, double return_to_go,
+                                                 double reward) {
   if (suspended) return std::nullopt;
   if (episode.decisions > 0) AddReward(reward);
   episode.AddDecision(Discount(options));
 
-  thread_local std::vector<float> post;  // reused, so that a decision allocates no memory
-  PostsynapticActivity(options.rule, choice, &post);
+  thread_local std::vector<float> y;  // reused, so that a decision allocates no memory
+  PostsynapticActivity(options.rule, choice, &y);
   const auto decay = static_cast<float>(options.trace_decay);
-  auto matrix = AsMatrix(trace, static_cast<Eigen::Index>(post.size()));
-  matrix.noalias() = decay * matrix + AsVector(post) * AsVector(readout).transpose();  // eq. 4.1
+  auto matrix = AsMatrix(trace, static_cast<Eigen::Index>(y.size()));
+  matrix.noalias() = decay * matrix + AsVector(y) * AsVector(rates).transpose();  // eq. 4.1
+  if (options.rule == Rule::kPolicyGradient) {
+    post = AsVector(y);
+    readout = AsVector(rates);
+  }
 
   if (options.modulator == Modulator::kTarget) {
-    const double modulator = std::clamp(returns.Normalized(return_to_go), -1.0, 1.0);
-    return Apply(options, policy, options.learning_rate * modulator, trace);
+    if (options.rule == Rule::kPolicyGradient) before_update = head_delta;
+    return ApplyTarget(options, policy, return_to_go);
   }
   trace_sum += trace.cast<double>();
   discounted_trace = options.discount * discounted_trace + trace.cast<double>();
   return std::nullopt;
+}
+
+std::optional<UpdateOutcome> Learner::OnExecuted(const LearningOptions& options,
+                                                 const Policy& policy,
+                                                 const ActionSelection& selection,
+                                                 absl::Span<const float> logits,
+                                                 const Action& answered, const Action& executed,
+                                                 double return_to_go) {
+  if (suspended || post.size() == 0) return std::nullopt;
+  const Eigen::VectorXf y = std::exchange(post, {});
+  std::vector<float> corrected(y.begin(), y.end());
+  ReplaceAction(policy.action_space, logits, selection.temperature, answered, executed,
+                absl::MakeSpan(corrected));
+  Eigen::VectorXf change(head_delta.size());
+  AsMatrix(change, y.size()).noalias() = (AsVector(corrected) - y) * readout.transpose();
+  trace += change;
+  if (options.modulator == Modulator::kTarget) {
+    head_delta = before_update;
+    --updates;
+    return ApplyTarget(options, policy, return_to_go);
+  }
+  trace_sum += change.cast<double>();
+  discounted_trace += change.cast<double>();
+  return std::nullopt;
+}
+
+UpdateOutcome Learner::ApplyTarget(const LearningOptions& options, const Policy& policy,
+                                   double return_to_go) {
+  const double modulator = std::clamp(returns.Normalized(return_to_go), -1.0, 1.0);
+  return Apply(options, policy, options.learning_rate * modulator, trace);
 }
 
 std::optional<UpdateOutcome> Learner::OnEpisodeEnd(const LearningOptions& options,
@@ -85,6 +119,7 @@ void Learner::StartEpisode(const LearningOptions& options) {
   updates = 0;
   rejected = 0;
   suspended = false;
+  post.resize(0);
   if (options.scope == Scope::kFleet) head_delta.setZero();
 }
 
@@ -102,6 +137,7 @@ UpdateOutcome Learner::Apply(const LearningOptions& options, const Policy& polic
   const UpdateOutcome outcome =
       ApplyUpdate(factor, direction, {.clip = options.clip, .max_norm = longest}, &head_delta);
   ++(outcome == UpdateOutcome::kApplied ? updates : rejected);
+  if (outcome != UpdateOutcome::kApplied) post.resize(0);  // there is no update to replace
   if (outcome == UpdateOutcome::kNonFinite) trace.setZero();
   return outcome;
 }

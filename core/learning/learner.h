@@ -61,21 +61,34 @@ struct Learner {
   int64_t updates = 0;               // steps of the head that were applied
   int64_t rejected = 0;              // steps of the head that were refused
   bool suspended = false;            // learning was paused, so the episode learns nothing more
+  // What OnExecuted needs of the last decision; empty: nothing to change.
+  Eigen::VectorXf post;           // [act]: y
+  Eigen::VectorXf readout;        // [d]: r
+  Eigen::VectorXf before_update;  // kTarget only: head_delta before the decision's update
 
   // Returns a learner for the head W_base + head_delta. `options` must be valid. All later calls
   // take the same `options` and `policy`.
   static Learner New(const LearningOptions& options, const Policy& policy,
                      Eigen::VectorXf head_delta);
 
-  // Applies eq. 4.1, and for kTarget also eqs. 4.2 and 4.3. `readout` [d] are the rates that
+  // Applies eq. 4.1, and for kTarget also eqs. 4.2 and 4.3. `rates` [d] are the firing rates that
   // `choice` was made from, `return_to_go` is the return that conditioned it, and `reward` followed
   // the decision before; it is ignored at the first decision of an episode. Returns the outcome of
   // the update of the head, if there was one. An update that is not finite also clears the trace.
   // Allocates no memory once the thread has made a decision of this size.
   std::optional<UpdateOutcome> OnDecision(const LearningOptions& options, const Policy& policy,
-                                          const ActionChoice& choice,
-                                          absl::Span<const float> readout, double return_to_go,
-                                          double reward);
+                                          const ActionChoice& choice, absl::Span<const float> rates,
+                                          double return_to_go, double reward);
+
+  // Changes the last decision to one for `executed`, as if it had been made so: the traces, their
+  // sums and, for kTarget, the update of the head follow the action that was executed. `selection`,
+  // `logits`, `answered` and `return_to_go` are those of the decision. Does nothing for the rule
+  // kHebbian, whose y does not depend on the action. Returns the outcome of the update that
+  // replaces the decision's update, if there is one.
+  std::optional<UpdateOutcome> OnExecuted(const LearningOptions& options, const Policy& policy,
+                                          const ActionSelection& selection,
+                                          absl::Span<const float> logits, const Action& answered,
+                                          const Action& executed, double return_to_go);
 
   // Takes the `reward` of the last decision. `terminated` is false if the episode was truncated.
   // For kRealized, applies eqs. 4.2 and 4.3 over the whole episode. Returns the outcome of the
@@ -95,6 +108,9 @@ struct Learner {
 
  private:
   void AddReward(double reward);
+  // kTarget: applies eqs. 4.2 and 4.3 to the trace.
+  UpdateOutcome ApplyTarget(const LearningOptions& options, const Policy& policy,
+                            double return_to_go);
   // `Direction` is a vector of float or double.
   template <typename Direction>
   UpdateOutcome Apply(const LearningOptions& options, const Policy& policy, double factor,

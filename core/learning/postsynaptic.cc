@@ -1,5 +1,8 @@
 #include "core/learning/postsynaptic.h"
 
+#include <algorithm>
+#include <cmath>
+
 #include "core/math/exp.h"
 #include "core/math/vector_view.h"
 
@@ -16,6 +19,23 @@ void PostsynapticActivity(Rule rule, const ActionChoice& choice, std::vector<flo
   if (!discrete) return;
   AsVector(*post) = -AsVector(*post);
   (*post)[static_cast<size_t>(choice.action.discrete)] += 1.0f;
+}
+
+void ReplaceAction(const ActionSpace& space, absl::Span<const float> logits, float temperature,
+                   const Action& answered, const Action& executed, absl::Span<float> post) {
+  if (space.is_discrete()) {
+    post[static_cast<size_t>(answered.discrete)] -= 1.0f;
+    post[static_cast<size_t>(executed.discrete)] += 1.0f;
+    return;
+  }
+  for (size_t i = 0; i < post.size(); ++i) {
+    const float value = executed.continuous[i];
+    if (value == answered.continuous[i]) continue;
+    const double low = space.low[i];
+    const double unit = 2.0 * (value - low) / (static_cast<double>(space.high[i]) - low) - 1.0;
+    const double score = (std::atanh(unit) - static_cast<double>(logits[i])) / temperature;
+    post[i] = std::clamp(static_cast<float>(score), -kLargestExecutedScore, kLargestExecutedScore);
+  }
 }
 
 }  // namespace spikeserve

@@ -14,13 +14,15 @@
 //   Box: y = (u - z) / temperature, where u = z + temperature * noise is the sample before tanh.
 //   This is the standard normal noise itself, so y is exact at any temperature.
 //
-// A free function, safe to call from many threads.
+// Free functions, safe to call from many threads.
 #ifndef CORE_LEARNING_POSTSYNAPTIC_H_
 #define CORE_LEARNING_POSTSYNAPTIC_H_
 
 #include <vector>
 
+#include "absl/types/span.h"
 #include "core/action/action_head.h"
+#include "core/action/action_space.h"
 #include "core/learning/learning_options.h"
 
 namespace spikeserve {
@@ -28,6 +30,20 @@ namespace spikeserve {
 // Writes y into `post`, whose memory is reused. REQUIRES: for kPolicyGradient on a Box, a sampled
 // choice (LearningOptions::Validate).
 void PostsynapticActivity(Rule rule, const ActionChoice& choice, std::vector<float>* post);
+
+// Largest size of an element of y for an executed action that differs from the answered one. The
+// noise of a sampled action exceeds it once in 16,000 draws. Without it, an action at a bound,
+// where tanh^-1 is infinite, would make y infinite.
+inline constexpr float kLargestExecutedScore = 4.0f;
+
+// Changes `post`, which holds y of Rule::kPolicyGradient for `answered`, to y for `executed`.
+//   Discrete: y = onehot(executed) - softmax(z / temperature).
+//   Box: y = (tanh^-1(unit) - z) / temperature, with `unit` the executed value mapped from its
+//   bounds to [-1, 1], limited to kLargestExecutedScore; the elements that were executed as
+//   answered keep their y.
+// REQUIRES: both actions belong to `space`; `logits` are the z of the answer.
+void ReplaceAction(const ActionSpace& space, absl::Span<const float> logits, float temperature,
+                   const Action& answered, const Action& executed, absl::Span<float> post);
 
 }  // namespace spikeserve
 

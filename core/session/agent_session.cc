@@ -82,8 +82,13 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
 }
 
 absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const float> observation,
-                                                double reward) {
-  ActCall call = {.session = this, .step = step, .observation = observation, .reward = reward};
+                                                double reward,
+                                                const std::optional<ReportedAction>& executed) {
+  ActCall call = {.session = this,
+                  .step = step,
+                  .observation = observation,
+                  .reward = reward,
+                  .executed = executed};
   ActTogether(absl::MakeSpan(&call, 1));
   return std::move(call.answer);
 }
@@ -106,7 +111,7 @@ bool AgentSession::IsNewDecision(ActCall& call) {
     call.answer = &*session.last_answer;
     return false;
   }
-  const absl::Status status = call.session->CheckRequest(call.step, call.observation, call.reward);
+  const absl::Status status = call.session->CheckRequest(call);
   if (!status.ok()) call.answer = status;
   return status.ok();
 }
@@ -121,10 +126,14 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
   absl::Duration last = clock.Now();
   sessions.clear();
   for (const ActCall* call : calls) {
-    sessions.push_back(call->session);
-    if (call->session->context_ == nullptr) call->session->RebuildContext();
+    AgentSession& session = *call->session;
+    sessions.push_back(&session);
+    if (call->executed.has_value() && session.session_.step > 0) {
+      session.TakeExecuted(*ParseExecutedAction(*call->executed, served.policy().action_space));
+    }
+    if (session.context_ == nullptr) session.RebuildContext();
   }
-  AppendPendingActions(sessions);
+  AppendActions(sessions);
   decisions.clear();
   if (outputs.size() < calls.size()) outputs.resize(calls.size());
   for (size_t i = 0; i < calls.size(); ++i) {
@@ -154,17 +163,43 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
   }
 }
 
-absl::Status AgentSession::CheckRequest(int64_t step, absl::Span<const float> observation,
-                                        double reward) const {
-  if (step != session_.step) {
+absl::Status AgentSession::CheckRequest(const ActCall& call) const {
+  const Policy& policy = served_->policy();
+  if (call.step != session_.step) {
     return absl::FailedPreconditionError(
-        absl::StrCat("step: expected ", session_.step, ", received ", step));
+        absl::StrCat("step: expected ", session_.step, ", received ", call.step));
   }
-  if (auto status = CheckObservation(observation, served_->policy().observation_size());
-      !status.ok()) {
+  if (auto status = CheckObservation(call.observation, policy.observation_size()); !status.ok()) {
     return status;
   }
-  return step == 0 ? absl::OkStatus() : CheckReward(reward, NextReturnToGo(reward));
+  if (call.step == 0) return absl::OkStatus();
+  if (call.executed.has_value()) {
+    const auto executed = ParseExecutedAction(*call.executed, policy.action_space);
+    if (!executed.ok()) return executed.status();
+  }
+  return CheckReward(call.reward, NextReturnToGo(call.reward));
+}
+
+void AgentSession::TakeExecuted(const Action& executed) {
+  if (executed == session_.history.action(session_.history.size() - 1)) return;
+  session_.history.ReplaceLastAction(executed);
+  if (!action_pending_) context_.reset();  // it holds the answered action
+  reports_actions_ = true;
+  const Answer& answer = *session_.last_answer;
+  if (session_.learner.has_value()) {
+    Learner& learner = *session_.learner;
+    if (served_->learning->paused()) learner.suspended = true;
+    const auto outcome =
+        learner.OnExecuted(*session_.options.learning, served_->policy(),
+                           session_.options.action_selection, answer.logits, answer.action,
+                           executed, static_cast<double>(answer.return_to_go));
+    if (outcome.has_value() && !InFleet()) HeadWith(served_->policy(), learner.head_delta, &*head_);
+    // The observer has counted the update that an applied one replaces.
+    if (outcome.has_value() && *outcome != UpdateOutcome::kApplied) {
+      served_->observer->OnHeadUpdate(*outcome);
+    }
+  }
+  if (recorder_ != nullptr) recorder_->OnExecuted(executed);
 }
 
 // Returns G_{t+1} = G_t - r_t, in double precision so that rounding errors do not accumulate over
@@ -242,6 +277,15 @@ void AgentSession::AppendPendingAction() {
 }
 
 void AgentSession::AppendPendingActions(absl::Span<AgentSession* const> sessions) {
+  thread_local std::vector<AgentSession*> certain;
+  certain.clear();
+  for (AgentSession* session : sessions) {
+    if (!session->reports_actions_) certain.push_back(session);
+  }
+  AppendActions(certain);
+}
+
+void AgentSession::AppendActions(absl::Span<AgentSession* const> sessions) {
   thread_local std::vector<AgentSession*> pending;
   pending.clear();
   for (AgentSession* session : sessions) {
@@ -308,6 +352,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   const double target_return = end.target_return.value_or(session_.options.target_return);
   if (auto status = CheckTargetReturn(target_return); !status.ok()) return status;
 
+  if (end.executed_action.has_value()) TakeExecuted(*end.executed_action);
   if (recorder_ != nullptr) {
     recorder_->OnEnd(end.reward, end.observation, end.terminated, end.truncated);
   }

@@ -24,6 +24,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
+#include "core/action/reported_action.h"
 #include "core/base/clock.h"
 #include "core/engine/engine.h"
 #include "core/session/episode.h"
@@ -42,19 +43,24 @@ class AgentSession {
   AgentSession(std::shared_ptr<const ServedPolicy> served, Session session, const Clock* clock);
 
   // Decides timestep `step` from `observation` [obs], in environment units, and from `reward`,
-  // which the previous action earned and which is ignored at step 0. The returned answer is valid
-  // until the next call that changes the session.
+  // which the previous action earned and which is ignored at step 0. `executed` is the action that
+  // was executed at the previous step, if it differs from the answered one; it takes the answer's
+  // place in the history, in learning and in recordings, and is ignored at step 0. The returned
+  // answer is valid until the next call that changes the session.
   //
   // A request for the step that was answered last is a retry: it returns the stored answer,
   // whatever its other arguments are, and nothing is counted twice. Errors do not change the
   // session: FAILED_PRECONDITION for any other step than the next one; INVALID_ARGUMENT for an
-  // observation of the wrong length or a number that is not finite.
+  // observation of the wrong length, a number that is not finite or an executed action outside the
+  // action space.
   absl::StatusOr<const Answer*> Act(int64_t step, absl::Span<const float> observation,
-                                    double reward);
+                                    double reward,
+                                    const std::optional<ReportedAction>& executed = std::nullopt);
 
   // Appends the last action to the engine's context if that is still to be done. Act does it
   // otherwise: a call after the answer was sent keeps this work out of the latency of the next
-  // answer.
+  // answer. Does nothing once the agent has reported an executed action, because the next request
+  // may replace the action.
   void AppendPendingAction();
 
   // The arguments and the result of one Act among several.
@@ -63,6 +69,7 @@ class AgentSession {
     int64_t step = 0;
     absl::Span<const float> observation;
     double reward = 0.0;
+    std::optional<ReportedAction> executed = std::nullopt;
     absl::StatusOr<const Answer*> answer = nullptr;  // what Act would return
     bool is_retry = false;                           // true: `answer` is the stored one
   };
@@ -117,7 +124,7 @@ class AgentSession {
   int64_t Rollbacks() const;
 
  private:
-  absl::Status CheckRequest(int64_t step, absl::Span<const float> observation, double reward) const;
+  absl::Status CheckRequest(const ActCall& call) const;
   // Returns the reward that a request for the next step counts: 0 at step 0, where no action was
   // taken before.
   double CountedReward(double reward) const { return session_.step == 0 ? 0.0 : reward; }
@@ -126,6 +133,11 @@ class AgentSession {
   static bool IsNewDecision(ActCall& call);
   // Decides for sessions of one policy version.
   static void Decide(absl::Span<ActCall* const> calls);
+  // As AppendPendingActions, but also for agents that report executed actions.
+  static void AppendActions(absl::Span<AgentSession* const> sessions);
+  // Puts `executed` in the place of the last answered action. REQUIRES: the running episode has a
+  // decision; `executed` belongs to the action space.
+  void TakeExecuted(const Action& executed);
   void RebuildContext();
   absl::Span<const float> EncodedAction(const Action& action, std::vector<float>* encoded) const;
   Answer Choose(const Engine::Output& output, double return_to_go, double reward);
@@ -146,6 +158,7 @@ class AgentSession {
   std::unique_ptr<FleetHead::Member> member_;  // of the head that the fleet shares; null: of none
   std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded
   bool action_pending_ = false;                // true: the context lacks the last timestep's action
+  bool reports_actions_ = false;               // true: the agent has reported an executed action
 };
 
 // Returns the value of a new session at step 0 of its first episode.

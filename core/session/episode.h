@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "core/action/action_space.h"
 #include "core/learning/learning_options.h"
 #include "core/learning/return_statistics.h"
 
@@ -20,6 +21,8 @@ struct EpisodeEnd {
   // Used only by recordings:
   bool truncated = false;
   std::vector<float> observation = {};  // [obs]: observation after the last action; empty: unknown
+  // The executed last action; absent: as answered. Belongs to the action space of the policy.
+  std::optional<Action> executed_action = std::nullopt;
 
   friend bool operator==(const EpisodeEnd&, const EpisodeEnd&) = default;
 };

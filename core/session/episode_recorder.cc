@@ -23,11 +23,20 @@ void EpisodeRecorder::OnDecision(const Session& session, absl::Span<const float>
   episode.observations.insert(episode.observations.end(), observation.begin(), observation.end());
   episode.actions.push_back(answer.action);
   ServedEpisode& served = *episode.served;
+  if (!served.answered_actions.empty()) served.answered_actions.push_back(answer.action);
   served.returns_to_go.push_back(answer.return_to_go);
   served.probabilities.insert(served.probabilities.end(), answer.probabilities.begin(),
                               answer.probabilities.end());
   served.spikes.push_back(answer.counts.total_spikes());
   if (episode.steps() > kLongestEpisode) CutOff();
+}
+
+void EpisodeRecorder::OnExecuted(const Action& executed) {
+  if (!running_.has_value()) return;
+  Episode& episode = running_->episodes[0];
+  std::vector<Action>& answered = episode.served->answered_actions;
+  if (answered.empty()) answered = episode.actions;
+  episode.actions.back() = executed;
 }
 
 void EpisodeRecorder::Start(const Session& session) {
@@ -44,6 +53,7 @@ void EpisodeRecorder::Start(const Session& session) {
                     .temperature = std::nullopt,
                     .learning = options.learning.has_value() || options.head_delta.size() > 0,
                     .labels = options.labels,
+                    .answered_actions = {},
                     .returns_to_go = {},
                     .probabilities = {},
                     .spikes = {}};
@@ -81,6 +91,7 @@ void EpisodeRecorder::CutOff() {
   ServedEpisode& served = *episode.served;
   const size_t steps = episode.rewards.size();
   episode.actions.pop_back();
+  if (!served.answered_actions.empty()) served.answered_actions.pop_back();
   served.returns_to_go.pop_back();
   served.probabilities.resize(served.probabilities.size() / (steps + 1) * steps);
   served.spikes.pop_back();

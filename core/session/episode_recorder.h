@@ -48,6 +48,9 @@ class EpisodeRecorder {
   // action before it. Ignores decisions until the first step 0.
   void OnDecision(const Session& session, absl::Span<const float> observation, double reward);
 
+  // Records that `executed` was executed in the place of the last answered action.
+  void OnExecuted(const Action& executed);
+
   // Ends the running episode. `reward` and `observation` are the results of the last action; if
   // `observation` is empty, NaN is recorded in its place. An episode that has not terminated is
   // recorded as truncated.

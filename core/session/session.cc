@@ -62,6 +62,17 @@ absl::Status CheckLearner(const LearningOptions& options, const Learner& learner
     if (length == expected) continue;
     return Inconsistent(field, absl::StrCat(expected, " numbers"), length);
   }
+  if (learner.post.size() > 0) {
+    if (learner.post.size() * learner.readout.size() != size) {
+      return Inconsistent("learner.readout", "one number for each input of the head",
+                          learner.readout.size());
+    }
+    const int64_t before = options.modulator == Modulator::kTarget ? size : 0;
+    if (learner.before_update.size() != before) {
+      return Inconsistent("learner.before_update", absl::StrCat(before, " numbers"),
+                          learner.before_update.size());
+    }
+  }
   if (learner.guard.returns.size() >= ReturnGuard::kWindow) {
     return Inconsistent("learner.guard.returns", absl::StrCat("fewer than ", ReturnGuard::kWindow),
                         static_cast<int64_t>(learner.guard.returns.size()));

@@ -115,6 +115,9 @@ void VisitFields(T& learner, Visitor&& visit) {
   visit("updates", learner.updates);
   visit("rejected", learner.rejected);
   visit("suspended", learner.suspended);
+  visit("post", learner.post);
+  visit("readout", learner.readout);
+  visit("before_update", learner.before_update);
 }
 
 template <Is<EpisodeEnd> T, typename Visitor>
@@ -124,6 +127,7 @@ void VisitFields(T& end, Visitor&& visit) {
   visit("target_return", end.target_return);
   visit("truncated", end.truncated);
   visit("observation", end.observation);
+  visit("executed_action", end.executed_action);
 }
 
 template <Is<LearningSummary> T, typename Visitor>

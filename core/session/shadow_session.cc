@@ -36,6 +36,7 @@ absl::StatusOr<const Answer*> ShadowSession::Act(const ShadowStep& step) {
     return absl::FailedPreconditionError(
         "step: expected an episode that was shadowed from step 0, received a later step");
   }
+  if (step.executed.has_value()) agent_.OverrideLastAction(*step.executed);
   const auto answer = agent_.Act(step.step, step.observation, step.reward);
   if (answer.ok()) agent_.OverrideLastAction(step.served.action);
   return answer;

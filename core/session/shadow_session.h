@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -24,6 +25,7 @@ struct ShadowStep {
   std::vector<float> observation;  // environment units
   double reward = 0.0;
   double target_return = 0.0;  // of the episode
+  std::optional<Action> executed = std::nullopt;  // at the previous step; absent: as served
   Answer served;               // the answer that was sent
 };
 

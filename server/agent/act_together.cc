@@ -1,5 +1,8 @@
 #include "server/agent/act_together.h"
 
+#include <optional>
+#include <utility>
+
 #include "absl/container/inlined_vector.h"
 #include "core/session/session_locks.h"
 #include "server/agent/convert.h"
@@ -7,13 +10,23 @@
 namespace spikeserve {
 namespace {
 
+std::optional<ReportedAction> ExecutedAction(const v1::ActRequest& request) {
+  if (!request.has_executed_action()) return std::nullopt;
+  return FromProto(request.executed_action());
+}
+
 // Returns the step that the session's shadow will replay for the decision that was just made.
 ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
+  std::optional<Action> executed;
+  if (request.has_executed_action() && session.last_answer->step > 0) {
+    executed = session.history.action(session.history.size() - 2);
+  }
   return {.episode = session.episode,
           .step = session.last_answer->step,
           .observation = {request.observation().begin(), request.observation().end()},
           .reward = request.reward(),
           .target_return = session.target_return,
+          .executed = std::move(executed),
           .served = *session.last_answer};
 }
 
@@ -30,7 +43,8 @@ void ActTogether(absl::Span<ActItem> items) {
     calls.push_back({.session = &agent,
                      .step = item.step.value_or(agent.session().step),
                      .observation = item.request->observation(),
-                     .reward = item.request->reward()});
+                     .reward = item.request->reward(),
+                     .executed = ExecutedAction(*item.request)});
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
   for (size_t i = 0; i < items.size(); ++i) {

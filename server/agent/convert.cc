@@ -95,6 +95,12 @@ absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& re
   return settings;
 }
 
+ReportedAction FromProto(const v1::Action& action) {
+  if (action.has_discrete()) return action.discrete();
+  if (action.has_continuous()) return absl::MakeConstSpan(action.continuous().values());
+  return std::monostate();
+}
+
 v1::ActionSpace ToProto(const ActionSpace& space) {
   v1::ActionSpace proto;
   if (space.is_discrete()) {

@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/action/action_space.h"
+#include "core/action/reported_action.h"
 #include "core/session/agent_session.h"
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
@@ -21,6 +22,9 @@ namespace spikeserve {
 // Converts the settings of a new session; ResolveSession checks them. Returns INVALID_ARGUMENT for an
 // unknown value of an enumeration.
 absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& request);
+
+// Returns a view of `action`, which must outlive it.
+ReportedAction FromProto(const v1::Action& action);
 
 v1::ActionSpace ToProto(const ActionSpace& space);
 // REQUIRES: `entry` is the policy that `served` is a version of.

@@ -242,8 +242,15 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
                     .terminated = request.terminated(),
                     .target_return = std::nullopt,
                     .truncated = request.truncated(),
-                    .observation = {request.observation().begin(), request.observation().end()}};
+                    .observation = {request.observation().begin(), request.observation().end()},
+                    .executed_action = std::nullopt};
   if (request.has_target_return()) end.target_return = request.target_return();
+  if (request.has_executed_action()) {
+    auto executed = ParseExecutedAction(FromProto(request.executed_action()),
+                                        (*entry)->served->policy().action_space);
+    if (!executed.ok()) return executed.status();
+    end.executed_action = *std::move(executed);
+  }
   absl::MutexLock lock(&(*entry)->mutex);
   const auto summary = (*entry)->agent.EndEpisode(end);
   if (!summary.ok()) return summary.status();

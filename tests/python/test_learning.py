@@ -99,6 +99,7 @@ class Plasticity:
     def start_episode(self):
         self.trace = np.zeros_like(self.base)
         self.traces = []
+        self.before = None  # the trace and the delta before the last decision
 
     def head_delta(self):
         return self.delta
@@ -124,7 +125,20 @@ class Plasticity:
         return (np.arctanh(unit) - z) / self.temperature
 
     def decided(self, rates, action, return_to_go):
-        y = self.postsynaptic(rates, action)
+        self.before = (self.trace, self.delta)
+        self.learn(rates, self.postsynaptic(rates, action), return_to_go)
+
+    def executed(self, rates, answered, executed, return_to_go):
+        """Replaces the last decision by one for the action that was executed."""
+        self.trace, self.delta = self.before
+        self.traces.pop()
+        y = self.postsynaptic(rates, executed)
+        if executed.WhichOneof("kind") == "continuous" and self.config["rule"] != "hebbian":
+            same = np.array(answered.continuous.values) == np.array(executed.continuous.values)
+            y = np.where(same, self.postsynaptic(rates, answered), np.clip(y, -4, 4))
+        self.learn(rates, y, return_to_go)
+
+    def learn(self, rates, y, return_to_go):
         self.trace = self.config["trace_decay"] * self.trace + np.outer(y, rates)
         self.traces.append(self.trace)
         if not self.realized:
@@ -199,13 +213,21 @@ def assert_head(policy_service, session_id, plasticity):
     assert session.trace_norm == pytest.approx(norm(plasticity.trace), rel=1e-5, abs=TOLERANCE)
 
 
-def play_episode(environment, policy_service, session_id, probe_id, plasticity, seed):
-    """Plays at most MOST_STEPS steps and compares the head after every answer."""
+def play_episode(environment, policy_service, session_id, probe_id, plasticity, seed, layer=None):
+    """Plays at most MOST_STEPS steps and compares the head after every answer.
+
+    `layer` is a safety layer: it returns the action to execute in the place of an answered one, or None.
+    """
     observation, _ = environment.reset(seed=seed)
     reward, rewards, step, over = 0.0, [], 0, False
+    last = None  # the rates, answer and executed action of the last step, where the layer changed it
     while not over:
         request = {"step": step, "observation": observation.tolist(), "reward": reward}
-        unit = policy_service.Act(session_id=probe_id, **request).action.continuous.values
+        probed = request
+        if last is not None:
+            request = request | {"executed_action": last[2]}
+            plasticity.executed(last[0], last[1].action, last[2], last[1].return_to_go)
+        unit = policy_service.Act(session_id=probe_id, **probed).action.continuous.values
         # The action of the probe is tanh(spike count / 10 ticks).
         rates = np.round(10 * np.arctanh(np.array(unit, "f8"))) / 10
         answer = policy_service.Act(session_id=session_id, **request)
@@ -217,6 +239,8 @@ def play_episode(environment, policy_service, session_id, probe_id, plasticity, 
         if step % 7 == 0:  # a repeated request must not learn again
             policy_service.Act(session_id=session_id, **request)
         assert_head(policy_service, session_id, plasticity)
+        executed = layer(step, answer.action) if layer else None
+        last = None if executed is None else (rates, answer, executed)
         right = answer.action.discrete if discrete else answer.action.continuous.values[0] > 0
         observation, _, terminated, truncated, _ = environment.step(int(right))
         # The rewards differ between steps, so credit assignment changes the result.
@@ -225,7 +249,12 @@ def play_episode(environment, policy_service, session_id, probe_id, plasticity, 
         step += 1
         over = terminated or truncated or step == MOST_STEPS
     policy_service.EndEpisode(session_id=probe_id, reward=reward)
-    end = policy_service.EndEpisode(session_id=session_id, reward=reward, terminated=terminated)
+    ending = {"session_id": session_id, "reward": reward, "terminated": terminated}
+    if last is not None:
+        ending["executed_action"] = last[2]
+        plasticity.executed(last[0], last[1].action, last[2], last[1].return_to_go)
+    end = policy_service.EndEpisode(**ending)
+    assert policy_service.EndEpisode(**ending) == end  # a repeated request must not learn again
     plasticity.ended(rewards, terminated)
     assert end.learning.updates == (step if plasticity.config["modulator"] == "target" else 1)
     assert end.learning.rejected_updates == 0
@@ -294,6 +323,37 @@ def test_a_fleets_head_follows_the_equations(policies, policy_service, admin, po
     assert np.abs(delta - fleet["delta"]).max() <= TOLERANCE
     assert norm(delta) > 100 * TOLERANCE
     assert head.updates == 6 and head.sessions >= 3 and not head.paused
+
+
+def safety_layer(step, answered):
+    """Reverses every third index; clips the values, and puts them on a bound at times."""
+    action = type(answered)()
+    if answered.WhichOneof("kind") == "discrete":
+        if step % 3 != 0:
+            return None
+        action.discrete = 1 - answered.discrete
+    else:
+        values = np.clip(answered.continuous.values, [-0.5, 1.0], [0.5, 2.0]).tolist()
+        action.continuous.values.extend(HIGH if step % 11 == 5 else values)
+    return action
+
+
+@pytest.mark.parametrize("modulator", ["target", "realized"])
+@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian"])
+@pytest.mark.parametrize("policy", ["discrete", "box"])
+def test_the_score_is_that_of_the_executed_action(policies, policy_service, policy, rule, modulator):
+    config = {"rule": rule, "modulator": modulator, "learning_rate": 5e-3}
+    temperature = 0.5 if policy == "box" else 2.0
+    opening = {"action_selection": "SAMPLE", "temperature": temperature, "target_return": 200.0}
+    session = policy_service.OpenSession(policy=policy, seed=3, learning=config, **opening)
+    probe = policy_service.OpenSession(policy="probe", target_return=200.0)
+    plasticity = Plasticity(policies[1][policy], temperature, config)
+    environment = gymnasium.make("CartPole-v1")
+    for episode in range(EPISODES):
+        ids = (session.session_id, probe.session_id)
+        play_episode(environment, policy_service, *ids, plasticity, episode, safety_layer)
+    environment.close()
+    assert np.abs(plasticity.delta).max() > 100 * TOLERANCE
 
 
 def test_a_frozen_session_shows_no_learning(policy_service):

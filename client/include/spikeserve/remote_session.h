@@ -33,6 +33,8 @@ struct EpisodeOutcome {
   std::optional<double> target_return =
       std::nullopt;                     // of the next episode; unset: as the session was opened
   std::vector<float> observation = {};  // after the last action; used by recordings only
+  // The executed last action, if it differs from the answered one.
+  std::optional<v1::Action> executed_action = std::nullopt;
 };
 
 class RemoteSession {
@@ -46,14 +48,18 @@ class RemoteSession {
   int64_t step() const { return step_; }
 
   // Returns the decision at this step and advances the step. `observation` is in raw environment
-  // units; `reward` is for the previous action and ignored at step 0. Retries as Client::Act. After
-  // an error the step stays, so the same call may be repeated. Returns INTERNAL if the answer is
-  // for another session or step.
-  absl::StatusOr<v1::ActResponse> Act(absl::Span<const float> observation, double reward);
+  // units; `reward` is for the previous action and ignored at step 0. `executed_action` is the
+  // action that was executed at the previous step, if it differs from the answered one, for example
+  // because a safety layer clipped it. Retries as Client::Act. After an error the step stays, so
+  // the same call may be repeated. Returns INTERNAL if the answer is for another session or step.
+  absl::StatusOr<v1::ActResponse> Act(
+      absl::Span<const float> observation, double reward,
+      const std::optional<v1::Action>& executed_action = std::nullopt);
 
   // Act in two parts, for ActBatch and streams. MakeRequest returns the request of this step;
   // Accept takes its answer and advances the step, with the errors of Act.
-  v1::ActRequest MakeRequest(absl::Span<const float> observation, double reward) const;
+  v1::ActRequest MakeRequest(absl::Span<const float> observation, double reward,
+                             const std::optional<v1::Action>& executed_action = std::nullopt) const;
   absl::Status Accept(const v1::ActResponse& response);
 
   // Ends the episode and sets the step to 0. On an error the step stays. Errors: see Client.

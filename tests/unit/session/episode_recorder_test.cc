@@ -100,6 +100,33 @@ TEST_F(EpisodeRecorderTest, TheStateIsThatOfTheLastEpisodeThatEnded) {
   EXPECT_EQ(agent->recording_state(), RecordingState::kNotRecorded);
 }
 
+TEST_F(EpisodeRecorderTest, BothTheExecutedAndTheAnsweredActionsAreKept) {
+  auto agent = Open();
+  std::vector<Action> answered;
+  for (int64_t t = 0; t < 4; ++t) {
+    const int64_t other = t == 0 ? 0 : 1 - answered.back().discrete;
+    const auto executed = t == 2 ? std::optional<ReportedAction>(other) : std::nullopt;
+    const auto answer = agent->Act(t, ObservationAt(t), RewardAt(t), executed);
+    ASSERT_TRUE(answer.ok()) << answer.status();
+    answered.push_back((*answer)->action);
+  }
+  agent.reset();  // cuts off the action of step 3
+  const Episode& episode = recorded_.at(0).episodes[0];
+  EXPECT_TRUE(CheckEpisode(recorded_[0], episode).ok());
+  answered.pop_back();
+  EXPECT_EQ(episode.served->answered_actions, answered);
+  std::vector<Action> executed = answered;
+  executed[1].discrete = 1 - executed[1].discrete;
+  EXPECT_EQ(episode.actions, executed);
+
+  const std::string path = ::testing::TempDir() + "/executed_actions_test.cbor";
+  ASSERT_TRUE(WriteDataset(recorded_[0], path).ok());
+  const auto read = ReadDataset(path);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->episodes[0].served->answered_actions, answered);
+  EXPECT_EQ(read->episodes[0].actions, executed);
+}
+
 TEST_F(EpisodeRecorderTest, AnUnknownLastObservationIsNoNumber) {
   const auto agent = Open();
   Play(*agent, 2);

@@ -97,6 +97,36 @@ TEST_P(LearningSessionTest, RestoredMidEpisodeItGoesOnBitForBit) {
   EXPECT_GT(steady.HeadDrift(), 0.0);
 }
 
+// A session that is restored or loses its context between a decision and the report of what was
+// executed continues as one that did neither.
+TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
+  const ActionSpace& space = served_->policy().action_space;
+  const auto fleet = GetParam().learning.scope == Scope::kFleet;
+  AgentSession steady = NewAgent();
+  AgentSession answered = NewAgent();
+  AgentSession moved = fleet ? NewAgentElsewhere() : NewAgent();
+  const std::vector<float> values = {0.5f, 0.25f};
+  for (int64_t t = 0; t < 15; ++t) {
+    std::optional<ReportedAction> executed;
+    if (t % 2 == 1 && space.is_discrete()) executed = t % 3;
+    if (t % 2 == 1 && !space.is_discrete()) executed = absl::MakeConstSpan(values);
+    ASSERT_TRUE(answered.Act(t, ObservationAt(t), RewardAt(t)).ok());
+    const auto expected = steady.Act(t, ObservationAt(t), RewardAt(t), executed);
+    auto restored = ParseSession(SerializeSession(moved.session()));
+    ASSERT_TRUE(restored.ok()) << restored.status();
+    moved = AgentSession(served_, *std::move(restored), &clock_);
+    const auto actual = moved.Act(t, ObservationAt(t), RewardAt(t), executed);
+    ASSERT_TRUE(expected.ok() && actual.ok()) << expected.status();
+    ASSERT_EQ(**actual, **expected) << t;
+    if (t % 3 == 0) steady.AppendPendingAction();
+  }
+  EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
+  const bool changed = GetParam().learning.rule == Rule::kPolicyGradient;
+  const auto difference = (answered.session().learner->trace - steady.session().learner->trace);
+  if (changed) EXPECT_GT(difference.norm(), 0.0f);
+  EXPECT_EQ(steady.session().learner->updates, answered.session().learner->updates);
+}
+
 TEST_P(LearningSessionTest, RetriesNeverLearn) {
   AgentSession agent = NewAgent();
   for (int64_t t = 0; t < 10; ++t) {

@@ -60,6 +60,27 @@ TEST_F(ShadowSessionTest, ItsWindowHoldsTheActionsThatWereTaken) {
   EXPECT_TRUE(differed);
 }
 
+TEST_F(ShadowSessionTest, ItsWindowHoldsTheActionsThatWereExecuted) {
+  for (int step = 0; step < 20; ++step) {
+    std::optional<ReportedAction> executed;
+    ShadowStep seen;
+    if (step > 0) {
+      seen.executed = Action{.discrete = step % 3, .continuous = {}};
+      executed = int64_t{step % 3};
+    }
+    const auto served = agent_.Act(step, ObservationAt(step), 0.5, executed);
+    ASSERT_TRUE(served.ok()) << served.status();
+    seen.step = step;
+    seen.observation = ObservationAt(step);
+    seen.reward = 0.5;
+    seen.target_return = agent_.session().target_return;
+    seen.served = **served;
+    const auto answer = shadow_.Act(seen);
+    ASSERT_TRUE(answer.ok()) << answer.status();
+    EXPECT_EQ((*answer)->counts, (*served)->counts) << step;
+  }
+}
+
 TEST_F(ShadowSessionTest, AnEpisodeWithAHoleIsLostUntilTheNext) {
   ASSERT_TRUE(shadow_.Act(Serve(agent_)).ok());
   Serve(agent_);  // the shadow misses this step

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
-from spikeserve.calls import act_each, list_policies, open_session
+from spikeserve.calls import ExecutedActions, act_each, list_policies, open_session
 from spikeserve.connection import AsyncConnection
 from spikeserve.errors import SpikeserveError
 from spikeserve.values import Decision, Policy, SessionOptions
@@ -34,10 +34,12 @@ class AsyncClient(AsyncConnection):
         observations: Sequence[ArrayLike],
         rewards: Sequence[float],
         timeout: float | None = None,
+        *,
+        executed_actions: ExecutedActions = None,
     ) -> list[Decision | SpikeserveError]:
         """Asyncio form of Client.act_batch."""
         cursors = [session.cursor for session in sessions]
-        return await self.run(act_each(cursors, observations, rewards, timeout))
+        return await self.run(act_each(cursors, observations, rewards, timeout, executed_actions))
 
     def act_stream(self) -> AsyncActStream:
         """Asyncio form of Client.act_stream."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from spikeserve.connection import AsyncConnection
 from spikeserve.errors import SpikeserveError
 from spikeserve.session_handle import SessionHandle
-from spikeserve.values import Decision, EpisodeSummary, SessionState
+from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
 
 
 class AsyncSession(SessionHandle[AsyncConnection]):
@@ -26,10 +26,17 @@ class AsyncSession(SessionHandle[AsyncConnection]):
                 raise
 
     async def act(
-        self, observation: ArrayLike, reward: float = 0.0, timeout: float | None = None
+        self,
+        observation: ArrayLike,
+        reward: float = 0.0,
+        timeout: float | None = None,
+        *,
+        executed_action: ActionLike | None = None,
     ) -> Decision:
         """Asyncio form of Session.act."""
-        return await self._client.run(self.cursor.act(observation, reward, timeout))
+        return await self._client.run(
+            self.cursor.act(observation, reward, timeout, executed_action)
+        )
 
     async def end_episode(
         self,
@@ -38,10 +45,14 @@ class AsyncSession(SessionHandle[AsyncConnection]):
         truncated: bool = False,
         target_return: float | None = None,
         observation: ArrayLike | None = None,
+        *,
+        executed_action: ActionLike | None = None,
     ) -> EpisodeSummary:
         """Asyncio form of Session.end_episode."""
         return await self._client.run(
-            self.cursor.end_episode(reward, terminated, truncated, target_return, observation)
+            self.cursor.end_episode(
+                reward, terminated, truncated, target_return, observation, executed_action
+            )
         )
 
     async def state(self) -> SessionState:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from spikeserve.async_session import AsyncSession
 from spikeserve.errors import SpikeserveError, error_of_call
 from spikeserve.open_requests import OpenRequests, stream_ended
-from spikeserve.values import Decision
+from spikeserve.values import ActionLike, Decision
 
 
 class AsyncActStream:
@@ -30,10 +30,15 @@ class AsyncActStream:
         self.close()
 
     async def send(
-        self, session: AsyncSession, observation: ArrayLike, reward: float = 0.0
+        self,
+        session: AsyncSession,
+        observation: ArrayLike,
+        reward: float = 0.0,
+        *,
+        executed_action: ActionLike | None = None,
     ) -> None:
         """Asyncio form of ActStream.send."""
-        request = self._open.add(session, observation, reward)
+        request = self._open.add(session, observation, reward, executed_action)
         try:
             await self._call.write(request)
         except grpc.RpcError as error:
@@ -50,11 +55,16 @@ class AsyncActStream:
         return self._open.accept(reply)
 
     async def act(
-        self, session: AsyncSession, observation: ArrayLike, reward: float = 0.0
+        self,
+        session: AsyncSession,
+        observation: ArrayLike,
+        reward: float = 0.0,
+        *,
+        executed_action: ActionLike | None = None,
     ) -> Decision:
         """Asyncio form of ActStream.act."""
         self._open.check_empty()
-        await self.send(session, observation, reward)
+        await self.send(session, observation, reward, executed_action=executed_action)
         _, result = await self.receive()
         if isinstance(result, SpikeserveError):
             raise result

@@ -55,9 +55,13 @@ class AsyncVectorSession(VectorRows[AsyncSession]):
         truncations: ArrayLike | None = None,
         infos: dict[str, Any] | None = None,
         timeout: float | None = None,
+        *,
+        executed_actions: ArrayLike | None = None,
     ) -> Actions:
         """Asyncio form of VectorSession.act. Ends the episodes of a step concurrently."""
-        step = self._begin(observations, rewards, terminations, truncations, infos)
+        step = self._begin(
+            observations, rewards, terminations, truncations, infos, executed_actions
+        )
         endings = (self._end(row, ending) for row, ending in step.endings.items())
         # Every ending is awaited, so that `_newly_ended` has all that succeed if one fails.
         for error in await asyncio.gather(*endings, return_exceptions=True):

@@ -15,17 +15,22 @@ from numpy.typing import ArrayLike
 
 from spikeserve.errors import NotFoundError, SpikeserveError, error_of_item, make_error
 from spikeserve.values import (
+    ActionLike,
     Decision,
     EpisodeSummary,
     Opening,
     Policy,
     SessionOptions,
     SessionState,
+    action_to_wire,
     observation_array,
 )
 from spikeserve.wire import METHODS, Message
 
 T = TypeVar("T")
+
+# The executed action of each row; None: as answered. None in place of the list: all as answered.
+ExecutedActions = Sequence[ActionLike | None] | None
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,11 @@ class SessionCursor:
         self.step = step
 
     def act(
-        self, observation: ArrayLike, reward: float, timeout: float | None = None
+        self,
+        observation: ArrayLike,
+        reward: float,
+        timeout: float | None = None,
+        executed_action: ActionLike | None = None,
     ) -> Call[Decision]:
         """Describes Session.act. The response moves the cursor to the next step."""
         request = METHODS["Act"].request(
@@ -72,6 +81,7 @@ class SessionCursor:
             step=self.step,
             observation=observation_array(observation),
             reward=float(reward) if self.step > 0 else 0.0,
+            executed_action=action_to_wire(executed_action),
         )
         return Call("Act", request, self.accept, timeout)
 
@@ -82,6 +92,7 @@ class SessionCursor:
         truncated: bool = False,
         target_return: float | None = None,
         observation: ArrayLike | None = None,
+        executed_action: ActionLike | None = None,
     ) -> Call[EpisodeSummary]:
         """Describes Session.end_episode. The response moves the cursor to step 0."""
         request = METHODS["EndEpisode"].request(
@@ -91,6 +102,7 @@ class SessionCursor:
             truncated=bool(truncated),
             target_return=target_return,
             observation=() if observation is None else observation_array(observation),
+            executed_action=action_to_wire(executed_action),
         )
         return Call("EndEpisode", request, self._accept_end)
 
@@ -130,6 +142,7 @@ def act_each(
     observations: Sequence[ArrayLike],
     rewards: Sequence[float],
     timeout: float | None,
+    executed_actions: ExecutedActions = None,
 ) -> Call[list[Decision | SpikeserveError]]:
     """Describes Client.act_batch. A cursor whose result is a decision moves to its next step."""
 
@@ -139,7 +152,7 @@ def act_each(
             for cursor, result in zip(cursors, results, strict=True)
         ]
 
-    return _act_batch(cursors, observations, rewards, timeout, accept)
+    return _act_batch(cursors, observations, rewards, timeout, accept, executed_actions)
 
 
 def act_all(
@@ -147,6 +160,7 @@ def act_all(
     observations: Sequence[ArrayLike],
     rewards: Sequence[float],
     timeout: float | None,
+    executed_actions: ExecutedActions = None,
 ) -> Call[list[Decision]]:
     """Describes an ActBatch that raises its first error. All cursors move, or none does."""
 
@@ -157,7 +171,7 @@ def act_all(
             cursor.check(result)
         return [cursor.accept(result) for cursor, result in zip(cursors, results, strict=True)]
 
-    return _act_batch(cursors, observations, rewards, timeout, accept)
+    return _act_batch(cursors, observations, rewards, timeout, accept, executed_actions)
 
 
 def _act_batch(
@@ -166,10 +180,16 @@ def _act_batch(
     rewards: Sequence[float],
     timeout: float | None,
     accept: Callable[[list[Any]], T],
+    executed_actions: ExecutedActions,
 ) -> Call[T]:
     """`accept` receives an ActResponse or a SpikeserveError for each cursor."""
-    rows = zip(cursors, observations, rewards, strict=True)
-    requests = [cursor.act(observation, reward).request for cursor, observation, reward in rows]
+    executed = [None] * len(cursors) if executed_actions is None else executed_actions
+    requests = [
+        cursor.act(observation, reward, executed_action=action).request
+        for cursor, observation, reward, action in zip(
+            cursors, observations, rewards, executed, strict=True
+        )
+    ]
 
     def decode(response: Message) -> T:
         if len(response.results) != len(requests):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from spikeserve.calls import act_each, list_policies, open_session
+from spikeserve.calls import ExecutedActions, act_each, list_policies, open_session
 from spikeserve.connection import Connection
 from spikeserve.errors import SpikeserveError
 from spikeserve.session import Session
@@ -40,13 +40,17 @@ class Client(Connection):
         observations: Sequence[ArrayLike],
         rewards: Sequence[float],
         timeout: float | None = None,
+        *,
+        executed_actions: ExecutedActions = None,
     ) -> list[Decision | SpikeserveError]:
         """Returns one decision or error for each session, with a single call.
 
-        A session whose result is an error stays at its step. The others move to their next step.
+        `executed_actions` has the executed action of each session's previous step, or None for a
+        session that executed the answer. A session whose result is an error stays at its step. The
+        others move to their next step.
         """
         cursors = [session.cursor for session in sessions]
-        return self.run(act_each(cursors, observations, rewards, timeout))
+        return self.run(act_each(cursors, observations, rewards, timeout, executed_actions))
 
     def act_stream(self) -> ActStream:
         """Opens a stream of decisions for any number of sessions."""

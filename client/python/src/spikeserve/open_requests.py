@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from spikeserve.check import check
 from spikeserve.errors import SpikeserveError, error_of_item, make_error
 from spikeserve.session_handle import AnySession
-from spikeserve.values import Decision
+from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
 
 
@@ -20,12 +20,18 @@ class OpenRequests(Generic[AnySession]):
     def __init__(self) -> None:
         self._sessions: dict[str, AnySession] = {}
 
-    def add(self, session: AnySession, observation: ArrayLike, reward: float) -> Message:
+    def add(
+        self,
+        session: AnySession,
+        observation: ArrayLike,
+        reward: float,
+        executed_action: ActionLike | None,
+    ) -> Message:
         """Returns the request to send. ValueError if the session has an open request already."""
         session_id = session.session_id
         is_idle = session_id not in self._sessions
         check(is_idle, f"session {session_id}", "no request under way", "one")
-        request = session.cursor.act(observation, reward).request
+        request = session.cursor.act(observation, reward, None, executed_action).request
         self._sessions[session_id] = session
         return request
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from spikeserve.connection import Connection
 from spikeserve.errors import SpikeserveError
 from spikeserve.session_handle import SessionHandle
-from spikeserve.values import Decision, EpisodeSummary, SessionState
+from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
 
 
 class Session(SessionHandle[Connection]):
@@ -31,15 +31,25 @@ class Session(SessionHandle[Connection]):
                 raise
 
     def act(
-        self, observation: ArrayLike, reward: float = 0.0, timeout: float | None = None
+        self,
+        observation: ArrayLike,
+        reward: float = 0.0,
+        timeout: float | None = None,
+        *,
+        executed_action: ActionLike | None = None,
     ) -> Decision:
         """Returns the decision at this step and moves to the next step.
 
         `observation` is in environment units. `reward` is for the previous action; step 0 ignores
-        it. `timeout` replaces the client's, in seconds for each attempt. After an error the session
+        it. `executed_action` is the action that was executed at the previous step, if it differs
+        from the answered one, for example because a safety layer clipped it: the model remembers
+        it, recordings hold it, and learning takes its score. ValueError, or InvalidArgumentError
+        from the server, if it does not belong to the action space.
+
+        `timeout` replaces the client's, in seconds for each attempt. After an error the session
         stays at its step, and the same call may be made again.
         """
-        return self._client.run(self.cursor.act(observation, reward, timeout))
+        return self._client.run(self.cursor.act(observation, reward, timeout, executed_action))
 
     def end_episode(
         self,
@@ -48,15 +58,20 @@ class Session(SessionHandle[Connection]):
         truncated: bool = False,
         target_return: float | None = None,
         observation: ArrayLike | None = None,
+        *,
+        executed_action: ActionLike | None = None,
     ) -> EpisodeSummary:
         """Sends the last reward, ends the episode and moves to step 0 of the next episode.
 
         `target_return` is for the next episode; None: the target return of the session.
-        `observation` is the final observation, which only recordings use. A repeated call is safe:
-        the server counts the end once and returns the same summary.
+        `observation` is the final observation, which only recordings use. `executed_action` is the
+        executed last action, as for `act`. A repeated call is safe: the server counts the end once
+        and returns the same summary.
         """
         return self._client.run(
-            self.cursor.end_episode(reward, terminated, truncated, target_return, observation)
+            self.cursor.end_episode(
+                reward, terminated, truncated, target_return, observation, executed_action
+            )
         )
 
     def state(self) -> SessionState:

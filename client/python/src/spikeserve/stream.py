@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from spikeserve.errors import SpikeserveError, error_of_call, make_error
 from spikeserve.open_requests import OpenRequests, stream_ended
 from spikeserve.session import Session
-from spikeserve.values import Decision
+from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
 
 
@@ -41,9 +41,19 @@ class ActStream:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def send(self, session: Session, observation: ArrayLike, reward: float = 0.0) -> None:
-        """Sends a request for the decision at the step of `session`. Does not wait."""
-        self._requests.put(self._open.add(session, observation, reward))
+    def send(
+        self,
+        session: Session,
+        observation: ArrayLike,
+        reward: float = 0.0,
+        *,
+        executed_action: ActionLike | None = None,
+    ) -> None:
+        """Sends a request for the decision at the step of `session`. Does not wait.
+
+        The arguments are those of Session.act.
+        """
+        self._requests.put(self._open.add(session, observation, reward, executed_action))
 
     def receive(self, timeout: float | None = None) -> tuple[Session, Decision | SpikeserveError]:
         """Returns the next answer of any session: a decision, or the error of that request.
@@ -68,10 +78,12 @@ class ActStream:
         observation: ArrayLike,
         reward: float = 0.0,
         timeout: float | None = None,
+        *,
+        executed_action: ActionLike | None = None,
     ) -> Decision:
         """Sends and receives. ValueError if another request is under way."""
         self._open.check_empty()
-        self.send(session, observation, reward)
+        self.send(session, observation, reward, executed_action=executed_action)
         result = self.receive(timeout)[1]
         if isinstance(result, SpikeserveError):
             raise result

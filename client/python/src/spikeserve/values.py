@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,8 @@ from spikeserve.wire import Message, message_class
 
 # An index in [0, n) of a Discrete space, or float32 values in environment units of a Box.
 Action = int | NDArray[np.float32]
+# The same as an agent passes it.
+ActionLike = int | np.integer[Any] | ArrayLike
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,24 @@ class SessionState:
         """Converts a GetSessionResponse."""
         values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
         return cls(**(values | {"labels": dict(message.labels)}))
+
+
+def action_to_wire(action: ActionLike | None) -> Message | None:
+    """Converts an executed action. None: the action was executed as answered.
+
+    An integer is an index of a Discrete space; an array of one dimension is an action of a Box.
+    ValueError for anything else.
+    """
+    if action is None:
+        return None
+    array = np.asarray(action)
+    make = message_class("Action")
+    if array.ndim == 0 and np.issubdtype(array.dtype, np.integer):
+        return make(discrete=int(array))
+    expected = "an integer or an array of one dimension"
+    received = action if array.ndim == 0 else f"shape {array.shape}"
+    check(array.ndim == 1, "executed_action", expected, received)
+    return make(continuous={"values": np.asarray(array, np.float32)})
 
 
 def observation_array(observation: ArrayLike) -> NDArray[np.float32]:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from spikeserve.calls import Call, SessionCursor, act_all
 from spikeserve.check import check
 from spikeserve.session_handle import AnySession
-from spikeserve.spaces import ActionSpace, as_action_space, stack_actions
+from spikeserve.spaces import ActionSpace, Discrete, as_action_space, stack_actions
 from spikeserve.values import Decision, EpisodeSummary, SessionOptions
 
 _NEXT_STEP = "NextStep"  # the values of gymnasium.vector.AutoresetMode
@@ -44,10 +44,13 @@ class VectorStep:
     cursors: list[SessionCursor]
     observations: list[NDArray[np.float32]]
     rewards: list[float]
+    executed_actions: list[Any] | None
 
     def batch(self, timeout: float | None) -> Call[list[Decision]]:
         """Describes the decisions of all rows that act. Valid only after the endings."""
-        return act_all(self.cursors, self.observations, self.rewards, timeout)
+        return act_all(
+            self.cursors, self.observations, self.rewards, timeout, self.executed_actions
+        )
 
 
 class VectorRows(Generic[AnySession]):
@@ -93,11 +96,13 @@ class VectorRows(Generic[AnySession]):
         terminations: ArrayLike | None,
         truncations: ArrayLike | None,
         infos: dict[str, Any] | None,
+        executed_actions: ArrayLike | None,
     ) -> VectorStep:
         observed = self._rows("observations", observations, np.float32)
         rewarded = self._rows("rewards", self._rewards(rewards), np.float64)
         terminated = self._rows("terminations", self._flags(terminations), np.bool_)
         truncated = self._rows("truncations", self._flags(truncations), np.bool_)
+        executed = self._executed(executed_actions)
         over = terminated | truncated
         endings = {
             int(row): self._sessions[row].cursor.end_episode(
@@ -105,6 +110,7 @@ class VectorRows(Generic[AnySession]):
                 terminated[row],
                 truncated[row],
                 observation=self._final_observation(int(row), observed, infos),
+                executed_action=None if executed is None else executed[row],
             )
             for row in np.flatnonzero(over)
             # A row at step 0 was ended before, by a call that failed later and is made again.
@@ -118,6 +124,8 @@ class VectorRows(Generic[AnySession]):
             [self._sessions[row].cursor for row in rows],
             list(observed[rows]),
             rewarded[rows].tolist(),
+            # A row whose episode ends in this step acts at step 0 next, which ignores the action.
+            None if executed is None else list(executed[rows]),
         )
 
     def _final_observation(
@@ -151,6 +159,15 @@ class VectorRows(Generic[AnySession]):
 
     def _flags(self, flags: ArrayLike | None) -> ArrayLike:
         return np.zeros(self._num_envs, np.bool_) if flags is None else flags
+
+    def _executed(self, actions: ArrayLike | None) -> NDArray[Any] | None:
+        if actions is None:
+            return None
+        executed = np.asarray(actions)
+        size = () if isinstance(self._action_space, Discrete) else (len(self._action_space.low),)
+        expected = (self._num_envs, *size)
+        check(executed.shape == expected, "executed_actions", f"shape {expected}", executed.shape)
+        return executed
 
     def _rows(self, field: str, values: ArrayLike, dtype: Any) -> NDArray[Any]:
         """Returns `values` as an array with one row for each environment."""

@@ -51,14 +51,20 @@ class VectorSession(VectorRows[Session]):
         truncations: ArrayLike | None = None,
         infos: dict[str, Any] | None = None,
         timeout: float | None = None,
+        *,
+        executed_actions: ArrayLike | None = None,
     ) -> Actions:
         """Returns the actions for `envs.step`.
 
         The arguments are what `envs.step` returned. After `envs.reset`, the observations suffice.
         `infos` holds the final observations of SAME_STEP environments, which only recordings use.
+        `executed_actions` are the actions that `envs.step` received, if they differ from those that
+        the last `act` returned.
         If any row fails, no row moves to its next step, and the same call may be made again.
         """
-        step = self._begin(observations, rewards, terminations, truncations, infos)
+        step = self._begin(
+            observations, rewards, terminations, truncations, infos, executed_actions
+        )
         for row, ending in step.endings.items():
             self._newly_ended[row] = self._client.run(ending)
         decisions = self._client.run(step.batch(timeout)) if step.cursors else []
