@@ -79,7 +79,9 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("compact_after", "DURATION", &options->compact_after,
            "Idle time after which a session frees memory")
       .Add("max_sessions", "N", &options->max_sessions, "Largest number of open sessions")
-      .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions");
+      .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions")
+      .Add("unusual_deviations", "K", &options->unusual_deviations,
+           "Deviations from the training data that make an observation unusual; 0: none");
   program.Flags("Security")
       .Add("tls_certificate", "FILE", &options->tls.certificate,
            "PEM certificate chain of the server; turns TLS on")

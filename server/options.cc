@@ -58,6 +58,10 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(absl::StrCat(
         "--compact_after: expected at least 1ms, received ", absl::FormatDuration(compact_after)));
   }
+  if (!(unusual_deviations >= 0.0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--unusual_deviations: expected at least 0, received ", unusual_deviations));
+  }
   if (max_sessions < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("--max_sessions: expected at least 1, received ", max_sessions));

@@ -9,6 +9,7 @@
 #include "absl/time/time.h"
 #include "server/access/tls.h"
 #include "server/base/log.h"
+#include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"
 #include "server/transport/limits.h"
 
@@ -33,6 +34,9 @@ struct ServerOptions {
   absl::Duration session_ttl = absl::Minutes(10);    // idle time that ends a session
   absl::Duration compact_after = absl::Seconds(10);  // idle time that shrinks one to its history
   int64_t max_sessions = 100'000;                    // open at a time
+  // Standard deviations from the mean of the training data beyond which an element of an
+  // observation counts as unusual; 0: none does.
+  double unusual_deviations = kUnusualDeviations;
   std::string record_dir;  // where sessions are recorded that ask for it; empty: nowhere
 
   TlsFiles tls;        // for gRPC and HTTP

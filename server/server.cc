@@ -81,8 +81,9 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
        .settings_path = options.policy_settings,
        .default_rule = options.default_version,
        .share_heads = options.share_heads_across_tenants},
-      [kept = metrics.get()](const std::string& name, int64_t version, const Policy& policy) {
-        return kept->NewPolicyObserver(name, version, policy);
+      [kept = metrics.get(), deviations = options.unusual_deviations](
+          const std::string& name, int64_t version, const Policy& policy) {
+        return kept->NewPolicyObserver(name, version, policy, deviations);
       },
       &report);
   if (!registry.ok()) return registry.status();

@@ -154,6 +154,7 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
     const double reward = session.CountedReward(call.reward);
     const double return_to_go = session.NextReturnToGo(reward);
     Answer answer = session.Choose(outputs[i], return_to_go, reward);
+    answer.unusual_observations = served.observer->CountUnusual(call.observation);
     const absl::Duration chosen = clock.Now();
     answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
     last = chosen;
@@ -189,10 +190,9 @@ void AgentSession::TakeExecuted(const Action& executed) {
   if (session_.learner.has_value()) {
     Learner& learner = *session_.learner;
     if (served_->learning->paused()) learner.suspended = true;
-    const auto outcome =
-        learner.OnExecuted(*session_.options.learning, served_->policy(),
-                           session_.options.action_selection, answer.logits, answer.action,
-                           executed, static_cast<double>(answer.return_to_go));
+    const auto outcome = learner.OnExecuted(
+        *session_.options.learning, served_->policy(), session_.options.action_selection,
+        answer.logits, answer.action, executed, static_cast<double>(answer.return_to_go));
     if (outcome.has_value() && !InFleet()) HeadWith(served_->policy(), learner.head_delta, &*head_);
     // The observer has counted the update that an applied one replaces.
     if (outcome.has_value() && *outcome != UpdateOutcome::kApplied) {

@@ -12,6 +12,7 @@
 #include "absl/functional/function_ref.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/types/span.h"
 #include "core/engine/engine.h"
 #include "core/learning/fleet_head.h"
 #include "core/learning/head_update.h"
@@ -29,6 +30,9 @@ class SessionObserver {
   virtual ~SessionObserver() = default;
 
   virtual void OnOpen() {}
+  // Counts the elements of a new observation that lie far from the training data, and returns their
+  // number.
+  virtual uint32_t CountUnusual(absl::Span<const float> /*observation*/) { return 0; }
   virtual void OnDecision(const Answer& /*answer*/) {}
   // A request for a decision was refused or failed; the session is unchanged.
   virtual void OnError(absl::string_view /*session_id*/) {}

@@ -32,6 +32,7 @@ struct Answer {
   std::vector<float> probabilities;  // Discrete spaces only
   float return_to_go = 0.0f;         // what the decision was conditioned on
   Counts counts;
+  uint32_t unusual_observations = 0;  // elements of the observation far from the training data
   double compute_seconds = 0.0;
   std::vector<float> logits;  // of the head at the time of the decision
 

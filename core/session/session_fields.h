@@ -43,6 +43,7 @@ void VisitFields(T& answer, Visitor&& visit) {
   visit("probabilities", answer.probabilities);
   visit("return_to_go", answer.return_to_go);
   visit("counts", answer.counts);
+  visit("unusual_observations", answer.unusual_observations);
   visit("compute_seconds", answer.compute_seconds);
   visit("logits", answer.logits);
 }

@@ -24,9 +24,9 @@ struct ShadowStep {
   int64_t step = 0;
   std::vector<float> observation;  // environment units
   double reward = 0.0;
-  double target_return = 0.0;  // of the episode
+  double target_return = 0.0;                     // of the episode
   std::optional<Action> executed = std::nullopt;  // at the previous step; absent: as served
-  Answer served;               // the answer that was sent
+  Answer served;                                  // the answer that was sent
 };
 
 // The candidate's session.

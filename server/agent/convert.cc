@@ -52,6 +52,7 @@ void ToProto(const Answer& answer, bool dense, v1::DecisionStats* proto) {
   proto->set_accumulates(counts.accumulates);
   proto->set_multiply_accumulates(counts.multiply_accumulates);
   proto->set_attention_products(counts.attention_products);
+  proto->set_unusual_observations(answer.unusual_observations);
   proto->set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
 }
 

@@ -1,5 +1,6 @@
 #include "server/metrics/metrics.h"
 
+#include <algorithm>
 #include <iterator>
 #include <sstream>
 #include <utility>
@@ -37,6 +38,20 @@ Buckets Returns() {
           -20,   0,     20,   50,   100,  200,  300,  400,  450, 490, 500, 1000};
 }
 
+// Returns the labels of the time series that share the elements of an observation of length `size`:
+// an index, or the first and the last index of a range. See PolicyMetrics::Handles.
+std::vector<std::string> ElementNames(int size) {
+  const int series = std::min(size, kUnusualSeries);
+  const auto first_of = [&](int i) { return (i * size + series - 1) / series; };
+  std::vector<std::string> names;
+  for (int i = 0; i < series; ++i) {
+    const int first = first_of(i);
+    const int last = first_of(i + 1) - 1;
+    names.push_back(first == last ? absl::StrCat(first) : absl::StrCat(first, "-", last));
+  }
+  return names;
+}
+
 }  // namespace
 
 Metrics::Metrics()
@@ -68,6 +83,10 @@ Metrics::Metrics()
       episode_return_mean_(
           Register(BuildGauge(), "spikeserve_episode_return_mean",
                    "Mean return of the episodes that ended since the server started.")),
+      unusual_(Register(BuildCounter(), "spikeserve_unusual_observations_total",
+                        "Elements of observations further than --unusual_deviations standard "
+                        "deviations from the mean of the training data, by index in the "
+                        "observation. Long observations are counted by ranges of indices.")),
       learning_updates_(Register(BuildCounter(), "spikeserve_learning_updates_total",
                                  "Action-head updates applied by sessions that learn.")),
       learning_rejected_(Register(BuildCounter(), "spikeserve_learning_rejected_total",
@@ -122,7 +141,8 @@ Metrics::Metrics()
 }
 
 std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& name,
-                                                            int64_t version, const Policy& policy) {
+                                                            int64_t version, const Policy& policy,
+                                                            double unusual_deviations) {
   const prometheus::Labels labels = {{"policy", name}, {"version", absl::StrCat(version)}};
   const auto with = [&](const char* label, absl::string_view value) {
     prometheus::Labels more = labels;
@@ -162,6 +182,9 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.episodes = add(episodes_, labels);
   handles.episode_return = add(episode_return_, labels, Returns());
   handles.episode_return_mean = add(episode_return_mean_, labels);
+  for (const std::string& element : ElementNames(policy.observation_size())) {
+    handles.unusual.push_back(add(unusual_, with("element", element)));
+  }
   handles.learning_updates = add(learning_updates_, labels);
   const absl::string_view reason = ToString(UpdateOutcome::kNonFinite);
   handles.learning_rejected_non_finite =
@@ -178,9 +201,9 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
                                                     .watched_return = add(watched_return_, of),
                                                     .rollbacks = add(rollbacks_, of)};
   }
-  return std::make_shared<PolicyMetrics>(key, handles, EvidenceOf(name, version),
-                                         policy.config.is_dense(),
-                                         [this, key] { OnObserverEnd(key); });
+  return std::make_shared<PolicyMetrics>(
+      key, handles, EvidenceOf(name, version), policy.config.is_dense(),
+      UsualObservations::Of(policy, unusual_deviations), [this, key] { OnObserverEnd(key); });
 }
 
 VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {

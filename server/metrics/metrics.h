@@ -39,6 +39,13 @@ namespace spikeserve {
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
 inline constexpr int kRecordingOutcomes = 3;
 
+// By Chebyshev's inequality, at most 1 in 64 values of any distribution lies further than 8
+// standard deviations from its mean, and of a normal distribution practically none.
+inline constexpr double kUnusualDeviations = 8.0;
+
+// Largest number of time series of unusual observations for one policy version.
+inline constexpr int kUnusualSeries = 64;
+
 class Metrics {
  public:
   Metrics();
@@ -47,9 +54,11 @@ class Metrics {
 
   // Returns an observer that counts what the sessions of one policy version do. When the last
   // observer of a version is destroyed, the time series of the version are removed. The observer
-  // must not outlive this object.
-  std::shared_ptr<SessionObserver> NewPolicyObserver(const std::string& name, int64_t version,
-                                                     const Policy& policy);
+  // must not outlive this object. Elements of observations further than `unusual_deviations`
+  // standard deviations from the mean of the training data count as unusual; 0: none does.
+  std::shared_ptr<SessionObserver> NewPolicyObserver(
+      const std::string& name, int64_t version, const Policy& policy,
+      double unusual_deviations = kUnusualDeviations);
 
   // Returns the evidence about one policy version that all its observers count into. It lives as
   // long as this object.
@@ -115,6 +124,7 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& episodes_;
   prometheus::Family<prometheus::Histogram>& episode_return_;
   prometheus::Family<prometheus::Gauge>& episode_return_mean_;
+  prometheus::Family<prometheus::Counter>& unusual_;
   prometheus::Family<prometheus::Counter>& learning_updates_;
   prometheus::Family<prometheus::Counter>& learning_rejected_;
   prometheus::Family<prometheus::Gauge>& head_drift_;

@@ -5,6 +5,29 @@
 
 namespace spikeserve {
 
+UsualObservations UsualObservations::Of(const Policy& policy, double deviations) {
+  UsualObservations usual;
+  if (deviations == 0.0) return usual;
+  const std::vector<float>& mean = policy.weights.observation_mean.values;
+  const std::vector<float>& deviation = policy.weights.observation_std.values;
+  for (size_t i = 0; i < mean.size(); ++i) {
+    const double reach = deviations * static_cast<double>(deviation[i]);
+    usual.low.push_back(static_cast<float>(mean[i] - reach));
+    usual.high.push_back(static_cast<float>(mean[i] + reach));
+  }
+  return usual;
+}
+
+uint32_t PolicyMetrics::CountUnusual(absl::Span<const float> observation) {
+  uint32_t total = 0;
+  for (size_t i = 0; i < usual_.low.size(); ++i) {
+    if (observation[i] >= usual_.low[i] && observation[i] <= usual_.high[i]) continue;
+    ++total;
+    handles_.unusual[i * handles_.unusual.size() / usual_.low.size()]->Increment();
+  }
+  return total;
+}
+
 void PolicyMetrics::OnDecision(const Answer& answer) {
   const auto add = [](prometheus::Counter* counter, uint64_t count) {
     counter->Increment(static_cast<double>(count));

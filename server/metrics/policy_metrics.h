@@ -10,9 +10,11 @@
 #include <functional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/types/span.h"
 #include "core/engine/counts.h"
 #include "core/session/served_policy.h"
 #include "prometheus/counter.h"
@@ -21,6 +23,16 @@
 #include "server/metrics/version_evidence.h"
 
 namespace spikeserve {
+
+// The range of each element of an observation that counts as usual.
+struct UsualObservations {
+  std::vector<float> low;  // [obs], in environment units; empty: every observation is usual
+  std::vector<float> high;
+
+  // Returns the ranges of `deviations` standard deviations on either side of the mean of the
+  // training data, which the policy stores. 0: no ranges.
+  static UsualObservations Of(const Policy& policy, double deviations);
+};
 
 class PolicyMetrics final : public SessionObserver {
  public:
@@ -49,6 +61,8 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Counter* episodes;
     prometheus::Histogram* episode_return;
     prometheus::Gauge* episode_return_mean;
+    // Element i of an observation of length n counts in series i * unusual.size() / n.
+    std::vector<prometheus::Counter*> unusual;
     prometheus::Counter* learning_updates;
     prometheus::Counter* learning_rejected_non_finite;
     prometheus::Counter* learning_rejected_over_budget;
@@ -58,11 +72,12 @@ class PolicyMetrics final : public SessionObserver {
   // `name` stands for the policy version in log lines. `dense`: see EstimateEnergy. The handles
   // and `evidence` must outlive this object. Calls `on_end` when it is destroyed.
   PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence, bool dense,
-                std::function<void()> on_end)
+                UsualObservations usual, std::function<void()> on_end)
       : name_(std::move(name)),
         handles_(handles),
         evidence_(*evidence),
         dense_(dense),
+        usual_(std::move(usual)),
         on_end_(std::move(on_end)) {
     handles_.info->Increment();
   }
@@ -77,6 +92,7 @@ class PolicyMetrics final : public SessionObserver {
   }
   void OnError(absl::string_view session_id) override;
   void OnClose() override { handles_.sessions->Decrement(); }
+  uint32_t CountUnusual(absl::Span<const float> observation) override;
   void OnDecision(const Answer& answer) override;
   void OnEpisodeEnd(double episode_return) override;
   void OnHeadUpdate(UpdateOutcome outcome) override;
@@ -87,6 +103,7 @@ class PolicyMetrics final : public SessionObserver {
   const Handles handles_;
   VersionEvidence& evidence_;
   const bool dense_;
+  const UsualObservations usual_;
   const std::function<void()> on_end_;
   absl::Mutex mutex_;
   int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;
