@@ -6,12 +6,12 @@ import tempfile
 from grpc_tools import protoc
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-PROTO = "spikeserve/v1/policy_service.proto"
-DESCRIPTOR = "spikeserve/policy_service.binpb"
+PROTOS = ["spikeserve/v1/policy_service.proto", "spikeserve/v1/policy_admin.proto"]
+DESCRIPTOR = "spikeserve/contract.binpb"
 
 
 class WireContract(BuildHookInterface):
-    """Compiles PROTO to DESCRIPTOR, beside the modules of the package."""
+    """Compiles PROTOS to DESCRIPTOR, beside the modules of the package."""
 
     def initialize(self, version, build_data):
         """Writes to the source tree for an editable installation, and to the wheel otherwise."""
@@ -32,15 +32,24 @@ class WireContract(BuildHookInterface):
         """Returns the proto/ of the repository, or its copy in a source distribution."""
         roots = [pathlib.Path(self.root, "proto"), pathlib.Path(self.root, "../../proto")]
         for root in roots:
-            if (root / PROTO).is_file():
+            if all((root / proto).is_file() for proto in PROTOS):
                 return root
         raise FileNotFoundError(
-            f"{PROTO}: expected in one of {[str(root) for root in roots]}, received none"
+            f"{PROTOS}: expected in one of {[str(root) for root in roots]}, received none"
         )
 
 
 def compile_proto(root, output):
-    """Compiles PROTO, a path below `root`, to a FileDescriptorSet in the file `output`."""
-    arguments = ["protoc", f"--proto_path={root}", f"--descriptor_set_out={output}", PROTO]
+    """Compiles PROTOS, paths below `root`, to a FileDescriptorSet in the file `output`.
+
+    The set has the comments of the contract, which become the docstrings of AdminClient.
+    """
+    arguments = [
+        "protoc",
+        f"--proto_path={root}",
+        f"--descriptor_set_out={output}",
+        "--include_source_info",
+        *PROTOS,
+    ]
     if protoc.main(arguments) != 0:
-        raise RuntimeError(f"protoc failed on {root / PROTO}")
+        raise RuntimeError(f"protoc failed on {PROTOS} of {root}")

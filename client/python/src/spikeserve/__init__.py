@@ -1,13 +1,14 @@
 """Client of spikeserve, the inference service for Spiking Decision Transformers.
 
 Start with `Client` and `Session`. `VectorSession` acts in Gymnasium vector environments.
-`AsyncClient` is the client for asyncio. `evaluate` plays whole episodes. The module
-`spikeserve.export` writes policy files. `spikeserve.engine` plays them without a server, and
-`imitate` trains them for any Gymnasium environment.
+`AsyncClient` is the client for asyncio. `evaluate` plays whole episodes. `AdminClient` has the
+calls of operators. The module `spikeserve.export` writes policy files. `spikeserve.engine` plays
+them without a server, and `imitate` trains them for any Gymnasium environment.
 """
 
 import importlib.metadata
 
+from spikeserve.admin import AdminClient, AsyncAdminClient
 from spikeserve.async_client import AsyncClient
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
@@ -27,6 +28,7 @@ from spikeserve.errors import (
     UnimplementedError,
 )
 from spikeserve.evaluation import Evaluation, evaluate
+from spikeserve.explanation import Attention, Explanation, RoutingGates, SpikeRaster, Token
 from spikeserve.imitating import imitate
 from spikeserve.retry import RetryOptions
 from spikeserve.session import Session
@@ -37,6 +39,7 @@ from spikeserve.values import (
     Decision,
     EpisodeSummary,
     Learning,
+    LearningSummary,
     Opening,
     Policy,
     SessionOptions,
@@ -51,10 +54,13 @@ __all__ = [
     "ActStream",
     "Action",
     "ActionSpace",
+    "AdminClient",
     "AsyncActStream",
+    "AsyncAdminClient",
     "AsyncClient",
     "AsyncSession",
     "AsyncVectorSession",
+    "Attention",
     "Box",
     "Client",
     "ClientOptions",
@@ -63,20 +69,25 @@ __all__ = [
     "Discrete",
     "EpisodeSummary",
     "Evaluation",
+    "Explanation",
     "FailedPreconditionError",
     "InvalidArgumentError",
     "Learning",
+    "LearningSummary",
     "NotFoundError",
     "Opening",
     "PermissionDeniedError",
     "Policy",
     "ResourceExhaustedError",
     "RetryOptions",
+    "RoutingGates",
     "Session",
     "SessionOptions",
     "SessionState",
+    "SpikeRaster",
     "SpikeserveError",
     "Stats",
+    "Token",
     "UnauthenticatedError",
     "UnavailableError",
     "UnimplementedError",

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from spikeserve.connection import AsyncConnection
 from spikeserve.errors import SpikeserveError
+from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
 from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
 
@@ -55,9 +56,13 @@ class AsyncSession(SessionHandle[AsyncConnection]):
             )
         )
 
-    async def state(self) -> SessionState:
+    async def state(self, *, include_head_delta: bool = False) -> SessionState:
         """Asyncio form of Session.state."""
-        return await self._client.run(self.cursor.state())
+        return await self._client.run(self.cursor.state(include_head_delta))
+
+    async def explain(self) -> Explanation:
+        """Asyncio form of Session.explain."""
+        return await self._client.run(self.cursor.explain())
 
     async def close(self) -> None:
         """Asyncio form of Session.close."""

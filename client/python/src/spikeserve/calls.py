@@ -14,6 +14,7 @@ import grpc
 from numpy.typing import ArrayLike
 
 from spikeserve.errors import NotFoundError, SpikeserveError, error_of_item, make_error
+from spikeserve.explanation import Explanation
 from spikeserve.values import (
     ActionLike,
     Decision,
@@ -47,6 +48,8 @@ class Call(Generic[T]):
     # The error of a repeated attempt that means: an earlier attempt, whose response was lost, has
     # taken effect. None where the server answers a repeated request with the stored response.
     already_done: type[SpikeserveError] | None = None
+    # Whether it is harmless to repeat the call when it is unknown if the server carried it out.
+    repeatable: bool = True
 
 
 def list_policies() -> Call[list[Policy]]:
@@ -106,10 +109,17 @@ class SessionCursor:
         )
         return Call("EndEpisode", request, self._accept_end)
 
-    def state(self) -> Call[SessionState]:
+    def state(self, include_head_delta: bool = False) -> Call[SessionState]:
         """Describes Session.state."""
-        request = METHODS["GetSession"].request(session_id=self.session_id)
+        request = METHODS["GetSession"].request(
+            session_id=self.session_id, include_head_delta=include_head_delta
+        )
         return Call("GetSession", request, SessionState.from_wire)
+
+    def explain(self) -> Call[Explanation]:
+        """Describes Session.explain."""
+        request = METHODS["Explain"].request(session_id=self.session_id)
+        return Call("Explain", request, Explanation.from_wire)
 
     def close(self) -> Call[None]:
         """Describes Session.close."""

@@ -17,6 +17,8 @@ from spikeserve.values import Decision, Policy, SessionOptions
 class Client(Connection):
     """The calls of the server at `server`, "HOST:PORT". Thread-safe.
 
+    Without `server`, the environment variable SPIKESERVE_SERVER or else 127.0.0.1:50051.
+
     The first call connects, and a call after a broken connection connects again. A call that fails
     raises SpikeserveError (spikeserve.errors) with the message of the server. Before that, a call
     that ends with UNAVAILABLE or DEADLINE_EXCEEDED is repeated as `options.retry` defines. The

@@ -18,11 +18,15 @@ import grpc.aio
 from spikeserve.calls import Call
 from spikeserve.check import check
 from spikeserve.retry import Attempts, RetryOptions
-from spikeserve.wire import ACT_STREAM, METHODS, Message
+from spikeserve.wire import ACT_STREAM, METHODS, Message, Method
 
 T = TypeVar("T")
 
-DEFAULT_SERVER = "127.0.0.1:50051"
+
+def default_server() -> str:
+    """Returns the address in the environment variable SPIKESERVE_SERVER, or 127.0.0.1:50051."""
+    return os.environ.get("SPIKESERVE_SERVER") or "127.0.0.1:50051"
+
 
 # The C++ client sets the same options. Each client has its own connection, and reconnects to a
 # restarted server within one second. The default of gRPC is two minutes.
@@ -52,22 +56,26 @@ class ClientOptions:
 
 
 class _Channel:
-    """A gRPC channel and the methods of the service on it, blocking or not."""
+    """A gRPC channel and the methods of a service on it, blocking or not."""
 
     _transport: ClassVar[Any]  # grpc or grpc.aio, whose functions have the same names
+    _table: ClassVar[dict[str, Method]] = METHODS  # the methods of the service by name
 
     def __init__(
         self,
-        server: str = DEFAULT_SERVER,
+        server: str | None = None,
         options: ClientOptions | None = None,
         credentials: grpc.ChannelCredentials | None = None,
     ) -> None:
         self._options = options or ClientOptions()
+        self.server = default_server() if server is None else server
         if credentials is None:
-            self._channel = self._transport.insecure_channel(server, CHANNEL_OPTIONS)
+            self._channel = self._transport.insecure_channel(self.server, CHANNEL_OPTIONS)
         else:
-            self._channel = self._transport.secure_channel(server, credentials, CHANNEL_OPTIONS)
-        self._methods = {name: method.bind(self._channel) for name, method in METHODS.items()}
+            self._channel = self._transport.secure_channel(
+                self.server, credentials, CHANNEL_OPTIONS
+            )
+        self._methods = {name: method.bind(self._channel) for name, method in self._table.items()}
 
     def _send(self, call: Call[Any]) -> Any:
         """Starts one attempt. Returns the response, or with grpc.aio an awaitable of it."""
@@ -103,7 +111,7 @@ class Connection(_Channel):
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:
-                return call.decode(METHODS[call.method].response())
+                return call.decode(self._table[call.method].response())
             time.sleep(pause)
 
     def call(self, name: str, request: Message, timeout: float | None = None) -> Message:
@@ -135,7 +143,7 @@ class AsyncConnection(_Channel):
             except grpc.RpcError as error:
                 pause = attempts.pause_after(error)
             if pause is None:
-                return call.decode(METHODS[call.method].response())
+                return call.decode(self._table[call.method].response())
             await asyncio.sleep(pause)
 
     async def call(self, name: str, request: Message, timeout: float | None = None) -> Message:

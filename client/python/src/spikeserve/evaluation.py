@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.client import Client
-from spikeserve.connection import DEFAULT_SERVER
 from spikeserve.session import Session
 from spikeserve.spaces import as_action_space
 from spikeserve.values import EpisodeSummary, Policy
@@ -69,15 +68,16 @@ def evaluate(
     env_id: str,
     policy: str | None = None,
     *,
-    server: str | Client = DEFAULT_SERVER,
+    server: str | Client | None = None,
     episodes: int = 20,
     seed: int = 0,
 ) -> Evaluation:
     """Plays episodes of the Gymnasium environment `env_id` with the most probable actions.
 
     Episode i is reset with seed `seed` + i. The spaces of the environment are mapped to those of a
-    policy (`spikeserve.flat_spaces`). `server` is an address, or a client with its own options.
-    Without `policy`, plays the served policy that was made for this environment.
+    policy (`spikeserve.flat_spaces`). `server` is an address, None for that of Client, or a client
+    with its own options. Without `policy`, plays the served policy that was made for this
+    environment.
 
     LookupError if no such policy is served. ValueError if `episodes` is less than 1, or if the
     action space of the policy differs from that of the environment.
@@ -87,7 +87,7 @@ def evaluate(
     from spikeserve.flat_spaces import FlatEnvironment
 
     check(episodes >= 1, "episodes", "at least 1", episodes)
-    connection = Client(server) if isinstance(server, str) else contextlib.nullcontext(server)
+    connection = contextlib.nullcontext(server) if isinstance(server, Client) else Client(server)
     with (
         connection as client,
         contextlib.closing(FlatEnvironment(gymnasium.make(env_id))) as environment,

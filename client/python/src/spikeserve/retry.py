@@ -63,7 +63,8 @@ class Attempts:
         done = self._call.already_done
         if done is not None and self._failed > 1 and isinstance(error, done):
             return None
-        pause = next(self._pauses, None) if is_retryable(error) else None
+        may_repeat = self._call.repeatable and is_retryable(error)
+        pause = next(self._pauses, None) if may_repeat else None
         if pause is None:
             raise error from rpc_error
         return pause

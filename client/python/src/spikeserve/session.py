@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from spikeserve.connection import Connection
 from spikeserve.errors import SpikeserveError
+from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
 from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
 
@@ -74,9 +75,17 @@ class Session(SessionHandle[Connection]):
             )
         )
 
-    def state(self) -> SessionState:
-        """Returns the state of the session on the server."""
-        return self._client.run(self.cursor.state())
+    def state(self, *, include_head_delta: bool = False) -> SessionState:
+        """Returns the state of the session on the server, on request with its learned head."""
+        return self._client.run(self.cursor.state(include_head_delta))
+
+    def explain(self) -> Explanation:
+        """Returns the spikes, attention, gates and logits of the last decision.
+
+        Takes about a thousand times as long as a decision. FailedPreconditionError before the first
+        decision of an episode.
+        """
+        return self._client.run(self.cursor.explain())
 
     def close(self) -> None:
         """Ends the session on the server."""

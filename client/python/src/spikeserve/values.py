@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,11 +33,15 @@ class Policy:
     training_return: float | None  # mean return that the policy file records; None: not recorded
     environment: str  # the id in Gymnasium
     mode: str
+    version_labels: tuple[str, ...]  # the labels of this version, for example "stable"
+    traffic_percent: int | None  # of the new sessions; None: no traffic shares are set
+    is_shadow: bool  # compared with the serving versions, and never answers
 
     @classmethod
     def from_wire(cls, message: Message) -> Policy:
         """Converts a PolicyInfo."""
         has_return = message.HasField("training_return")
+        has_share = message.HasField("traffic_percent")
         return cls(
             name=message.name,
             version=message.version,
@@ -48,6 +53,9 @@ class Policy:
             training_return=message.training_return if has_return else None,
             environment=message.environment,
             mode=message.mode,
+            version_labels=tuple(message.version_labels),
+            traffic_percent=message.traffic_percent if has_share else None,
+            is_shadow=message.is_shadow,
         )
 
 
@@ -61,6 +69,9 @@ class Learning:
     trace_decay: float | None = None
     clip: float | None = None
     modulator: str = ""  # realized (default) or target
+    max_drift: float | None = None  # largest |W - W_base| / |W_base|; SESSION only
+    discount: float | None = None  # of the realized return per step, in [0, 1]
+    guard_margin: float | None = None  # of the return guard, at least 0; SESSION only
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,13 @@ class SessionOptions:
     learning: Learning | None = None  # None: the action head does not change
     labels: dict[str, str] = field(default_factory=dict)
     record: bool = False  # write the episodes to the --record_dir of the server
+    version_label: str = ""  # a label of the version, for example "canary"; requires version 0
+    # Decides the traffic share of the session: equal keys get equal versions, for example the
+    # serial number of a robot. "": the session id.
+    routing_key: str = ""
+    # The head to start from: W - W_base as Session.state and AdminClient.get_head return it. None:
+    # the head of the policy.
+    head_delta: ArrayLike | None = None
 
     def to_wire(self, policy: str) -> Message:
         """Returns the OpenSessionRequest for `policy`."""
@@ -88,6 +106,9 @@ class SessionOptions:
             learning=None if self.learning is None else vars(self.learning),
             labels=self.labels,
             record=self.record,
+            version_label=self.version_label,
+            routing_key=self.routing_key,
+            head_delta=() if self.head_delta is None else _flat(self.head_delta),
         )
 
 
@@ -135,22 +156,25 @@ class Stats:
     multiply_accumulates: int
     attention_products: int
     horowitz_energy_joules: float
+    unusual_observations: int  # elements of the observation far outside the training data
+    membrane_updates: int
+    coder_products: int
+    normalization_products: int
+    softmax_products: int
+    gate_products: int
+    energy_estimates: dict[str, float]  # joules by energy model
 
     @classmethod
     def from_wire(cls, message: Message) -> Stats:
         """Converts a DecisionStats."""
         stages = message.spikes_by_stage
-        return cls(
-            spikes=message.spikes,
-            synaptic_operations=message.synaptic_operations,
-            energy_joules=message.energy_joules,
-            compute_seconds=message.compute_seconds,
-            spikes_by_stage={f.name: getattr(stages, f.name) for f in stages.DESCRIPTOR.fields},
-            accumulates=message.accumulates,
-            multiply_accumulates=message.multiply_accumulates,
-            attention_products=message.attention_products,
-            horowitz_energy_joules=message.horowitz_energy_joules,
-        )
+        values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
+        values["spikes_by_stage"] = {
+            field.name: getattr(stages, field.name) for field in stages.DESCRIPTOR.fields
+        }
+        estimates = message.energy_estimates
+        values["energy_estimates"] = {estimate.model: estimate.joules for estimate in estimates}
+        return cls(**values)
 
 
 @dataclass(frozen=True)
@@ -162,6 +186,7 @@ class Decision:
     action_probabilities: NDArray[np.float32] | None  # [n]; None for a Box
     return_to_go: float  # the input of the model at this step
     stats: Stats
+    durable_decision: int  # decisions of the session that its store has acknowledged
 
     @classmethod
     def from_wire(cls, message: Message) -> Decision:
@@ -176,7 +201,26 @@ class Decision:
             action_probabilities=probabilities if discrete else None,
             return_to_go=message.return_to_go,
             stats=Stats.from_wire(message.stats),
+            durable_decision=message.durable_decision,
         )
+
+
+@dataclass(frozen=True)
+class LearningSummary:
+    """What a session that learns learned from an episode."""
+
+    updates: int
+    rejected_updates: int  # because they were not finite
+    head_drift: float  # |W - W_base| / |W_base| after the episode; FLEET: of the shared head
+    modulator_mean: float  # running mean of the returns that followed the decisions
+    modulator_std: float
+    rolled_back: bool  # the guard restored the last good head
+    watched_return: float  # of the last complete window of episodes that the guard judged
+
+    @classmethod
+    def from_wire(cls, message: Message) -> LearningSummary:
+        """Converts a LearningSummary of the wire contract."""
+        return cls(**{name: getattr(message, name) for name in cls.__dataclass_fields__})
 
 
 @dataclass(frozen=True)
@@ -187,11 +231,21 @@ class EpisodeSummary:
     steps: int
     spikes: int
     energy_joules: float  # estimate
+    learning: LearningSummary | None = None  # None: the session does not learn
+    recording: str = "NOT_RECORDED"  # or QUEUED (in memory), or STORED (on the disk)
 
     @classmethod
     def from_wire(cls, message: Message) -> EpisodeSummary:
         """Converts an EndEpisodeResponse."""
-        return cls(message.episode_return, message.steps, message.spikes, message.energy_joules)
+        learns = message.HasField("learning")
+        return cls(
+            message.episode_return,
+            message.steps,
+            message.spikes,
+            message.energy_joules,
+            LearningSummary.from_wire(message.learning) if learns else None,
+            enum_name(message, "recording"),
+        )
 
 
 @dataclass(frozen=True)
@@ -212,12 +266,35 @@ class SessionState:
     energy_joules: float  # since the session was opened, estimate
     decisions: int  # since the session was opened
     labels: dict[str, str]
+    modulator_mean: float  # running mean of the returns that followed the decisions
+    modulator_std: float
+    rollbacks: int  # of the head that the session learns
+    # W - W_base of the head that makes the next decision, row-major. None: it was not asked for, or
+    # the session plays on the head of the policy.
+    head_delta: NDArray[np.float32] | None
 
     @classmethod
     def from_wire(cls, message: Message) -> SessionState:
         """Converts a GetSessionResponse."""
         values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
-        return cls(**(values | {"labels": dict(message.labels)}))
+        values["labels"] = dict(message.labels)
+        values["head_delta"] = _array_or_none(message.head_delta)
+        return cls(**values)
+
+
+def enum_name(message: Message, field: str) -> str:
+    """Returns the name of the value of an enum field, or its number if the name is unknown."""
+    value = getattr(message, field)
+    known = message.DESCRIPTOR.fields_by_name[field].enum_type.values_by_number
+    return known[value].name if value in known else str(value)
+
+
+def _array_or_none(values: Sequence[float]) -> NDArray[np.float32] | None:
+    return np.asarray(values, np.float32) if len(values) else None
+
+
+def _flat(values: ArrayLike) -> NDArray[np.float32]:
+    return np.asarray(values, np.float32).ravel()
 
 
 def action_to_wire(action: ActionLike | None) -> Message | None:

@@ -1,4 +1,4 @@
-"""The messages and calls of `spikeserve.v1.PolicyService`.
+"""The messages and calls of the services of `spikeserve.v1`.
 
 This module makes them at import time from the compiled wire contract. Generated code would need a
 protobuf runtime at least as new as its compiler, which may conflict with other packages of an
@@ -16,7 +16,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 PACKAGE = "spikeserve.v1"
 SERVICE = f"{PACKAGE}.PolicyService"
-_COMPILED = "policy_service.binpb"
+ADMIN_SERVICE = f"{PACKAGE}.PolicyAdmin"
+_COMPILED = "contract.binpb"
 
 # A message of the wire contract. Its class exists at run time only, so type checkers see Any.
 Message = Any
@@ -46,8 +47,9 @@ def message_class(name: str) -> Message:
 
 @dataclass(frozen=True)
 class Method:
-    """A method of the service: unary, or a stream in both directions."""
+    """A method of a service: unary, or a stream in both directions."""
 
+    service: str
     name: str
     request: Message
     response: Message
@@ -57,18 +59,19 @@ class Method:
         """Returns a function that calls the method on `channel`, of grpc or grpc.aio."""
         make = channel.stream_stream if self.streams else channel.unary_unary
         call: Callable[..., Any] = make(
-            f"/{SERVICE}/{self.name}",
+            f"/{self.service}/{self.name}",
             request_serializer=self.request.SerializeToString,
             response_deserializer=self.response.FromString,
         )
         return call
 
 
-def _methods() -> dict[str, Method]:
+def _methods(service_name: str) -> dict[str, Method]:
     # Reads the file descriptors, because method descriptors of older protobuf versions do not say
     # which methods are streams.
     return {
         method.name: Method(
+            service=service_name,
             name=method.name,
             request=message_class(method.input_type.rpartition(".")[2]),
             response=message_class(method.output_type.rpartition(".")[2]),
@@ -76,10 +79,25 @@ def _methods() -> dict[str, Method]:
         )
         for file in _FILES.file
         for service in file.service
-        if f"{file.package}.{service.name}" == SERVICE
+        if f"{file.package}.{service.name}" == service_name
         for method in service.method
     }
 
 
-METHODS = _methods()
+def comment_of(service_name: str, method_name: str) -> str:
+    """Returns the comment of a method in the wire contract."""
+    for file in _FILES.file:
+        comments = {tuple(c.path): c.leading_comments for c in file.source_code_info.location}
+        for i, service in enumerate(file.service):
+            if f"{file.package}.{service.name}" != service_name:
+                continue
+            for j, method in enumerate(service.method):
+                if method.name == method_name:
+                    # The path of method j of service i, in the numbers of descriptor.proto.
+                    return str(comments.get((6, i, 2, j), "")).strip()
+    return ""
+
+
+METHODS = _methods(SERVICE)
+ADMIN_METHODS = _methods(ADMIN_SERVICE)
 ACT_STREAM = METHODS["ActStream"]

@@ -1,0 +1,124 @@
+"""`AdminClient` and `AsyncAdminClient`: the calls of operators, one method for each RPC.
+
+The methods are made from the wire contract, so every RPC of PolicyAdmin has one. A method takes the
+fields of the request as keyword arguments and returns the response message, whose fields are its
+attributes. The comments of the contract are the docstrings.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import grpc
+
+from spikeserve.calls import Call
+from spikeserve.connection import AsyncConnection, ClientOptions, Connection
+from spikeserve.wire import ADMIN_METHODS, ADMIN_SERVICE, Message, comment_of
+
+# Loading a version reads files and tries the policy, which takes longer than a decision.
+DEFAULT_OPTIONS = ClientOptions(timeout=60.0)
+
+# Beside List... and Get...: calls that have the same effect if they are carried out twice.
+_REPEATABLE = {
+    "LoadPolicy",
+    "ReloadPolicies",
+    "SetDefaultVersion",
+    "SetLabel",
+    "SetTraffic",
+    "Drain",
+    "PauseLearning",
+    "ResumeLearning",
+}
+
+
+class AdminClient(Connection):
+    """The calls of PolicyAdmin at the server "HOST:PORT". Thread-safe.
+
+    For example `admin.set_default_version(policy="cartpole", version=2).version`. The arguments of
+    the constructor are those of Client, with a longer timeout.
+    """
+
+    _table = ADMIN_METHODS
+
+    def __init__(
+        self,
+        server: str | None = None,
+        options: ClientOptions | None = None,
+        credentials: grpc.ChannelCredentials | None = None,
+    ) -> None:
+        super().__init__(server, options or DEFAULT_OPTIONS, credentials)
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Callable[..., Any]: ...
+
+
+class AsyncAdminClient(AsyncConnection):
+    """Asyncio form of AdminClient. Its methods are coroutines."""
+
+    _table = ADMIN_METHODS
+
+    def __init__(
+        self,
+        server: str | None = None,
+        options: ClientOptions | None = None,
+        credentials: grpc.ChannelCredentials | None = None,
+    ) -> None:
+        super().__init__(server, options or DEFAULT_OPTIONS, credentials)
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Callable[..., Any]: ...
+
+
+def method_name(rpc: str) -> str:
+    """Returns the name of the method for an RPC: set_default_version for SetDefaultVersion."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", rpc).lower()
+
+
+def _describe(rpc: str, fields: dict[str, Any], timeout: float | None) -> Call[Message]:
+    repeatable = rpc.startswith(("Get", "List")) or rpc in _REPEATABLE
+    request = ADMIN_METHODS[rpc].request(**fields)
+    return Call(rpc, request, lambda response: response, timeout, repeatable=repeatable)
+
+
+def _blocking(rpc: str) -> Callable[..., Message]:
+    def call(self: AdminClient, *, timeout: float | None = None, **fields: Any) -> Message:
+        return self.run(_describe(rpc, fields, timeout))
+
+    return call
+
+
+def _asynchronous(rpc: str) -> Callable[..., Any]:
+    async def call(
+        self: AsyncAdminClient, *, timeout: float | None = None, **fields: Any
+    ) -> Message:
+        return await self.run(_describe(rpc, fields, timeout))
+
+    return call
+
+
+def _signature(rpc: str) -> inspect.Signature:
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    names = [field.name for field in ADMIN_METHODS[rpc].request.DESCRIPTOR.fields] + ["timeout"]
+    return inspect.Signature(
+        [inspect.Parameter("self", inspect.Parameter.POSITIONAL_ONLY)]
+        + [inspect.Parameter(name, keyword, default=None) for name in names]
+    )
+
+
+def _add_methods(client: type, make: Callable[[str], Callable[..., Any]]) -> None:
+    for rpc in ADMIN_METHODS:
+        method = make(rpc)
+        method.__name__ = method_name(rpc)
+        method.__qualname__ = f"{client.__name__}.{method.__name__}"
+        method.__doc__ = comment_of(ADMIN_SERVICE, rpc)
+        method.__signature__ = _signature(rpc)  # type: ignore[attr-defined]
+        setattr(client, method.__name__, method)
+
+
+_add_methods(AdminClient, _blocking)
+_add_methods(AsyncAdminClient, _asynchronous)
