@@ -22,11 +22,12 @@ class AsyncClient(AsyncConnection):
         return await self.run(list_policies())
 
     async def open_session(
-        self, policy: str, options: SessionOptions | None = None
+        self, policy: str, options: SessionOptions | None = None, *, reopen: bool = False
     ) -> AsyncSession:
         """Asyncio form of Client.open_session."""
-        session_id, opening = await self.run(open_session(policy, options))
-        return AsyncSession(self, session_id, opening=opening)
+        opening = open_session(policy, options)
+        session_id, opened = await self.run(opening)
+        return AsyncSession(self, session_id, opening=opened, reopening=opening if reopen else None)
 
     async def act_batch(
         self,
@@ -43,4 +44,4 @@ class AsyncClient(AsyncConnection):
 
     def act_stream(self) -> AsyncActStream:
         """Asyncio form of Client.act_stream."""
-        return AsyncActStream(self._open_stream())
+        return AsyncActStream(self._open_stream, self._options.retry, self._patience)

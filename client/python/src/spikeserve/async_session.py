@@ -6,8 +6,9 @@ from typing import Self
 
 from numpy.typing import ArrayLike
 
+from spikeserve.check import check
 from spikeserve.connection import AsyncConnection
-from spikeserve.errors import SpikeserveError
+from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
 from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
@@ -35,9 +36,15 @@ class AsyncSession(SessionHandle[AsyncConnection]):
         executed_action: ActionLike | None = None,
     ) -> Decision:
         """Asyncio form of Session.act."""
-        return await self._client.run(
-            self.cursor.act(observation, reward, timeout, executed_action)
-        )
+        try:
+            return await self._client.run(
+                self.cursor.act(observation, reward, timeout, executed_action)
+            )
+        except SessionLostError:
+            if not self.reopens:
+                raise
+        await self.open_again()
+        return await self._client.run(self.cursor.act(observation, 0.0, timeout))
 
     async def end_episode(
         self,
@@ -50,11 +57,15 @@ class AsyncSession(SessionHandle[AsyncConnection]):
         executed_action: ActionLike | None = None,
     ) -> EpisodeSummary:
         """Asyncio form of Session.end_episode."""
-        return await self._client.run(
-            self.cursor.end_episode(
-                reward, terminated, truncated, target_return, observation, executed_action
-            )
+        ending = self.cursor.end_episode(
+            reward, terminated, truncated, target_return, observation, executed_action
         )
+        try:
+            return await self._client.run(ending)
+        except SessionLostError:
+            if self.reopens:
+                await self.open_again()
+            raise
 
     async def state(self, *, include_head_delta: bool = False) -> SessionState:
         """Asyncio form of Session.state."""
@@ -63,6 +74,12 @@ class AsyncSession(SessionHandle[AsyncConnection]):
     async def explain(self) -> Explanation:
         """Asyncio form of Session.explain."""
         return await self._client.run(self.cursor.explain())
+
+    async def open_again(self) -> None:
+        """Asyncio form of Session.open_again."""
+        check(self._reopening is not None, "session", "one opened with reopen=True", "another")
+        assert self._reopening is not None
+        self._move_to(await self._client.run(self._reopening))
 
     async def close(self) -> None:
         """Asyncio form of Session.close."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+from collections.abc import Callable
 from typing import Any, Self
 
 import grpc
@@ -9,19 +12,31 @@ from numpy.typing import ArrayLike
 
 from spikeserve.async_session import AsyncSession
 from spikeserve.errors import SpikeserveError, error_of_call
-from spikeserve.open_requests import OpenRequests, stream_ended
+from spikeserve.open_requests import OpenRequest, OpenRequests, stream_closed, stream_ended
+from spikeserve.retry import Patience, RetryOptions
 from spikeserve.values import ActionLike, Decision
+from spikeserve.wire import Message
 
 
 class AsyncActStream:
     """Asyncio form of ActStream. One task at a time may send, and one may receive.
 
-    A `receive` that is cancelled, for example by asyncio.timeout, ends the stream.
+    A `receive` that is cancelled, for example by asyncio.timeout, ends the stream. Its requests
+    without an answer are sent again on another stream by the next `send` or `receive`.
     """
 
-    def __init__(self, call: Any) -> None:
-        self._call = call
-        self._open: OpenRequests[AsyncSession] = OpenRequests()
+    def __init__(
+        self,
+        open_stream: Callable[[], Any],
+        retry: RetryOptions,
+        new_patience: Callable[[], Patience],
+    ) -> None:
+        self._open_stream = open_stream
+        self._open: OpenRequests[AsyncSession] = OpenRequests(retry, new_patience)
+        self._closed = False
+        self._writing = asyncio.Lock()  # gRPC allows one write at a time
+        self._resending: asyncio.Task[None] | None = None
+        self._call = open_stream()
 
     async def __aenter__(self) -> Self:
         return self
@@ -38,21 +53,28 @@ class AsyncActStream:
         executed_action: ActionLike | None = None,
     ) -> None:
         """Asyncio form of ActStream.send."""
-        request = self._open.add(session, observation, reward, executed_action)
-        try:
-            await self._call.write(request)
-        except grpc.RpcError as error:
-            raise error_of_call("ActStream", error) from error
+        await self._reopen_if_broken()
+        await self._write(self._open.add(session, observation, reward, executed_action))
 
     async def receive(self) -> tuple[AsyncSession, Decision | SpikeserveError]:
         """Asyncio form of ActStream.receive."""
-        try:
-            reply = await self._call.read()
-        except grpc.RpcError as error:
-            raise error_of_call("ActStream", error) from error
-        if reply is grpc.aio.EOF:
-            raise stream_ended()
-        return self._open.accept(reply)
+        while True:
+            if self._open.broken is not None:
+                raise self._open.broken
+            reply = await self._read()
+            if isinstance(reply, SpikeserveError):
+                await self._recover(reply)
+                continue
+            accepted = self._open.accept(reply)
+            if accepted is None:
+                # The requests of other sessions are answered while this one waits.
+                if self._resending is None or self._resending.done():
+                    self._resending = asyncio.create_task(self._send_due())
+            elif isinstance(accepted, OpenRequest):
+                await accepted.session.open_again()
+                await self._write(self._open.restart(accepted))
+            else:
+                return accepted
 
     async def act(
         self,
@@ -72,4 +94,51 @@ class AsyncActStream:
 
     def close(self) -> None:
         """Ends the stream. Drops answers that were not received."""
+        self._closed = True
         self._call.cancel()
+        if self._resending is not None:
+            self._resending.cancel()
+
+    async def _write(self, request: Message) -> None:
+        # A broken call is repaired by `receive`, which sends the open requests again.
+        with contextlib.suppress(grpc.RpcError, asyncio.InvalidStateError):
+            async with self._writing:
+                await self._call.write(request)
+
+    async def _read(self) -> Message | SpikeserveError:
+        if self._call.cancelled():  # with a `receive` that was cancelled
+            return stream_ended()
+        try:
+            reply = await self._call.read()
+        except grpc.RpcError as error:
+            return error_of_call("ActStream", error)
+        return stream_ended() if reply is grpc.aio.EOF else reply
+
+    async def _send_due(self) -> None:
+        while (seconds := self._open.seconds_until_due()) is not None:
+            await asyncio.sleep(seconds)
+            for request in self._open.take_due():
+                await self._write(request)
+
+    async def _recover(self, error: SpikeserveError) -> None:
+        """Opens another stream after `error`, or marks the stream as broken."""
+        pause = self._open.pause_after_break(error)
+        if pause is None:
+            return
+        await asyncio.sleep(pause)
+        await self._start()
+
+    async def _reopen_if_broken(self) -> None:
+        if self._closed:
+            raise stream_closed()
+        if self._open.broken is not None and not self._open.may_reopen():
+            raise self._open.broken
+        if self._open.broken is not None or self._call.done():
+            await self._start()
+
+    async def _start(self) -> None:
+        self._call.cancel()
+        self._call = self._open_stream()
+        self._open.broken = None
+        for request in self._open.all_messages():
+            await self._write(request)

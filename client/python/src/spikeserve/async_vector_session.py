@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from spikeserve.async_client import AsyncClient
 from spikeserve.async_session import AsyncSession
 from spikeserve.calls import Call
+from spikeserve.errors import SessionLostError
 from spikeserve.values import EpisodeSummary, SessionOptions
 from spikeserve.vector_rows import Actions, VectorRows
 
@@ -25,13 +26,19 @@ class AsyncVectorSession(VectorRows[AsyncSession]):
 
     @classmethod
     async def open(
-        cls, client: AsyncClient, policy: str, envs: Any, options: SessionOptions | None = None
+        cls,
+        client: AsyncClient,
+        policy: str,
+        envs: Any,
+        options: SessionOptions | None = None,
+        *,
+        reopen: bool = False,
     ) -> Self:
         """Opens a session for every row. Raises the same errors as VectorSession."""
         rows = cls(client, envs)
         async with contextlib.AsyncExitStack() as opened:
             for row_options in rows._row_options(options):
-                session = await client.open_session(policy, row_options)
+                session = await client.open_session(policy, row_options, reopen=reopen)
                 rows._sessions.append(await opened.enter_async_context(session))
             rows._check_fits()
             rows._opened = opened.pop_all()
@@ -67,8 +74,14 @@ class AsyncVectorSession(VectorRows[AsyncSession]):
         for error in await asyncio.gather(*endings, return_exceptions=True):
             if error is not None:
                 raise error
-        decisions = await self._client.run(step.batch(timeout)) if step.cursors else []
-        return self._finish(step, decisions)
+        while True:
+            try:
+                decisions = await self._client.run(step.batch(timeout)) if step.cursors else []
+                return self._finish(step, decisions)
+            except SessionLostError as error:
+                lost = self._lost_rows(error)
+            for session in lost:
+                await session.open_again()
 
     async def reset(self) -> None:
         """Asyncio form of VectorSession.reset."""
@@ -77,4 +90,8 @@ class AsyncVectorSession(VectorRows[AsyncSession]):
         self._newly_ended = {}
 
     async def _end(self, row: int, ending: Call[EpisodeSummary]) -> None:
-        self._newly_ended[row] = await self._client.run(ending)
+        try:
+            self._newly_ended[row] = await self._client.run(ending)
+        except SessionLostError as error:
+            for session in self._lost_rows(error):
+                await session.open_again()

@@ -13,7 +13,15 @@ from typing import Any, Generic, TypeVar
 import grpc
 from numpy.typing import ArrayLike
 
-from spikeserve.errors import NotFoundError, SpikeserveError, error_of_item, make_error
+from spikeserve.errors import (
+    NotFoundError,
+    SessionLostError,
+    SpikeserveError,
+    error_of_item,
+    for_session,
+    make_error,
+    was_refused,
+)
 from spikeserve.explanation import Explanation
 from spikeserve.values import (
     ActionLike,
@@ -50,6 +58,22 @@ class Call(Generic[T]):
     already_done: type[SpikeserveError] | None = None
     # Whether it is harmless to repeat the call when it is unknown if the server carried it out.
     repeatable: bool = True
+    session_id: str = ""  # the session that the request names; "": none
+    # Looks for items of the response that may be sent again; None: the call has no items.
+    failed_items: Callable[[Message], FailedItems | None] | None = None
+
+
+@dataclass(frozen=True)
+class FailedItems:
+    """The items of a batch that the server refused for now.
+
+    `request` asks for them again, `merge` puts the items of its response into the first response,
+    and `error` is the error of the item that needs the longest pause.
+    """
+
+    request: Message
+    error: SpikeserveError
+    merge: Callable[[Message], None]
 
 
 def list_policies() -> Call[list[Policy]]:
@@ -86,7 +110,7 @@ class SessionCursor:
             reward=float(reward) if self.step > 0 else 0.0,
             executed_action=action_to_wire(executed_action),
         )
-        return Call("Act", request, self.accept, timeout)
+        return Call("Act", request, self.accept, timeout, session_id=self.session_id)
 
     def end_episode(
         self,
@@ -107,24 +131,30 @@ class SessionCursor:
             observation=() if observation is None else observation_array(observation),
             executed_action=action_to_wire(executed_action),
         )
-        return Call("EndEpisode", request, self._accept_end)
+        return Call("EndEpisode", request, self._accept_end, session_id=self.session_id)
 
     def state(self, include_head_delta: bool = False) -> Call[SessionState]:
         """Describes Session.state."""
         request = METHODS["GetSession"].request(
             session_id=self.session_id, include_head_delta=include_head_delta
         )
-        return Call("GetSession", request, SessionState.from_wire)
+        return Call("GetSession", request, SessionState.from_wire, session_id=self.session_id)
 
     def explain(self) -> Call[Explanation]:
         """Describes Session.explain."""
         request = METHODS["Explain"].request(session_id=self.session_id)
-        return Call("Explain", request, Explanation.from_wire)
+        return Call("Explain", request, Explanation.from_wire, session_id=self.session_id)
 
     def close(self) -> Call[None]:
         """Describes Session.close."""
         request = METHODS["CloseSession"].request(session_id=self.session_id)
-        return Call("CloseSession", request, lambda _: None, already_done=NotFoundError)
+        return Call(
+            "CloseSession",
+            request,
+            lambda _: None,
+            already_done=NotFoundError,
+            session_id=self.session_id,
+        )
 
     def check(self, response: Message) -> None:
         """Raises SpikeserveError (INTERNAL) if `response` does not answer this step."""
@@ -175,6 +205,10 @@ def act_all(
     """Describes an ActBatch that raises its first error. All cursors move, or none does."""
 
     def accept(results: list[Any]) -> list[Decision]:
+        lost = [result for result in results if isinstance(result, SessionLostError)]
+        if lost:
+            lost[0].session_ids = [error.session_ids[0] for error in lost]
+            raise lost[0]
         for cursor, result in zip(cursors, results, strict=True):
             if isinstance(result, SpikeserveError):
                 raise result
@@ -210,9 +244,40 @@ def _act_batch(
             )
         return accept(
             [
-                item.response if item.code == 0 else error_of_item("Act", item.code, item.message)
-                for item in response.results
+                item.response
+                if item.code == 0
+                else for_session(_error_of(item), request.session_id)
+                for request, item in zip(requests, response.results, strict=True)
             ]
         )
 
-    return Call("ActBatch", METHODS["ActBatch"].request(requests=requests), decode, timeout)
+    request = METHODS["ActBatch"].request(requests=requests)
+    return Call("ActBatch", request, decode, timeout, failed_items=_failed_items_of(requests))
+
+
+def _error_of(item: Message) -> SpikeserveError:
+    delay = item.retry_after_seconds if item.HasField("retry_after_seconds") else None
+    return error_of_item("Act", item.code, item.message, delay)
+
+
+def _failed_items_of(requests: list[Message]) -> Callable[[Message], FailedItems | None]:
+    """Returns Call.failed_items of a batch of `requests`."""
+
+    def find(response: Message) -> FailedItems | None:
+        refused = {
+            row: error
+            for row, item in enumerate(response.results[: len(requests)])
+            if item.code != 0 and was_refused(error := _error_of(item))
+        }
+        if not refused:
+            return None
+
+        def merge(part: Message) -> None:
+            for row, item in zip(refused, part.results, strict=True):
+                response.results[row].CopyFrom(item)
+
+        request = METHODS["ActBatch"].request(requests=[requests[row] for row in refused])
+        longest = max(refused.values(), key=lambda error: error.retry_after or 0.0)
+        return FailedItems(request, longest, merge)
+
+    return find

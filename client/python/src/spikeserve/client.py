@@ -21,8 +21,9 @@ class Client(Connection):
 
     The first call connects, and a call after a broken connection connects again. A call that fails
     raises SpikeserveError (spikeserve.errors) with the message of the server. Before that, a call
-    that ends with UNAVAILABLE or DEADLINE_EXCEEDED is repeated as `options.retry` defines. The
-    argument `timeout` of a call replaces `options.timeout`, in seconds for each attempt.
+    that ends with UNAVAILABLE or DEADLINE_EXCEEDED, or that the server refused for a moment, is
+    repeated as `options.retry` defines. The argument `timeout` of a call bounds all its attempts
+    and pauses together, in seconds; without it, `options.timeout` bounds each attempt.
 
     `credentials` are those of grpc, for example grpc.ssl_channel_credentials(); None: plain text.
     """
@@ -31,10 +32,17 @@ class Client(Connection):
         """Returns every policy version that is served, sorted by name, then by version."""
         return self.run(list_policies())
 
-    def open_session(self, policy: str, options: SessionOptions | None = None) -> Session:
-        """Opens a session of `policy` at step 0 of its first episode."""
-        session_id, opening = self.run(open_session(policy, options))
-        return Session(self, session_id, opening=opening)
+    def open_session(
+        self, policy: str, options: SessionOptions | None = None, *, reopen: bool = False
+    ) -> Session:
+        """Opens a session of `policy` at step 0 of its first episode.
+
+        With `reopen`, a session that the server has lost is replaced by a new one with the same
+        options. Without it, its calls raise SessionLostError.
+        """
+        opening = open_session(policy, options)
+        session_id, opened = self.run(opening)
+        return Session(self, session_id, opening=opened, reopening=opening if reopen else None)
 
     def act_batch(
         self,
@@ -56,4 +64,4 @@ class Client(Connection):
 
     def act_stream(self) -> ActStream:
         """Opens a stream of decisions for any number of sessions."""
-        return ActStream(self._open_stream)
+        return ActStream(self._open_stream, self._options.retry, self._patience)

@@ -17,7 +17,8 @@ import grpc.aio
 
 from spikeserve.calls import Call
 from spikeserve.check import check
-from spikeserve.retry import Attempts, RetryOptions
+from spikeserve.errors import is_retryable_code
+from spikeserve.retry import Attempts, Patience, RetryOptions
 from spikeserve.wire import ACT_STREAM, METHODS, Message, Method
 
 T = TypeVar("T")
@@ -42,12 +43,15 @@ class ClientOptions:
     """Settings of a client. ValueError if a field is out of its range."""
 
     timeout: float = 5.0  # seconds for each attempt of a call
+    connect_timeout: float = 3.0  # seconds of attempts to reach a server for the first time
     retry: RetryOptions = field(default_factory=RetryOptions)
     # Sent with every call. The default is the environment variable SPIKESERVE_TOKEN.
     token: str = field(default_factory=lambda: os.environ.get("SPIKESERVE_TOKEN", ""), repr=False)
 
     def __post_init__(self) -> None:
         check(self.timeout > 0, "timeout", "more than 0", self.timeout)
+        least = self.connect_timeout
+        check(least >= 0, "connect_timeout", "at least 0", least)
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:
@@ -75,13 +79,23 @@ class _Channel:
             self._channel = self._transport.secure_channel(
                 self.server, credentials, CHANNEL_OPTIONS
             )
+        self._reached = False  # whether the server has answered a call
         self._methods = {name: method.bind(self._channel) for name, method in self._table.items()}
 
-    def _send(self, call: Call[Any]) -> Any:
+    def _patience(self) -> Patience:
+        """Returns the patience of a stream that breaks now."""
+        options = self._options
+        return Patience(options.retry, None if self._reached else options.connect_timeout)
+
+    def _attempts(self, call: Call[Any]) -> Attempts:
+        options = self._options
+        unknown = None if self._reached else options.connect_timeout
+        return Attempts(call, options.retry, options.timeout, unknown)
+
+    def _send(self, call: Call[Any], request: Message, timeout: float) -> Any:
         """Starts one attempt. Returns the response, or with grpc.aio an awaitable of it."""
-        timeout = self._options.timeout if call.timeout is None else call.timeout
         metadata = self._options.metadata
-        return self._methods[call.method](call.request, timeout=timeout, metadata=metadata)
+        return self._methods[call.method](request, timeout=timeout, metadata=metadata)
 
     def _open_stream(self, *requests: Iterable[Message]) -> Any:
         return self._methods[ACT_STREAM.name](*requests, metadata=self._options.metadata)
@@ -104,14 +118,28 @@ class Connection(_Channel):
 
     def run(self, call: Call[T]) -> T:
         """Returns the value of `call`. Repeats failed attempts as the options say."""
-        attempts = Attempts(call, self._options.retry)
+        attempts = self._attempts(call)
+        response = self._response(call, call.request, attempts)
+        while call.failed_items is not None and (failed := call.failed_items(response)):
+            pause = attempts.pause_for(failed.error)
+            if pause is None:
+                break
+            time.sleep(pause)
+            failed.merge(self._response(call, failed.request, attempts))
+        return call.decode(response)
+
+    def _response(self, call: Call[Any], request: Message, attempts: Attempts) -> Message:
         while True:
             try:
-                return call.decode(self._send(call))
+                response = self._send(call, request, attempts.timeout())
             except grpc.RpcError as error:
+                self._reached = self._reached or not is_retryable_code(error.code())
                 pause = attempts.pause_after(error)
+            else:
+                self._reached = True
+                return response
             if pause is None:
-                return call.decode(self._table[call.method].response())
+                return self._table[call.method].response()
             time.sleep(pause)
 
     def call(self, name: str, request: Message, timeout: float | None = None) -> Message:
@@ -136,14 +164,28 @@ class AsyncConnection(_Channel):
 
     async def run(self, call: Call[T]) -> T:
         """Asyncio form of Connection.run."""
-        attempts = Attempts(call, self._options.retry)
+        attempts = self._attempts(call)
+        response = await self._response(call, call.request, attempts)
+        while call.failed_items is not None and (failed := call.failed_items(response)):
+            pause = attempts.pause_for(failed.error)
+            if pause is None:
+                break
+            await asyncio.sleep(pause)
+            failed.merge(await self._response(call, failed.request, attempts))
+        return call.decode(response)
+
+    async def _response(self, call: Call[Any], request: Message, attempts: Attempts) -> Message:
         while True:
             try:
-                return call.decode(await self._send(call))
+                response = await self._send(call, request, attempts.timeout())
             except grpc.RpcError as error:
+                self._reached = self._reached or not is_retryable_code(error.code())
                 pause = attempts.pause_after(error)
+            else:
+                self._reached = True
+                return response
             if pause is None:
-                return call.decode(self._table[call.method].response())
+                return self._table[call.method].response()
             await asyncio.sleep(pause)
 
     async def call(self, name: str, request: Message, timeout: float | None = None) -> Message:

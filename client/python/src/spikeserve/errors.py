@@ -5,21 +5,29 @@ The message comes from the server. It names the field, the expected value and th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import grpc
+
+from spikeserve.status_details import retry_delay_of
 
 
 class SpikeserveError(Exception):
     """A call that failed.
 
     `call` is the name of the method and `code` the status code of gRPC. `message` comes from the
-    server, or from gRPC if no server was reached.
+    server, or from gRPC if no server was reached. `retry_after` is the time in seconds after which
+    the server expects that the call may succeed; None: it did not say.
     """
 
-    def __init__(self, call: str, code: grpc.StatusCode, message: str) -> None:
+    def __init__(
+        self, call: str, code: grpc.StatusCode, message: str, retry_after: float | None = None
+    ) -> None:
         super().__init__(f"{call}: {code.name}: {message}")
         self.call = call
         self.code = code
         self.message = message
+        self.retry_after = retry_after
 
 
 class InvalidArgumentError(SpikeserveError):
@@ -30,12 +38,22 @@ class NotFoundError(SpikeserveError):
     """The session, policy or version does not exist. The server closes idle sessions."""
 
 
+class SessionLostError(NotFoundError):
+    """The server does not know the session any more: it was restarted, or it ended the session.
+
+    `session_ids` are the ids of the lost sessions. A session that was opened with `reopen=True`
+    opens a new one instead.
+    """
+
+    session_ids: Sequence[str] = ()
+
+
 class FailedPreconditionError(SpikeserveError):
     """The step is not the expected one, or the episode to end has no decision yet."""
 
 
 class ResourceExhaustedError(SpikeserveError):
-    """A limit of the server is reached."""
+    """A limit of the server is reached. `retry_after` says when to try again, if it is known."""
 
 
 class UnauthenticatedError(SpikeserveError):
@@ -73,21 +91,47 @@ _CLASSES: dict[grpc.StatusCode, type[SpikeserveError]] = {
 _CODES = {code.value[0]: code for code in grpc.StatusCode}
 
 
-def make_error(call: str, code: grpc.StatusCode, message: str) -> SpikeserveError:
+def make_error(
+    call: str, code: grpc.StatusCode, message: str, retry_after: float | None = None
+) -> SpikeserveError:
     """Returns the exception for a status."""
-    return _CLASSES.get(code, SpikeserveError)(call, code, message)
+    return _CLASSES.get(code, SpikeserveError)(call, code, message, retry_after)
 
 
 def error_of_call(call: str, error: grpc.RpcError) -> SpikeserveError:
     """Returns the exception for an error of grpc or grpc.aio."""
-    return make_error(call, error.code(), error.details() or "")
+    return make_error(call, error.code(), error.details() or "", retry_delay_of(error))
 
 
-def error_of_item(call: str, code: int, message: str) -> SpikeserveError:
+def error_of_item(
+    call: str, code: int, message: str, retry_after: float | None = None
+) -> SpikeserveError:
     """Returns the exception for one item of a batch or stream. `code` is a gRPC status number."""
-    return make_error(call, _CODES.get(code, grpc.StatusCode.UNKNOWN), message)
+    return make_error(call, _CODES.get(code, grpc.StatusCode.UNKNOWN), message, retry_after)
+
+
+def for_session(error: SpikeserveError, session_id: str) -> SpikeserveError:
+    """Returns the exception for `error` of a call that names a session: SessionLostError for one.
+
+    A session is all that such a call can fail to find.
+    """
+    if not isinstance(error, NotFoundError):
+        return error
+    lost = SessionLostError(error.call, error.code, error.message, error.retry_after)
+    lost.session_ids = (session_id,)
+    return lost
 
 
 def is_retryable(error: SpikeserveError) -> bool:
     """Returns whether to repeat the call: the server may or may not have carried it out."""
-    return isinstance(error, UnavailableError | DeadlineExceededError)
+    return is_retryable_code(error.code)
+
+
+def is_retryable_code(code: grpc.StatusCode) -> bool:
+    """As is_retryable, of a status code."""
+    return code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED)
+
+
+def was_refused(error: SpikeserveError) -> bool:
+    """Returns whether the server refused the call for now and said when to repeat it."""
+    return isinstance(error, ResourceExhaustedError) and error.retry_after is not None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import random
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,26 +13,32 @@ import grpc
 
 from spikeserve.calls import Call
 from spikeserve.check import check
-from spikeserve.errors import error_of_call, is_retryable
+from spikeserve.errors import SpikeserveError, error_of_call, for_session, is_retryable, was_refused
 
 
 @dataclass(frozen=True)
 class RetryOptions:
-    """Exponential backoff. Only calls that end with UNAVAILABLE or DEADLINE_EXCEEDED are repeated.
+    """Which calls are repeated, how often and after what pauses.
 
-    The pause before attempt n + 1 is initial_backoff * multiplier^(n-1) seconds, at most
-    max_backoff seconds, times a random factor in [0.5, 1]. The random factor spreads out callers
-    that failed at the same time. ValueError if a field is out of its range.
+    A call that ends with UNAVAILABLE or DEADLINE_EXCEEDED is repeated after initial_backoff *
+    multiplier^(n-1) seconds for attempt n + 1, at most max_backoff seconds, times a random factor
+    in [0.5, 1]. The random factor spreads out callers that failed at the same time. A call that
+    the server refused with RESOURCE_EXHAUSTED and the time of the next try is repeated after that
+    time. No attempt begins later than max_elapsed seconds after the first one, which outlasts the
+    restart of a server, or after the timeout that the call was given. ValueError if a field is out
+    of its range.
     """
 
-    max_attempts: int = 5  # 1: never repeat
+    max_attempts: int | None = None  # 1: never repeat; None: limited by max_elapsed only
+    max_elapsed: float = 30.0  # seconds
     initial_backoff: float = 0.05  # seconds
     max_backoff: float = 2.0  # seconds
     multiplier: float = 2.0
 
     def __post_init__(self) -> None:
-        initial = self.initial_backoff
-        check(self.max_attempts >= 1, "max_attempts", "at least 1", self.max_attempts)
+        initial, attempts = self.initial_backoff, self.max_attempts
+        check(attempts is None or attempts >= 1, "max_attempts", "at least 1", attempts)
+        check(self.max_elapsed >= 0, "max_elapsed", "at least 0", self.max_elapsed)
         check(initial >= 0, "initial_backoff", "at least 0", initial)
         least = f"at least initial_backoff ({initial})"
         check(self.max_backoff >= initial, "max_backoff", least, self.max_backoff)
@@ -39,18 +47,66 @@ class RetryOptions:
     def pauses(self) -> Iterator[float]:
         """Yields the pauses between the attempts of one call, in seconds: max_attempts - 1."""
         backoff = self.initial_backoff
-        for _ in range(self.max_attempts - 1):
+        for attempt in itertools.count(1):
+            if attempt == self.max_attempts:
+                return
             yield backoff * random.uniform(0.5, 1.0)
             backoff = min(backoff * self.multiplier, self.max_backoff)
 
 
-class Attempts:
-    """Counts the failed attempts of one call and decides what follows each of them."""
+class Patience:
+    """The pauses of one call or stream that still fit into its time."""
 
-    def __init__(self, call: Call[Any], options: RetryOptions) -> None:
-        self._call = call
+    def __init__(self, options: RetryOptions, limit: float | None = None) -> None:
+        elapsed = options.max_elapsed if limit is None else min(options.max_elapsed, limit)
         self._pauses = options.pauses()
+        self._ends = time.monotonic() + elapsed
+
+    def pause_after(self, error: SpikeserveError) -> float | None:
+        """Returns the seconds to wait before the next attempt, or None if there is none."""
+        if not (is_retryable(error) or was_refused(error)):
+            return None
+        pause = next(self._pauses, None)
+        if pause is None:
+            return None
+        if error.retry_after is not None:
+            # Never earlier than the server asked for, and not all callers at once.
+            pause = error.retry_after + random.uniform(0.0, 0.1) * error.retry_after
+        return pause if time.monotonic() + pause < self._ends else None
+
+    def shorten(self, seconds: float) -> None:
+        """Ends the time at most `seconds` from now on."""
+        self._ends = min(self._ends, time.monotonic() + seconds)
+
+
+class Attempts:
+    """Counts the failed attempts of one call and decides what follows each of them.
+
+    `timeout` is that of each attempt in seconds. The timeout of the call itself, if it has one,
+    bounds all attempts and pauses together. `connect_timeout` bounds the attempts to reach a server
+    that was never reached before; None: it was.
+    """
+
+    def __init__(
+        self,
+        call: Call[Any],
+        options: RetryOptions,
+        timeout: float,
+        connect_timeout: float | None,
+    ) -> None:
+        self._call = call
+        self._timeout = timeout
+        self._deadline = None if call.timeout is None else time.monotonic() + call.timeout
+        self._patience = Patience(options, call.timeout)
+        if connect_timeout is not None:
+            self._patience.shorten(connect_timeout)
         self._failed = 0
+
+    def timeout(self) -> float:
+        """Returns the timeout of the next attempt in seconds."""
+        if self._deadline is None:
+            return self._timeout
+        return max(self._deadline - time.monotonic(), 0.001)
 
     def pause_after(self, rpc_error: grpc.RpcError) -> float | None:
         """Returns the seconds to wait before the next attempt.
@@ -63,8 +119,15 @@ class Attempts:
         done = self._call.already_done
         if done is not None and self._failed > 1 and isinstance(error, done):
             return None
-        may_repeat = self._call.repeatable and is_retryable(error)
-        pause = next(self._pauses, None) if may_repeat else None
+        pause = None
+        if self._call.repeatable or was_refused(error):
+            pause = self._patience.pause_after(error)
         if pause is None:
+            if self._call.session_id:
+                error = for_session(error, self._call.session_id)
             raise error from rpc_error
         return pause
+
+    def pause_for(self, error: SpikeserveError) -> float | None:
+        """Returns the seconds to wait before a part of a batch is sent again, or None."""
+        return self._patience.pause_after(error)

@@ -6,8 +6,9 @@ from typing import Self
 
 from numpy.typing import ArrayLike
 
+from spikeserve.check import check
 from spikeserve.connection import Connection
-from spikeserve.errors import SpikeserveError
+from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
 from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
@@ -47,10 +48,20 @@ class Session(SessionHandle[Connection]):
         it, recordings hold it, and learning takes its score. ValueError, or InvalidArgumentError
         from the server, if it does not belong to the action space.
 
-        `timeout` replaces the client's, in seconds for each attempt. After an error the session
+        `timeout` bounds the whole call with its retries, in seconds. After an error the session
         stays at its step, and the same call may be made again.
+
+        SessionLostError if the server does not know the session any more. A session that was opened
+        with `reopen=True` then continues with a new one, and `observation` is step 0 of its first
+        episode: what the lost session remembered and learned is gone.
         """
-        return self._client.run(self.cursor.act(observation, reward, timeout, executed_action))
+        try:
+            return self._client.run(self.cursor.act(observation, reward, timeout, executed_action))
+        except SessionLostError:
+            if not self.reopens:
+                raise
+        self.open_again()
+        return self._client.run(self.cursor.act(observation, 0.0, timeout))
 
     def end_episode(
         self,
@@ -67,13 +78,18 @@ class Session(SessionHandle[Connection]):
         `target_return` is for the next episode; None: the target return of the session.
         `observation` is the final observation, which only recordings use. `executed_action` is the
         executed last action, as for `act`. A repeated call is safe: the server counts the end once
-        and returns the same summary.
+        and returns the same summary. SessionLostError if the session was lost with the totals of
+        its episode; with `reopen=True` the next `act` plays in a new session.
         """
-        return self._client.run(
-            self.cursor.end_episode(
-                reward, terminated, truncated, target_return, observation, executed_action
-            )
+        ending = self.cursor.end_episode(
+            reward, terminated, truncated, target_return, observation, executed_action
         )
+        try:
+            return self._client.run(ending)
+        except SessionLostError:
+            if self.reopens:
+                self.open_again()
+            raise
 
     def state(self, *, include_head_delta: bool = False) -> SessionState:
         """Returns the state of the session on the server, on request with its learned head."""
@@ -86,6 +102,15 @@ class Session(SessionHandle[Connection]):
         decision of an episode.
         """
         return self._client.run(self.cursor.explain())
+
+    def open_again(self) -> None:
+        """Opens a new session in the place of a lost one, with the options of the first.
+
+        ValueError if the session was not opened with `reopen=True`.
+        """
+        check(self._reopening is not None, "session", "one opened with reopen=True", "another")
+        assert self._reopening is not None
+        self._move_to(self._client.run(self._reopening))
 
     def close(self) -> None:
         """Ends the session on the server."""

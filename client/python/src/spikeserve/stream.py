@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterable
 from typing import Any, Self
 
@@ -11,29 +12,71 @@ import grpc
 from numpy.typing import ArrayLike
 
 from spikeserve.errors import SpikeserveError, error_of_call, make_error
-from spikeserve.open_requests import OpenRequests, stream_ended
+from spikeserve.open_requests import OpenRequest, OpenRequests, stream_closed, stream_ended
+from spikeserve.retry import Patience, RetryOptions
 from spikeserve.session import Session
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
 
 
-class ActStream:
-    """One ActStream call. Not thread-safe.
-
-    A session has at most one request under way. Requests of different sessions do not wait for each
-    other. The stream repeats nothing. If the stream breaks, `receive` raises, and requests without
-    an answer may be sent again on another stream or with Session.act.
-    """
+class _Call:
+    """One call of ActStream. A thread reads its replies."""
 
     def __init__(self, open_stream: Callable[[Iterable[Message]], Any]) -> None:
         self._requests: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._replies: queue.SimpleQueue[Message | SpikeserveError] = queue.SimpleQueue()
-        self._open: OpenRequests[Session] = OpenRequests()
         self._call = open_stream(iter(self._requests.get, None))
         self._reader = threading.Thread(
             target=self._read, name="spikeserve-act-stream", daemon=True
         )
         self._reader.start()
+
+    def send(self, request: Message) -> None:
+        self._requests.put(request)
+
+    def receive(self, timeout: float | None) -> Message | SpikeserveError | None:
+        """Returns the next reply, the error that ended the call, or None after `timeout`."""
+        try:
+            return self._replies.get(timeout=timeout)
+        except queue.Empty:
+            return None
+
+    def end(self) -> None:
+        self._requests.put(None)
+        self._call.cancel()
+        self._reader.join()
+
+    def _read(self) -> None:
+        try:
+            for reply in self._call:
+                self._replies.put(reply)
+            self._replies.put(stream_ended())
+        except grpc.RpcError as error:
+            self._replies.put(error_of_call("ActStream", error))
+
+
+class ActStream:
+    """A stream of decisions. Not thread-safe.
+
+    A session has at most one request under way. Requests of different sessions do not wait for
+    each other. If the connection breaks, `receive` opens another stream and sends the requests
+    without an answer again, as long as `ClientOptions.retry` allows; then it raises
+    UnavailableError, and the next `send` opens another stream. With RetryOptions(max_attempts=1) a
+    broken stream stays broken. A request that the server refused for a moment is sent again at the
+    time that the server named.
+    """
+
+    def __init__(
+        self,
+        open_stream: Callable[[Iterable[Message]], Any],
+        retry: RetryOptions,
+        new_patience: Callable[[], Patience],
+    ) -> None:
+        self._open_stream = open_stream
+        self._open: OpenRequests[Session] = OpenRequests(retry, new_patience)
+        self._closed = False
+        self._reopens_at: float | None = None  # of time.monotonic(); None: the stream is whole
+        self._call = _Call(open_stream)
 
     def __enter__(self) -> Self:
         return self
@@ -51,9 +94,11 @@ class ActStream:
     ) -> None:
         """Sends a request for the decision at the step of `session`. Does not wait.
 
-        The arguments are those of Session.act.
+        The arguments are those of Session.act. UnavailableError if the stream is broken and the
+        policy for retries allows no other one.
         """
-        self._requests.put(self._open.add(session, observation, reward, executed_action))
+        self._reopen_if_broken()
+        self._call.send(self._open.add(session, observation, reward, executed_action))
 
     def receive(self, timeout: float | None = None) -> tuple[Session, Decision | SpikeserveError]:
         """Returns the next answer of any session: a decision, or the error of that request.
@@ -61,16 +106,26 @@ class ActStream:
         Raises DeadlineExceededError if no answer came within `timeout` seconds. The stream stays
         open then.
         """
-        try:
-            reply = self._replies.get(timeout=timeout)
-        except queue.Empty:
-            raise make_error(
-                "ActStream", grpc.StatusCode.DEADLINE_EXCEEDED, f"no answer within {timeout} s"
-            ) from None
-        if isinstance(reply, SpikeserveError):
-            self._replies.put(reply)  # the next `receive` raises the same error
-            raise reply
-        return self._open.accept(reply)
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            if self._open.broken is not None:
+                raise self._open.broken
+            reply = self._next_reply(deadline)
+            if reply is None:
+                if deadline is not None and time.monotonic() >= deadline:
+                    message = f"no answer within {timeout} s"
+                    raise make_error("ActStream", grpc.StatusCode.DEADLINE_EXCEEDED, message)
+                continue
+            if isinstance(reply, SpikeserveError):
+                pause = self._open.pause_after_break(reply)
+                self._reopens_at = None if pause is None else time.monotonic() + pause
+                continue
+            accepted = self._open.accept(reply)
+            if isinstance(accepted, OpenRequest):
+                accepted.session.open_again()
+                self._call.send(self._open.restart(accepted))
+            elif accepted is not None:
+                return accepted
 
     def act(
         self,
@@ -91,14 +146,38 @@ class ActStream:
 
     def close(self) -> None:
         """Ends the stream. Drops answers that were not received."""
-        self._requests.put(None)
-        self._call.cancel()
-        self._reader.join()
+        self._closed = True
+        self._call.end()
 
-    def _read(self) -> None:
-        try:
-            for reply in self._call:
-                self._replies.put(reply)
-            self._replies.put(stream_ended())
-        except grpc.RpcError as error:
-            self._replies.put(error_of_call("ActStream", error))
+    def _next_reply(self, deadline: float | None) -> Message | SpikeserveError | None:
+        """Returns the next reply, the error that ended the call, or None after some time."""
+        if self._reopens_at is not None:
+            now = time.monotonic()
+            until = self._reopens_at if deadline is None else min(self._reopens_at, deadline)
+            time.sleep(max(0.0, until - now))
+            if until == self._reopens_at:
+                self._start()
+            return None
+        for request in self._open.take_due():
+            self._call.send(request)
+        until_due = self._open.seconds_until_due()
+        until_end = None if deadline is None else max(0.0, deadline - time.monotonic())
+        waits = [seconds for seconds in (until_due, until_end) if seconds is not None]
+        return self._call.receive(min(waits) if waits else None)
+
+    def _reopen_if_broken(self) -> None:
+        if self._closed:
+            raise stream_closed()
+        if self._open.broken is None:
+            return
+        if not self._open.may_reopen():
+            raise self._open.broken
+        self._start()
+
+    def _start(self) -> None:
+        self._call.end()
+        self._call = _Call(self._open_stream)
+        self._open.broken = None
+        self._reopens_at = None
+        for request in self._open.all_messages():
+            self._call.send(request)

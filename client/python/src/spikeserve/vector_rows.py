@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.calls import Call, SessionCursor, act_all
 from spikeserve.check import check
+from spikeserve.errors import SessionLostError
 from spikeserve.session_handle import AnySession
 from spikeserve.spaces import ActionSpace, Discrete, as_action_space, stack_actions
 from spikeserve.values import Decision, EpisodeSummary, SessionOptions
@@ -144,6 +145,13 @@ class VectorRows(Generic[AnySession]):
             [None if decision is None else decision.action for decision in self.decisions],
             self._action_space,
         )
+
+    def _lost_rows(self, error: SessionLostError) -> list[AnySession]:
+        """Returns the sessions that `error` is about. Raises it if they do not reopen."""
+        lost = [session for session in self._sessions if session.session_id in error.session_ids]
+        if not lost or not lost[0].reopens:
+            raise error
+        return lost
 
     def _truncations(self) -> list[Call[EpisodeSummary]]:
         """Describes the calls that end every running episode without a last reward."""

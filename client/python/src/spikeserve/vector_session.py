@@ -8,6 +8,7 @@ from typing import Any, Self
 from numpy.typing import ArrayLike
 
 from spikeserve.client import Client
+from spikeserve.errors import SessionLostError
 from spikeserve.session import Session
 from spikeserve.values import SessionOptions
 from spikeserve.vector_rows import Actions, VectorRows
@@ -18,17 +19,24 @@ class VectorSession(VectorRows[Session]):
 
     Each row has its own session. The seed of row i is the seed of `options` plus i. ValueError if
     the spaces of the environment differ from those of the policy, or if the environment does not
-    reset its rows by itself. Not thread-safe.
+    reset its rows by itself. With `reopen`, rows whose session was lost continue with a new one, as
+    Session.act describes; `ended` then misses the episodes that were lost. Not thread-safe.
     """
 
     def __init__(
-        self, client: Client, policy: str, envs: Any, options: SessionOptions | None = None
+        self,
+        client: Client,
+        policy: str,
+        envs: Any,
+        options: SessionOptions | None = None,
+        *,
+        reopen: bool = False,
     ) -> None:
         super().__init__(envs)
         self._client = client
         with contextlib.ExitStack() as opened:
             for row_options in self._row_options(options):
-                session = client.open_session(policy, row_options)
+                session = client.open_session(policy, row_options, reopen=reopen)
                 self._sessions.append(opened.enter_context(session))
             self._check_fits()
             self._opened = opened.pop_all()
@@ -66,9 +74,19 @@ class VectorSession(VectorRows[Session]):
             observations, rewards, terminations, truncations, infos, executed_actions
         )
         for row, ending in step.endings.items():
-            self._newly_ended[row] = self._client.run(ending)
-        decisions = self._client.run(step.batch(timeout)) if step.cursors else []
-        return self._finish(step, decisions)
+            try:
+                self._newly_ended[row] = self._client.run(ending)
+            except SessionLostError as error:
+                for session in self._lost_rows(error):
+                    session.open_again()
+        while True:
+            try:
+                decisions = self._client.run(step.batch(timeout)) if step.cursors else []
+                return self._finish(step, decisions)
+            except SessionLostError as error:
+                lost = self._lost_rows(error)
+            for session in lost:
+                session.open_again()
 
     def reset(self) -> None:
         """Ends the running episodes as truncated. Call it where you call `envs.reset`."""
