@@ -30,7 +30,7 @@ class AsyncSession(SessionHandle[AsyncConnection]):
     async def act(
         self,
         observation: ArrayLike,
-        reward: float = 0.0,
+        reward: float | None = None,
         timeout: float | None = None,
         *,
         executed_action: ActionLike | None = None,

@@ -48,7 +48,7 @@ class AsyncActStream:
         self,
         session: AsyncSession,
         observation: ArrayLike,
-        reward: float = 0.0,
+        reward: float | None = None,
         *,
         executed_action: ActionLike | None = None,
     ) -> None:
@@ -80,7 +80,7 @@ class AsyncActStream:
         self,
         session: AsyncSession,
         observation: ArrayLike,
-        reward: float = 0.0,
+        reward: float | None = None,
         *,
         executed_action: ActionLike | None = None,
     ) -> Decision:

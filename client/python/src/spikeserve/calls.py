@@ -13,6 +13,7 @@ from typing import Any, Generic, TypeVar
 import grpc
 from numpy.typing import ArrayLike
 
+from spikeserve.check import check
 from spikeserve.errors import (
     NotFoundError,
     SessionLostError,
@@ -98,16 +99,17 @@ class SessionCursor:
     def act(
         self,
         observation: ArrayLike,
-        reward: float,
+        reward: float | None,
         timeout: float | None = None,
         executed_action: ActionLike | None = None,
     ) -> Call[Decision]:
         """Describes Session.act. The response moves the cursor to the next step."""
+        check(self.step == 0 or reward is not None, "reward", "one after step 0", None)
         request = METHODS["Act"].request(
             session_id=self.session_id,
             step=self.step,
             observation=observation_array(observation),
-            reward=float(reward) if self.step > 0 else 0.0,
+            reward=0.0 if self.step == 0 or reward is None else float(reward),
             executed_action=action_to_wire(executed_action),
         )
         return Call("Act", request, self.accept, timeout, session_id=self.session_id)

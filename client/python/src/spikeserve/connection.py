@@ -17,7 +17,8 @@ import grpc.aio
 
 from spikeserve.calls import Call
 from spikeserve.check import check
-from spikeserve.errors import is_retryable_code
+from spikeserve.diagnosis import diagnose
+from spikeserve.errors import SpikeserveError, is_retryable, is_retryable_code, make_error
 from spikeserve.retry import Attempts, Patience, RetryOptions
 from spikeserve.wire import ACT_STREAM, METHODS, Message, Method
 
@@ -79,8 +80,19 @@ class _Channel:
             self._channel = self._transport.secure_channel(
                 self.server, credentials, CHANNEL_OPTIONS
             )
+        self._encrypts = credentials is not None
         self._reached = False  # whether the server has answered a call
         self._methods = {name: method.bind(self._channel) for name, method in self._table.items()}
+
+    def _explain(self, error: SpikeserveError) -> SpikeserveError:
+        """Returns `error` with the reason why the server was not reached, if that is the reason."""
+        if not is_retryable(error):
+            return error
+        reason = diagnose(self.server, self._encrypts, error.message)
+        if reason is None:
+            return error
+        message = f"no connection to {self.server}: {reason}"
+        return make_error(error.call, grpc.StatusCode.UNAVAILABLE, message)
 
     def _patience(self) -> Patience:
         """Returns the patience of a stream that breaks now."""
@@ -134,7 +146,11 @@ class Connection(_Channel):
                 response = self._send(call, request, attempts.timeout())
             except grpc.RpcError as error:
                 self._reached = self._reached or not is_retryable_code(error.code())
-                pause = attempts.pause_after(error)
+                try:
+                    pause = attempts.pause_after(error)
+                except SpikeserveError as last:
+                    # A call of a connection that was made once must fail without delay.
+                    raise last if self._reached else self._explain(last) from error
             else:
                 self._reached = True
                 return response
@@ -180,7 +196,12 @@ class AsyncConnection(_Channel):
                 response = await self._send(call, request, attempts.timeout())
             except grpc.RpcError as error:
                 self._reached = self._reached or not is_retryable_code(error.code())
-                pause = attempts.pause_after(error)
+                try:
+                    pause = attempts.pause_after(error)
+                except SpikeserveError as last:
+                    if self._reached:
+                        raise
+                    raise await asyncio.to_thread(self._explain, last) from error
             else:
                 self._reached = True
                 return response

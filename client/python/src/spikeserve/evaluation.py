@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import grpc
 import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.client import Client
+from spikeserve.errors import EvaluationStoppedError, SessionLostError, SpikeserveError
 from spikeserve.session import Session
-from spikeserve.spaces import as_action_space
-from spikeserve.values import EpisodeSummary, Policy
+from spikeserve.spaces import as_action_space, check_observation_space
+from spikeserve.values import EpisodeSummary, Policy, SessionOptions
+
+_TRIES = 3  # of an episode whose session is lost
 
 
 @dataclass(frozen=True)
@@ -65,41 +70,94 @@ class Evaluation:
 
 
 def evaluate(
-    env_id: str,
+    env: Any,
     policy: str | None = None,
     *,
     server: str | Client | None = None,
     episodes: int = 20,
     seed: int = 0,
+    env_kwargs: Mapping[str, Any] | None = None,
+    wrappers: Sequence[Callable[[Any], Any]] = (),
+    version: int | None = None,
+    options: SessionOptions | None = None,
 ) -> Evaluation:
-    """Plays episodes of the Gymnasium environment `env_id` with the most probable actions.
+    """Plays episodes of a Gymnasium environment, with the most probable actions by default.
 
-    Episode i is reset with seed `seed` + i. The spaces of the environment are mapped to those of a
-    policy (`spikeserve.flat_spaces`). `server` is an address, None for that of Client, or a client
-    with its own options. Without `policy`, plays the served policy that was made for this
-    environment.
+    `env` is an id of Gymnasium, also with the module that registers it ("quad:MyQuad-v0"), or an
+    environment. `env_kwargs` are the arguments of gymnasium.make for an id; `wrappers` are applied
+    in order. Its spaces are mapped to those of a policy (`spikeserve.flat_spaces`). Episode i is
+    reset with seed `seed` + i.
 
-    LookupError if no such policy is served. ValueError if `episodes` is less than 1, or if the
-    action space of the policy differs from that of the environment.
+    `server` is an address, None for that of Client, or a client with its own options. Without
+    `policy`, plays the served policy that was made for this environment. `options` are those of
+    the session; `version` replaces its version.
+
+    An episode whose session was lost is played again in a new session, unless the session learns.
+    If a call fails after some episodes, raises EvaluationStoppedError with the result so far.
+    LookupError if no such policy is served. ValueError if `episodes` is less than 1, or if a space
+    of the policy differs from that of the environment.
     """
-    import gymnasium  # an optional dependency that agents on robots do not need
-
-    from spikeserve.flat_spaces import FlatEnvironment
+    from spikeserve.flat_spaces import FlatEnvironment  # needs Gymnasium, as an environment does
 
     check(episodes >= 1, "episodes", "at least 1", episodes)
-    connection = contextlib.nullcontext(server) if isinstance(server, Client) else Client(server)
-    with (
-        connection as client,
-        contextlib.closing(FlatEnvironment(gymnasium.make(env_id))) as environment,
-    ):
+    settings = options or SessionOptions()
+    if version is not None:
+        settings = replace(settings, version=version)
+    with contextlib.ExitStack() as stack:
+        client = server if isinstance(server, Client) else stack.enter_context(Client(server))
+        native = _make_environment(env, env_kwargs, wrappers)
+        if isinstance(env, str):
+            stack.callback(native.close)
+        environment = FlatEnvironment(native)
+        spec = native.spec
+        env_id = str(native if spec is None else spec.id)
         name = policy or choose_policy(client.list_policies(), env_id).name
-        with client.open_session(name) as session:
-            assert session.opening is not None
-            session.opening.check_action_space(as_action_space(environment.action_space))
-            summaries = [
-                play_episode(environment, session, seed + episode) for episode in range(episodes)
-            ]
-            return Evaluation(env_id, name, session.opening.version, summaries)
+        reopen = settings.learning is None  # a new session would have lost the learned head
+        session = stack.enter_context(client.open_session(name, settings, reopen=reopen))
+        opening = session.opening
+        assert opening is not None
+        check_observation_space(environment.observation_space, opening.observation_size, name)
+        opening.check_action_space(as_action_space(environment.action_space))
+        result = Evaluation(env_id, name, opening.version, [])
+        try:
+            for episode in range(episodes):
+                result.episodes.append(_play(environment, session, seed + episode))
+        except SpikeserveError as error:
+            if not result.episodes:
+                raise
+            raise EvaluationStoppedError(error, result, episodes) from error
+        return result
+
+
+def _make_environment(
+    env: Any, arguments: Mapping[str, Any] | None, wrappers: Sequence[Callable[[Any], Any]]
+) -> Any:
+    if isinstance(env, str):
+        import gymnasium  # an optional dependency that agents on robots do not need
+
+        environment = gymnasium.make(env, **(arguments or {}))
+    else:
+        check(not arguments, "env_kwargs", "none with an environment", arguments)
+        environment = env
+    for wrap in wrappers:
+        environment = wrap(environment)
+    return environment
+
+
+def _play(environment: Any, session: Session, seed: int) -> EpisodeSummary:
+    """Plays an episode, again from its start if its session was lost and reopened on the way."""
+    for _ in range(_TRIES):
+        before = session.reopened
+        try:
+            summary = play_episode(environment, session, seed)
+        except SessionLostError:
+            if not session.reopens:
+                raise
+        else:
+            if session.reopened == before:
+                return summary
+    message = f"the session was lost in each of {_TRIES} tries of the episode with seed {seed}"
+    raise SessionLostError("Act", grpc.StatusCode.NOT_FOUND, message)
 
 
 def choose_policy(policies: list[Policy], env_id: str) -> Policy:
@@ -110,7 +168,7 @@ def choose_policy(policies: list[Policy], env_id: str) -> Policy:
     served = ", ".join(f"{p.name}/{p.version} for {p.environment}" for p in policies)
     raise LookupError(
         f"env_id: expected the environment of a served policy ({served or 'none'}), "
-        f"received {env_id}"
+        f"received {env_id}; pass policy= to choose one"
     )
 
 

@@ -53,7 +53,7 @@ class OpenRequests(Generic[AnySession]):
         self,
         session: AnySession,
         observation: ArrayLike,
-        reward: float,
+        reward: float | None,
         executed_action: ActionLike | None,
     ) -> Message:
         """Returns the request to send. ValueError if the session has an open request already."""

@@ -35,18 +35,19 @@ class Session(SessionHandle[Connection]):
     def act(
         self,
         observation: ArrayLike,
-        reward: float = 0.0,
+        reward: float | None = None,
         timeout: float | None = None,
         *,
         executed_action: ActionLike | None = None,
     ) -> Decision:
         """Returns the decision at this step and moves to the next step.
 
-        `observation` is in environment units. `reward` is for the previous action; step 0 ignores
-        it. `executed_action` is the action that was executed at the previous step, if it differs
-        from the answered one, for example because a safety layer clipped it: the model remembers
-        it, recordings hold it, and learning takes its score. ValueError, or InvalidArgumentError
-        from the server, if it does not belong to the action space.
+        `observation` is in environment units. `reward` is for the previous action: step 0 ignores
+        it, and every later step needs it (ValueError). `executed_action` is the action that was
+        executed at the previous step, if it differs from the answered one, for example because a
+        safety layer clipped it: the model remembers it, recordings hold it, and learning takes its
+        score. ValueError, or InvalidArgumentError from the server, if it does not belong to the
+        action space.
 
         `timeout` bounds the whole call with its retries, in seconds. After an error the session
         stays at its step, and the same call may be made again.

@@ -54,6 +54,19 @@ def as_action_space(space: Any) -> ActionSpace:
     raise ValueError(f"action_space: expected Discrete or Box, received {space!r}")
 
 
+def check_observation_space(space: Any, size: int, policy: str) -> None:
+    """ValueError unless `space`, of Gymnasium, holds vectors of `size` numbers."""
+    shape = getattr(space, "shape", None)
+    expected = f"shape {(size,)} for policy {policy!r}"
+    received: object = shape
+    if shape is None:
+        expected += "; gymnasium.wrappers.FlattenObservation makes one vector of a Dict or Tuple"
+        received = space
+    elif len(shape) != 1:
+        expected += "; gymnasium.wrappers.FlattenObservation makes a vector of an array"
+    check(shape == (size,), "observation space", expected, received)
+
+
 def _bounds(values: Any) -> tuple[float, ...]:
     return tuple(np.asarray(values, np.float32).tolist())
 

@@ -88,7 +88,7 @@ class ActStream:
         self,
         session: Session,
         observation: ArrayLike,
-        reward: float = 0.0,
+        reward: float | None = None,
         *,
         executed_action: ActionLike | None = None,
     ) -> None:
@@ -131,7 +131,7 @@ class ActStream:
         self,
         session: Session,
         observation: ArrayLike,
-        reward: float = 0.0,
+        reward: float | None = None,
         timeout: float | None = None,
         *,
         executed_action: ActionLike | None = None,

@@ -282,6 +282,9 @@ class SessionState:
         return cls(**values)
 
 
+FLATTEN_HINT = "gymnasium.wrappers.FlattenObservation makes one of a Dict or Tuple observation"
+
+
 def enum_name(message: Message, field: str) -> str:
     """Returns the name of the value of an enum field, or its number if the name is unknown."""
     value = getattr(message, field)
@@ -317,6 +320,9 @@ def action_to_wire(action: ActionLike | None) -> Message | None:
 
 def observation_array(observation: ArrayLike) -> NDArray[np.float32]:
     """Converts an observation to float32. ValueError if it does not have exactly one dimension."""
+    flat = not isinstance(observation, dict | tuple) or all(np.ndim(x) == 0 for x in observation)
+    kind = type(observation).__name__
+    check(flat and kind != "dict", "observation", f"one array ({FLATTEN_HINT})", f"a {kind}")
     array = np.asarray(observation, np.float32)
     check(array.ndim == 1, "observation", "one dimension", f"shape {array.shape}")
     return array

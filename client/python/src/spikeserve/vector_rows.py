@@ -26,7 +26,13 @@ from spikeserve.calls import Call, SessionCursor, act_all
 from spikeserve.check import check
 from spikeserve.errors import SessionLostError
 from spikeserve.session_handle import AnySession
-from spikeserve.spaces import ActionSpace, Discrete, as_action_space, stack_actions
+from spikeserve.spaces import (
+    ActionSpace,
+    Discrete,
+    as_action_space,
+    check_observation_space,
+    stack_actions,
+)
 from spikeserve.values import Decision, EpisodeSummary, SessionOptions
 
 _NEXT_STEP = "NextStep"  # the values of gymnasium.vector.AutoresetMode
@@ -64,7 +70,7 @@ class VectorRows(Generic[AnySession]):
     def __init__(self, envs: Any) -> None:
         self._num_envs = int(envs.num_envs)
         self._acts_on_ended_rows = _autoreset_mode(envs) == _SAME_STEP
-        self._observation_shape = tuple(envs.single_observation_space.shape)
+        self._observation_space = envs.single_observation_space
         self._action_space: ActionSpace = as_action_space(envs.single_action_space)
         self._sessions: list[AnySession] = []
         self.decisions: list[Decision | None] = [None] * self._num_envs
@@ -84,10 +90,8 @@ class VectorRows(Generic[AnySession]):
     def _check_fits(self) -> None:
         policy = self._sessions[0].opening
         assert policy is not None
-        shape = (policy.observation_size,)
-        expected = f"shape {shape} for policy {policy.policy!r}"
-        fits = self._observation_shape == shape
-        check(fits, "observation space", expected, self._observation_shape)
+        size = policy.observation_size
+        check_observation_space(self._observation_space, size, policy.policy)
         policy.check_action_space(self._action_space)
 
     def _begin(
