@@ -1,9 +1,11 @@
 #include "loadtest/caller.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/time/clock.h"
 #include "spikeserve/retry.h"
+#include "spikeserve/status.h"
 
 namespace spikeserve {
 namespace {
@@ -11,9 +13,9 @@ namespace {
 using std::chrono::steady_clock;
 
 // Returns whether the same request may succeed later. RESOURCE_EXHAUSTED counts as transient,
-// because a rate limit allows requests again after a pause.
+// because a rate limit allows requests again after a pause. OUT_OF_RANGE is the end of a stream.
 bool IsTransient(const absl::Status& status) {
-  return IsRetryable(status) || absl::IsResourceExhausted(status);
+  return IsRetryable(status) || absl::IsResourceExhausted(status) || absl::IsOutOfRange(status);
 }
 
 double Seconds(steady_clock::duration duration) {
@@ -26,20 +28,25 @@ Caller::Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> a
                absl::Duration pause_after_error, absl::Duration patience)
     : exchange_(std::move(exchange)), pause_after_error_(pause_after_error), patience_(patience) {
   for (SimulatedAgent& agent : agents) {
-    std::string id = agent.session_id();
-    agents_.emplace(std::move(id), std::move(agent));
+    agents_.push_back(std::make_unique<SimulatedAgent>(std::move(agent)));
+    by_session_.emplace(agents_.back()->session_id(), agents_.back().get());
   }
 }
 
 LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
   const Time start = steady_clock::now();
   const Time end = start + duration;
-  for (auto& [id, agent] : agents_) Send(agent, steady_clock::now());
-  while (in_flight_ > 0) {
-    const auto reply = exchange_->Receive(patience_);
+  for (const auto& agent : agents_) Send(*agent, steady_clock::now());
+  while (!in_flight_.empty() || (!stalled_.empty() && steady_clock::now() < end)) {
+    if (!stalled_.empty() && steady_clock::now() < end) {
+      for (SimulatedAgent* agent : ResumeStalled()) Send(*agent, steady_clock::now());
+    }
+    if (in_flight_.empty()) continue;
+    const auto reply = exchange_->Receive(stalled_.empty() ? patience_ : pause_after_error_);
     if (!reply.ok()) {
-      FailRequestsInFlight(reply.status());
-      break;
+      const bool is_pause = !stalled_.empty() && absl::IsDeadlineExceeded(reply.status());
+      if (!is_pause || steady_clock::now() >= end) FailRequestsInFlight(reply.status());
+      continue;
     }
     SimulatedAgent* agent = TakeReply(*reply);
     const Time now = steady_clock::now();
@@ -53,17 +60,21 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
   const Time start = steady_clock::now();
   const Time end = start + duration;
   std::deque<SimulatedAgent*> free;
-  for (auto& [id, agent] : agents_) free.push_back(&agent);
+  for (const auto& agent : agents_) free.push_back(agent.get());
   Time next = start + schedule.offset;  // due time of the next request to send
-  while (in_flight_ > 0 || (next < end && !free.empty())) {
+  while (!in_flight_.empty() || (next < end && !(free.empty() && stalled_.empty()))) {
+    if (!stalled_.empty() && next < end) {
+      for (SimulatedAgent* agent : ResumeStalled()) free.push_back(agent);
+    }
     while (next < end && next <= steady_clock::now() && !free.empty()) {
       Send(*free.front(), next);
       free.pop_front();
       next += schedule.interval;
     }
-    const bool waits_for_time = next < end && !free.empty();
-    const auto pause = waits_for_time ? absl::FromChrono(next - steady_clock::now()) : patience_;
-    if (in_flight_ == 0) {
+    const bool waits_for_time = next < end && !(free.empty() && stalled_.empty());
+    auto pause = waits_for_time ? absl::FromChrono(next - steady_clock::now()) : patience_;
+    if (!stalled_.empty()) pause = std::min(pause, pause_after_error_);
+    if (in_flight_.empty()) {
       absl::SleepFor(pause);
       continue;
     }
@@ -81,37 +92,72 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
 void Caller::Send(SimulatedAgent& agent, Time due) {
   agent.due = due;
   if (absl::Status status = exchange_->Send(agent.request()); !status.ok()) {
-    report_.CountError(status);
+    Fail(agent, status);
     return;
   }
-  ++in_flight_;
+  in_flight_.insert(&agent);
 }
 
 SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
-  --in_flight_;
-  SimulatedAgent& agent = agents_.at(reply.session_id);
+  SimulatedAgent& agent = *by_session_.at(reply.session_id);
+  in_flight_.erase(&agent);
   if (!reply.response.ok()) {
-    report_.CountError(reply.response.status());
-    if (!IsTransient(reply.response.status())) return nullptr;
+    const absl::Status& status = reply.response.status();
+    if (!IsTransient(status)) {
+      Fail(agent, status);
+      return nullptr;
+    }
+    report_.CountError(status);
     if (pause_after_error_ > absl::ZeroDuration()) absl::SleepFor(pause_after_error_);
     return &agent;
   }
   report_.latency.Add(Seconds(reply.arrived - agent.due));
   ++report_.decisions;
   if (absl::Status status = agent.Accept(*reply.response); !status.ok()) {
-    report_.CountError(status);
+    Fail(agent, status);
     return nullptr;
   }
   return &agent;
 }
 
+void Caller::Fail(SimulatedAgent& agent, const absl::Status& error) {
+  report_.CountError(error);
+  const bool lost = IsSessionLost(error) && agent.reopens();
+  if (lost || IsTransient(error)) stalled_.push_back({&agent, error});
+}
+
 void Caller::FailRequestsInFlight(const absl::Status& status) {
-  for (; in_flight_ > 0; --in_flight_) report_.CountError(status);
+  for (SimulatedAgent* agent : std::exchange(in_flight_, {})) Fail(*agent, status);
+}
+
+std::vector<SimulatedAgent*> Caller::ResumeStalled() {
+  absl::SleepFor(pause_after_error_);
+  if (in_flight_.empty()) exchange_->Reset();
+  std::vector<SimulatedAgent*> resumed;
+  for (const auto& [agent, error] : std::exchange(stalled_, {})) {
+    const std::string before = agent->session_id();
+    const absl::Status status = agent->Resume(error);
+    by_session_.erase(before);
+    by_session_[agent->session_id()] = agent;
+    if (status.ok()) {
+      resumed.push_back(agent);
+      continue;
+    }
+    report_.CountError(status);
+    // A session that is lost stays lost until a new one is open.
+    if (IsTransient(status)) stalled_.push_back({agent, IsSessionLost(error) ? error : status});
+    if (IsSessionLost(status)) stalled_.push_back({agent, status});
+  }
+  return resumed;
 }
 
 absl::Status Caller::CloseSessions() {
   absl::Status first_error;
-  for (auto& [id, agent] : agents_) first_error.Update(agent.Close());
+  for (const auto& agent : agents_) {
+    const absl::Status status = agent->Close();
+    first_error.Update(status);
+    if (IsRetryable(status)) break;  // the server is gone, and its sessions with it
+  }
   return first_error;
 }
 

@@ -7,8 +7,9 @@
 // for all requests that had to wait, not only for those in flight (this avoids "coordinated
 // omission").
 //
-// After a transient error an agent pauses and repeats the request; after any other error it sends
-// no more requests.
+// After a transient error an agent pauses and repeats the request. If the connection breaks, the
+// caller connects again; agents whose session was lost open a new one. After any other error an
+// agent sends no more requests.
 //
 // Not thread-safe; each caller runs on its own thread.
 #ifndef LOADTEST_CALLER_H_
@@ -19,6 +20,7 @@
 #include <memory>
 #include <string>
 #include <unordered_map>
+#include <unordered_set>
 #include <vector>
 
 #include "absl/time/time.h"
@@ -54,17 +56,29 @@ class Caller {
   using Time = std::chrono::steady_clock::time_point;
 
   void Send(SimulatedAgent& agent, Time due);
-  // Records an answer. Returns the agent that may send its next request, or null after an error
-  // that is not transient.
+  // An agent that has to be resumed after an error before it can send.
+  struct Stalled {
+    SimulatedAgent* agent;
+    absl::Status error;
+  };
+
+  // Records an answer. Returns the agent that may send its next request, or null if it may not send
+  // yet, or not any more.
   SimulatedAgent* TakeReply(const ActReply& reply);
+  // Counts `error`. Stalls `agent` if it can be resumed.
+  void Fail(SimulatedAgent& agent, const absl::Status& error);
   // Counts every request in flight as failed with `status`.
   void FailRequestsInFlight(const absl::Status& status);
+  // Resumes the stalled agents after a pause. Returns those that may send.
+  std::vector<SimulatedAgent*> ResumeStalled();
 
   std::unique_ptr<Exchange> exchange_;
   absl::Duration pause_after_error_;
   absl::Duration patience_;
-  std::unordered_map<std::string, SimulatedAgent> agents_;  // by session id
-  int in_flight_ = 0;                                       // number of requests
+  std::vector<std::unique_ptr<SimulatedAgent>> agents_;
+  std::unordered_map<std::string, SimulatedAgent*> by_session_;  // by session id
+  std::unordered_set<SimulatedAgent*> in_flight_;                // agents that wait for an answer
+  std::vector<Stalled> stalled_;
   LoadReport report_;
 };
 

@@ -30,6 +30,8 @@ class UnaryExchange : public Exchange {
     return replies_->Pop(timeout);
   }
 
+  void Reset() override { replies_ = std::make_shared<Replies>(); }
+
  private:
   // A queue of answers. Shared with the calls in flight, which may outlive the exchange.
   // Thread-safe.
@@ -61,21 +63,24 @@ class UnaryExchange : public Exchange {
   };
 
   Client* const client_;
-  const std::shared_ptr<Replies> replies_ = std::make_shared<Replies>();
+  std::shared_ptr<Replies> replies_ = std::make_shared<Replies>();
 };
 
 // Sends all requests over one stream.
 class StreamExchange : public Exchange {
  public:
-  explicit StreamExchange(Client* client) : stream_(client->OpenStream()) {}
+  explicit StreamExchange(Client* client) : client_(client), stream_(client->OpenStream()) {}
 
   absl::Status Send(const v1::ActRequest& request) override { return stream_->Send(request); }
   absl::StatusOr<ActReply> Receive(absl::Duration timeout) override {
     return stream_->Receive(timeout);
   }
 
+  void Reset() override { stream_ = client_->OpenStream(); }
+
  private:
-  const std::unique_ptr<RemoteStream> stream_;
+  Client* const client_;
+  std::unique_ptr<RemoteStream> stream_;
 };
 
 // Collects requests and sends them as a batch when an answer is asked for and none is left.
@@ -94,6 +99,11 @@ class BatchExchange : public Exchange {
     ActReply reply = std::move(replies_.front());
     replies_.pop_front();
     return reply;
+  }
+
+  void Reset() override {
+    requests_.clear();
+    replies_.clear();
   }
 
  private:

@@ -27,6 +27,9 @@ class Exchange {
   // be answered. The exchange of batches ignores `timeout` and waits for the answer to its batch;
   // it returns FAILED_PRECONDITION if no request was sent.
   virtual absl::StatusOr<ActReply> Receive(absl::Duration timeout) = 0;
+
+  // Forgets the requests in flight and opens a new stream, after an error.
+  virtual void Reset() = 0;
 };
 
 // Creates the exchange for `mode`. `batch_size` is LoadOptions::batch_size. `client` must outlive

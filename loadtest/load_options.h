@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "client/tools/default_server.h"
 #include "spikeserve/channel.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -26,7 +27,7 @@ absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(absl
 
 struct LoadOptions {
   SecurityOptions security;
-  std::string server = "127.0.0.1:50051";  // HOST:PORT
+  std::string server = DefaultServer();  // HOST:PORT
   LoadMode mode = LoadMode::kUnary;
   int sessions = 64;
   // Concurrent callers, each with a thread and a connection; at most one per session.

@@ -36,11 +36,11 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
       request.set_action_selection(v1::SAMPLE);
       request.mutable_learning()->set_scope(*options.learning_scope);
     }
-    const auto opened = client->OpenSession(request);
-    if (!opened.ok()) return opened.status();
+    auto session = RemoteSession::Open(client, std::move(request), /*reopens=*/true);
+    if (!session.ok()) return session.status();
+    const auto observation_size = static_cast<int>(session->opening().observation_size());
     const int first_episode_steps = 1 + i % options.episode_steps;
-    agents.emplace_back(RemoteSession(client, opened->session_id(), 0),
-                        static_cast<int>(opened->observation_size()), first_episode_steps,
+    agents.emplace_back(*std::move(session), observation_size, first_episode_steps,
                         options.episode_steps, seed, options.observation_bound);
   }
   return agents;

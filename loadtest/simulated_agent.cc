@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "spikeserve/status.h"
+
 namespace spikeserve {
 namespace {
 
@@ -23,11 +25,34 @@ SimulatedAgent::SimulatedAgent(RemoteSession session, int observation_size, int 
 absl::Status SimulatedAgent::Accept(const v1::ActResponse& response) {
   if (absl::Status status = session_.Accept(response); !status.ok()) return status;
   if (--steps_left_ == 0) {
-    const auto end = session_.EndEpisode({.reward = kReward, .truncated = true});
-    if (!end.ok()) return end.status();
-    steps_left_ = episode_steps_;
+    episode_over_ = true;
+    return EndEpisode();
   }
   MakeRequest();
+  return absl::OkStatus();
+}
+
+absl::Status SimulatedAgent::EndEpisode() {
+  const auto end = session_.EndEpisode({.reward = kReward, .truncated = true});
+  if (!end.ok()) return end.status();
+  StartEpisode();
+  return absl::OkStatus();
+}
+
+void SimulatedAgent::StartEpisode() {
+  episode_over_ = false;
+  steps_left_ = episode_steps_;
+  MakeRequest();
+}
+
+absl::Status SimulatedAgent::Resume(const absl::Status& error) {
+  if (!IsSessionLost(error)) return episode_over_ ? EndEpisode() : absl::OkStatus();
+  // The end of an episode has opened a new session by itself.
+  if (session_.reopened() == sessions_lost_) {
+    if (absl::Status status = session_.OpenAgain(); !status.ok()) return status;
+  }
+  sessions_lost_ = session_.reopened();
+  StartEpisode();
   return absl::OkStatus();
 }
 

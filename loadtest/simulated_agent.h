@@ -33,6 +33,12 @@ class SimulatedAgent {
   // another request, or the error of that call.
   absl::Status Accept(const v1::ActResponse& response);
 
+  // Makes the agent ready to send after `error`: opens a new session if the server has lost it, and
+  // ends the episode if its end has failed. Returns the error of these calls.
+  absl::Status Resume(const absl::Status& error);
+  // Returns whether Resume can replace a lost session.
+  bool reopens() const { return session_.reopens(); }
+
   // Closes the session on the server.
   absl::Status Close() { return session_.Close(); }
 
@@ -40,12 +46,16 @@ class SimulatedAgent {
   std::chrono::steady_clock::time_point due;
 
  private:
+  absl::Status EndEpisode();
+  void StartEpisode();
   void MakeRequest();
 
   RemoteSession session_;
   int steps_left_;  // remaining steps of this episode
   int episode_steps_;
-  double observation_bound_;  // largest absolute value
+  bool episode_over_ = false;  // the end of the episode was not answered yet
+  int sessions_lost_ = 0;      // of which Resume knows
+  double observation_bound_;   // largest absolute value
   std::minstd_rand random_;
   std::vector<float> observation_;
   v1::ActRequest request_;

@@ -78,7 +78,8 @@ void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
 
 void AddFlags(Command program, LoadFlags* flags) {
   program.Flags("Server")
-      .Add("server", "HOST:PORT", &flags->options.server, "Address of the server")
+      .Add("server", "HOST:PORT", &flags->options.server,
+           "Address of the server; default: $SPIKESERVE_SERVER, if set")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   AddLoadFlags(program.Flags("Load"), &flags->options);
   AddAgentFlags(program.Flags("Agents"), &flags->options);
@@ -110,6 +111,7 @@ absl::Status Run(const LoadFlags& flags) {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
+  spikeserve::SilenceGrpc();
   spikeserve::LoadFlags flags;
   spikeserve::Program program("spikeload", "Puts a load on a spikeserve server and measures it",
                               spikeserve::ErrorCodes::kShown);

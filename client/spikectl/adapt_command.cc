@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -11,6 +12,7 @@
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/policy_choice.h"
+#include "client/spikectl/session_flags.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -26,22 +28,11 @@ struct AdaptFlags {
   AgentFlags agent;  // without a target return
   int episodes = 1;
   std::string perturb;  // empty: the unperturbed task
-  std::string rule = "policy_gradient";
-  std::string modulator = "realized";
-  std::string scope = "session";
+  Scope scope = Scope::kSession;
+  LearningFlags learning;
   int fleet = 16;
   std::optional<double> temperature;  // absent: as below, by the kind of actions
-  std::optional<double> learning_rate;
-  std::optional<double> discount;
 };
-
-void SetLearning(const AdaptFlags& flags, v1::LearningConfig* learning) {
-  learning->set_rule(flags.rule);
-  learning->set_modulator(flags.modulator);
-  if (flags.learning_rate.has_value()) learning->set_learning_rate(*flags.learning_rate);
-  if (flags.discount.has_value()) learning->set_discount(*flags.discount);
-  if (flags.scope == "fleet") learning->set_scope(v1::LearningConfig::FLEET);
-}
 
 // Returns all options except the policy and the temperature, or INVALID_ARGUMENT, which names the
 // flag.
@@ -61,12 +52,8 @@ absl::StatusOr<AdaptationOptions> MakeOptions(const AdaptFlags& flags) {
     }
     options.perturbation = *std::move(perturbation);
   }
-  if (flags.scope != "session" && flags.scope != "fleet") {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--scope: expected session or fleet, received \"", flags.scope, "\""));
-  }
-  SetLearning(flags, &options.learning);
-  if (flags.scope == "session") return options;
+  options.learning = ToProto(flags.scope, flags.learning);
+  if (flags.scope == Scope::kSession) return options;
   options.sessions = flags.fleet;
   if (options.sessions < 1 || options.sessions > 1000) {
     return absl::InvalidArgumentError(
@@ -121,6 +108,17 @@ absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
   const bool discrete = (*environment)->action_space().is_discrete();
   options->temperature =
       flags.temperature.value_or(discrete ? kDiscreteTemperature : kContinuousTemperature);
+  if (!(options->temperature > 0.0 && std::isfinite(options->temperature))) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--temperature: expected a finite number above 0, received ", options->temperature));
+  }
+  const ActionSelection sampled = {.sample = true,
+                                   .temperature = static_cast<float>(options->temperature)};
+  if (absl::Status status =
+          CheckLearning(flags.scope, flags.learning, (*environment)->action_space(), sampled);
+      !status.ok()) {
+    return status;
+  }
   const auto client = Connect(server);
   if (!client.ok()) return client.status();
   auto policy = ChooseServedPolicy(**client, flags.agent);
@@ -150,17 +148,12 @@ void AddAdaptCommand(Command program, const ServerFlags& server) {
   playing.Add("episodes", "N", &flags->episodes, "Learning episodes of each session")
       .Add("perturb", "NAME=VALUE", &flags->perturb,
            "wind (newtons), or a factor on length, mass, force or gravity");
-  command.Flags("Learning")
-      .Add("rule", "policy_gradient|hebbian", &flags->rule, "Learning rule")
-      .Add("modulator", "realized|target", &flags->modulator, "Return that modulates it")
-      .Add("scope", "session|fleet", &flags->scope, "Head that learns")
+  FlagGroup learning = command.Flags("Learning");
+  learning.Add("scope", EnumKind<Scope>(), &flags->scope, "Head that learns")
       .Add("fleet", "N", &flags->fleet, "Concurrent learning sessions with --scope=fleet")
       .Add("temperature", "T", &flags->temperature,
-           "Sampling temperature; default: 1 for continuous actions, else 4")
-      .Add("learning_rate", "RATE", &flags->learning_rate,
-           "Learning rate; default: the server's default for the modulator")
-      .Add("discount", "FACTOR", &flags->discount,
-           "Discount of the realized return; default: the server's default");
+           "Sampling temperature; default: 1 for continuous actions, else 4");
+  AddLearningFlags(learning, &flags->learning);
   command.SetAction([flags, &server] { return RunAdaptation(*flags, server); });
 }
 

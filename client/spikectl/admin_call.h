@@ -12,11 +12,9 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "absl/time/clock.h"
-#include "absl/time/time.h"
 #include "client/spikectl/server_flags.h"
 #include "nlohmann/json.hpp"
-#include "spikeserve/status.h"
+#include "spikeserve/admin_client.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
 namespace spikeserve {
@@ -43,24 +41,14 @@ struct AdminFlags {
   bool weights = false;                     // also prints the weights of the head
 };
 
-// Longer than the timeout of a decision, because loading a version reads files and tries the
-// policy.
-inline constexpr absl::Duration kAdminTimeout = absl::Seconds(60);
-
 template <typename Request, typename Response>
 absl::StatusOr<Response> CallAdmin(const AdminFlags& flags,
                                    grpc::Status (AdminStub::*method)(grpc::ClientContext*,
                                                                      const Request&, Response*),
                                    const Request& request) {
-  const auto client = Connect(*flags.server);
-  if (!client.ok()) return client.status();
-  const auto stub = v1::PolicyAdmin::NewStub((*client)->channel());
-  grpc::ClientContext context;
-  context.set_deadline(absl::ToChronoTime(absl::Now() + kAdminTimeout));
-  Response response;
-  const grpc::Status status = ((*stub).*method)(&context, request, &response);
-  if (!status.ok()) return StatusFromGrpc(status);
-  return response;
+  const auto admin = ConnectAdmin(*flags.server);
+  if (!admin.ok()) return admin.status();
+  return (*admin)->Call(method, request, /*repeatable=*/false);
 }
 
 // Returns a request with the values of --policy and --version.

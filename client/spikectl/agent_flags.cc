@@ -42,24 +42,32 @@ absl::StatusOr<std::unique_ptr<Environment>> MakeAgentEnvironment(const AgentFla
 
 absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
                                                const Environment& environment, Client& client,
-                                               bool record) {
+                                               const SessionFlags& session, bool reopens) {
+  v1::OpenSessionRequest request;
+  if (absl::Status status = FillRequest(session, &request); !status.ok()) return status;
   const auto served = client.ListPolicies();
   if (!served.ok()) return served.status();
-  const auto policy = ChoosePolicy(*served, flags.env, flags.policy.policy, flags.policy.version);
+  auto policy = ChoosePolicy(*served, flags.env, flags.policy.policy, flags.policy.version);
   if (!policy.ok()) return policy.status();
   if (absl::Status status = CheckSpacesMatch(*policy, environment); !status.ok()) return status;
 
-  v1::OpenSessionRequest request;
   request.set_policy(policy->name());
-  request.set_version(policy->version());
+  // A label or a key leaves the choice of the version to the server.
+  const bool server_chooses = !session.version_label.empty() || !session.routing_key.empty();
+  request.set_version(server_chooses ? flags.policy.version : policy->version());
   request.set_seed(flags.seed);
   if (flags.target_return.has_value()) request.set_target_return(*flags.target_return);
-  request.set_record(record);
-  const auto opened = client.OpenSession(request);
+  auto opened = RemoteSession::Open(&client, std::move(request), reopens);
   if (!opened.ok()) return opened.status();
-  return OpenedSession{.policy = *policy,
-                       .session = RemoteSession(&client, opened->session_id(), 0),
-                       .recording = opened->recording()};
+  const int64_t version = opened->opening().version();
+  if (version != policy->version()) {
+    policy = ChoosePolicy(*served, flags.env, policy->name(), version);
+    if (!policy.ok()) return policy.status();
+  }
+  std::string recording = opened->opening().recording();
+  return OpenedSession{.policy = *std::move(policy),
+                       .session = *std::move(opened),
+                       .recording = std::move(recording)};
 }
 
 }  // namespace spikeserve

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "absl/status/statusor.h"
+#include "client/spikectl/session_flags.h"
 #include "core/cli/flag_group.h"
 #include "core/environment/environment.h"
 #include "spikeserve/client.h"
@@ -41,17 +42,19 @@ void AddTargetReturn(FlagGroup& group, AgentFlags* flags);
 absl::StatusOr<std::unique_ptr<Environment>> MakeAgentEnvironment(const AgentFlags& flags);
 
 struct OpenedSession {
-  v1::PolicyInfo policy;
+  v1::PolicyInfo policy;  // the version that the session was opened on
   RemoteSession session;
   std::string recording;  // path of its recording on the server; empty if it is not recorded
 };
 
-// Opens a session with the policy of `flags`. The server records it if `record` is set. `client`
-// must outlive the session. Returns NOT_FOUND if there is no such policy, INVALID_ARGUMENT if it
-// does not fit `environment`, and the errors of the calls.
+// Opens a session with the policy of `flags` and the options of `session`. If `reopens`, a lost
+// session is replaced by a new one (RemoteSession::Open). `client` must outlive the session.
+// Returns NOT_FOUND if there is no such policy, INVALID_ARGUMENT if it does not fit `environment`,
+// and the errors of the calls.
 absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
                                                const Environment& environment, Client& client,
-                                               bool record = false);
+                                               const SessionFlags& session = {},
+                                               bool reopens = false);
 
 }  // namespace spikeserve
 

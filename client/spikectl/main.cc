@@ -1,9 +1,11 @@
 // spikectl: a client of spikeserve at the shell. Every subcommand has a file of its own.
 #include "client/spikectl/commands.h"
 #include "client/spikectl/server_flags.h"
+#include "client/tools/default_server.h"
 #include "core/cli/program.h"
 
 int main(int argc, char** argv) {
+  spikeserve::SilenceGrpc();
   spikeserve::ServerFlags server;
   spikeserve::Program program("spikectl",
                               "Plays, watches and administers policies of a spikeserve server",

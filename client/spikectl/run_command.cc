@@ -14,24 +14,42 @@
 namespace spikeserve {
 namespace {
 
+constexpr int kTries = 3;  // of an episode whose session is lost
+
 struct RunFlags {
   AgentFlags agent;
+  SessionFlags session;
   int episodes = 1;
-  bool record = false;
+  bool reopen = false;
 };
 
-absl::StatusOr<std::vector<EpisodeRecord>> PlayEpisodes(const RunFlags& flags,
-                                                        Environment& environment,
-                                                        RemoteSession& session, bool as_text) {
-  std::vector<EpisodeRecord> episodes;
+// Plays an episode, again from its start if its session was lost and replaced on the way.
+absl::StatusOr<EpisodeRecord> PlayWhole(Environment& environment, RemoteSession& session,
+                                        uint64_t seed) {
+  for (int i = 1;; ++i) {
+    const int before = session.reopened();
+    auto episode = PlayEpisode(environment, session, seed);
+    if (session.reopened() == before || i == kTries) return episode;
+  }
+}
+
+// Plays the episodes and appends them to `episodes`, up to the first error, which is returned.
+absl::Status PlayEpisodes(const RunFlags& flags, Environment& environment, RemoteSession& session,
+                          bool as_text, std::vector<EpisodeRecord>* episodes) {
   for (int i = 0; i < flags.episodes; ++i) {
     const uint64_t seed = flags.agent.seed + static_cast<uint64_t>(i);
-    auto episode = PlayEpisode(environment, session, seed);
+    auto episode = PlayWhole(environment, session, seed);
     if (!episode.ok()) return episode.status();
     if (as_text) std::cout << RunTableLine(seed, *episode) << std::flush;
-    episodes.push_back(*std::move(episode));
+    episodes->push_back(*std::move(episode));
   }
-  return episodes;
+  return absl::OkStatus();
+}
+
+// Returns `error` with what was played before it.
+absl::Status Stopped(const absl::Status& error, size_t ended, int wanted) {
+  return absl::Status(error.code(), absl::StrCat("stopped after ", ended, " of ", wanted,
+                                                 " episodes: ", error.message()));
 }
 
 absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
@@ -43,7 +61,7 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
   if (!environment.ok()) return environment.status();
   const auto client = Connect(server);
   if (!client.ok()) return client.status();
-  auto opened = OpenAgentSession(flags.agent, **environment, **client, flags.record);
+  auto opened = OpenAgentSession(flags.agent, **environment, **client, flags.session, flags.reopen);
   if (!opened.ok()) return opened.status();
   if (!opened->recording.empty()) {
     std::cerr << "spikectl: recorded as " << opened->recording << "\n";
@@ -56,15 +74,20 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
     absl::PrintF("%s with policy %s/%d (%s)\n%s", flags.agent.env, opened->policy.name(),
                  opened->policy.version(), opened->policy.mode(), RunTableHead(energy_model));
   }
-  const auto episodes = PlayEpisodes(flags, **environment, opened->session, as_text);
-  const absl::Status closed = opened->session.Close();
-  if (!episodes.ok()) return episodes.status();
-  if (as_text) {
-    std::cout << RunSummary(*episodes, energy_model);
-  } else {
-    std::cout << RunToJson(*episodes).dump(2) << "\n";
+  std::vector<EpisodeRecord> episodes;
+  const absl::Status played =
+      PlayEpisodes(flags, **environment, opened->session, as_text, &episodes);
+  if (!episodes.empty()) {
+    if (as_text) {
+      std::cout << RunSummary(episodes, energy_model);
+    } else {
+      std::cout << RunToJson(episodes).dump(2) << "\n";
+    }
+    std::cout << std::flush;
   }
-  return closed;
+  // A session that cannot be played on cannot be closed either, or ends by itself.
+  if (!played.ok()) return Stopped(played, episodes.size(), flags.episodes);
+  return opened->session.Close();
 }
 
 }  // namespace
@@ -77,7 +100,9 @@ void AddRunCommand(Command program, const ServerFlags& server) {
   AddAgentFlags(playing, &flags->agent);
   AddTargetReturn(playing, &flags->agent);
   playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
-      .AddSwitch("record", &flags->record, "Have the server record them in its --record_dir");
+      .AddSwitch("reopen", &flags->reopen,
+                 "Play an episode again in a new session if the server lost it");
+  AddSessionFlags(command, &flags->session);
   command.SetAction([flags, &server] { return Run(*flags, server); });
 }
 

@@ -6,15 +6,17 @@
 #include <string>
 
 #include "absl/status/statusor.h"
+#include "client/tools/default_server.h"
 #include "client/tools/security_flags.h"
 #include "core/cli/program.h"
+#include "spikeserve/admin_client.h"
 #include "spikeserve/client.h"
 
 namespace spikeserve {
 
 struct ServerFlags {
-  std::string server = "127.0.0.1:50051";  // HOST:PORT
-  bool json = false;                       // print one JSON object instead of text
+  std::string server = DefaultServer();  // HOST:PORT
+  bool json = false;                     // print one JSON object instead of text
   SecurityFlags security;
 };
 
@@ -23,6 +25,8 @@ void AddServerFlags(Command program, ServerFlags* flags);
 
 // Returns a client of --server. UNAVAILABLE if the server cannot be reached within a few seconds.
 absl::StatusOr<std::unique_ptr<Client>> Connect(const ServerFlags& flags);
+// As Connect, for the calls of operators.
+absl::StatusOr<std::unique_ptr<AdminClient>> ConnectAdmin(const ServerFlags& flags);
 
 }  // namespace spikeserve
 

@@ -2,10 +2,12 @@
 
 #include <grpcpp/client_context.h>
 
+#include <optional>
 #include <utility>
 
 #include "absl/memory/memory.h"
 #include "absl/strings/str_cat.h"
+#include "client/src/diagnosis.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
@@ -37,11 +39,16 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& serve
   auto client = Create(server, std::move(options));
   if (!client.ok()) return client.status();
   const auto deadline = absl::ToChronoTime(absl::Now() + patience);
-  if (!(*client)->channel_->WaitForConnected(deadline)) {
-    return absl::UnavailableError(absl::StrCat("no server could be reached at ", server, " within ",
-                                               absl::FormatDuration(patience)));
-  }
-  return client;
+  if ((*client)->channel_->WaitForConnected(deadline)) return client;
+  // The status of a call has gRPC's own words for the cause.
+  v1::ListPoliciesResponse ignored;
+  const absl::Status status = (*client)->CallOnce(&v1::PolicyService::Stub::ListPolicies,
+                                                  v1::ListPoliciesRequest(), &ignored);
+  const std::string cause =
+      DiagnoseConnection(server, (*client)->options_.security.use_tls(), status.message());
+  return absl::UnavailableError(absl::StrCat("no server could be reached at ", server, " within ",
+                                             absl::FormatDuration(patience),
+                                             cause.empty() ? "" : ": ", cause));
 }
 
 Client::Client(std::shared_ptr<grpc::Channel> channel, ClientOptions options)
@@ -70,6 +77,15 @@ absl::StatusOr<Response> Client::Call(grpc::Status (v1::PolicyService::Stub::*me
   return response;
 }
 
+template <typename Request, typename Response>
+absl::StatusOr<Response> Client::CallOfSession(grpc::Status (v1::PolicyService::Stub::*method)(
+                                                   grpc::ClientContext*, const Request&, Response*),
+                                               const Request& request) {
+  auto response = Call(method, request, request.session_id());
+  if (!response.ok()) return ForSession(response.status());
+  return response;
+}
+
 absl::StatusOr<v1::ListPoliciesResponse> Client::ListPolicies() {
   return Call(&v1::PolicyService::Stub::ListPolicies, v1::ListPoliciesRequest(), "ListPolicies");
 }
@@ -79,7 +95,7 @@ absl::StatusOr<v1::OpenSessionResponse> Client::OpenSession(const v1::OpenSessio
 }
 
 absl::StatusOr<v1::ActResponse> Client::Act(const v1::ActRequest& request) {
-  return Call(&v1::PolicyService::Stub::Act, request, request.session_id());
+  return CallOfSession(&v1::PolicyService::Stub::Act, request);
 }
 
 void Client::ActAsync(const v1::ActRequest& request,
@@ -97,7 +113,7 @@ void Client::ActAsync(const v1::ActRequest& request,
       &pending->context, &pending->request, &pending->response,
       [call = std::move(call), done = std::move(done)](const grpc::Status& status) mutable {
         absl::StatusOr<v1::ActResponse> response = std::move(call->response);
-        if (!status.ok()) response = StatusFromGrpc(status);
+        if (!status.ok()) response = ForSession(StatusFromGrpc(status));
         // Releases the context, which holds a reference to the channel, before calling `done`.
         // After `done` the client may be destroyed, and a channel must not be destroyed on a thread
         // of gRPC.
@@ -106,7 +122,8 @@ void Client::ActAsync(const v1::ActRequest& request,
       });
 }
 
-absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(
+// Makes one decision for each of `requests` with one call.
+absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatchOnce(
     absl::Span<const v1::ActRequest> requests) {
   v1::ActBatchRequest batch;
   batch.mutable_requests()->Add(requests.begin(), requests.end());
@@ -123,9 +140,37 @@ absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(
   for (v1::ActResult& result : *answer->mutable_results()) {
     if (result.code() == 0) {
       results.emplace_back(std::move(*result.mutable_response()));
-    } else {
-      results.emplace_back(StatusFromCode(result.code(), result.message()));
+      continue;
     }
+    std::optional<double> delay;
+    if (result.has_retry_after_seconds()) delay = result.retry_after_seconds();
+    results.emplace_back(ForSession(StatusFromCode(result.code(), result.message(), delay)));
+  }
+  return results;
+}
+
+absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(
+    absl::Span<const v1::ActRequest> requests) {
+  auto results = ActBatchOnce(requests);
+  RetrySchedule schedule(options_.retry, requests.empty() ? "" : requests.front().session_id());
+  while (results.ok()) {
+    std::vector<size_t> refused;
+    std::vector<v1::ActRequest> again;
+    absl::Status longest;  // of the refused items, the one that has to wait longest
+    for (size_t i = 0; i < results->size(); ++i) {
+      const absl::Status& status = (*results)[i].status();
+      if (!IsRefusedForNow(status)) continue;
+      refused.push_back(i);
+      again.push_back(requests[i]);
+      if (longest.ok() || RetryAfter(status) > RetryAfter(longest)) longest = status;
+    }
+    if (refused.empty()) break;
+    const auto delay = schedule.DelayAfter(longest);
+    if (!delay.has_value()) break;
+    options_.retry.sleep(*delay);
+    auto part = ActBatchOnce(again);
+    if (!part.ok()) return part.status();
+    for (size_t i = 0; i < refused.size(); ++i) (*results)[refused[i]] = std::move((*part)[i]);
   }
   return results;
 }
@@ -135,7 +180,7 @@ std::unique_ptr<RemoteStream> Client::OpenStream() {
 }
 
 absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRequest& request) {
-  return Call(&v1::PolicyService::Stub::EndEpisode, request, request.session_id());
+  return CallOfSession(&v1::PolicyService::Stub::EndEpisode, request);
 }
 
 absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id,
@@ -143,13 +188,13 @@ absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& ses
   v1::GetSessionRequest request;
   request.set_session_id(session_id);
   request.set_include_head_delta(include_head_delta);
-  return Call(&v1::PolicyService::Stub::GetSession, request, session_id);
+  return CallOfSession(&v1::PolicyService::Stub::GetSession, request);
 }
 
 absl::StatusOr<v1::ExplainResponse> Client::Explain(const std::string& session_id) {
   v1::ExplainRequest request;
   request.set_session_id(session_id);
-  return Call(&v1::PolicyService::Stub::Explain, request, session_id);
+  return CallOfSession(&v1::PolicyService::Stub::Explain, request);
 }
 
 absl::Status Client::CloseSession(const std::string& session_id) {

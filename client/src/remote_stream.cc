@@ -104,7 +104,10 @@ class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::Ac
                    .response = v1::ActResponse(),
                    .arrived = std::chrono::steady_clock::now()};
     if (incoming_.has_error()) {
-      reply.response = StatusFromCode(incoming_.error().code(), incoming_.error().message());
+      const v1::ActError& error = incoming_.error();
+      std::optional<double> delay;
+      if (error.has_retry_after_seconds()) delay = error.retry_after_seconds();
+      reply.response = ForSession(StatusFromCode(error.code(), error.message(), delay));
     } else {
       reply.response = std::move(incoming_);
     }

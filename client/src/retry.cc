@@ -4,13 +4,18 @@
 #include <random>
 
 #include "absl/strings/str_cat.h"
+#include "spikeserve/status.h"
 
 namespace spikeserve {
 
 absl::Status RetryOptions::Validate() const {
-  if (max_attempts < 1) {
+  if (max_attempts.has_value() && *max_attempts < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("max_attempts: expected at least 1, received ", max_attempts));
+        absl::StrCat("max_attempts: expected at least 1, received ", *max_attempts));
+  }
+  if (max_elapsed < absl::ZeroDuration()) {
+    return absl::InvalidArgumentError(absl::StrCat("max_elapsed: expected at least 0, received ",
+                                                   absl::FormatDuration(max_elapsed)));
   }
   if (initial_backoff < absl::ZeroDuration()) {
     return absl::InvalidArgumentError(absl::StrCat(
@@ -33,16 +38,41 @@ bool IsRetryable(const absl::Status& status) {
   return absl::IsUnavailable(status) || absl::IsDeadlineExceeded(status);
 }
 
+bool IsRefusedForNow(const absl::Status& status) {
+  return absl::IsResourceExhausted(status) && RetryAfter(status).has_value();
+}
+
+RetrySchedule::RetrySchedule(const RetryOptions& options, const std::string& key)
+    : options_(options),
+      random_(std::hash<std::string>()(key)),
+      backoff_(options.initial_backoff) {}
+
+std::optional<absl::Duration> RetrySchedule::DelayAfter(const absl::Status& status) {
+  ++attempts_;
+  if (!IsRetryable(status) && !IsRefusedForNow(status)) return std::nullopt;
+  if (options_.max_attempts.has_value() && attempts_ >= *options_.max_attempts) return std::nullopt;
+  absl::Duration delay;
+  if (const auto named = RetryAfter(status)) {
+    delay = *named * std::uniform_real_distribution<double>(1.0, 1.1)(random_);
+  } else {
+    delay = backoff_ * std::uniform_real_distribution<double>(0.5, 1.0)(random_);
+    backoff_ = std::min(backoff_ * options_.multiplier, options_.max_backoff);
+  }
+  // The sum counts in place of the clock if `sleep` does not sleep.
+  const absl::Duration elapsed = std::max(absl::Now() - start_, delayed_);
+  if (elapsed + delay > options_.max_elapsed) return std::nullopt;
+  delayed_ += delay;
+  return delay;
+}
+
 absl::Status CallWithRetries(const RetryOptions& options, const std::string& key,
                              absl::FunctionRef<absl::Status()> call) {
-  std::minstd_rand random(std::hash<std::string>()(key));
-  std::uniform_real_distribution<double> spread(0.5, 1.0);
-  absl::Duration backoff = options.initial_backoff;
-  for (int attempt = 1;; ++attempt) {
+  RetrySchedule schedule(options, key);
+  while (true) {
     const absl::Status status = call();
-    if (!IsRetryable(status) || attempt >= options.max_attempts) return status;
-    options.sleep(backoff * spread(random));
-    backoff = std::min(backoff * options.multiplier, options.max_backoff);
+    const auto delay = schedule.DelayAfter(status);
+    if (!delay.has_value()) return status;
+    options.sleep(*delay);
   }
 }
 

@@ -1,20 +1,65 @@
 #include "spikeserve/status.h"
 
+#include <string>
+
+#include "absl/strings/cord.h"
 #include "absl/strings/str_cat.h"
+#include "google/rpc/error_details.pb.h"
+#include "google/rpc/status.pb.h"
 
 namespace spikeserve {
+namespace {
+
+// URLs of the payloads that a status carries.
+constexpr char kRetryInfo[] = "type.googleapis.com/google.rpc.RetryInfo";
+constexpr char kSessionLost[] = "spikeserve.session_lost";
+
+}  // namespace
 
 absl::Status StatusFromGrpc(const grpc::Status& status) {
-  return StatusFromCode(status.error_code(), status.error_message());
+  absl::Status converted = StatusFromCode(status.error_code(), status.error_message());
+  google::rpc::Status details;
+  if (converted.ok() || !details.ParseFromString(status.error_details())) return converted;
+  for (const auto& detail : details.details()) {
+    if (detail.type_url() == kRetryInfo)
+      converted.SetPayload(kRetryInfo, absl::Cord(detail.value()));
+  }
+  return converted;
 }
 
-absl::Status StatusFromCode(int32_t code, absl::string_view message) {
+absl::Status StatusFromCode(int32_t code, absl::string_view message,
+                            std::optional<double> retry_after_seconds) {
   // The codes of absl have the same numbers as those of gRPC.
   constexpr int32_t kLastCode = static_cast<int32_t>(absl::StatusCode::kUnauthenticated);
   if (code < 0 || code > kLastCode) {
     return absl::UnknownError(absl::StrCat("status code ", code, ": ", message));
   }
-  return absl::Status(static_cast<absl::StatusCode>(code), message);
+  absl::Status status(static_cast<absl::StatusCode>(code), message);
+  if (status.ok() || !retry_after_seconds.has_value()) return status;
+  google::rpc::RetryInfo info;
+  absl::Duration rest;
+  const absl::Duration delay = absl::Seconds(*retry_after_seconds);
+  info.mutable_retry_delay()->set_seconds(absl::IDivDuration(delay, absl::Seconds(1), &rest));
+  info.mutable_retry_delay()->set_nanos(static_cast<int32_t>(absl::ToInt64Nanoseconds(rest)));
+  status.SetPayload(kRetryInfo, absl::Cord(info.SerializeAsString()));
+  return status;
+}
+
+std::optional<absl::Duration> RetryAfter(const absl::Status& status) {
+  const auto payload = status.GetPayload(kRetryInfo);
+  google::rpc::RetryInfo info;
+  if (!payload.has_value() || !info.ParseFromString(std::string(*payload))) return std::nullopt;
+  return absl::Seconds(info.retry_delay().seconds()) +
+         absl::Nanoseconds(info.retry_delay().nanos());
+}
+
+bool IsSessionLost(const absl::Status& status) {
+  return status.GetPayload(kSessionLost).has_value();
+}
+
+absl::Status ForSession(absl::Status status) {
+  if (absl::IsNotFound(status)) status.SetPayload(kSessionLost, absl::Cord());
+  return status;
 }
 
 }  // namespace spikeserve

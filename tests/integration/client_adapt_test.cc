@@ -65,7 +65,8 @@ TEST_F(SpikectlAdaptTest, SaysInOneLineWhatIsWrong) {
                      "--scope: expected session or fleet, received \"town\"");
   ExpectOneLineError(Adapt({"--scope=fleet", "--fleet=0"}),
                      "--fleet: expected 1 to 1000, received 0");
-  ExpectOneLineError(Adapt({"--rule=habit"}), "learning.rule: expected");
+  ExpectOneLineError(Adapt({"--rule=habit"}),
+                     "--rule: expected policy_gradient or hebbian, received \"habit\"");
   ExpectOneLineError(Adapt({"--learning_rate=-1"}), "learning.learning_rate: expected");
   ExpectOneLineError(Adapt({"--episodes=0"}), "--episodes: expected at least 1, received 0");
 }

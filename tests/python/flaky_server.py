@@ -6,14 +6,25 @@ import contextlib
 import threading
 
 import grpc
+from spikeserve.status_details import METADATA_KEY, RETRY_INFO, STATUS
 from spikeserve.wire import METHODS, SERVICE
+
+
+def retry_info(seconds):
+    """Returns a google.rpc.Status that asks to wait. Its code and message are those of the call."""
+    info = RETRY_INFO()
+    info.retry_delay.FromNanoseconds(int(seconds * 1e9))
+    status = STATUS(code=grpc.StatusCode.RESOURCE_EXHAUSTED.value[0])
+    status.details.add().Pack(info)
+    return status.SerializeToString()
 
 
 class FlakyServer:
     """Keeps one session. Answers a repeated step or a repeated end with the stored answer.
 
     `faults` holds the faults of the next calls of each method, in order: "unavailable" rejects the
-    call and does nothing, "lost" carries the call out but does not send the answer, "stuck"
+    call and does nothing, "busy" and "full" reject it with RESOURCE_EXHAUSTED and a delay of 10 ms
+    and of a minute, "lost" carries the call out but does not send the answer, "stuck"
     carries the call out and then waits until the caller cancels. `calls` counts the calls of each
     method. `seconds_left` holds the time to the deadline of each call.
     """
@@ -51,6 +62,10 @@ class FlakyServer:
             fault = faults.pop(0) if faults else None
             if fault == "unavailable":
                 context.abort(grpc.StatusCode.UNAVAILABLE, "the server is draining")
+            if fault in ("busy", "full"):
+                seconds = 60 if fault == "full" else 0.01
+                context.set_trailing_metadata([(METADATA_KEY, retry_info(seconds))])
+                context.abort(grpc.StatusCode.RESOURCE_EXHAUSTED, "decisions_per_second")
             cancelled = threading.Event()
             context.add_callback(cancelled.set)
             response = getattr(self, method.name)(request, method.response(), context)

@@ -122,7 +122,8 @@ class Plasticity:
         if hebbian:
             return np.tanh(z)
         unit = 2 * (np.array(action.continuous.values, "f8") - LOW) / (HIGH - LOW) - 1
-        return (np.arctanh(unit) - z) / self.temperature
+        with np.errstate(divide="ignore"):  # a value on its bound
+            return (np.arctanh(unit) - z) / self.temperature
 
     def decided(self, rates, action, return_to_go):
         self.before = (self.trace, self.delta)

@@ -66,7 +66,7 @@ def test_seeds_decide_what_is_sampled(client):
     def play(seed):
         options = spikeserve.SessionOptions(seed=seed, sample=True, temperature=100.0)
         with client.open_session("cartpole", options) as session:
-            return [session.act(OBSERVATION).action for _ in range(40)]
+            return [session.act(OBSERVATION, 0.0).action for _ in range(40)]
 
     assert play(1) == play(1) != play(2)
 
@@ -90,7 +90,7 @@ def test_errors_keep_the_servers_message(client, session):
     with pytest.raises(spikeserve.InvalidArgumentError, match="expected 4 numbers, received 3"):
         session.act([1, 2, 3])
     with pytest.raises(spikeserve.FailedPreconditionError, match="expected 0, received 7"):
-        spikeserve.Session(client, session.session_id, step=7).act(OBSERVATION)
+        spikeserve.Session(client, session.session_id, step=7).act(OBSERVATION, 0.0)
     with pytest.raises(spikeserve.FailedPreconditionError, match="at least one decision"):
         session.end_episode(0.0)
     assert session.act(OBSERVATION).step == 0

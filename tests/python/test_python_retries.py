@@ -80,11 +80,43 @@ def test_the_last_deadline_raises(server, play):
     play(scenario)
 
 
+def test_a_refused_call_waits_as_long_as_the_server_asks(server, play):
+    async def scenario(client, session):
+        server.faults["Act"] = ["busy", "busy"]
+        assert (await finish(session.act(OBSERVATION))).step == 0
+        assert server.calls["Act"] == 3
+
+    play(scenario)
+
+
+def test_a_pause_that_exceeds_the_timeout_is_not_begun(server, play):
+    async def scenario(client, session):
+        for timeout in (30, None):  # of the call; the default of all retries is 30 s, too
+            server.faults["Act"] = ["full"]
+            with pytest.raises(spikeserve.ResourceExhaustedError, match="decisions_per_") as refused:
+                await finish(session.act(OBSERVATION, timeout=timeout))
+            assert refused.value.retry_after == 60
+        assert server.calls["Act"] == 2
+
+    play(scenario)
+
+
+def test_retries_end_after_max_elapsed(server, play):
+    async def scenario(client, session):
+        server.faults["Act"] = ["unavailable"] * 1000
+        with pytest.raises(spikeserve.UnavailableError):
+            await finish(session.act(OBSERVATION))
+        assert 1 < server.calls["Act"] < 1000
+
+    patient = spikeserve.RetryOptions(initial_backoff=0.05, max_backoff=0.05, max_elapsed=1)
+    play(scenario, spikeserve.ClientOptions(timeout=60, retry=patient))
+
+
 def test_each_attempt_has_its_deadline(server, play):
     async def scenario(client, session):
         server.faults["Act"] = ["unavailable"]
         await finish(session.act(OBSERVATION))
-        await finish(session.act(OBSERVATION, timeout=7))
+        await finish(session.act(OBSERVATION, 0.0, timeout=7))
         first, second, third = server.seconds_left["Act"]
         assert third < 8 < min(first, second)
 
@@ -95,7 +127,7 @@ def test_what_is_wrong_is_not_repeated(server, play):
     async def scenario(client, session):
         session.cursor.step = 5
         with pytest.raises(spikeserve.FailedPreconditionError, match="out of order"):
-            await finish(session.act(OBSERVATION))
+            await finish(session.act(OBSERVATION, 0.0))
         assert server.calls["Act"] == 1
 
     play(scenario)
@@ -184,6 +216,7 @@ def test_pauses_grow_to_their_limit():
         ({"max_attempts": 0}, "max_attempts: expected at least 1, received 0"),
         ({"initial_backoff": -1}, "initial_backoff: expected at least 0, received -1"),
         ({"max_backoff": 0}, r"max_backoff: expected at least initial_backoff \(0.05\), received 0"),
+        ({"max_elapsed": -1}, "max_elapsed: expected at least 0, received -1"),
         ({"multiplier": 0.5}, "multiplier: expected at least 1, received 0.5"),
     ],
 )

@@ -101,8 +101,8 @@ def test_the_async_stream(address, expected):
                         session, decision = await stream.receive()
                         received[sessions.index(session)].append(comparable(decision))
                 with pytest.raises(spikeserve.InvalidArgumentError):
-                    await stream.act(sessions[0], [0.5])
-                assert (await stream.act(sessions[0], observation(0, STEPS))).step == STEPS
+                    await stream.act(sessions[0], [0.5], 0.0)
+                assert (await stream.act(sessions[0], observation(0, STEPS), 0.0)).step == STEPS
             return received
 
     assert asyncio.run(play()) == expected

@@ -64,7 +64,7 @@ def test_the_python_client_speaks_tls_and_sends_tokens(certificates, tokens, mon
         ):
             assert session.act(OBSERVATION).step == 0
             with client.act_stream() as stream:
-                assert stream.act(session, OBSERVATION, timeout=DEADLINE_SECONDS).step == 1
+                assert stream.act(session, OBSERVATION, 0.0, timeout=DEADLINE_SECONDS).step == 1
         monkeypatch.setenv("SPIKESERVE_TOKEN", "rival")
         with spikeserve.Client(addresses.grpc, credentials=credentials(certificates)) as client:
             assert client.list_policies()

@@ -67,7 +67,7 @@ def test_the_limit_is_a_flag(moments):
 
 
 def test_a_long_observation_has_a_bounded_number_of_series(tmp_path):
-    tensors, metadata = read_policy(CARTPOLE)
+    tensors, metadata = read_policy(DEPLOY / "policies/cartpole/1/policy.safetensors")
     size = tensors["embed.state.weight"].shape[0]
     edited = tensors | {
         "embed.state.weight": np.zeros((size, LONG), "f4"),

@@ -48,8 +48,8 @@ class Client {
   static absl::StatusOr<std::unique_ptr<Client>> Create(std::shared_ptr<grpc::Channel> channel,
                                                         ClientOptions options = {});
 
-  // As Create, but waits for the connection. Returns UNAVAILABLE if there is none within
-  // `patience`.
+  // As Create, but waits for the connection. Returns UNAVAILABLE, with the cause, if there is none
+  // within `patience`.
   static absl::StatusOr<std::unique_ptr<Client>> Connect(
       const std::string& server, ClientOptions options = {},
       absl::Duration patience = absl::Seconds(3));
@@ -59,7 +59,7 @@ class Client {
 
   // The methods below return the server's code and message on an error. After the last attempt they
   // return UNAVAILABLE if the server could not be reached, and DEADLINE_EXCEEDED if it did not
-  // answer within call_timeout.
+  // answer within call_timeout. RetryAfter and IsSessionLost (status.h) say more about an error.
 
   absl::StatusOr<v1::ListPoliciesResponse> ListPolicies();
 
@@ -75,8 +75,8 @@ class Client {
                 std::function<void(absl::StatusOr<v1::ActResponse>)> done);
 
   // Makes one decision for each request and returns the results in the same order. The call is
-  // retried as a whole. An item that failed has its own status, and may be sent again with the same
-  // step.
+  // retried as a whole, and its items that the server refused for now are sent again. An item that
+  // failed has its own status, and may be sent again with the same step.
   absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> ActBatch(
       absl::Span<const v1::ActRequest> requests);
 
@@ -109,6 +109,15 @@ class Client {
   absl::StatusOr<Response> Call(grpc::Status (v1::PolicyService::Stub::*method)(
                                     grpc::ClientContext*, const Request&, Response*),
                                 const Request& request, const std::string& key);
+
+  // As Call, for a request that names a session.
+  template <typename Request, typename Response>
+  absl::StatusOr<Response> CallOfSession(grpc::Status (v1::PolicyService::Stub::*method)(
+                                             grpc::ClientContext*, const Request&, Response*),
+                                         const Request& request);
+
+  absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> ActBatchOnce(
+      absl::Span<const v1::ActRequest> requests);
 
   const std::shared_ptr<grpc::Channel> channel_;
   const std::unique_ptr<v1::PolicyService::Stub> stub_;

@@ -39,6 +39,13 @@ struct EpisodeOutcome {
 
 class RemoteSession {
  public:
+  // Opens a session. If `reopens`, a session that the server has lost (IsSessionLost) is replaced
+  // by a new one with the same request: Act then decides at step 0 of its first episode, and what
+  // the lost session remembered and learned is gone. EndEpisode still returns the error, because
+  // the totals of the episode are lost. `client` must outlive the session.
+  static absl::StatusOr<RemoteSession> Open(Client* client, v1::OpenSessionRequest request,
+                                            bool reopens = false);
+
   // `step` is the step of the next request: a new one, or the last answered one to repeat it.
   // `client` must outlive the session.
   RemoteSession(Client* client, std::string session_id, int64_t step)
@@ -65,6 +72,17 @@ class RemoteSession {
   // Ends the episode and sets the step to 0. On an error the step stays. Errors: see Client.
   absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const EpisodeOutcome& outcome);
 
+  // The response to the request that opened the session; empty if it was not opened by Open.
+  const v1::OpenSessionResponse& opening() const { return opening_; }
+  // Returns whether a lost session is replaced by a new one.
+  bool reopens() const { return reopening_.has_value(); }
+  // Returns how often a lost session was replaced by a new one.
+  int reopened() const { return reopened_; }
+
+  // Replaces a lost session by a new one. Returns FAILED_PRECONDITION if the session does not
+  // reopen, and the errors of Client::OpenSession.
+  absl::Status OpenAgain();
+
   // Ends the session on the server.
   absl::Status Close() { return client_->CloseSession(session_id_); }
 
@@ -72,6 +90,9 @@ class RemoteSession {
   Client* client_;
   std::string session_id_;
   int64_t step_;
+  std::optional<v1::OpenSessionRequest> reopening_;  // absent: a lost session stays lost
+  v1::OpenSessionResponse opening_;
+  int reopened_ = 0;
 };
 
 }  // namespace spikeserve

@@ -5,6 +5,8 @@
 #define SPIKESERVE_RETRY_H_
 
 #include <functional>
+#include <optional>
+#include <random>
 #include <string>
 
 #include "absl/functional/function_ref.h"
@@ -15,9 +17,13 @@
 namespace spikeserve {
 
 // The delay before attempt n + 1 is min(initial_backoff * multiplier^(n-1), max_backoff), times a
-// random factor in [0.5, 1], so that callers that failed together do not retry together.
+// random factor in [0.5, 1], so that callers that failed together do not retry together. If the
+// server named the time of the next try (RetryAfter), the delay is that time and up to a tenth
+// more.
 struct RetryOptions {
-  int max_attempts = 5;  // 1: no retries
+  std::optional<int> max_attempts;  // 1: no retries; absent: limited by max_elapsed only
+  // No attempt begins later than this after the first one. Outlasts the restart of a server.
+  absl::Duration max_elapsed = absl::Seconds(30);
   absl::Duration initial_backoff = absl::Milliseconds(50);
   absl::Duration max_backoff = absl::Seconds(2);
   double multiplier = 2.0;
@@ -31,9 +37,31 @@ struct RetryOptions {
 // carried out the call.
 bool IsRetryable(const absl::Status& status);
 
-// Repeats `call` until its result is not retryable or max_attempts are made, and returns the last
-// result. `key`, such as a session id, seeds the random factors of the delays: equal keys give
-// equal delays.
+// Returns true for RESOURCE_EXHAUSTED with the time of the next try: the server did not carry out
+// the call.
+bool IsRefusedForNow(const absl::Status& status);
+
+// Decides what follows each failed attempt of one call. `key`, such as a session id, seeds the
+// random factors of the delays: equal keys give equal delays.
+class RetrySchedule {
+ public:
+  // `options` must outlive the schedule.
+  RetrySchedule(const RetryOptions& options, const std::string& key);
+
+  // Returns the delay before the next attempt, or nothing if there is none: after an error that
+  // would repeat itself, after the last attempt, and if the delay would exceed max_elapsed.
+  std::optional<absl::Duration> DelayAfter(const absl::Status& status);
+
+ private:
+  const RetryOptions& options_;
+  std::minstd_rand random_;
+  const absl::Time start_ = absl::Now();
+  int attempts_ = 0;
+  absl::Duration backoff_;
+  absl::Duration delayed_;  // the sum of the delays
+};
+
+// Repeats `call` as RetrySchedule decides, and returns the last result.
 absl::Status CallWithRetries(const RetryOptions& options, const std::string& key,
                              absl::FunctionRef<absl::Status()> call);
 

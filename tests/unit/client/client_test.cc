@@ -3,6 +3,7 @@
 #include "absl/synchronization/notification.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "spikeserve/status.h"
 #include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
@@ -92,8 +93,9 @@ TEST_F(ClientTest, ErrorsOfTheRequestAreNotRepeated) {
   const int before = fake_.calls();
   EXPECT_EQ(client_->Act(Request(id, 7)).status(),
             absl::FailedPreconditionError("step: expected 0, received 7"));
-  EXPECT_EQ(client_->GetSession("nobody").status(),
-            absl::NotFoundError("session_id: no session \"nobody\""));
+  const absl::Status lost = client_->GetSession("nobody").status();
+  EXPECT_TRUE(absl::IsNotFound(lost) && IsSessionLost(lost)) << lost;
+  EXPECT_EQ(lost.message(), "session_id: no session \"nobody\"");
   EXPECT_EQ(fake_.calls(), before + 2);
 }
 

@@ -1,7 +1,13 @@
 #include "spikeserve/remote_session.h"
 
+#include <set>
+#include <string>
+#include <vector>
+
 #include "gmock/gmock.h"
+#include "google/protobuf/message.h"
 #include "gtest/gtest.h"
+#include "spikeserve/status.h"
 #include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
@@ -106,6 +112,59 @@ TEST_F(RemoteSessionTest, AnUnsetTargetReturnIsNotSent) {
   RemoteSession session = Open();
   ASSERT_TRUE(session.EndEpisode({.reward = 0.0, .truncated = true}).ok());
   EXPECT_FALSE(fake_.last_end_episode().has_target_return());
+}
+
+// Expects that every field of `message` is set, except those that are `handled` by the library.
+void ExpectEveryFieldSet(const google::protobuf::Message& message,
+                         const std::set<std::string>& handled) {
+  std::vector<const google::protobuf::FieldDescriptor*> set;
+  message.GetReflection()->ListFields(message, &set);
+  std::set<std::string> names = handled;
+  for (const auto* field : set) names.insert(std::string(field->name()));
+  for (int i = 0; i < message.GetDescriptor()->field_count(); ++i) {
+    const std::string name(message.GetDescriptor()->field(i)->name());
+    EXPECT_EQ(names.count(name), 1u) << name << " cannot be set";
+  }
+}
+
+TEST_F(RemoteSessionTest, EveryFieldOfTheContractCanBeSet) {
+  v1::Action executed;
+  executed.set_discrete(1);
+  RemoteSession session = Open();
+  ASSERT_TRUE(session.Act(observation_, 0.0).ok());
+  // The session counts its decisions and steps.
+  ExpectEveryFieldSet(session.MakeRequest(observation_, 1.0, executed), {"decision"});
+  ASSERT_TRUE(session
+                  .EndEpisode({.reward = 1.0,
+                               .terminated = true,
+                               .truncated = true,
+                               .target_return = 2.0,
+                               .observation = observation_,
+                               .executed_action = executed})
+                  .ok());
+  ExpectEveryFieldSet(fake_.last_end_episode(), {"episode", "steps"});
+}
+
+TEST_F(RemoteSessionTest, ALostSessionIsReplacedOnRequest) {
+  auto session = RemoteSession::Open(client_.get(), {}, /*reopens=*/true);
+  ASSERT_TRUE(session.ok()) << session.status();
+  ASSERT_TRUE(session->Act(observation_, 0.0).ok());
+  const std::string lost = session->session_id();
+  ASSERT_TRUE(client_->CloseSession(lost).ok());
+  const auto answer = session->Act(observation_, 1.0);
+  ASSERT_TRUE(answer.ok()) << answer.status();
+  EXPECT_EQ(answer->step(), 0);
+  EXPECT_NE(session->session_id(), lost);
+  EXPECT_EQ(session->reopened(), 1);
+  // The totals of an episode cannot be replaced.
+  ASSERT_TRUE(client_->CloseSession(session->session_id()).ok());
+  EXPECT_TRUE(IsSessionLost(session->EndEpisode({.reward = 1.0}).status()));
+  EXPECT_TRUE(session->Act(observation_, 0.0).ok());
+
+  RemoteSession other = Open();
+  ASSERT_TRUE(client_->CloseSession(other.session_id()).ok());
+  EXPECT_TRUE(IsSessionLost(other.Act(observation_, 0.0).status()));
+  EXPECT_TRUE(absl::IsFailedPrecondition(other.OpenAgain()));
 }
 
 TEST_F(RemoteSessionTest, CloseFreesTheSession) {

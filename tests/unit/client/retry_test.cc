@@ -4,6 +4,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "spikeserve/status.h"
 
 namespace spikeserve {
 namespace {
@@ -66,6 +67,39 @@ TEST_F(RetryTest, BacksOffExponentiallyUpToTheLimit) {
   }
 }
 
+TEST_F(RetryTest, OutlastsARestartByDefault) {
+  RetryOptions options;
+  absl::Duration paused;
+  options.sleep = [&](absl::Duration pause) { paused += pause; };
+  (void)CallWithRetries(options, "key", [] { return absl::UnavailableError("busy"); });
+  EXPECT_LE(paused, absl::Seconds(30));
+  EXPECT_GT(paused, absl::Seconds(27));
+}
+
+TEST_F(RetryTest, WaitsAsLongAsTheServerAsks) {
+  constexpr int kResourceExhausted = 8;
+  int calls = 0;
+  EXPECT_TRUE(CallWithRetries(Options(), "key", [&] {
+                return ++calls == 2 ? absl::OkStatus()
+                                    : StatusFromCode(kResourceExhausted, "full", /*retry=*/3.0);
+              }).ok());
+  ASSERT_EQ(pauses_.size(), 1u);
+  EXPECT_GE(pauses_[0], absl::Seconds(3));
+  EXPECT_LE(pauses_[0], absl::Seconds(3.3));
+  // Without the time of the next try, a limit does not pass by waiting.
+  calls = 0;
+  (void)CallWithRetries(Options(), "key", [&] {
+    ++calls;
+    return absl::ResourceExhaustedError("full");
+  });
+  EXPECT_EQ(calls, 1);
+  // A pause that does not fit into the time is not begun.
+  const absl::Status status = CallWithRetries(
+      Options(), "key", [] { return StatusFromCode(kResourceExhausted, "full", 60.0); });
+  EXPECT_EQ(RetryAfter(status), absl::Seconds(60));
+  EXPECT_EQ(pauses_.size(), 1u);
+}
+
 TEST_F(RetryTest, DifferentKeysSpreadDifferently) {
   (void)CallWithRetries(Options(), "session-1", [] { return absl::UnavailableError("busy"); });
   const std::vector<absl::Duration> first = std::exchange(pauses_, {});
@@ -84,6 +118,8 @@ TEST(RetryOptionsTest, ValidateNamesTheField) {
   EXPECT_TRUE(RetryOptions().Validate().ok());
   EXPECT_EQ(message([](RetryOptions& o) { o.max_attempts = 0; }),
             "max_attempts: expected at least 1, received 0");
+  EXPECT_THAT(message([](RetryOptions& o) { o.max_elapsed = absl::Seconds(-1); }),
+              HasSubstr("max_elapsed"));
   EXPECT_THAT(message([](RetryOptions& o) { o.initial_backoff = absl::Seconds(-1); }),
               HasSubstr("initial_backoff"));
   EXPECT_THAT(message([](RetryOptions& o) { o.max_backoff = absl::Milliseconds(1); }),

@@ -17,7 +17,6 @@ from spikeserve.client import Client
 from spikeserve.connection import ClientOptions
 from spikeserve.errors import (
     DeadlineExceededError,
-    EvaluationStoppedError,
     FailedPreconditionError,
     InvalidArgumentError,
     NotFoundError,
@@ -29,7 +28,7 @@ from spikeserve.errors import (
     UnavailableError,
     UnimplementedError,
 )
-from spikeserve.evaluation import Evaluation, evaluate
+from spikeserve.evaluation import Evaluation, EvaluationStoppedError, evaluate
 from spikeserve.explanation import Attention, Explanation, RoutingGates, SpikeRaster, Token
 from spikeserve.imitating import imitate
 from spikeserve.retry import RetryOptions

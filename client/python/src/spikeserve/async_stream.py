@@ -11,11 +11,14 @@ import grpc
 from numpy.typing import ArrayLike
 
 from spikeserve.async_session import AsyncSession
-from spikeserve.errors import SpikeserveError, error_of_call
+from spikeserve.errors import SpikeserveError, make_error
 from spikeserve.open_requests import OpenRequest, OpenRequests, stream_closed, stream_ended
 from spikeserve.retry import Patience, RetryOptions
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
+
+# What grpc.aio reports with INTERNAL if a stream is opened while the server cannot be reached.
+_CORE_ERROR = "Internal error from Core"
 
 
 class AsyncActStream:
@@ -110,8 +113,12 @@ class AsyncActStream:
             return stream_ended()
         try:
             reply = await self._call.read()
-        except grpc.RpcError as error:
-            return error_of_call("ActStream", error)
+        except grpc.RpcError:
+            # The error of a read may only say that the call has ended; its status says why.
+            code, details = await self._call.code(), await self._call.details()
+            if details == _CORE_ERROR:
+                code = grpc.StatusCode.UNAVAILABLE
+            return make_error("ActStream", code, details or "")
         return stream_ended() if reply is grpc.aio.EOF else reply
 
     async def _send_due(self) -> None:

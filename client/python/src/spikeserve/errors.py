@@ -6,14 +6,10 @@ The message comes from the server. It names the field, the expected value and th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import grpc
 
 from spikeserve.status_details import retry_delay_of
-
-if TYPE_CHECKING:
-    from spikeserve.evaluation import Evaluation
 
 
 class SpikeserveError(Exception):
@@ -78,17 +74,6 @@ class UnavailableError(SpikeserveError):
 
 class DeadlineExceededError(SpikeserveError):
     """Every attempt failed: no response came within the timeout."""
-
-
-class EvaluationStoppedError(SpikeserveError):
-    """A call failed in the middle of an evaluation. `evaluation` holds the episodes before it."""
-
-    def __init__(self, error: SpikeserveError, evaluation: Evaluation, episodes: int) -> None:
-        ended = len(evaluation.episodes)
-        summary = f"stopped after {ended} of {episodes} episodes: {evaluation}"
-        super().__init__(error.call, error.code, error.message, error.retry_after)
-        self.args = (f"{error}\n{summary}",)
-        self.evaluation = evaluation
 
 
 _CLASSES: dict[grpc.StatusCode, type[SpikeserveError]] = {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.client import Client
-from spikeserve.errors import EvaluationStoppedError, SessionLostError, SpikeserveError
+from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.session import Session
 from spikeserve.spaces import as_action_space, check_observation_space
 from spikeserve.values import EpisodeSummary, Policy, SessionOptions
@@ -69,6 +69,17 @@ class Evaluation:
         )
 
 
+class EvaluationStoppedError(SpikeserveError):
+    """A call failed in the middle of an evaluation. `evaluation` holds the episodes before it."""
+
+    def __init__(self, error: SpikeserveError, evaluation: Evaluation, episodes: int) -> None:
+        ended = len(evaluation.episodes)
+        summary = f"stopped after {ended} of {episodes} episodes: {evaluation}"
+        super().__init__(error.call, error.code, error.message, error.retry_after)
+        self.args = (f"{error}\n{summary}",)
+        self.evaluation = evaluation
+
+
 def evaluate(
     env: Any,
     policy: str | None = None,
@@ -116,8 +127,8 @@ def evaluate(
         session = stack.enter_context(client.open_session(name, settings, reopen=reopen))
         opening = session.opening
         assert opening is not None
-        check_observation_space(environment.observation_space, opening.observation_size, name)
         opening.check_action_space(as_action_space(environment.action_space))
+        check_observation_space(environment.observation_space, opening.observation_size, name)
         result = Evaluation(env_id, name, opening.version, [])
         try:
             for episode in range(episodes):

@@ -16,8 +16,8 @@ from google.protobuf import (
     message_factory,
 )
 
-_METADATA_KEY = "grpc-status-details-bin"
-_RETRY_INFO = "google.rpc.RetryInfo"
+METADATA_KEY = "grpc-status-details-bin"
+_RETRY_INFO_NAME = "google.rpc.RetryInfo"
 
 
 def _message_classes() -> tuple[Any, Any]:
@@ -51,12 +51,12 @@ def _message_classes() -> tuple[Any, Any]:
         label=optional,
     )
     pool.Add(file)
-    names = ("google.rpc.Status", _RETRY_INFO)
+    names = ("google.rpc.Status", _RETRY_INFO_NAME)
     found = [message_factory.GetMessageClass(pool.FindMessageTypeByName(name)) for name in names]
     return found[0], found[1]
 
 
-_STATUS, _RETRY = _message_classes()
+STATUS, RETRY_INFO = _message_classes()
 
 
 def retry_delay_of(error: Any) -> float | None:
@@ -66,12 +66,12 @@ def retry_delay_of(error: Any) -> float | None:
     """
     metadata = error.trailing_metadata() if hasattr(error, "trailing_metadata") else None
     for key, value in metadata or ():
-        if key != _METADATA_KEY:
+        if key != METADATA_KEY:
             continue
         try:
-            for detail in _STATUS.FromString(value).details:
-                if detail.type_url.rpartition("/")[2] == _RETRY_INFO:
-                    delay = _RETRY.FromString(detail.value).retry_delay
+            for detail in STATUS.FromString(value).details:
+                if detail.type_url.rpartition("/")[2] == _RETRY_INFO_NAME:
+                    delay = RETRY_INFO.FromString(detail.value).retry_delay
                     return float(delay.seconds + delay.nanos / 1e9)
         except message.DecodeError:
             return None

@@ -1,0 +1,149 @@
+#include "client/spikectl/session_flags.h"
+
+#include <fstream>
+#include <sstream>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
+#include "nlohmann/json.hpp"
+
+namespace spikeserve {
+namespace {
+
+bool AnySet(const LearningFlags& flags) {
+  return flags.rule || flags.modulator || flags.learning_rate || flags.trace_decay ||
+         flags.discount || flags.clip || flags.max_drift || flags.guard_margin;
+}
+
+// Reads W - W_base from a file: a list of numbers, or an object with such a list as `delta` or
+// `head_delta`, as `spikectl admin head --weights --json` prints it.
+absl::Status ReadHeadDelta(const std::string& path, v1::OpenSessionRequest* request) {
+  std::ifstream file(path);
+  std::ostringstream text;
+  if (!file || !(text << file.rdbuf())) {
+    return absl::NotFoundError(absl::StrCat("--head_delta: cannot read ", path));
+  }
+  nlohmann::json json = nlohmann::json::parse(text.str(), nullptr, /*allow_exceptions=*/false);
+  for (const char* key : {"delta", "head_delta"}) {
+    if (json.is_object() && json.contains(key)) json = nlohmann::json(json[key]);
+  }
+  const auto refuse = [&] {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--head_delta: expected a list of numbers, or an object with one as \"delta\", in ", path));
+  };
+  if (!json.is_array()) return refuse();
+  for (const nlohmann::json& number : json) {
+    if (!number.is_number()) return refuse();
+    request->add_head_delta(number.get<float>());
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddLearningFlags(FlagGroup& group, LearningFlags* flags) {
+  group.Add("rule", EnumKind<Rule>(), &flags->rule, "Learning rule; default: policy_gradient")
+      .Add("modulator", EnumKind<Modulator>(), &flags->modulator,
+           "Return that modulates it; default: realized")
+      .Add("learning_rate", "RATE", &flags->learning_rate,
+           "Learning rate; default: the server's default for the modulator")
+      .Add("trace_decay", "FACTOR", &flags->trace_decay,
+           "Decay of the eligibility trace per decision; default: the server's")
+      .Add("discount", "FACTOR", &flags->discount,
+           "Discount of the realized return; default: the server's default")
+      .Add("clip", "NORM", &flags->clip, "Largest norm of one update; default: the server's")
+      .Add("max_drift", "RATIO", &flags->max_drift,
+           "Largest drift of a private head; default: the server's")
+      .Add("guard_margin", "FRACTION", &flags->guard_margin,
+           "Margin of the guard of a private head; default: the server's");
+}
+
+void AddSessionFlags(Command command, SessionFlags* flags) {
+  command.Flags("Session")
+      .AddSwitch("sample", &flags->sample, "Sample the actions, instead of the most probable ones")
+      .Add("temperature", "T", &flags->temperature, "Sampling temperature; default: 1")
+      .Add("version_label", "NAME", &flags->version_label,
+           "Version by its label, such as canary; not with --version")
+      .Add("routing_key", "KEY", &flags->routing_key,
+           "Key that decides the traffic share; equal keys get equal versions")
+      .AddList("labels", "KEY=VALUE,...", &flags->labels, "Labels of the session")
+      .Add("head_delta", "FILE", &flags->head_delta,
+           "Head to start from, as `spikectl admin head --weights --json` prints it")
+      .AddSwitch("record", &flags->record, "Have the server record it in its --record_dir");
+  FlagGroup learning = command.Flags("Learning");
+  learning.Add("learn", EnumKind<Scope>(), &flags->learn, "Head that learns; default: none");
+  AddLearningFlags(learning, &flags->learning);
+}
+
+v1::LearningConfig ToProto(Scope scope, const LearningFlags& flags) {
+  v1::LearningConfig config;
+  if (scope == Scope::kFleet) config.set_scope(v1::LearningConfig::FLEET);
+  if (flags.rule) config.set_rule(std::string(ToString(*flags.rule)));
+  if (flags.modulator) config.set_modulator(std::string(ToString(*flags.modulator)));
+  if (flags.learning_rate) config.set_learning_rate(*flags.learning_rate);
+  if (flags.trace_decay) config.set_trace_decay(*flags.trace_decay);
+  if (flags.discount) config.set_discount(*flags.discount);
+  if (flags.clip) config.set_clip(*flags.clip);
+  if (flags.max_drift) config.set_max_drift(*flags.max_drift);
+  if (flags.guard_margin) config.set_guard_margin(*flags.guard_margin);
+  return config;
+}
+
+absl::Status CheckLearning(Scope scope, const LearningFlags& flags, const ActionSpace& space,
+                           const ActionSelection& selection) {
+  if (scope == Scope::kFleet && (flags.max_drift || flags.guard_margin)) {
+    return absl::InvalidArgumentError(
+        "--max_drift and --guard_margin: expected neither for a fleet, whose head the server "
+        "bounds, received one");
+  }
+  LearningOptions options = {.scope = scope};
+  if (flags.rule) options.rule = *flags.rule;
+  if (flags.modulator) options.modulator = *flags.modulator;
+  if (flags.discount && options.modulator != Modulator::kRealized) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--discount: expected none unless --modulator is realized, received ", *flags.discount));
+  }
+  options.learning_rate =
+      flags.learning_rate.value_or(LearningOptions::DefaultLearningRate(options.modulator));
+  options.trace_decay = flags.trace_decay.value_or(options.trace_decay);
+  options.discount = flags.discount.value_or(options.discount);
+  options.clip = flags.clip.value_or(options.clip);
+  options.max_drift = flags.max_drift.value_or(options.max_drift);
+  options.guard_margin = flags.guard_margin.value_or(options.guard_margin);
+  const absl::Status status = options.Validate(space, selection);
+  if (status.ok()) return status;
+  return absl::InvalidArgumentError(
+      absl::StrCat("--", absl::StripPrefix(status.message(), "learning.")));
+}
+
+absl::Status FillRequest(const SessionFlags& flags, v1::OpenSessionRequest* request) {
+  if (!flags.learn && AnySet(flags.learning)) {
+    return absl::InvalidArgumentError(
+        "--learn: expected session or fleet with flags of the learning, received none");
+  }
+  if (flags.temperature && !flags.sample) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--temperature: expected --sample with it, received ", *flags.temperature));
+  }
+  if (flags.learn) *request->mutable_learning() = ToProto(*flags.learn, flags.learning);
+  if (flags.sample) request->set_action_selection(v1::SAMPLE);
+  if (flags.temperature) request->set_temperature(*flags.temperature);
+  request->set_version_label(flags.version_label);
+  request->set_routing_key(flags.routing_key);
+  request->set_record(flags.record);
+  for (const std::string& label : flags.labels) {
+    const std::pair<std::string, std::string> parts =
+        absl::StrSplit(label, absl::MaxSplits('=', 1));
+    if (!absl::StrContains(label, '=')) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--labels: expected KEY=VALUE, received \"", label, "\""));
+    }
+    (*request->mutable_labels())[parts.first] = parts.second;
+  }
+  return flags.head_delta.empty() ? absl::OkStatus() : ReadHeadDelta(flags.head_delta, request);
+}
+
+}  // namespace spikeserve

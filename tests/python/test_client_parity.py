@@ -1,0 +1,269 @@
+"""Every client has every option of the wire contract.
+
+Each test compares an interface with the fields of a message by its descriptor. A field that is added to the contract
+fails a test until the clients have it, or until this file says why they do not need it.
+"""
+
+import asyncio
+import dataclasses
+import inspect
+import os
+import re
+import subprocess
+
+import numpy as np
+import pytest
+import spikeserve
+from serving import running_server
+from spikeserve.admin import method_name
+from spikeserve.wire import ADMIN_METHODS, METHODS, message_class
+
+# Fields that a library sets by itself, so that its user does not have to.
+BY_THE_LIBRARY = {
+    "OpenSessionRequest": {
+        # The id makes a repeated OpenSession find the session that a lost answer has opened.
+        "session_id",
+        # How much of a session survives is decided with the session, beside its id.
+        "durability",
+    },
+    # The session counts its steps and decisions.
+    "ActRequest": {"session_id", "step", "decision"},
+    "EndEpisodeRequest": {"session_id", "episode", "steps"},
+    "GetSessionRequest": {"session_id"},
+    "OpenSessionResponse": {"session_id", "durability"},
+    "ActResponse": {"session_id", "error"},  # the session, and an exception
+    "ExplainResponse": set(),
+}
+# Names that differ from those of the contract.
+RENAMED = {"action_selection": "sample"}
+
+
+def fields_of(message):
+    """Returns the names of the fields that a user sees, as the clients call them."""
+    names = {field.name for field in message_class(message).DESCRIPTOR.fields}
+    return {RENAMED.get(name, name) for name in names - BY_THE_LIBRARY.get(message, set())}
+
+
+def parameters_of(function):
+    return set(inspect.signature(function).parameters) - {"self"}
+
+
+def attributes_of(value_class):
+    return {field.name for field in dataclasses.fields(value_class)}
+
+
+@pytest.mark.parametrize(
+    "message, value_class, more",
+    [
+        ("LearningConfig", spikeserve.Learning, set()),
+        ("LearningSummary", spikeserve.LearningSummary, set()),
+        ("PolicyInfo", spikeserve.Policy, set()),
+        ("OpenSessionResponse", spikeserve.Opening, set()),
+        ("ActResponse", spikeserve.Decision, set()),
+        ("DecisionStats", spikeserve.Stats, set()),
+        ("EndEpisodeResponse", spikeserve.EpisodeSummary, set()),
+        ("GetSessionResponse", spikeserve.SessionState, set()),
+        ("ExplainResponse", spikeserve.Explanation, set()),
+        ("SpikeRaster", spikeserve.SpikeRaster, set()),
+        ("Token", spikeserve.Token, set()),
+        ("RoutingGates", spikeserve.RoutingGates, set()),
+        # The shape of the weights has the number of ticks.
+        ("Attention", spikeserve.Attention, {"ticks"}),
+    ],
+)
+def test_values_have_every_field(message, value_class, more):
+    assert attributes_of(value_class) | more == fields_of(message)
+
+
+def test_sessions_have_every_option():
+    # The policy is the first argument of open_session.
+    assert attributes_of(spikeserve.SessionOptions) | {"policy"} == fields_of("OpenSessionRequest")
+
+
+@pytest.mark.parametrize("session", [spikeserve.Session, spikeserve.AsyncSession])
+def test_the_calls_of_a_session_have_every_argument(session):
+    assert parameters_of(session.act) - {"timeout"} == fields_of("ActRequest")
+    assert parameters_of(session.end_episode) == fields_of("EndEpisodeRequest")
+    assert parameters_of(session.state) == fields_of("GetSessionRequest")
+    streams = {spikeserve.Session: spikeserve.ActStream, spikeserve.AsyncSession: spikeserve.AsyncActStream}
+    assert parameters_of(streams[session].send) - {"session"} == fields_of("ActRequest")
+
+
+def plural(name):
+    return f"{name}s"
+
+
+def test_batches_have_every_argument():
+    expected = {plural(name) for name in fields_of("ActRequest")}
+    for client in (spikeserve.Client, spikeserve.AsyncClient):
+        assert parameters_of(client.act_batch) - {"sessions", "timeout"} == expected
+    ends = {"terminations", "truncations", "infos", "timeout"}
+    for vector in (spikeserve.VectorSession, spikeserve.AsyncVectorSession):
+        assert parameters_of(vector.act) - ends == expected
+
+
+def test_every_method_of_the_service_can_be_called():
+    homes = {
+        "ListPolicies": "list_policies",
+        "OpenSession": "open_session",
+        "ActBatch": "act_batch",
+        "ActStream": "act_stream",
+        "Act": "act",
+        "EndEpisode": "end_episode",
+        "GetSession": "state",
+        "Explain": "explain",
+        "CloseSession": "close",
+    }
+    assert homes.keys() == METHODS.keys()
+    for client, session in (
+        (spikeserve.Client, spikeserve.Session),
+        (spikeserve.AsyncClient, spikeserve.AsyncSession),
+    ):
+        for name in homes.values():
+            assert hasattr(client, name) or hasattr(session, name)
+
+
+@pytest.mark.parametrize("client", [spikeserve.AdminClient, spikeserve.AsyncAdminClient])
+def test_operators_have_every_call(client):
+    for rpc, method in ADMIN_METHODS.items():
+        call = getattr(client, method_name(rpc))
+        expected = {field.name for field in method.request.DESCRIPTOR.fields}
+        assert parameters_of(call) == expected | {"timeout"}
+        assert call.__doc__  # the comment of the contract
+
+
+def flags_of(program, *command):
+    arguments = [os.environ[program], *command, "--help"]
+    text = subprocess.run(arguments, check=True, capture_output=True, text=True).stdout
+    return set(re.findall(r"--(\w+)", text))
+
+
+def test_spikectl_run_has_every_option():
+    flags = flags_of("SPIKECTL_PROGRAM", "run")
+    # The switch --learn selects the scope. --scope is that of adapt.
+    options = fields_of("OpenSessionRequest") - {"learning"} | {"learn"}
+    learning = fields_of("LearningConfig") - {"scope"}
+    assert options | learning <= flags
+    assert learning | {"scope"} <= flags_of("SPIKECTL_PROGRAM", "adapt")
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    recordings = tmp_path_factory.mktemp("recordings")
+    with running_server(flags=[f"--record_dir={recordings}"]) as addresses:
+        yield addresses.grpc
+
+
+def test_options_reach_the_server(server):
+    with spikeserve.AdminClient(server) as admin, spikeserve.Client(server) as client:
+        admin.set_label(policy="cartpole", label="old", version=1)
+        options = spikeserve.SessionOptions(
+            version_label="old",
+            routing_key="robot-7",
+            sample=True,
+            record=True,
+            learning=spikeserve.Learning(
+                discount=0.9, max_drift=0.5, guard_margin=0.1, trace_decay=0.5, learning_rate=0.2
+            ),
+        )
+        with client.open_session("cartpole", options) as session:
+            assert session.opening.version == 1
+            for _ in range(5):
+                session.act(np.zeros(4), 1.0)
+            summary = session.end_episode(1.0, terminated=True)
+            assert summary.learning.updates == 1 and summary.learning.head_drift > 0
+            state = session.state(include_head_delta=True)
+            assert state.head_delta.any() and state.modulator_std > 0
+            assert session.state().head_delta is None
+        learned = spikeserve.SessionOptions(version=1, head_delta=state.head_delta)
+        with client.open_session("cartpole", learned) as session:
+            assert session.state().head_drift == pytest.approx(state.head_drift)
+        (policy,) = [p for p in client.list_policies() if p.version_labels == ("old",)]
+        assert (policy.name, policy.version, policy.is_shadow) == ("cartpole", 1, False)
+        for field, value in (("max_drift", -1.0), ("discount", 2.0), ("guard_margin", -1.0)):
+            refused = spikeserve.SessionOptions(learning=spikeserve.Learning(**{field: value}))
+            with pytest.raises(spikeserve.InvalidArgumentError, match=f"learning.{field}"):
+                client.open_session("cartpole", refused)
+
+
+def check_explanation(explanation):
+    counted = {stage: 0 for stage in explanation.answer.stats.spikes_by_stage}
+    for raster in explanation.rasters:
+        counted[raster.stage] += len(raster.ticks)
+        assert raster.ticks.max(initial=0) < explanation.ticks
+    assert counted == explanation.answer.stats.spikes_by_stage
+    assert len(explanation.attention) == explanation.layers
+    for attention in explanation.attention:
+        assert attention.weights.shape == (explanation.ticks, explanation.heads, len(attention.keys))
+        np.testing.assert_allclose(attention.weights.sum(axis=-1), 1, rtol=1e-5)
+        assert attention.keys[-1] == spikeserve.Token("STATE", 1)
+    for gates in explanation.routing:
+        assert gates.gates.shape == (len(gates.tokens), explanation.ticks, explanation.heads)
+
+
+def test_decisions_are_explained(server):
+    with spikeserve.Client(server) as client, client.open_session("cartpole") as session:
+        with pytest.raises(spikeserve.FailedPreconditionError):
+            session.explain()
+        session.act(np.zeros(4))
+        decision = session.act(np.full(4, 0.01), 1.0)
+        explanation = session.explain()
+        check_explanation(explanation)
+        assert explanation.answer.stats == decision.stats
+        assert explanation.answer.action == np.argmax(explanation.logits)
+
+    async def explain():
+        async with spikeserve.AsyncClient(server) as client:
+            async with await client.open_session("cartpole") as session:
+                await session.act(np.zeros(4))
+                await session.act(np.zeros(4), 0.0)
+                return await session.explain()
+
+    check_explanation(asyncio.run(explain()))
+
+
+def test_operators_calls_work(server):
+    with spikeserve.AdminClient(server) as admin:
+        assert admin.get_head(policy="cartpole").version == 2
+        with pytest.raises(spikeserve.NotFoundError, match="nobody"):
+            admin.set_label(policy="nobody", label="x", version=1)
+        with pytest.raises(ValueError, match="no .*field"):
+            admin.get_head(polizy="cartpole")
+
+    async def drain():
+        async with spikeserve.AsyncAdminClient(server) as admin:
+            drained = await admin.drain()
+            await admin.drain(cancel=True)
+            return drained
+
+    assert asyncio.run(drain()).open_sessions >= 0
+    assert "Refuses new sessions" in spikeserve.AdminClient.drain.__doc__
+
+
+def test_spikectls_options_reach_the_server(server, tmp_path):
+    def run(*flags):
+        command = [os.environ["SPIKECTL_PROGRAM"], "run", f"--server={server}", "--episodes=2", *flags]
+        return subprocess.run(command, capture_output=True, text=True)
+
+    with spikeserve.AdminClient(server) as admin:
+        admin.set_label(policy="cartpole", label="old", version=1)
+        size = len(admin.get_head(policy="cartpole", include_weights=True).base)
+    labelled = run("--version_label=old", "--labels=robot=7,site=a")
+    assert labelled.returncode == 0, labelled.stderr
+    assert "with policy cartpole/1 " in labelled.stdout
+    learning = run("--learn=session", "--sample", "--rule=hebbian", "--max_drift=0.5", "--clip=0.1")
+    assert learning.returncode == 0, learning.stderr
+    head = tmp_path / "head.json"
+    head.write_text(str([0.0] * size))
+    assert run(f"--head_delta={head}").returncode == 0
+    for flags, message in (
+        (["--rule=hebbian"], "--learn: expected session or fleet with flags of the learning"),
+        (["--learn=session", "--rule=habit"], '--rule: expected policy_gradient or hebbian, received "habit"'),
+        (["--temperature=2"], "--temperature: expected --sample with it, received 2"),
+        (["--labels=robot"], '--labels: expected KEY=VALUE, received "robot"'),
+        (["--head_delta=/nowhere"], "--head_delta: cannot read /nowhere"),
+        (["--version_label=nobody"], "nobody"),
+        (["--learn=session", "--max_drift=-1"], "max_drift"),
+    ):
+        refused = run(*flags)
+        assert refused.returncode == 1 and message in refused.stderr, refused.stderr

@@ -1,0 +1,187 @@
+"""Mistakes are refused before anything is played, with a hint about what to do."""
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import gymnasium
+import numpy as np
+import pytest
+import spikeserve
+from serving import DEADLINE_SECONDS
+
+FLATTEN = "gymnasium.wrappers.FlattenObservation"
+OBSERVATION = [0.01, -0.02, 0.03, 0.1]
+PARTS = {"position": gymnasium.spaces.Box(-5, 5, (2,)), "velocity": gymnasium.spaces.Box(-5, 5, (2,))}
+
+
+class Parted(gymnasium.Wrapper):
+    """CartPole whose observation is a Dict or a Tuple of two parts."""
+
+    def __init__(self, environment, kind):
+        super().__init__(environment)
+        self._kind = kind
+        spaces = PARTS if kind is dict else list(PARTS.values())
+        self.observation_space = (gymnasium.spaces.Dict if kind is dict else gymnasium.spaces.Tuple)(spaces)
+
+    def _parted(self, observation):
+        position, velocity = observation[0::2], observation[1::2]
+        if self._kind is dict:
+            return {"position": position, "velocity": velocity}
+        return (position, velocity)
+
+    def reset(self, **arguments):
+        observation, info = self.env.reset(**arguments)
+        return self._parted(observation), info
+
+    def step(self, action):
+        observation, *rest = self.env.step(action)
+        return self._parted(observation), *rest
+
+
+@pytest.fixture(scope="module")
+def client(address):
+    with spikeserve.Client(address) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("kind", [dict, tuple])
+def test_dict_and_tuple_observations_name_the_wrapper_that_helps(client, kind):
+    environment = Parted(gymnasium.make("CartPole-v1"), kind)
+    with client.open_session("cartpole") as session:
+        observation, _ = environment.reset(seed=0)
+        with pytest.raises(ValueError, match=f"observation: expected one array .*{FLATTEN}.* received a {kind.__name__}"):
+            session.act(observation)
+        with client.act_stream() as stream, pytest.raises(ValueError, match=FLATTEN):
+            stream.send(session, observation)
+    with pytest.raises(ValueError, match=f"observation space: expected shape \\(4,\\) .*{FLATTEN}"):
+        spikeserve.evaluate(environment, "cartpole", server=client)
+    envs = gymnasium.vector.SyncVectorEnv([lambda: Parted(gymnasium.make("CartPole-v1"), kind)] * 2)
+    with pytest.raises(ValueError, match=FLATTEN):
+        spikeserve.VectorSession(client, "cartpole", envs)
+    envs.close()
+    # With the wrapper it fits.
+    evaluation = spikeserve.evaluate(
+        environment,
+        "cartpole",
+        server=client,
+        episodes=1,
+        wrappers=[gymnasium.wrappers.FlattenObservation],
+    )
+    assert len(evaluation.episodes) == 1
+    environment.close()
+
+
+def test_images_name_the_wrapper_too(client):
+    class Image(gymnasium.ObservationWrapper):
+        def __init__(self, environment):
+            super().__init__(environment)
+            self.observation_space = gymnasium.spaces.Box(-5, 5, (2, 2))
+
+        def observation(self, observation):
+            return observation.reshape(2, 2)
+
+    with pytest.raises(ValueError, match=FLATTEN):
+        spikeserve.evaluate("CartPole-v1", server=client, wrappers=[Image])
+
+
+def test_a_reward_is_needed_after_step_0(client):
+    message = "reward: expected one after step 0, received None"
+    with client.open_session("cartpole") as session, client.act_stream() as stream:
+        session.act(OBSERVATION)
+        with pytest.raises(ValueError, match=message):
+            session.act(OBSERVATION)
+        with pytest.raises(ValueError, match=message):
+            stream.act(session, OBSERVATION)
+        assert session.state().step == 1
+        assert session.act(OBSERVATION, 1.0).step == 1
+        assert stream.act(session, OBSERVATION, 1.0).step == 2
+
+
+MODULE = """
+import gymnasium
+
+
+def make(length=7):
+    return gymnasium.make("CartPole-v1", max_episode_steps=length).unwrapped
+
+
+gymnasium.register("MyQuad-v0", entry_point=make, max_episode_steps=9)
+"""
+
+
+def test_evaluate_takes_a_module_arguments_a_version_and_options(client, tmp_path, monkeypatch):
+    (tmp_path / "quad_of_the_test.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    arguments = {"server": client, "episodes": 2}
+    evaluation = spikeserve.evaluate(
+        "quad_of_the_test:MyQuad-v0",
+        "cartpole",
+        env_kwargs={"length": 5},
+        version=1,
+        options=spikeserve.SessionOptions(labels={"robot": "a"}, target_return=50),
+        **arguments,
+    )
+    assert (evaluation.env_id, evaluation.version) == ("MyQuad-v0", 1)
+    assert [episode.steps for episode in evaluation.episodes] == [9, 9]
+    with pytest.raises(LookupError, match="received MyQuad-v0; pass policy= to choose one"):
+        spikeserve.evaluate("quad_of_the_test:MyQuad-v0", **arguments)
+    with pytest.raises(spikeserve.NotFoundError, match="99"):
+        spikeserve.evaluate("CartPole-v1", version=99, **arguments)
+    sys.modules.pop("quad_of_the_test")
+
+
+def test_evaluate_takes_an_environment_and_leaves_it_open(client):
+    environment = gymnasium.make("CartPole-v1", max_episode_steps=6)
+    evaluation = spikeserve.evaluate(environment, server=client, episodes=2, seed=3)
+    assert (evaluation.policy, evaluation.env_id) == ("cartpole", "CartPole-v1")
+    assert [episode.steps for episode in evaluation.episodes] == [6, 6]
+    environment.reset(seed=0)  # it was not closed
+    with pytest.raises(ValueError, match="env_kwargs: expected none with an environment"):
+        spikeserve.evaluate(environment, server=client, env_kwargs={"render_mode": None})
+    environment.close()
+
+
+@pytest.mark.parametrize(
+    "flags, message",
+    [
+        (["--rule=foo"], '--rule: expected policy_gradient or hebbian, received "foo"'),
+        (["--modulator=foo"], '--modulator: expected target or realized, received "foo"'),
+        (["--scope=foo"], '--scope: expected session or fleet, received "foo"'),
+        (["--learning_rate=-1"], "--learning_rate: expected a finite number above 0, received -1"),
+        (["--trace_decay=2"], "--trace_decay: expected a number from 0 to 1, received 2"),
+        (["--temperature=0"], "--temperature: expected a finite number above 0, received 0"),
+        (["--modulator=target", "--discount=0.9"], "--discount: expected none unless --modulator"),
+        (["--scope=fleet", "--max_drift=1"], "--max_drift and --guard_margin: expected neither"),
+    ],
+)
+def test_adapt_refuses_before_it_plays(flags, message):
+    # No server listens there: the flags are checked before the connection.
+    ended = subprocess.run(
+        [os.environ["SPIKECTL_PROGRAM"], "adapt", "--server=127.0.0.1:1", *flags],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_SECONDS,
+    )
+    assert ended.returncode == 1
+    assert message in ended.stderr, ended.stderr
+
+
+def test_evaluate_needs_gymnasium_only_for_an_id():
+    script = textwrap.dedent(
+        """
+        import sys
+        sys.modules["gymnasium"] = None
+        import spikeserve
+        print(spikeserve.evaluate.__name__)
+        """
+    )
+    out = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    assert out.stdout == "evaluate\n"
+
+
+def test_plain_sequences_are_still_observations(client):
+    with client.open_session("cartpole") as session:
+        assert session.act(tuple(OBSERVATION)).step == 0
+        assert session.act(np.array(OBSERVATION), 1.0).step == 1
