@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "server/base/listen_reason.h"
 
 namespace spikeserve {
 namespace {
@@ -22,7 +23,7 @@ struct FreeAddresses {
   void operator()(addrinfo* addresses) const { freeaddrinfo(addresses); }
 };
 
-absl::Status CannotListen(absl::string_view field, const Address& address, const char* why) {
+absl::Status CannotListen(absl::string_view field, const Address& address, absl::string_view why) {
   return absl::UnavailableError(
       absl::StrCat(field, ": cannot listen on ", address.ToString(), ": ", why));
 }
@@ -79,8 +80,11 @@ absl::StatusOr<Listeners> ListenUnix(absl::string_view field, const Address& add
   }
   std::memcpy(path.sun_path, address.unix_path.data(), address.unix_path.size());
   RemoveStale(path);
-  FileDescriptor listener = BindAndListen(reinterpret_cast<sockaddr*>(&path), sizeof(path));
-  if (!listener.valid()) return CannotListen(field, address, std::strerror(errno));
+  const auto* generic = reinterpret_cast<const sockaddr*>(&path);
+  FileDescriptor listener = BindAndListen(generic, sizeof(path));
+  if (!listener.valid()) {
+    return CannotListen(field, address, ListenReason(errno, generic, sizeof(path)));
+  }
   Listeners result = {.sockets = {}, .address = address};
   result.sockets.push_back(std::move(listener));
   return result;
@@ -97,7 +101,7 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
   hints.ai_socktype = SOCK_STREAM;
   addrinfo* found = nullptr;
   const int error = getaddrinfo(std::string(host).c_str(), nullptr, &hints, &found);
-  if (error != 0) return CannotListen(field, address, gai_strerror(error));
+  if (error != 0) return CannotListen(field, address, ResolveReason(error, std::string(host)));
   const std::unique_ptr<addrinfo, FreeAddresses> addresses(found);
   Listeners result = {.sockets = {}, .address = address};
   for (addrinfo* next = addresses.get(); next != nullptr; next = next->ai_next) {
@@ -105,12 +109,13 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
     FileDescriptor listener = BindAndListen(next->ai_addr, next->ai_addrlen);
     // A name may have an address of a family that this machine does not serve.
     if (!listener.valid() && (errno == EAFNOSUPPORT || errno == EADDRNOTAVAIL)) continue;
-    if (!listener.valid()) return CannotListen(field, address, std::strerror(errno));
+    if (!listener.valid()) {
+      return CannotListen(field, address, ListenReason(errno, next->ai_addr, next->ai_addrlen));
+    }
     result.address.port = PortOf(listener.get());
     result.sockets.push_back(std::move(listener));
   }
-  if (result.sockets.empty())
-    return CannotListen(field, address, "it is no address of this machine");
+  if (result.sockets.empty()) return CannotListen(field, address, ListenReason(EADDRNOTAVAIL));
   return result;
 }
 

@@ -1,9 +1,9 @@
 #include "server/web/http_server.h"
 
 #include <httplib.h>
+#include <netdb.h>
 
 #include <cerrno>
-#include <cstring>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -11,6 +11,7 @@
 #include "absl/strings/strip.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
+#include "server/base/listen_reason.h"
 
 namespace spikeserve {
 namespace {
@@ -83,6 +84,16 @@ void Answer(const HttpServer::Page& page, bool local_names_only, const httplib::
   response.set_content(answer.body, answer.content_type);
 }
 
+// Returns why the server cannot listen on `host`. The library sets errno only once the name is
+// resolved.
+std::string WhyNot(const std::string& host, int error) {
+  addrinfo* found = nullptr;
+  const int unresolved = getaddrinfo(host.c_str(), nullptr, nullptr, &found);
+  if (unresolved != 0) return ResolveReason(unresolved, host);
+  freeaddrinfo(found);
+  return ListenReason(error == 0 ? EADDRNOTAVAIL : error);
+}
+
 }  // namespace
 
 HttpServer::HttpServer(const TlsFiles& tls, bool local_names_only, Page page)
@@ -118,8 +129,8 @@ absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const Address& lis
     server->address_.port = -1;
   }
   if (server->address_.port < 0) {
-    return absl::UnavailableError(absl::StrCat("cannot listen on ", listen.ToString(), ": ",
-                                               errno == 0 ? "no such address" : strerror(errno)));
+    return absl::UnavailableError(
+        absl::StrCat("cannot listen on ", listen.ToString(), ": ", WhyNot(host, errno)));
   }
   server->listener_ = std::thread([&http] { http.listen_after_bind(); });
   // stop() has no effect before the server runs, so the destructor relies on this wait.
