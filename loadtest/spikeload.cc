@@ -78,8 +78,7 @@ void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
 
 void AddFlags(Command program, LoadFlags* flags) {
   program.Flags("Server")
-      .Add("server", "HOST:PORT", &flags->options.server,
-           "Address of the server; default: $SPIKESERVE_SERVER, if set")
+      .Add("server", "HOST:PORT", &flags->options.server, "Address; default: $SPIKESERVE_SERVER")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   AddLoadFlags(program.Flags("Load"), &flags->options);
   AddAgentFlags(program.Flags("Agents"), &flags->options);

@@ -6,8 +6,7 @@ namespace spikeserve {
 
 void AddServerFlags(Command program, ServerFlags* flags) {
   program.Flags("Server")
-      .Add("server", "HOST:PORT", &flags->server,
-           "Address of the server; default: $SPIKESERVE_SERVER, if set")
+      .Add("server", "HOST:PORT", &flags->server, "Address; default: $SPIKESERVE_SERVER")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   AddSecurityFlags(program, &flags->security);
 }

@@ -71,7 +71,7 @@ void AddSessionFlags(Command command, SessionFlags* flags) {
            "Key that decides the traffic share; equal keys get equal versions")
       .AddList("labels", "KEY=VALUE,...", &flags->labels, "Labels of the session")
       .Add("head_delta", "FILE", &flags->head_delta,
-           "Head to start from, as `spikectl admin head --weights --json` prints it")
+           "Head to start from: the JSON of admin head --weights")
       .AddSwitch("record", &flags->record, "Have the server record it in its --record_dir");
   FlagGroup learning = command.Flags("Learning");
   learning.Add("learn", EnumKind<Scope>(), &flags->learn, "Head that learns; default: none");

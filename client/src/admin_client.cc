@@ -56,6 +56,35 @@ absl::StatusOr<v1::SetTrafficResponse> AdminClient::SetTraffic(
   return Call(&Stub::SetTraffic, request, /*repeatable=*/true);
 }
 
+absl::StatusOr<v1::SetTrafficSharesResponse> AdminClient::SetTrafficShares(
+    const v1::SetTrafficSharesRequest& request) {
+  return Call(&Stub::SetTrafficShares, request, /*repeatable=*/true);
+}
+
+absl::StatusOr<v1::SetShadowResponse> AdminClient::SetShadow(const v1::SetShadowRequest& request) {
+  return Call(&Stub::SetShadow, request, /*repeatable=*/true);
+}
+
+absl::StatusOr<v1::StartRolloutResponse> AdminClient::StartRollout(
+    const v1::StartRolloutRequest& request) {
+  return Call(&Stub::StartRollout, request, /*repeatable=*/false);
+}
+
+absl::StatusOr<v1::AbortRolloutResponse> AdminClient::AbortRollout(
+    const v1::AbortRolloutRequest& request) {
+  return Call(&Stub::AbortRollout, request, /*repeatable=*/false);
+}
+
+absl::StatusOr<v1::ListRolloutsResponse> AdminClient::ListRollouts(
+    const v1::ListRolloutsRequest& request) {
+  return Call(&Stub::ListRollouts, request, /*repeatable=*/true);
+}
+
+absl::StatusOr<v1::ListHistoryResponse> AdminClient::ListHistory(
+    const v1::ListHistoryRequest& request) {
+  return Call(&Stub::ListHistory, request, /*repeatable=*/true);
+}
+
 absl::StatusOr<v1::ListSessionsResponse> AdminClient::ListSessions(
     const v1::ListSessionsRequest& request) {
   return Call(&Stub::ListSessions, request, /*repeatable=*/true);

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -171,8 +172,9 @@ std::string DiagnoseTls(const std::string& server, absl::string_view message) {
       return "the server does not speak TLS, and the client uses it";
     }
   }
-  if (absl::StrContainsIgnoreCase(message, "certificate_verify_failed") ||
-      absl::StrContainsIgnoreCase(message, "certificate verify failed")) {
+  const std::string lower = absl::AsciiStrToLower(message);
+  if (absl::StrContains(lower, "certificate_verify_failed") ||
+      absl::StrContains(lower, "certificate verify failed")) {
     return "the certificate of the server is not accepted: expected one that the authority of the "
            "client has signed for this host name";
   }

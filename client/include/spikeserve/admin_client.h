@@ -37,7 +37,8 @@ class AdminClient {
 
   // Every method returns the server's code and message on an error. Methods that have the same
   // effect if they are carried out twice are repeated as `options.retry` says. UnloadPolicy,
-  // RemoveLabel, PromoteHead and RollbackHead are repeated only if the server refused them for now.
+  // RemoveLabel, StartRollout, AbortRollout, PromoteHead and RollbackHead are repeated only if the
+  // server refused them for now.
   absl::StatusOr<v1::LoadPolicyResponse> LoadPolicy(const v1::LoadPolicyRequest& request);
   absl::StatusOr<v1::UnloadPolicyResponse> UnloadPolicy(const v1::UnloadPolicyRequest& request);
   absl::StatusOr<v1::ReloadPoliciesResponse> ReloadPolicies(
@@ -47,6 +48,13 @@ class AdminClient {
   absl::StatusOr<v1::SetLabelResponse> SetLabel(const v1::SetLabelRequest& request);
   absl::StatusOr<v1::RemoveLabelResponse> RemoveLabel(const v1::RemoveLabelRequest& request);
   absl::StatusOr<v1::SetTrafficResponse> SetTraffic(const v1::SetTrafficRequest& request);
+  absl::StatusOr<v1::SetTrafficSharesResponse> SetTrafficShares(
+      const v1::SetTrafficSharesRequest& request);
+  absl::StatusOr<v1::SetShadowResponse> SetShadow(const v1::SetShadowRequest& request);
+  absl::StatusOr<v1::StartRolloutResponse> StartRollout(const v1::StartRolloutRequest& request);
+  absl::StatusOr<v1::AbortRolloutResponse> AbortRollout(const v1::AbortRolloutRequest& request);
+  absl::StatusOr<v1::ListRolloutsResponse> ListRollouts(const v1::ListRolloutsRequest& request);
+  absl::StatusOr<v1::ListHistoryResponse> ListHistory(const v1::ListHistoryRequest& request);
   absl::StatusOr<v1::ListSessionsResponse> ListSessions(const v1::ListSessionsRequest& request);
   absl::StatusOr<v1::DrainResponse> Drain(const v1::DrainRequest& request);
   absl::StatusOr<v1::GetHeadResponse> GetHead(const v1::GetHeadRequest& request);

@@ -120,7 +120,8 @@ TEST_F(ClientTest, ABadItemDoesNotFailItsBatch) {
   ASSERT_TRUE(results.ok()) << results.status();
   ASSERT_EQ(results->size(), 3u);
   EXPECT_EQ((*results)[0]->session_id(), first);
-  EXPECT_EQ((*results)[1].status(), absl::NotFoundError("session_id: no session \"nobody\""));
+  EXPECT_EQ((*results)[1].status(),
+            ForSession(absl::NotFoundError("session_id: no session \"nobody\"")));
   EXPECT_EQ((*results)[2]->session_id(), second);
 }
 

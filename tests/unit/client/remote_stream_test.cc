@@ -6,6 +6,7 @@
 #include "gtest/gtest.h"
 #include "spikeserve/client.h"
 #include "spikeserve/remote_session.h"
+#include "spikeserve/status.h"
 #include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
@@ -55,7 +56,8 @@ TEST_F(RemoteStreamTest, ABadItemDoesNotEndTheStream) {
   ASSERT_TRUE(bad.ok()) << bad.status();
   EXPECT_EQ(bad->session_id, "nobody");
   EXPECT_EQ(bad->step, 3);
-  EXPECT_EQ(bad->response.status(), absl::NotFoundError("session_id: no session \"nobody\""));
+  EXPECT_EQ(bad->response.status(),
+            ForSession(absl::NotFoundError("session_id: no session \"nobody\"")));
 
   const auto good = stream->Receive(kPatience);
   ASSERT_TRUE(good.ok()) << good.status();

@@ -28,6 +28,8 @@ _REPEATABLE = {
     "SetDefaultVersion",
     "SetLabel",
     "SetTraffic",
+    "SetTrafficShares",
+    "SetShadow",
     "Drain",
     "PauseLearning",
     "ResumeLearning",
