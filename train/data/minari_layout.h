@@ -1,12 +1,12 @@
 // The names in Minari's layout (version 0.5) of a dataset: DIR/data/main_data.hdf5 and
 // DIR/data/metadata.json, where DIR is <Minari's root>/<dataset id>.
 //
-// Supports episodes with one Box observation of any shape and number type, which is flattened, and a
-// Discrete, MultiDiscrete or Box action. Indices are counted from the space's start. The elements of
-// a MultiDiscrete become one index of all combinations, in which the last element changes fastest.
-// Data that Minari has no field for use its extension points: the actor is an attribute of the
-// episode; labels, weights and returns-to-go are infos; environment and recipe are in the metadata.
-// The labels and weights of every writer are read.
+// Supports episodes with one Box observation of any shape and number type, which is flattened, and
+// a Discrete, MultiDiscrete or Box action. Indices are counted from the space's start. The elements
+// of a MultiDiscrete become one index of all combinations, in which the last element changes
+// fastest. Data that Minari has no field for use its extension points: the actor is an attribute of
+// the episode; labels, weights and returns-to-go are infos; environment and recipe are in the
+// metadata. The labels and weights of every writer are read.
 #ifndef TRAIN_DATA_MINARI_LAYOUT_H_
 #define TRAIN_DATA_MINARI_LAYOUT_H_
 

@@ -126,16 +126,6 @@ TEST(MinariTest, LabelsAndWeightsOfADatasetFromElsewhereAreRead) {
   ExpectSame(*read, written);
 }
 
-TEST(MinariTest, ALabelForOnlySomeStepsIsRefused) {
-  const std::string directory = TemporaryDirectory("short-v0");
-  Dataset written = *RecordDataset({.steps = 50});
-  written.episodes.resize(1);
-  written.episodes[0].weights.assign(3, 1.0f);
-  ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
-  EXPECT_THAT(std::string(ReadMinariDataset(directory).status().message()),
-              HasSubstr("episode_0/infos/weight: expected"));
-}
-
 TEST(MinariTest, IndicesAreCountedFromTheStartOfTheSpace) {
   const std::string directory = TemporaryDirectory("started-v0");
   Dataset written = *RecordDataset({.steps = 50});
@@ -156,8 +146,8 @@ TEST(MinariTest, IndicesAreCountedFromTheStartOfTheSpace) {
   }
 }
 
-TEST(MinariTest, TheLastElementOfAMultiDiscreteChangesFastest) {
-  const std::string directory = TemporaryDirectory("joint-v0");
+// Writes a dataset of two steps from elsewhere, whose actions are pairs, with `weights` weights.
+void WriteTinyMultiDiscrete(const std::string& directory, int64_t weights) {
   Dataset written = *RecordDataset({.steps = 50});
   written.episodes.resize(1);
   ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
@@ -166,22 +156,36 @@ TEST(MinariTest, TheLastElementOfAMultiDiscreteChangesFastest) {
   EditMetadata(directory, R"(\"start\":0)", R"(\"start\":[0, 4])");
   auto file = Hdf5File::Create(directory + "/data/main_data.hdf5");
   ASSERT_TRUE(file.ok()) << file.status();
-  ASSERT_TRUE(file->CreateGroup("episode_0").ok());
-  const std::vector<float> observations(12);
+  const std::vector<float> zeros(12);
   const std::vector<int64_t> actions = {0, 6, 1, 5};
   const std::vector<double> rewards(2);
   const std::vector<uint8_t> ends(2);
-  ASSERT_TRUE(file->Write<float>("episode_0/observations", {3, 4}, observations).ok());
+  ASSERT_TRUE(file->CreateGroup("episode_0").ok());
+  ASSERT_TRUE(file->CreateGroup("episode_0/infos").ok());
+  ASSERT_TRUE(file->Write<float>("episode_0/observations", {3, 4}, zeros).ok());
   ASSERT_TRUE(file->Write<int64_t>("episode_0/actions", {2, 2}, actions).ok());
   ASSERT_TRUE(file->Write<double>("episode_0/rewards", {2, {}}, rewards).ok());
   ASSERT_TRUE(file->Write<uint8_t>("episode_0/terminations", {2, {}}, ends).ok());
   ASSERT_TRUE(file->Write<uint8_t>("episode_0/truncations", {2, {}}, ends).ok());
+  ASSERT_TRUE(file->Write<float>("episode_0/infos/weight", {weights, {}}, zeros).ok());
   ASSERT_TRUE(file->Close().ok());
+}
+
+TEST(MinariTest, TheLastElementOfAMultiDiscreteChangesFastest) {
+  const std::string directory = TemporaryDirectory("joint-v0");
+  WriteTinyMultiDiscrete(directory, /*weights=*/2);
   const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);
   ASSERT_TRUE(read.ok()) << read.status();
   EXPECT_EQ(read->action_space, ActionSpace::Discrete(6));
   EXPECT_EQ(read->episodes[0].actions[0].discrete, 2);  // 0 * 3 + (6 - 4)
   EXPECT_EQ(read->episodes[0].actions[1].discrete, 4);  // 1 * 3 + (5 - 4)
+}
+
+TEST(MinariTest, WeightsOfOnlySomeStepsAreRefused) {
+  const std::string directory = TemporaryDirectory("short-v0");
+  WriteTinyMultiDiscrete(directory, /*weights=*/1);
+  EXPECT_THAT(std::string(ReadMinariDataset(directory).status().message()),
+              HasSubstr("episode_0/infos/weight: expected 2 or 3 rows, received 1"));
 }
 
 TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
