@@ -19,8 +19,8 @@
 
 namespace spikeserve {
 
-// Converts the settings of a new session; ResolveSession checks them. Returns INVALID_ARGUMENT for an
-// unknown value of an enumeration.
+// Converts the settings of a new session; ResolveSession checks them. Returns INVALID_ARGUMENT for
+// an unknown value of an enumeration.
 absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& request);
 
 // Returns a view of `action`, which must outlive it.

