@@ -1,4 +1,4 @@
-"""Promotions: a thousand in a row, on a full disk, and killed in the middle."""
+"""Promotions: many in a row, on a full disk, and killed in the middle."""
 
 import contextlib
 import json
@@ -15,7 +15,7 @@ from random_policy import export_random
 from security import until
 from serving import Service, running_server
 
-PROMOTIONS = 1000
+PROMOTIONS = 200
 LONGEST_FILE = 4096  # bytes; shorter than a policy
 OLD_SECONDS = 3600
 
@@ -52,7 +52,7 @@ def contents(folder):
     return sorted(str(path.relative_to(folder)) for path in (folder / "small").rglob("*"))
 
 
-def test_a_thousand_promotions_in_a_row(folder):
+def test_many_promotions_in_a_row(folder):
     with running_server(folder) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
         trainer = Trainer(channel)
         version = 1
@@ -118,7 +118,6 @@ def promote_until_killed(admin):
 
 
 def test_a_server_killed_while_it_promotes_leaves_whole_versions_only(folder):
-    before = contents(folder)
     with (
         contextlib.suppress(AssertionError),  # the server does not end with status 0
         running_server(folder) as addresses,
@@ -128,7 +127,7 @@ def test_a_server_killed_while_it_promotes_leaves_whole_versions_only(folder):
         trainer.teach(1)
         thread = threading.Thread(target=promote_until_killed, args=[trainer.admin])
         thread.start()
-        until(lambda: len(contents(folder)) > len(before) + 10)
+        until(lambda: sum(name.isdigit() for name in os.listdir(folder / "small")) > 6)
         addresses.process.kill()
         thread.join()
     with running_server(folder) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
