@@ -110,9 +110,7 @@ class AgentSession {
   const Session& session() const { return session_; }
 
   // Returns the error with which ActTogether would refuse `call` as a new decision, or OK.
-  absl::Status CheckNewDecision(const ActCall& call) const {
-    return CheckRequest(call.step, call.observation, call.reward);
-  }
+  absl::Status CheckNewDecision(const ActCall& call) const { return CheckRequest(call); }
 
   // Returns W - W_base of the head that the next decision uses, [act * d], row-major; empty if
   // it is the policy's head.
