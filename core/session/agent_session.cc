@@ -106,12 +106,18 @@ void AgentSession::ActTogether(absl::Span<ActCall> calls) {
 
 bool AgentSession::IsNewDecision(ActCall& call) {
   const Session& session = call.session->session_;
-  call.is_retry = session.last_answer.has_value() && call.step == session.last_answer->step;
+  const bool names_last = !call.decision.has_value() || *call.decision + 1 == session.decisions;
+  call.is_retry =
+      session.last_answer.has_value() && call.step == session.last_answer->step && names_last;
   if (call.is_retry) {
     call.answer = &*session.last_answer;
     return false;
   }
-  const absl::Status status = call.session->CheckRequest(call);
+  absl::Status status = call.session->CheckRequest(call);
+  if (call.decision.has_value() && *call.decision != session.decisions) {
+    status = absl::FailedPreconditionError(
+        absl::StrCat("decision: expected ", session.decisions, ", received ", *call.decision));
+  }
   if (!status.ok()) call.answer = status;
   return status.ok();
 }
@@ -121,6 +127,7 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
   thread_local std::vector<AgentSession*> sessions;
   thread_local std::vector<Engine::Decision> decisions;
   thread_local std::vector<Engine::Output> outputs;
+  thread_local ActionChoice choice;
   const ServedPolicy& served = *calls[0]->session->served_;
   const Clock& clock = *calls[0]->session->clock_;
   absl::Duration last = clock.Now();
@@ -138,7 +145,8 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
   if (outputs.size() < calls.size()) outputs.resize(calls.size());
   for (size_t i = 0; i < calls.size(); ++i) {
     AgentSession& session = *calls[i]->session;
-    const double return_to_go = session.NextReturnToGo(session.CountedReward(calls[i]->reward));
+    const double return_to_go =
+        NextReturnToGo(session.session_, session.CountedReward(calls[i]->reward));
     decisions.push_back({session.context_.get(), static_cast<float>(return_to_go),
                          calls[i]->observation, &outputs[i]});
     session.action_pending_ = true;
@@ -152,13 +160,14 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
     ActCall& call = *calls[i];
     AgentSession& session = *call.session;
     const double reward = session.CountedReward(call.reward);
-    const double return_to_go = session.NextReturnToGo(reward);
-    Answer answer = session.Choose(outputs[i], return_to_go, reward);
+    const double return_to_go = NextReturnToGo(session.session_, reward);
+    Answer answer = session.Choose(outputs[i], return_to_go, reward, &choice);
     answer.unusual_observations = served.observer->CountUnusual(call.observation);
     const absl::Duration chosen = clock.Now();
     answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
     last = chosen;
-    session.Record(std::move(answer), call.observation, return_to_go, reward);
+    session.Record(std::move(answer), call.observation, reward);
+    session.WriteToJournal(call, reward, outputs[i].readout, choice.noise);
     call.answer = &*session.session_.last_answer;
     served.observer->OnDecision(*session.session_.last_answer);
   }
@@ -178,55 +187,46 @@ absl::Status AgentSession::CheckRequest(const ActCall& call) const {
     const auto executed = ParseExecutedAction(*call.executed, policy.action_space);
     if (!executed.ok()) return executed.status();
   }
-  return CheckReward(call.reward, NextReturnToGo(call.reward));
+  return CheckReward(call.reward, NextReturnToGo(session_, call.reward));
 }
 
 void AgentSession::TakeExecuted(const Action& executed) {
   if (executed == session_.history.action(session_.history.size() - 1)) return;
-  session_.history.ReplaceLastAction(executed);
   if (!action_pending_) context_.reset();  // it holds the answered action
   reports_actions_ = true;
-  const Answer& answer = *session_.last_answer;
-  if (session_.learner.has_value()) {
-    Learner& learner = *session_.learner;
-    if (served_->learning->paused()) learner.suspended = true;
-    const auto outcome = learner.OnExecuted(
-        *session_.options.learning, served_->policy(), session_.options.action_selection,
-        answer.logits, answer.action, executed, static_cast<double>(answer.return_to_go));
-    if (outcome.has_value() && !InFleet()) HeadWith(served_->policy(), learner.head_delta, &*head_);
-    // The observer has counted the update that an applied one replaces.
-    if (outcome.has_value() && *outcome != UpdateOutcome::kApplied) {
-      served_->observer->OnHeadUpdate(*outcome);
-    }
+  if (session_.learner.has_value() && served_->learning->paused()) {
+    session_.learner->suspended = true;
+  }
+  const auto outcome = ReplaceLastAction(served_->policy(), executed, &session_);
+  if (outcome.has_value() && !InFleet()) {
+    HeadWith(served_->policy(), session_.learner->head_delta, &*head_);
+  }
+  // The observer has counted the update that an applied one replaces.
+  if (outcome.has_value() && *outcome != UpdateOutcome::kApplied) {
+    served_->observer->OnHeadUpdate(*outcome);
   }
   if (recorder_ != nullptr) recorder_->OnExecuted(executed);
 }
 
-// Returns G_{t+1} = G_t - r_t, in double precision so that rounding errors do not accumulate over
-// an episode.
-double AgentSession::NextReturnToGo(double reward) const {
-  return session_.step == 0 ? session_.target_return : session_.return_to_go - reward;
-}
-
 // Reuses the memory of the session's last answer.
-Answer AgentSession::Choose(const Engine::Output& output, double return_to_go, double reward) {
-  thread_local ActionChoice choice;
+Answer AgentSession::Choose(const Engine::Output& output, double return_to_go, double reward,
+                            ActionChoice* choice) {
   Answer answer = session_.last_answer.has_value() ? *std::move(session_.last_answer) : Answer();
   answer.step = session_.step;
   answer.return_to_go = static_cast<float>(return_to_go);
   answer.counts = output.counts;
 
   const Policy& policy = served_->policy();
-  ChooseWithHead(output.readout, &choice);
+  ChooseWithHead(output.readout, choice);
   if (session_.learner.has_value()) {
     if (served_->learning->paused()) session_.learner->suspended = true;
-    TakeOutcome(session_.learner->OnDecision(*session_.options.learning, policy, choice,
+    TakeOutcome(session_.learner->OnDecision(*session_.options.learning, policy, *choice,
                                              output.readout,
                                              static_cast<double>(answer.return_to_go), reward));
   }
-  std::swap(answer.action, choice.action);
-  std::swap(answer.logits, choice.logits);
-  std::swap(answer.probabilities, choice.probabilities);
+  std::swap(answer.action, choice->action);
+  std::swap(answer.logits, choice->logits);
+  std::swap(answer.probabilities, choice->probabilities);
   return answer;
 }
 
@@ -251,24 +251,30 @@ void AgentSession::TakeOutcome(std::optional<UpdateOutcome> outcome) {
   served_->observer->OnHeadUpdate(*outcome);
 }
 
-void AgentSession::Record(Answer answer, absl::Span<const float> observation, double return_to_go,
-                          double reward) {
-  const auto limit = static_cast<size_t>(HistorySize(served_->policy().config));
-  session_.history.Append(answer.return_to_go, observation, answer.action, limit);
-
-  const uint64_t spikes = answer.counts.total_spikes();
-  const double energy = PrimaryEnergy(answer.counts, served_->policy().config.is_dense());
-  session_.return_to_go = return_to_go;
-  session_.episode_return += reward;
-  session_.episode_spikes += spikes;
-  session_.episode_energy_joules += energy;
-  session_.spikes += spikes;
-  session_.energy_joules += energy;
-  ++session_.step;
-  ++session_.decisions;
-  session_.last_answer = std::move(answer);
-  session_.last_end.reset();
+void AgentSession::Record(Answer answer, absl::Span<const float> observation, double reward) {
+  CountDecision(served_->policy(), std::move(answer), observation, reward, &session_);
   if (recorder_ != nullptr) recorder_->OnDecision(session_, observation, reward);
+}
+
+void AgentSession::WriteToJournal(const ActCall& call, double reward,
+                                  absl::Span<const float> readout, absl::Span<const float> noise) {
+  if (journal_ == nullptr) return;
+  JournalEntryView entry = {.decision = session_.decisions - 1,
+                            .reward = reward,
+                            .observation = call.observation,
+                            .executed = std::nullopt,
+                            .answer = *session_.last_answer,
+                            .readout = {},
+                            .noise = {}};
+  if (call.executed.has_value() && call.step > 0) {
+    entry.executed = *ParseExecutedAction(*call.executed, served_->policy().action_space);
+  }
+  if (session_.learner.has_value()) {
+    entry.readout = readout;
+    entry.noise = noise;
+    entry.suspended = session_.learner->suspended;
+  }
+  journal_->OnDecision(session_, entry);
 }
 
 void AgentSession::AppendPendingAction() {
@@ -340,7 +346,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
     return absl::FailedPreconditionError(
         "step: expected at least one decision since the last episode ended, received none");
   }
-  if (auto status = CheckReward(end.reward, NextReturnToGo(end.reward)); !status.ok()) {
+  if (auto status = CheckReward(end.reward, NextReturnToGo(session_, end.reward)); !status.ok()) {
     return status;
   }
   if (!end.observation.empty()) {
@@ -374,6 +380,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   session_.last_end =
       std::make_shared<const EndedEpisode>(EndedEpisode{.end = end, .summary = summary});
   DropContext();
+  if (journal_ != nullptr) journal_->OnEpisodeEnd(session_);
   served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;
 }
@@ -456,6 +463,39 @@ Session NewSession(std::string id, SessionOptions options) {
   session.return_to_go = options.target_return;
   session.options = std::move(options);
   return session;
+}
+
+double NextReturnToGo(const Session& session, double reward) {
+  return session.step == 0 ? session.target_return : session.return_to_go - reward;
+}
+
+std::optional<UpdateOutcome> ReplaceLastAction(const Policy& policy, const Action& executed,
+                                               Session* session) {
+  session->history.ReplaceLastAction(executed);
+  if (!session->learner.has_value()) return std::nullopt;
+  const Answer& answer = *session->last_answer;
+  return session->learner->OnExecuted(
+      *session->options.learning, policy, session->options.action_selection, answer.logits,
+      answer.action, executed, static_cast<double>(answer.return_to_go));
+}
+
+void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> observation,
+                   double reward, Session* session) {
+  const auto limit = static_cast<size_t>(HistorySize(policy.config));
+  session->history.Append(answer.return_to_go, observation, answer.action, limit);
+
+  const uint64_t spikes = answer.counts.total_spikes();
+  const double energy = PrimaryEnergy(answer.counts, policy.config.is_dense());
+  session->return_to_go = NextReturnToGo(*session, reward);
+  session->episode_return += reward;
+  session->episode_spikes += spikes;
+  session->episode_energy_joules += energy;
+  session->spikes += spikes;
+  session->energy_joules += energy;
+  ++session->step;
+  ++session->decisions;
+  session->last_answer = std::move(answer);
+  session->last_end.reset();
 }
 
 absl::Status CheckTargetReturn(double target_return) {

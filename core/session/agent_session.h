@@ -31,6 +31,7 @@
 #include "core/session/episode_recorder.h"
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
+#include "core/session/session_journal.h"
 
 namespace spikeserve {
 
@@ -70,6 +71,8 @@ class AgentSession {
     absl::Span<const float> observation;
     double reward = 0.0;
     std::optional<ReportedAction> executed = std::nullopt;
+    // Number of the decision in the session, from 0; absent: `step` alone identifies the request.
+    std::optional<uint64_t> decision = std::nullopt;
     absl::StatusOr<const Answer*> answer = nullptr;  // what Act would return
     bool is_retry = false;                           // true: `answer` is the stored one
   };
@@ -101,6 +104,9 @@ class AgentSession {
     return recorder_ == nullptr ? RecordingState::kNotRecorded : recorder_->last_state();
   }
 
+  // Writes the decisions and episodes after this call to `journal`.
+  void JournalTo(std::shared_ptr<SessionJournal> journal) { journal_ = std::move(journal); }
+
   // Frees the engine's context. The next decision rebuilds it.
   void DropContext();
 
@@ -126,7 +132,6 @@ class AgentSession {
   // Returns the reward that a request for the next step counts: 0 at step 0, where no action was
   // taken before.
   double CountedReward(double reward) const { return session_.step == 0 ? 0.0 : reward; }
-  double NextReturnToGo(double reward) const;
   // Returns whether `call` requires a new decision. Otherwise sets its answer.
   static bool IsNewDecision(ActCall& call);
   // Decides for sessions of one policy version.
@@ -138,15 +143,19 @@ class AgentSession {
   void TakeExecuted(const Action& executed);
   void RebuildContext();
   absl::Span<const float> EncodedAction(const Action& action, std::vector<float>* encoded) const;
-  Answer Choose(const Engine::Output& output, double return_to_go, double reward);
+  // Leaves in `choice` what the answer does not store.
+  Answer Choose(const Engine::Output& output, double return_to_go, double reward,
+                ActionChoice* choice);
   bool InFleet() const { return member_ != nullptr; }
   void ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const;
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
   std::optional<LearningSummary> LearnFromEpisode(const EpisodeEnd& end, double episode_return);
   void MergeIntoFleet(double episode_return, LearningSummary* summary);
   void WatchPrivateHead(double episode_return, LearningSummary* summary);
-  void Record(Answer answer, absl::Span<const float> observation, double return_to_go,
-              double reward);
+  void Record(Answer answer, absl::Span<const float> observation, double reward);
+  // Writes the last decision to the journal, if there is one.
+  void WriteToJournal(const ActCall& call, double reward, absl::Span<const float> readout,
+                      absl::Span<const float> noise);
 
   std::shared_ptr<const ServedPolicy> served_;
   const Clock* clock_;
@@ -155,12 +164,28 @@ class AgentSession {
   std::optional<Linear> head_;  // private head; absent: the policy's or the fleet's head is used
   std::unique_ptr<FleetHead::Member> member_;  // of the head that the fleet shares; null: of none
   std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded
+  std::shared_ptr<SessionJournal> journal_;    // null: the session is not stored
   bool action_pending_ = false;                // true: the context lacks the last timestep's action
   bool reports_actions_ = false;               // true: the agent has reported an executed action
 };
 
 // Returns the value of a new session at step 0 of its first episode.
 Session NewSession(std::string id, SessionOptions options);
+
+// Returns G_{t+1} = G_t - r_t, which conditions the next decision of `session`, in double precision
+// so that rounding errors do not accumulate over an episode.
+double NextReturnToGo(const Session& session, double reward);
+
+// Puts `executed` in the place of the last answered action of `session`: in the history and in what
+// the session learns from. Returns the outcome of the update of the head that replaces the
+// decision's update, if there is one. REQUIRES: the running episode has a decision.
+std::optional<UpdateOutcome> ReplaceLastAction(const Policy& policy, const Action& executed,
+                                               Session* session);
+
+// Adds an answered decision to `session`: its history, its counters and its last answer. `reward`
+// is 0 at step 0.
+void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> observation,
+                   double reward, Session* session);
 
 // Returns INVALID_ARGUMENT unless `target_return` is finite as a float32, the type that the model
 // reads.

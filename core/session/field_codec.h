@@ -1,7 +1,8 @@
-// Converts values with fields (session_fields.h) to JSON arrays of their members, and back.
+// Converts values with fields (session_fields.h) to CBOR arrays of their members, and back.
 //
-// Arrays are compact, because they do not contain the names of the members. Numbers are exact,
-// because CBOR keeps the bits of a double and every float is a double.
+// Arrays are compact, because they do not contain the names of the members. Numbers are exact. The
+// writer streams, because it runs beside decisions. The reader builds a JSON document first,
+// because it must check every value and runs only when a session is restored.
 #ifndef CORE_SESSION_FIELD_CODEC_H_
 #define CORE_SESSION_FIELD_CODEC_H_
 
@@ -20,11 +21,14 @@
 
 #include "Eigen/Core"
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "absl/types/span.h"
 #include "core/base/enum_names.h"
 #include "core/base/json.h"
 #include "core/math/vector_view.h"
+#include "core/session/cbor_writer.h"
 #include "core/session/session_fields.h"
 #include "nlohmann/json.hpp"
 
@@ -32,46 +36,104 @@ namespace spikeserve::codec {
 
 using Json = nlohmann::json;
 
-// Write() returns the JSON form of a value.
+// Writes values as CBOR.
+class Writer {
+ public:
+  // `out` must outlive the writer.
+  explicit Writer(std::string* out) : cbor_(out) {}
 
-template <typename T>
-Json Write(const T& value) {
-  return value;
-}
+  // Starts a document: an array of `format` and one value, which the caller writes next.
+  void Begin(absl::string_view format) {
+    cbor_.Array(2);
+    cbor_.Text(format);
+  }
 
-template <typename T>
-Json Write(const Eigen::VectorX<T>& values) {
-  return std::vector<T>(values.begin(), values.end());
-}
+  void Write(bool value) { cbor_.Bool(value); }
+  void Write(float value) { cbor_.Float(value); }
+  void Write(double value) { cbor_.Double(value); }
+  void Write(const std::string& value) { cbor_.Text(value); }
 
-template <typename T>
-requires NamedEnum<T> Json Write(const T& value) { return std::string(ToString(value)); }
+  template <std::integral T>
+  void Write(T value) {
+    if constexpr (std::is_signed_v<T>) {
+      cbor_.Signed(value);
+    } else {
+      cbor_.Unsigned(value);
+    }
+  }
 
-template <HasFields T>
-Json Write(const T& value);
+  template <typename T>
+  requires NamedEnum<T>
+  void Write(T value) { cbor_.Text(ToString(value)); }
 
-inline Json Write(const History& history) {
-  Json json = Json::array();
-  for (size_t i = 0; i < history.size(); ++i) json.push_back(Write(history.at(i)));
-  return json;
-}
+  template <typename T, size_t N>
+  void Write(const std::array<T, N>& values) {
+    WriteAll(values);
+  }
+  template <typename T>
+  void Write(const std::vector<T>& values) {
+    WriteAll(values);
+  }
+  template <typename T>
+  void Write(absl::Span<const T> values) {
+    WriteAll(values);
+  }
+  template <typename T>
+  void Write(const Eigen::VectorX<T>& values) {
+    WriteAll(values);
+  }
 
-template <typename T>
-Json Write(const std::optional<T>& value) {
-  return value.has_value() ? Write(*value) : Json();
-}
+  void Write(const History& history) {
+    cbor_.Array(history.size());
+    Action action;
+    for (size_t i = 0; i < history.size(); ++i) {
+      cbor_.Array(3);
+      Write(history.return_to_go(i));
+      Write(history.observation(i));
+      history.action(i, &action);
+      Write(action);
+    }
+  }
 
-template <typename T>
-Json Write(const std::shared_ptr<const T>& value) {
-  return value != nullptr ? Write(*value) : Json();
-}
+  void Write(const std::map<std::string, std::string>& values) {
+    cbor_.Map(values.size());
+    for (const auto& [key, value] : values) {
+      cbor_.Text(key);
+      cbor_.Text(value);
+    }
+  }
 
-template <HasFields T>
-Json Write(const T& value) {
-  Json json = Json::array();
-  VisitFields(value, [&](const char*, const auto& member) { json.push_back(Write(member)); });
-  return json;
-}
+  template <typename T>
+  void Write(const std::optional<T>& value) {
+    value.has_value() ? Write(*value) : cbor_.Null();
+  }
+  template <typename T>
+  void Write(const std::shared_ptr<const T>& value) {
+    value != nullptr ? Write(*value) : cbor_.Null();
+  }
+
+  template <HasFields T>
+  void Write(const T& value) {
+    size_t fields = 0;
+    VisitFields(value, [&](const char*, const auto&) { ++fields; });
+    cbor_.Array(fields);
+    VisitFields(value, [&](const char*, const auto& member) { Write(member); });
+  }
+
+ private:
+  template <typename Values>
+  void WriteAll(const Values& values) {
+    cbor_.Array(static_cast<size_t>(values.size()));
+    for (const auto& value : values) Write(value);
+  }
+
+  CborWriter cbor_;
+};
+
+// Parses a document that Writer::Begin() started and returns its value. INVALID_ARGUMENT, which
+// begins with `name`, if `bytes` is anything else or nests deeper than any session.
+absl::StatusOr<Json> ParseDocument(const std::string& bytes, absl::string_view name,
+                                   absl::string_view format);
 
 // Reads values from JSON. Stores the first error, which names the path of the wrong value.
 class Reader {

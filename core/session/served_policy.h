@@ -73,6 +73,7 @@ class LearningSwitch {
 struct ServedPolicy {
   std::string name;
   int64_t version = 0;  // >= 1
+  std::string sha256;   // of the policy's file, in hexadecimal; empty: not read from a file
   std::shared_ptr<const Engine> engine;
   std::shared_ptr<SessionObserver> observer;
   // Learned by the sessions without a tenant, and by all sessions if the tenants share their heads.

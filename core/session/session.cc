@@ -6,40 +6,10 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
-#include "core/base/json.h"
 #include "core/session/field_codec.h"
-#include "nlohmann/json.hpp"
 
 namespace spikeserve {
 namespace {
-
-using codec::Json;
-
-constexpr char kFormat[] = "spikeserve.session.v1";
-constexpr int kMaxDepth = 8;
-
-// Rejects input that is nested deeper than any session, before the recursive parser reads it.
-class DepthChecker : public nlohmann::json_sax<Json> {
- public:
-  bool null() override { return true; }
-  bool boolean(bool) override { return true; }
-  bool number_integer(number_integer_t) override { return true; }
-  bool number_unsigned(number_unsigned_t) override { return true; }
-  bool number_float(number_float_t, const string_t&) override { return true; }
-  bool string(string_t&) override { return true; }
-  bool binary(binary_t&) override { return true; }
-  bool key(string_t&) override { return true; }
-  bool start_object(size_t) override { return ++depth_ <= kMaxDepth; }
-  bool end_object() override { return --depth_, true; }
-  bool start_array(size_t) override { return ++depth_ <= kMaxDepth; }
-  bool end_array() override { return --depth_, true; }
-  bool parse_error(size_t, const std::string&, const nlohmann::detail::exception&) override {
-    return false;
-  }
-
- private:
-  int depth_ = 0;
-};
 
 absl::Status Inconsistent(absl::string_view field, absl::string_view expected, int64_t received) {
   return absl::InvalidArgumentError(
@@ -117,25 +87,18 @@ absl::Status CheckInvariants(const Session& session) {
 
 std::string SerializeSession(const Session& session) {
   std::string bytes;
-  Json::to_cbor(Json::array({kFormat, codec::Write(session)}), bytes);
+  codec::Writer writer(&bytes);
+  writer.Begin(kSessionFormat);
+  writer.Write(session);
   return bytes;
 }
 
 absl::StatusOr<Session> ParseSession(const std::string& bytes) {
-  DepthChecker checker;
-  if (!Json::sax_parse(bytes, &checker, Json::input_format_t::cbor)) {
-    return absl::InvalidArgumentError(absl::StrCat("session: expected CBOR, received ",
-                                                   bytes.size(), " bytes of something else"));
-  }
-  const Json json = Json::from_cbor(bytes);
-  if (!json.is_array() || json.size() != 2 || json[0] != kFormat) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("session: expected an array of \"", kFormat, "\" and the session, received ",
-                     json.is_array() && !json.empty() ? Describe(json[0]) : Describe(json)));
-  }
+  const auto json = codec::ParseDocument(bytes, "session", kSessionFormat);
+  if (!json.ok()) return json.status();
   Session session;
   codec::Reader reader;
-  reader.Read(json[1], "session", session);
+  reader.Read(*json, "session", session);
   if (!reader.status().ok()) return reader.status();
   if (auto status = CheckInvariants(session); !status.ok()) return status;
   return session;

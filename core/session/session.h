@@ -20,6 +20,7 @@
 #include "core/engine/counts.h"
 #include "core/learning/learner.h"
 #include "core/learning/learning_options.h"
+#include "core/session/durability.h"
 #include "core/session/episode.h"
 #include "core/session/history.h"
 
@@ -51,6 +52,9 @@ struct SessionOptions {
   std::optional<LearningOptions> learning;  // absent: the head is frozen
   // [act * d], row-major: initial value of W - W_base; empty: zero.
   Eigen::VectorXf head_delta;
+  Durability durability = Durability::kNone;
+  std::string recording;      // name of the session's recording; empty: not recorded
+  std::string policy_sha256;  // of the policy's file, in hexadecimal; empty: unknown
 };
 
 // The value of a session.
@@ -77,6 +81,9 @@ struct Session {
   double energy_joules = 0.0;
   std::optional<Learner> learner;  // present if and only if options.learning is
 };
+
+// The name of the binary form, with which it begins.
+inline constexpr char kSessionFormat[] = "spikeserve.session.v1";
 
 // Converts a session to a compact binary form (CBOR).
 std::string SerializeSession(const Session& session);

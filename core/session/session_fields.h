@@ -168,6 +168,9 @@ void VisitFields(T& options, Visitor&& visit) {
   visit("tenant", options.tenant);
   visit("learning", options.learning);
   visit("head_delta", options.head_delta);
+  visit("durability", options.durability);
+  visit("recording", options.recording);
+  visit("policy_sha256", options.policy_sha256);
 }
 
 template <Is<Session> T, typename Visitor>

@@ -16,10 +16,11 @@
 namespace spikeserve {
 namespace {
 
-// Tells the observer and the quota that a session has left the store.
+// Tells the observer, the quota and the journal that a session has left the store.
 void NotifyClosed(const SessionEntry& entry) {
   entry.served->observer->OnClose();
   if (entry.quota != nullptr) entry.quota->Release();
+  if (entry.journal != nullptr) entry.journal->OnClose();
 }
 
 }  // namespace
@@ -44,13 +45,26 @@ SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
 
 absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolicy> served,
                                                SessionOptions options, SessionExtras extras) {
+  absl::StatusOr<std::string> id = extras.id;
+  if (id->empty()) id = NewSessionId();
+  if (!id.ok()) return id;
+  const auto status = Add(std::move(served), NewSession(*id, std::move(options)), std::move(extras),
+                          /*is_new=*/true);
+  if (!status.ok()) return status;
+  return id;
+}
+
+absl::Status SessionStore::Restore(std::shared_ptr<const ServedPolicy> served, Session session,
+                                   SessionExtras extras) {
+  return Add(std::move(served), std::move(session), std::move(extras), /*is_new=*/false);
+}
+
+absl::Status SessionStore::Add(std::shared_ptr<const ServedPolicy> served, Session session,
+                               SessionExtras extras, bool is_new) {
   if (draining()) {
     return absl::UnavailableError(
         "draining: this server opens no new sessions; try another server");
   }
-  absl::StatusOr<std::string> id = std::move(extras.id);
-  if (id->empty()) id = NewSessionId();
-  if (!id.ok()) return id;
   if (size_.fetch_add(1) >= max_sessions_) {
     size_.fetch_sub(1);
     return absl::ResourceExhaustedError(
@@ -64,42 +78,56 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
     }
   }
   const std::shared_ptr<SessionObserver> observer = served->observer;
-  Slot slot = {.entry = std::make_shared<SessionEntry>(std::move(served),
-                                                       NewSession(*id, std::move(options)), clock_),
-               .last_used = clock_->Now()};
-  slot.entry->shadow = std::move(extras.shadow);
-  const std::shared_ptr<SessionQuota> quota = std::move(extras.quota);
-  slot.entry->quota = quota;
-  if (extras.recorder != nullptr) {
-    absl::MutexLock lock(&slot.entry->mutex);
-    slot.entry->agent.RecordTo(std::move(extras.recorder));
-  }
-  Shard& shard = ShardOf(*id);
-  bool is_new = false;
-  {
-    absl::MutexLock lock(&shard.mutex);
-    is_new = shard.slots.try_emplace(*id, std::move(slot)).second;
-  }
-  if (!is_new) {
+  const std::string id = session.id;
+  const auto entry = std::make_shared<SessionEntry>(std::move(served), std::move(session), clock_);
+  entry->shadow = std::move(extras.shadow);
+  entry->quota = extras.quota;
+  entry->journal = std::move(extras.journal);
+  // Held until the journal has the session: a request that finds it now waits.
+  absl::MutexLock lock(&entry->mutex);
+  if (extras.recorder != nullptr) entry->agent.RecordTo(std::move(extras.recorder));
+  if (!Insert(id, entry)) {
     size_.fetch_sub(1);
-    if (quota != nullptr) quota->Release();
+    if (extras.quota != nullptr) extras.quota->Release();
     return absl::AlreadyExistsError(
-        absl::StrCat("session_id: expected one that is not open, received ", Quoted(*id)));
+        absl::StrCat("session_id: expected one that is not open, received ", Quoted(id)));
+  }
+  if (entry->journal != nullptr) {
+    entry->agent.JournalTo(entry->journal);
+    if (is_new) entry->journal->OnOpen(entry->agent.session());
   }
   observer->OnOpen();
-  return id;
+  return absl::OkStatus();
+}
+
+bool SessionStore::Insert(const std::string& id, std::shared_ptr<SessionEntry> entry) {
+  Slot slot = {.entry = std::move(entry), .last_used = clock_->Now()};
+  Shard& shard = ShardOf(id);
+  absl::MutexLock lock(&shard.mutex);
+  return shard.slots.try_emplace(id, std::move(slot)).second;
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_view id,
                                                                  absl::string_view tenant) {
   const absl::Duration now = clock_->Now();
-  Shard& shard = ShardOf(id);
-  absl::MutexLock lock(&shard.mutex);
-  const auto it = shard.slots.find(id);
-  if (it == shard.slots.end() || it->second.entry->tenant != tenant) return NoSuchSession(id);
-  it->second.last_used = now;
-  it->second.compacted = false;
-  return it->second.entry;
+  std::shared_ptr<SessionEntry> lost;  // destroyed outside the lock
+  {
+    Shard& shard = ShardOf(id);
+    absl::MutexLock lock(&shard.mutex);
+    const auto it = shard.slots.find(id);
+    if (it == shard.slots.end() || it->second.entry->tenant != tenant) return NoSuchSession(id);
+    Slot& slot = it->second;
+    if (slot.entry->journal == nullptr || !slot.entry->journal->lost()) {
+      slot.last_used = now;
+      slot.compacted = false;
+      return slot.entry;
+    }
+    lost = std::move(slot.entry);
+    shard.slots.erase(it);
+  }
+  size_.fetch_sub(1);
+  NotifyClosed(*lost);
+  return NoSuchSession(id);
 }
 
 std::shared_ptr<SessionEntry> SessionStore::Peek(absl::string_view id) {

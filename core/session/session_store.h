@@ -24,6 +24,7 @@
 #include "core/base/clock.h"
 #include "core/session/agent_session.h"
 #include "core/session/served_policy.h"
+#include "core/session/session_journal.h"
 #include "core/session/session_quota.h"
 #include "core/session/shadow_session.h"
 
@@ -42,6 +43,7 @@ struct SessionEntry {
   // Null: none. Set before the entry is shared.
   std::shared_ptr<ShadowSession> shadow;
   std::shared_ptr<SessionQuota> quota;
+  std::shared_ptr<SessionJournal> journal;  // null: the session is not stored
   absl::Mutex mutex;
   AgentSession agent ABSL_GUARDED_BY(mutex);
   // Steps that the shadow has not processed yet.
@@ -54,6 +56,7 @@ struct SessionExtras {
   std::shared_ptr<ShadowSession> shadow;  // null: none
   std::shared_ptr<SessionQuota> quota;    // quota that the session counts against; null: none
   std::unique_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
+  std::shared_ptr<SessionJournal> journal = nullptr;    // null: the session is not stored
 };
 
 // Returns NOT_FOUND: no session with this id is visible to the caller.
@@ -82,12 +85,16 @@ class SessionStore {
   absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
                                    SessionOptions options, SessionExtras extras = {});
 
+  // Adds a session that was restored from its journal. Errors as for Open.
+  absl::Status Restore(std::shared_ptr<const ServedPolicy> served, Session session,
+                       SessionExtras extras);
+
   // Refuses new sessions while `draining`. Open sessions continue.
   void SetDraining(bool draining) { draining_.store(draining, std::memory_order_relaxed); }
   bool draining() const { return draining_.load(std::memory_order_relaxed); }
 
   // Looks up a session of `tenant` and resets its idle timer. NOT_FOUND if the tenant has no
-  // session with this id.
+  // session with this id. Removes a session whose journal is lost to another owner.
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id,
                                                      absl::string_view tenant = "");
 
@@ -140,6 +147,11 @@ class SessionStore {
   static constexpr size_t kShards = 64;
 
   Shard& ShardOf(absl::string_view id);
+  // Adds `session`. If `is_new`, its journal starts with it.
+  absl::Status Add(std::shared_ptr<const ServedPolicy> served, Session session,
+                   SessionExtras extras, bool is_new);
+  // Returns false if a session with this id is open.
+  bool Insert(const std::string& id, std::shared_ptr<SessionEntry> entry);
 
   const int64_t max_sessions_;
   const Clock* const clock_;

@@ -1,0 +1,49 @@
+// Defines where the journals of sessions are written.
+#ifndef CORE_SESSION_JOURNAL_WRITER_H_
+#define CORE_SESSION_JOURNAL_WRITER_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+
+namespace spikeserve {
+
+class SessionJournal;
+
+// One write to the journal of a session.
+struct JournalRecord {
+  enum class Kind {
+    kOpen,      // a snapshot that starts the journal; ALREADY_EXISTS if there is one
+    kEntry,     // adds an entry
+    kSnapshot,  // adds a snapshot, which replaces everything before it
+    kClose,     // ends the session: its journal is deleted
+  };
+
+  Kind kind = Kind::kEntry;
+  std::string bytes;        // empty for kClose
+  uint64_t decisions = 0;   // of the session, with this record
+  uint64_t position = 0;    // of the record in all that its owner writes, from 1
+  bool is_awaited = false;  // an answer waits for it, so that it should be written at once
+  std::shared_ptr<SessionJournal> journal;
+};
+
+// Implementations are thread-safe.
+class JournalWriter {
+ public:
+  virtual ~JournalWriter() = default;
+
+  // Queues a record and returns at once. Records of one journal are written in the order of the
+  // calls. Their outcomes go to SessionJournal::OnWritten(), on another thread.
+  virtual void Write(JournalRecord record) = 0;
+
+  // Returns UNAVAILABLE while the store cannot be reached.
+  virtual absl::Status CheckReachable() const = 0;
+  // Returns UNAVAILABLE while the queue is full.
+  virtual absl::Status CheckBacklog() const = 0;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_SESSION_JOURNAL_WRITER_H_

@@ -1,0 +1,120 @@
+// Writes what one session decides to its journal, and says how far the store has it.
+//
+//   journal->WhenDurable(journal->written(), [](const absl::Status& status) { ... });
+//
+// A journal belongs to its owner: the process that opened the session or claimed it last, which the
+// epoch identifies. If another process claims the session, the store refuses the writes of the
+// former owner, whose copy is then lost.
+//
+// Thread-safe. The writing methods are called in the order of the session's changes, under the
+// session's lock.
+#ifndef CORE_SESSION_SESSION_JOURNAL_H_
+#define CORE_SESSION_SESSION_JOURNAL_H_
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/synchronization/mutex.h"
+#include "core/session/durability.h"
+#include "core/session/journal_entry.h"
+#include "core/session/journal_writer.h"
+#include "core/session/session.h"
+
+namespace spikeserve {
+
+class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
+ public:
+  // A snapshot is written after this many decisions, so that a reader folds fewer entries.
+  static constexpr int kEntriesPerSnapshot = 16;
+  // The largest number of decisions that are answered before they are stored (ASYNC).
+  static constexpr uint64_t kMostUnwritten = 256;
+
+  using Done = std::function<void(const absl::Status&)>;
+
+  // Identifies the journal in the store.
+  struct Key {
+    std::string id;      // of the session
+    std::string tenant;  // owner of the session
+    uint64_t epoch = 1;  // 1 for a new session; a claim adds 1
+  };
+
+  // `decisions` are those that the store has. `writer` must outlive the journal. REQUIRES:
+  // `durability` is not kNone.
+  SessionJournal(Key key, Durability durability, uint64_t decisions, JournalWriter* writer);
+
+  const Key& key() const { return key_; }
+  bool is_sync() const { return is_sync_; }
+
+  // Returns UNAVAILABLE if the session must not decide now: while the store cannot be reached
+  // (SYNC), or while too much is still to be written (ASYNC).
+  absl::Status CheckWritable() const;
+
+  // Writes the snapshot of a new session. The outcome ALREADY_EXISTS makes this copy lost.
+  void OnOpen(const Session& session);
+  // Writes the decision that `session` has just made: `entry`, or a snapshot in its place.
+  void OnDecision(const Session& session, const JournalEntryView& entry);
+  // Writes a snapshot, because the end of an episode is no entry.
+  void OnEpisodeEnd(const Session& session);
+  // Ends the session in the store.
+  void OnClose();
+  // Starts the journal again with a snapshot if the store has lost it.
+  void WriteAgainIfMissing(const Session& session);
+
+  // Returns the position of the last record that was written.
+  uint64_t written() const ABSL_LOCKS_EXCLUDED(mutex_);
+  // Returns how many decisions of the session the store has.
+  uint64_t durable_decisions() const { return durable_decisions_.load(std::memory_order_acquire); }
+  // Returns true if this copy of the session is out of date, because another owner has the journal.
+  bool lost() const { return lost_.load(std::memory_order_acquire); }
+  // Makes this copy lost, because it may be out of date: the journal is to be claimed again.
+  void Abandon() { lost_.store(true, std::memory_order_release); }
+
+  // Calls `done` once, on any thread: with OK when the store has all records up to `position`, with
+  // ALREADY_EXISTS or UNAVAILABLE if this copy is lost, and with UNAVAILABLE if the store cannot be
+  // reached. The records are written later even then.
+  void WhenDurable(uint64_t position, Done done) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // Called by the writer.
+  // The record was written, or refused with ABORTED (this owner has been replaced), ALREADY_EXISTS,
+  // or NOT_FOUND (the store has lost the journal).
+  void OnWritten(const JournalRecord& record, const absl::Status& status)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  // The store cannot be reached, so nobody should wait for the records in the queue.
+  void OnUnreachable(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_);
+
+ private:
+  struct Waiter {
+    uint64_t position;
+    Done done;
+  };
+
+  // Returns the waiters that the outcome of a record ends.
+  std::vector<Waiter> TakeReady(bool all) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+
+  const Key key_;
+  const bool is_sync_;
+  JournalWriter& writer_;
+  std::atomic<uint64_t> durable_decisions_;
+  std::atomic<bool> lost_ = false;
+  std::atomic<bool> missing_ = false;  // the store has lost the journal
+  std::atomic<uint64_t> decisions_;    // with those that are not stored yet
+  int entries_ = 0;                    // since the last snapshot; of the session's lock
+
+  mutable absl::Mutex mutex_;
+  uint64_t written_ ABSL_GUARDED_BY(mutex_) = 0;
+  uint64_t stored_ ABSL_GUARDED_BY(mutex_) = 0;  // position
+  absl::Status loss_ ABSL_GUARDED_BY(mutex_);    // not OK if the copy is lost
+  std::vector<Waiter> waiters_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_SESSION_SESSION_JOURNAL_H_
