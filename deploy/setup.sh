@@ -13,13 +13,13 @@ packages=(
   # server, client, core
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
   prometheus-cpp-dev libcpp-httplib-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
-  libeigen3-dev libnghttp2-dev dpkg-dev file
+  libeigen3-dev libnghttp2-dev liblmdb-dev libhiredis-dev dpkg-dev file
   # the Python engine
   python3-dev
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo
-  libgtest-dev libgmock-dev prometheus ca-certificates curl python3 python3-venv chromium chromium-driver
+  libgtest-dev libgmock-dev prometheus redis-server ca-certificates curl python3 python3-venv chromium chromium-driver
   mandoc zsh fish
   # interop: clients in other languages, and proxies
   golang-go haproxy nghttp2-client nginx
@@ -35,7 +35,7 @@ if ((${#missing[@]})); then
   echo "setup: installing ${missing[*]}"
   export DEBIAN_FRONTEND=noninteractive
   apt-get update -qq
-  # The tests need the programs prometheus, haproxy and nginx. This policy keeps the packages from starting services.
+  # The tests need the programs prometheus, redis-server, haproxy and nginx. This policy keeps the packages from starting services.
   printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
   if [[ ! -e /usr/sbin/policy-rc.d ]]; then
     install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d

@@ -81,7 +81,15 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("max_sessions", "N", &options->max_sessions, "Largest number of open sessions")
       .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions")
       .Add("unusual_deviations", "K", &options->unusual_deviations,
-           "Deviations from the training data that make an observation unusual; 0: none");
+           "Deviations from the training data that make an observation unusual; 0: none")
+      .Add("session_store", "STORE", &options->store.address,
+           "Where sessions survive: memory (nowhere), file:DIR or redis://HOST")
+      .Add("durability", EnumKind<Durability>(), &options->durability,
+           "Durability of stored sessions that name none");
+  program.Flags("Advanced: store of sessions")
+      .Add("store_password_file", "FILE", &options->store.password_file, "Password of Redis")
+      .Add("store_retention", "DURATION", &options->store.retention,
+           "Time that the store keeps an unused session");
   program.Flags("Security")
       .Add("tls_certificate", "FILE", &options->tls.certificate,
            "PEM certificate chain of the server; turns TLS on")

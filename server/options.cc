@@ -25,6 +25,16 @@ absl::Status CheckReach(absl::string_view flag, const std::string& listen,
   return options.tls.enabled() ? absl::OkStatus() : refuse("--tls_certificate");
 }
 
+absl::Status CheckStore(const ServerOptions& options) {
+  if (options.store.retention < options.session_ttl) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--store_retention: expected at least --session_ttl, ",
+                     absl::FormatDuration(options.session_ttl), ", received ",
+                     absl::FormatDuration(options.store.retention)));
+  }
+  return options.store.Validate();
+}
+
 }  // namespace
 
 absl::Status ServerOptions::Validate() const {
@@ -66,6 +76,7 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("--max_sessions: expected at least 1, received ", max_sessions));
   }
+  if (auto status = CheckStore(*this); !status.ok()) return status;
   if (max_message_bytes < 1 || max_message_bytes > INT_MAX) {
     return absl::InvalidArgumentError(absl::StrCat("--max_message_bytes: expected 1 to ", INT_MAX,
                                                    ", received ", max_message_bytes));

@@ -7,10 +7,12 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
+#include "core/session/durability.h"
 #include "server/access/tls.h"
 #include "server/base/log.h"
 #include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"
+#include "server/store/store_options.h"
 #include "server/transport/limits.h"
 
 namespace spikeserve {
@@ -38,6 +40,8 @@ struct ServerOptions {
   // observation counts as unusual; 0: none does.
   double unusual_deviations = kUnusualDeviations;
   std::string record_dir;  // where sessions are recorded that ask for it; empty: nowhere
+  StoreOptions store;      // where sessions are kept so that they survive the server
+  Durability durability = Durability::kAsync;  // of stored sessions that ask for none
 
   TlsFiles tls;        // for gRPC and HTTP
   std::string tokens;  // file of bearer tokens, see token_file.h; empty: any caller may do anything

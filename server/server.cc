@@ -13,6 +13,7 @@
 #include "server/base/log.h"
 #include "server/rollouts/traffic_metrics.h"
 #include "server/services/service_name.h"
+#include "server/store/open_store.h"
 
 namespace spikeserve {
 namespace {
@@ -106,10 +107,12 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     if (!created.ok()) return created.status();
     recordings = *std::move(created);
   }
+  auto journals = OpenStore(options.store, &metrics->registry());
+  if (!journals.ok()) return journals.status();
   metrics->AddSource([served = registry->get()] { return CollectTraffic(*served->catalog()); });
-  auto server = std::unique_ptr<Server>(new Server(options, *std::move(authenticator),
-                                                   *std::move(registry), *std::move(audit_log),
-                                                   std::move(metrics), std::move(recordings)));
+  auto server = std::unique_ptr<Server>(
+      new Server(options, *std::move(authenticator), *std::move(registry), *std::move(audit_log),
+                 std::move(metrics), std::move(recordings), *std::move(journals)));
   if (auto status = server->StartTransport(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
@@ -127,19 +130,26 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
 
 Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
                std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
-               std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings)
+               std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings,
+               std::unique_ptr<JournalStore> journals)
     : options_(options),
       authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
       registry_(std::move(registry)),
       audit_log_(std::move(audit_log)),
       recordings_(std::move(recordings)),
+      journals_(std::move(journals)),
       shadows_(metrics_->registry()),
       store_(options.max_sessions, &clock_),
       reaper_(&store_,
               {.compact_after = options.compact_after, .time_to_live = options.session_ttl},
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
-      handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get()),
+      recovery_(journals_ == nullptr
+                    ? nullptr
+                    : std::make_unique<SessionRecovery>(journals_.get(), registry_.get(), &store_,
+                                                        recordings_.get())),
+      handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get(),
+               {.journals = journals_.get(), .level = options.durability}),
       audit_(audit_log_.get(), registry_.get(), &store_),
       rollouts_(registry_.get(), metrics_.get(), &clock_,
                 [this](const RolloutManager::Change& change) { audit_.Record(change); }),
@@ -149,7 +159,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .authenticator = authenticator_.get(),
                  .metrics = metrics_.get(),
                  .clock = &clock_,
-                 .max_message_bytes = options.max_message_bytes},
+                 .max_message_bytes = options.max_message_bytes,
+                 .recovery = recovery_.get()},
                 {.policy = &handler_,
                  .admin = &admin_handler_,
                  .heads = &head_handler_,
@@ -267,6 +278,9 @@ void Server::StopTransport() {
   }
   health_.EndWatches();
   transport_->Stop(kLeaveTimeout);
+  if (journals_ == nullptr) return;
+  journals_->Stop(kLeaveTimeout);
+  recovery_->ForgetWaiters();
 }
 
 }  // namespace spikeserve

@@ -19,6 +19,7 @@
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/recordings.h"
+#include "server/agent/session_recovery.h"
 #include "server/agent/shadow_runner.h"
 #include "server/base/address.h"
 #include "server/base/audit_log.h"
@@ -33,6 +34,7 @@
 #include "server/services/call_gate.h"
 #include "server/services/health_service.h"
 #include "server/services/services.h"
+#include "server/store/journal_store.h"
 #include "server/transport/transport.h"
 #include "server/web/http_server.h"
 #include "server/web/status_pages.h"
@@ -65,7 +67,8 @@ class Server {
  private:
   Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
          std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
-         std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings);
+         std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings,
+         std::unique_ptr<JournalStore> journals);
 
   void ReloadTokens();
   absl::Status StartTransport();
@@ -84,9 +87,11 @@ class Server {
   const std::unique_ptr<PolicyRegistry> registry_;
   const std::unique_ptr<AuditLog> audit_log_;
   const std::unique_ptr<Recordings> recordings_;  // null without --record_dir; outlives the store
+  const std::unique_ptr<JournalStore> journals_;  // null: no session is stored
   ShadowRunner shadows_;
   SessionStore store_;
   SessionReaper reaper_;
+  const std::unique_ptr<SessionRecovery> recovery_;  // null as `journals_`
   const PolicyHandler handler_;
   const Audit audit_;
   RolloutManager rollouts_;

@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/types/span.h"
 #include "core/session/session_store.h"
+#include "server/agent/durable_answer.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -25,6 +26,10 @@ struct ActItem {
   std::shared_ptr<SessionEntry> entry;
   v1::ActResponse* response = nullptr;
   absl::Status status = absl::OkStatus();
+  Commits commits = {};  // what the answer waits for
+  // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
+  // that the caller claims the session again. Another server may have decided in between.
+  bool may_claim = false;
 };
 
 // Computes the decision of each item and sets its `response`, or its `status` to the error. The

@@ -7,6 +7,7 @@
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
 #include "nlohmann/json.hpp"
+#include "server/base/expected_decision.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
@@ -72,6 +73,29 @@ absl::StatusOr<LearningRequest> LearningFromProto(const v1::LearningConfig& conf
   if (config.has_max_drift()) request.max_drift = config.max_drift();
   if (config.has_guard_margin()) request.guard_margin = config.guard_margin();
   return request;
+}
+
+v1::Durability ToProto(Durability durability) {
+  switch (durability) {
+    case Durability::kAsync:
+      return v1::ASYNC;
+    case Durability::kSync:
+      return v1::SYNC;
+    case Durability::kNone:
+      break;
+  }
+  return v1::NONE;
+}
+
+// `Error` is an ActError or an ActResult, which have these fields in common.
+template <typename Error>
+void SetError(const absl::Status& status, Error* error) {
+  error->set_code(static_cast<int>(status.code()));
+  error->set_message(std::string(status.message()));
+  if (const auto delay = RetryDelay(status)) {
+    error->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+  }
+  if (const auto decision = ExpectedDecision(status)) error->set_expected_decision(*decision);
 }
 
 }  // namespace
@@ -209,16 +233,31 @@ void ToProto(const std::string& session_id, const Answer& answer, const Policy& 
   ToProto(answer, policy.config.is_dense(), response->mutable_stats());
 }
 
+void ToProto(const std::string& session_id, const SessionOptions& options,
+             const ServedPolicy& served, v1::OpenSessionResponse* response) {
+  const Policy& policy = served.policy();
+  response->set_session_id(session_id);
+  response->set_policy(served.name);
+  response->set_version(served.version);
+  response->set_observation_size(policy.observation_size());
+  *response->mutable_action_space() = ToProto(policy.action_space);
+  response->set_context_length(policy.config.context);
+  response->set_target_return(options.target_return);
+  response->set_recording(options.recording);
+  response->set_durability(ToProto(options.durability));
+}
+
+void ErrorToProto(const absl::Status& status, v1::ActResult* result) {
+  result->clear_response();
+  SetError(status, result);
+}
+
 void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
                   v1::ActResponse* response) {
   response->Clear();
   response->set_session_id(request.session_id());
   response->set_step(request.step());
-  response->mutable_error()->set_code(static_cast<int>(status.code()));
-  response->mutable_error()->set_message(std::string(status.message()));
-  if (const auto delay = RetryDelay(status)) {
-    response->mutable_error()->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
-  }
+  SetError(status, response->mutable_error());
 }
 
 }  // namespace spikeserve

@@ -38,6 +38,13 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
 void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
              v1::ActResponse* response);
 
+// Describes a session of `served` to the caller that opened it.
+void ToProto(const std::string& session_id, const SessionOptions& options,
+             const ServedPolicy& served, v1::OpenSessionResponse* response);
+
+// Fills in the result of an item of a batch that failed with `status`.
+void ErrorToProto(const absl::Status& status, v1::ActResult* result);
+
 // Fills in the reply on a stream to a request that failed with `status`.
 void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
                   v1::ActResponse* response);

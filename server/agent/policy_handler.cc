@@ -8,13 +8,19 @@
 #include "absl/container/inlined_vector.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
+#include "core/base/json.h"
 #include "server/agent/act_together.h"
 #include "server/agent/convert.h"
 #include "server/agent/explain_convert.h"
+#include "server/agent/session_recovery.h"
+#include "server/base/expected_decision.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
 namespace {
+
+// Callers wait this long when a session has to wait for the store.
+constexpr absl::Duration kStoreRetryDelay = absl::Seconds(1);
 
 absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& labels) {
   if (labels.size() > LabelLimits::kLabels) {
@@ -38,6 +44,7 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   if (!settings.ok()) return settings.status();
   auto options = ResolveSession(*std::move(settings), served);
   if (!options.ok()) return options.status();
+  options->policy_sha256 = served.sha256;
   if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
   options->labels.insert(request.labels().begin(), request.labels().end());
   return options;
@@ -58,24 +65,41 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
                          .routing_key = key.empty() ? id : key});
 }
 
-void SetError(const absl::Status& status, v1::ActResult* result) {
-  result->clear_response();
-  result->set_code(static_cast<int>(status.code()));
-  result->set_message(std::string(status.message()));
-  if (const auto delay = RetryDelay(status)) {
-    result->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
+// Checks that the request ends the running episode, or repeats the end of the one before. Without
+// `episode` and `steps`, any request does.
+absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& session) {
+  const bool repeats = session.last_end != nullptr &&
+                       (!request.has_episode() || request.episode() == session.episode - 1);
+  const int64_t episode = repeats ? session.episode - 1 : session.episode;
+  const int64_t steps = repeats ? session.last_end->summary.steps : session.step;
+  const auto refuse = [](const char* field, int64_t expected, int64_t received) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(field, ": expected ", expected, ", received ", received));
+  };
+  if (request.has_episode() && request.episode() != episode) {
+    return refuse("episode", episode, request.episode());
   }
+  if (request.has_steps() && request.steps() != steps) {
+    return refuse("steps", steps, request.steps());
+  }
+  if (request.has_episode() && !repeats && session.step == 0) {
+    return absl::FailedPreconditionError(
+        "step: expected at least one decision in the episode, received none");
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace
 
 PolicyHandler::PolicyHandler(const PolicyRegistry* registry, SessionStore* store,
-                             ShadowRunner* shadows, const Clock* clock, Recordings* recordings)
+                             ShadowRunner* shadows, const Clock* clock, Recordings* recordings,
+                             SessionDurability durability)
     : registry_(registry),
       store_(store),
       shadows_(shadows),
       clock_(clock),
-      recordings_(recordings) {}
+      recordings_(recordings),
+      durability_(durability) {}
 
 absl::Status PolicyHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
                                          v1::ListPoliciesResponse* response) const {
@@ -90,13 +114,56 @@ absl::Status PolicyHandler::ListPolicies(const v1::ListPoliciesRequest& /*reques
 
 absl::Status PolicyHandler::OpenSession(const Credential& caller,
                                         const v1::OpenSessionRequest& request,
-                                        v1::OpenSessionResponse* response) const {
-  return OpenSessionAs(caller, "", request, response);
+                                        v1::OpenSessionResponse* response, Commits* commits) const {
+  const std::string& id = request.session_id();
+  if (!id.empty() && !IsDrawnSessionId(id)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "session_id: expected 32 hexadecimal digits in lower case, received ", Quoted(id)));
+  }
+  const auto durability = ChooseDurability(request);
+  if (!durability.ok()) return durability.status();
+  const auto open = store_->Find(id, caller.tenant()->name());
+  if (open.ok()) return OpenAgain(**open, request, response, commits);
+  return OpenNew(caller, id, request, *durability, response, commits);
 }
 
-absl::Status PolicyHandler::OpenSessionAs(const Credential& caller, std::string session_id,
+absl::Status PolicyHandler::OpenSessionAs(const Credential& caller, std::string id,
                                           const v1::OpenSessionRequest& request,
                                           v1::OpenSessionResponse* response) const {
+  return OpenNew(caller, std::move(id), request, Durability::kNone, response, /*commits=*/nullptr);
+}
+
+absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
+    const v1::OpenSessionRequest& request) const {
+  const bool stores = durability_.journals != nullptr;
+  if (!v1::Durability_IsValid(request.durability())) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("durability: expected DURABILITY_DEFAULT, NONE, ASYNC or SYNC, received ",
+                     static_cast<int>(request.durability())));
+  }
+  if (!stores && (request.durability() == v1::ASYNC || request.durability() == v1::SYNC)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "durability: expected NONE, because the server runs without --session_store, received ",
+        v1::Durability_Name(request.durability())));
+  }
+  if (!stores) return Durability::kNone;
+  // What a session of a fleet decides depends on the shared head and could not be computed again.
+  if (request.learning().scope() == v1::LearningConfig::FLEET) return Durability::kSync;
+  switch (request.durability()) {
+    case v1::NONE:
+      return Durability::kNone;
+    case v1::ASYNC:
+      return Durability::kAsync;
+    case v1::SYNC:
+      return Durability::kSync;
+    default:
+      return request.has_learning() ? Durability::kSync : durability_.level;
+  }
+}
+
+absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string session_id,
+                                    const v1::OpenSessionRequest& request, Durability durability,
+                                    v1::OpenSessionResponse* response, Commits* commits) const {
   absl::StatusOr<std::string> id = std::move(session_id);
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();
@@ -110,29 +177,54 @@ absl::Status PolicyHandler::OpenSessionAs(const Credential& caller, std::string 
     return absl::PermissionDeniedError(
         "learning: expected unset, because the token has \"learning\": false, received a config");
   }
-  const double target_return = options->target_return;
+  options->durability = durability;
   SessionExtras extras;
-  extras.id = *std::move(id);
+  extras.id = *id;
   extras.quota = caller.tenant();
   if (route->shadow != nullptr) {
     extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
   }
   if (request.record()) {
-    auto recorder = NewRecorder(route->served, response->mutable_recording());
+    auto recorder = NewRecorder(route->served, &options->recording);
     if (!recorder.ok()) return recorder.status();
     extras.recorder = *std::move(recorder);
   }
-  id = store_->Open(route->served, *std::move(options), std::move(extras));
-  if (!id.ok()) return id.status();
+  if (durability != Durability::kNone) {
+    if (auto status = durability_.journals->CheckReachable(); !status.ok()) return status;
+    extras.journal =
+        std::make_shared<SessionJournal>(SessionJournal::Key{.id = *id, .tenant = options->tenant},
+                                         durability, /*decisions=*/0, durability_.journals);
+    if (commits != nullptr) commits->push_back({.journal = extras.journal, .position = 1});
+  }
+  ToProto(*id, *options, served, response);
+  return store_->Open(route->served, *std::move(options), std::move(extras)).status();
+}
 
-  const Policy& policy = served.policy();
-  response->set_session_id(*std::move(id));
-  response->set_policy(served.name);
-  response->set_version(served.version);
-  response->set_observation_size(policy.observation_size());
-  *response->mutable_action_space() = ToProto(policy.action_space);
-  response->set_context_length(policy.config.context);
-  response->set_target_return(target_return);
+absl::Status PolicyHandler::OpenAgain(SessionEntry& entry, const v1::OpenSessionRequest& request,
+                                      v1::OpenSessionResponse* response, Commits* commits) const {
+  absl::MutexLock lock(&entry.mutex);
+  const Session& session = entry.agent.session();
+  const SessionOptions& opened = session.options;
+  auto options = OptionsFromProto(request, *entry.served);
+  if (!options.ok()) return options.status();
+  options->tenant = opened.tenant;
+  options->durability = *ChooseDurability(request);
+  options->policy = request.policy();
+  if (request.version() != 0) options->version = request.version();
+  if (request.record()) options->recording = opened.recording;
+  const auto bytes = [](const SessionOptions& any) {
+    return SerializeSession(NewSession("", any));
+  };
+  if (bytes(*options) != bytes(opened) || request.record() == opened.recording.empty()) {
+    return absl::AlreadyExistsError(
+        absl::StrCat("session_id: expected an id that is not open, or the request that opened it, "
+                     "received another request for ",
+                     session.id));
+  }
+  if (entry.journal != nullptr && commits != nullptr) {
+    commits->push_back({.journal = entry.journal, .position = entry.journal->written()});
+  }
+  ToProto(session.id, opened, *entry.served, response);
   return absl::OkStatus();
 }
 
@@ -159,7 +251,11 @@ absl::Status PolicyHandler::ActNext(const Credential& caller, const v1::ActReque
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
     const Credential& caller, const v1::ActRequest& request) const {
   if (auto status = caller.tenant()->AcquireDecision(clock_->Now()); !status.ok()) return status;
-  return store_->Find(request.session_id(), caller.tenant()->name());
+  auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  if (!entry.ok() || (*entry)->journal == nullptr) return entry;
+  const absl::Status writable = (*entry)->journal->CheckWritable();
+  if (writable.ok()) return entry;
+  return RetryDelay(writable).has_value() ? writable : WithRetryDelay(writable, kStoreRetryDelay);
 }
 
 absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
@@ -185,6 +281,7 @@ void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
     ActTogether(absl::MakeSpan(items));
     for (size_t i = 0; i < items.size(); ++i) {
       acts[positions[i]].status = items[i].status;
+      acts[positions[i]].commits = std::move(items[i].commits);
       if (items[i].status.ok()) deferred->Add(std::move(items[i].entry), shadows_);
     }
     answered(acts.subspan(begin, end - begin));
@@ -203,7 +300,8 @@ void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
     items.push_back({.request = act.request,
                      .step = act.request->step(),
                      .entry = *std::move(entry),
-                     .response = act.response});
+                     .response = act.response,
+                     .may_claim = act.may_claim});
     positions.push_back(i);
   }
   answer_group(acts.size());
@@ -216,8 +314,8 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 }
 
 int PolicyHandler::ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request,
-                                 int first, v1::ActBatchResponse* response,
-                                 DeferredWork* deferred) const {
+                                 int first, v1::ActBatchResponse* response, DeferredWork* deferred,
+                                 Commits* commits) const {
   const int end = std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   absl::InlinedVector<AgentAct, kMaxSessionsPerGroup> acts;
   for (int i = first; i < end; ++i) {
@@ -227,15 +325,20 @@ int PolicyHandler::ActBatchGroup(const Credential& caller, const v1::ActBatchReq
   }
   ActMany(absl::MakeSpan(acts), deferred, [](absl::Span<AgentAct> /*group*/) {});
   for (int i = first; i < end; ++i) {
-    const absl::Status& status = acts[static_cast<size_t>(i - first)].status;
-    if (!status.ok()) SetError(status, response->mutable_results(i));
+    AgentAct& act = acts[static_cast<size_t>(i - first)];
+    if (!act.status.ok()) {
+      ErrorToProto(act.status, response->mutable_results(i));
+    } else if (!act.commits.empty()) {
+      commits->push_back(std::move(act.commits[0]));
+      commits->back().item = i;
+    }
   }
   return end;
 }
 
 absl::Status PolicyHandler::EndEpisode(const Credential& caller,
                                        const v1::EndEpisodeRequest& request,
-                                       v1::EndEpisodeResponse* response) const {
+                                       v1::EndEpisodeResponse* response, Commits* commits) const {
   const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   EpisodeEnd end = {.reward = request.reward(),
@@ -252,11 +355,22 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
     end.executed_action = *std::move(executed);
   }
   absl::MutexLock lock(&(*entry)->mutex);
-  const auto summary = (*entry)->agent.EndEpisode(end);
-  if (!summary.ok()) return summary.status();
-  *response = ToProto(*summary);
-  response->set_recording(ToProto((*entry)->agent.recording_state()));
-  return absl::OkStatus();
+  AgentSession& agent = (*entry)->agent;
+  if ((*entry)->journal != nullptr) (*entry)->journal->WriteAgainIfMissing(agent.session());
+  absl::Status status = CheckEpisode(request, agent.session());
+  if (status.ok()) {
+    const auto summary = agent.EndEpisode(end);
+    status = summary.status();
+    if (summary.ok()) {
+      *response = ToProto(*summary);
+      response->set_recording(ToProto(agent.recording_state()));
+    }
+  }
+  if (absl::IsFailedPrecondition(status)) {
+    return WithExpectedDecision(status, agent.session().decisions, agent.session().step);
+  }
+  if (status.ok() && commits != nullptr) AddCommit(**entry, commits);
+  return status;
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
@@ -285,8 +399,14 @@ absl::Status PolicyHandler::Explain(const Credential& caller, const v1::ExplainR
 
 absl::Status PolicyHandler::CloseSession(const Credential& caller,
                                          const v1::CloseSessionRequest& request,
-                                         v1::CloseSessionResponse* /*response*/) const {
-  return store_->Close(request.session_id(), caller.tenant()->name());
+                                         v1::CloseSessionResponse* /*response*/,
+                                         Commits* commits) const {
+  const std::string& tenant = caller.tenant()->name();
+  const auto entry = store_->Find(request.session_id(), tenant);
+  if (!entry.ok()) return entry.status();
+  auto status = store_->Close(request.session_id(), tenant);
+  if (status.ok() && commits != nullptr) AddCommit(**entry, commits);
+  return status;
 }
 
 }  // namespace spikeserve

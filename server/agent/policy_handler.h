@@ -15,6 +15,7 @@
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
+#include "server/agent/durable_answer.h"
 #include "server/agent/recordings.h"
 #include "server/agent/shadow_runner.h"
 #include "server/policies/policy_registry.h"
@@ -37,26 +38,36 @@ struct AgentAct {
   const v1::ActRequest* request = nullptr;
   v1::ActResponse* response = nullptr;
   absl::Status status = absl::OkStatus();  // set with `response`
+  Commits commits = {};                    // what the answer waits for; set with `response`
+  bool may_claim = false;                  // as ActItem::may_claim
+};
+
+// How sessions are stored.
+struct SessionDurability {
+  JournalWriter* journals = nullptr;      // null: no session is stored
+  Durability level = Durability::kAsync;  // of sessions that ask for none and do not learn
 };
 
 class PolicyHandler {
  public:
   // All arguments must outlive the handler. If `recordings` is null, sessions cannot be recorded.
   PolicyHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
-                const Clock* clock, Recordings* recordings = nullptr);
+                const Clock* clock, Recordings* recordings = nullptr,
+                SessionDurability durability = {});
 
   // A session belongs to the tenant that opened it; callers of other tenants receive NOT_FOUND. The
   // exceptions are GetSession and Explain, which also serve callers that may read the session
   // (Credential::CanRead). Both leave the idle time of the session unchanged.
   //
   // Each method fills in `response` and returns OK. On an error it leaves the session unchanged and
-  // returns the status that policy_service.proto names.
+  // returns the status that policy_service.proto names. `commits` receives what the answer must
+  // wait for before it is sent; null: the caller does not wait.
   absl::Status ListPolicies(const v1::ListPoliciesRequest& request,
                             v1::ListPoliciesResponse* response) const;
   absl::Status OpenSession(const Credential& caller, const v1::OpenSessionRequest& request,
-                           v1::OpenSessionResponse* response) const;
-  // As OpenSession, with an id that the caller chooses; an empty id gets a new random one. Returns
-  // ALREADY_EXISTS if a session with this id is open.
+                           v1::OpenSessionResponse* response, Commits* commits = nullptr) const;
+  // As OpenSession, with an id of any form that the caller chooses; an empty id gets a new random
+  // one. The session is not stored. Returns ALREADY_EXISTS if a session with this id is open.
   absl::Status OpenSessionAs(const Credential& caller, std::string id,
                              const v1::OpenSessionRequest& request,
                              v1::OpenSessionResponse* response) const;
@@ -77,18 +88,29 @@ class PolicyHandler {
   // after the last one. An item that fails has its own code in `response`.
   // REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response, DeferredWork* deferred) const;
+                    v1::ActBatchResponse* response, DeferredWork* deferred, Commits* commits) const;
   absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
-                          v1::EndEpisodeResponse* response) const;
+                          v1::EndEpisodeResponse* response, Commits* commits = nullptr) const;
   absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
   // Takes about a thousand times as long as a decision; see ExplainSession.
   absl::Status Explain(const Credential& caller, const v1::ExplainRequest& request,
                        v1::ExplainResponse* response) const;
   absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
-                            v1::CloseSessionResponse* response) const;
+                            v1::CloseSessionResponse* response, Commits* commits = nullptr) const;
 
  private:
+  // Returns the durability of a new session, or INVALID_ARGUMENT.
+  absl::StatusOr<Durability> ChooseDurability(const v1::OpenSessionRequest& request) const;
+  // Opens a session that does not exist yet.
+  absl::Status OpenNew(const Credential& caller, std::string id,
+                       const v1::OpenSessionRequest& request, Durability durability,
+                       v1::OpenSessionResponse* response, Commits* commits) const;
+  // Answers a request for a session that is open. Returns ALREADY_EXISTS unless the same request
+  // opened it.
+  absl::Status OpenAgain(SessionEntry& entry, const v1::OpenSessionRequest& request,
+                         v1::OpenSessionResponse* response, Commits* commits) const;
+
   // Returns a session that `caller` may read, without resetting its idle time.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const Credential& caller,
                                                              const std::string& id) const;
@@ -111,6 +133,7 @@ class PolicyHandler {
   ShadowRunner* const shadows_;
   const Clock* const clock_;
   Recordings* const recordings_;
+  const SessionDurability durability_;
 };
 
 }  // namespace spikeserve

@@ -35,14 +35,15 @@ std::optional<absl::Duration> RetryDelay(const absl::Status& status) {
 }
 
 std::string SerializedDetails(const absl::Status& status) {
-  const auto payload = status.GetPayload(kRetryInfoUrl);
-  if (!payload.has_value()) return "";
   google::rpc::Status details;
+  status.ForEachPayload([&](absl::string_view url, const absl::Cord& payload) {
+    auto* detail = details.add_details();
+    detail->set_type_url(std::string(url));
+    detail->set_value(std::string(payload));
+  });
+  if (details.details().empty()) return "";
   details.set_code(static_cast<int>(status.code()));
   details.set_message(std::string(status.message()));
-  auto* detail = details.add_details();
-  detail->set_type_url(kRetryInfoUrl);
-  detail->set_value(std::string(*payload));
   return details.SerializeAsString();
 }
 

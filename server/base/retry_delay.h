@@ -18,8 +18,8 @@ absl::Status WithRetryDelay(absl::Status status, absl::Duration delay);
 // Returns the delay that WithRetryDelay attached to `status`, if any.
 std::optional<absl::Duration> RetryDelay(const absl::Status& status);
 
-// Returns the serialized google.rpc.Status of a status with a retry delay, which gRPC sends as
-// `grpc-status-details-bin`; empty if `status` has no delay.
+// Returns the serialized google.rpc.Status of a status with payloads, such as a retry delay, which
+// gRPC sends as `grpc-status-details-bin`; empty if `status` has none.
 std::string SerializedDetails(const absl::Status& status);
 
 }  // namespace spikeserve

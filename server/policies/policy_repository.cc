@@ -1,5 +1,6 @@
 #include "server/policies/policy_repository.h"
 
+#include <openssl/evp.h>
 #include <sys/stat.h>
 
 #include <algorithm>
@@ -10,8 +11,10 @@
 
 #include "absl/functional/function_ref.h"
 #include "absl/strings/ascii.h"
+#include "absl/strings/escaping.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/learning/fleet_head.h"
@@ -163,6 +166,18 @@ std::string PolicyFilePath(const std::string& directory, const PolicyVersion& ve
       .string();
 }
 
+absl::StatusOr<std::string> Sha256OfFile(const std::string& path) {
+  const auto bytes = ReadFile(path);
+  if (!bytes.ok()) return bytes.status();
+  unsigned char digest[EVP_MAX_MD_SIZE];
+  unsigned int size = 0;
+  if (EVP_Digest(bytes->data(), bytes->size(), digest, &size, EVP_sha256(), nullptr) != 1) {
+    return absl::InternalError(absl::StrCat(path, ": cannot compute the SHA-256"));
+  }
+  return absl::BytesToHexString(
+      absl::string_view(reinterpret_cast<const char*>(digest), static_cast<size_t>(size)));
+}
+
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version,
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer, bool share_heads) {
@@ -172,6 +187,9 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   auto served = std::make_shared<ServedPolicy>();
   served->name = version.policy;
   served->version = version.version;
+  auto sha256 = Sha256OfFile(path);
+  if (!sha256.ok()) return sha256.status();
+  served->sha256 = *std::move(sha256);
   const auto shared = std::make_shared<const Policy>(*std::move(policy));
   served->engine = MakeStreamingEngine(shared);
   served->fleet = std::make_shared<FleetHead>(shared);

@@ -66,6 +66,9 @@ bool IsPlainName(const std::string& name);
 
 std::string PolicyFilePath(const std::string& directory, const PolicyVersion& version);
 
+// Returns the SHA-256 of a file in hexadecimal.
+absl::StatusOr<std::string> Sha256OfFile(const std::string& path);
+
 // Makes the observer of one policy version.
 using NewObserver = std::function<std::shared_ptr<SessionObserver>(
     const std::string& name, int64_t version, const Policy& policy)>;

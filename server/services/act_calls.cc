@@ -38,14 +38,15 @@ void ActCall::OnDecided(ActMessages& /*messages*/, const absl::Status& status,
 
 void ActBatchCall::Handle() {
   if (auto status = PolicyHandler::CheckBatch(request()); !status.ok()) return End(status);
+  decided_ = 0;
   queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
 }
 
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
   if (call() == nullptr) return true;
-  decided_ = handler.ActBatchGroup(caller(), request(), decided_, response(), deferred);
+  decided_ = handler.ActBatchGroup(caller(), request(), decided_, response(), deferred, commits());
   if (decided_ < request().requests_size()) return false;
-  End({absl::OkStatus(), RefusalWithin(*response())});
+  EndWhenDurable({absl::OkStatus(), RefusalWithin(*response())});
   return true;
 }
 

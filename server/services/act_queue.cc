@@ -11,14 +11,15 @@ namespace {
 
 // Decides `acts` and calls `answered(first, statuses of the group)` for each group.
 void DecideGroups(const PolicyHandler& handler, absl::Span<const ActQueue::Act> acts,
-                  DeferredWork* deferred,
+                  bool may_claim, DeferredWork* deferred,
                   absl::FunctionRef<void(size_t first, absl::Span<const AgentAct>)> answered) {
   std::vector<AgentAct> requests;
   requests.reserve(acts.size());
   for (const ActQueue::Act& act : acts) {
     requests.push_back({.caller = act.caller,
                         .request = act.messages->request(),
-                        .response = act.messages->response()});
+                        .response = act.messages->response(),
+                        .may_claim = may_claim && !act.recovered});
   }
   handler.ActMany(absl::MakeSpan(requests), deferred, [&](absl::Span<AgentAct> group) {
     answered(static_cast<size_t>(group.data() - requests.data()), group);
@@ -59,7 +60,7 @@ void ActQueue::Run() {
       Decide(std::move(acts));
       continue;
     }
-    auto batch = std::make_shared<Batch>(Batch{this, std::move(acts), {}});
+    auto batch = std::make_shared<Batch>(Batch{this, std::move(acts), {}, {}});
     queues_[i]->loop_.events().Post(
         [owner = queues_[i], batch] { owner->foreign_.push_back(batch); });
   }
@@ -81,30 +82,61 @@ void ActQueue::DecideBatchGroup() {
 
 void ActQueue::Decide(std::vector<Act> acts) {
   DeferredWork deferred;
-  DecideGroups(handler_, acts, &deferred, [&](size_t first, absl::Span<const AgentAct> group) {
-    for (size_t i = 0; i < group.size(); ++i) {
-      Act& act = acts[first + i];
-      act.client->OnDecided(*act.messages, group[i].status, act.request_bytes, act.received);
-    }
-    loop_.FlushWrites();
-    deferred.Run();
-  });
+  DecideGroups(handler_, acts, recovery_ != nullptr, &deferred,
+               [&](size_t first, absl::Span<const AgentAct> group) {
+                 for (size_t i = 0; i < group.size(); ++i) {
+                   Answer(acts[first + i], group[i].status, group[i].commits);
+                 }
+                 loop_.FlushWrites();
+                 deferred.Run();
+               });
 }
 
 void ActQueue::DecideForeign(const std::shared_ptr<Batch>& batch) {
   DeferredWork deferred;
-  DecideGroups(handler_, batch->acts, &deferred,
+  DecideGroups(handler_, batch->acts, recovery_ != nullptr, &deferred,
                [&](size_t /*first*/, absl::Span<const AgentAct> group) {
-                 for (const AgentAct& act : group) batch->statuses.push_back(act.status);
+                 for (const AgentAct& act : group) {
+                   batch->statuses.push_back(act.status);
+                   batch->commits.push_back(act.commits);
+                 }
                });
   batch->from->loop_.events().Post([batch] {
     for (size_t i = 0; i < batch->acts.size(); ++i) {
-      const Act& act = batch->acts[i];
-      act.client->OnDecided(*act.messages, batch->statuses[i], act.request_bytes, act.received);
+      batch->from->Answer(batch->acts[i], batch->statuses[i], batch->commits[i]);
     }
     batch->acts.clear();  // the calls are destroyed on their loop's thread
   });
   deferred.Run();
+}
+
+void ActQueue::Answer(const Act& act, const absl::Status& status, const Commits& commits) {
+  if (recovery_ != nullptr && absl::IsNotFound(status) && !act.recovered) {
+    return Recover(act, status);
+  }
+  if (commits.empty()) {
+    return act.client->OnDecided(*act.messages, status, act.request_bytes, act.received);
+  }
+  // The act is moved on, because a call must be destroyed on the thread of its loop.
+  WhenDurable(commits, [act, status,
+                        loop = &loop_.events()](const std::vector<absl::Status>& outcomes) mutable {
+    loop->Post([act = std::move(act), outcome = status.ok() ? outcomes[0] : status] {
+      act.client->OnDecided(*act.messages, outcome, act.request_bytes, act.received);
+    });
+  });
+}
+
+void ActQueue::Recover(const Act& act, const absl::Status& status) {
+  const auto post = [loop = &loop_.events()](std::function<void()> work) {
+    loop->Post(std::move(work));
+  };
+  Act again = act;
+  again.recovered = true;
+  recovery_->Recover(*act.caller, act.messages->request()->session_id(), post,
+                     [this, again = std::move(again), status](const absl::Status& recovered) {
+                       if (recovered.ok()) return Add(again);
+                       Answer(again, absl::IsNotFound(recovered) ? status : recovered, {});
+                     });
 }
 
 }  // namespace spikeserve

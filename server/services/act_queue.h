@@ -18,6 +18,7 @@
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/policy_handler.h"
+#include "server/agent/session_recovery.h"
 #include "server/services/call_messages.h"
 #include "server/transport/transport_loop.h"
 #include "spikeserve/v1/policy_service.pb.h"
@@ -54,10 +55,12 @@ class ActQueue {
     const Credential* caller;
     size_t request_bytes;
     absl::Duration received;  // of the server's clock
+    bool recovered = false;   // the session was looked for in the store
   };
 
-  // `handler` and `loop` must outlive the queue.
-  ActQueue(const PolicyHandler* handler, TransportLoop* loop) : handler_(*handler), loop_(*loop) {}
+  // All must outlive the queue. If `recovery` is null, no session is stored.
+  ActQueue(const PolicyHandler* handler, SessionRecovery* recovery, TransportLoop* loop)
+      : handler_(*handler), recovery_(recovery), loop_(*loop) {}
 
   // Sets the queues of all loops, in the same order for each, before the loops run.
   void SetQueues(std::vector<ActQueue*> queues);
@@ -79,6 +82,7 @@ class ActQueue {
     ActQueue* from;
     std::vector<Act> acts;
     std::vector<absl::Status> statuses;
+    std::vector<Commits> commits;
   };
 
   void Decide(std::vector<Act> acts);
@@ -87,7 +91,12 @@ class ActQueue {
   void AskForTurn();
   void DecideForeign(const std::shared_ptr<Batch>& batch);
 
+  // Gives the answer to its client, or waits until the store has the session or the decision.
+  void Answer(const Act& act, const absl::Status& status, const Commits& commits);
+  void Recover(const Act& act, const absl::Status& status);
+
   const PolicyHandler& handler_;
+  SessionRecovery* const recovery_;
   TransportLoop& loop_;
   std::vector<ActQueue*> queues_;
   std::vector<std::vector<Act>> added_;  // by the loop that the session belongs to

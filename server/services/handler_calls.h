@@ -1,4 +1,6 @@
-// Calls that a method of a handler answers.
+// Calls that a method of a handler answers. A call for a session that this server does not hold is
+// answered after the session was taken over from the store, and an answer that a session's
+// durability delays is sent when the store has what the answer tells.
 //
 // Confined to the thread of the call's loop, except that BackgroundCall runs its method on a
 // worker.
@@ -13,6 +15,7 @@
 #include "absl/status/status.h"
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
+#include "server/agent/durable_answer.h"
 #include "server/base/background_worker.h"
 #include "server/base/peer.h"
 #include "server/services/unary_call.h"
@@ -22,19 +25,27 @@ namespace spikeserve {
 // Calls `handler.*method` with the arguments that its form takes.
 template <typename Handler, typename Method, typename Request, typename Response>
 absl::Status Invoke(Handler& handler, Method method, const Credential& caller,
-                    const Request& request, Response* response, DeferredWork* deferred) {
+                    const Request& request, Response* response, DeferredWork* deferred,
+                    Commits* commits) {
   if constexpr (std::is_invocable_v<Method, Handler&, const Request&, Response*>) {
     return (handler.*method)(request, response);
   } else if constexpr (std::is_invocable_v<Method, Handler&, const Credential&, const Request&,
                                            Response*>) {
     return (handler.*method)(caller, request, response);
-  } else {
+  } else if constexpr (std::is_invocable_v<Method, Handler&, const Credential&, const Request&,
+                                           Response*, Commits*>) {
+    return (handler.*method)(caller, request, response, commits);
+  } else if constexpr (std::is_invocable_v<Method, Handler&, const Credential&, const Request&,
+                                           Response*, DeferredWork*>) {
     return (handler.*method)(caller, request, response, deferred);
+  } else {
+    return (handler.*method)(caller, request, response, deferred, commits);
   }
 }
 
-// Runs `Answer(caller, request, response, deferred)`, which returns a CallOutcome, on the loop. For
-// methods that are quick. `deferred` is work that the loop does after it has sent the answer.
+// Runs `Answer(caller, request, response, deferred, commits)`, which returns a CallOutcome, on the
+// loop. For methods that are quick. `deferred` is work that the loop does after it has sent the
+// answer.
 template <typename Request, typename Response, typename Answer>
 class InlineCall final : public UnaryCall<Request, Response> {
  public:
@@ -46,7 +57,8 @@ class InlineCall final : public UnaryCall<Request, Response> {
 
  private:
   void Handle() override {
-    this->End(answer_(this->caller(), this->request(), this->response(), deferred_));
+    this->EndWhenDurable(
+        answer_(this->caller(), this->request(), this->response(), deferred_, this->commits()));
   }
 
   DeferredWork* const deferred_;
@@ -72,16 +84,16 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
   void Handle() override {
     auto self = std::static_pointer_cast<BackgroundCall>(this->shared_from_this());
     if constexpr (kTakesPeer) peer_ = this->call()->peer();
-    const absl::Status status =
-        worker_.Submit(this->caller().tenant()->name(),
-                       [self = std::move(self), loop = &this->call()->loop()]() mutable {
-                         if (self->over_) {
-                           // Destroyed on the loop's thread, like every call.
-                           return loop->Post([self = std::move(self)] {});
-                         }
-                         const CallOutcome outcome = self->Compute();
-                         loop->Post([self = std::move(self), outcome] { self->End(outcome); });
-                       });
+    const absl::Status status = worker_.Submit(
+        this->caller().tenant()->name(),
+        [self = std::move(self), loop = &this->call()->loop()]() mutable {
+          if (self->over_) {
+            // Destroyed on the loop's thread, like every call.
+            return loop->Post([self = std::move(self)] {});
+          }
+          const CallOutcome outcome = self->Compute();
+          loop->Post([self = std::move(self), outcome] { self->EndWhenDurable(outcome); });
+        });
     // A caller that asks again at once is delayed, as after any other refusal.
     if (!status.ok()) this->End({status, absl::ResourceExhaustedError(status.message())});
   }
@@ -93,7 +105,7 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
     if constexpr (kTakesPeer) {
       return answer_(this->caller(), peer_, this->request(), this->response());
     } else {
-      return answer_(this->caller(), this->request(), this->response(), nullptr);
+      return answer_(this->caller(), this->request(), this->response(), nullptr, this->commits());
     }
   }
 

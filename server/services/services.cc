@@ -35,6 +35,13 @@ Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, co
 template <typename H, typename Request, typename Response>
 Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
                                                            Response*, DeferredWork*));
+template <typename H, typename Request, typename Response>
+Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
+                                                           Response*, Commits*) const);
+template <typename H, typename Request, typename Response>
+Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
+                                                           Response*, DeferredWork*, Commits*)
+                                           const);
 
 std::shared_ptr<CallHandler> Started(std::shared_ptr<ServiceCall> call) {
   call->Start();
@@ -53,7 +60,8 @@ Services::Services(const ServiceContext& context, const Handlers& handlers)
 
 void Services::Attach(Transport* transport) {
   for (const auto& loop : transport->loops()) {
-    loops_.push_back(std::make_unique<LoopServices>(&table_, handlers_.policy, loop.get()));
+    loops_.push_back(
+        std::make_unique<LoopServices>(&table_, handlers_.policy, context_.recovery, loop.get()));
   }
   for (const auto& services : loops_) services->Attach(loops_);
 }
@@ -64,8 +72,10 @@ void Services::AddInline(Method method, Handler* handler, HandlerMethod handler_
   using Request = typename Types::Request;
   using Response = typename Types::Response;
   const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
-                                                Response* response, DeferredWork* deferred) {
-    return CallOutcome(Invoke(*handler, handler_method, caller, request, response, deferred));
+                                                Response* response, DeferredWork* deferred,
+                                                Commits* commits) {
+    return CallOutcome(
+        Invoke(*handler, handler_method, caller, request, response, deferred, commits));
   };
   using AnswerType = decltype(answer);
   table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
@@ -82,8 +92,10 @@ void Services::AddBackground(Method method, Handler* handler, HandlerMethod hand
   using Request = typename Types::Request;
   using Response = typename Types::Response;
   const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
-                                                Response* response, DeferredWork* deferred) {
-    return CallOutcome(Invoke(*handler, handler_method, caller, request, response, deferred));
+                                                Response* response, DeferredWork* deferred,
+                                                Commits* commits) {
+    return CallOutcome(
+        Invoke(*handler, handler_method, caller, request, response, deferred, commits));
   };
   using AnswerType = decltype(answer);
   table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
@@ -105,7 +117,7 @@ void Services::AddAdmin(Method method, Handler* handler, HandlerMethod handler_m
                           const Credential& caller, const Peer& peer, const Request& request,
                           Response* response) {
     std::string before = audit->StateBefore(request);
-    auto status = Invoke(*handler, handler_method, caller, request, response, nullptr);
+    auto status = Invoke(*handler, handler_method, caller, request, response, nullptr, nullptr);
     audit->Record(method, caller, peer, request, std::move(before), status);
     return CallOutcome(std::move(status));
   };

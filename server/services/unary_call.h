@@ -5,13 +5,20 @@
 #define SERVER_SERVICES_UNARY_CALL_H_
 
 #include <cstddef>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "server/access/admission.h"
+#include "server/agent/durable_answer.h"
 #include "server/services/call_messages.h"
 #include "server/services/request_parser.h"
 #include "server/services/service_call.h"
+#include "server/services/stored_items.h"
 
 namespace spikeserve {
 
@@ -39,6 +46,32 @@ class UnaryCall : public ServiceCall {
   CallMessages<Request, Response>& messages() { return messages_; }
   const Request& request() { return *messages_.request(); }
   Response* response() { return messages_.response(); }
+
+  // Gathers what the answer must wait for.
+  Commits* commits() { return &commits_; }
+
+  // As End(), when the store has everything in commits(). If the outcome is that this server does
+  // not hold the request's session, takes it over from the store and calls Handle() again.
+  void EndWhenDurable(CallOutcome outcome) {
+    if (TryToRecover(outcome)) return;
+    ExplainMissing(request(), failures_, response());
+    const Commits commits = std::exchange(commits_, {});
+    if (commits.empty() || call() == nullptr) return End(outcome);
+    WhenDurable(commits, [self = Self(), loop = &call()->loop(), outcome,
+                          commits](const std::vector<absl::Status>& outcomes) mutable {
+      loop->Post([self = std::move(self), outcome, commits, outcomes]() mutable {
+        for (size_t i = 0; i < commits.size(); ++i) {
+          if (outcomes[i].ok()) continue;
+          if (commits[i].item >= 0) {
+            FailItem(commits[i].item, outcomes[i], self->response());
+          } else {
+            outcome = outcomes[i];
+          }
+        }
+        self->EndWhenDurable(outcome);
+      });
+    });
+  }
 
   // Sends the response and the status of `outcome`, after a delay if the call was refused.
   void End(const CallOutcome& outcome) {
@@ -77,7 +110,49 @@ class UnaryCall : public ServiceCall {
     End(error);
   }
 
+  std::shared_ptr<UnaryCall> Self() {
+    return std::static_pointer_cast<UnaryCall>(this->shared_from_this());
+  }
+
+  // Returns true if the call goes on when the store has answered.
+  bool TryToRecover(const CallOutcome& outcome) {
+    if (context().recovery == nullptr || call() == nullptr || recovered_) return false;
+    const auto missing = MissingSessions(request(), *response(), outcome.status);
+    if (missing.empty()) return false;
+    recovered_ = true;
+    missing_ = missing.size();
+    const auto post = [loop = &call()->loop()](std::function<void()> work) {
+      loop->Post(std::move(work));
+    };
+    for (const std::string& id : missing) {
+      context().recovery->Recover(caller(), id, post,
+                                  [self = Self(), id, outcome](const absl::Status& status) {
+                                    self->OnRecovered(id, status, outcome);
+                                  });
+    }
+    return true;
+  }
+
+  void OnRecovered(const std::string& id, const absl::Status& status, const CallOutcome& outcome) {
+    const bool failed = !status.ok() && !absl::IsNotFound(status);
+    if (failed) failures_.emplace(id, status);
+    if (--missing_ > 0) return;
+    if (call() == nullptr) return End(outcome);
+    if (NamesSession<Request> && !status.ok()) return End(failed ? CallOutcome(status) : outcome);
+    HandleAgain();
+  }
+
+  void HandleAgain() {
+    response()->Clear();
+    commits_.clear();
+    Handle();
+  }
+
   CallMessages<Request, Response> messages_;
+  Commits commits_;
+  bool recovered_ = false;  // the missing sessions were looked for in the store
+  size_t missing_ = 0;      // sessions that are being looked for
+  std::map<std::string, absl::Status> failures_;  // why sessions could not be taken over
   absl::Duration start_;
   size_t request_bytes_ = 0;
   bool received_ = false;

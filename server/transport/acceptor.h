@@ -10,9 +10,9 @@
 
 #include "absl/status/status.h"
 #include "server/access/tls_context.h"
+#include "server/base/file_descriptor.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
-#include "server/transport/file_descriptor.h"
 #include "server/transport/limits.h"
 #include "server/transport/stranger_queue.h"
 #include "server/transport/transport_loop.h"

@@ -28,7 +28,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
-#include "server/transport/file_descriptor.h"
+#include "server/base/file_descriptor.h"
 
 namespace spikeserve {
 

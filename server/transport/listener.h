@@ -9,7 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "server/base/address.h"
-#include "server/transport/file_descriptor.h"
+#include "server/base/file_descriptor.h"
 
 namespace spikeserve {
 

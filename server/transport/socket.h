@@ -10,7 +10,7 @@
 
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
-#include "server/transport/file_descriptor.h"
+#include "server/base/file_descriptor.h"
 
 struct ssl_ctx_st;  // OpenSSL's SSL_CTX
 

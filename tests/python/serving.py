@@ -26,10 +26,10 @@ class Addresses(typing.NamedTuple):
 
 
 @contextlib.contextmanager
-def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=()):
+def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=(), status=0):
     """Starts a server with the policies of a folder and yields its Addresses.
 
-    Asserts that SIGTERM ends the server with status 0. The server logs to `log`, an open file; None: to stderr. The
+    Asserts that the server ends with `status` at the latest at the SIGTERM that follows; -9 after it was killed. The server logs to `log`, an open file; None: to stderr. The
     variable SPIKESERVE_SERVER_FLAGS holds flags of every server. Of a flag that is repeated, the last one counts.
     `prefix` is a command that runs the server in its own process, such as prlimit.
     """
@@ -59,7 +59,7 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=()):
         http = "" if "--http_listen=" in flags else None
         yield Addresses(announced("gRPC"), announced("HTTP") if http is None else http, server)
         server.terminate()
-        assert server.wait(timeout=DEADLINE_SECONDS) == 0
+        assert server.wait(timeout=DEADLINE_SECONDS) == status
     finally:
         server.kill()
         server.wait()

@@ -1,6 +1,6 @@
 // Owns a file descriptor.
-#ifndef SERVER_TRANSPORT_FILE_DESCRIPTOR_H_
-#define SERVER_TRANSPORT_FILE_DESCRIPTOR_H_
+#ifndef SERVER_BASE_FILE_DESCRIPTOR_H_
+#define SERVER_BASE_FILE_DESCRIPTOR_H_
 
 #include <unistd.h>
 
@@ -33,4 +33,4 @@ class FileDescriptor {
 
 }  // namespace spikeserve
 
-#endif  // SERVER_TRANSPORT_FILE_DESCRIPTOR_H_
+#endif  // SERVER_BASE_FILE_DESCRIPTOR_H_

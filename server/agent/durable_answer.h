@@ -1,0 +1,44 @@
+// What an answer waits for before it is sent: the records of its sessions that the store must
+// acknowledge.
+//
+//   Commits commits;
+//   AddCommit(*entry, &commits);
+//   WhenDurable(commits, [](const std::vector<absl::Status>& outcomes) { ... });
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef SERVER_AGENT_DURABLE_ANSWER_H_
+#define SERVER_AGENT_DURABLE_ANSWER_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "absl/container/inlined_vector.h"
+#include "absl/status/status.h"
+#include "core/session/session_journal.h"
+#include "core/session/session_store.h"
+
+namespace spikeserve {
+
+// A position in the journal of a session.
+struct Commit {
+  std::shared_ptr<SessionJournal> journal;
+  uint64_t position = 0;
+  int item = -1;  // index of the item of a batch that waits; -1: the whole answer waits
+};
+// Empty, and without memory of its own, unless a session is stored.
+using Commits = absl::InlinedVector<Commit, 1>;
+
+// Adds what an answer about the session must wait for: everything that was written to its journal,
+// if its durability is SYNC. Call it under the session's lock, so that it is what the answer tells.
+void AddCommit(const SessionEntry& entry, Commits* commits, int item = -1);
+
+// Calls `done` once, on any thread, with the outcome of each of `commits`; see
+// SessionJournal::WhenDurable().
+void WhenDurable(const Commits& commits,
+                 std::function<void(const std::vector<absl::Status>& outcomes)> done);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_AGENT_DURABLE_ANSWER_H_

@@ -1,0 +1,102 @@
+#include "server/agent/session_recovery.h"
+
+#include <memory>
+
+#include "absl/strings/str_cat.h"
+#include "core/session/journal_entry.h"
+#include "core/session/session_journal.h"
+#include "server/base/log.h"
+
+namespace spikeserve {
+namespace {
+
+// Finds the version that the session was opened on. UNAVAILABLE unless this server has it.
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindPolicy(const SessionOptions& options,
+                                                               const PolicyRegistry& registry) {
+  auto served = registry.catalog()->Find(options.policy, options.version);
+  if (served.ok() && (*served)->sha256 == options.policy_sha256) return served;
+  return absl::UnavailableError(absl::StrCat(
+      "session_id: expected a session whose policy this server has, received one of ",
+      options.policy, " version ", options.version,
+      served.ok() ? ", whose file is another one here" : ", which is not served here"));
+}
+
+}  // namespace
+
+bool IsDrawnSessionId(absl::string_view id) {
+  return id.size() == 32 && id.find_first_not_of("0123456789abcdef") == absl::string_view::npos;
+}
+
+void SessionRecovery::Recover(const Credential& caller, const std::string& id, const Post& post,
+                              Done done) {
+  if (!IsDrawnSessionId(id)) return done(NoSuchSession(id));
+  const Key key = {caller.tenant()->name(), id};
+  bool is_first = false;
+  bool is_here = false;
+  {
+    absl::MutexLock lock(&mutex_);
+    is_first = !claims_.contains(key);
+    // A claim is removed after its session was added. Therefore a session that is neither here nor
+    // being claimed is in the store.
+    is_here = is_first && sessions_.Find(id, key.first).ok();
+    if (!is_here) claims_[key].push_back({post, std::move(done)});
+  }
+  if (is_here) return done(absl::OkStatus());
+  if (!is_first) return;
+  const std::shared_ptr<SessionQuota> quota = caller.tenant();
+  journals_.Claim(id, key.first, [=, this](absl::StatusOr<ClaimedJournal> result) {
+    const auto claimed = std::make_shared<absl::StatusOr<ClaimedJournal>>(std::move(result));
+    post([=, this] { Finish(key, Restore(key, quota, std::move(*claimed))); });
+  });
+}
+
+absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
+                                      absl::StatusOr<ClaimedJournal> claimed) {
+  if (!claimed.ok()) return claimed.status();
+  auto journal = ParseJournal(claimed->records);
+  if (!journal.ok()) return journal.status();
+  const SessionOptions options = journal->snapshot.options;
+  if (journal->snapshot.id != key.second || options.tenant != key.first ||
+      options.durability == Durability::kNone) {
+    return absl::DataLossError("journal: expected the session's own, received another one");
+  }
+  auto served = FindPolicy(options, registry_);
+  if (!served.ok()) return served.status();
+  auto session = RestoreSession(*std::move(journal), (*served)->policy());
+  if (!session.ok()) return session.status();
+
+  SessionExtras extras;
+  extras.quota = std::move(quota);
+  extras.journal = std::make_shared<SessionJournal>(
+      SessionJournal::Key{.id = key.second, .tenant = key.first, .epoch = claimed->epoch},
+      options.durability, session->decisions, &journals_);
+  if (recordings_ != nullptr && !options.recording.empty()) {
+    extras.recorder = recordings_->Record(*served, options.recording);
+  }
+  return sessions_.Restore(*served, *std::move(session), std::move(extras));
+}
+
+void SessionRecovery::Finish(const Key& key, const absl::Status& status) {
+  if (absl::IsDataLoss(status)) {
+    LogError("session not restored", {{"session", key.second}, {"error", status.message()}});
+  }
+  std::vector<Waiter> waiters;
+  {
+    absl::MutexLock lock(&mutex_);
+    const auto claim = claims_.find(key);
+    waiters = std::move(claim->second);
+    claims_.erase(claim);
+  }
+  for (Waiter& waiter : waiters) {
+    // Moved, because `done` may hold a call, which must be destroyed on the thread of its loop.
+    waiter.post([done = std::move(waiter.done), status] { done(status); });
+  }
+}
+
+void SessionRecovery::ForgetWaiters() {
+  std::map<Key, std::vector<Waiter>> claims;  // destroyed outside the lock
+  absl::MutexLock lock(&mutex_);
+  claims.swap(claims_);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,76 @@
+// Takes over sessions that this server does not hold from the store: after a restart, or from
+// another server.
+//
+// Thread-safe.
+#ifndef SERVER_AGENT_SESSION_RECOVERY_H_
+#define SERVER_AGENT_SESSION_RECOVERY_H_
+
+#include <functional>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "absl/synchronization/mutex.h"
+#include "core/base/clock.h"
+#include "core/session/session_store.h"
+#include "server/access/authenticator.h"
+#include "server/agent/recordings.h"
+#include "server/policies/policy_registry.h"
+#include "server/store/journal_store.h"
+
+namespace spikeserve {
+
+// Returns true if `id` has the form of an id that NewSessionId() draws: 32 hexadecimal digits in
+// lower case. Only such sessions are stored.
+bool IsDrawnSessionId(absl::string_view id);
+
+class SessionRecovery {
+ public:
+  // Runs work on the thread of the caller's event loop.
+  using Post = std::function<void(std::function<void()>)>;
+  using Done = std::function<void(const absl::Status&)>;
+
+  // All must outlive the object; `recordings` may be null.
+  SessionRecovery(JournalStore* journals, const PolicyRegistry* registry, SessionStore* sessions,
+                  Recordings* recordings)
+      : journals_(*journals), registry_(*registry), sessions_(*sessions), recordings_(recordings) {}
+
+  // Claims session `id` of the caller's tenant, restores it and adds it to the sessions of this
+  // server. Calls `done` by `post`: with OK if the server holds the session now, NOT_FOUND if the
+  // store has no such session, UNAVAILABLE if the store cannot be reached or this server does not
+  // have the session's policy, DATA_LOSS if its journal is damaged, or an error of
+  // SessionStore::Restore().
+  void Recover(const Credential& caller, const std::string& id, const Post& post, Done done)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // Forgets the callers that still wait. For the end of the server, when the event loops have
+  // stopped and `done` would not be called any more.
+  void ForgetWaiters() ABSL_LOCKS_EXCLUDED(mutex_);
+
+ private:
+  using Key = std::pair<std::string, std::string>;  // tenant and session
+  struct Waiter {
+    Post post;
+    Done done;
+  };
+
+  absl::Status Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
+                       absl::StatusOr<ClaimedJournal> claimed);
+  void Finish(const Key& key, const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  JournalStore& journals_;
+  const PolicyRegistry& registry_;
+  SessionStore& sessions_;
+  Recordings* const recordings_;
+
+  absl::Mutex mutex_;
+  std::map<Key, std::vector<Waiter>> claims_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_AGENT_SESSION_RECOVERY_H_

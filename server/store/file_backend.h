@@ -1,0 +1,29 @@
+// Keeps journals in a folder of this machine, so that sessions survive a restart, a crash and a
+// power cut. Uses LMDB. What was written together is on the disk when Write() returns.
+//
+// Not thread-safe.
+#ifndef SERVER_STORE_FILE_BACKEND_H_
+#define SERVER_STORE_FILE_BACKEND_H_
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "server/store/journal_backend.h"
+
+namespace spikeserve {
+
+// Opens the store in `directory`, which is created if it does not exist, and removes the sessions
+// that nothing was written to for `retention`. `now` returns the time of day. INVALID_ARGUMENT if
+// the folder cannot be used, or if another server uses it.
+absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(
+    const std::string& directory, absl::Duration retention,
+    std::function<absl::Time()> now = absl::Now);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_STORE_FILE_BACKEND_H_

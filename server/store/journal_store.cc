@@ -1,0 +1,231 @@
+#include "server/store/journal_store.h"
+
+#include <algorithm>
+#include <iterator>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/session/session_journal.h"
+#include "server/base/log.h"
+#include "server/base/retry_delay.h"
+
+namespace spikeserve {
+namespace {
+
+// Records that no answer waits for gather for this time, or up to this number.
+constexpr absl::Duration kGatherTime = absl::Milliseconds(2);
+constexpr size_t kGatherRecords = 64;
+
+// The largest number of records that are written together.
+constexpr size_t kMostRecords = 512;
+
+constexpr absl::Duration kFirstRetry = absl::Milliseconds(20);
+constexpr absl::Duration kLongestRetry = absl::Seconds(1);
+
+prometheus::Counter& Count(prometheus::Registry* registry, const char* name, const char* help,
+                           const char* outcome) {
+  return prometheus::BuildCounter().Name(name).Help(help).Register(*registry).Add(
+      {{"outcome", outcome}});
+}
+
+constexpr char kRecords[] = "spikeserve_store_records_total";
+constexpr char kRecordsHelp[] =
+    "Records of session journals that the store has written, or refused because another server "
+    "owns the session.";
+constexpr char kClaims[] = "spikeserve_store_claims_total";
+constexpr char kClaimsHelp[] = "Sessions that this server took over from the store.";
+
+}  // namespace
+
+JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock* clock,
+                           prometheus::Registry* registry)
+    : backend_(std::move(backend)),
+      clock_(clock),
+      written_(Count(registry, kRecords, kRecordsHelp, "written")),
+      refused_(Count(registry, kRecords, kRecordsHelp, "refused")),
+      acknowledgement_(
+          prometheus::BuildHistogram()
+              .Name("spikeserve_store_acknowledgement_seconds")
+              .Help("Time from a decision to the store's acknowledgement of its record.")
+              .Register(*registry)
+              .Add({}, prometheus::Histogram::BucketBoundaries{1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3,
+                                                               5e-3, 1e-2, 2.5e-2, 0.1, 0.25, 1.0,
+                                                               2.5, 10.0})),
+      backlog_gauge_(prometheus::BuildGauge()
+                         .Name("spikeserve_store_backlog_bytes")
+                         .Help("Bytes of records that wait for the store.")
+                         .Register(*registry)
+                         .Add({})),
+      claimed_(Count(registry, kClaims, kClaimsHelp, "claimed")),
+      not_found_(Count(registry, kClaims, kClaimsHelp, "not_found")),
+      claims_failed_(Count(registry, kClaims, kClaimsHelp, "failed")),
+      reachable_gauge_(prometheus::BuildGauge()
+                           .Name("spikeserve_store_reachable")
+                           .Help("1 while the store answers, 0 while it does not.")
+                           .Register(*registry)
+                           .Add({})),
+      retry_delay_(kFirstRetry) {
+  reachable_gauge_.Set(1.0);
+  thread_ = std::thread([this] { Run(); });
+}
+
+JournalStore::~JournalStore() { Stop(absl::ZeroDuration()); }
+
+void JournalStore::Write(JournalRecord record) {
+  const absl::Duration now = clock_->Now();
+  backlog_bytes_.fetch_add(record.bytes.size(), std::memory_order_relaxed);
+  absl::MutexLock lock(&mutex_);
+  awaited_ += record.is_awaited ? 1 : 0;
+  queue_.records.push_back(std::move(record));
+  queue_.queued.push_back(now);
+}
+
+absl::Status JournalStore::CheckReachable() const {
+  if (reachable_.load(std::memory_order_acquire)) return absl::OkStatus();
+  return WithRetryDelay(absl::UnavailableError("session store: cannot be reached; try again"),
+                        kLongestRetry);
+}
+
+absl::Status JournalStore::CheckBacklog() const {
+  const size_t bytes = backlog_bytes_.load(std::memory_order_relaxed);
+  if (bytes < kMostBacklogBytes) return absl::OkStatus();
+  return WithRetryDelay(absl::UnavailableError(absl::StrCat(
+                            "session store: expected a backlog of less than ", kMostBacklogBytes,
+                            " bytes, received ", bytes, "; try again")),
+                        kLongestRetry);
+}
+
+void JournalStore::Claim(std::string id, std::string tenant, Claimed claimed) {
+  if (auto status = CheckReachable(); !status.ok()) return claimed(status);
+  absl::MutexLock lock(&mutex_);
+  queue_.claims.push_back({std::move(id), std::move(tenant), std::move(claimed)});
+}
+
+void JournalStore::Stop(absl::Duration timeout) {
+  if (!thread_.joinable()) return;
+  {
+    absl::MutexLock lock(&mutex_);
+    stopping_ = true;
+    stop_by_ = clock_->Now() + timeout;
+  }
+  thread_.join();
+}
+
+bool JournalStore::HasWork() const {
+  return !queue_.records.empty() || !queue_.claims.empty() || stopping_;
+}
+
+bool JournalStore::IsUrgent() const {
+  return awaited_ > 0 || queue_.records.size() >= kGatherRecords || !queue_.claims.empty() ||
+         stopping_;
+}
+
+JournalStore::Work JournalStore::Next() {
+  absl::MutexLock lock(&mutex_);
+  mutex_.Await(absl::Condition(this, &JournalStore::HasWork));
+  mutex_.AwaitWithTimeout(absl::Condition(this, &JournalStore::IsUrgent), kGatherTime);
+  Work work = std::exchange(queue_, {});
+  awaited_ = 0;
+  return work;
+}
+
+void JournalStore::Run() {
+  while (true) {
+    Work work = Next();
+    if (work.records.empty() && work.claims.empty()) return;  // stopped
+    const bool all_written = WriteRecords(&work);
+    RunClaims(std::exchange(work.claims, {}));
+    if (!all_written && !WaitToRetry(std::move(work))) return DropClaims();
+  }
+}
+
+void JournalStore::DropClaims() {
+  Work work;
+  {
+    absl::MutexLock lock(&mutex_);
+    work = std::exchange(queue_, {});
+  }
+  const absl::Status stopped = absl::UnavailableError("session store: stopped; try again");
+  for (ClaimRequest& request : work.claims) request.claimed(stopped);
+}
+
+bool JournalStore::WriteRecords(Work* work) {
+  size_t first = 0;
+  absl::Status failure;
+  while (first < work->records.size()) {
+    const auto batch = absl::MakeConstSpan(work->records).subspan(first, kMostRecords);
+    const auto outcomes = backend_->Write(batch);
+    failure = outcomes.status();
+    if (!failure.ok()) break;
+    SetReachable(absl::OkStatus());
+    const absl::Duration now = clock_->Now();
+    for (size_t i = 0; i < batch.size(); ++i) {
+      const JournalRecord& record = batch[i];
+      ((*outcomes)[i].ok() ? written_ : refused_).Increment();
+      acknowledgement_.Observe(absl::ToDoubleSeconds(now - work->queued[first + i]));
+      backlog_bytes_.fetch_sub(record.bytes.size(), std::memory_order_relaxed);
+      record.journal->OnWritten(record, (*outcomes)[i]);
+    }
+    first += batch.size();
+  }
+  backlog_gauge_.Set(static_cast<double>(backlog_bytes_.load(std::memory_order_relaxed)));
+  const auto done = static_cast<ptrdiff_t>(first);
+  work->records.erase(work->records.begin(), work->records.begin() + done);
+  work->queued.erase(work->queued.begin(), work->queued.begin() + done);
+  if (failure.ok()) return true;
+  SetReachable(failure);
+  return false;
+}
+
+void JournalStore::RunClaims(std::vector<ClaimRequest> claims) {
+  absl::Status reachable = CheckReachable();
+  for (ClaimRequest& request : claims) {
+    auto result = reachable.ok() ? backend_->Claim(request.id, request.tenant)
+                                 : absl::StatusOr<ClaimedJournal>(reachable);
+    if (result.ok()) {
+      claimed_.Increment();
+    } else if (absl::IsNotFound(result.status())) {
+      not_found_.Increment();
+    } else {
+      claims_failed_.Increment();
+      // One timeout is enough for all that wait.
+      if (absl::IsUnavailable(result.status())) reachable = result.status();
+    }
+    request.claimed(std::move(result));
+  }
+}
+
+void JournalStore::SetReachable(const absl::Status& status) {
+  const bool was_reachable = reachable_.exchange(status.ok(), std::memory_order_acq_rel);
+  reachable_gauge_.Set(status.ok() ? 1.0 : 0.0);
+  if (status.ok()) retry_delay_ = kFirstRetry;
+  if (was_reachable == status.ok()) return;
+  if (status.ok()) {
+    LogInfo("session store reached");
+  } else {
+    LogError("session store not reached; tries again", {{"error", status.message()}});
+  }
+}
+
+bool JournalStore::WaitToRetry(Work work) {
+  std::vector<std::shared_ptr<SessionJournal>> journals;
+  {
+    absl::MutexLock lock(&mutex_);
+    std::move(queue_.records.begin(), queue_.records.end(), std::back_inserter(work.records));
+    std::move(queue_.queued.begin(), queue_.queued.end(), std::back_inserter(work.queued));
+    queue_.records = std::move(work.records);
+    queue_.queued = std::move(work.queued);
+    for (const JournalRecord& record : queue_.records) journals.push_back(record.journal);
+  }
+  const absl::Status away = CheckReachable();
+  for (const auto& journal : journals) journal->OnUnreachable(away);
+  absl::MutexLock lock(&mutex_);
+  const auto gave_up = [this]() ABSL_SHARED_LOCKS_REQUIRED(mutex_) {
+    return stopping_ && clock_->Now() >= stop_by_;
+  };
+  mutex_.AwaitWithTimeout(absl::Condition(&gave_up), retry_delay_);
+  retry_delay_ = std::min(2 * retry_delay_, kLongestRetry);
+  return !gave_up();
+}
+
+}  // namespace spikeserve

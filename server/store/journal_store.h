@@ -1,0 +1,116 @@
+// Writes the journals of all sessions to a backend, on a thread of its own.
+//
+// Records gather while the thread writes the ones before, and are then written together. Neither a
+// decision nor an event loop waits for the backend: outcomes are reported to SessionJournal on this
+// thread. If the backend cannot be reached, the records stay in the queue and the thread tries
+// again after a growing delay.
+//
+// Thread-safe, except Stop().
+#ifndef SERVER_STORE_JOURNAL_STORE_H_
+#define SERVER_STORE_JOURNAL_STORE_H_
+
+#include <atomic>
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "core/base/clock.h"
+#include "core/session/journal_writer.h"
+#include "prometheus/counter.h"
+#include "prometheus/gauge.h"
+#include "prometheus/histogram.h"
+#include "prometheus/registry.h"
+#include "server/store/journal_backend.h"
+
+namespace spikeserve {
+
+class JournalStore final : public JournalWriter {
+ public:
+  // The largest number of bytes that wait to be written.
+  static constexpr size_t kMostBacklogBytes = size_t{64} << 20;
+
+  using Claimed = std::function<void(absl::StatusOr<ClaimedJournal>)>;
+
+  // Registers these metrics in `registry`, which must outlive the store, as must `clock`:
+  //   spikeserve_store_records_total{outcome}: written or refused
+  //   spikeserve_store_acknowledgement_seconds
+  //   spikeserve_store_backlog_bytes
+  //   spikeserve_store_claims_total{outcome}: claimed, not_found or failed
+  //   spikeserve_store_reachable
+  JournalStore(std::unique_ptr<JournalBackend> backend, const Clock* clock,
+               prometheus::Registry* registry);
+  ~JournalStore() override;
+
+  void Write(JournalRecord record) override;
+  absl::Status CheckReachable() const override;
+  absl::Status CheckBacklog() const override;
+
+  // Claims a session after all records that were written before this call. Calls `claimed` on the
+  // thread of the store, with the result of JournalBackend::Claim().
+  void Claim(std::string id, std::string tenant, Claimed claimed);
+
+  // Writes what waits, for at most `timeout`, and ends the thread. Records that are written later
+  // are dropped.
+  void Stop(absl::Duration timeout);
+
+ private:
+  struct ClaimRequest {
+    std::string id;
+    std::string tenant;
+    Claimed claimed;
+  };
+  struct Work {
+    std::vector<JournalRecord> records;
+    std::vector<absl::Duration> queued;  // when each of `records` was queued
+    std::vector<ClaimRequest> claims;
+  };
+
+  void Run();
+  // Waits for work. Returns none when the store stops and the queue is empty.
+  Work Next() ABSL_LOCKS_EXCLUDED(mutex_);
+  bool HasWork() const ABSL_SHARED_LOCKS_REQUIRED(mutex_);
+  bool IsUrgent() const ABSL_SHARED_LOCKS_REQUIRED(mutex_);
+  // Returns true if all records were written.
+  bool WriteRecords(Work* work);
+  void RunClaims(std::vector<ClaimRequest> claims);
+  // Refuses what waits when the store gives up.
+  void DropClaims() ABSL_LOCKS_EXCLUDED(mutex_);
+  void SetReachable(const absl::Status& status);
+  // Puts the records back to the front of the queue, tells those who wait for records that they
+  // wait in vain, and waits before the next try. Returns false if the store stops and gives up.
+  bool WaitToRetry(Work work) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  const std::unique_ptr<JournalBackend> backend_;
+  const Clock* const clock_;
+  prometheus::Counter& written_;
+  prometheus::Counter& refused_;
+  prometheus::Histogram& acknowledgement_;
+  prometheus::Gauge& backlog_gauge_;
+  prometheus::Counter& claimed_;
+  prometheus::Counter& not_found_;
+  prometheus::Counter& claims_failed_;
+  prometheus::Gauge& reachable_gauge_;
+
+  std::atomic<bool> reachable_ = true;
+  std::atomic<size_t> backlog_bytes_ = 0;
+  absl::Duration retry_delay_;  // of the thread
+
+  absl::Mutex mutex_;
+  Work queue_ ABSL_GUARDED_BY(mutex_);
+  size_t awaited_ ABSL_GUARDED_BY(mutex_) = 0;  // records in the queue that an answer waits for
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  absl::Duration stop_by_ ABSL_GUARDED_BY(mutex_);
+  std::thread thread_;  // declared last, because it uses the members above
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_STORE_JOURNAL_STORE_H_

@@ -1,0 +1,98 @@
+#include "server/store/lmdb.h"
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+MDB_val ToValue(absl::string_view bytes) {
+  return {bytes.size(), const_cast<char*>(bytes.data())};  // LMDB does not write through it
+}
+
+absl::string_view ToView(const MDB_val& value) {
+  return {static_cast<const char*>(value.mv_data), value.mv_size};
+}
+
+struct CursorCloser {
+  void operator()(MDB_cursor* cursor) const { mdb_cursor_close(cursor); }
+};
+
+}  // namespace
+
+absl::Status LmdbStatus(int error) {
+  if (error == 0) return absl::OkStatus();
+  return absl::UnavailableError(absl::StrCat("session store: ", mdb_strerror(error)));
+}
+
+absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes) {
+  MDB_env* raw = nullptr;
+  if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
+  LmdbEnvironment environment(raw);
+  for (const int error : {mdb_env_set_mapsize(raw, most_bytes), mdb_env_set_maxdbs(raw, 2),
+                          mdb_env_open(raw, directory.c_str(), MDB_NOTLS, 0600)}) {
+    if (auto status = LmdbStatus(error); !status.ok()) return status;
+  }
+  return environment;
+}
+
+absl::StatusOr<LmdbTransaction> LmdbTransaction::Begin(MDB_env* environment) {
+  MDB_txn* transaction = nullptr;
+  const int error = mdb_txn_begin(environment, nullptr, 0, &transaction);
+  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  return LmdbTransaction(transaction);
+}
+
+absl::StatusOr<MDB_dbi> LmdbTransaction::OpenTable(const char* name) {
+  MDB_dbi table = 0;
+  const int error = mdb_dbi_open(transaction_.get(), name, MDB_CREATE, &table);
+  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  return table;
+}
+
+absl::StatusOr<std::optional<absl::string_view>> LmdbTransaction::Get(MDB_dbi table,
+                                                                      absl::string_view key) {
+  MDB_val key_value = ToValue(key);
+  MDB_val value;
+  const int error = mdb_get(transaction_.get(), table, &key_value, &value);
+  if (error == MDB_NOTFOUND) return std::nullopt;
+  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  return ToView(value);
+}
+
+absl::Status LmdbTransaction::Put(MDB_dbi table, absl::string_view key, absl::string_view value) {
+  MDB_val key_value = ToValue(key);
+  MDB_val bytes = ToValue(value);
+  return LmdbStatus(mdb_put(transaction_.get(), table, &key_value, &bytes, 0));
+}
+
+absl::Status LmdbTransaction::Delete(MDB_dbi table, absl::string_view key) {
+  MDB_val key_value = ToValue(key);
+  const int error = mdb_del(transaction_.get(), table, &key_value, nullptr);
+  return error == MDB_NOTFOUND ? absl::OkStatus() : LmdbStatus(error);
+}
+
+absl::Status LmdbTransaction::Scan(
+    MDB_dbi table, absl::string_view prefix,
+    const std::function<void(absl::string_view key, absl::string_view value)>& visit) {
+  MDB_cursor* raw = nullptr;
+  if (auto status = LmdbStatus(mdb_cursor_open(transaction_.get(), table, &raw)); !status.ok()) {
+    return status;
+  }
+  const std::unique_ptr<MDB_cursor, CursorCloser> cursor(raw);
+  MDB_val key = ToValue(prefix);
+  MDB_val value;
+  // An empty prefix is no key that LMDB can look for.
+  int error = mdb_cursor_get(raw, &key, &value, prefix.empty() ? MDB_FIRST : MDB_SET_RANGE);
+  for (; error == 0 && absl::StartsWith(ToView(key), prefix);
+       error = mdb_cursor_get(raw, &key, &value, MDB_NEXT)) {
+    visit(ToView(key), ToView(value));
+  }
+  return error == MDB_NOTFOUND ? absl::OkStatus() : LmdbStatus(error);
+}
+
+absl::Status LmdbTransaction::Commit() {
+  return LmdbStatus(mdb_txn_commit(transaction_.release()));
+}
+
+}  // namespace spikeserve

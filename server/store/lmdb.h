@@ -1,0 +1,69 @@
+// Wraps LMDB, an embedded store that survives crashes: owners of its handles, and errors as
+// statuses.
+//
+//   auto transaction = LmdbTransaction::Begin(environment.get());
+//   auto status = transaction->Put(table, key, value);
+//   if (status.ok()) status = transaction->Commit();
+//
+// Not thread-safe: one thread uses an environment and its transactions.
+#ifndef SERVER_STORE_LMDB_H_
+#define SERVER_STORE_LMDB_H_
+
+#include <lmdb.h>
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+
+namespace spikeserve {
+
+struct LmdbCloser {
+  void operator()(MDB_env* environment) const { mdb_env_close(environment); }
+};
+using LmdbEnvironment = std::unique_ptr<MDB_env, LmdbCloser>;
+
+// Returns OK for 0, and otherwise UNAVAILABLE with LMDB's description of the error.
+absl::Status LmdbStatus(int error);
+
+// Opens the environment in `directory`, which exists. It may grow to `most_bytes` and have two
+// named tables.
+absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes);
+
+// A transaction that is rolled back unless Commit() is called.
+class LmdbTransaction {
+ public:
+  static absl::StatusOr<LmdbTransaction> Begin(MDB_env* environment);
+
+  // Opens a table, and creates it if it does not exist.
+  absl::StatusOr<MDB_dbi> OpenTable(const char* name);
+
+  // Returns nullopt if there is no such key. The view is valid until the next write.
+  absl::StatusOr<std::optional<absl::string_view>> Get(MDB_dbi table, absl::string_view key);
+  absl::Status Put(MDB_dbi table, absl::string_view key, absl::string_view value);
+  // Does nothing if there is no such key.
+  absl::Status Delete(MDB_dbi table, absl::string_view key);
+  // Calls `visit` for the keys that begin with `prefix`, in ascending order. It must not write.
+  absl::Status Scan(
+      MDB_dbi table, absl::string_view prefix,
+      const std::function<void(absl::string_view key, absl::string_view value)>& visit);
+
+  // Returns when the changes are on the disk.
+  absl::Status Commit();
+
+ private:
+  struct Aborter {
+    void operator()(MDB_txn* transaction) const { mdb_txn_abort(transaction); }
+  };
+  explicit LmdbTransaction(MDB_txn* transaction) : transaction_(transaction) {}
+
+  std::unique_ptr<MDB_txn, Aborter> transaction_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_STORE_LMDB_H_

@@ -1,0 +1,43 @@
+// The options of the store that keeps sessions. Plain data, safe to read from many threads.
+#ifndef SERVER_STORE_STORE_OPTIONS_H_
+#define SERVER_STORE_STORE_OPTIONS_H_
+
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+
+namespace spikeserve {
+
+struct RedisAddress {
+  std::string host;
+  int port = 6379;
+  int database = 0;
+  std::string password = "";  // empty: none
+};
+
+// The parts of an address: memory, file:DIR, or redis://HOST[:PORT][/DATABASE].
+struct StoreAddress {
+  enum class Kind { kMemory, kFile, kRedis };
+
+  Kind kind = Kind::kMemory;
+  std::string folder = "";  // kFile only
+  RedisAddress redis = {};  // kRedis only, without its password
+};
+
+// Returns INVALID_ARGUMENT unless `text` is an address.
+absl::StatusOr<StoreAddress> ParseStoreAddress(const std::string& text);
+
+struct StoreOptions {
+  std::string address = "memory";
+  std::string password_file;                   // of Redis; empty: none
+  absl::Duration retention = absl::Hours(24);  // time that a session stays after its last use
+
+  // Returns INVALID_ARGUMENT, which names the flag, what was expected and what was received.
+  absl::Status Validate() const;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_STORE_STORE_OPTIONS_H_

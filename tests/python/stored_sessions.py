@@ -1,0 +1,159 @@
+"""Plays many sessions on a server with a store, and compares what it answers."""
+
+import contextlib
+import math
+import signal
+
+import grpc
+from serving import SHIPPED_POLICIES, Service, message_class, running_server
+
+SESSIONS = 64
+STEPS = 40
+EPISODES = 2
+DEADLINE_SECONDS = 60
+LEARNING = [
+    None,
+    None,
+    {"modulator": "target", "learning_rate": 0.05},
+    {"modulator": "realized", "learning_rate": 0.5},
+]
+
+
+def opening(i):
+    """Returns the request that opens session i: greedy, sampled, or learning by itself, on two policies."""
+    fields = {
+        "session_id": f"{i:032x}",
+        "policy": ["cartpole", "pendulum"][i % 2],
+        "version": 1 + i // 8 % 2,
+        "seed": i,
+        "durability": "SYNC",
+    }
+    kind = i // 2 % 4
+    if kind > 0:
+        fields |= {"action_selection": "SAMPLE", "temperature": 0.7}
+    if LEARNING[kind] is not None:
+        fields["learning"] = LEARNING[kind]
+    return fields
+
+
+def observation(i, t):
+    size = [4, 3][i % 2]
+    return [0.3 * math.sin(0.7 * t + i + k) for k in range(size)]
+
+
+def acting(i, episode, step):
+    t = episode * STEPS + step
+    return {
+        "session_id": f"{i:032x}",
+        "step": step,
+        "decision": t,
+        "observation": observation(i, t),
+        "reward": 0.1 * (t % 7),
+    }
+
+
+def ending(i, episode):
+    return {
+        "session_id": f"{i:032x}",
+        "reward": 1.0 + i,
+        "terminated": True,
+        "episode": episode,
+        "steps": STEPS,
+    }
+
+
+def comparable(response):
+    """Returns the bytes of an answer without what differs from run to run."""
+    copy = type(response)()
+    copy.CopyFrom(response)
+    copy.stats.ClearField("compute_seconds")
+    copy.ClearField("durable_decision")
+    return copy.SerializeToString(deterministic=True)
+
+
+class Restartable:
+    """A server that can be killed and started again on the same store."""
+
+    def __init__(self, store, flags=(), policies=SHIPPED_POLICIES):
+        self.flags = [f"--session_store={store}", *flags]
+        self.policies = policies
+        self.stack = contextlib.ExitStack()
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *error):
+        self.stack.close()
+
+    def start(self):
+        self.addresses = self.stack.enter_context(
+            running_server(self.policies, flags=self.flags, status=-signal.SIGKILL)
+        )
+        self.channel = self.stack.enter_context(grpc.insecure_channel(self.addresses.grpc))
+        self.service = Service(self.channel, "spikeserve.v1.PolicyService")
+
+    def kill(self):
+        self.addresses.process.kill()
+        self.addresses.process.wait()
+
+    def restart(self):
+        self.kill()
+        self.stack.close()
+        self.start()
+
+    def __getattr__(self, name):
+        return getattr(self.service, name)
+
+    def close(self):
+        self.kill()
+
+
+def play(service, disturb=lambda episode, step: None, batch=None):
+    """Plays all sessions and returns everything that the server answered, by session."""
+    batch = batch or (lambda requests: service().ActBatch(requests=requests))
+    answers = {i: [] for i in range(SESSIONS)}
+    for i in range(SESSIONS):
+        service().OpenSession(**opening(i))
+    for episode in range(EPISODES):
+        for step in range(STEPS):
+            disturb(episode, step)
+            response = batch([acting(i, episode, step) for i in range(SESSIONS)])
+            for i, result in enumerate(response.results):
+                assert result.code == 0, result
+                answers[i].append(comparable(result.response))
+        for i in range(SESSIONS):
+            ended = service().EndEpisode(**ending(i, episode))
+            answers[i].append(ended.SerializeToString(deterministic=True))
+    for i in range(SESSIONS):
+        view = service().GetSession(session_id=f"{i:032x}", include_head_delta=True)
+        answers[i].append(view.SerializeToString(deterministic=True))
+    return answers
+
+
+def undisturbed_play():
+    """Plays all sessions on a server without a store."""
+    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+
+        class Forgetful:
+            """Asks for no durability, because the server has no store."""
+
+            def __getattr__(self, name):
+                return getattr(service, name)
+
+            def OpenSession(self, **fields):
+                return service.OpenSession(**(fields | {"durability": "NONE"}))
+
+        return play(Forgetful)
+
+
+def expected_decision(channel, error):
+    """Returns the decision that the details of an error name."""
+    trailers = dict(error.trailing_metadata())
+    status = message_class(channel, "google.rpc.Status")
+    [detail] = status.FromString(trailers["grpc-status-details-bin"]).details
+    info = message_class(channel, "google.rpc.ErrorInfo")()
+    assert detail.Unpack(info)
+    assert (info.reason, info.domain) == ("OUT_OF_ORDER", "spikeserve")
+    return int(info.metadata["expected_decision"])

@@ -1,0 +1,238 @@
+"""Sessions survive their server: after kill -9 they go on, and decide what they would have decided without it."""
+
+import secrets
+import shutil
+
+import grpc
+import pytest
+from security import OBSERVATION, code_of, service_with
+from serving import SHIPPED_POLICIES, Service, message_class
+from stored_sessions import (
+    DEADLINE_SECONDS,
+    Restartable,
+    acting,
+    comparable,
+    ending,
+    expected_decision,
+    opening,
+    play,
+    undisturbed_play,
+)
+
+
+@pytest.fixture
+def server(tmp_path):
+    with Restartable(f"file:{tmp_path}/store") as started:
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def undisturbed():
+    return undisturbed_play()
+
+
+def test_killed_between_decisions(server, undisturbed):
+    """The server is killed in the first episodes, at a snapshot, between episodes and in the second episodes."""
+    kills = {(0, 1), (0, 16), (0, 29), (1, 0), (1, 20)}
+
+    def disturb(episode, step):
+        if (episode, step) in kills:
+            server.restart()
+
+    assert play(lambda: server, disturb) == undisturbed
+
+
+def test_killed_while_it_decides(server, undisturbed):
+    """A batch that was under way when the server was killed is sent again. Each decision is made once."""
+
+    def batch(requests):
+        if requests[0]["step"] % 13 != 5:
+            return server.ActBatch(requests=requests)
+        pool = server.channel
+        request_class = message_class(pool, "spikeserve.v1.ActBatchRequest")
+        response_class = message_class(pool, "spikeserve.v1.ActBatchResponse")
+        call = server.channel.unary_unary(
+            "/spikeserve.v1.PolicyService/ActBatch",
+            request_serializer=request_class.SerializeToString,
+            response_deserializer=response_class.FromString,
+        )
+        under_way = call.future(request_class(requests=requests), timeout=DEADLINE_SECONDS)
+        server.restart()
+        under_way.cancel()
+        return server.ActBatch(requests=requests)
+
+    assert play(lambda: server, batch=batch) == undisturbed
+
+
+def test_asynchronous_sessions_ask_for_what_was_lost(server):
+    """The client sends again what the store does not have, and gets the same answers."""
+    session = secrets.token_hex(16)
+    server.OpenSession(session_id=session, policy="cartpole", seed=5, durability="ASYNC")
+    requests = [acting(0, 0, step) | {"session_id": session} for step in range(200)]
+    answers = [server.Act(**request) for request in requests]
+    durable = answers[-1].durable_decision
+    server.restart()
+    with pytest.raises(grpc.RpcError) as error:
+        server.Act(**acting(0, 0, 201) | {"session_id": session, "decision": 201})
+    assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+    expected = expected_decision(server.channel, error.value)
+    assert durable <= expected <= 200
+    for step in range(expected, 200):
+        assert comparable(server.Act(**requests[step])) == comparable(answers[step])
+    assert server.GetSession(session_id=session).decisions == 200
+
+
+def test_everything_of_a_sync_session_is_durable_when_it_is_answered(server):
+    session = server.OpenSession(policy="cartpole", durability="SYNC").session_id
+    for step in range(40):
+        answer = server.Act(**acting(0, 0, step) | {"session_id": session})
+        assert answer.durable_decision == step + 1
+
+
+def test_opening_is_idempotent(server):
+    first = server.OpenSession(**opening(5)).SerializeToString()
+    assert server.OpenSession(**opening(5)).SerializeToString() == first
+    server.restart()
+    assert server.OpenSession(**opening(5)).SerializeToString() == first
+    with pytest.raises(grpc.RpcError) as error:
+        server.OpenSession(**opening(5) | {"seed": 6})
+    assert error.value.code() == grpc.StatusCode.ALREADY_EXISTS
+
+
+def test_a_closed_session_stays_closed(server):
+    session = server.OpenSession(policy="cartpole", durability="SYNC").session_id
+    server.restart()
+    server.CloseSession(session_id=session)
+    server.restart()
+    with pytest.raises(grpc.RpcError) as error:
+        server.GetSession(session_id=session)
+    assert error.value.code() == grpc.StatusCode.NOT_FOUND
+
+
+def test_levels(server):
+    def level(**fields):
+        return server.OpenSession(policy="cartpole", **fields).durability
+
+    none, asynchronous, sync = 1, 2, 3
+    sampled = {"action_selection": "SAMPLE"}
+    assert level() == asynchronous
+    assert level(durability="NONE") == none
+    assert level(learning={}, **sampled) == sync
+    assert level(learning={}, durability="ASYNC", **sampled) == asynchronous
+    assert level(learning={"scope": "FLEET"}, durability="NONE", **sampled) == sync
+    session = server.OpenSession(policy="cartpole", durability="NONE").session_id
+    server.restart()
+    with pytest.raises(grpc.RpcError) as error:
+        server.GetSession(session_id=session)
+    assert error.value.code() == grpc.StatusCode.NOT_FOUND
+
+
+def test_episodes_are_ended_once(server):
+    server.OpenSession(**opening(0))
+    for step in range(3):
+        server.Act(**acting(0, 0, step))
+    for wrong, message in [
+        ({"episode": 1, "steps": 3}, "episode: expected 0, received 1"),
+        ({"episode": 0, "steps": 2}, "steps: expected 3, received 2"),
+    ]:
+        with pytest.raises(grpc.RpcError) as error:
+            server.EndEpisode(**ending(0, 0) | wrong)
+        assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+        assert error.value.details() == message
+        assert expected_decision(server.channel, error.value) == 3
+    ended = server.EndEpisode(**ending(0, 0) | {"steps": 3}).SerializeToString()
+    server.restart()
+    assert server.EndEpisode(**ending(0, 0) | {"steps": 3}).SerializeToString() == ended
+    server.Act(**acting(0, 0, 0) | {"decision": 3})
+    # The late repetition of the first end must not end the second episode.
+    with pytest.raises(grpc.RpcError) as error:
+        server.EndEpisode(**ending(0, 0) | {"steps": 3})
+    assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+
+
+def test_step_5_of_another_episode_is_not_taken_for_this_one(server):
+    server.OpenSession(**opening(0))
+    for step in range(2):
+        server.Act(**acting(0, 0, step))
+    with pytest.raises(grpc.RpcError) as error:
+        server.Act(**acting(0, 0, 1) | {"decision": 7})
+    assert error.value.details() == "decision: expected 2, received 7"
+    response = server.ActBatch(requests=[acting(0, 0, 2) | {"decision": 9}])
+    assert response.results[0].code == grpc.StatusCode.FAILED_PRECONDITION.value[0]
+    assert response.results[0].expected_decision == 2
+
+
+def test_a_stream_goes_on_after_a_restart(server):
+    server.OpenSession(**opening(2))
+    request_class = message_class(server.channel, "spikeserve.v1.ActRequest")
+    response_class = message_class(server.channel, "spikeserve.v1.ActResponse")
+
+    def stream(steps):
+        call = server.channel.stream_stream(
+            "/spikeserve.v1.PolicyService/ActStream",
+            request_serializer=request_class.SerializeToString,
+            response_deserializer=response_class.FromString,
+        )
+        requests = (request_class(**acting(2, 0, step)) for step in steps)
+        return [(answer.step, answer.error.code) for answer in call(requests, timeout=DEADLINE_SECONDS)]
+
+    assert stream(range(3)) == [(0, 0), (1, 0), (2, 0)]
+    server.restart()
+    assert stream([2]) == [(2, 0)]
+    server.restart()
+    assert stream([3]) == [(3, 0)]
+
+
+def test_a_session_waits_for_its_policy(tmp_path):
+    """A server that has other weights for the version of a session does not decide for it."""
+    policies = tmp_path / "policies"
+    shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
+    with Restartable(f"file:{tmp_path}/store", policies=policies) as server:
+        server.OpenSession(**opening(0))
+        first = comparable(server.Act(**acting(0, 0, 0)))
+        file = policies / "cartpole" / "1" / "policy.safetensors"
+        kept = file.read_bytes()
+        file.write_bytes((policies / "cartpole" / "2" / "policy.safetensors").read_bytes())
+        server.restart()
+        with pytest.raises(grpc.RpcError) as error:
+            server.Act(**acting(0, 0, 1))
+        assert error.value.code() == grpc.StatusCode.UNAVAILABLE
+        assert "whose file is another one here" in error.value.details()
+        file.write_bytes(kept)
+        server.restart()
+        assert comparable(server.Act(**acting(0, 0, 0))) == first
+        server.close()
+
+
+def test_other_tenants_do_not_get_the_session(tmp_path, tokens):
+    with Restartable(f"file:{tmp_path}/store", flags=[f"--tokens={tokens}"]) as server:
+        with service_with(server.addresses, "agent") as ours:
+            session = ours.OpenSession(policy="cartpole", durability="SYNC").session_id
+            ours.Act(session_id=session, observation=OBSERVATION)
+        server.restart()
+        not_found = grpc.StatusCode.NOT_FOUND
+        with service_with(server.addresses, "rival") as theirs:
+            for call in (theirs.Act, theirs.GetSession, theirs.EndEpisode, theirs.CloseSession):
+                assert code_of(call, session_id=session) == not_found
+        with service_with(server.addresses, "agent") as ours:
+            assert ours.GetSession(session_id=session).decisions == 1
+        server.close()
+
+
+def test_without_a_store(address):
+    with grpc.insecure_channel(address) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        with pytest.raises(grpc.RpcError) as error:
+            service.OpenSession(policy="cartpole", durability="SYNC")
+        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert error.value.details() == (
+            "durability: expected NONE, because the server runs without --session_store, received SYNC"
+        )
+        with pytest.raises(grpc.RpcError) as error:
+            service.OpenSession(policy="cartpole", session_id="7")
+        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        opened = service.OpenSession(policy="cartpole", session_id="7" * 32)
+        assert (opened.session_id, opened.durability) == ("7" * 32, 1)
+        answer = service.Act(session_id="7" * 32, observation=[0.0] * 4)
+        assert answer.durable_decision == 0

@@ -1,0 +1,141 @@
+#include "server/store/file_backend.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "core/session/session_journal.h"
+#include "tests/support/temporary_directory.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using Kind = JournalRecord::Kind;
+
+constexpr char kId[] = "0123456789abcdef0123456789abcdef";
+constexpr char kOtherId[] = "0123456789abcdef0123456789abcdf0";
+
+class NoWriter final : public JournalWriter {
+  void Write(JournalRecord /*record*/) override {}
+  absl::Status CheckReachable() const override { return absl::OkStatus(); }
+  absl::Status CheckBacklog() const override { return absl::OkStatus(); }
+};
+
+class FileBackendTest : public ::testing::Test {
+ protected:
+  FileBackendTest() { Open(); }
+
+  void Open(absl::Duration retention = absl::Hours(1)) {
+    backend_ = nullptr;
+    auto opened = OpenFileBackend(Folder(), retention, [this] { return now_; });
+    ASSERT_TRUE(opened.ok()) << opened.status();
+    backend_ = *std::move(opened);
+  }
+
+  std::string Folder() const { return (folder_.path() / "store").string(); }
+
+  JournalRecord Record(Kind kind, const std::string& bytes, uint64_t decisions, uint64_t epoch = 1,
+                       const std::string& id = kId) {
+    return {.kind = kind,
+            .bytes = bytes,
+            .decisions = decisions,
+            .journal = std::make_shared<SessionJournal>(
+                SessionJournal::Key{.id = id, .tenant = "t", .epoch = epoch}, Durability::kSync,
+                /*decisions=*/0, &writer_)};
+  }
+
+  std::vector<absl::StatusCode> Write(const std::vector<JournalRecord>& records) {
+    const auto outcomes = backend_->Write(records);
+    EXPECT_TRUE(outcomes.ok()) << outcomes.status();
+    std::vector<absl::StatusCode> codes;
+    if (outcomes.ok()) {
+      for (const absl::Status& outcome : *outcomes) codes.push_back(outcome.code());
+    }
+    return codes;
+  }
+
+  std::vector<std::string> Claimed(const std::string& id = kId) {
+    const auto journal = backend_->Claim(id, "t");
+    EXPECT_TRUE(journal.ok()) << journal.status();
+    return journal.ok() ? journal->records : std::vector<std::string>();
+  }
+
+  static constexpr absl::StatusCode kOk = absl::StatusCode::kOk;
+  static constexpr absl::StatusCode kAborted = absl::StatusCode::kAborted;
+
+  TemporaryDirectory folder_;
+  absl::Time now_ = absl::FromUnixSeconds(1'000'000);
+  NoWriter writer_;
+  std::unique_ptr<JournalBackend> backend_;
+};
+
+TEST_F(FileBackendTest, RecordsSurviveAndComeBackInOrder) {
+  EXPECT_THAT(Write({Record(Kind::kOpen, "open", 0), Record(Kind::kEntry, "1", 1),
+                     Record(Kind::kOpen, "other", 0, 1, kOtherId), Record(Kind::kEntry, "2", 2)}),
+              ElementsAre(kOk, kOk, kOk, kOk));
+  Open();
+  EXPECT_THAT(Claimed(), ElementsAre("open", "1", "2"));
+  EXPECT_THAT(Claimed(kOtherId), ElementsAre("other"));
+}
+
+TEST_F(FileBackendTest, ASnapshotReplacesEverythingBefore) {
+  Write({Record(Kind::kOpen, "open", 0), Record(Kind::kEntry, "1", 1),
+         Record(Kind::kOpen, "other", 0, 1, kOtherId)});
+  // The end of an episode is written with the number of its last decision.
+  Write({Record(Kind::kSnapshot, "snapshot", 1), Record(Kind::kEntry, "300", 300)});
+  EXPECT_THAT(Claimed(), ElementsAre("snapshot", "300"));
+  EXPECT_THAT(Claimed(kOtherId), ElementsAre("other"));
+}
+
+TEST_F(FileBackendTest, AFormerOwnerIsRefused) {
+  Write({Record(Kind::kOpen, "open", 0)});
+  const auto claimed = backend_->Claim(kId, "t");
+  ASSERT_TRUE(claimed.ok()) << claimed.status();
+  EXPECT_EQ(claimed->epoch, 2u);
+  EXPECT_THAT(Write({Record(Kind::kEntry, "old", 1, 1), Record(Kind::kEntry, "new", 1, 2),
+                     Record(Kind::kSnapshot, "old", 2, 1), Record(Kind::kClose, "", 2, 1)}),
+              ElementsAre(kAborted, kOk, kAborted, kAborted));
+  EXPECT_THAT(Claimed(), ElementsAre("open", "new"));
+}
+
+TEST_F(FileBackendTest, AnIdIsOpenedOnceAndGoneAfterItsClose) {
+  EXPECT_THAT(Write({Record(Kind::kOpen, "a", 0), Record(Kind::kOpen, "b", 0)}),
+              ElementsAre(kOk, absl::StatusCode::kAlreadyExists));
+  EXPECT_THAT(Write({Record(Kind::kClose, "", 0), Record(Kind::kEntry, "late", 1)}),
+              ElementsAre(kOk, kAborted));
+  EXPECT_EQ(backend_->Claim(kId, "t").status().code(), absl::StatusCode::kNotFound);
+  EXPECT_THAT(Write({Record(Kind::kOpen, "c", 0)}), ElementsAre(kOk));
+  EXPECT_THAT(Claimed(), ElementsAre("c"));
+}
+
+TEST_F(FileBackendTest, OtherTenantsDoNotSeeTheSession) {
+  Write({Record(Kind::kOpen, "open", 0)});
+  EXPECT_EQ(backend_->Claim(kId, "other").status().code(), absl::StatusCode::kNotFound);
+  EXPECT_EQ(backend_->Claim(kId, "t")->epoch, 2u);
+}
+
+TEST_F(FileBackendTest, SessionsThatNothingWasWrittenToAreRemovedAtTheNextStart) {
+  Write({Record(Kind::kOpen, "old", 0), Record(Kind::kOpen, "used", 0, 1, kOtherId)});
+  now_ += absl::Minutes(40);
+  Write({Record(Kind::kEntry, "1", 1, 1, kOtherId)});
+  now_ += absl::Minutes(40);
+  Open();
+  EXPECT_EQ(backend_->Claim(kId, "t").status().code(), absl::StatusCode::kNotFound);
+  EXPECT_THAT(Claimed(kOtherId), ElementsAre("used", "1"));
+}
+
+TEST_F(FileBackendTest, TheFolderBelongsToOneServer) {
+  const auto second = OpenFileBackend(Folder(), absl::Hours(1));
+  ASSERT_FALSE(second.ok());
+  EXPECT_EQ(second.status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(second.status().message()), HasSubstr("no other server uses"));
+}
+
+TEST_F(FileBackendTest, AFileInThePlaceOfTheFolderIsRefused) {
+  const auto opened = OpenFileBackend(Folder() + "/data.mdb", absl::Hours(1));
+  EXPECT_EQ(opened.status().code(), absl::StatusCode::kInvalidArgument) << opened.status();
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,192 @@
+#include "server/store/journal_store.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <prometheus/text_serializer.h>
+
+#include <optional>
+
+#include "absl/synchronization/notification.h"
+#include "core/session/session_journal.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+constexpr absl::Duration kDeadline = absl::Seconds(30);
+
+// A backend that can be made unreachable.
+class FakeBackend final : public JournalBackend {
+ public:
+  absl::StatusOr<std::vector<absl::Status>> Write(
+      absl::Span<const JournalRecord> records) override {
+    absl::MutexLock lock(&mutex_);
+    ++tries_;
+    if (!status_.ok()) return status_;
+    std::vector<absl::Status> outcomes;
+    for (const JournalRecord& record : records) {
+      outcomes.push_back(outcome_);
+      written_.push_back(record.bytes);
+    }
+    return outcomes;
+  }
+
+  absl::StatusOr<ClaimedJournal> Claim(const std::string& id,
+                                       const std::string& /*tenant*/) override {
+    absl::MutexLock lock(&mutex_);
+    if (!status_.ok()) return status_;
+    if (id != "known") return absl::NotFoundError("unknown");
+    return ClaimedJournal{.epoch = 2, .records = written_};
+  }
+
+  void SetStatus(const absl::Status& status) {
+    absl::MutexLock lock(&mutex_);
+    status_ = status;
+  }
+  void SetOutcome(const absl::Status& outcome) {
+    absl::MutexLock lock(&mutex_);
+    outcome_ = outcome;
+  }
+  // Waits until Write() has been called `tries` times.
+  void AwaitTries(int tries) {
+    absl::MutexLock lock(&mutex_);
+    const auto reached = [&]() ABSL_SHARED_LOCKS_REQUIRED(mutex_) { return tries_ >= tries; };
+    ASSERT_TRUE(mutex_.AwaitWithTimeout(absl::Condition(&reached), kDeadline));
+  }
+  std::vector<std::string> written() {
+    absl::MutexLock lock(&mutex_);
+    return written_;
+  }
+
+ private:
+  absl::Mutex mutex_;
+  absl::Status status_ ABSL_GUARDED_BY(mutex_);
+  absl::Status outcome_ ABSL_GUARDED_BY(mutex_);
+  int tries_ ABSL_GUARDED_BY(mutex_) = 0;
+  std::vector<std::string> written_ ABSL_GUARDED_BY(mutex_);
+};
+
+class JournalStoreTest : public ::testing::Test {
+ protected:
+  JournalStoreTest() {
+    auto backend = std::make_unique<FakeBackend>();
+    backend_ = backend.get();
+    store_ = std::make_unique<JournalStore>(std::move(backend), &clock_, &registry_);
+    journal_ = std::make_shared<SessionJournal>(SessionJournal::Key{.id = "id", .tenant = ""},
+                                                Durability::kSync, /*decisions=*/0, store_.get());
+  }
+
+  void Write(const std::string& bytes, uint64_t position, bool is_awaited = true) {
+    store_->Write({.bytes = bytes,
+                   .decisions = position,
+                   .position = position,
+                   .is_awaited = is_awaited,
+                   .journal = journal_});
+  }
+
+  // Waits for the outcome of a position.
+  absl::Status Outcome(uint64_t position) {
+    absl::Notification done;
+    absl::Status outcome;
+    journal_->WhenDurable(position, [&](const absl::Status& status) {
+      outcome = status;
+      done.Notify();
+    });
+    EXPECT_TRUE(done.WaitForNotificationWithTimeout(kDeadline));
+    return outcome;
+  }
+
+  absl::StatusOr<ClaimedJournal> Claim(const std::string& id) {
+    absl::Notification done;
+    absl::StatusOr<ClaimedJournal> claimed;
+    store_->Claim(id, "", [&](absl::StatusOr<ClaimedJournal> result) {
+      claimed = std::move(result);
+      done.Notify();
+    });
+    EXPECT_TRUE(done.WaitForNotificationWithTimeout(kDeadline));
+    return claimed;
+  }
+
+  std::string Metrics() { return prometheus::TextSerializer().Serialize(registry_.Collect()); }
+
+  SteadyClock clock_;
+  prometheus::Registry registry_;
+  FakeBackend* backend_;
+  std::unique_ptr<JournalStore> store_;
+  std::shared_ptr<SessionJournal> journal_;
+};
+
+TEST_F(JournalStoreTest, RecordsAreWrittenInOrderAndAcknowledged) {
+  for (uint64_t i = 1; i <= 3; ++i) Write(std::string(1, static_cast<char>('a' + i)), i);
+  EXPECT_TRUE(Outcome(3).ok());
+  EXPECT_THAT(backend_->written(), ElementsAre("b", "c", "d"));
+  EXPECT_EQ(journal_->durable_decisions(), 3u);
+  EXPECT_THAT(Metrics(), HasSubstr("spikeserve_store_records_total{outcome=\"written\"} 3"));
+}
+
+TEST_F(JournalStoreTest, RecordsThatNoAnswerWaitsForAreWrittenToo) {
+  Write("a", 1, /*is_awaited=*/false);
+  EXPECT_TRUE(Outcome(1).ok());
+}
+
+TEST_F(JournalStoreTest, ARefusedRecordMakesTheCopyLost) {
+  backend_->SetOutcome(absl::AbortedError("epoch"));
+  Write("a", 1);
+  EXPECT_EQ(Outcome(1).code(), absl::StatusCode::kUnavailable);
+  EXPECT_TRUE(journal_->lost());
+  EXPECT_THAT(Metrics(), HasSubstr("spikeserve_store_records_total{outcome=\"refused\"} 1"));
+}
+
+TEST_F(JournalStoreTest, AClaimSeesWhatWasWrittenBefore) {
+  Write("a", 1, /*is_awaited=*/false);
+  const auto claimed = Claim("known");
+  ASSERT_TRUE(claimed.ok()) << claimed.status();
+  EXPECT_THAT(claimed->records, ElementsAre("a"));
+  EXPECT_EQ(Claim("unknown").status().code(), absl::StatusCode::kNotFound);
+}
+
+TEST_F(JournalStoreTest, WhatCannotBeWrittenIsWrittenLater) {
+  backend_->SetStatus(absl::UnavailableError("down"));
+  Write("a", 1);
+  EXPECT_EQ(Outcome(1).code(), absl::StatusCode::kUnavailable);
+  backend_->AwaitTries(2);
+  EXPECT_EQ(store_->CheckReachable().code(), absl::StatusCode::kUnavailable);
+  EXPECT_EQ(Claim("known").status().code(), absl::StatusCode::kUnavailable);
+  Write("b", 2);
+  backend_->AwaitTries(3);
+  EXPECT_THAT(backend_->written(), IsEmpty());
+  backend_->SetStatus(absl::OkStatus());
+  const absl::Duration end = clock_.Now() + kDeadline;
+  while (journal_->durable_decisions() < 2 && clock_.Now() < end) std::this_thread::yield();
+  EXPECT_TRUE(Outcome(2).ok());
+  EXPECT_THAT(backend_->written(), ElementsAre("a", "b"));
+  EXPECT_TRUE(store_->CheckReachable().ok());
+}
+
+TEST_F(JournalStoreTest, TheBacklogIsBounded) {
+  backend_->SetStatus(absl::UnavailableError("down"));
+  uint64_t position = 0;
+  const std::string large(1 << 20, 'x');
+  for (; store_->CheckBacklog().ok() && position < 1000; ++position) Write(large, position + 1);
+  EXPECT_EQ(position, 64u);
+  EXPECT_EQ(store_->CheckBacklog().code(), absl::StatusCode::kUnavailable);
+}
+
+TEST_F(JournalStoreTest, StoppingWritesWhatWaits) {
+  Write("a", 1, /*is_awaited=*/false);
+  store_->Stop(kDeadline);
+  EXPECT_THAT(backend_->written(), ElementsAre("a"));
+}
+
+TEST_F(JournalStoreTest, StoppingGivesUpAStoreThatIsAway) {
+  backend_->SetStatus(absl::UnavailableError("down"));
+  Write("a", 1);
+  store_->Stop(absl::ZeroDuration());
+  EXPECT_THAT(backend_->written(), IsEmpty());
+}
+
+}  // namespace
+}  // namespace spikeserve
