@@ -35,7 +35,8 @@ if ((${#missing[@]})); then
   echo "setup: installing ${missing[*]}"
   export DEBIAN_FRONTEND=noninteractive
   apt-get update -qq
-  # The tests need the programs prometheus, redis-server, haproxy and nginx. This policy keeps the packages from starting services.
+  # The tests need the programs prometheus, redis-server, haproxy and nginx. This policy keeps the packages from
+  # starting services.
   printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
   if [[ ! -e /usr/sbin/policy-rc.d ]]; then
     install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d
