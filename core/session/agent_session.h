@@ -70,9 +70,9 @@ class AgentSession {
     int64_t step = 0;
     absl::Span<const float> observation;
     double reward = 0.0;
-    std::optional<ReportedAction> executed = std::nullopt;
     // Number of the decision in the session, from 0; absent: `step` alone identifies the request.
     std::optional<uint64_t> decision = std::nullopt;
+    std::optional<ReportedAction> executed = std::nullopt;
     absl::StatusOr<const Answer*> answer = nullptr;  // what Act would return
     bool is_retry = false;                           // true: `answer` is the stored one
   };
