@@ -55,7 +55,7 @@ Json SeriesToJson(const prometheus::ClientMetric& metric, prometheus::MetricType
 // What a session is sorted by. Small, because there is one for every session up to the end of the
 // page.
 struct SortKey {
-  std::string text;
+  std::string text = {};
   double number = 0.0;
 };
 

@@ -123,7 +123,9 @@ TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
   EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
   const bool changed = GetParam().learning.rule == Rule::kPolicyGradient;
   const auto difference = (answered.session().learner->trace - steady.session().learner->trace);
-  if (changed) EXPECT_GT(difference.norm(), 0.0f);
+  if (changed) {
+    EXPECT_GT(difference.norm(), 0.0f);
+  }
   EXPECT_EQ(steady.session().learner->updates, answered.session().learner->updates);
 }
 

@@ -157,12 +157,6 @@ class Stats:
     attention_products: int
     horowitz_energy_joules: float
     unusual_observations: int  # elements of the observation far outside the training data
-    membrane_updates: int
-    coder_products: int
-    normalization_products: int
-    softmax_products: int
-    gate_products: int
-    energy_estimates: dict[str, float]  # joules by energy model
 
     @classmethod
     def from_wire(cls, message: Message) -> Stats:
@@ -172,8 +166,6 @@ class Stats:
         values["spikes_by_stage"] = {
             field.name: getattr(stages, field.name) for field in stages.DESCRIPTOR.fields
         }
-        estimates = message.energy_estimates
-        values["energy_estimates"] = {estimate.model: estimate.joules for estimate in estimates}
         return cls(**values)
 
 

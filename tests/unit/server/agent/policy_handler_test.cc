@@ -35,6 +35,16 @@ class PolicyHandlerTest : public ::testing::Test {
     return request;
   }
 
+  // Answers a batch in groups, as a call of ActBatch does.
+  void ActBatch(const v1::ActBatchRequest& batch, v1::ActBatchResponse* answers,
+                DeferredWork* deferred) {
+    ASSERT_TRUE(PolicyHandler::CheckBatch(batch).ok());
+    Commits commits;
+    for (int next = 0; next < batch.requests_size();) {
+      next = handler_.ActBatchGroup(*caller_, batch, next, answers, deferred, &commits);
+    }
+  }
+
   FakeClock clock_;
   std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
   const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
@@ -113,7 +123,7 @@ TEST_F(PolicyHandlerTest, ABatchEqualsOneAfterTheOther) {
     for (const auto& [i, step] : order) *batch.add_requests() = MakeRequest(batched[i], step);
     v1::ActBatchResponse answers;
     DeferredWork deferred;
-    ASSERT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+    ActBatch(batch, &answers, &deferred);
     deferred.Run();
     ASSERT_EQ(answers.results_size(), static_cast<int>(order.size()));
     for (int k = 0; k < answers.results_size(); ++k) {
@@ -135,13 +145,13 @@ TEST_F(PolicyHandlerTest, ABatchSaysWhetherAnItemWasOverTheLimit) {
   const auto over_the_limit = [&] {
     v1::ActBatchResponse answers;
     DeferredWork deferred;
-    EXPECT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+    ActBatch(batch, &answers, &deferred);
     return absl::c_count_if(answers.results(), [](const v1::ActResult& result) {
       return result.code() == static_cast<int>(absl::StatusCode::kResourceExhausted);
     });
   };
   EXPECT_EQ(over_the_limit(), 0) << "a wrong step is not a limit";
-  caller_->tenant()->SetLimits({.decisions_per_second = 1.0});
+  caller_->tenant()->SetLimits({.max_sessions = {}, .decisions_per_second = 1.0});
   EXPECT_EQ(over_the_limit(), 1);
 }
 
@@ -160,7 +170,7 @@ TEST_F(PolicyHandlerTest, BatchesOfTheSameSessionsDoNotWaitForEachOther) {
     for (int i = 0; i < 2000; ++i) {
       v1::ActBatchResponse answers;
       DeferredWork deferred;
-      ASSERT_TRUE(handler_.ActBatch(*caller_, batch, &answers, &deferred).ok());
+      ActBatch(batch, &answers, &deferred);
       deferred.Run();
       for (const v1::ActResult& result : answers.results()) ASSERT_TRUE(result.has_response());
     }
