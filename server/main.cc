@@ -57,8 +57,6 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("max_message_bytes", "BYTES", &options->max_message_bytes, "Largest gRPC request")
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
            "Time for calls in flight to finish at shutdown")
-      .AddSwitch("reflection_v1alpha", &options->reflection_v1alpha,
-                 "Serve reflection to old clients, too")
       .Add("log_format", EnumKind<LogFormat>(), &options->log_format, "Format of the log");
   AddLimitFlags(program, &options->transport_limits);
   program.Flags("Policies")
@@ -66,27 +64,31 @@ void AddFlags(Command program, ServerOptions* options) {
            "Policies: DIR/<policy>/<version>/policy.safetensors")
       .Add("poll_policies", "DURATION", &options->poll_policies,
            "Interval of checks for changed policies; 0: never")
-      .AddSwitch("allow_no_policies", &options->allow_no_policies,
-                 "Start although no policy can be served")
       .Add("policy_settings", "FILE", &options->policy_settings,
            "JSON file that stores the settings of operators")
       .Add("audit_log", "FILE", &options->audit_log,
-           "File to which the actions of operators are appended")
-      .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,
-           "What loading a version does to the default");
+           "File to which the actions of operators are appended");
   program.Flags("Sessions")
       .Add("session_ttl", "DURATION", &options->session_ttl, "Idle time that ends a session")
-      .Add("compact_after", "DURATION", &options->compact_after,
-           "Idle time after which a session frees memory")
       .Add("max_sessions", "N", &options->max_sessions, "Largest number of open sessions")
       .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions")
-      .Add("unusual_deviations", "K", &options->unusual_deviations,
-           "Deviations from the training data that make an observation unusual; 0: none")
       .Add("session_store", "STORE", &options->store.address,
-           "Where sessions survive: memory (nowhere), file:DIR or redis://HOST")
+           "Where sessions survive: memory, file:DIR or redis://HOST");
+  program.Flags("Advanced: policies and sessions")
+      .AddSwitch("allow_no_policies", &options->allow_no_policies,
+                 "Start although no policy can be served")
+      .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,
+           "What loading a version does to the default")
+      .AddSwitch("share_heads_across_tenants", &options->share_heads_across_tenants,
+                 "Fleet sessions of all tenants learn one head")
+      .AddSwitch("reflection_v1alpha", &options->reflection_v1alpha,
+                 "Serve reflection to old clients, too")
+      .Add("compact_after", "DURATION", &options->compact_after,
+           "Idle time after which a session frees memory")
+      .Add("unusual_deviations", "K", &options->unusual_deviations,
+           "Distance from the training data that counts as unusual; 0: none")
       .Add("durability", EnumKind<Durability>(), &options->durability,
-           "Durability of stored sessions that name none");
-  program.Flags("Advanced: store of sessions")
+           "Durability of stored sessions that name none")
       .Add("store_password_file", "FILE", &options->store.password_file, "Password of Redis")
       .Add("store_retention", "DURATION", &options->store.retention,
            "Time that the store keeps an unused session");
@@ -97,8 +99,6 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("tls_client_ca", "FILE", &options->tls.client_ca,
            "PEM authorities of required client certificates")
       .Add("tokens", "FILE", &options->tokens, "JSON file of bearer tokens, roles and limits")
-      .AddSwitch("share_heads_across_tenants", &options->share_heads_across_tenants,
-                 "Fleet sessions of all tenants learn one head")
       .AddSwitch("insecure_network", &options->insecure_network,
                  "Serve a network without TLS or without tokens");
 }

@@ -153,7 +153,7 @@ void AddAdaptCommand(Command program, const ServerFlags& server) {
       .Add("fleet", "N", &flags->fleet, "Concurrent learning sessions with --scope=fleet")
       .Add("temperature", "T", &flags->temperature,
            "Sampling temperature; default: 1 for continuous actions, else 4");
-  AddLearningFlags(learning, &flags->learning);
+  AddLearningFlags(command, &flags->learning);
   command.SetAction([flags, &server] { return RunAdaptation(*flags, server); });
 }
 

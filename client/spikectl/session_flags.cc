@@ -44,7 +44,8 @@ absl::Status ReadHeadDelta(const std::string& path, v1::OpenSessionRequest* requ
 
 }  // namespace
 
-void AddLearningFlags(FlagGroup& group, LearningFlags* flags) {
+void AddLearningFlags(Command command, LearningFlags* flags) {
+  FlagGroup group = command.Flags("Advanced: learning");
   group.Add("rule", EnumKind<Rule>(), &flags->rule, "Learning rule; default: policy_gradient")
       .Add("modulator", EnumKind<Modulator>(), &flags->modulator,
            "Return that modulates it; default: realized")
@@ -72,10 +73,9 @@ void AddSessionFlags(Command command, SessionFlags* flags) {
       .AddList("labels", "KEY=VALUE,...", &flags->labels, "Labels of the session")
       .Add("head_delta", "FILE", &flags->head_delta,
            "Head to start from: the JSON of admin head --weights")
-      .AddSwitch("record", &flags->record, "Have the server record it in its --record_dir");
-  FlagGroup learning = command.Flags("Learning");
-  learning.Add("learn", EnumKind<Scope>(), &flags->learn, "Head that learns; default: none");
-  AddLearningFlags(learning, &flags->learning);
+      .AddSwitch("record", &flags->record, "Have the server record it in its --record_dir")
+      .Add("learn", EnumKind<Scope>(), &flags->learn, "Head that learns; default: none");
+  AddLearningFlags(command, &flags->learning);
 }
 
 v1::LearningConfig ToProto(Scope scope, const LearningFlags& flags) {

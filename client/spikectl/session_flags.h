@@ -40,10 +40,10 @@ struct SessionFlags {
   bool record = false;
 };
 
-// Adds the flags of LearningFlags.
-void AddLearningFlags(FlagGroup& group, LearningFlags* flags);
+// Adds the flags of LearningFlags, under a heading that the manual describes.
+void AddLearningFlags(Command command, LearningFlags* flags);
 
-// Adds the flags of SessionFlags, those of the learning under a heading of their own.
+// Adds the flags of SessionFlags, those of the learning under headings of their own.
 void AddSessionFlags(Command command, SessionFlags* flags);
 
 // Returns the configuration of a session that learns with `flags`.

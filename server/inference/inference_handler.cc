@@ -1,7 +1,6 @@
 #include "server/inference/inference_handler.h"
 
 #include <map>
-#include <ranges>
 #include <utility>
 #include <vector>
 
@@ -180,7 +179,8 @@ absl::Status InferenceHandler::RepositoryModelLoad(
                    Quoted(request.model_name())));
   bool found = false;
   // The highest version first: it becomes the default of a policy that was not served.
-  for (const PolicyVersion& version : folders->versions | std::views::reverse) {
+  for (auto it = folders->versions.rbegin(); it != folders->versions.rend(); ++it) {
+    const PolicyVersion& version = *it;
     if (version.policy != request.model_name()) continue;
     if (!std::exchange(found, true)) status = absl::OkStatus();
     status.Update(registry_->LoadVersion(version).status());

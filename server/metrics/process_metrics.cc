@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <cstdint>
+#include <ctime>
 #include <filesystem>
 #include <fstream>
 #include <limits>
@@ -12,6 +13,7 @@
 #include <system_error>
 #include <vector>
 
+#include "absl/time/time.h"
 #include "prometheus/client_metric.h"
 #include "prometheus/metric_type.h"
 
@@ -76,15 +78,17 @@ std::vector<MetricFamily> CollectProcessMetrics() {
     families.push_back(Family(name, help, type, value));
   };
   if (const auto stat = ReadStat(); !stat.empty()) {
-    const double user_ticks = stat[14], system_ticks = stat[15], start_ticks = stat[22];
+    const double start_ticks = stat[22];
     const double resident_pages = stat[24];
     const auto ticks_per_second = static_cast<double>(sysconf(_SC_CLK_TCK));
-    add("process_cpu_seconds_total", "User and system CPU time.", MetricType::Counter,
-        (user_ticks + system_ticks) / ticks_per_second);
     add("process_resident_memory_bytes", "Resident memory size.", MetricType::Gauge,
         resident_pages * static_cast<double>(sysconf(_SC_PAGESIZE)));
     add("process_start_time_seconds", "Start time of the process since the Unix epoch.",
         MetricType::Gauge, BootSeconds() + start_ticks / ticks_per_second);
+  }
+  if (timespec used; clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &used) == 0) {
+    add("process_cpu_seconds_total", "User and system CPU time.", MetricType::Counter,
+        absl::ToDoubleSeconds(absl::DurationFromTimespec(used)));
   }
   if (const int64_t open = CountOpenFiles(); open > 0) {
     add("process_open_fds", "Open file descriptors.", MetricType::Gauge, static_cast<double>(open));

@@ -213,8 +213,9 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
   FirstRows first(order->descending, static_cast<size_t>(*offset + *limit));
   const auto visit = [&](const ListedSession& listed) {
     ++open;
-    absl::MutexLock lock(&listed.entry->mutex);
-    const AgentSession& agent = listed.entry->agent;
+    SessionEntry& entry = *listed.entry;
+    absl::MutexLock lock(&entry.mutex);
+    const AgentSession& agent = entry.agent;
     if (!Matches(listed, agent.session().options, filter)) return;
     ++matching;
     first.Add({.key = order->key(listed, agent), .session = listed});

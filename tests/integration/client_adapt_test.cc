@@ -67,7 +67,7 @@ TEST_F(SpikectlAdaptTest, SaysInOneLineWhatIsWrong) {
                      "--fleet: expected 1 to 1000, received 0");
   ExpectOneLineError(Adapt({"--rule=habit"}),
                      "--rule: expected policy_gradient or hebbian, received \"habit\"");
-  ExpectOneLineError(Adapt({"--learning_rate=-1"}), "learning.learning_rate: expected");
+  ExpectOneLineError(Adapt({"--learning_rate=-1"}), "--learning_rate: expected");
   ExpectOneLineError(Adapt({"--episodes=0"}), "--episodes: expected at least 1, received 0");
 }
 

@@ -81,6 +81,7 @@ TEST_F(PolicyFilesTest, Empty) { ExpectRefused(Write("bad", ""), "bytes"); }
 
 TEST_F(PolicyFilesTest, Missing) {
   fs::create_directories(policies_.path() / "bad/1");
+  std::ofstream(policies_.path() / "bad/1/notes.txt") << "an empty folder would be ignored";
   ExpectRefused((policies_.path() / "bad/1/policy.safetensors").string(), "no such file");
 }
 
@@ -138,6 +139,7 @@ TEST_F(PolicyFilesTest, NothingToServeStopsTheStartWithWhatToDo) {
                               ": expected <policy>/<version>/policy.safetensors"),
                     HasSubstr("the directory has no policies"), HasSubstr("--allow_no_policies")));
   fs::create_directories(empty.path() / "bad/1");
+  std::ofstream(empty.path() / "bad/1/notes.txt") << "an empty folder would be ignored";
   EXPECT_THAT(RefusedStart(empty.path()),
               HasSubstr((empty.path() / "bad/1/policy.safetensors").string()));
 }

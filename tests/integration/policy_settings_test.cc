@@ -74,7 +74,7 @@ TEST_F(PolicySettingsTest, SettingsOutliveTheServer) {
 TEST_F(PolicySettingsTest, AFileThatCannotBeWrittenStopsTheStart) {
   // Not even a superuser can create files in /proc.
   for (const std::string& path : {(kept_.path() / "no such folder" / "settings.json").string(),
-                                 std::string("/proc/settings.json")}) {
+                                  std::string("/proc/settings.json")}) {
     const auto server =
         ServerProcess::Start(policies_.path().string(), {"--policy_settings=" + path});
     ASSERT_FALSE(server.ok()) << path;

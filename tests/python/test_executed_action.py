@@ -187,5 +187,5 @@ def test_recordings_hold_it_and_replay_honours_it(server, client, tmp_path, samp
             capture_output=True,
         )
         content = out.read_bytes()
-        assert np.float32(0.7).astype(">f4").tobytes() in content
+        assert np.array(0.7, ">f4").tobytes() in content
         assert b"answered_actions" in content

@@ -324,6 +324,8 @@ def test_a_fleets_head_follows_the_equations(policies, policy_service, admin, po
     assert np.abs(delta - fleet["delta"]).max() <= TOLERANCE
     assert norm(delta) > 100 * TOLERANCE
     assert head.updates == 6 and head.sessions >= 3 and not head.paused
+    for session_id, _ in members:  # a head with five members would gather its first window
+        policy_service.CloseSession(session_id=session_id)
 
 
 def safety_layer(step, answered):

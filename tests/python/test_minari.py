@@ -73,7 +73,8 @@ def record_with_minari(environment_id: str, directory: pathlib.Path) -> None:
 def test_an_environment_that_is_not_ours_is_trained_and_not_played(tmp_path):
     directory = tmp_path / "car-random-v0"
     record_with_minari("MountainCarContinuous-v0", directory)
-    assert spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY) == ""
+    printed = spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY)
+    assert "closed-loop play: skipped, because spiketrain does not have MountainCarContinuous-v0" in printed
     assert (tmp_path / "run" / "policy.safetensors").exists()
 
 
@@ -82,7 +83,7 @@ def test_spiketrain_trains_on_minari_data(environment_id, tmp_path):
     directory = tmp_path / "random-v0"
     record_with_minari(environment_id, directory)
     printed = spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY)
-    assert printed.startswith(f"{environment_id}, 1 episodes")
+    assert f"{environment_id}, 1 episodes" in printed
 
 
 def record_spaces(directory: pathlib.Path, observation_space: spaces.Space, action_space: spaces.Space) -> None:

@@ -110,7 +110,7 @@ def test_a_watch_ends_at_its_deadline(server):
 
 
 def test_a_large_answer(server):
-    request = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x")] * 50_000)
+    request = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x" * 60)] * 1000)
     played = grpcurl(
         server.grpc,
         f"{POLICY}/ActBatch",
@@ -118,7 +118,7 @@ def test_a_large_answer(server):
         input=str(request),
     )
     assert played.returncode == 0, played.stderr
-    assert played.stdout.count("results:") == 50_000
+    assert played.stdout.count("results:") == 1000
 
 
 def test_tls(tls_server, certificates):

@@ -254,7 +254,7 @@ def test_an_answer_waits_for_the_window_of_its_stream(server):
 
 
 def test_an_answer_waits_for_the_window_of_its_connection(server):
-    request = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x" * 50)] * 5000)
+    request = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x" * 50)] * 1000)
     with Http2Client(server.grpc, initial_window=1 << 20, grant_windows=False) as client:
         stream = client.begin(headers(f"/{POLICY}/ActBatch"))
         client.send(stream, framed(request), end=True)

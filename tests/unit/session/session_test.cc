@@ -101,9 +101,10 @@ TEST(SessionTest, WrongFieldsAreNamed) {
                 "session.history[2]: expected as many numbers as timestep 0 has");
   ExpectRefused(Edited(session, "/1/9", Json::array()), "session.history: expected 1 to 12");
   ExpectRefused(Edited(session, "/1/10", nullptr), "session.last_answer.step: expected 11");
-  ExpectRefused(Edited(session, "/1/11",
-                       {{1.0, false, nullptr, false, Json::array()}, {1.0, 1, 1u, 1.0, nullptr}}),
-                "session.last_end: expected one if and only if an episode has ended");
+  ExpectRefused(
+      Edited(session, "/1/11",
+             {{1.0, false, nullptr, false, Json::array(), nullptr}, {1.0, 1, 1u, 1.0, nullptr}}),
+      "session.last_end: expected one if and only if an episode has ended");
   ExpectRefused(Edited(session, "/1/10/4/0", {1, 2}),
                 "session.last_answer.counts.spikes_by_stage: expected an array of 8");
   ExpectRefused(Edited(session, "/1/5", std::numeric_limits<double>::infinity()),

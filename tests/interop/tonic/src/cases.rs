@@ -56,9 +56,9 @@ async fn empty_unary(mut client: Client) -> Outcome {
 }
 
 async fn large_unary(mut client: Client) -> Outcome {
-    let requests = vec![ActRequest { session_id: "x".into(), ..Default::default() }; 50_000];
+    let requests = vec![ActRequest { session_id: "x".repeat(3000), ..Default::default() }; 1000];
     let answer = client.act_batch(ActBatchRequest { requests }).await?.into_inner();
-    assert_eq!(answer.results.len(), 50_000);
+    assert_eq!(answer.results.len(), 1000);
     let long = ActRequest { session_id: "x".repeat(MESSAGE_LIMIT), ..Default::default() };
     let refused = client.act_batch(ActBatchRequest { requests: vec![long] }).await.unwrap_err();
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");

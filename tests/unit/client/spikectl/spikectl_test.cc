@@ -4,6 +4,7 @@
 #include "client/spikectl/run_report.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "spikeserve/status.h"
 #include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
@@ -108,8 +109,10 @@ TEST_F(AgentTest, RefusesAnActionOfAnotherSpace) {
 TEST_F(AgentTest, PassesOnTheServersError) {
   const auto environment = *MakeEnvironment("CartPole-v1");
   fake_.RefuseNext(1, {grpc::StatusCode::NOT_FOUND, "session_id: reaped"});
-  EXPECT_EQ(PlayEpisode(*environment, session_, 5).status(),
-            absl::NotFoundError("session_id: reaped"));
+  const absl::Status status = PlayEpisode(*environment, session_, 5).status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
+  EXPECT_EQ(status.message(), "session_id: reaped");
+  EXPECT_TRUE(IsSessionLost(status));
 }
 
 EpisodeRecord Record(double episode_return, int64_t steps, uint64_t spikes) {
