@@ -82,7 +82,7 @@ def test_a_status_message_with_any_character(tmp_path):
         )
     assert refused.returncode == STATUS_BASE + NOT_FOUND
     error = json.loads(refused.stderr)
-    assert error["message"] == f"{policies}/cartpole/9/policy.safetensors: no such file"
+    assert error["message"] == f"{policies}/cartpole/9/policy.safetensors: expected a file that can be read"
 
 
 def test_the_details_of_a_status_are_decoded(tokens_server):
