@@ -23,7 +23,7 @@ def test_a_status_message_keeps_every_character(tmp_path):
                 v1("LoadPolicyRequest", policy="cartpole", version=9), timeout=DEADLINE_SECONDS
             )
     assert missing.value.code() == grpc.StatusCode.NOT_FOUND
-    assert missing.value.details() == f"{policies}/cartpole/9/policy.safetensors: no such file"
+    assert missing.value.details() == f"{policies}/cartpole/9/policy.safetensors: expected a file that can be read"
 
 
 @pytest.mark.parametrize("path", [f"/{POLICY}/NoSuchMethod", "/no.such.Service/Method", "/", "/x"])

@@ -12,7 +12,7 @@ def play(channel):
     opened = call(channel, f"/{POLICY}/OpenSession")(
         v1("OpenSessionRequest", policy="cartpole"), timeout=DEADLINE_SECONDS
     )
-    batch = [v1("ActRequest", session_id="x" * 50)] * 50_000
+    batch = [v1("ActRequest", session_id="x" * 3000)] * 1000  # 3 MB
     answer = call(channel, f"/{POLICY}/ActBatch")(
         v1("ActBatchRequest", requests=batch), timeout=DEADLINE_SECONDS
     )
