@@ -215,10 +215,9 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
     ++open;
     SessionEntry& entry = *listed.entry;
     absl::MutexLock lock(&entry.mutex);
-    const AgentSession& agent = entry.agent;
-    if (!Matches(listed, agent.session().options, filter)) return;
+    if (!Matches(listed, entry.agent.session().options, filter)) return;
     ++matching;
-    first.Add({.key = order->key(listed, agent), .session = listed});
+    first.Add({.key = order->key(listed, entry.agent), .session = listed});
   };
   store.ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); }, visit);
 
