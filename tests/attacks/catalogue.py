@@ -1,9 +1,9 @@
-"""The list of the attacks."""
+"""The list of the attacks, which begins with their control."""
 
 import dataclasses
 import typing
 
-from tests.attacks import http2_attacks, mutations, slow_attacks, tls_attacks
+from tests.attacks import control, http2_attacks, mutations, slow_attacks, tls_attacks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,6 +23,7 @@ class Attack:
 ATTACKS = {
     attack.name: attack
     for attack in (
+        Attack(control.traffic_elsewhere),
         Attack(http2_attacks.open_streams),
         Attack(http2_attacks.rapid_reset),
         Attack(http2_attacks.continuation),
