@@ -12,7 +12,7 @@ packages=(
   g++ make cmake ninja-build ccache git clang clang-format clang-tidy pkg-config
   # server, client, core
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
-  prometheus-cpp-dev libcpp-httplib-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
+  prometheus-cpp-dev libboost1.74-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
   libeigen3-dev libnghttp2-dev liblmdb-dev libhiredis-dev dpkg-dev file
   # the Python engine
   python3-dev

@@ -188,7 +188,7 @@ absl::Status Server::StartTransport() {
   auto address = ParseAddressOrUnix("--listen", options_.listen);
   if (!address.ok()) return address.status();
   if (options_.tls.enabled()) {
-    auto tls = TlsContext::Create(options_.tls, &clock_);
+    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp2, &clock_);
     if (!tls.ok()) return tls.status();
     tls_ = *std::move(tls);
   }
@@ -242,12 +242,19 @@ absl::Status Server::StartHttp() {
   // A browser sends a page of another site, whose name resolves to this machine, with that name.
   // With tokens such a page learns nothing, because it has none.
   const bool local_names_only = address->is_loopback() && options_.tokens.empty();
-  auto http =
-      HttpServer::Start(*address, options_.tls, local_names_only,
-                        [this](const HttpRequest& request) { return pages_.Answer(request); });
-  if (!http.ok()) {
-    return Annotate(http.status(), "--http_listen");
+  if (options_.tls.enabled()) {
+    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp1, &clock_);
+    if (!tls.ok()) return tls.status();
+    http_tls_ = *std::move(tls);
   }
+  auto http = HttpServer::Start({.listen = *address,
+                                 .tls = http_tls_.get(),
+                                 .local_names_only = local_names_only,
+                                 .clock = &clock_},
+                                [this](const HttpRequest& request, const HttpServer::Done& done) {
+                                  pages_.Answer(request, done);
+                                });
+  if (!http.ok()) return http.status();
   http_ = *std::move(http);
   return absl::OkStatus();
 }

@@ -111,8 +111,9 @@ class Server {
   // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;
-  const StatusPages pages_;
+  StatusPages pages_;
   Address grpc_address_;
+  std::unique_ptr<TlsContext> http_tls_;  // null without TLS
   std::unique_ptr<HttpServer> http_;
   // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;

@@ -24,7 +24,6 @@ struct Free {
 using Bio = std::unique_ptr<BIO, Free<BIO_free>>;
 using Certificate = std::unique_ptr<X509, Free<X509_free>>;
 using Key = std::unique_ptr<EVP_PKEY, Free<EVP_PKEY_free>>;
-using Store = std::unique_ptr<X509_STORE, Free<X509_STORE_free>>;
 
 absl::Status NotPem(const char* flag, const std::string& path, const char* expected) {
   ERR_clear_error();
@@ -49,29 +48,6 @@ absl::StatusOr<Key> ReadKey(const std::string& path) {
     if (key != nullptr) return key;
   }
   return NotPem("--tls_key", path, "a private key without a password");
-}
-
-bool RequireClientCertificate(SSL* connection, const std::string& authorities) {
-  const Store store(X509_STORE_new());
-  auto* names = SSL_load_client_CA_file(authorities.c_str());
-  if (names == nullptr || X509_STORE_load_file(store.get(), authorities.c_str()) != 1) return false;
-  SSL_set_client_CA_list(connection, names);  // takes ownership of `names`
-  SSL_set1_verify_cert_store(connection, store.get());
-  SSL_set_verify(connection, SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, nullptr);
-  return true;
-}
-
-// Loads the files into a connection. OpenSSL calls this before each handshake and fails the
-// handshake if it returns 0.
-int UseFiles(SSL* connection, void* tls_files) {
-  const auto& files = *static_cast<const TlsFiles*>(tls_files);
-  const bool good =
-      SSL_use_certificate_chain_file(connection, files.certificate.c_str()) == 1 &&
-      SSL_use_PrivateKey_file(connection, files.key.c_str(), SSL_FILETYPE_PEM) == 1 &&
-      SSL_check_private_key(connection) == 1 &&
-      (files.client_ca.empty() || RequireClientCertificate(connection, files.client_ca));
-  if (!good) ERR_clear_error();
-  return good ? 1 : 0;
 }
 
 }  // namespace
@@ -103,15 +79,6 @@ absl::Status CheckTlsFiles(const TlsFiles& files) {
   }
   if (files.client_ca.empty()) return absl::OkStatus();
   return ReadCertificate("--tls_client_ca", files.client_ca).status();
-}
-
-void SetUpTls(const TlsFiles* files, ssl_ctx_st* context) {
-  SSL_CTX_set_min_proto_version(context, TLS1_2_VERSION);
-  SSL_CTX_set_default_passwd_cb(context, [](char*, int, int, void*) { return 0; });
-  // Without resumption, every connection is checked against the current files.
-  SSL_CTX_set_session_cache_mode(context, SSL_SESS_CACHE_OFF);
-  SSL_CTX_set_options(context, SSL_OP_NO_TICKET);
-  SSL_CTX_set_cert_cb(context, &UseFiles, const_cast<TlsFiles*>(files));
 }
 
 }  // namespace spikeserve

@@ -6,8 +6,6 @@
 
 #include "absl/status/status.h"
 
-struct ssl_ctx_st;  // OpenSSL's SSL_CTX
-
 namespace spikeserve {
 
 // Paths of PEM files. The server reads them again while it runs, so certificates can be renewed
@@ -26,11 +24,6 @@ struct TlsFiles {
 // Returns INVALID_ARGUMENT, which names flag and file, if a file has another content than expected
 // or the key does not belong to the certificate. Returns OK if TLS is off.
 absl::Status CheckTlsFiles(const TlsFiles& files);
-
-// Configures HTTPS with the same files and the same requirement for client certificates. The files
-// are read for each connection; while a file is invalid, handshakes fail. `files` must outlive
-// `context`.
-void SetUpTls(const TlsFiles* files, ssl_ctx_st* context);
 
 }  // namespace spikeserve
 

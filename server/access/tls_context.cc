@@ -12,18 +12,25 @@ namespace {
 
 constexpr absl::Duration kLookInterval = absl::Seconds(2);
 
-// The length-prefixed list of protocols that ALPN accepts.
-constexpr unsigned char kHttp2[] = {2, 'h', '2'};
+// The length-prefixed list of protocols that ALPN accepts on a port.
+std::string& AcceptedByAlpn(Protocol protocol) {
+  static std::string http1 = "\x08http/1.1";
+  static std::string http2 = "\x02h2";
+  return protocol == Protocol::kHttp1 ? http1 : http2;
+}
 
-int SelectHttp2(SSL* /*connection*/, const unsigned char** selected, unsigned char* length,
-                const unsigned char* offered, unsigned offered_length, void* /*argument*/) {
-  const int found = SSL_select_next_proto(const_cast<unsigned char**>(selected), length, kHttp2,
-                                          sizeof(kHttp2), offered, offered_length);
+int SelectProtocol(SSL* /*connection*/, const unsigned char** selected, unsigned char* length,
+                   const unsigned char* offered, unsigned offered_length, void* accepted_list) {
+  const auto& accepted = *static_cast<const std::string*>(accepted_list);
+  const int found =
+      SSL_select_next_proto(const_cast<unsigned char**>(selected), length,
+                            reinterpret_cast<const unsigned char*>(accepted.data()),
+                            static_cast<unsigned>(accepted.size()), offered, offered_length);
   return found == OPENSSL_NPN_NEGOTIATED ? SSL_TLSEXT_ERR_OK : SSL_TLSEXT_ERR_ALERT_FATAL;
 }
 
 // Returns null if a file is invalid.
-std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files) {
+std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files, Protocol protocol) {
   const std::shared_ptr<SSL_CTX> context(SSL_CTX_new(TLS_server_method()), &SSL_CTX_free);
   SSL_CTX_set_min_proto_version(context.get(), TLS1_2_VERSION);
   SSL_CTX_set_default_passwd_cb(context.get(), [](char*, int, int, void*) { return 0; });
@@ -34,7 +41,7 @@ std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files) {
   SSL_CTX_set_num_tickets(context.get(), 0);
   SSL_CTX_set_mode(context.get(), SSL_MODE_RELEASE_BUFFERS | SSL_MODE_ENABLE_PARTIAL_WRITE |
                                       SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER);
-  SSL_CTX_set_alpn_select_cb(context.get(), &SelectHttp2, nullptr);
+  SSL_CTX_set_alpn_select_cb(context.get(), &SelectProtocol, &AcceptedByAlpn(protocol));
   const bool valid =
       SSL_CTX_use_certificate_chain_file(context.get(), files.certificate.c_str()) == 1 &&
       SSL_CTX_use_PrivateKey_file(context.get(), files.key.c_str(), SSL_FILETYPE_PEM) == 1 &&
@@ -58,11 +65,12 @@ std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files) {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<TlsContext>> TlsContext::Create(const TlsFiles& files,
+                                                               Protocol protocol,
                                                                const Clock* clock) {
   if (auto status = CheckTlsFiles(files); !status.ok()) return status;
-  auto shared = std::unique_ptr<TlsContext>(new TlsContext(files, clock));
+  auto shared = std::unique_ptr<TlsContext>(new TlsContext(files, protocol, clock));
   absl::MutexLock lock(&shared->mutex_);
-  shared->context_ = MakeContext(files);
+  shared->context_ = MakeContext(files, protocol);
   if (shared->context_ == nullptr) {
     return absl::InvalidArgumentError("--tls_certificate: OpenSSL cannot use " + files.certificate);
   }
@@ -92,7 +100,7 @@ std::shared_ptr<ssl_ctx_st> TlsContext::Get() {
   auto contents = ReadFiles();
   if (!contents.ok() || *contents == contents_) return context_;
   contents_ = *std::move(contents);
-  if (auto context = MakeContext(files_)) context_ = std::move(context);
+  if (auto context = MakeContext(files_, protocol_)) context_ = std::move(context);
   return context_;
 }
 

@@ -14,8 +14,8 @@ constexpr int kNice = 10;
 
 }  // namespace
 
-BackgroundWorker::BackgroundWorker(size_t max_waiting)
-    : max_waiting_(max_waiting), thread_([this] { Run(); }) {}
+BackgroundWorker::BackgroundWorker(size_t max_waiting, Priority priority)
+    : max_waiting_(max_waiting), priority_(priority), thread_([this] { Run(); }) {}
 
 BackgroundWorker::~BackgroundWorker() {
   {
@@ -52,7 +52,7 @@ std::function<void()> BackgroundWorker::TakeNext() {
 
 void BackgroundWorker::Run() {
   // On Linux, PRIO_PROCESS with a thread id sets the priority of that thread alone.
-  setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), kNice);
+  if (priority_ == Priority::kLow) setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), kNice);
   absl::MutexLock lock(&mutex_);
   while (true) {
     const auto due = [this]() ABSL_SHARED_LOCKS_REQUIRED(mutex_) {

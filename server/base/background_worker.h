@@ -1,6 +1,6 @@
-// Runs long work on one thread of lower priority than the threads that compute decisions. Work
-// belongs to groups, such as tenants, which take turns: a group with much work does not delay that
-// of the others. The queue of each group is bounded: work beyond it is refused.
+// Runs long work on one thread, by default of lower priority than those that compute decisions.
+// Work belongs to groups, such as tenants, which take turns: a group with much work does not delay
+// that of the others. The queue of each group is bounded: work beyond it is refused.
 //
 // Thread-safe.
 #ifndef SERVER_BASE_BACKGROUND_WORKER_H_
@@ -22,8 +22,10 @@ namespace spikeserve {
 
 class BackgroundWorker {
  public:
+  enum class Priority { kLow, kNormal };
+
   // Bounds the queue of each group to `max_waiting` work items. The item that runs does not count.
-  explicit BackgroundWorker(size_t max_waiting);
+  explicit BackgroundWorker(size_t max_waiting, Priority priority = Priority::kLow);
 
   // Blocks until all accepted work has run.
   ~BackgroundWorker();
@@ -42,6 +44,7 @@ class BackgroundWorker {
   std::function<void()> TakeNext() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const size_t max_waiting_;
+  const Priority priority_;
   absl::Mutex mutex_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   // By group; only groups with work.

@@ -9,9 +9,9 @@
 
 #include <array>
 #include <cerrno>
+#include <memory>
 #include <utility>
 
-#include "absl/strings/string_view.h"
 #include "server/transport/socket.h"
 
 namespace spikeserve {
@@ -23,13 +23,6 @@ constexpr int kAcceptedPerTurn = 16;
 constexpr int kKeepAliveIdleSeconds = 60;
 constexpr int kKeepAliveIntervalSeconds = 10;
 constexpr int kKeepAliveProbes = 3;
-
-// An empty SETTINGS frame, and GOAWAY with ENHANCE_YOUR_CALM (RFC 9113, sections 6.5 and 6.8).
-constexpr absl::string_view kRefusal(
-    "\0\0\0\x04\0\0\0\0\0"
-    "\0\0\x08\x07\0\0\0\0\0"
-    "\0\0\0\0\0\0\0\x0b",
-    26);
 
 FileDescriptor OpenReserve() { return FileDescriptor(open("/dev/null", O_RDONLY | O_CLOEXEC)); }
 
@@ -61,37 +54,31 @@ void SetTcpOptions(int fd) {
 
 }  // namespace
 
-Acceptor::Acceptor(FileDescriptor listener,
-                   const std::vector<std::unique_ptr<TransportLoop>>* loops,
-                   ConnectionTable* connections, const TransportLimits* limits, TlsContext* tls)
+Acceptor::Acceptor(FileDescriptor listener, Options options)
     : listener_(std::move(listener)),
-      loops_(*loops),
-      connections_(connections),
-      limits_(*limits),
-      tls_(tls),
+      options_(std::move(options)),
+      first_(*options_.hosts.front()),
       reserve_(OpenReserve()) {}
 
-absl::Status Acceptor::Start() {
-  return loops_.front()->events().Watch(listener_.get(), EPOLLIN, this);
-}
+absl::Status Acceptor::Start() { return first_.events().Watch(listener_.get(), EPOLLIN, this); }
 
 void Acceptor::Stop() {
   if (!listener_.valid()) return;
-  loops_.front()->events().Unwatch(listener_.get());
+  first_.events().Unwatch(listener_.get());
   listener_.Close();
 }
 
 void Acceptor::OnReady(uint32_t /*events*/) {
-  StrangerQueue& queue = loops_.front()->stranger_queue();
+  StrangerQueue& queue = first_.stranger_queue();
   if (queue.MayRun()) return OnTurn();
-  loops_.front()->events().ChangeWatch(listener_.get(), 0, this);
+  first_.events().ChangeWatch(listener_.get(), 0, this);
   queue.Wait(this);
 }
 
 void Acceptor::OnTurn() {
   if (!listener_.valid()) return;  // stopped meanwhile
-  loops_.front()->events().ChangeWatch(listener_.get(), EPOLLIN, this);
-  loops_.front()->stranger_queue().Run([this] { AcceptSome(); });
+  first_.events().ChangeWatch(listener_.get(), EPOLLIN, this);
+  first_.stranger_queue().Run([this] { AcceptSome(); });
 }
 
 void Acceptor::AcceptSome() {
@@ -112,20 +99,21 @@ void Acceptor::AcceptSome() {
 
 void Acceptor::Take(FileDescriptor fd, const std::string& address) {
   SetTcpOptions(fd.get());
-  auto slot = connections_->Admit(address);
+  auto slot = options_.connections->Admit(address);
   if (slot == nullptr) {
-    if (tls_ == nullptr) send(fd.get(), kRefusal.data(), kRefusal.size(), MSG_NOSIGNAL);
+    if (options_.tls == nullptr) {
+      send(fd.get(), options_.refusal.data(), options_.refusal.size(), MSG_NOSIGNAL);
+    }
     return;
   }
-  const bool crowded = connections_->strangers() > limits_.max_idle_strangers;
-  std::shared_ptr<ssl_ctx_st> context = tls_ == nullptr ? nullptr : tls_->Get();
-  auto socket = context == nullptr ? MakePlainSocket(std::move(fd))
-                                   : MakeTlsSocket(std::move(fd), context.get());
+  const bool crowded = options_.connections->strangers() > options_.max_strangers;
+  auto socket = options_.tls == nullptr ? MakePlainSocket(std::move(fd))
+                                        : MakeTlsSocket(std::move(fd), options_.tls);
   if (socket == nullptr) return;
-  TransportLoop& loop = *loops_[next_loop_++ % loops_.size()];
-  if (&loop == loops_.front().get()) {
-    if (crowded) loop.CloseOldestStranger();
-    return loop.Adopt(std::move(socket), std::move(slot));
+  ConnectionHost& host = *options_.hosts[next_host_++ % options_.hosts.size()];
+  if (&host == &first_) {
+    if (crowded) host.CloseOldestStranger();
+    return host.Adopt(std::move(socket), std::move(slot));
   }
   // std::function needs a copyable function, so the parts travel in a shared one.
   struct Parts {
@@ -133,14 +121,14 @@ void Acceptor::Take(FileDescriptor fd, const std::string& address) {
     std::unique_ptr<ConnectionSlot> slot;
   };
   auto parts = std::make_shared<Parts>(Parts{std::move(socket), std::move(slot)});
-  loop.events().Post([&loop, crowded, parts] {
-    if (crowded) loop.CloseOldestStranger();
-    loop.Adopt(std::move(parts->socket), std::move(parts->slot));
+  host.events().Post([&host, crowded, parts] {
+    if (crowded) host.CloseOldestStranger();
+    host.Adopt(std::move(parts->socket), std::move(parts->slot));
   });
 }
 
 void Acceptor::RefuseOne() {
-  loops_.front()->CloseOldestStranger();
+  first_.CloseOldestStranger();
   reserve_.Close();
   FileDescriptor(accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC)).Close();
   reserve_ = OpenReserve();

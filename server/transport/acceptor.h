@@ -1,31 +1,38 @@
-// Accepts the connections of one listening socket and gives them to loops.
+// Accepts the connections of one listening socket and gives them to hosts.
 //
-// Confined to the thread of the first loop.
+// Confined to the thread of the first host.
 #ifndef SERVER_TRANSPORT_ACCEPTOR_H_
 #define SERVER_TRANSPORT_ACCEPTOR_H_
 
-#include <memory>
+#include <cstddef>
+#include <cstdint>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/strings/string_view.h"
 #include "server/access/tls_context.h"
 #include "server/base/file_descriptor.h"
+#include "server/transport/connection_host.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
-#include "server/transport/limits.h"
 #include "server/transport/stranger_queue.h"
-#include "server/transport/transport_loop.h"
 
 namespace spikeserve {
 
 class Acceptor final : public EventLoop::Source, public StrangerQueue::Waiter {
  public:
-  // The loops take turns. All arguments must outlive the acceptor; `tls` is null for plain text.
-  Acceptor(FileDescriptor listener, const std::vector<std::unique_ptr<TransportLoop>>* loops,
-           ConnectionTable* connections, const TransportLimits* limits, TlsContext* tls);
+  // The hosts take turns. All pointers must outlive the acceptor.
+  struct Options {
+    std::vector<ConnectionHost*> hosts;
+    ConnectionTable* connections;
+    int64_t max_strangers;      // above it, each new connection closes the oldest stranger
+    absl::string_view refusal;  // sent in plain text to a client for which there is no place
+    TlsContext* tls;            // null for plain text
+  };
+  Acceptor(FileDescriptor listener, Options options);
 
-  // Starts accepting, on the first loop.
+  // Starts accepting, on the first host's loop.
   absl::Status Start();
   // Stops accepting and closes the listening socket.
   void Stop();
@@ -42,12 +49,10 @@ class Acceptor final : public EventLoop::Source, public StrangerQueue::Waiter {
   void RefuseOne();
 
   FileDescriptor listener_;
-  const std::vector<std::unique_ptr<TransportLoop>>& loops_;
-  ConnectionTable* const connections_;
-  const TransportLimits& limits_;
-  TlsContext* const tls_;
+  const Options options_;
+  ConnectionHost& first_;
   FileDescriptor reserve_;  // closed to make room for RefuseOne()
-  size_t next_loop_ = 0;
+  size_t next_host_ = 0;
 };
 
 }  // namespace spikeserve

@@ -41,7 +41,8 @@ class PlainSocket final : public Socket {
 
 class TlsSocket final : public Socket {
  public:
-  TlsSocket(FileDescriptor fd, SSL* ssl) : fd_(std::move(fd)), ssl_(ssl) {}
+  TlsSocket(FileDescriptor fd, SSL* ssl, Protocol protocol)
+      : fd_(std::move(fd)), ssl_(ssl), protocol_(protocol) {}
 
   int fd() const override { return fd_.get(); }
   bool read_waits_for_write() const override { return read_waits_for_write_; }
@@ -50,10 +51,10 @@ class TlsSocket final : public Socket {
   std::string peer_subject() const override;
 
   Result Read(absl::Span<char> buffer) override {
-    if (!AgreedOnHttp2()) return {Outcome::kClosed};
+    if (!AgreedOnProtocol()) return {Outcome::kClosed};
     ERR_clear_error();
     const int count = SSL_read(ssl_.get(), buffer.data(), Length(buffer.size()));
-    if (count > 0 && !AgreedOnHttp2()) return {Outcome::kClosed};
+    if (count > 0 && !AgreedOnProtocol()) return {Outcome::kClosed};
     const Result result = ToResult(count);
     read_waits_for_write_ = result.outcome == Outcome::kBlocked && SSL_want_write(ssl_.get()) != 0;
     return result;
@@ -77,10 +78,10 @@ class TlsSocket final : public Socket {
 
   static int Length(size_t size) { return static_cast<int>(std::min<size_t>(size, INT_MAX)); }
 
-  // Returns true during the handshake. A client that offers protocols without HTTP/2 fails in the
-  // handshake; this finds the client that offers none.
-  bool AgreedOnHttp2() const {
-    if (SSL_is_init_finished(ssl_.get()) == 0) return true;
+  // Returns true during the handshake. A client that offers only other protocols fails in the
+  // handshake; this finds the client that offers none, which cannot mean HTTP/2.
+  bool AgreedOnProtocol() const {
+    if (protocol_ == Protocol::kHttp1 || SSL_is_init_finished(ssl_.get()) == 0) return true;
     const unsigned char* protocol = nullptr;
     unsigned length = 0;
     SSL_get0_alpn_selected(ssl_.get(), &protocol, &length);
@@ -96,6 +97,7 @@ class TlsSocket final : public Socket {
 
   const FileDescriptor fd_;
   const std::unique_ptr<SSL, Free> ssl_;
+  const Protocol protocol_;
   bool read_waits_for_write_ = false;
 };
 
@@ -117,14 +119,14 @@ std::unique_ptr<Socket> MakePlainSocket(FileDescriptor fd) {
   return std::make_unique<PlainSocket>(std::move(fd));
 }
 
-std::unique_ptr<Socket> MakeTlsSocket(FileDescriptor fd, ssl_ctx_st* context) {
-  SSL* ssl = SSL_new(context);
+std::unique_ptr<Socket> MakeTlsSocket(FileDescriptor fd, TlsContext* tls) {
+  SSL* ssl = SSL_new(tls->Get().get());  // keeps the context alive
   if (ssl == nullptr || SSL_set_fd(ssl, fd.get()) != 1) {
     SSL_free(ssl);
     return nullptr;
   }
   SSL_set_accept_state(ssl);
-  return std::make_unique<TlsSocket>(std::move(fd), ssl);
+  return std::make_unique<TlsSocket>(std::move(fd), ssl, tls->protocol());
 }
 
 }  // namespace spikeserve

@@ -10,9 +10,8 @@
 
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
+#include "server/access/tls_context.h"
 #include "server/base/file_descriptor.h"
-
-struct ssl_ctx_st;  // OpenSSL's SSL_CTX
 
 namespace spikeserve {
 
@@ -49,10 +48,9 @@ class Socket {
 
 std::unique_ptr<Socket> MakePlainSocket(FileDescriptor fd);
 
-// Returns a socket that performs the server's side of the handshake in its first reads and writes,
-// and that fails unless the client and the server agree on HTTP/2 (ALPN "h2"). Returns null if
-// OpenSSL has no memory. The connection keeps `context` alive.
-std::unique_ptr<Socket> MakeTlsSocket(FileDescriptor fd, ssl_ctx_st* context);
+// Returns a socket that performs the server's side of the handshake in its first reads and writes.
+// Returns null if OpenSSL has no memory.
+std::unique_ptr<Socket> MakeTlsSocket(FileDescriptor fd, TlsContext* tls);
 
 }  // namespace spikeserve
 

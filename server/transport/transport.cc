@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/string_view.h"
 #include "absl/synchronization/blocking_counter.h"
 #include "absl/synchronization/notification.h"
 #include "absl/time/clock.h"
@@ -14,8 +15,15 @@
 namespace spikeserve {
 namespace {
 
-// File descriptors that are not connections: policies, recordings, the status page.
-constexpr int64_t kOtherDescriptors = 128;
+// File descriptors that are not connections of gRPC: policies, recordings, the status page.
+constexpr int64_t kOtherDescriptors = 384;
+
+// An empty SETTINGS frame, and GOAWAY with ENHANCE_YOUR_CALM (RFC 9113, sections 6.5 and 6.8).
+constexpr absl::string_view kRefusal(
+    "\0\0\0\x04\0\0\0\0\0"
+    "\0\0\x08\x07\0\0\0\0\0"
+    "\0\0\0\0\0\0\0\x0b",
+    26);
 
 constexpr absl::Duration kStopPollInterval = absl::Milliseconds(5);
 
@@ -52,10 +60,14 @@ absl::StatusOr<std::unique_ptr<Transport>> Transport::Create(const TransportOpti
   auto listeners = Listen("--listen", options.listen);
   if (!listeners.ok()) return listeners.status();
   transport->address_ = listeners->address;
+  Acceptor::Options accepting = {.hosts = {},
+                                 .connections = &transport->connections_,
+                                 .max_strangers = options.limits.max_idle_strangers,
+                                 .refusal = kRefusal,
+                                 .tls = options.tls};
+  for (const auto& loop : transport->loops_) accepting.hosts.push_back(loop.get());
   for (FileDescriptor& listener : listeners->sockets) {
-    transport->acceptors_.push_back(std::make_unique<Acceptor>(
-        std::move(listener), &transport->loops_, &transport->connections_,
-        &transport->options_.limits, options.tls));
+    transport->acceptors_.push_back(std::make_unique<Acceptor>(std::move(listener), accepting));
   }
   return transport;
 }

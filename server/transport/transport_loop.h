@@ -15,6 +15,7 @@
 #include "server/base/byte_budget.h"
 #include "server/transport/call.h"
 #include "server/transport/connection.h"
+#include "server/transport/connection_host.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
 #include "server/transport/limits.h"
@@ -24,16 +25,21 @@ namespace spikeserve {
 
 // Thread-safety: Run(), Join() and events().Post() may be called from any thread, everything else
 // from the loop's thread, or before Run().
-class TransportLoop {
+class TransportLoop final : public ConnectionHost {
  public:
   // All pointers must outlive the loop.
   static absl::StatusOr<std::unique_ptr<TransportLoop>> Create(const TransportLimits* limits,
                                                                ByteBudget* bytes_in_flight,
                                                                const Clock* clock);
   ~TransportLoop();
+  TransportLoop(const TransportLoop&) = delete;
+  TransportLoop& operator=(const TransportLoop&) = delete;
 
-  EventLoop& events() { return *events_; }
-  StrangerQueue& stranger_queue() { return shared_.stranger_queue; }
+  // ConnectionHost
+  EventLoop& events() override { return *events_; }
+  StrangerQueue& stranger_queue() override { return shared_.stranger_queue; }
+  void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) override;
+  void CloseOldestStranger() override;
 
   // Sets what answers the calls. `router` must outlive the loop's run.
   void SetRouter(CallRouter* router) { shared_.router = router; }
@@ -45,10 +51,6 @@ class TransportLoop {
   // Stops the thread and closes all connections.
   void Join();
 
-  // Serves a new connection.
-  void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot);
-  // Closes the connection that has waited longest without a call, if there is one.
-  void CloseOldestStranger();
   // Writes what the connections have to send. The loop does this at the end of each turn; work that
   // goes on after its answers calls it earlier.
   void FlushWrites();

@@ -1,55 +1,49 @@
-// A small HTTP or HTTPS server. One function answers all requests.
+// A small HTTP or HTTPS server on an event loop of its own. One function answers all requests.
 //
-//   auto server = HttpServer::Start(address, tls, [](const HttpRequest& request) {
-//     return HttpResponse{.body = "hello\n"};
-//   });
+//   auto server = HttpServer::Start({.listen = address, .clock = &clock},
+//                                   [](const HttpRequest& request, HttpServer::Done done) {
+//                                     done({.body = "hello\n"});
+//                                   });
+//
+// A client that is slow, or that holds many connections, delays no other: nothing waits for it, and
+// above 200 connections each new one closes the oldest that waits for its client.
 //
 // Thread-safe.
 #ifndef SERVER_WEB_HTTP_SERVER_H_
 #define SERVER_WEB_HTTP_SERVER_H_
 
 #include <functional>
-#include <map>
 #include <memory>
-#include <string>
-#include <thread>
 
 #include "absl/status/statusor.h"
-#include "server/access/tls.h"
+#include "core/base/clock.h"
+#include "server/access/tls_context.h"
 #include "server/base/address.h"
-
-namespace httplib {
-class Server;
-}  // namespace httplib
+#include "server/web/http_message.h"
 
 namespace spikeserve {
 
-// A GET or HEAD request. The server leaves out the body of the answer to a HEAD.
-struct HttpRequest {
-  std::string path;                                    // decoded
-  std::multimap<std::string, std::string> parameters;  // of the query, decoded
-  std::string authorization;                           // the header; empty if absent
-};
-
-struct HttpResponse {
-  int code = 200;  // with 401 the server asks for HTTP Basic authentication
-  std::string content_type = "text/plain; charset=utf-8";
-  std::string body;
-};
+class HttpLoop;
 
 class HttpServer {
  public:
-  // Answers a request. Called from several threads at once.
-  using Page = std::function<HttpResponse(const HttpRequest& request)>;
+  // Takes the answer to a request. May be called from any thread, once, also after the server has
+  // been destroyed.
+  using Done = std::function<void(HttpResponse response)>;
+  // Answers a request. Called on the loop's thread: work that takes long belongs on another.
+  using Page = std::function<void(const HttpRequest& request, Done done)>;
 
-  // Starts a server on `listen`, with TLS if `tls` is enabled. `local_names_only`: answers 403
-  // unless the header Host names this machine, as localhost or a loopback address. Returns
-  // UNAVAILABLE if it cannot listen on the address. REQUIRES: MakeServerCredentials(tls) succeeded.
-  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Address& listen,
-                                                           const TlsFiles& tls,
-                                                           bool local_names_only, Page page);
+  struct Options {
+    Address listen;
+    TlsContext* tls = nullptr;      // null: plain text; must outlive the server
+    bool local_names_only = false;  // answers 403 unless the header Host names this machine
+    const Clock* clock = nullptr;   // monotonic; must outlive the server
+  };
 
-  // Stops the server. Blocks until the requests that are being answered have been answered.
+  // Returns UNAVAILABLE if it cannot listen on the address.
+  static absl::StatusOr<std::unique_ptr<HttpServer>> Start(const Options& options, Page page);
+
+  // Accepts no more connections, gives those that are open a second to end, and stops.
   ~HttpServer();
   HttpServer(const HttpServer&) = delete;
   HttpServer& operator=(const HttpServer&) = delete;
@@ -58,14 +52,10 @@ class HttpServer {
   const Address& address() const { return address_; }
 
  private:
-  HttpServer(const TlsFiles& tls, bool local_names_only, Page page);
+  HttpServer(Address address, std::unique_ptr<HttpLoop> loop);
 
-  const TlsFiles tls_;
-  const bool local_names_only_;
-  const Page page_;
-  const std::unique_ptr<httplib::Server> server_;
-  Address address_;
-  std::thread listener_;
+  const Address address_;
+  const std::unique_ptr<HttpLoop> loop_;
 };
 
 }  // namespace spikeserve

@@ -6,7 +6,6 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
-#include "absl/synchronization/notification.h"
 #include "absl/time/time.h"
 #include "proto/json.h"
 #include "server/access/admission.h"
@@ -16,6 +15,8 @@
 
 namespace spikeserve {
 namespace {
+
+constexpr size_t kMaxWaiting = 16;  // requests of one client, and for /healthz
 
 absl::string_view ContentTypeOf(absl::string_view file) {
   if (absl::EndsWith(file, ".html")) return "text/html; charset=utf-8";
@@ -64,23 +65,35 @@ HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
 
 }  // namespace
 
-HttpResponse StatusPages::Answer(const HttpRequest& request) const {
+StatusPages::StatusPages(Parts parts)
+    : parts_(std::move(parts)),
+      health_(kMaxWaiting, BackgroundWorker::Priority::kNormal),
+      pages_(kMaxWaiting) {}
+
+void StatusPages::Answer(const HttpRequest& request, const HttpServer::Done& done) {
+  const absl::Status accepted =
+      request.path == "/healthz"
+          ? health_.Submit([this, done] { done(Health()); })
+          : pages_.Submit(request.client, [this, request, done] { AnswerPage(request, done); });
+  if (!accepted.ok()) done({.code = 503, .body = absl::StrCat(accepted.message(), "\n")});
+}
+
+void StatusPages::AnswerPage(const HttpRequest& request, const HttpServer::Done& done) const {
   const absl::string_view path = request.path;
-  if (path == "/healthz") return Health();
   const auto caller = AdmitToPages(*parts_.authenticator, request.authorization);
   if (!caller.ok()) {
-    return {.code = absl::IsUnauthenticated(caller.status()) ? 401 : 403,
-            .body = absl::StrCat(caller.status().message(), "\n")};
+    return done({.code = absl::IsUnauthenticated(caller.status()) ? 401 : 403,
+                 .body = absl::StrCat(caller.status().message(), "\n")});
   }
   if (path == "/metrics") {
-    return {.code = 200,
-            .content_type = "text/plain; version=0.0.4; charset=utf-8",
-            .body = parts_.metrics->ToText()};
+    return done({.code = 200,
+                 .content_type = "text/plain; version=0.0.4; charset=utf-8",
+                 .body = parts_.metrics->ToText()});
   }
-  if (path == "/status.json") return JsonResponse(Status());
-  if (path == "/sessions.json") return JsonResponse(Sessions(**caller, request));
-  if (path == "/explain.json") return JsonResponse(Explain(**caller, request));
-  return FileResponse(path);
+  if (path == "/status.json") return done(JsonResponse(Status()));
+  if (path == "/sessions.json") return done(JsonResponse(Sessions(**caller, request)));
+  if (path == "/explain.json") return Explain(*caller, request, done);
+  done(FileResponse(path));
 }
 
 HttpResponse StatusPages::Health() const {
@@ -105,23 +118,19 @@ absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,
   return SessionsJson(*parts_.store, caller, *parsed);
 }
 
-absl::StatusOr<std::string> StatusPages::Explain(const Credential& caller,
-                                                 const HttpRequest& request) const {
+void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
+                          const HttpRequest& request, const HttpServer::Done& done) const {
   const auto parsed = HttpQuery::Parse(request.parameters, {"session"});
-  if (!parsed.ok()) return parsed.status();
+  if (!parsed.ok()) return done(JsonResponse(parsed.status()));
   v1::ExplainRequest explain;
   explain.set_session_id(parsed->Get("session"));
-  v1::ExplainResponse response;
-  absl::Status explained;
-  absl::Notification done;
-  const absl::Status accepted = parts_.worker->Submit(caller.tenant()->name(), [&] {
-    explained = parts_.handler->Explain(caller, explain, &response);
-    done.Notify();
-  });
-  if (!accepted.ok()) return accepted;
-  done.WaitForNotification();
-  if (!explained.ok()) return explained;
-  return MessageToJson(response);
+  const auto work = [handler = parts_.handler, caller, explain, done] {
+    v1::ExplainResponse response;
+    const absl::Status explained = handler->Explain(*caller, explain, &response);
+    done(JsonResponse(explained.ok() ? MessageToJson(response) : explained));
+  };
+  const absl::Status accepted = parts_.worker->Submit(caller->tenant()->name(), work);
+  if (!accepted.ok()) done(JsonResponse(accepted));
 }
 
 }  // namespace spikeserve

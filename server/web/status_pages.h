@@ -33,20 +33,25 @@ class StatusPages {
     std::function<bool()> serving;
   };
 
-  explicit StatusPages(Parts parts) : parts_(std::move(parts)) {}
+  explicit StatusPages(Parts parts);
 
-  // Answers a request: 401 without a valid token, 403 for a token of an agent, 404 for an unknown
-  // path. /healthz needs no token and answers 503 while the server does not serve.
-  HttpResponse Answer(const HttpRequest& request) const;
+  // Answers a request, on another thread: 401 without a valid token, 403 for a token of an agent,
+  // 404 for an unknown path, 503 if too many requests of its client wait. /healthz needs no token,
+  // waits for no other page, and answers 503 while the server does not serve.
+  void Answer(const HttpRequest& request, const HttpServer::Done& done);
 
  private:
+  void AnswerPage(const HttpRequest& request, const HttpServer::Done& done) const;
   HttpResponse Health() const;
   absl::StatusOr<std::string> Status() const;
   absl::StatusOr<std::string> Sessions(const Credential& caller, const HttpRequest& request) const;
-  // Blocks until the background worker has explained the decision.
-  absl::StatusOr<std::string> Explain(const Credential& caller, const HttpRequest& request) const;
+  // Calls `done` when the background worker has explained the decision.
+  void Explain(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
+               const HttpServer::Done& done) const;
 
   const Parts parts_;
+  BackgroundWorker health_;
+  BackgroundWorker pages_;  // clients take turns
 };
 
 }  // namespace spikeserve

@@ -82,7 +82,14 @@ def test_a_renewed_certificate_is_the_status_pages_too(certificates, tmp_path):
         assert https_code(certificates, addresses.http) == 200
         make_authority(tmp_path, "new")
         make_certificate(tmp_path, "server", "new")
-        assert https_code(tmp_path, addresses.http, authority="new") == 200
+
+        def is_served():
+            try:
+                return https_code(tmp_path, addresses.http, authority="new") == 200
+            except OSError:
+                return False
+
+        until(is_served)
 
 
 def test_encrypted_and_with_tokens_the_page_may_face_the_network(certificates, tokens):

@@ -1,0 +1,33 @@
+// What serves the connections that an Acceptor has accepted.
+//
+// Confined to the thread of its loop.
+#ifndef SERVER_TRANSPORT_CONNECTION_HOST_H_
+#define SERVER_TRANSPORT_CONNECTION_HOST_H_
+
+#include <memory>
+
+#include "server/transport/connection_table.h"
+#include "server/transport/event_loop.h"
+#include "server/transport/socket.h"
+#include "server/transport/stranger_queue.h"
+
+namespace spikeserve {
+
+class ConnectionHost {
+ public:
+  // Returns the loop that calls the host. Its Post() may be called from any thread.
+  virtual EventLoop& events() = 0;
+  virtual StrangerQueue& stranger_queue() = 0;
+
+  // Serves a new connection.
+  virtual void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) = 0;
+  // Closes the connection that has waited longest without a call, if there is one.
+  virtual void CloseOldestStranger() = 0;
+
+ protected:
+  ~ConnectionHost() = default;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_TRANSPORT_CONNECTION_HOST_H_

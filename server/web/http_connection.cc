@@ -1,0 +1,161 @@
+#include "server/web/http_connection.h"
+
+#include <sys/epoll.h>
+
+#include <array>
+#include <boost/beast/http/empty_body.hpp>
+#include <boost/beast/http/parser.hpp>
+#include <utility>
+
+#include "absl/types/span.h"
+#include "server/base/address.h"
+
+namespace spikeserve {
+namespace {
+
+namespace http = boost::beast::http;
+
+constexpr absl::Duration kRequestTimeout = absl::Seconds(5);
+constexpr absl::Duration kAnswerTimeout = absl::Minutes(2);
+constexpr absl::Duration kWriteTimeout = absl::Seconds(30);
+constexpr absl::Duration kClosingTimeout = absl::Seconds(1);
+
+constexpr uint32_t kMaxHeaderBytes = 16 << 10;
+constexpr size_t kReadBytes = 4 << 10;
+constexpr size_t kWriteBytes = 64 << 10;  // at a time, so that connections take turns
+constexpr size_t kMaxDropped = 1 << 20;
+
+// Returns true if the header Host names this machine, with or without a port.
+bool NamesThisMachine(absl::string_view host) {
+  const size_t colon = host.rfind(':');
+  const bool has_port = colon != absl::string_view::npos && host.find(']', colon) == host.npos;
+  return Address{.host = std::string(has_port ? host.substr(0, colon) : host)}.is_loopback();
+}
+
+// Converts a string view of the library.
+template <typename View>
+absl::string_view ToView(const View& view) {
+  return {view.data(), view.size()};
+}
+
+}  // namespace
+
+struct HttpConnection::Parser : http::request_parser<http::empty_body> {};
+
+HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
+                               uint64_t id, bool local_names_only, Owner* owner)
+    : socket_(std::move(socket)),
+      slot_(std::move(slot)),
+      id_(id),
+      local_names_only_(local_names_only),
+      owner_(owner),
+      parser_(std::make_unique<Parser>()) {
+  parser_->header_limit(kMaxHeaderBytes);
+}
+
+HttpConnection::~HttpConnection() = default;
+
+absl::Status HttpConnection::Start() {
+  if (auto status = events().Watch(socket_->fd(), EPOLLIN, this); !status.ok()) return status;
+  Enter(State::kReading, kRequestTimeout, EPOLLIN);
+  return absl::OkStatus();
+}
+
+void HttpConnection::Enter(State state, absl::Duration timeout, uint32_t events_to_watch) {
+  state_ = state;
+  events().Cancel(timer_);
+  timer_ = events().After(timeout, [this] { Close(); });
+  events().ChangeWatch(socket_->fd(), events_to_watch, this);
+}
+
+void HttpConnection::Close() {
+  if (std::exchange(state_, State::kClosed) == State::kClosed) return;
+  events().Cancel(timer_);
+  events().Unwatch(socket_->fd());
+  owner_->OnClosed(this);
+}
+
+void HttpConnection::OnReady(uint32_t ready) {
+  if (state_ == State::kAnswering && (ready & (EPOLLHUP | EPOLLERR)) != 0) return Close();
+  if (state_ == State::kReading) return Read();
+  if (state_ == State::kWriting) return Write();
+  if (state_ == State::kClosing) return DropInput();
+}
+
+void HttpConnection::Read() {
+  std::array<char, kReadBytes> buffer;
+  do {
+    const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
+    if (result.outcome == Socket::Outcome::kClosed) return Close();
+    if (result.outcome == Socket::Outcome::kBlocked) {
+      const uint32_t wanted = socket_->read_waits_for_write() ? EPOLLOUT : EPOLLIN;
+      return events().ChangeWatch(socket_->fd(), wanted, this);
+    }
+    input_.append(buffer.data(), result.bytes);
+    Parse();
+  } while (state_ == State::kReading && socket_->has_buffered_input());
+}
+
+void HttpConnection::Parse() {
+  boost::system::error_code error;
+  const size_t parsed = parser_->put(boost::asio::buffer(input_), error);
+  input_.erase(0, parsed);
+  if (error == http::error::need_more) return;
+  if (error == http::error::header_limit) {
+    return Answer({.code = 431, .body = "headers: expected at most 16 KiB\n"});
+  }
+  if (error) return Answer({.code = 400, .body = "expected a request of HTTP/1.1\n"});
+  if (parser_->is_header_done()) ParseHeaders();
+}
+
+void HttpConnection::ParseHeaders() {
+  const auto& headers = parser_->get();
+  is_head_ = headers.method() == http::verb::head;
+  if (headers.method() != http::verb::get && !is_head_) {
+    return Answer({.code = 405, .body = "expected GET or HEAD\n"});
+  }
+  // A browser always sends the header; some programs that check health do not.
+  const auto host = headers.find(http::field::host);
+  if (local_names_only_ && host != headers.end() && !NamesThisMachine(ToView(host->value()))) {
+    return Answer({.code = 403, .body = "Host: expected localhost or a loopback address\n"});
+  }
+  HttpRequest request;
+  if (auto status = DecodeTarget(ToView(headers.target()), &request); !status.ok()) {
+    return Answer({.code = 400, .body = std::string(status.message()) + "\n"});
+  }
+  request.authorization = std::string(ToView(headers[http::field::authorization]));
+  request.client = slot_->address();
+  parser_.reset();
+  Enter(State::kAnswering, kAnswerTimeout, 0);
+  owner_->OnRequest(this, std::move(request));
+}
+
+void HttpConnection::Answer(const HttpResponse& response) {
+  if (state_ == State::kClosed) return;
+  output_ = ToBytes(response, !is_head_);
+  Enter(State::kWriting, kWriteTimeout, EPOLLOUT);
+  Write();
+}
+
+void HttpConnection::Write() {
+  while (written_ < output_.size()) {
+    const auto rest = absl::string_view(output_).substr(written_, kWriteBytes);
+    const Socket::Result result = socket_->Write(rest);
+    if (result.outcome == Socket::Outcome::kClosed) return Close();
+    if (result.outcome == Socket::Outcome::kBlocked) return;
+    written_ += result.bytes;
+  }
+  output_ = std::string();
+  socket_->ShutDownWriting();
+  Enter(State::kClosing, kClosingTimeout, EPOLLIN);
+}
+
+void HttpConnection::DropInput() {
+  std::array<char, kReadBytes> buffer;
+  const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
+  if (result.outcome == Socket::Outcome::kBlocked) return;
+  dropped_ += result.bytes;
+  if (result.outcome == Socket::Outcome::kClosed || dropped_ > kMaxDropped) Close();
+}
+
+}  // namespace spikeserve

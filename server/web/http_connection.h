@@ -1,0 +1,96 @@
+// One connection of HTTP/1.1, which carries one request.
+//
+// Confined to the thread of its loop.
+#ifndef SERVER_WEB_HTTP_CONNECTION_H_
+#define SERVER_WEB_HTTP_CONNECTION_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "server/transport/connection_table.h"
+#include "server/transport/event_loop.h"
+#include "server/transport/socket.h"
+#include "server/web/http_message.h"
+
+namespace spikeserve {
+
+// The client has five seconds for its request, a TLS handshake included, and thirty to take the
+// answer, however it divides the bytes. A request has at most 16 KiB of headers; its body is not
+// read.
+class HttpConnection final : public EventLoop::Source {
+ public:
+  // Who owns the connection.
+  class Owner {
+   public:
+    virtual EventLoop& events() = 0;
+    // Computes the answer to a request, and calls Answer() of the connection later.
+    virtual void OnRequest(HttpConnection* connection, HttpRequest request) = 0;
+    // Destroys the connection at the end of the turn.
+    virtual void OnClosed(HttpConnection* connection) = 0;
+
+   protected:
+    ~Owner() = default;
+  };
+
+  // `owner` must outlive the connection. `local_names_only`: answers 403 unless the header Host
+  // names this machine. REQUIRES: Close() is called before the destructor.
+  HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot, uint64_t id,
+                 bool local_names_only, Owner* owner);
+  ~HttpConnection() override;
+
+  // Watches the socket. Returns RESOURCE_EXHAUSTED if the system has no memory for that.
+  absl::Status Start();
+  // Sends the answer to the request and closes the connection in order.
+  void Answer(const HttpResponse& response);
+  // Closes the connection now.
+  void Close();
+
+  // EventLoop::Source
+  void OnReady(uint32_t events) override;
+
+  // The number of the connection. Smaller is older.
+  uint64_t id() const { return id_; }
+  // Returns true while the server works on the answer; otherwise the connection waits for its
+  // client.
+  bool is_being_answered() const { return state_ == State::kAnswering; }
+
+ private:
+  enum class State { kReading, kAnswering, kWriting, kClosing, kClosed };
+  struct Parser;  // of the library
+
+  void Read();
+  // Parses what was received. Calls the owner, or answers an invalid request.
+  void Parse();
+  void ParseHeaders();
+  void Write();
+  // Reads and drops what arrives, so that the client can read the answer before the system resets
+  // the connection for unread bytes.
+  void DropInput();
+  // Goes to `state`, in which the connection stays for at most `timeout`, and waits for `events`.
+  void Enter(State state, absl::Duration timeout, uint32_t events);
+  EventLoop& events() { return owner_->events(); }
+
+  const std::unique_ptr<Socket> socket_;
+  const std::unique_ptr<ConnectionSlot> slot_;
+  const uint64_t id_;
+  const bool local_names_only_;
+  Owner* const owner_;
+  std::unique_ptr<Parser> parser_;
+  State state_ = State::kReading;
+  EventLoop::Timer timer_;
+  std::string input_;  // received and not yet parsed
+  std::string output_;
+  size_t written_ = 0;  // bytes of `output_`
+  size_t dropped_ = 0;  // bytes
+  bool is_head_ = false;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_WEB_HTTP_CONNECTION_H_

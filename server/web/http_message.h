@@ -1,0 +1,38 @@
+// Requests and answers of HTTP/1.1.
+#ifndef SERVER_WEB_HTTP_MESSAGE_H_
+#define SERVER_WEB_HTTP_MESSAGE_H_
+
+#include <map>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+
+namespace spikeserve {
+
+// A GET or HEAD request. The server leaves out the body of the answer to a HEAD.
+struct HttpRequest {
+  std::string path;                                    // decoded
+  std::multimap<std::string, std::string> parameters;  // of the query, decoded
+  std::string authorization;                           // the header; empty if absent
+  std::string client;                                  // IP address
+};
+
+struct HttpResponse {
+  int code = 200;  // with 401 the server asks for HTTP Basic authentication
+  std::string content_type = "text/plain; charset=utf-8";
+  std::string body;
+};
+
+// Decodes the target of a request line, such as "/sessions.json?sort=steps", into `path` and
+// `parameters`. Returns INVALID_ARGUMENT if the target does not begin with a slash, or if a percent
+// sign is not followed by two hexadecimal digits.
+absl::Status DecodeTarget(absl::string_view target, HttpRequest* request);
+
+// Returns the bytes of an answer after which the server closes the connection. Its headers allow a
+// page to load only from this server, forbid framing, and disable caching.
+std::string ToBytes(const HttpResponse& response, bool with_body);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_WEB_HTTP_MESSAGE_H_
