@@ -9,7 +9,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow build train bench attacks sanitize format clean setup configure
+.PHONY: demo test test-slow build train bench attacks sanitize fuzz format clean setup configure
 
 demo: configure
 	cmake --build $(BUILD) --target spikeserve spikectl
@@ -48,6 +48,11 @@ attacks: build
 sanitize: setup
 	tests/sanitizers/run.sh asan
 	tests/sanitizers/run.sh tsan
+
+# Searches with libFuzzer for inputs that break a parser or the server's invariants: FUZZ_SECONDS for each target.
+FUZZ_SECONDS := 60
+fuzz: setup
+	tests/fuzz/run.sh $(FUZZ_SECONDS)
 
 format:
 	clang-format -i $(SOURCES)

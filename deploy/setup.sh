@@ -9,7 +9,7 @@ build_dir=${1:-build}
 
 packages=(
   # toolchain
-  g++ make cmake ninja-build ccache git clang clang-format clang-tidy pkg-config
+  g++ make cmake ninja-build ccache git clang libclang-rt-14-dev clang-format clang-tidy pkg-config
   # server, client, core
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
   prometheus-cpp-dev libboost1.74-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev

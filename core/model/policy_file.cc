@@ -54,8 +54,10 @@ absl::Status TakeTensors(Safetensors& contents, Policy* policy) {
                                                  std::string(ToString(policy->config.arithmetic))));
 }
 
-absl::StatusOr<Policy> Read(const std::string& path) {
-  absl::StatusOr<Safetensors> contents = ReadSafetensors(path);
+}  // namespace
+
+absl::StatusOr<Policy> ParsePolicyFile(absl::string_view bytes) {
+  absl::StatusOr<Safetensors> contents = ParseSafetensors(bytes);
   if (!contents.ok()) return contents.status();
   Policy policy;
   absl::Status status = ParsePolicyMetadata(contents->metadata, &policy);
@@ -68,10 +70,10 @@ absl::StatusOr<Policy> Read(const std::string& path) {
   return policy;
 }
 
-}  // namespace
-
 absl::StatusOr<Policy> ReadPolicyFile(const std::string& path) {
-  absl::StatusOr<Policy> policy = Read(path);
+  const auto bytes = ReadSafetensorsFile(path);
+  if (!bytes.ok()) return Annotate(bytes.status(), path);
+  absl::StatusOr<Policy> policy = ParsePolicyFile(*bytes);
   if (!policy.ok()) return Annotate(policy.status(), path);
   return policy;
 }

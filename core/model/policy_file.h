@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "core/model/policy.h"
 
 namespace spikeserve {
@@ -18,6 +19,9 @@ namespace spikeserve {
 // `config` or a malformed container is an error. NOT_FOUND if there is no such file,
 // INVALID_ARGUMENT otherwise; messages start with the path.
 absl::StatusOr<Policy> ReadPolicyFile(const std::string& path);
+
+// As above, of the bytes of a file. Messages do not name a path.
+absl::StatusOr<Policy> ParsePolicyFile(absl::string_view bytes);
 
 // Writes `policy` to a temporary file in the same directory and renames it to `path`, so that a
 // reader never sees a part of a policy. INVALID_ARGUMENT if the policy is not valid; in that case

@@ -2,10 +2,8 @@
 
 #include <algorithm>
 #include <bit>
-#include <cerrno>
 #include <cstring>
 #include <filesystem>
-#include <fstream>
 #include <limits>
 #include <system_error>
 #include <tuple>
@@ -52,7 +50,15 @@ absl::Status TensorError(absl::string_view name, absl::string_view expected,
       absl::StrCat("tensor ", Quoted(name), ": expected ", expected, ", received ", received));
 }
 
-absl::StatusOr<uint64_t> FileSize(const std::string& path) {
+absl::Status CheckSize(uint64_t size) {
+  if (size >= kPrefixBytes && size <= kMaxSafetensorsFileBytes) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("file size: expected ", kPrefixBytes, " to ",
+                                                 kMaxSafetensorsFileBytes, " bytes, received ",
+                                                 size));
+}
+
+// Returns an error unless the file can be read into memory.
+absl::Status CheckFile(const std::string& path) {
   std::error_code error;
   const std::filesystem::file_status file = std::filesystem::status(path, error);
   if (file.type() == std::filesystem::file_type::not_found) {
@@ -64,42 +70,29 @@ absl::StatusOr<uint64_t> FileSize(const std::string& path) {
   }
   const uint64_t size = std::filesystem::file_size(path, error);
   if (error) return absl::InvalidArgumentError(error.message());
-  if (size < kPrefixBytes || size > kMaxSafetensorsFileBytes) {
-    return absl::InvalidArgumentError(absl::StrCat("file size: expected ", kPrefixBytes, " to ",
-                                                   kMaxSafetensorsFileBytes, " bytes, received ",
-                                                   size));
-  }
-  return size;
+  return CheckSize(size);
 }
 
-absl::Status ReadBytes(std::ifstream& file, uint64_t size, void* bytes) {
-  file.read(static_cast<char*>(bytes), static_cast<std::streamsize>(size));
-  if (file) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("cannot read: expected ", size, " bytes more, received ", file.gcount()));
-}
-
-absl::StatusOr<std::string> ReadHeader(std::ifstream& file, uint64_t file_size) {
+// Returns the JSON text. REQUIRES: `bytes` has a prefix.
+absl::StatusOr<absl::string_view> FindHeader(absl::string_view bytes) {
   uint64_t size = 0;
-  if (absl::Status status = ReadBytes(file, kPrefixBytes, &size); !status.ok()) return status;
-  const uint64_t limit = std::min(kMaxSafetensorsHeaderBytes, file_size - kPrefixBytes);
+  std::memcpy(&size, bytes.data(), kPrefixBytes);
+  const uint64_t limit = std::min(kMaxSafetensorsHeaderBytes, bytes.size() - kPrefixBytes);
   if (size > limit) {
     return absl::InvalidArgumentError(
         absl::StrCat("header length: expected at most ", limit, " bytes, received ", size));
   }
-  std::string header(size, '\0');
-  if (absl::Status status = ReadBytes(file, size, header.data()); !status.ok()) return status;
+  const absl::string_view header = bytes.substr(kPrefixBytes, size);
   if (header.empty() || header.front() != '{') {
-    return absl::InvalidArgumentError(
-        absl::StrCat("header: expected it to begin with \"{\", received ",
-                     Quoted(absl::string_view(header).substr(0, 1))));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "header: expected it to begin with \"{\", received ", Quoted(header.substr(0, 1))));
   }
   // The JSON parser accepts any white space at the end; safetensors allows only spaces.
   const size_t last = header.find_last_not_of(' ');
   if (header[last] != '}') {
     return absl::InvalidArgumentError(
         absl::StrCat("header: expected \"}\" and then only spaces at its end, received ",
-                     Quoted(absl::string_view(header).substr(last, 1))));
+                     Quoted(header.substr(last, 1))));
   }
   return header;
 }
@@ -225,16 +218,16 @@ absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t dat
   return entries;
 }
 
-// Allocates the tensor of `entry` and reads its numbers.
-absl::StatusOr<AnyTensor> ReadTensor(std::ifstream& file, const Entry& entry) {
+// Copies the numbers of `entry`'s tensor from the data section.
+AnyTensor CopyTensor(absl::string_view data, const Entry& entry) {
   AnyTensor tensor = entry.tensor;
-  absl::Status status = std::visit(
+  std::visit(
       [&](auto& numbers) {
         numbers = std::decay_t<decltype(numbers)>::Zeros(entry.shape);
-        return ReadBytes(file, entry.end - entry.begin, numbers.values.data());
+        const uint64_t size = entry.end - entry.begin;
+        if (size > 0) std::memcpy(numbers.values.data(), data.data() + entry.begin, size);
       },
       tensor);
-  if (!status.ok()) return status;
   return tensor;
 }
 
@@ -248,28 +241,33 @@ std::string DtypeName(const AnyTensor& tensor) {
       tensor);
 }
 
+absl::StatusOr<std::string> ReadSafetensorsFile(const std::string& path) {
+  if (auto status = CheckFile(path); !status.ok()) return status;
+  auto bytes = ReadFile(path);
+  if (!bytes.ok()) return absl::InvalidArgumentError(bytes.status().message());
+  return bytes;
+}
+
 absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path) {
-  const absl::StatusOr<uint64_t> file_size = FileSize(path);
-  if (!file_size.ok()) return file_size.status();
-  std::ifstream file(path, std::ios::binary);
-  if (!file)
-    return absl::InvalidArgumentError(
-        absl::StrCat("cannot open: ", std::generic_category().message(errno)));
-  const absl::StatusOr<std::string> text = ReadHeader(file, *file_size);
+  const auto bytes = ReadSafetensorsFile(path);
+  if (!bytes.ok()) return bytes.status();
+  return ParseSafetensors(*bytes);
+}
+
+absl::StatusOr<Safetensors> ParseSafetensors(absl::string_view bytes) {
+  if (auto status = CheckSize(bytes.size()); !status.ok()) return status;
+  const absl::StatusOr<absl::string_view> text = FindHeader(bytes);
   if (!text.ok()) return text.status();
   const absl::StatusOr<json> header = ParseJsonObject("header", *text);
   if (!header.ok()) return header.status();
   auto metadata = ParseMetadata(*header);
   if (!metadata.ok()) return metadata.status();
-  const auto entries = ParseEntries(*header, *file_size - kPrefixBytes - text->size());
+  const absl::string_view data = bytes.substr(kPrefixBytes + text->size());
+  const auto entries = ParseEntries(*header, data.size());
   if (!entries.ok()) return entries.status();
 
   Safetensors contents{.metadata = *std::move(metadata), .tensors = {}};
-  for (const Entry& entry : *entries) {
-    absl::StatusOr<AnyTensor> tensor = ReadTensor(file, entry);
-    if (!tensor.ok()) return tensor.status();
-    contents.tensors[entry.name] = *std::move(tensor);
-  }
+  for (const Entry& entry : *entries) contents.tensors[entry.name] = CopyTensor(data, entry);
   return contents;
 }
 

@@ -17,6 +17,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "core/model/weights.h"
 
 namespace spikeserve {
@@ -36,10 +37,16 @@ struct Safetensors {
   std::map<std::string, AnyTensor> tensors;
 };
 
-// Reads a container in which every tensor is F32, I8 or I16. Compares every size in the file with
-// the size of the file before it is used, and requires that every data byte belongs to exactly one
-// tensor. NOT_FOUND if there is no such file, INVALID_ARGUMENT if the format is violated; the
-// message names the tensor or field, but not the path.
+// Returns the bytes of a file, unless its size is out of range. NOT_FOUND if there is no such file,
+// INVALID_ARGUMENT if it is not a regular file, or too long; the message does not name the path.
+absl::StatusOr<std::string> ReadSafetensorsFile(const std::string& path);
+
+// Parses a container in which every tensor is F32, I8 or I16. Compares every size in the bytes with
+// the number of bytes before it is used, and requires that every data byte belongs to exactly one
+// tensor. INVALID_ARGUMENT if the format is violated; the message names the tensor or field.
+absl::StatusOr<Safetensors> ParseSafetensors(absl::string_view bytes);
+
+// Does both.
 absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path);
 
 // Writes the layout of the reference implementation: tensors sorted by dtype (widest first), then

@@ -343,23 +343,42 @@ def test_promtool_is_content(arguments):
     assert finished.returncode == 0, finished.stdout + finished.stderr
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
-def test_systemd_is_content(tmp_path):
-    # The unit has placeholders that CMake fills in. systemd-analyze checks that the program and the user exist.
+needs_systemd = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd is not installed"
+)
+
+
+def systemd_analyze(tmp_path, *arguments):
+    """Runs systemd-analyze on the unit, with values for the placeholders that CMake fills in."""
     program = pathlib.Path(os.environ["SPIKESERVE_PROGRAM"])
     text = UNIT.read_text().replace("@SPIKESERVE_BINDIR@", str(program.parent))
     text = text.replace("@SPIKESERVE_DATADIR@", "/usr/share/spikeserve")
+    # A user that exists, because systemd-analyze checks that.
     text = text.replace("User=spikeserve", "User=daemon").replace("Group=spikeserve", "Group=daemon")
     unit = tmp_path / "spikeserve.service"
     unit.write_text(text)
-    finished = subprocess.run(
-        ["systemd-analyze", "verify", unit],
+    return subprocess.run(
+        ["systemd-analyze", *arguments, unit],
         capture_output=True,
         text=True,
         timeout=DEADLINE_SECONDS,
     )
+
+
+@needs_systemd
+def test_systemd_is_content(tmp_path):
+    finished = systemd_analyze(tmp_path, "verify")
     assert finished.returncode == 0, finished.stdout + finished.stderr
     assert finished.stderr == ""
+
+
+@needs_systemd
+def test_the_service_may_do_little(tmp_path):
+    # Fails if the exposure exceeds the threshold, in tenths.
+    finished = systemd_analyze(tmp_path, "security", "--offline=true", "--threshold=20")
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    for limit in ("MemoryMax", "TasksMax", "LogRateLimitBurst"):
+        assert f"\n{limit}=" in UNIT.read_text()
 
 
 def test_systemd_waits_for_the_drain():
