@@ -9,6 +9,7 @@
 #include "core/dataset/recordings.h"
 #include "train/commands.h"
 #include "train/data/minari_writer.h"
+#include "train/evaluation/training_record.h"
 #include "train/record_flags.h"
 
 namespace spikeserve {
@@ -44,8 +45,9 @@ absl::Status WriteNewDataset(const DatasetFlags& flags) {
   if (auto status = RequireOut(flags.out, "a .cbor file or a directory to write"); !status.ok()) {
     return status;
   }
-  const absl::StatusOr<Dataset> dataset = MakeDataset(flags);
+  absl::StatusOr<Dataset> dataset = MakeDataset(flags);
   if (!dataset.ok()) return dataset.status();
+  dataset->recipe["commit"] = BuildCommit();
   const bool cbor = std::filesystem::path(flags.out).extension() == ".cbor";
   const absl::Status written =
       cbor ? WriteDataset(*dataset, flags.out) : WriteMinariDataset(*dataset, flags.out);

@@ -61,7 +61,8 @@ absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
 std::string QuantizationRecord(const std::string& command_line, const std::string& parent_sha256,
                                const std::optional<PairedEvaluation>& pair, const Policy& parent,
                                const ModelConfig& config) {
-  nlohmann::ordered_json record = {{"command", command_line}, {"parent_sha256", parent_sha256}};
+  nlohmann::ordered_json record = {
+      {"command", command_line}, {"commit", BuildCommit()}, {"parent_sha256", parent_sha256}};
   if (pair.has_value()) {
     record["paired_returns"] = ToJson(*pair);
     record["evaluation"] = ToJson(pair->second, config);

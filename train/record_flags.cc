@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/model/policy_file.h"
+#include "train/evaluation/training_record.h"
 
 namespace spikeserve {
 
@@ -52,7 +53,12 @@ absl::StatusOr<Dataset> RecordFromFlags(const RecordFlags& flags, const std::str
     options->expert.tables_directory = path.has_parent_path() ? path.parent_path().string() : ".";
   }
   if (absl::Status status = options->Validate(); !status.ok()) return NameFlag(status);
-  return RecordDataset(*options);
+  absl::StatusOr<Dataset> dataset = RecordDataset(*options);
+  if (!dataset.ok() || flags.student.empty()) return dataset;
+  const absl::StatusOr<std::string> student = FileSha256(flags.student);
+  if (!student.ok()) return student.status();
+  dataset->recipe["student_sha256"] = *student;
+  return dataset;
 }
 
 absl::Status RequireOut(const std::string& out, absl::string_view what) {

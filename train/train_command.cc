@@ -13,6 +13,7 @@
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "train/commands.h"
+#include "train/data/minari_layout.h"
 #include "train/data/minari_reader.h"
 #include "train/evaluation/evaluation.h"
 #include "train/evaluation/training_record.h"
@@ -94,14 +95,34 @@ absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& polic
   return std::optional<Evaluation>(*std::move(evaluation));
 }
 
-// Returns the record of a policy's training. `earlier` is the record of the initial policy, or "{}"
-// if there is none.
-std::string TrainingRecord(const std::string& command_line, const TrainOptions& options,
-                           const Dataset& dataset, double validation,
+// Identifies the program and the files of --init and --data. Called before training, which may take
+// long enough for the files to change.
+absl::StatusOr<nlohmann::ordered_json> IdentifySources(const TrainFlags& flags) {
+  nlohmann::ordered_json sources = {{"commit", BuildCommit()}};
+  if (!flags.init.empty()) {
+    const absl::StatusOr<std::string> sha256 = FileSha256(flags.init);
+    if (!sha256.ok()) return sha256.status();
+    sources["parent_sha256"] = *sha256;
+  }
+  for (const std::string& path : flags.data) {
+    const absl::StatusOr<std::string> sha256 =
+        FileSha256(IsMinariDataset(path) ? path + kMinariData : path);
+    if (!sha256.ok()) return sha256.status();
+    sources["data_sha256"][path] = *sha256;
+  }
+  return sources;
+}
+
+// Returns the record of a policy's training. `sources` is the result of IdentifySources(),
+// `earlier` the record of the initial policy, or "{}" if there is none.
+std::string TrainingRecord(const std::string& command_line, const nlohmann::ordered_json& sources,
+                           const TrainOptions& options, const Dataset& dataset, double validation,
                            const std::optional<Evaluation>& evaluation, const ModelConfig& config,
                            const std::string& earlier) {
-  nlohmann::ordered_json record = {
-      {"command", command_line}, {"seed", options.seed}, {"data", dataset.recipe}};
+  nlohmann::ordered_json record = {{"command", command_line}};
+  record.update(sources);
+  record["seed"] = options.seed;
+  record["data"] = dataset.recipe;
   if (evaluation.has_value()) record["evaluation"] = ToJson(*evaluation, config);
   if (validation >= 0.0) record["validation_loss"] = validation;
   AddLineage(earlier, &record);
@@ -201,12 +222,13 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const Dataset&
 
 // Writes policy.safetensors and prints the summary.
 absl::Status Finish(const TrainFlags& flags, const std::string& command_line,
-                    const TrainOptions& options, const Dataset& dataset, const Policy& initial,
-                    double validation, Policy policy) {
+                    const nlohmann::ordered_json& sources, const TrainOptions& options,
+                    const Dataset& dataset, const Policy& initial, double validation,
+                    Policy policy) {
   const absl::StatusOr<std::optional<Evaluation>> evaluation =
       EvaluateIfPossible(policy, {.episodes = flags.episodes});
   if (!evaluation.ok()) return evaluation.status();
-  policy.training = TrainingRecord(command_line, options, dataset, validation, *evaluation,
+  policy.training = TrainingRecord(command_line, sources, options, dataset, validation, *evaluation,
                                    policy.config, initial.training);
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
   if (auto status = WritePolicyFile(policy, path); !status.ok()) return status;
@@ -239,6 +261,9 @@ absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
   const absl::StatusOr<Policy> initial = MakeInitialPolicy(flags, *dataset);
   if (!initial.ok()) return initial.status();
 
+  const absl::StatusOr<nlohmann::ordered_json> sources = IdentifySources(flags);
+  if (!sources.ok()) return sources.status();
+
   Trainer trainer(*initial, *dataset, *options);
   const std::string checkpoint = absl::StrCat(flags.out, "/checkpoint.pt");
   if (flags.resume && std::filesystem::exists(checkpoint)) {
@@ -246,7 +271,7 @@ absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
   }
   const absl::StatusOr<double> validation = TrainToEnd(flags, checkpoint, &trainer);
   if (!validation.ok()) return validation.status();
-  return Finish(flags, command_line, *options, *dataset, *initial, *validation,
+  return Finish(flags, command_line, *sources, *options, *dataset, *initial, *validation,
                 trainer.CurrentPolicy());
 }
 

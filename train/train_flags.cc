@@ -72,6 +72,8 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
            "Percent of ticks above which firing is penalised")
       .Add("readout_rate", "PERCENT", &flags->readout_rate, "The same for the readout coder")
       .Add("spike_penalty", "X", &options.spike_penalty, "Weight of the penalty")
+      .Add("operation_penalty", "X", &options.operation_penalty,
+           "Weight of a penalty on synaptic operations")
       .Add("surrogate", EnumKind<SurrogateKind>(), &options.surrogate.kind, "Surrogate gradient")
       .Add("slope", "K", &options.surrogate.slope, "Slope of the surrogate gradient");
 }

@@ -26,11 +26,33 @@ absl::StatusOr<Action> ActionFromProto(const v1::Action& proto, const ActionSpac
   return action;
 }
 
+std::optional<double> JoulesOf(const v1::DecisionStats& stats, EnergyModel model) {
+  switch (model) {
+    case EnergyModel::kHorowitz45nm:
+      return stats.energy_joules();
+    case EnergyModel::kHorowitz45nmInt8:
+      if (stats.has_horowitz_int8_energy_joules()) return stats.horowitz_int8_energy_joules();
+      break;
+    case EnergyModel::kLoihi2018:
+      if (stats.has_loihi_energy_joules()) return stats.loihi_energy_joules();
+      break;
+    case EnergyModel::kSpike5pj:
+      if (stats.has_spike_energy_joules()) return stats.spike_energy_joules();
+      break;
+  }
+  return std::nullopt;
+}
+
+void Add(std::optional<double> joules, std::optional<double>* sum) {
+  if (joules.has_value()) *sum = sum->value_or(0.0) + *joules;
+}
+
 void Count(const v1::DecisionStats& stats, EpisodeRecord* record) {
   ++record->steps;
   record->spikes += stats.spikes();
-  record->energy_joules += stats.energy_joules();
-  record->horowitz_energy_joules += stats.horowitz_energy_joules();
+  for (int i = 0; i < kEnergyModels; ++i) {
+    Add(JoulesOf(stats, static_cast<EnergyModel>(i)), &record->joules[static_cast<size_t>(i)]);
+  }
 }
 
 }  // namespace
@@ -39,8 +61,7 @@ EpisodeRecord& EpisodeRecord::operator+=(const EpisodeRecord& other) {
   episode_return += other.episode_return;
   steps += other.steps;
   spikes += other.spikes;
-  energy_joules += other.energy_joules;
-  horowitz_energy_joules += other.horowitz_energy_joules;
+  for (size_t i = 0; i < joules.size(); ++i) Add(other.joules[i], &joules[i]);
   latency.Merge(other.latency);
   return *this;
 }

@@ -2,10 +2,13 @@
 #ifndef CLIENT_SPIKECTL_AGENT_H_
 #define CLIENT_SPIKECTL_AGENT_H_
 
+#include <array>
 #include <cstdint>
+#include <optional>
 
 #include "absl/status/statusor.h"
 #include "client/tools/latency_histogram.h"
+#include "core/engine/energy.h"
 #include "core/environment/environment.h"
 #include "spikeserve/remote_session.h"
 
@@ -16,9 +19,9 @@ struct EpisodeRecord {
   double episode_return = 0.0;
   int64_t steps = 0;
   uint64_t spikes = 0;
-  // Estimates: the sum of the server's `energy_joules`, and the energy model horowitz_45nm.
-  double energy_joules = 0.0;
-  double horowitz_energy_joules = 0.0;
+  // Estimates of the server, indexed by EnergyModel. Absent for a model that does not apply to the
+  // policy.
+  std::array<std::optional<double>, kEnergyModels> joules;
   LatencyHistogram latency;  // seconds from the call of Act to its return, retries included
 
   EpisodeRecord& operator+=(const EpisodeRecord& other);

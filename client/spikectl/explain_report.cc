@@ -49,6 +49,14 @@ std::string Head(const v1::ExplainResponse& explained) {
                         answer.stats().spikes(), spikes.coder(), spikes.phase(), spikes.query(),
                         spikes.key(), spikes.value(), spikes.ffn_in(), spikes.ffn_hidden(),
                         spikes.readout());
+  const v1::DecisionStats& stats = answer.stats();
+  absl::StrAppendFormat(
+      &text,
+      "%d accumulates, %d multiply-accumulates, %d attention products, %d membrane updates, %d "
+      "coder gains, %d LayerNorm elements, %d softmax terms, %d gate products\n",
+      stats.accumulates(), stats.multiply_accumulates(), stats.attention_products(),
+      stats.membrane_updates(), stats.coder_gains(), stats.layer_norm_elements(),
+      stats.softmax_terms(), stats.gate_products());
   return text;
 }
 

@@ -67,19 +67,17 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
     std::cerr << "spikectl: recorded as " << opened->recording << "\n";
   }
 
-  // The energy model of `energy_joules` in the server's answers, see DecisionStats.
-  const std::string energy_model = opened->policy.mode() == "dense" ? "horowitz_45nm" : "spike_5pj";
   const bool as_text = !server.json;
   if (as_text) {
     absl::PrintF("%s with policy %s/%d (%s)\n%s", flags.agent.env, opened->policy.name(),
-                 opened->policy.version(), opened->policy.mode(), RunTableHead(energy_model));
+                 opened->policy.version(), opened->policy.mode(), RunTableHead());
   }
   std::vector<EpisodeRecord> episodes;
   const absl::Status played =
       PlayEpisodes(flags, **environment, opened->session, as_text, &episodes);
   if (!episodes.empty()) {
     if (as_text) {
-      std::cout << RunSummary(episodes, energy_model);
+      std::cout << RunSummary(episodes);
     } else {
       std::cout << RunToJson(episodes).dump(2) << "\n";
     }

@@ -1,6 +1,8 @@
 #include "client/spikectl/run_report.h"
 
 #include <cmath>
+#include <optional>
+#include <utility>
 
 #include "absl/strings/str_format.h"
 
@@ -12,6 +14,12 @@ constexpr double kMilli = 1e3;
 
 double PerDecision(double total, const EpisodeRecord& record) {
   return total / static_cast<double>(record.steps);
+}
+
+std::optional<double> JoulesPerDecision(EnergyModel model, const EpisodeRecord& record) {
+  const std::optional<double>& total = record.joules[static_cast<size_t>(model)];
+  if (!total.has_value()) return std::nullopt;
+  return PerDecision(*total, record);
 }
 
 EpisodeRecord Sum(const std::vector<EpisodeRecord>& episodes) {
@@ -36,11 +44,11 @@ double ReturnDeviation(const std::vector<EpisodeRecord>& episodes) {
 
 }  // namespace
 
-std::string RunTableHead(const std::string& energy_model) {
+std::string RunTableHead() {
   return absl::StrFormat(
              "energy per decision is an estimate, energy model %s; latency as the client sees "
              "Act\n",
-             energy_model) +
+             ToString(kDefaultEnergyModel)) +
          absl::StrFormat("%12s %10s %10s %16s %18s %10s %10s\n", "seed", "return", "decisions",
                          "spikes/decision", "energy/decision", "p50", "p99");
 }
@@ -49,25 +57,26 @@ std::string RunTableLine(uint64_t seed, const EpisodeRecord& episode) {
   return absl::StrFormat(
       "%12d %10.1f %10d %16.1f %15.3f nJ %7.3f ms %7.3f ms\n", seed, episode.episode_return,
       episode.steps, PerDecision(static_cast<double>(episode.spikes), episode),
-      PerDecision(episode.energy_joules, episode) * kNano, episode.latency.Quantile(0.5) * kMilli,
-      episode.latency.Quantile(0.99) * kMilli);
+      JoulesPerDecision(kDefaultEnergyModel, episode).value_or(0.0) * kNano,
+      episode.latency.Quantile(0.5) * kMilli, episode.latency.Quantile(0.99) * kMilli);
 }
 
-std::string RunSummary(const std::vector<EpisodeRecord>& episodes,
-                       const std::string& energy_model) {
+std::string RunSummary(const std::vector<EpisodeRecord>& episodes) {
   const EpisodeRecord sum = Sum(episodes);
-  return absl::StrFormat("mean return %.1f +- %.1f over %d episodes, %d decisions\n",
-                         MeanReturn(episodes), ReturnDeviation(episodes), episodes.size(),
-                         sum.steps) +
-         absl::StrFormat("%.1f spikes per decision; estimated energy per decision: %.3f nJ by %s",
-                         PerDecision(static_cast<double>(sum.spikes), sum),
-                         PerDecision(sum.energy_joules, sum) * kNano, energy_model) +
-         (energy_model == "horowitz_45nm"
-              ? "\n"
-              : absl::StrFormat(", %.3f nJ by horowitz_45nm\n",
-                                PerDecision(sum.horowitz_energy_joules, sum) * kNano)) +
-         absl::StrFormat("latency p50 %.3f ms, p99 %.3f ms\n", sum.latency.Quantile(0.5) * kMilli,
-                         sum.latency.Quantile(0.99) * kMilli);
+  std::string text = absl::StrFormat(
+      "mean return %.1f +- %.1f over %d episodes, %d decisions\n%.1f spikes per decision\n"
+      "estimated energy per decision; each model is an alternative, do not add them:\n",
+      MeanReturn(episodes), ReturnDeviation(episodes), episodes.size(), sum.steps,
+      PerDecision(static_cast<double>(sum.spikes), sum));
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    const auto joules = JoulesPerDecision(model, sum);
+    if (!joules.has_value()) continue;
+    absl::StrAppendFormat(&text, "%12.3f nJ by %s, which leaves out %s\n", *joules * kNano, name,
+                          InfoOf(model).leaves_out);
+  }
+  absl::StrAppendFormat(&text, "latency p50 %.3f ms, p99 %.3f ms\n",
+                        sum.latency.Quantile(0.5) * kMilli, sum.latency.Quantile(0.99) * kMilli);
+  return text;
 }
 
 nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes) {
@@ -79,10 +88,19 @@ nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes) {
          {"steps", episode.steps},
          {"spikes_per_decision", PerDecision(static_cast<double>(episode.spikes), episode)}});
   }
+  auto models = nlohmann::ordered_json::object();
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    const auto joules = JoulesPerDecision(model, sum);
+    if (!joules.has_value()) continue;
+    models[std::string(name)] = {{"joules_per_decision", *joules},
+                                 {"leaves_out", std::string(InfoOf(model).leaves_out)}};
+  }
   return {{"episodes", std::move(list)},
           {"mean_return", MeanReturn(episodes)},
           {"spikes_per_decision", PerDecision(static_cast<double>(sum.spikes), sum)},
-          {"energy_joules_per_decision", PerDecision(sum.energy_joules, sum)},
+          {"energy_joules_per_decision", JoulesPerDecision(kDefaultEnergyModel, sum).value_or(0.0)},
+          {"energy_model", std::string(ToString(kDefaultEnergyModel))},
+          {"energy_models", std::move(models)},
           {"p50_seconds", sum.latency.Quantile(0.5)},
           {"p99_seconds", sum.latency.Quantile(0.99)}};
 }

@@ -11,17 +11,18 @@
 
 namespace spikeserve {
 
-// Returns the header of the table. `energy_model` is the model of EpisodeRecord::energy_joules.
-std::string RunTableHead(const std::string& energy_model);
+// Returns the header of the table, whose energies are those of kDefaultEnergyModel.
+std::string RunTableHead();
 
 // Returns the line of the episode that started from `seed`.
 std::string RunTableLine(uint64_t seed, const EpisodeRecord& episode);
 
 // Returns the summary below the table. REQUIRES: at least one episode.
-std::string RunSummary(const std::vector<EpisodeRecord>& episodes, const std::string& energy_model);
+std::string RunSummary(const std::vector<EpisodeRecord>& episodes);
 
 // Returns an object with `episodes`, `mean_return`, `spikes_per_decision`,
-// `energy_joules_per_decision`, `p50_seconds` and `p99_seconds`. REQUIRES: at least one episode.
+// `energy_joules_per_decision`, `energy_model`, `energy_models` (by name), `p50_seconds` and
+// `p99_seconds`. REQUIRES: at least one episode.
 nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes);
 
 }  // namespace spikeserve

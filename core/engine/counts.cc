@@ -3,15 +3,6 @@
 #include <numeric>
 
 namespace spikeserve {
-namespace {
-
-constexpr double kPicojoule = 1e-12;
-constexpr double kSpikePicojoules = 5.0;       // the paper, section 5.2
-constexpr double kAccumulatePicojoules = 0.9;  // Horowitz, ISSCC 2014: FP32 add, 45 nm, 0.9 V
-constexpr double kMultiplyAccumulatePicojoules = 4.6;  // FP32 multiply 3.7 and add 0.9
-
-}  // namespace
-
 uint64_t Counts::total_spikes() const {
   return std::accumulate(spikes_by_stage.begin(), spikes_by_stage.end(), uint64_t{0});
 }
@@ -21,17 +12,13 @@ Counts& Counts::operator+=(const Counts& other) {
   accumulates += other.accumulates;
   multiply_accumulates += other.multiply_accumulates;
   attention_products += other.attention_products;
+  integer_multiply_accumulates += other.integer_multiply_accumulates;
+  membrane_updates += other.membrane_updates;
+  coder_gains += other.coder_gains;
+  layer_norm_elements += other.layer_norm_elements;
+  softmax_terms += other.softmax_terms;
+  gate_products += other.gate_products;
   return *this;
-}
-
-Energy EstimateEnergy(const Counts& counts, bool dense) {
-  const double adds =
-      static_cast<double>(counts.accumulates + (dense ? 0 : counts.attention_products));
-  const double multiplies =
-      static_cast<double>(counts.multiply_accumulates + (dense ? counts.attention_products : 0));
-  return {.spike_5pj = kSpikePicojoules * kPicojoule * static_cast<double>(counts.total_spikes()),
-          .horowitz_45nm = kPicojoule * (kAccumulatePicojoules * adds +
-                                         kMultiplyAccumulatePicojoules * multiplies)};
 }
 
 }  // namespace spikeserve

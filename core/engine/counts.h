@@ -1,8 +1,10 @@
-// Stores what a decision costs: spikes by stage, synaptic operations by kind, and energy estimates.
+// Stores what a decision costs: spikes by stage, synaptic operations by kind, membrane updates, and
+// the other operations that an energy model (energy.h) prices.
 //
 // Plain values. The counts of the decision at timestep t are those of its new tokens a_{t-1}, G_t
 // and s_t (G_0 and s_0 at step 0), whenever these were computed, and of the phase spikes of
-// timestep t. They are complete: no spike or operation is left out.
+// timestep t. Not counted are additions of biases and residuals, the action head's softmax or tanh,
+// and single exponentials, roots and divisions.
 #ifndef CORE_ENGINE_COUNTS_H_
 #define CORE_ENGINE_COUNTS_H_
 
@@ -28,7 +30,7 @@ constexpr std::array<EnumName<Stage>, kStages> EnumNames(Stage) {
            {Stage::kReadout, "readout"}}};
 }
 
-// Numbers of spikes and operations; see counting.h for their definition.
+// Numbers of spikes and operations. The reference engine (with counting.h) is their definition.
 struct Counts {
   std::array<uint64_t, kStages> spikes_by_stage = {};
   // Synaptic operations as NeuroBench counts them, without biases.
@@ -36,6 +38,17 @@ struct Counts {
   uint64_t multiply_accumulates = 0;  // nonzero analog input x nonzero weight
   // Nonzero products inside attention (q & k, and p * v), which NeuroBench's hooks do not count.
   uint64_t attention_products = 0;
+  // Those of multiply_accumulates whose weight is an 8-bit integer.
+  uint64_t integer_multiply_accumulates = 0;
+
+  // The following depend only on the sizes of the model and on the number of tokens in the window.
+  // An update of a membrane is one multiplication and one addition; it is counted for every LIF
+  // neuron and tick, whether the neuron fires or not.
+  uint64_t membrane_updates = 0;
+  uint64_t coder_gains = 0;          // elements times a coder's gain, plus its bias
+  uint64_t layer_norm_elements = 0;  // elements that went through a LayerNorm
+  uint64_t softmax_terms = 0;        // terms of the softmaxes over keys and over gates
+  uint64_t gate_products = 0;        // routing gate x element of a head's output
 
   uint64_t& spikes(Stage stage) { return spikes_by_stage[static_cast<size_t>(stage)]; }
   uint64_t spikes(Stage stage) const { return spikes_by_stage[static_cast<size_t>(stage)]; }
@@ -46,19 +59,6 @@ struct Counts {
   Counts& operator+=(const Counts& other);
   friend bool operator==(const Counts&, const Counts&) = default;
 };
-
-// Estimates in joules, without memory traffic. The two models answer different questions, so never
-// add them up.
-struct Energy {
-  double spike_5pj = 0.0;  // the paper's model: 5 pJ per spike
-  // 45 nm CMOS: 0.9 pJ per accumulate, including those of attention, and 4.6 pJ per
-  // multiply-accumulate.
-  double horowitz_45nm = 0.0;
-};
-
-// Estimates the energy of `counts`. If `dense`, attention products are counted as
-// multiply-accumulates, because both of their factors are analog.
-Energy EstimateEnergy(const Counts& counts, bool dense);
 
 }  // namespace spikeserve
 

@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/counter_random.h"
 #include "core/math/vector_view.h"
@@ -485,7 +486,7 @@ void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> 
   session->history.Append(answer.return_to_go, observation, answer.action, limit);
 
   const uint64_t spikes = answer.counts.total_spikes();
-  const double energy = PrimaryEnergy(answer.counts, policy.config.is_dense());
+  const double energy = DefaultEnergy(answer.counts, policy.config);
   session->return_to_go = NextReturnToGo(*session, reward);
   session->episode_return += reward;
   session->episode_spikes += spikes;
@@ -502,11 +503,6 @@ absl::Status CheckTargetReturn(double target_return) {
   if (IsFiniteFloat(target_return)) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(
       "target_return: expected a finite number within float32, received ", target_return));
-}
-
-double PrimaryEnergy(const Counts& counts, bool dense) {
-  const Energy energy = EstimateEnergy(counts, dense);
-  return dense ? energy.horowitz_45nm : energy.spike_5pj;
 }
 
 }  // namespace spikeserve

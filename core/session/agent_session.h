@@ -191,10 +191,6 @@ void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> 
 // reads.
 absl::Status CheckTargetReturn(double target_return);
 
-// Returns the estimate that `energy_joules` of a decision reports: spike_5pj, or horowitz_45nm for
-// a dense policy, which has no spikes.
-double PrimaryEnergy(const Counts& counts, bool dense);
-
 }  // namespace spikeserve
 
 #endif  // CORE_SESSION_AGENT_SESSION_H_

@@ -43,7 +43,7 @@ struct EpisodeSummary {
   double episode_return = 0.0;
   int64_t steps = 0;
   uint64_t spikes = 0;
-  double energy_joules = 0.0;               // estimate; see PrimaryEnergy()
+  double energy_joules = 0.0;               // estimate; see DefaultEnergy()
   std::optional<LearningSummary> learning;  // absent for a frozen session
 };
 

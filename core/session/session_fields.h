@@ -34,6 +34,12 @@ void VisitFields(T& counts, Visitor&& visit) {
   visit("accumulates", counts.accumulates);
   visit("multiply_accumulates", counts.multiply_accumulates);
   visit("attention_products", counts.attention_products);
+  visit("integer_multiply_accumulates", counts.integer_multiply_accumulates);
+  visit("membrane_updates", counts.membrane_updates);
+  visit("coder_gains", counts.coder_gains);
+  visit("layer_norm_elements", counts.layer_norm_elements);
+  visit("softmax_terms", counts.softmax_terms);
+  visit("gate_products", counts.gate_products);
 }
 
 template <Is<Answer> T, typename Visitor>

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
 #include "nlohmann/json.hpp"
@@ -43,18 +44,39 @@ void ToProto(const Counts& counts, v1::SpikesByStage* proto) {
   proto->set_readout(counts.spikes(Stage::kReadout));
 }
 
-void ToProto(const Answer& answer, bool dense, v1::DecisionStats* proto) {
+// Sets what each energy model estimates; the fields of models that do not apply stay absent.
+void EnergiesToProto(const Counts& counts, const ModelConfig& config, v1::DecisionStats* proto) {
+  const double energy = DefaultEnergy(counts, config);
+  proto->set_energy_joules(energy);
+  proto->set_horowitz_energy_joules(energy);
+  if (const auto joules = EstimateEnergy(EnergyModel::kSpike5pj, counts, config)) {
+    proto->set_spike_energy_joules(*joules);
+  }
+  if (const auto joules = EstimateEnergy(EnergyModel::kHorowitz45nmInt8, counts, config)) {
+    proto->set_horowitz_int8_energy_joules(*joules);
+  }
+  if (const auto joules = EstimateEnergy(EnergyModel::kLoihi2018, counts, config)) {
+    proto->set_loihi_energy_joules(*joules);
+  }
+}
+
+void ToProto(const Answer& answer, const ModelConfig& config, v1::DecisionStats* proto) {
   const Counts& counts = answer.counts;
   proto->set_spikes(counts.total_spikes());
   proto->set_synaptic_operations(counts.synaptic_operations());
-  proto->set_energy_joules(PrimaryEnergy(counts, dense));
   proto->set_compute_seconds(answer.compute_seconds);
   ToProto(counts, proto->mutable_spikes_by_stage());
   proto->set_accumulates(counts.accumulates);
   proto->set_multiply_accumulates(counts.multiply_accumulates);
   proto->set_attention_products(counts.attention_products);
   proto->set_unusual_observations(answer.unusual_observations);
-  proto->set_horowitz_energy_joules(EstimateEnergy(counts, dense).horowitz_45nm);
+  proto->set_membrane_updates(counts.membrane_updates);
+  proto->set_coder_gains(counts.coder_gains);
+  proto->set_layer_norm_elements(counts.layer_norm_elements);
+  proto->set_softmax_terms(counts.softmax_terms);
+  proto->set_gate_products(counts.gate_products);
+  proto->set_integer_multiply_accumulates(counts.integer_multiply_accumulates);
+  EnergiesToProto(counts, config, proto);
 }
 
 absl::StatusOr<LearningRequest> LearningFromProto(const v1::LearningConfig& config) {
@@ -230,7 +252,7 @@ void ToProto(const std::string& session_id, const Answer& answer, const Policy& 
   response->mutable_action_probabilities()->Add(answer.probabilities.begin(),
                                                 answer.probabilities.end());
   response->set_return_to_go(static_cast<double>(answer.return_to_go));
-  ToProto(answer, policy.config.is_dense(), response->mutable_stats());
+  ToProto(answer, policy.config, response->mutable_stats());
 }
 
 void ToProto(const std::string& session_id, const SessionOptions& options,

@@ -67,11 +67,19 @@ Metrics::Metrics()
           "Effective synaptic operations as NeuroBench counts them: accumulate has a binary input, "
           "multiply_accumulate an analog one. Attention products are counted separately, as kind "
           "attention.")),
-      energy_(Register(
-          BuildCounter(), "spikeserve_energy_joules_total",
-          "Energy, estimated from counted events, not measured; without memory traffic. spike_5pj: "
-          "5 pJ a spike; horowitz_45nm: 0.9 pJ an accumulate, 4.6 pJ a multiply-accumulate. The "
-          "models are alternatives: do not add them.")),
+      membrane_updates_(Register(BuildCounter(), "spikeserve_membrane_updates_total",
+                                 "Updates of the membranes of LIF neurons: neurons times ticks, "
+                                 "whether they fire or not.")),
+      other_operations_(
+          Register(BuildCounter(), "spikeserve_other_operations_total",
+                   "Operations that are neither synaptic nor of membranes, by kind: coder_gain, "
+                   "layer_norm_element, softmax_term, gate_product.")),
+      energy_(Register(BuildCounter(), "spikeserve_energy_joules_total",
+                       "Energy, estimated from counted events, not measured. The models are "
+                       "alternatives: do not "
+                       "add them. docs/energy.md says what each counts and leaves out. A policy to "
+                       "which a model "
+                       "does not apply has no series under it.")),
       decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
                                   "Time to compute one decision, without network and queueing.")),
       sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
@@ -174,8 +182,17 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.accumulates = add(synaptic_operations_, with("kind", "accumulate"));
   handles.multiply_accumulates = add(synaptic_operations_, with("kind", "multiply_accumulate"));
   handles.attention_products = add(synaptic_operations_, with("kind", "attention"));
-  handles.spike_5pj = add(energy_, with("energy_model", "spike_5pj"));
-  handles.horowitz_45nm = add(energy_, with("energy_model", "horowitz_45nm"));
+  handles.membrane_updates = add(membrane_updates_, labels);
+  handles.coder_gains = add(other_operations_, with("kind", "coder_gain"));
+  handles.layer_norm_elements = add(other_operations_, with("kind", "layer_norm_element"));
+  handles.softmax_terms = add(other_operations_, with("kind", "softmax_term"));
+  handles.gate_products = add(other_operations_, with("kind", "gate_product"));
+  handles.energy = {};
+  for (const auto& [model, name_of_model] : EnumNames(EnergyModel())) {
+    if (!Applies(model, policy.config)) continue;
+    handles.energy[static_cast<size_t>(model)] =
+        add(energy_, with("energy_model", {name_of_model.data(), name_of_model.size()}));
+  }
   handles.decision_duration = add(decision_duration_, labels, ComputeSeconds());
   handles.sessions = add(sessions_, labels);
   handles.errors = add(policy_errors_, labels);
@@ -201,9 +218,9 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
                                                     .watched_return = add(watched_return_, of),
                                                     .rollbacks = add(rollbacks_, of)};
   }
-  return std::make_shared<PolicyMetrics>(
-      key, handles, EvidenceOf(name, version), policy.config.is_dense(),
-      UsualObservations::Of(policy, unusual_deviations), [this, key] { OnObserverEnd(key); });
+  return std::make_shared<PolicyMetrics>(key, handles, EvidenceOf(name, version), policy.config,
+                                         UsualObservations::Of(policy, unusual_deviations),
+                                         [this, key] { OnObserverEnd(key); });
 }
 
 VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {

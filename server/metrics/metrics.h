@@ -117,6 +117,8 @@ class Metrics {
   prometheus::Family<prometheus::Histogram>& spikes_per_decision_;
   prometheus::Family<prometheus::Counter>& spikes_;
   prometheus::Family<prometheus::Counter>& synaptic_operations_;
+  prometheus::Family<prometheus::Counter>& membrane_updates_;
+  prometheus::Family<prometheus::Counter>& other_operations_;
   prometheus::Family<prometheus::Counter>& energy_;
   prometheus::Family<prometheus::Histogram>& decision_duration_;
   prometheus::Family<prometheus::Gauge>& sessions_;

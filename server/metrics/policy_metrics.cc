@@ -38,10 +38,16 @@ void PolicyMetrics::OnDecision(const Answer& answer) {
   add(handles_.accumulates, counts.accumulates);
   add(handles_.multiply_accumulates, counts.multiply_accumulates);
   add(handles_.attention_products, counts.attention_products);
+  add(handles_.membrane_updates, counts.membrane_updates);
+  add(handles_.coder_gains, counts.coder_gains);
+  add(handles_.layer_norm_elements, counts.layer_norm_elements);
+  add(handles_.softmax_terms, counts.softmax_terms);
+  add(handles_.gate_products, counts.gate_products);
 
-  const Energy energy = EstimateEnergy(counts, dense_);
-  handles_.spike_5pj->Increment(energy.spike_5pj);
-  handles_.horowitz_45nm->Increment(energy.horowitz_45nm);
+  for (int i = 0; i < kEnergyModels; ++i) {
+    const auto joules = EstimateEnergy(static_cast<EnergyModel>(i), counts, config_);
+    if (joules.has_value()) handles_.energy[static_cast<size_t>(i)]->Increment(*joules);
+  }
   handles_.spikes_per_decision->Observe(static_cast<double>(counts.total_spikes()));
   handles_.decision_duration->Observe(answer.compute_seconds);
   evidence_.CountDecision(answer.compute_seconds);

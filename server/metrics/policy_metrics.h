@@ -15,7 +15,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
-#include "core/engine/counts.h"
+#include "core/engine/energy.h"
 #include "core/session/served_policy.h"
 #include "prometheus/counter.h"
 #include "prometheus/gauge.h"
@@ -53,8 +53,13 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Counter* accumulates;
     prometheus::Counter* multiply_accumulates;
     prometheus::Counter* attention_products;
-    prometheus::Counter* spike_5pj;
-    prometheus::Counter* horowitz_45nm;
+    prometheus::Counter* membrane_updates;
+    prometheus::Counter* coder_gains;
+    prometheus::Counter* layer_norm_elements;
+    prometheus::Counter* softmax_terms;
+    prometheus::Counter* gate_products;
+    // Indexed by EnergyModel. Null for a model that does not apply to the policy.
+    std::array<prometheus::Counter*, kEnergyModels> energy;
     prometheus::Histogram* decision_duration;
     prometheus::Gauge* sessions;
     prometheus::Counter* errors;
@@ -69,14 +74,14 @@ class PolicyMetrics final : public SessionObserver {
     std::array<LearningHandles, 2> learning;  // indexed by Scope
   };
 
-  // `name` stands for the policy version in log lines. `dense`: see EstimateEnergy. The handles
-  // and `evidence` must outlive this object. Calls `on_end` when it is destroyed.
-  PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence, bool dense,
-                UsualObservations usual, std::function<void()> on_end)
+  // `name` stands for the policy version in log lines. `config` is that of the policy. The
+  // handles and `evidence` must outlive this object. Calls `on_end` when it is destroyed.
+  PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence,
+                const ModelConfig& config, UsualObservations usual, std::function<void()> on_end)
       : name_(std::move(name)),
         handles_(handles),
         evidence_(*evidence),
-        dense_(dense),
+        config_(config),
         usual_(std::move(usual)),
         on_end_(std::move(on_end)) {
     handles_.info->Increment();
@@ -102,7 +107,7 @@ class PolicyMetrics final : public SessionObserver {
   const std::string name_;
   const Handles handles_;
   VersionEvidence& evidence_;
-  const bool dense_;
+  const ModelConfig config_;
   const UsualObservations usual_;
   const std::function<void()> on_end_;
   absl::Mutex mutex_;

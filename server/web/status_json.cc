@@ -14,6 +14,7 @@
 #include "absl/time/time.h"
 #include "core/base/json.h"
 #include "core/base/version.h"
+#include "core/engine/energy.h"
 #include "nlohmann/json.hpp"
 #include "prometheus/metric_type.h"
 #include "proto/json.h"
@@ -50,6 +51,22 @@ Json SeriesToJson(const prometheus::ClientMetric& metric, prometheus::MetricType
       break;
   }
   return series;
+}
+
+// What each energy model counts and leaves out. The figures without a model's name, such as
+// energy_joules, are those of the default one.
+Json EnergyModelsToJson() {
+  Json models = Json::array();
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    const EnergyModelInfo& info = InfoOf(model);
+    models.push_back({{"name", std::string(name)},
+                      {"default", model == kDefaultEnergyModel},
+                      {"counts", std::string(info.counts)},
+                      {"leaves_out", std::string(info.leaves_out)},
+                      {"applies_to", std::string(info.applies_to)},
+                      {"source", std::string(info.source)}});
+  }
+  return models;
 }
 
 // What a session is sorted by. Small, because there is one for every session up to the end of the
@@ -188,6 +205,7 @@ absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamil
   Json status = {{"time", time}, {"version", std::string(Version())}, {"serving", serving}};
   status["policies"] = Json::parse(*policies_json)["policies"];
   status["rollouts"] = Json::parse(*rollouts_json)["rollouts"];
+  status["energy_models"] = EnergyModelsToJson();
   for (const prometheus::MetricFamily& family : families) {
     Json& series = status["metrics"][family.name] = Json::array();
     for (const auto& metric : family.metric) series.push_back(SeriesToJson(metric, family.type));

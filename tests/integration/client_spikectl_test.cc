@@ -45,9 +45,9 @@ TEST_F(SpikectlTest, PlaysEveryEnvironmentAndAgreesWithTheServersMetrics) {
     const double decisions = Metric("spikeserve_decisions_total") - decisions_before;
     const double spikes = Metric("spikeserve_spikes_total") - spikes_before;
 
-    EXPECT_THAT(Keys(run),
-                UnorderedElementsAre("episodes", "mean_return", "spikes_per_decision",
-                                     "energy_joules_per_decision", "p50_seconds", "p99_seconds"));
+    EXPECT_THAT(Keys(run), UnorderedElementsAre("episodes", "mean_return", "spikes_per_decision",
+                                                "energy_joules_per_decision", "energy_model",
+                                                "energy_models", "p50_seconds", "p99_seconds"));
     ASSERT_EQ(run["episodes"].size(), 3u);
     double steps = 0.0, returns = 0.0, episode_spikes = 0.0;
     for (const nlohmann::json& episode : run["episodes"]) {
@@ -61,7 +61,12 @@ TEST_F(SpikectlTest, PlaysEveryEnvironmentAndAgreesWithTheServersMetrics) {
     EXPECT_EQ(episode_spikes, spikes);
     EXPECT_DOUBLE_EQ(run["mean_return"].get<double>(), returns / 3.0);
     EXPECT_DOUBLE_EQ(run["spikes_per_decision"].get<double>(), spikes / decisions);
-    EXPECT_NEAR(run["energy_joules_per_decision"].get<double>(), 5e-12 * spikes / decisions, 1e-15);
+    EXPECT_EQ(run["energy_model"], "horowitz_45nm");
+    const nlohmann::json& models = run["energy_models"];
+    EXPECT_THAT(Keys(models), UnorderedElementsAre("horowitz_45nm", "spike_5pj"));
+    EXPECT_EQ(run["energy_joules_per_decision"], models["horowitz_45nm"]["joules_per_decision"]);
+    EXPECT_NEAR(models["spike_5pj"]["joules_per_decision"].get<double>(),
+                5e-12 * spikes / decisions, 1e-15);
     EXPECT_GT(run["p50_seconds"].get<double>(), 0.0);
     EXPECT_GE(run["p99_seconds"].get<double>(), run["p50_seconds"].get<double>());
   }
@@ -87,7 +92,7 @@ TEST_F(SpikectlTest, PrintsALineForEveryEpisodeAndASummary) {
   EXPECT_EQ(run.exit_code, 0) << run.errors;
   EXPECT_EQ(run.errors, "");
   EXPECT_THAT(run.output, HasSubstr("CartPole-v1 with policy cartpole-v1/1 (full)"));
-  EXPECT_THAT(run.output, HasSubstr("an estimate, energy model spike_5pj"));
+  EXPECT_THAT(run.output, HasSubstr("an estimate, energy model horowitz_45nm"));
   EXPECT_THAT(run.output, HasSubstr(" 1000000 "));
   EXPECT_THAT(run.output, HasSubstr(" 1000001 "));
   EXPECT_THAT(run.output, HasSubstr("mean return"));

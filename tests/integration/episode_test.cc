@@ -63,7 +63,20 @@ TEST_F(EpisodeTest, AnswersCarryActionAndStatistics) {
                                 stages.value() + stages.ffn_in() + stages.ffn_hidden() +
                                 stages.readout());
   EXPECT_EQ(stats.synaptic_operations(), stats.accumulates() + stats.multiply_accumulates());
-  EXPECT_DOUBLE_EQ(stats.energy_joules(), 5e-12 * static_cast<double>(stats.spikes()));
+  // Every priced count is in the answer, so that the default estimate can be checked from it.
+  const uint64_t multiplies = stats.multiply_accumulates() + stats.membrane_updates() +
+                              stats.coder_gains() + stats.gate_products();
+  EXPECT_NEAR(stats.energy_joules(),
+              1e-12 * (0.9 * static_cast<double>(stats.accumulates() + stats.attention_products()) +
+                       4.6 * static_cast<double>(multiplies) +
+                       14.7 * static_cast<double>(stats.layer_norm_elements()) +
+                       9.2 * static_cast<double>(stats.softmax_terms())),
+              1e-15);
+  EXPECT_EQ(stats.horowitz_energy_joules(), stats.energy_joules());
+  EXPECT_DOUBLE_EQ(stats.spike_energy_joules(), 5e-12 * static_cast<double>(stats.spikes()));
+  EXPECT_GT(stats.membrane_updates(), 0u);
+  EXPECT_FALSE(stats.has_horowitz_int8_energy_joules());
+  EXPECT_FALSE(stats.has_loihi_energy_joules());
   EXPECT_GT(stats.compute_seconds(), 0.0);
 
   const v1::ActResponse box = client_->Act(client_->Open("box"), 0);
@@ -75,12 +88,17 @@ TEST_F(EpisodeTest, AnswersCarryActionAndStatistics) {
 TEST_F(EpisodeTest, EpisodesFollowEachOther) {
   const std::string session = client_->Open();
   uint64_t spikes = 0;
-  for (int64_t step = 0; step < 3; ++step) spikes += client_->Act(session, step).stats().spikes();
+  double energy = 0.0;
+  for (int64_t step = 0; step < 3; ++step) {
+    const v1::DecisionStats stats = client_->Act(session, step).stats();
+    spikes += stats.spikes();
+    energy += stats.energy_joules();
+  }
   const v1::EndEpisodeResponse end = client_->EndEpisode(session, 4.0);
   EXPECT_DOUBLE_EQ(end.episode_return(), 0.1 + 0.2 + 4.0);
   EXPECT_EQ(end.steps(), 3);
   EXPECT_EQ(end.spikes(), spikes);
-  EXPECT_DOUBLE_EQ(end.energy_joules(), 5e-12 * static_cast<double>(spikes));
+  EXPECT_DOUBLE_EQ(end.energy_joules(), energy);
 
   client_->Act(session, 0);
   v1::GetSessionRequest request;

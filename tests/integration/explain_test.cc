@@ -28,6 +28,10 @@ class ExplainTest : public ServerTest {
     EXPECT_TRUE(status.ok()) << status.error_message();
     return response;
   }
+
+  // Plays a session and expects that the spikes of each explanation are those that Act counted.
+  // Returns the stats of the last decision.
+  v1::DecisionStats ExpectCounted(const std::string& policy);
 };
 
 std::map<std::string, uint64_t> SpikesByStage(const v1::ExplainResponse& explained) {
@@ -39,21 +43,37 @@ std::map<std::string, uint64_t> SpikesByStage(const v1::ExplainResponse& explain
   return spikes;
 }
 
+v1::DecisionStats ExplainTest::ExpectCounted(const std::string& policy) {
+  const std::string session = client_->Open(policy);
+  v1::ActResponse answer;
+  for (int64_t step = 0; step < 15; ++step) {
+    answer = client_->Act(session, step);
+    const v1::ExplainResponse explained = Explain(session);
+    EXPECT_EQ(explained.answer().SerializeAsString(), answer.SerializeAsString());
+    const v1::SpikesByStage& stages = answer.stats().spikes_by_stage();
+    const std::map<std::string, uint64_t> expected = {
+        {"coder", stages.coder()},           {"phase", stages.phase()},
+        {"query", stages.query()},           {"key", stages.key()},
+        {"value", stages.value()},           {"ffn_in", stages.ffn_in()},
+        {"ffn_hidden", stages.ffn_hidden()}, {"readout", stages.readout()}};
+    EXPECT_EQ(SpikesByStage(explained), expected) << policy << " at step " << step;
+  }
+  return answer.stats();
+}
+
 TEST_F(ExplainTest, RastersAddUpToWhatActCounted) {
+  for (const std::string policy : {"discrete", "box"}) ExpectCounted(policy);
+}
+
+TEST_F(ExplainTest, RastersOfInt8PoliciesAddUpToWhatActCounted) {
+  WriteIntegerVersion(policies_.path(), "discrete", 2);
+  WriteIntegerVersion(policies_.path(), "box", 1);
+  StartServer();  // serves the new versions by default
   for (const std::string policy : {"discrete", "box"}) {
-    const std::string session = client_->Open(policy);
-    for (int64_t step = 0; step < 15; ++step) {
-      const v1::ActResponse answer = client_->Act(session, step);
-      const v1::ExplainResponse explained = Explain(session);
-      EXPECT_EQ(explained.answer().SerializeAsString(), answer.SerializeAsString());
-      const v1::SpikesByStage& stages = answer.stats().spikes_by_stage();
-      const std::map<std::string, uint64_t> expected = {
-          {"coder", stages.coder()},           {"phase", stages.phase()},
-          {"query", stages.query()},           {"key", stages.key()},
-          {"value", stages.value()},           {"ffn_in", stages.ffn_in()},
-          {"ffn_hidden", stages.ffn_hidden()}, {"readout", stages.readout()}};
-      EXPECT_EQ(SpikesByStage(explained), expected) << policy << " at step " << step;
-    }
+    const v1::DecisionStats stats = ExpectCounted(policy);
+    EXPECT_GT(stats.integer_multiply_accumulates(), 0u);
+    EXPECT_LT(stats.horowitz_int8_energy_joules(), stats.energy_joules());
+    EXPECT_GT(stats.loihi_energy_joules(), stats.energy_joules());
   }
 }
 

@@ -21,7 +21,12 @@ TEST_F(MetricsTest, CountersGrowByExactlyWhatTheAnswersSay) {
     sum.set_accumulates(sum.accumulates() + stats.accumulates());
     sum.set_multiply_accumulates(sum.multiply_accumulates() + stats.multiply_accumulates());
     sum.set_attention_products(sum.attention_products() + stats.attention_products());
-    sum.set_horowitz_energy_joules(sum.horowitz_energy_joules() + stats.horowitz_energy_joules());
+    sum.set_energy_joules(sum.energy_joules() + stats.energy_joules());
+    sum.set_membrane_updates(sum.membrane_updates() + stats.membrane_updates());
+    sum.set_layer_norm_elements(sum.layer_norm_elements() + stats.layer_norm_elements());
+    sum.set_softmax_terms(sum.softmax_terms() + stats.softmax_terms());
+    sum.set_gate_products(sum.gate_products() + stats.gate_products());
+    sum.set_coder_gains(sum.coder_gains() + stats.coder_gains());
     hidden += stats.spikes_by_stage().ffn_hidden();
   };
   for (const std::string policy : {"discrete", "box"}) {
@@ -47,8 +52,17 @@ TEST_F(MetricsTest, CountersGrowByExactlyWhatTheAnswersSay) {
   const std::string energy = "spikeserve_energy_joules_total";
   EXPECT_NEAR(Metric(energy, {"energy_model=\"spike_5pj\""}),
               5e-12 * static_cast<double>(sum.spikes()), 1e-18);
-  EXPECT_NEAR(Metric(energy, {"energy_model=\"horowitz_45nm\""}), sum.horowitz_energy_joules(),
-              1e-18);
+  EXPECT_NEAR(Metric(energy, {"energy_model=\"horowitz_45nm\""}), sum.energy_joules(), 1e-17);
+  EXPECT_EQ(Metric("spikeserve_membrane_updates_total"),
+            static_cast<double>(sum.membrane_updates()));
+  const std::string others = "spikeserve_other_operations_total";
+  EXPECT_EQ(Metric(others, {"kind=\"coder_gain\""}), static_cast<double>(sum.coder_gains()));
+  EXPECT_EQ(Metric(others, {"kind=\"layer_norm_element\""}),
+            static_cast<double>(sum.layer_norm_elements()));
+  EXPECT_EQ(Metric(others, {"kind=\"softmax_term\""}), static_cast<double>(sum.softmax_terms()));
+  EXPECT_EQ(Metric(others, {"kind=\"gate_product\""}), static_cast<double>(sum.gate_products()));
+  // The policies are in float32.
+  EXPECT_THAT(Page("/metrics"), ::testing::Not(::testing::HasSubstr("loihi_2018")));
 }
 
 TEST_F(MetricsTest, EpisodesAndTheirReturns) {

@@ -52,14 +52,13 @@ class RecordingTest : public ClientProgramTest {
     return response.session_id();
   }
 
-  TemporaryDirectory recordings_;
-};
-
-TEST_F(RecordingTest, AReplayIsTheSameBitForBit) {
-  for (const std::string environment : {"CartPole-v1", "Pendulum-v1"}) {
+  // Records episodes of an environment and replays them on another server. Returns the policy
+  // version that played, or 0 after a failure.
+  int64_t ExpectReplay(const std::string& environment) {
     Record(environment, "3");
     const auto episodes = EndServerAndRead();
-    ASSERT_EQ(episodes.size(), 3u);
+    EXPECT_EQ(episodes.size(), 3u);
+    if (episodes.size() != 3) return 0;
     int64_t decisions = 0;
     for (const Dataset& dataset : episodes) {
       EXPECT_EQ(dataset.environment, environment);
@@ -72,6 +71,23 @@ TEST_F(RecordingTest, AReplayIsTheSameBitForBit) {
     EXPECT_EQ(replay["decisions"], decisions);
     std::filesystem::remove_all(Recording());
     StartServer({"--record_dir=" + recordings_.path().string()});
+    return episodes[0].episodes[0].served->version;
+  }
+
+  TemporaryDirectory recordings_;
+};
+
+TEST_F(RecordingTest, AReplayIsTheSameBitForBit) {
+  for (const std::string environment : {"CartPole-v1", "Pendulum-v1"}) ExpectReplay(environment);
+}
+
+TEST_F(RecordingTest, AReplayOfAnInt8PolicyIsTheSameBitForBit) {
+  for (const std::string policy : {"cartpole-v1", "pendulum-v1"}) {
+    WriteIntegerVersion(policies_.path(), policy, 1);
+  }
+  StartServer({"--record_dir=" + recordings_.path().string()});
+  for (const std::string environment : {"CartPole-v1", "Pendulum-v1"}) {
+    EXPECT_EQ(ExpectReplay(environment), 2) << "the version in int8";
   }
 }
 

@@ -8,6 +8,7 @@
 #include "core/action/action_space.h"
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
+#include "core/model/quantize.h"
 #include "tests/integration/http_client.h"
 #include "tests/support/small_config.h"
 
@@ -22,6 +23,20 @@ void WriteRandomPolicy(const std::filesystem::path& directory, const std::string
   const auto folder = directory / name / std::to_string(version);
   std::filesystem::create_directories(folder);
   const auto status = WritePolicyFile(policy, (folder / "policy.safetensors").string());
+  ASSERT_TRUE(status.ok()) << status;
+}
+
+void WriteIntegerVersion(const std::filesystem::path& directory, const std::string& name,
+                         int version) {
+  const auto path = [&](int of) {
+    return directory / name / std::to_string(of) / "policy.safetensors";
+  };
+  const auto policy = ReadPolicyFile(path(version));
+  ASSERT_TRUE(policy.ok()) << policy.status();
+  const auto integer = Quantize(*policy);
+  ASSERT_TRUE(integer.ok()) << integer.status();
+  std::filesystem::create_directories(path(version + 1).parent_path());
+  const auto status = WritePolicyFile(*integer, path(version + 1));
   ASSERT_TRUE(status.ok()) << status;
 }
 

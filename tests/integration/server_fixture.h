@@ -25,6 +25,11 @@ constexpr int kObservationSize = 4;  // of every policy below
 void WriteRandomPolicy(const std::filesystem::path& directory, const std::string& name, int version,
                        const ActionSpace& action_space);
 
+// Writes the policy `name`/`version` of `directory`, with 8-bit weights, as its next version. Fails
+// the test if that is not possible.
+void WriteIntegerVersion(const std::filesystem::path& directory, const std::string& name,
+                         int version);
+
 // Makes gRPC calls on a connection of its own, like a separate client process.
 class TestClient {
  public:

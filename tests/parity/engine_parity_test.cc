@@ -77,11 +77,18 @@ void ExpectEqual(const Engine::Output& actual, const Engine::Output& expected, i
     EXPECT_EQ(actual.counts.spikes_by_stage[stage], expected.counts.spikes_by_stage[stage])
         << ToString(static_cast<Stage>(stage)) << " at step " << step;
   }
-  EXPECT_EQ(actual.counts.accumulates, expected.counts.accumulates) << "step " << step;
-  EXPECT_EQ(actual.counts.multiply_accumulates, expected.counts.multiply_accumulates)
-      << "step " << step;
-  EXPECT_EQ(actual.counts.attention_products, expected.counts.attention_products)
-      << "step " << step;
+  const auto expect_equal = [&](const char* what, auto member) {
+    EXPECT_EQ(actual.counts.*member, expected.counts.*member) << what << " at step " << step;
+  };
+  expect_equal("accumulates", &Counts::accumulates);
+  expect_equal("multiply_accumulates", &Counts::multiply_accumulates);
+  expect_equal("attention_products", &Counts::attention_products);
+  expect_equal("integer_multiply_accumulates", &Counts::integer_multiply_accumulates);
+  expect_equal("membrane_updates", &Counts::membrane_updates);
+  expect_equal("coder_gains", &Counts::coder_gains);
+  expect_equal("layer_norm_elements", &Counts::layer_norm_elements);
+  expect_equal("softmax_terms", &Counts::softmax_terms);
+  expect_equal("gate_products", &Counts::gate_products);
   EXPECT_EQ(actual.readout, expected.readout) << "step " << step;
 }
 

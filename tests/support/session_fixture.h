@@ -11,6 +11,7 @@
 
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy.h"
+#include "core/model/quantize.h"
 #include "core/session/agent_session.h"
 #include "core/session/served_policy.h"
 #include "tests/support/small_config.h"
@@ -32,12 +33,16 @@ struct RecordingObserver : SessionObserver {
 
 constexpr int kObservationSize = 3;
 
-// Returns version 1 of a random policy "small", with a streaming engine and a fleet head.
+// Returns version 1 of a random policy "small" of either arithmetic, with a streaming engine and a
+// fleet head.
 inline std::shared_ptr<const ServedPolicy> Serve(
     const ModelConfig& config, const ActionSpace& action_space,
     std::shared_ptr<SessionObserver> observer = std::make_shared<SessionObserver>()) {
-  auto policy = std::make_shared<const Policy>(
-      RandomPolicy(config, kObservationSize, action_space, /*seed=*/7));
+  ModelConfig random = config;
+  random.arithmetic = Arithmetic::kFloat32;
+  Policy made = RandomPolicy(random, kObservationSize, action_space, /*seed=*/7);
+  if (config.arithmetic == Arithmetic::kInt8) made = *Quantize(made);
+  auto policy = std::make_shared<const Policy>(std::move(made));
   auto served = std::make_shared<ServedPolicy>();
   served->name = "small";
   served->version = 1;

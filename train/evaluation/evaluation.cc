@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/engine/energy.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/math/vector_view.h"
@@ -35,6 +36,19 @@ double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed
     episode_return += result.reward;
   }
   return episode_return;
+}
+
+nlohmann::ordered_json OperationsToJson(const Counts& counts, double decisions) {
+  const auto mean = [&](uint64_t count) { return static_cast<double>(count) / decisions; };
+  return {{"accumulates", mean(counts.accumulates)},
+          {"multiply_accumulates", mean(counts.multiply_accumulates)},
+          {"integer_multiply_accumulates", mean(counts.integer_multiply_accumulates)},
+          {"attention_products", mean(counts.attention_products)},
+          {"membrane_updates", mean(counts.membrane_updates)},
+          {"coder_gains", mean(counts.coder_gains)},
+          {"layer_norm_elements", mean(counts.layer_norm_elements)},
+          {"softmax_terms", mean(counts.softmax_terms)},
+          {"gate_products", mean(counts.gate_products)}};
 }
 
 }  // namespace
@@ -78,7 +92,6 @@ nlohmann::ordered_json ToJson(const Evaluation& evaluation, const ModelConfig& c
   const auto decisions = static_cast<double>(evaluation.decisions);
   const auto [least, most] =
       std::minmax_element(evaluation.returns.begin(), evaluation.returns.end());
-  const Energy energy = EstimateEnergy(evaluation.counts, config.is_dense());
   nlohmann::ordered_json json = {{"environment", evaluation.environment},
                                  {"mean_return", evaluation.mean_return()},
                                  {"std_return", evaluation.std_return()},
@@ -99,9 +112,12 @@ nlohmann::ordered_json ToJson(const Evaluation& evaluation, const ModelConfig& c
   json["window_timesteps"] = config.context;
   json["synaptic_operations_per_decision"] =
       static_cast<double>(evaluation.counts.synaptic_operations()) / decisions;
-  json["estimated_energy_joules_per_decision"] = {
-      {"spike_5pj", energy.spike_5pj / decisions},
-      {"horowitz_45nm", energy.horowitz_45nm / decisions}};
+  json["operations_per_decision"] = OperationsToJson(evaluation.counts, decisions);
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    const auto joules = EstimateEnergy(model, evaluation.counts, config);
+    if (!joules.has_value()) continue;
+    json["estimated_energy_joules_per_decision"][std::string(name)] = *joules / decisions;
+  }
   return json;
 }
 
@@ -118,6 +134,14 @@ std::string ToText(const Evaluation& evaluation, const ModelConfig& config) {
       json["spikes_per_window"].get<double>());
   for (const auto& [stage, spikes] : json["spikes_per_decision_by_stage"].items()) {
     absl::StrAppendFormat(&text, " %s %.1f", stage, spikes.get<double>());
+  }
+  text += "\noperations, per decision:";
+  for (const auto& [kind, count] : json["operations_per_decision"].items()) {
+    absl::StrAppendFormat(&text, " %s %.0f", kind, count.get<double>());
+  }
+  text += "\nestimated energy, per decision:";
+  for (const auto& [model, joules] : json["estimated_energy_joules_per_decision"].items()) {
+    absl::StrAppendFormat(&text, " %s %.1f nJ", model, 1e9 * joules.get<double>());
   }
   return text + "\n";
 }

@@ -1,4 +1,7 @@
-// Stores how a policy came to be: the JSON object `training` of a policy file.
+// Stores how a policy came to be: the JSON object `training` of a policy file. It names the command
+// and the commit of its program, and identifies the files that the command read by their SHA-256:
+// the initial policy or the policy that was rounded (`parent_sha256`), the datasets
+// (`data_sha256`, by path) and, in the recipe of a dataset, the student that played for it.
 //
 // All functions are pure or read one file, and are thread-safe.
 #ifndef TRAIN_EVALUATION_TRAINING_RECORD_H_
@@ -14,6 +17,10 @@ namespace spikeserve {
 // Adds `lineage` to `record`: the lineage of `earlier`, followed by `earlier` itself. `earlier` is
 // the record of the policy that this one was made from; without one ("{}"), does nothing.
 void AddLineage(const std::string& earlier, nlohmann::ordered_json* record);
+
+// Returns the commit of the source tree that this program was built from, 40 hexadecimal digits,
+// with "-dirty" appended if tracked files differed from it, or "unknown" without git.
+std::string BuildCommit();
 
 // Returns the SHA-256 of a file's bytes as 64 hexadecimal digits. NOT_FOUND if there is no such
 // file.

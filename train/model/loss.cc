@@ -12,6 +12,26 @@ torch::Tensor Rate(const torch::Tensor& spikes, const torch::Tensor& mask) {
   return (per_token * token_mask).sum() / token_mask.sum();
 }
 
+// Returns the number of synapses that a spike meets; see OperationShare.
+int FanOut(Stage stage, const ModelConfig& config) {
+  switch (stage) {
+    case Stage::kCoder:
+      return 3 * config.hidden_size;
+    case Stage::kQuery:
+    case Stage::kKey:
+    case Stage::kValue:
+      return 3 * config.context;
+    case Stage::kFfnIn:
+      return config.ffn_size;
+    case Stage::kFfnHidden:
+      return config.hidden_size;
+    case Stage::kPhase:
+    case Stage::kReadout:
+      break;
+  }
+  return 0;
+}
+
 }  // namespace
 
 torch::Tensor ImitationLoss(const ActionSpace& space, const torch::Tensor& logits,
@@ -35,6 +55,21 @@ torch::Tensor RateHinge(const std::vector<Population>& populations, const RateTa
     sum = sum.defined() ? sum + excess : excess;
   }
   return sum;
+}
+
+torch::Tensor OperationShare(const std::vector<Population>& populations, const ModelConfig& config,
+                             const torch::Tensor& mask) {
+  torch::Tensor sum;
+  double possible = 0.0;
+  for (const Population& population : populations) {
+    const auto synapses =
+        static_cast<double>(population.spikes.size(3) * int64_t{FanOut(population.stage, config)});
+    if (synapses == 0.0) continue;
+    const torch::Tensor operations = synapses * Rate(population.spikes, mask);
+    sum = sum.defined() ? sum + operations : operations;
+    possible += synapses;
+  }
+  return sum.defined() ? sum / possible : sum;
 }
 
 }  // namespace spikeserve

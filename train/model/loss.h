@@ -33,6 +33,14 @@ struct RateTargets {
 torch::Tensor RateHinge(const std::vector<Population>& populations, const RateTargets& targets,
                         const torch::Tensor& mask);
 
+// Returns the share of all possible synaptic operations that the spikes cause, in [0, 1]: each
+// spike is weighted by the number of synapses that it meets (a coder's by 3 d for queries, keys and
+// values, the FFN coder's by the FFN size, a hidden neuron's by d, a query's, key's or value's by
+// the 3 N tokens of the window). Unlike a hinge on rates, it favours the populations whose silence
+// saves most. Returns an undefined tensor if there is no population (mode dense).
+torch::Tensor OperationShare(const std::vector<Population>& populations, const ModelConfig& config,
+                             const torch::Tensor& mask);
+
 }  // namespace spikeserve
 
 #endif  // TRAIN_MODEL_LOSS_H_

@@ -74,6 +74,7 @@ absl::Status TrainOptions::Validate() const {
   check(rate_targets.readout >= 0.0 && rate_targets.readout <= 1.0, "readout_rate",
         "0 to 100 percent", 100.0 * rate_targets.readout);
   check(spike_penalty >= 0.0, "spike_penalty", "0 or more", spike_penalty);
+  check(operation_penalty >= 0.0, "operation_penalty", "0 or more", operation_penalty);
   check(surrogate.slope > 0.0f, "slope", "a number above 0", surrogate.slope);
   return status;
 }
@@ -83,10 +84,11 @@ std::string TrainOptions::ToFlags() const {
   return absl::StrFormat(
       "--seed=%d --iterations=%d --batch=%d --clip_steps=%d --learning_rate=%g --weight_decay=%g "
       "--warmup=%d --clip_norm=%g --action_noise=%g --validation=%g --target_rate=%g "
-      "--readout_rate=%g --spike_penalty=%g --surrogate=%s --slope=%g",
+      "--readout_rate=%g --spike_penalty=%g --operation_penalty=%g --surrogate=%s "
+      "--slope=%g",
       seed, iterations, batch, clip_steps, learning_rate, weight_decay, warmup, clip_norm,
       action_noise, validation, 100.0 * rate_targets.hidden, 100.0 * rate_targets.readout,
-      spike_penalty, surrogate_name, surrogate.slope);
+      spike_penalty, operation_penalty, surrogate_name, surrogate.slope);
 }
 
 // AdamW with two parameter groups: the phase generators, with a learning rate of their own and no
@@ -123,6 +125,7 @@ struct Trainer::Optimizer {
 Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& options)
     : options_(options),
       run_(absl::StrCat(options.ToFlags(), " data=", dataset.recipe.dump())),
+      config_(initial.config),
       action_space_(dataset.action_space),
       observation_size_(dataset.observation_size),
       model_(initial, options.surrogate),
@@ -180,6 +183,10 @@ Trainer::StepReport Trainer::Step() {
   if (hinge.defined()) {
     report.hinge = hinge.item<double>();
     loss = loss + options_.spike_penalty * ramp * hinge;
+  }
+  if (options_.operation_penalty > 0.0) {
+    const torch::Tensor share = OperationShare(output.populations, config_, batch.mask);
+    if (share.defined()) loss = loss + options_.operation_penalty * ramp * share;
   }
   optimizer_->adamw.zero_grad();
   loss.backward();

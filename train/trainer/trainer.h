@@ -37,6 +37,7 @@ struct TrainOptions {
   double validation = 0.1;      // share of each actor's episodes that is held out
   RateTargets rate_targets;     // the penalty grows linearly over the first third of the iterations
   double spike_penalty = 1.0;   // weight of the penalty on firing rates
+  double operation_penalty = 0.0;  // weight of the penalty on synaptic operations; grows alike
   Surrogate surrogate;
 
   // Returns INVALID_ARGUMENT with the option, the expected and the received value.
@@ -95,6 +96,7 @@ class Trainer {
 
   const TrainOptions options_;
   const std::string run_;  // options and data; identifies the run in its checkpoints
+  const ModelConfig config_;
   const ActionSpace action_space_;
   const int observation_size_;
   TorchModel model_;

@@ -114,7 +114,7 @@ BoundBatch ActBatch(const std::shared_ptr<PlayedPolicy>& played,
   }
   return {.answers = ValueOrRaise(std::move(answers)),
           .discrete = played->policy().action_space.is_discrete(),
-          .dense = played->policy().config.is_dense()};
+          .config = played->policy().config};
 }
 
 void BindSession(nb::module_& module) {

@@ -8,7 +8,7 @@
 
 #include "client/python/engine/bindings.h"
 #include "client/python/engine/convert.h"
-#include "core/engine/counts.h"
+#include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 
 namespace spikeserve {
@@ -30,7 +30,7 @@ struct BoxSpace {
 struct BoundStats {
   Counts counts;
   double compute_seconds = 0.0;
-  bool dense = false;
+  ModelConfig config;
 };
 
 struct BoundState {
@@ -52,6 +52,11 @@ struct BoundState {
 
 nb::object ActionOf(const Answer& answer, bool discrete) {
   return discrete ? nb::cast(answer.action.discrete) : ToNumpy(answer.action.continuous);
+}
+
+template <EnergyModel model>
+std::optional<double> Joules(const BoundStats& stats) {
+  return EstimateEnergy(model, stats.counts, stats.config);
 }
 
 nb::dict SpikesByStage(const BoundStats& stats) {
@@ -79,7 +84,7 @@ void BindStats(nb::module_& module) {
       .def_prop_ro("synaptic_operations",
                    [](const BoundStats& s) { return s.counts.synaptic_operations(); })
       .def_prop_ro("energy_joules",
-                   [](const BoundStats& s) { return PrimaryEnergy(s.counts, s.dense); })
+                   [](const BoundStats& s) { return DefaultEnergy(s.counts, s.config); })
       .def_ro("compute_seconds", &BoundStats::compute_seconds)
       .def_prop_ro("spikes_by_stage", &SpikesByStage)
       .def_prop_ro("accumulates", [](const BoundStats& s) { return s.counts.accumulates; })
@@ -87,9 +92,23 @@ void BindStats(nb::module_& module) {
                    [](const BoundStats& s) { return s.counts.multiply_accumulates; })
       .def_prop_ro("attention_products",
                    [](const BoundStats& s) { return s.counts.attention_products; })
-      .def_prop_ro("horowitz_energy_joules", [](const BoundStats& s) {
-        return EstimateEnergy(s.counts, s.dense).horowitz_45nm;
-      });
+      .def_prop_ro("horowitz_energy_joules",
+                   [](const BoundStats& s) { return DefaultEnergy(s.counts, s.config); })
+      .def_prop_ro("membrane_updates",
+                   [](const BoundStats& s) { return s.counts.membrane_updates; })
+      .def_prop_ro("coder_gains", [](const BoundStats& s) { return s.counts.coder_gains; })
+      .def_prop_ro("layer_norm_elements",
+                   [](const BoundStats& s) { return s.counts.layer_norm_elements; })
+      .def_prop_ro("softmax_terms", [](const BoundStats& s) { return s.counts.softmax_terms; })
+      .def_prop_ro("gate_products", [](const BoundStats& s) { return s.counts.gate_products; })
+      .def_prop_ro("integer_multiply_accumulates",
+                   [](const BoundStats& s) { return s.counts.integer_multiply_accumulates; })
+      .def_prop_ro("spike_energy_joules", &Joules<EnergyModel::kSpike5pj>,
+                   "None for a dense policy.")
+      .def_prop_ro("horowitz_int8_energy_joules", &Joules<EnergyModel::kHorowitz45nmInt8>,
+                   "None unless the policy is in int8.")
+      .def_prop_ro("loihi_energy_joules", &Joules<EnergyModel::kLoihi2018>,
+                   "None unless the policy is in int8.");
 }
 
 void BindDecision(nb::module_& module) {
@@ -107,7 +126,7 @@ void BindDecision(nb::module_& module) {
       .def_prop_ro("logits", [](const BoundDecision& d) { return ToNumpy(d.answer.logits); })
       .def_prop_ro("return_to_go", [](const BoundDecision& d) { return d.answer.return_to_go; })
       .def_prop_ro("stats", [](const BoundDecision& d) {
-        return BoundStats{d.answer.counts, d.answer.compute_seconds, d.dense};
+        return BoundStats{d.answer.counts, d.answer.compute_seconds, d.config};
       });
 }
 
@@ -168,7 +187,7 @@ void BindBatch(nb::module_& module) {
         const int64_t index = row < 0 ? row + size : row;
         if (index < 0 || index >= size) throw nb::index_error("row: expected a row of the batch");
         return BoundDecision{batch.answers[static_cast<size_t>(index)], batch.discrete,
-                             batch.dense};
+                             batch.config};
       });
 }
 
@@ -235,7 +254,7 @@ BoundState ReadState(const AgentSession& agent) {
 BoundDecision ToBound(Answer answer, const Policy& policy) {
   return {.answer = std::move(answer),
           .discrete = policy.action_space.is_discrete(),
-          .dense = policy.config.is_dense()};
+          .config = policy.config};
 }
 
 nb::object ToPython(const ActionSpace& space) {

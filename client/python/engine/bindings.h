@@ -16,14 +16,14 @@ namespace spikeserve {
 struct BoundDecision {
   Answer answer;
   bool discrete = false;  // the action space of the policy
-  bool dense = false;     // the mode of the policy
+  ModelConfig config;     // of the policy
 };
 
 // The decisions of one act_batch.
 struct BoundBatch {
   std::vector<Answer> answers;
   bool discrete = false;
-  bool dense = false;
+  ModelConfig config;
 };
 
 BoundDecision ToBound(Answer answer, const Policy& policy);

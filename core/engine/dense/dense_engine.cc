@@ -80,11 +80,12 @@ class DensePass {
     return output;
   }
 
-  static void Normalize(const Norm& norm, Vector& x) {
+  void Normalize(const Norm& norm, Vector& x) {
+    counts_.layer_norm_elements += x.size();
     LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
   }
 
-  static void AddResidual(const Norm& norm, const Vector& update, Vector& x) {
+  void AddResidual(const Norm& norm, const Vector& update, Vector& x) {
     for (size_t k = 0; k < x.size(); ++k) x[k] += update[k];
     Normalize(norm, x);
   }
@@ -130,6 +131,7 @@ class DensePass {
         for (int k = first; k < first + size; ++k)
           merged[k] += weights[j] / sum * tokens[j].value[k];
       }
+      counts_.softmax_terms += tokens.size();
       counts_.attention_products += 2 * tokens.size() * static_cast<uint64_t>(size);
     }
     return merged;

@@ -17,10 +17,6 @@
 namespace spikeserve {
 namespace {
 
-void Normalize(const Norm& norm, std::vector<float>& x) {
-  LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
-}
-
 // Computes one decision over the whole episode. Symbols: T ticks, H heads, d hidden size, d_h head
 // size, R coder spikes, P phase spikes.
 class ReferencePass {
@@ -66,6 +62,11 @@ class ReferencePass {
     return tokens_[token].timestep >= tokens_.back().timestep - reach;
   }
 
+  void Normalize(size_t token, const Norm& norm, std::vector<float>& x) {
+    LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
+    if (IsNew(token)) counts_.layer_norm_elements += x.size();
+  }
+
   void AddMultiplies(size_t token, const auto& map, const std::vector<float>& input) {
     if (IsNew(token)) counts_.multiply_accumulates += CountProducts(map, input);
   }
@@ -74,7 +75,7 @@ class ReferencePass {
     const Embedding& embedding = EmbeddingOf(policy_.weights, tokens_[i].kind);
     std::vector<float> x = Affine(embedding.linear, tokens_[i].input);
     AddMultiplies(i, embedding.linear, tokens_[i].input);
-    Normalize(embedding.norm, x);
+    Normalize(i, embedding.norm, x);
     x_.push_back(std::move(x));
   }
 
@@ -100,7 +101,7 @@ class ReferencePass {
     AddSpikes(tokens_.size() - 1, Stage::kPhase, kNoLayer, PhaseSpikes(tokens_.back().timestep));
   }
 
-  CodedToken Code(const Coder& coder, const std::vector<float>& x, size_t token, int site) const {
+  CodedToken Code(const Coder& coder, const std::vector<float>& x, size_t token, int site) {
     CodedToken coded;
     coded.periodic = config_.coder == CoderKind::kLif;
     coded.groups.resize(config_.ticks);
@@ -110,6 +111,11 @@ class ReferencePass {
                               .token = static_cast<int>(tokens_[token].kind),
                               .site = site};
     for (size_t j = 0; j < x.size(); ++j) {
+      if (IsNew(token)) {
+        ++counts_.coder_gains;
+        // The draws of a Bernoulli coder have no membrane.
+        if (coded.periodic) counts_.membrane_updates += config_.ticks;
+      }
       const float gain = coder.gain.values[j];
       const float bias = coder.bias.values[j];
       const int neuron = static_cast<int>(j);
@@ -139,6 +145,7 @@ class ReferencePass {
         std::vector<uint8_t> input = coded.spikes[tick];
         input.insert(input.end(), phase[tick].begin(), phase[tick].end());
         counts_.accumulates += CountProducts(population, input);
+        counts_.membrane_updates += population.bias.values.size();
       }
     }
     return Fire(config_, population, coded, phase);
@@ -191,6 +198,7 @@ class ReferencePass {
         if (IsNew(i)) counts_.attention_products += values_[j][tick][k];
       }
       if (IsNew(i)) counts_.attention_products += overlap;
+      if (IsNew(i)) ++counts_.softmax_terms;
       keys.emplace_back(overlap, j);
     }
     const auto [lowest, highest] = std::minmax_element(keys.begin(), keys.end());
@@ -241,6 +249,7 @@ class ReferencePass {
     for (float& gate : gates) {
       gate = Exp(gate - best);
       sum += gate;
+      if (IsNew(token)) ++counts_.softmax_terms;
     }
     for (float& gate : gates) {
       gate /= sum;
@@ -283,6 +292,8 @@ class ReferencePass {
       std::vector<float> routed(merged.size(), 0.0f);
       for (int k = 0; k < config_.hidden_size; ++k) {
         routed[config_.merge == Merge::kConcat ? k : k % size] += gates[k / size] * u[k];
+        // Without routing the gates are constants.
+        if (IsNew(i) && config_.has_routing()) ++counts_.gate_products;
       }
       for (size_t k = 0; k < merged.size(); ++k) merged[k] += routed[k];
     }
@@ -302,13 +313,16 @@ class ReferencePass {
       std::vector<float> rates;
       for (int j = 0; j < config_.ffn_size; ++j) rates.push_back(Rate(hidden, j));
       AddMultiplies(i, maps.ffn_output, rates);
+      if (IsNew(i) && config_.arithmetic == Arithmetic::kInt8) {
+        counts_.integer_multiply_accumulates += CountProducts(maps.ffn_output, rates);
+      }
       AddResidual(i, MapCounts(maps.ffn_output, hidden), weights.ffn_norm);
     });
   }
 
   void AddResidual(size_t i, const std::vector<float>& update, const Norm& norm) {
     for (size_t k = 0; k < update.size(); ++k) x_[i][k] += update[k];
-    Normalize(norm, x_[i]);
+    Normalize(i, norm, x_[i]);
   }
 
   const Policy& policy_;

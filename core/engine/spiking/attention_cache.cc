@@ -8,7 +8,9 @@ AttentionBand::AttentionBand(const ModelConfig& config)
 void AttentionBand::Advance(int64_t timestep) {
   for (const TokenKind kind : {TokenKind::kReturn, TokenKind::kState, TokenKind::kAction}) {
     const int slot = Slot(timestep, kind);
-    valid_[slot / 32] &= ~(1u << (slot % 32));
+    const uint32_t bit = 1u << (slot % 32);
+    if (valid_[slot / 32] & bit) --tokens_;
+    valid_[slot / 32] &= ~bit;
   }
 }
 

@@ -25,8 +25,13 @@ class AttentionBand {
 
   // Moves the band to `timestep`: removes the tokens of `timestep` - N.
   void Advance(int64_t timestep);
-  // Adds the token in `slot`.
-  void Add(int slot) { valid_[slot / 32] |= 1u << (slot % 32); }
+  // Adds the token in `slot`, which the band does not contain.
+  void Add(int slot) {
+    valid_[slot / 32] |= 1u << (slot % 32);
+    ++tokens_;
+  }
+  // Returns the number of tokens inside the band.
+  int tokens() const { return tokens_; }
   // Returns the slot of a token.
   int Slot(int64_t timestep, TokenKind kind) const;
   // Returns the number of slots, a multiple of 32.
@@ -36,6 +41,7 @@ class AttentionBand {
 
  private:
   int context_ = 0;
+  int tokens_ = 0;
   std::vector<uint32_t> valid_;
 };
 

@@ -14,6 +14,7 @@
 #include "core/engine/spiking/packed_weights.h"
 #include "core/engine/spiking/spike_input.h"
 #include "core/engine/token.h"
+#include "core/engine/token_costs.h"
 #include "core/math/exp.h"
 
 namespace spikeserve {
@@ -93,6 +94,7 @@ class TokenPass {
     token_->kind = kind;
     context.band.Add(context.band.Slot(context.timestep, kind));
     token_->band = context.band;
+    AddTokenCosts(config_, kind, token_->band.tokens(), &counts);
     Affine(PackedEmbedding(), input.data(), token_->x);
     Normalize(EmbeddingOf(policy_.weights, kind).norm);
   }
@@ -147,10 +149,13 @@ class TokenPass {
                                                : packed_.embed_action;
   }
 
-  // `input` is an array of float, or of spike counts for an integer map.
-  void Affine(const auto& map, const auto* input, AlignedVector<float>& output) {
+  // `input` is an array of float, or of spike counts for an integer map. Returns the number of
+  // multiply-accumulates, which it also counts.
+  uint64_t Affine(const auto& map, const auto* input, AlignedVector<float>& output) {
     output.resize(map.width);
-    counts().multiply_accumulates += kernels::Affine(map, input, output.data());
+    const uint64_t products = kernels::Affine(map, input, output.data());
+    counts().multiply_accumulates += products;
+    return products;
   }
 
   void Normalize(const Norm& norm) {
@@ -296,7 +301,10 @@ class TokenPass {
     counts().spikes(Stage::kFfnHidden) +=
         kernels::LifActivity(lif_, population, drive, scratch_.hidden.data());
     counts().accumulates += scratch_.spikes.Products(population.nonzero, nullptr);
-    Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
+    const uint64_t products = Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
+    if (config_.arithmetic == spikeserve::Arithmetic::kInt8) {
+      counts().integer_multiply_accumulates += products;
+    }
     AddResidual(weights.ffn_norm);
   }
 

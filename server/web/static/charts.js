@@ -32,7 +32,7 @@ export class Charts {
     const steps = samples.steps().map(({time, window}) => ({time, rows: this.rowsOf(window, energyModel)}));
     if (steps.length === 0) return;
     const end = steps[steps.length - 1];
-    const keys = [...end.rows].sort((a, b) => b.energyTotal - a.energyTotal).slice(0, LINES).map((row) => row.key);
+    const keys = [...end.rows].sort((a, b) => (b.energyTotal ?? 0) - (a.energyTotal ?? 0)).slice(0, LINES).map((row) => row.key);
     if (keys.join() !== this.keys.join()) this.build(keys);
     const times = steps.map(({time}) => time - end.time);
     CHARTS.forEach(([, figure], i) => {

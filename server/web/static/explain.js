@@ -86,8 +86,8 @@ function summary(decision) {
     ['Return-to-go', fixed(answer.return_to_go, 2)], ['Action', action],
     ['Probabilities', list(answer.action_probabilities) || 'none (continuous action)'],
     ['Logits', list(decision.logits)], ['Spikes', count(Number(answer.stats.spikes))],
-    ['Energy (estimates)', `${si(answer.stats.horowitz_energy_joules, 'J')} by horowitz_45nm` +
-      (decision.rasters.length ? `, ${si(answer.stats.energy_joules, 'J')} by spike_5pj` : '')],
+    ['Membrane updates', count(Number(answer.stats.membrane_updates))],
+    ['Energy (estimate)', `${si(answer.stats.energy_joules, 'J')} by horowitz_45nm`],
   ];
   const body = element('tbody', {});
   for (const [name, value] of facts) {

@@ -35,6 +35,8 @@ function trafficText(policy, rollout) {
 function policyRow(policy, window, energyModel, rollouts) {
   const labels = {policy: policy.name, version: policy.version};
   const withModel = {...labels, energy_model: energyModel};
+  // A policy to which the model does not apply has no series under it, and so no figure.
+  const priced = window.matching('spikeserve_energy_joules_total', withModel).length > 0;
   const decisions = window.increase('spikeserve_decisions_total', labels);
   const perDecision = (x) => (decisions > 0 ? x / decisions : undefined);
   const durations = window.histogram('spikeserve_decision_duration_seconds', labels);
@@ -49,9 +51,9 @@ function policyRow(policy, window, energyModel, rollouts) {
     sessions: window.gauge('spikeserve_sessions', labels) ?? 0,
     decisionRate: window.rate('spikeserve_decisions_total', labels),
     spikes: perDecision(window.increase('spikeserve_spikes_total', labels)),
-    energy: perDecision(window.increase('spikeserve_energy_joules_total', withModel)),
-    power: window.rate('spikeserve_energy_joules_total', withModel),
-    energyTotal: window.gauge('spikeserve_energy_joules_total', withModel) ?? 0,
+    energy: priced ? perDecision(window.increase('spikeserve_energy_joules_total', withModel)) : undefined,
+    power: priced ? window.rate('spikeserve_energy_joules_total', withModel) : undefined,
+    energyTotal: window.gauge('spikeserve_energy_joules_total', withModel),
     episodes: window.gauge('spikeserve_episodes_total', labels) ?? 0,
     drift: window.gauge('spikeserve_head_drift_ratio', labels),
     updates: window.rate('spikeserve_learning_updates_total', labels),

@@ -116,13 +116,18 @@ TEST_F(AgentSessionTest, BadNumbersAreRefused) {
 TEST_F(AgentSessionTest, EndEpisodeSumsUpAndStartsTheNext) {
   AgentSession agent = NewAgent();
   uint64_t spikes = 0;
-  for (int64_t t = 0; t < 4; ++t) spikes += MustAct(agent, t).counts.total_spikes();
+  double energy = 0.0;
+  for (int64_t t = 0; t < 4; ++t) {
+    const Counts counts = MustAct(agent, t).counts;
+    spikes += counts.total_spikes();
+    energy += DefaultEnergy(counts, served_->policy().config);
+  }
   const auto summary = agent.EndEpisode({.reward = 2.0, .target_return = 3.0});
   ASSERT_TRUE(summary.ok()) << summary.status();
   EXPECT_DOUBLE_EQ(summary->episode_return, 0.1 + 0.2 + 0.0 + 2.0);
   EXPECT_EQ(summary->steps, 4);
   EXPECT_EQ(summary->spikes, spikes);
-  EXPECT_DOUBLE_EQ(summary->energy_joules, 5e-12 * static_cast<double>(spikes));
+  EXPECT_DOUBLE_EQ(summary->energy_joules, energy);
   EXPECT_THAT(observer_->returns, ::testing::ElementsAre(summary->episode_return));
 
   EXPECT_EQ(agent.session().episode, 1);

@@ -40,6 +40,18 @@ rm resumed/policy.safetensors
 "$spiketrain" train --data=data.cbor --out=resumed "${tiny[@]}" --iterations=6 --resume --json 2>/dev/null > resumed.json
 cmp <(grep -v '"policy_file"' whole.json) <(grep -v '"policy_file"' resumed.json)
 
+# The record of a policy identifies the program and the files that it was made from.
+sha() { sha256sum "$1" | cut -d' ' -f1; }
+says() { grep -qaF "$2" "$1" || fail "$1 does not contain $2"; }
+"$spiketrain" dataset --steps=60 --expert_fraction=0.2 --student=whole/policy.safetensors --out=student.cbor >/dev/null
+"$spiketrain" train --data=data.cbor,student.cbor --init=whole/policy.safetensors --out=child "${tiny[@]}" --iterations=1 \
+  >/dev/null 2>&1
+child=child/policy.safetensors
+says $child "\\\"parent_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
+says $child "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha data.cbor)\\\",\\\"student.cbor\\\":\\\"$(sha student.cbor)\\\"}"
+says $child "\\\"student_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
+grep -qaE '\\"commit\\":\\"([0-9a-f]{40}(-dirty)?|unknown)\\"' $child || fail "the commit of the program"
+
 # The end of a training says what was made, and why the policy is asked for this return.
 "$spiketrain" train --data=data.cbor --out=told "${tiny[@]}" --iterations=1 --validation=0 >told.txt 2>told.err
 grep -qx 'policy: told/policy.safetensors' told.txt || fail "the path: $(cat told.txt)"

@@ -149,20 +149,32 @@ class Stats:
 
     spikes: int
     synaptic_operations: int
-    energy_joules: float  # 5 pJ a spike; a dense policy has no spikes and uses horowitz_45nm
+    energy_joules: float  # by the energy model horowitz_45nm, for every policy
     compute_seconds: float
     spikes_by_stage: dict[str, int]
     accumulates: int
     multiply_accumulates: int
     attention_products: int
-    horowitz_energy_joules: float
+    horowitz_energy_joules: float  # equal to energy_joules
     unusual_observations: int  # elements of the observation far outside the training data
+    membrane_updates: int  # LIF neurons times ticks
+    coder_gains: int
+    layer_norm_elements: int
+    softmax_terms: int
+    gate_products: int
+    integer_multiply_accumulates: int  # those with an 8-bit weight
+    spike_energy_joules: float | None  # by spike_5pj; None for a dense policy
+    horowitz_int8_energy_joules: float | None  # by horowitz_45nm_int8; None unless in int8
+    loihi_energy_joules: float | None  # by loihi_2018; None unless in int8
 
     @classmethod
     def from_wire(cls, message: Message) -> Stats:
         """Converts a DecisionStats."""
         stages = message.spikes_by_stage
         values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
+        for name in ("spike_energy_joules", "horowitz_int8_energy_joules", "loihi_energy_joules"):
+            if not message.HasField(name):
+                values[name] = None
         values["spikes_by_stage"] = {
             field.name: getattr(stages, field.name) for field in stages.DESCRIPTOR.fields
         }
@@ -222,7 +234,7 @@ class EpisodeSummary:
     episode_return: float
     steps: int
     spikes: int
-    energy_joules: float  # estimate
+    energy_joules: float  # an estimate by horowitz_45nm
     learning: LearningSummary | None = None  # None: the session does not learn
     recording: str = "NOT_RECORDED"  # or QUEUED (in memory), or STORED (on the disk)
 

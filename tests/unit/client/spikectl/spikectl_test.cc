@@ -120,7 +120,7 @@ EpisodeRecord Record(double episode_return, int64_t steps, uint64_t spikes) {
   record.episode_return = episode_return;
   record.steps = steps;
   record.spikes = spikes;
-  record.energy_joules = 5e-12 * static_cast<double>(spikes);
+  record.joules[static_cast<size_t>(kDefaultEnergyModel)] = 5e-12 * static_cast<double>(spikes);
   record.latency.Add(0.002);
   return record;
 }
@@ -138,15 +138,19 @@ TEST(RunReportTest, MeansAreOverEpisodesAndDecisions) {
   EXPECT_EQ(json["p99_seconds"], 0.002);
 }
 
-TEST(RunReportTest, TheTextNamesTheEnergyModels) {
-  const std::vector<EpisodeRecord> episodes = {Record(10.0, 10, 1000), Record(30.0, 30, 6000)};
-  EXPECT_THAT(RunTableHead("spike_5pj"), HasSubstr("an estimate, energy model spike_5pj"));
+TEST(RunReportTest, TheTextNamesTheEnergyModelsAndWhatTheyLeaveOut) {
+  std::vector<EpisodeRecord> episodes = {Record(10.0, 10, 1000), Record(30.0, 30, 6000)};
+  EXPECT_THAT(RunTableHead(), HasSubstr("an estimate, energy model horowitz_45nm"));
   EXPECT_THAT(RunTableLine(12, episodes[0]), HasSubstr("0.500 nJ"));
-  const std::string summary = RunSummary(episodes, "spike_5pj");
+  const std::string summary = RunSummary(episodes);
   EXPECT_THAT(summary, HasSubstr("mean return 20.0 +- 10.0 over 2 episodes, 40 decisions"));
-  EXPECT_THAT(summary, HasSubstr("0.875 nJ by spike_5pj, 0.000 nJ by horowitz_45nm"));
-  // The energy of a dense policy is estimated by horowitz_45nm only.
-  EXPECT_THAT(RunSummary(episodes, "horowitz_45nm"), HasSubstr("0.875 nJ by horowitz_45nm\n"));
+  EXPECT_THAT(summary, HasSubstr("0.875 nJ by horowitz_45nm, which leaves out memory"));
+  // Models that do not apply to the policy have no line.
+  EXPECT_THAT(summary, testing::Not(HasSubstr("loihi_2018")));
+  for (EpisodeRecord& episode : episodes) {
+    episode.joules[static_cast<size_t>(EnergyModel::kLoihi2018)] = 4e-8;
+  }
+  EXPECT_THAT(RunSummary(episodes), HasSubstr("2.000 nJ by loihi_2018, which leaves out"));
 }
 
 }  // namespace

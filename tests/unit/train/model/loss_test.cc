@@ -40,6 +40,22 @@ TEST(RateHingeTest, LeavesPhaseSpikesAlone) {
                    .defined());
 }
 
+TEST(OperationShareTest, WeighsASpikeByTheSynapsesThatItMeets) {
+  const ModelConfig config = {.hidden_size = 8, .context = 4, .ffn_size = 32};
+  const torch::Tensor mask = torch::ones({1, 2});
+  // All populations have 8 neurons. A coder's spike meets 24 synapses, an FFN coder's 32, a query's
+  // 12; the readout and the phase generators do not count.
+  const std::vector<Population> populations = {
+      Firing(Stage::kCoder, 0.5, 6), Firing(Stage::kFfnIn, 0.1, 6), Firing(Stage::kQuery, 0.2, 6),
+      Firing(Stage::kPhase, 0.9, 2), Firing(Stage::kReadout, 0.9, 2)};
+  const torch::Tensor share = OperationShare(populations, config, mask);
+  EXPECT_NEAR(share.item<double>(), (24 * 0.5 + 32 * 0.1 + 12 * 0.2) / (24 + 32 + 12), 1e-6);
+  share.backward();
+  EXPECT_NEAR(populations[0].spikes.grad().sum().item<double>(), 24.0 / 68.0, 1e-5);
+  EXPECT_FALSE(populations[3].spikes.grad().defined());
+  EXPECT_FALSE(OperationShare({}, config, mask).defined()) << "mode dense";
+}
+
 TEST(ImitationLossTest, IsTheMaskedCrossEntropyForDiscreteActions) {
   const torch::Tensor logits = torch::tensor({{{0.0f, 0.0f}, {9.0f, -9.0f}}});
   const torch::Tensor targets = torch::tensor({{{0.0f, 1.0f}, {0.0f, 1.0f}}});

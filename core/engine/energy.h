@@ -1,0 +1,59 @@
+// Estimates the energy of counted operations by several models.
+//
+// Estimates, never measurements. The models answer different questions, so figures of different
+// models are never added or sorted together. Each model names what it counts, what it leaves out
+// and to which policies it applies; docs/energy.md, `spikectl` and the status page show these
+// texts. All functions are pure and thread-safe. Example:
+//
+//   const auto joules = EstimateEnergy(EnergyModel::kLoihi2018, output.counts, policy.config);
+//   if (joules.has_value()) ...  // the model applies to this policy
+#ifndef CORE_ENGINE_ENERGY_H_
+#define CORE_ENGINE_ENERGY_H_
+
+#include <array>
+#include <optional>
+
+#include "absl/strings/string_view.h"
+#include "core/base/enum_names.h"
+#include "core/engine/counts.h"
+#include "core/model/config.h"
+
+namespace spikeserve {
+
+// In the order in which they are shown.
+enum class EnergyModel { kHorowitz45nm, kHorowitz45nmInt8, kLoihi2018, kSpike5pj };
+inline constexpr int kEnergyModels = 4;
+
+constexpr std::array<EnumName<EnergyModel>, kEnergyModels> EnumNames(EnergyModel) {
+  return {{{EnergyModel::kHorowitz45nm, "horowitz_45nm"},
+           {EnergyModel::kHorowitz45nmInt8, "horowitz_45nm_int8"},
+           {EnergyModel::kLoihi2018, "loihi_2018"},
+           {EnergyModel::kSpike5pj, "spike_5pj"}}};
+}
+
+// The model of every figure that names no other: it applies to every policy, so that totals and
+// sorted lists can use it alone, and it leaves out least.
+inline constexpr EnergyModel kDefaultEnergyModel = EnergyModel::kHorowitz45nm;
+
+// What to know about a model before reading its figures.
+struct EnergyModelInfo {
+  absl::string_view counts;      // what it prices, with the prices
+  absl::string_view leaves_out;  // what it does not price
+  absl::string_view applies_to;  // which policies have a figure under it
+  absl::string_view source;      // of the prices
+};
+const EnergyModelInfo& InfoOf(EnergyModel model);
+
+// Returns whether policies of this configuration have a figure under the model.
+bool Applies(EnergyModel model, const ModelConfig& config);
+
+// Returns the energy of `counts` in joules, or nothing if the model does not apply to `config`.
+std::optional<double> EstimateEnergy(EnergyModel model, const Counts& counts,
+                                     const ModelConfig& config);
+
+// Returns the estimate by kDefaultEnergyModel, in joules.
+double DefaultEnergy(const Counts& counts, const ModelConfig& config);
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_ENERGY_H_

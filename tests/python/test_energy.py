@@ -1,0 +1,97 @@
+"""Each energy model says what it counts, and has figures only for the policies to which it applies."""
+
+import json
+import urllib.request
+
+import gymnasium
+import grpc
+import pytest
+from documentation import DOCS
+from random_policy import export_random
+from serving import Service, running_server
+
+STEPS = 7
+# The optional figures of an answer and the models that they belong to.
+FIGURES = {
+    "spike_energy_joules": "spike_5pj",
+    "horowitz_int8_energy_joules": "horowitz_45nm_int8",
+    "loihi_energy_joules": "loihi_2018",
+}
+APPLYING = {
+    "integers": {"horowitz_45nm", "horowitz_45nm_int8", "loihi_2018", "spike_5pj"},
+    "floats": {"horowitz_45nm", "spike_5pj"},
+    "dense": {"horowitz_45nm"},
+}
+
+
+@pytest.fixture(scope="module")
+def addresses(tmp_path_factory):
+    policies = tmp_path_factory.mktemp("policies")
+    environment = gymnasium.make("CartPole-v1")
+    export_random(policies, "integers", environment, arithmetic="int8")
+    export_random(policies, "floats", environment)
+    export_random(policies, "dense", environment, mode="dense")
+    with running_server(policies) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def stats(addresses):
+    """Plays an episode with every policy. Returns the stats of its decisions, by policy."""
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        played = {}
+        for policy in APPLYING:
+            session = service.OpenSession(policy=policy).session_id
+            observations = [[0.1 * step, 0.2, -0.1 * step, 0.3] for step in range(STEPS)]
+            played[policy] = [
+                service.Act(session_id=session, step=step, observation=observation).stats
+                for step, observation in enumerate(observations)
+            ]
+        yield played
+
+
+def status(addresses):
+    with urllib.request.urlopen(f"http://{addresses.http}/status.json", timeout=30) as page:
+        return json.load(page)
+
+
+@pytest.mark.parametrize("policy", APPLYING)
+def test_an_answer_has_a_figure_for_each_model_that_applies(stats, policy):
+    for answer in stats[policy]:
+        assert answer.energy_joules > 0
+        figures = {model for field, model in FIGURES.items() if answer.HasField(field)}
+        assert figures == APPLYING[policy] - {"horowitz_45nm"}
+
+
+@pytest.mark.parametrize("policy", APPLYING)
+def test_the_metrics_have_the_same_figures_and_no_others(addresses, stats, policy):
+    series = {
+        entry["labels"]["energy_model"]: entry["value"]
+        for entry in status(addresses)["metrics"]["spikeserve_energy_joules_total"]
+        if entry["labels"]["policy"] == policy
+    }
+    assert set(series) == APPLYING[policy]
+    assert series["horowitz_45nm"] == pytest.approx(sum(s.energy_joules for s in stats[policy]))
+    for field, model in FIGURES.items():
+        if model in series:
+            assert series[model] == pytest.approx(sum(getattr(s, field) for s in stats[policy]))
+
+
+def test_membranes_depend_on_the_sizes_only(stats):
+    first, *others = [answer.membrane_updates for answer in stats["integers"]]
+    assert others == [others[0]] * (STEPS - 1)
+    assert first < others[0], "the first decision has no action token"
+    assert [answer.membrane_updates for answer in stats["floats"]] == [first, *others]
+    assert {answer.membrane_updates for answer in stats["dense"]} == {0}
+
+
+def test_the_page_of_the_documentation_is_that_of_the_program(addresses):
+    models = status(addresses)["energy_models"]
+    assert [model["name"] for model in models if model["default"]] == ["horowitz_45nm"]
+    table = (DOCS / "energy.md").read_text().split("<!-- energy models -->\n")[1].split("<!--")[0]
+    _, _, *rows = table.splitlines()
+    assert rows == [
+        f"| `{model['name']}` | " + " | ".join(model[key] for key in ("counts", "leaves_out", "applies_to", "source")) + " |"
+        for model in models
+    ]

@@ -1,0 +1,138 @@
+#include "core/engine/energy.h"
+
+#include <gtest/gtest.h>
+
+#include <string>
+
+#include "core/engine/factory/engine_factory.h"
+#include "core/engine/token_costs.h"
+#include "core/model/quantize.h"
+#include "tests/support/small_policy.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr double kPico = 1e-12;
+
+// Different numbers for every kind, so that no two can be exchanged unnoticed.
+Counts SomeCounts() {
+  Counts counts;
+  counts.spikes(Stage::kCoder) = 70;
+  counts.spikes(Stage::kPhase) = 10;
+  counts.spikes(Stage::kReadout) = 20;
+  counts.accumulates = 1000;
+  counts.multiply_accumulates = 60;
+  counts.integer_multiply_accumulates = 20;
+  counts.attention_products = 500;
+  counts.membrane_updates = 3000;
+  counts.coder_gains = 100;
+  counts.layer_norm_elements = 200;
+  counts.softmax_terms = 300;
+  counts.gate_products = 400;
+  return counts;
+}
+
+ModelConfig Configured(Arithmetic arithmetic) {
+  ModelConfig config = SmallConfig();
+  config.arithmetic = arithmetic;
+  return config;
+}
+
+TEST(EnergyTest, EveryModelPricesWhatItSays) {
+  const Counts counts = SomeCounts();
+  const ModelConfig config = Configured(Arithmetic::kInt8);
+  ASSERT_EQ(config.ticks, 5);
+  const auto joules = [&](EnergyModel model) { return *EstimateEnergy(model, counts, config); };
+  const double others = 14.7 * 200 + 9.2 * 300;
+  EXPECT_DOUBLE_EQ(joules(EnergyModel::kSpike5pj), 500 * kPico);
+  EXPECT_DOUBLE_EQ(joules(EnergyModel::kHorowitz45nm),
+                   (0.9 * (1000 + 500) + 4.6 * (60 + 3000 + 100 + 400) + others) * kPico);
+  // 500 of the 3,000 updates are of coder neurons, 100 elements times 5 ticks.
+  EXPECT_DOUBLE_EQ(
+      joules(EnergyModel::kHorowitz45nmInt8),
+      (0.03 * 1000 + 0.9 * 500 + 0.23 * 20 + 3.2 * 2500 + 4.6 * (40 + 500 + 100 + 400) + others) *
+          kPico);
+  EXPECT_DOUBLE_EQ(joules(EnergyModel::kLoihi2018),
+                   (23.6 * 1060 + 81 * 90 + 52 * (3000 - 90) + 1.7 * 100) * kPico);
+  EXPECT_EQ(DefaultEnergy(counts, config), joules(EnergyModel::kHorowitz45nm));
+}
+
+TEST(EnergyTest, AnAttentionProductOfADensePolicyIsAMultiplyAccumulate) {
+  Counts counts;
+  counts.multiply_accumulates = 10;
+  counts.attention_products = 100;
+  EXPECT_DOUBLE_EQ(DefaultEnergy(counts, SmallConfig(Mode::kDense)), 4.6 * 110 * kPico);
+}
+
+TEST(EnergyTest, APolicyHasNoFigureUnderAModelThatDoesNotApply) {
+  const auto applying = [](const ModelConfig& config) {
+    std::string names;
+    for (const auto& [model, name] : EnumNames(EnergyModel())) {
+      const auto joules = EstimateEnergy(model, SomeCounts(), config);
+      EXPECT_EQ(joules.has_value(), Applies(model, config)) << name;
+      if (joules.has_value()) names += " " + std::string(name);
+    }
+    return names;
+  };
+  EXPECT_EQ(applying(Configured(Arithmetic::kInt8)),
+            " horowitz_45nm horowitz_45nm_int8 loihi_2018 spike_5pj");
+  EXPECT_EQ(applying(Configured(Arithmetic::kFloat32)), " horowitz_45nm spike_5pj");
+  EXPECT_EQ(applying(SmallConfig(Mode::kDense)), " horowitz_45nm");
+}
+
+TEST(EnergyTest, ABernoulliCoderHasNoMembranes) {
+  ModelConfig config = Configured(Arithmetic::kInt8);
+  config.coder = CoderKind::kBernoulli;
+  Counts counts;
+  counts.spikes(Stage::kCoder) = 5;
+  counts.spikes(Stage::kQuery) = 3;
+  counts.coder_gains = 16;
+  counts.membrane_updates = 10;
+  EXPECT_DOUBLE_EQ(*EstimateEnergy(EnergyModel::kLoihi2018, counts, config),
+                   (81 * 3 + 52 * 7 + 1.7 * 8) * kPico);
+  EXPECT_DOUBLE_EQ(*EstimateEnergy(EnergyModel::kHorowitz45nmInt8, counts, config),
+                   (3.2 * 10 + 4.6 * 16) * kPico);
+}
+
+// The three tokens of a decision at the paper's size, with a full window.
+TEST(EnergyTest, ADecisionOfThePapersSizeUpdates55040Membranes) {
+  const ModelConfig config;
+  Counts counts;
+  for (const TokenKind kind : {TokenKind::kAction, TokenKind::kReturn, TokenKind::kState}) {
+    AddTokenCosts(config, kind, 60, &counts);
+  }
+  EXPECT_EQ(counts.membrane_updates, 55040u);
+  // Layer 0 codes three tokens twice, layer 1 three once and the state again, then the readout.
+  EXPECT_EQ(counts.coder_gains, 128u * (6 + 4 + 1));
+  EXPECT_EQ(counts.layer_norm_elements, 128u * (3 + 2 * 4));
+  EXPECT_EQ(counts.softmax_terms, 4u * 10 * 4 * (60 + 1));
+  EXPECT_EQ(counts.gate_products, 4u * 10 * 128);
+}
+
+TEST(EnergyTest, EveryModelSaysWhatItCountsAndLeavesOut) {
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    const EnergyModelInfo& info = InfoOf(model);
+    for (const auto& text : {info.counts, info.leaves_out, info.applies_to, info.source}) {
+      EXPECT_FALSE(text.empty()) << name;
+    }
+  }
+}
+
+// The engines agree with each other (tests/parity); this shows that each of them counts at all.
+TEST(EnergyTest, EnginesCountThePartsOfTheirMode) {
+  for (const Mode mode : {Mode::kBaseline, Mode::kFull, Mode::kDense}) {
+    const auto policy = std::make_shared<const Policy>(SmallPolicy(SmallConfig(mode)));
+    const auto engine = MakeStreamingEngine(policy);
+    const auto context = engine->NewContext(0);
+    Engine::Output output;
+    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f, 4.0f}, &output);
+    EXPECT_EQ(output.counts.membrane_updates > 0, mode != Mode::kDense);
+    EXPECT_EQ(output.counts.gate_products > 0, mode == Mode::kFull);
+    EXPECT_GT(output.counts.layer_norm_elements, 0u);
+    EXPECT_GT(output.counts.softmax_terms, 0u);
+    EXPECT_EQ(output.counts.integer_multiply_accumulates, 0u);
+  }
+}
+
+}  // namespace
+}  // namespace spikeserve
