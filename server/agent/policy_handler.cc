@@ -65,6 +65,12 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
                          .routing_key = key.empty() ? id : key});
 }
 
+// Returns whether the request ends an episode that this copy of the session has not reached.
+bool IsAhead(const v1::EndEpisodeRequest& request, const Session& session) {
+  if (request.episode() != session.episode) return request.episode() > session.episode;
+  return request.steps() > session.step;
+}
+
 // Checks that the request ends the running episode, or repeats the end of the one before. Without
 // `episode` and `steps`, any request does.
 absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& session) {
@@ -315,13 +321,14 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 
 int PolicyHandler::ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request,
                                  int first, v1::ActBatchResponse* response, DeferredWork* deferred,
-                                 Commits* commits) const {
+                                 Commits* commits, bool may_claim) const {
   const int end = std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   absl::InlinedVector<AgentAct, kMaxSessionsPerGroup> acts;
   for (int i = first; i < end; ++i) {
     acts.push_back({.caller = &caller,
                     .request = &request.requests(i),
-                    .response = response->add_results()->mutable_response()});
+                    .response = response->add_results()->mutable_response(),
+                    .may_claim = may_claim});
   }
   ActMany(absl::MakeSpan(acts), deferred, [](absl::Span<AgentAct> /*group*/) {});
   for (int i = first; i < end; ++i) {
@@ -338,7 +345,8 @@ int PolicyHandler::ActBatchGroup(const Credential& caller, const v1::ActBatchReq
 
 absl::Status PolicyHandler::EndEpisode(const Credential& caller,
                                        const v1::EndEpisodeRequest& request,
-                                       v1::EndEpisodeResponse* response, Commits* commits) const {
+                                       v1::EndEpisodeResponse* response, Commits* commits,
+                                       bool may_claim) const {
   const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
   EpisodeEnd end = {.reward = request.reward(),
@@ -367,6 +375,10 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
     }
   }
   if (absl::IsFailedPrecondition(status)) {
+    if (may_claim && (*entry)->journal != nullptr && IsAhead(request, agent.session())) {
+      (*entry)->journal->Abandon();
+      return NoSuchSession(request.session_id());
+    }
     return WithExpectedDecision(status, agent.session().decisions, agent.session().step);
   }
   if (status.ok() && commits != nullptr) AddCommit(**entry, commits);

@@ -85,12 +85,15 @@ class PolicyHandler {
   // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
   static absl::Status CheckBatch(const v1::ActBatchRequest& request);
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
-  // after the last one. An item that fails has its own code in `response`.
+  // after the last one. An item that fails has its own code in `response`. `may_claim` as
+  // ActItem::may_claim.
   // REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response, DeferredWork* deferred, Commits* commits) const;
+                    v1::ActBatchResponse* response, DeferredWork* deferred, Commits* commits,
+                    bool may_claim = false) const;
   absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
-                          v1::EndEpisodeResponse* response, Commits* commits = nullptr) const;
+                          v1::EndEpisodeResponse* response, Commits* commits = nullptr,
+                          bool may_claim = false) const;
   absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
   // Takes about a thousand times as long as a decision; see ExplainSession.

@@ -44,7 +44,8 @@ void ActBatchCall::Handle() {
 
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
   if (call() == nullptr) return true;
-  decided_ = handler.ActBatchGroup(caller(), request(), decided_, response(), deferred, commits());
+  decided_ = handler.ActBatchGroup(caller(), request(), decided_, response(), deferred, commits(),
+                                   may_claim());
   if (decided_ < request().requests_size()) return false;
   EndWhenDurable({absl::OkStatus(), RefusalWithin(*response())});
   return true;

@@ -26,7 +26,7 @@ namespace spikeserve {
 template <typename Handler, typename Method, typename Request, typename Response>
 absl::Status Invoke(Handler& handler, Method method, const Credential& caller,
                     const Request& request, Response* response, DeferredWork* deferred,
-                    Commits* commits) {
+                    Commits* commits, bool may_claim) {
   if constexpr (std::is_invocable_v<Method, Handler&, const Request&, Response*>) {
     return (handler.*method)(request, response);
   } else if constexpr (std::is_invocable_v<Method, Handler&, const Credential&, const Request&,
@@ -36,6 +36,9 @@ absl::Status Invoke(Handler& handler, Method method, const Credential& caller,
                                            Response*, Commits*>) {
     return (handler.*method)(caller, request, response, commits);
   } else if constexpr (std::is_invocable_v<Method, Handler&, const Credential&, const Request&,
+                                           Response*, Commits*, bool>) {
+    return (handler.*method)(caller, request, response, commits, may_claim);
+  } else if constexpr (std::is_invocable_v<Method, Handler&, const Credential&, const Request&,
                                            Response*, DeferredWork*>) {
     return (handler.*method)(caller, request, response, deferred);
   } else {
@@ -43,9 +46,9 @@ absl::Status Invoke(Handler& handler, Method method, const Credential& caller,
   }
 }
 
-// Runs `Answer(caller, request, response, deferred, commits)`, which returns a CallOutcome, on the
-// loop. For methods that are quick. `deferred` is work that the loop does after it has sent the
-// answer.
+// Runs `Answer(caller, request, response, deferred, commits, may_claim)`, which returns a
+// CallOutcome, on the loop. For methods that are quick. `deferred` is work that the loop does after
+// it has sent the answer.
 template <typename Request, typename Response, typename Answer>
 class InlineCall final : public UnaryCall<Request, Response> {
  public:
@@ -57,8 +60,8 @@ class InlineCall final : public UnaryCall<Request, Response> {
 
  private:
   void Handle() override {
-    this->EndWhenDurable(
-        answer_(this->caller(), this->request(), this->response(), deferred_, this->commits()));
+    this->EndWhenDurable(answer_(this->caller(), this->request(), this->response(), deferred_,
+                                 this->commits(), this->may_claim()));
   }
 
   DeferredWork* const deferred_;
@@ -105,7 +108,8 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
     if constexpr (kTakesPeer) {
       return answer_(this->caller(), peer_, this->request(), this->response());
     } else {
-      return answer_(this->caller(), this->request(), this->response(), nullptr, this->commits());
+      return answer_(this->caller(), this->request(), this->response(), nullptr, this->commits(),
+                     this->may_claim());
     }
   }
 

@@ -40,6 +40,9 @@ Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, co
                                                            Response*, Commits*) const);
 template <typename H, typename Request, typename Response>
 Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
+                                                           Response*, Commits*, bool) const);
+template <typename H, typename Request, typename Response>
+Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
                                                            Response*, DeferredWork*, Commits*)
                                            const);
 
@@ -73,9 +76,9 @@ void Services::AddInline(Method method, Handler* handler, HandlerMethod handler_
   using Response = typename Types::Response;
   const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
                                                 Response* response, DeferredWork* deferred,
-                                                Commits* commits) {
+                                                Commits* commits, bool may_claim) {
     return CallOutcome(
-        Invoke(*handler, handler_method, caller, request, response, deferred, commits));
+        Invoke(*handler, handler_method, caller, request, response, deferred, commits, may_claim));
   };
   using AnswerType = decltype(answer);
   table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
@@ -93,9 +96,9 @@ void Services::AddBackground(Method method, Handler* handler, HandlerMethod hand
   using Response = typename Types::Response;
   const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
                                                 Response* response, DeferredWork* deferred,
-                                                Commits* commits) {
+                                                Commits* commits, bool may_claim) {
     return CallOutcome(
-        Invoke(*handler, handler_method, caller, request, response, deferred, commits));
+        Invoke(*handler, handler_method, caller, request, response, deferred, commits, may_claim));
   };
   using AnswerType = decltype(answer);
   table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
@@ -117,7 +120,8 @@ void Services::AddAdmin(Method method, Handler* handler, HandlerMethod handler_m
                           const Credential& caller, const Peer& peer, const Request& request,
                           Response* response) {
     std::string before = audit->StateBefore(request);
-    auto status = Invoke(*handler, handler_method, caller, request, response, nullptr, nullptr);
+    auto status = Invoke(*handler, handler_method, caller, request, response, nullptr, nullptr,
+                         /*may_claim=*/false);
     audit->Record(method, caller, peer, request, std::move(before), status);
     return CallOutcome(std::move(status));
   };

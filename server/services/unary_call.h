@@ -50,6 +50,9 @@ class UnaryCall : public ServiceCall {
   // Gathers what the answer must wait for.
   Commits* commits() { return &commits_; }
 
+  // Returns whether a session whose copy here is an old one may still be taken over from the store.
+  bool may_claim() { return context().recovery != nullptr && !recovered_; }
+
   // As End(), when the store has everything in commits(). If the outcome is that this server does
   // not hold the request's session, takes it over from the store and calls Handle() again.
   void EndWhenDurable(CallOutcome outcome) {
