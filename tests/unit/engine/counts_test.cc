@@ -54,7 +54,7 @@ TEST(CountsTest, ADecisionBearsItsThreeTokens) {
     const auto ticks = static_cast<uint64_t>(config.ticks);
     const auto heads = static_cast<uint64_t>(config.heads);
     EXPECT_EQ(output.counts.membrane_updates,
-              ticks * (2 * (5 * d + ffn) + 3 * d + (2 * d + ffn) + d));
+              ticks * (2 * (5 * d + ffn) + 3 * d + (5 * d + ffn) + d));
     EXPECT_EQ(output.counts.coder_gains, 8 * d);
     EXPECT_EQ(output.counts.layer_norm_elements, 2 * d + 4 * d + 2 * d);
     // G_0 attends to one token, s_0 to two, in layer 1 again.

@@ -4,6 +4,7 @@
 
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/token_costs.h"
 #include "core/model/quantize.h"
@@ -70,7 +71,7 @@ TEST(EnergyTest, APolicyHasNoFigureUnderAModelThatDoesNotApply) {
     for (const auto& [model, name] : EnumNames(EnergyModel())) {
       const auto joules = EstimateEnergy(model, SomeCounts(), config);
       EXPECT_EQ(joules.has_value(), Applies(model, config)) << name;
-      if (joules.has_value()) names += " " + std::string(name);
+      if (joules.has_value()) absl::StrAppend(&names, " ", name);
     }
     return names;
   };
