@@ -2,23 +2,29 @@
 
 import contextlib
 import os
+import signal
 import subprocess
 
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES
 
 
 class RestartableServer:
-    """Its first start picks a free port; later starts use the same one."""
+    """Its first start picks a free port of `host`; later starts use the same one.
 
-    def __init__(self, *flags):
+    `prefix` is a command that runs the server in its own process, such as nsenter.
+    """
+
+    def __init__(self, *flags, host="127.0.0.1", prefix=()):
         self._flags = flags
+        self._prefix = prefix
         self._process = None
-        self.address = "127.0.0.1:0"
+        self.address = f"{host}:0"
 
     def start(self):
         """Starts the server and waits until it listens."""
         self._process = subprocess.Popen(
             [
+                *self._prefix,
                 os.environ["SPIKESERVE_PROGRAM"],
                 f"--policies={SHIPPED_POLICIES}",
                 f"--listen={self.address}",
@@ -40,6 +46,21 @@ class RestartableServer:
             self._process.wait(timeout=DEADLINE_SECONDS)
             self._process.stdout.close()
             self._process = None
+
+    def stop(self):
+        """Keeps the server from running until `resume`."""
+        self._process.send_signal(signal.SIGSTOP)
+
+    def resume(self):
+        """Lets a stopped server run again."""
+        self._process.send_signal(signal.SIGCONT)
+
+    def restart(self):
+        """Ends the server in order, by SIGTERM, and starts it again."""
+        self._process.terminate()
+        assert self._process.wait(timeout=DEADLINE_SECONDS) == 0
+        self._process.stdout.close()
+        self.start()
 
 
 @contextlib.contextmanager

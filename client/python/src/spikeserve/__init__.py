@@ -17,6 +17,7 @@ from spikeserve.client import Client
 from spikeserve.connection import ClientOptions
 from spikeserve.errors import (
     DeadlineExceededError,
+    DivergedError,
     FailedPreconditionError,
     InvalidArgumentError,
     NotFoundError,
@@ -68,6 +69,7 @@ __all__ = [
     "DeadlineExceededError",
     "Decision",
     "Discrete",
+    "DivergedError",
     "EpisodeSummary",
     "Evaluation",
     "EvaluationStoppedError",

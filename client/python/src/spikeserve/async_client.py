@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
-from spikeserve.calls import ExecutedActions, act_each, list_policies, open_session
+from spikeserve.batches import ExecutedActions, act_each, by_server
+from spikeserve.calls import list_policies, open_session
 from spikeserve.connection import AsyncConnection
 from spikeserve.errors import SpikeserveError
+from spikeserve.replicas import Route
 from spikeserve.values import Decision, Policy, SessionOptions
 
 
@@ -22,12 +25,16 @@ class AsyncClient(AsyncConnection):
         return await self.run(list_policies())
 
     async def open_session(
-        self, policy: str, options: SessionOptions | None = None, *, reopen: bool = False
+        self,
+        policy: str,
+        options: SessionOptions | None = None,
+        *,
+        reopen: bool = False,
+        route: Route | None = None,
     ) -> AsyncSession:
         """Asyncio form of Client.open_session."""
-        opening = open_session(policy, options)
-        session_id, opened = await self.run(opening)
-        return AsyncSession(self, session_id, opening=opened, reopening=opening if reopen else None)
+        open_again = functools.partial(open_session, policy, options, route)
+        return AsyncSession._of(self, await self.run(open_again()), open_again if reopen else None)
 
     async def act_batch(
         self,
@@ -40,8 +47,20 @@ class AsyncClient(AsyncConnection):
     ) -> list[Decision | SpikeserveError]:
         """Asyncio form of Client.act_batch."""
         cursors = [session.cursor for session in sessions]
-        return await self.run(act_each(cursors, observations, rewards, timeout, executed_actions))
+        executed = [None] * len(cursors) if executed_actions is None else executed_actions
+        results: dict[int, Decision | SpikeserveError] = {}
+        for rows in by_server(cursors, self.replicas):
+            batch = act_each(
+                [cursors[row] for row in rows],
+                [observations[row] for row in rows],
+                [rewards[row] for row in rows],
+                timeout,
+                [executed[row] for row in rows],
+            )
+            answers = await self.run(batch)
+            results.update(zip(rows, answers, strict=True))
+        return [results[row] for row in range(len(cursors))]
 
     def act_stream(self) -> AsyncActStream:
         """Asyncio form of Client.act_stream."""
-        return AsyncActStream(self._open_stream, self._options.retry, self._patience)
+        return AsyncActStream(self)

@@ -6,7 +6,6 @@ from typing import Self
 
 from numpy.typing import ArrayLike
 
-from spikeserve.check import check
 from spikeserve.connection import AsyncConnection
 from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
@@ -77,10 +76,10 @@ class AsyncSession(SessionHandle[AsyncConnection]):
 
     async def open_again(self) -> None:
         """Asyncio form of Session.open_again."""
-        check(self._reopening is not None, "session", "one opened with reopen=True", "another")
-        assert self._reopening is not None
-        self._move_to(await self._client.run(self._reopening))
+        self._move_to(await self._client.run(self._reopening()))
 
     async def close(self) -> None:
         """Asyncio form of Session.close."""
-        await self._client.run(self.cursor.close())
+        if not self._closed:
+            await self._client.run(self.cursor.close())
+            self._closed = True

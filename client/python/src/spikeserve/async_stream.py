@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
 from typing import Any, Self
 
 import grpc
 from numpy.typing import ArrayLike
 
 from spikeserve.async_session import AsyncSession
-from spikeserve.errors import SpikeserveError, make_error
-from spikeserve.open_requests import OpenRequest, OpenRequests, stream_closed, stream_ended
-from spikeserve.retry import Patience, RetryOptions
+from spikeserve.connection import AsyncConnection, StreamOpener
+from spikeserve.errors import SessionLostError, SpikeserveError, make_error
+from spikeserve.open_requests import (
+    OpenRequest,
+    OpenRequests,
+    stream_closed,
+    stream_ended,
+    stream_silent,
+)
+from spikeserve.replicas import Route
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
 
@@ -28,24 +34,27 @@ class AsyncActStream:
     without an answer are sent again on another stream by the next `send` or `receive`.
     """
 
-    def __init__(
-        self,
-        open_stream: Callable[[], Any],
-        retry: RetryOptions,
-        new_patience: Callable[[], Patience],
-    ) -> None:
-        self._open_stream = open_stream
-        self._open: OpenRequests[AsyncSession] = OpenRequests(retry, new_patience)
+    def __init__(self, client: AsyncConnection) -> None:
+        self._client = client
+        self._opener = StreamOpener(client)
+        self._open: OpenRequests[AsyncSession] = OpenRequests(
+            self._opener, client.options, client.patience
+        )
         self._closed = False
         self._writing = asyncio.Lock()  # gRPC allows one write at a time
         self._resending: asyncio.Task[None] | None = None
-        self._call = open_stream()
+        self._call = self._opener.open()
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def route(self) -> Route:
+        """Asyncio form of ActStream.route."""
+        return self._opener.route
 
     async def send(
         self,
@@ -69,13 +78,16 @@ class AsyncActStream:
                 await self._recover(reply)
                 continue
             accepted = self._open.accept(reply)
-            if accepted is None:
+            if isinstance(accepted, SpikeserveError):
+                await self._recover(accepted)
+            elif accepted is None:
                 # The requests of other sessions are answered while this one waits.
                 if self._resending is None or self._resending.done():
                     self._resending = asyncio.create_task(self._send_due())
             elif isinstance(accepted, OpenRequest):
-                await accepted.session.open_again()
-                await self._write(self._open.restart(accepted))
+                answered = await self._find(accepted)
+                if answered is not None:
+                    return answered
             else:
                 return accepted
 
@@ -102,6 +114,22 @@ class AsyncActStream:
         if self._resending is not None:
             self._resending.cancel()
 
+    async def _find(
+        self, request: OpenRequest[AsyncSession]
+    ) -> tuple[AsyncSession, Decision | SpikeserveError] | None:
+        """Makes the call of a request outside of the stream. None: in a new session, later."""
+        session = request.session
+        try:
+            return session, await self._client.run(request.call)
+        except SessionLostError as error:
+            if not session.reopens:
+                return session, error
+        except SpikeserveError as error:
+            return session, error
+        await session.open_again()
+        await self._write(self._open.restart(request))
+        return None
+
     async def _write(self, request: Message) -> None:
         # A broken call is repaired by `receive`, which sends the open requests again.
         with contextlib.suppress(grpc.RpcError, asyncio.InvalidStateError):
@@ -112,14 +140,29 @@ class AsyncActStream:
         if self._call.cancelled():  # with a `receive` that was cancelled
             return stream_ended()
         try:
-            reply = await self._call.read()
+            reply = await self._read_in_time()
         except grpc.RpcError:
             # The error of a read may only say that the call has ended; its status says why.
             code, details = await self._call.code(), await self._call.details()
-            if details == _CORE_ERROR:
+            # A proxy cancels the streams of a server that is gone.
+            if details == _CORE_ERROR or code == grpc.StatusCode.CANCELLED:
                 code = grpc.StatusCode.UNAVAILABLE
             return make_error("ActStream", code, details or "")
         return stream_ended() if reply is grpc.aio.EOF else reply
+
+    async def _read_in_time(self) -> Any:
+        """Reads the next reply. Returns an error if another server should be asked in its place."""
+        if not self._opener.has_others:
+            return await self._call.read()
+        reading = asyncio.ensure_future(self._call.read())
+        try:
+            while not reading.done():
+                await asyncio.wait([reading], timeout=self._open.seconds_until_silent())
+                if not reading.done() and self._open.is_silent():
+                    return stream_silent()
+            return reading.result()
+        finally:
+            reading.cancel()
 
     async def _send_due(self) -> None:
         while (seconds := self._open.seconds_until_due()) is not None:
@@ -145,7 +188,7 @@ class AsyncActStream:
 
     async def _start(self) -> None:
         self._call.cancel()
-        self._call = self._open_stream()
+        self._call = self._opener.open()
         self._open.broken = None
         for request in self._open.all_messages():
             await self._write(request)

@@ -38,7 +38,9 @@ class AsyncVectorSession(VectorRows[AsyncSession]):
         rows = cls(client, envs)
         async with contextlib.AsyncExitStack() as opened:
             for row_options in rows._row_options(options):
-                session = await client.open_session(policy, row_options, reopen=reopen)
+                session = await client.open_session(
+                    policy, row_options, reopen=reopen, route=rows._route
+                )
                 rows._sessions.append(await opened.enter_async_context(session))
             rows._check_fits()
             rows._opened = opened.pop_all()

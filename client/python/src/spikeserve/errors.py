@@ -6,10 +6,11 @@ The message comes from the server. It names the field, the expected value and th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, Self
 
 import grpc
 
-from spikeserve.status_details import retry_delay_of
+from spikeserve.status_details import details_of
 
 
 class SpikeserveError(Exception):
@@ -49,7 +50,35 @@ class SessionLostError(NotFoundError):
 
 
 class FailedPreconditionError(SpikeserveError):
-    """The step is not the expected one, or the episode to end has no decision yet."""
+    """The step is not the expected one, or the episode to end has no decision yet.
+
+    `expected_decision` is the number of the decision that the session expects; None: the server did
+    not say.
+    """
+
+    expected_decision: int | None = None
+
+
+class DivergedError(SpikeserveError):
+    """A request that was sent again after the loss of a server got another answer than before.
+
+    The session goes on from the new answer. `decision` is the number of the decision, or of the one
+    that follows the end of an episode.
+    """
+
+    decision: int = 0
+
+    @classmethod
+    def of(cls, call: str, session_id: str, decision: int) -> Self:
+        """Returns the error for a request of a session."""
+        error = cls(
+            call,
+            grpc.StatusCode.DATA_LOSS,
+            f"session {session_id}: expected the answer of decision {decision} that was received "
+            "before, received another one",
+        )
+        error.decision = decision
+        return error
 
 
 class ResourceExhaustedError(SpikeserveError):
@@ -92,22 +121,41 @@ _CODES = {code.value[0]: code for code in grpc.StatusCode}
 
 
 def make_error(
-    call: str, code: grpc.StatusCode, message: str, retry_after: float | None = None
+    call: str,
+    code: grpc.StatusCode,
+    message: str,
+    retry_after: float | None = None,
+    expected_decision: int | None = None,
 ) -> SpikeserveError:
     """Returns the exception for a status."""
-    return _CLASSES.get(code, SpikeserveError)(call, code, message, retry_after)
+    error = _CLASSES.get(code, SpikeserveError)(call, code, message, retry_after)
+    if isinstance(error, FailedPreconditionError):
+        error.expected_decision = expected_decision
+    return error
 
 
 def error_of_call(call: str, error: grpc.RpcError) -> SpikeserveError:
     """Returns the exception for an error of grpc or grpc.aio."""
-    return make_error(call, error.code(), error.details() or "", retry_delay_of(error))
+    details = details_of(error)
+    return make_error(
+        call, error.code(), error.details() or "", details.retry_delay, details.expected_decision
+    )
 
 
-def error_of_item(
-    call: str, code: int, message: str, retry_after: float | None = None
-) -> SpikeserveError:
-    """Returns the exception for one item of a batch or stream. `code` is a gRPC status number."""
-    return make_error(call, _CODES.get(code, grpc.StatusCode.UNKNOWN), message, retry_after)
+def error_of_item(call: str, item: Any) -> SpikeserveError:
+    """Returns the exception for an ActResult or an ActError, whose code is not 0."""
+    return make_error(
+        call,
+        _CODES.get(item.code, grpc.StatusCode.UNKNOWN),
+        item.message,
+        item.retry_after_seconds if item.HasField("retry_after_seconds") else None,
+        item.expected_decision if item.HasField("expected_decision") else None,
+    )
+
+
+def expected_decision(error: SpikeserveError) -> int | None:
+    """Returns the decision that the session expects if the request of `error` was out of order."""
+    return error.expected_decision if isinstance(error, FailedPreconditionError) else None
 
 
 def for_session(error: SpikeserveError, session_id: str) -> SpikeserveError:

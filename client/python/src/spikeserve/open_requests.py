@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Generic
 
 import grpc
 from numpy.typing import ArrayLike
 
+from spikeserve.calls import Call
 from spikeserve.check import check
+from spikeserve.connection import ClientOptions, StreamOpener
 from spikeserve.errors import (
     SessionLostError,
     SpikeserveError,
     error_of_item,
     for_session,
+    is_retryable,
     make_error,
     was_refused,
 )
-from spikeserve.retry import Patience, RetryOptions
+from spikeserve.retry import Patience
 from spikeserve.session_handle import AnySession
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
@@ -31,16 +34,29 @@ class OpenRequest(Generic[AnySession]):
 
     session: AnySession
     observation: ArrayLike
-    message: Message
+    call: Call[Decision]
     patience: Patience
+    sent: float = field(default_factory=time.monotonic)
     due: float | None = None  # when to send it again, of time.monotonic(); None: it is under way
+    failures: int = 0  # how often the server could not answer it now
 
 
 class OpenRequests(Generic[AnySession]):
-    """The sessions that wait for an answer on a stream, with one open request each."""
+    """The sessions that wait for an answer on a stream, with one open request each.
 
-    def __init__(self, retry: RetryOptions, new_patience: Callable[[], Patience]) -> None:
-        self._retry = retry
+    Requests go to the server that `opener` has chosen, and so do all other calls of the sessions.
+    `timeout` is how long an answer may take, in seconds, if there is another server.
+    """
+
+    def __init__(
+        self,
+        opener: StreamOpener,
+        options: ClientOptions,
+        new_patience: Callable[[], Patience],
+    ) -> None:
+        self._opener = opener
+        self._retry = options.retry
+        self._timeout = options.timeout
         self._new_patience = new_patience  # of a stream that breaks
         self._open: dict[str, OpenRequest[AnySession]] = {}
         self._stream_patience: Patience | None = None  # None: the stream is whole
@@ -60,10 +76,10 @@ class OpenRequests(Generic[AnySession]):
         session_id = session.session_id
         is_idle = session_id not in self._open
         check(is_idle, f"session {session_id}", "no request under way", "one")
-        request = session.cursor.act(observation, reward, None, executed_action).request
-        patience = Patience(self._retry)
-        self._open[session_id] = OpenRequest(session, observation, request, patience)
-        return request
+        self._opener.take(session.cursor)
+        call = session.cursor.act(observation, reward, None, executed_action)
+        self._open[session_id] = OpenRequest(session, observation, call, Patience(self._retry))
+        return call.request
 
     def check_empty(self) -> None:
         """ValueError if any session has an open request."""
@@ -71,12 +87,18 @@ class OpenRequests(Generic[AnySession]):
 
     def accept(
         self, reply: Message
-    ) -> tuple[AnySession, Decision | SpikeserveError] | OpenRequest[AnySession] | None:
+    ) -> (
+        tuple[AnySession, Decision | SpikeserveError]
+        | OpenRequest[AnySession]
+        | SpikeserveError
+        | None
+    ):
         """Returns the session that `reply` is for, and its decision or error.
 
         A decision moves the session to its next step. An error does not. Returns None if the server
-        refused the request for now, which will be due again. Returns the request if its session was
-        lost and reopens: the caller opens the session again and passes the request to `restart`.
+        cannot answer the request now, which will be due again, and the error if another server may.
+        Returns the request if its session is not at this server, or misses decisions there: the
+        caller makes `call` outside of the stream, which finds the session.
         """
         request = self._open.pop(reply.session_id, None)
         if request is None:
@@ -86,19 +108,34 @@ class OpenRequests(Generic[AnySession]):
                 f"session_id: expected one with a request under way, received {reply.session_id}",
             )
         self._stream_patience = None
+        self._opener.answered()
         session = request.session
         if not reply.HasField("error"):
-            return session, session.cursor.accept(reply)
-        error = _error_of(reply)
-        if was_refused(error):
+            return session, request.call.decode(reply)
+        error = for_session(error_of_item("ActStream", reply.error), reply.session_id)
+        if was_refused(error) or is_retryable(error):
+            request.failures += 1
             pause = request.patience.pause_after(error)
             if pause is not None:
                 request.due = time.monotonic() + pause
                 self._open[session.session_id] = request
-                return None
-        if isinstance(error, SessionLostError) and session.reopens:
+                is_elsewhere = is_retryable(error) and request.failures > 1
+                return error if is_elsewhere and self._opener.has_others else None
+        if isinstance(error, SessionLostError) or session.cursor.missing(error):
             return request
         return session, error
+
+    def seconds_until_silent(self) -> float | None:
+        """Returns the seconds until `is_silent` may be true; None: it never will be."""
+        if not self._opener.has_others:
+            return None
+        sent = [request.sent for request in self._open.values() if request.due is None]
+        oldest = min(sent, default=time.monotonic())
+        return max(0.0, oldest + self._timeout - time.monotonic())
+
+    def is_silent(self) -> bool:
+        """Returns whether a request has had no answer for too long, and another server may have."""
+        return bool(self._open) and self.seconds_until_silent() == 0.0
 
     def restart(self, request: OpenRequest[AnySession]) -> Message:
         """Returns the request to send after its session was opened again."""
@@ -109,19 +146,21 @@ class OpenRequests(Generic[AnySession]):
         due = [request.due for request in self._open.values() if request.due is not None]
         return max(0.0, min(due) - time.monotonic()) if due else None
 
-    def take_due(self) -> Iterable[Message]:
+    def take_due(self) -> list[Message]:
         """Returns the refused requests that are due, which count as under way again."""
         now = time.monotonic()
-        for request in self._open.values():
-            if request.due is not None and request.due <= now:
-                request.due = None
-                yield request.message
+        due = (r for r in self._open.values() if r.due is not None and r.due <= now)
+        return [self._send(request) for request in due]
 
-    def all_messages(self) -> Iterable[Message]:
+    def all_messages(self) -> list[Message]:
         """Returns every open request, to send it on a new stream."""
-        for request in self._open.values():
-            request.due = None
-            yield request.message
+        return [self._send(request) for request in self._open.values()]
+
+    @staticmethod
+    def _send(request: OpenRequest[AnySession]) -> Message:
+        request.due = None
+        request.sent = time.monotonic()
+        return request.call.request
 
     def may_reopen(self) -> bool:
         """Returns whether the policy for retries allows a second stream after a broken one."""
@@ -132,6 +171,7 @@ class OpenRequests(Generic[AnySession]):
 
         A broken stream has no open requests: each of them may be sent again.
         """
+        self._opener.failed()
         self._stream_patience = self._stream_patience or self._new_patience()
         pause = self._stream_patience.pause_after(error) if self._open else None
         if pause is None:
@@ -141,18 +181,14 @@ class OpenRequests(Generic[AnySession]):
         return pause
 
 
-def _error_of(reply: Message) -> SpikeserveError:
-    delay = reply.error.retry_after_seconds
-    known = reply.error.HasField("retry_after_seconds")
-    error = error_of_item(
-        "ActStream", reply.error.code, reply.error.message, delay if known else None
-    )
-    return for_session(error, reply.session_id)
-
-
 def stream_ended() -> SpikeserveError:
     """Returns the error for a stream that the server has ended."""
     return make_error("ActStream", grpc.StatusCode.UNAVAILABLE, "the server ended the stream")
+
+
+def stream_silent() -> SpikeserveError:
+    """Returns the error for a stream whose server has not answered for too long."""
+    return make_error("ActStream", grpc.StatusCode.DEADLINE_EXCEEDED, "no answer in time")
 
 
 def stream_closed() -> SpikeserveError:

@@ -11,9 +11,19 @@ from typing import Any
 
 import grpc
 
-from spikeserve.calls import Call
+from spikeserve.calls import Call, FailedItems
 from spikeserve.check import check
-from spikeserve.errors import SpikeserveError, error_of_call, for_session, is_retryable, was_refused
+from spikeserve.errors import (
+    DeadlineExceededError,
+    NotFoundError,
+    SessionLostError,
+    SpikeserveError,
+    error_of_call,
+    for_session,
+    is_retryable,
+    was_refused,
+)
+from spikeserve.replicas import Replica, Replicas
 
 
 @dataclass(frozen=True)
@@ -25,8 +35,8 @@ class RetryOptions:
     in [0.5, 1]. The random factor spreads out callers that failed at the same time. A call that
     the server refused with RESOURCE_EXHAUSTED and the time of the next try is repeated after that
     time. No attempt begins later than max_elapsed seconds after the first one, which outlasts the
-    restart of a server, or after the timeout that the call was given. ValueError if a field is out
-    of its range.
+    restart of a server, or after the timeout that the call was given. With several servers, the
+    next attempt goes to another one. ValueError if a field is out of its range.
     """
 
     max_attempts: int | None = None  # 1: never repeat; None: limited by max_elapsed only
@@ -66,12 +76,16 @@ class Patience:
         """Returns the seconds to wait before the next attempt, or None if there is none."""
         if not (is_retryable(error) or was_refused(error)):
             return None
+        return self.next_pause(error.retry_after)
+
+    def next_pause(self, asked_for: float | None = None) -> float | None:
+        """As pause_after, after any error. `asked_for` is the pause that the server asked for."""
         pause = next(self._pauses, None)
         if pause is None:
             return None
-        if error.retry_after is not None:
+        if asked_for is not None:
             # Never earlier than the server asked for, and not all callers at once.
-            pause = error.retry_after + random.uniform(0.0, 0.1) * error.retry_after
+            pause = asked_for + random.uniform(0.0, 0.1) * asked_for
         return pause if time.monotonic() + pause < self._ends else None
 
     def shorten(self, seconds: float) -> None:
@@ -93,6 +107,7 @@ class Attempts:
         options: RetryOptions,
         timeout: float,
         connect_timeout: float | None,
+        replicas: Replicas,
     ) -> None:
         self._call = call
         self._timeout = timeout
@@ -101,6 +116,11 @@ class Attempts:
         if connect_timeout is not None:
             self._patience.shorten(connect_timeout)
         self._failed = 0
+        self._rounds = 0  # of missing decisions
+        self._replicas = replicas
+        self._tried: set[Replica] = set()
+        self._without: set[Replica] = set()  # those that do not know the session
+        self.replica = replicas.choose(call.route)
 
     def timeout(self) -> float:
         """Returns the timeout of the next attempt in seconds."""
@@ -108,11 +128,15 @@ class Attempts:
             return self._timeout
         return max(self._deadline - time.monotonic(), 0.001)
 
-    def pause_after(self, rpc_error: grpc.RpcError) -> float | None:
-        """Returns the seconds to wait before the next attempt.
+    def answered(self) -> None:
+        """Notes that `replica` answered the call."""
+        self._replicas.answered(self._call.route, self.replica)
 
-        Returns None if an earlier attempt has taken effect. Raises the SpikeserveError of
-        `rpc_error` if there is no next attempt.
+    def pause_after(self, rpc_error: grpc.RpcError, seconds: float) -> float | None:
+        """Returns the seconds to wait before the next attempt, which goes to `replica`.
+
+        `seconds` is the timeout of the failed attempt. Returns None if an earlier attempt has taken
+        effect. Raises the SpikeserveError of `rpc_error` if there is no next attempt.
         """
         error = error_of_call(self._call.method, rpc_error)
         self._failed += 1
@@ -121,13 +145,46 @@ class Attempts:
             return None
         pause = None
         if self._call.repeatable or was_refused(error):
-            pause = self._patience.pause_after(error)
+            pause = self.pause_for(error, seconds)
         if pause is None:
             if self._call.session_id:
                 error = for_session(error, self._call.session_id)
             raise error from rpc_error
         return pause
 
-    def pause_for(self, error: SpikeserveError) -> float | None:
-        """Returns the seconds to wait before a part of a batch is sent again, or None."""
-        return self._patience.pause_after(error)
+    def pause_for(self, error: SpikeserveError, seconds: float | None = None) -> float | None:
+        """Returns the seconds to wait before the call or a part of it is sent again, or None.
+
+        Chooses another replica if the error says that this one cannot answer now. `seconds` is how
+        long the call had no answer, if it had none.
+        """
+        is_missing = isinstance(error, NotFoundError) and self._call.session_id != ""
+        is_missing = is_missing or isinstance(error, SessionLostError)
+        if not self._replicas.may_move(self._call.route) or not (is_missing or is_retryable(error)):
+            return self._patience.pause_after(error)
+        if is_missing:
+            # Another replica may hold a session that the store has lost.
+            self._without.add(self.replica)
+            if len(self._without) == len(self._replicas):
+                return None
+        else:
+            is_silent = isinstance(error, DeadlineExceededError)
+            self._replicas.failed(self.replica, seconds if is_silent else None)
+        self._tried.add(self.replica)
+        if all_tried := len(self._tried) == len(self._replicas):
+            self._tried = set(self._without)
+        self.replica = self._replicas.choose(self._call.route, self._tried)
+        return self._patience.next_pause(error.retry_after if all_tried else None)
+
+    def pause_before_part(self, failed: FailedItems) -> float | None:
+        """Returns the seconds to wait before failed items are sent again, or None."""
+        return self.pause_before_missing() if failed.missing else self.pause_for(failed.error)
+
+    def pause_before_missing(self) -> float | None:
+        """Returns the seconds to wait before decisions that the server misses are sent, or None.
+
+        A server that has just claimed a session misses decisions once, so the first time has no
+        pause.
+        """
+        self._rounds += 1
+        return 0.0 if self._rounds == 1 else self._patience.next_pause()

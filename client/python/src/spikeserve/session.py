@@ -6,7 +6,6 @@ from typing import Self
 
 from numpy.typing import ArrayLike
 
-from spikeserve.check import check
 from spikeserve.connection import Connection
 from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
@@ -20,6 +19,10 @@ class Session(SessionHandle[Connection]):
     A session is a session id and a step. A restarted agent attaches to its old session with
     Session(client, session_id, step). A request for the last answered step returns the stored
     answer of that step. `opening` is None for an attached session.
+
+    A session that is stored (`opening.durability` is not NONE) outlives its server. The client
+    keeps the requests that the store may not have yet, and sends them again to the server that goes
+    on with the session. DivergedError if one of them gets another answer than before.
     """
 
     def __enter__(self) -> Self:
@@ -109,10 +112,10 @@ class Session(SessionHandle[Connection]):
 
         ValueError if the session was not opened with `reopen=True`.
         """
-        check(self._reopening is not None, "session", "one opened with reopen=True", "another")
-        assert self._reopening is not None
-        self._move_to(self._client.run(self._reopening))
+        self._move_to(self._client.run(self._reopening()))
 
     def close(self) -> None:
-        """Ends the session on the server."""
-        self._client.run(self.cursor.close())
+        """Ends the session on the server. Does nothing if it was closed before."""
+        if not self._closed:
+            self._client.run(self.cursor.close())
+            self._closed = True

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable
+from typing import Any, Generic, Self, TypeVar
 
-from spikeserve.calls import Call, SessionCursor
+from spikeserve.calls import Call, Opened
+from spikeserve.check import check
+from spikeserve.cursor import SessionCursor
 from spikeserve.values import Opening
 
 AnyConnection = TypeVar("AnyConnection")
@@ -19,28 +22,50 @@ class SessionHandle(Generic[AnyConnection]):
         session_id: str,
         step: int = 0,
         opening: Opening | None = None,
-        reopening: Call[tuple[str, Opening]] | None = None,
     ) -> None:
         self._client = client
         self.cursor = SessionCursor(session_id, step)
         self.opening = opening
-        self._reopening = reopening
+        self._open_again: Callable[[], Call[Opened]] | None = None
+        self._closed = False
         self.reopened = 0  # how often a lost session was replaced by a new one
+
+    @classmethod
+    def _of(
+        cls,
+        client: AnyConnection,
+        opened: Opened,
+        open_again: Callable[[], Call[Opened]] | None,
+    ) -> Self:
+        """Returns a session that was opened now. `open_again` describes how to open another one."""
+        session = cls(client, opened.session_id)
+        session._open_again = open_again
+        session._begin(opened)
+        return session
 
     @property
     def reopens(self) -> bool:
         """Returns whether a lost session is replaced by a new one."""
-        return self._reopening is not None
+        return self._open_again is not None
 
-    def _move_to(self, opened: tuple[str, Opening]) -> None:
+    def _reopening(self) -> Call[Opened]:
+        check(self._open_again is not None, "session", "one opened with reopen=True", "another")
+        assert self._open_again is not None
+        return self._open_again()
+
+    def _begin(self, opened: Opened) -> None:
         """Continues with a new session, at step 0 of its first episode."""
-        self.cursor.session_id, self.opening = opened
-        self.cursor.step = 0
+        self.cursor.begin(opened, self.reopens)
+        self.opening = opened.opening
+
+    def _move_to(self, opened: Opened) -> None:
+        """Replaces a lost session by a new one."""
+        self._begin(opened)
         self.reopened += 1
 
     @property
     def session_id(self) -> str:
-        """Returns the id that the server gave to the session."""
+        """Returns the id of the session."""
         return self.cursor.session_id
 
     @property

@@ -1,10 +1,12 @@
-"""Reads the details of a gRPC status: the time after which a refused call may be repeated.
+"""Reads the details of a gRPC status: when a refused call may be repeated, and which decision a
+session expects.
 
 The messages of google.rpc are made here, because the package that has them is not a dependency.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 from google.protobuf import (
@@ -18,9 +20,18 @@ from google.protobuf import (
 
 METADATA_KEY = "grpc-status-details-bin"
 _RETRY_INFO_NAME = "google.rpc.RetryInfo"
+_ERROR_INFO_NAME = "google.rpc.ErrorInfo"
 
 
-def _message_classes() -> tuple[Any, Any]:
+@dataclass(frozen=True)
+class Details:
+    """What a status says beside its code and message. None: nothing."""
+
+    retry_delay: float | None = None  # seconds
+    expected_decision: int | None = None
+
+
+def _message_classes() -> tuple[Any, Any, Any]:
     pool = descriptor_pool.DescriptorPool()
     for dependency in (any_pb2, duration_pb2):
         pool.AddSerializedFile(dependency.DESCRIPTOR.serialized_pb)
@@ -50,29 +61,46 @@ def _message_classes() -> tuple[Any, Any]:
         type_name=".google.protobuf.Duration",
         label=optional,
     )
+    error_info = file.message_type.add(name="ErrorInfo")
+    error_info.field.add(name="reason", number=1, type=kinds.TYPE_STRING, label=optional)
+    # On the wire, a map is a list of pairs.
+    pair = error_info.nested_type.add(name="Pair")
+    pair.field.add(name="key", number=1, type=kinds.TYPE_STRING, label=optional)
+    pair.field.add(name="value", number=2, type=kinds.TYPE_STRING, label=optional)
+    error_info.field.add(
+        name="metadata",
+        number=3,
+        type=kinds.TYPE_MESSAGE,
+        type_name=".google.rpc.ErrorInfo.Pair",
+        label=repeated,
+    )
     pool.Add(file)
-    names = ("google.rpc.Status", _RETRY_INFO_NAME)
+    names = ("google.rpc.Status", _RETRY_INFO_NAME, _ERROR_INFO_NAME)
     found = [message_factory.GetMessageClass(pool.FindMessageTypeByName(name)) for name in names]
-    return found[0], found[1]
+    return found[0], found[1], found[2]
 
 
-STATUS, RETRY_INFO = _message_classes()
+STATUS, RETRY_INFO, _ERROR_INFO = _message_classes()
 
 
-def retry_delay_of(error: Any) -> float | None:
-    """Returns the delay in seconds of google.rpc.RetryInfo of an error of grpc or grpc.aio.
-
-    Returns None if the server sent none, or details that cannot be read.
-    """
+def details_of(error: Any) -> Details:
+    """Returns the details of an error of grpc or grpc.aio, as far as they can be read."""
     metadata = error.trailing_metadata() if hasattr(error, "trailing_metadata") else None
+    found = Details()
     for key, value in metadata or ():
         if key != METADATA_KEY:
             continue
         try:
             for detail in STATUS.FromString(value).details:
-                if detail.type_url.rpartition("/")[2] == _RETRY_INFO_NAME:
+                name = detail.type_url.rpartition("/")[2]
+                if name == _RETRY_INFO_NAME:
                     delay = RETRY_INFO.FromString(detail.value).retry_delay
-                    return float(delay.seconds + delay.nanos / 1e9)
+                    found = replace(found, retry_delay=delay.seconds + delay.nanos / 1e9)
+                elif name == _ERROR_INFO_NAME:
+                    pairs = _ERROR_INFO.FromString(detail.value).metadata
+                    known = {pair.key: pair.value for pair in pairs}
+                    if known.get("expected_decision", "").isdecimal():
+                        found = replace(found, expected_decision=int(known["expected_decision"]))
         except message.DecodeError:
-            return None
-    return None
+            return found
+    return found

@@ -11,9 +11,16 @@ from typing import Any, Self
 import grpc
 from numpy.typing import ArrayLike
 
-from spikeserve.errors import SpikeserveError, error_of_call, make_error
-from spikeserve.open_requests import OpenRequest, OpenRequests, stream_closed, stream_ended
-from spikeserve.retry import Patience, RetryOptions
+from spikeserve.connection import Connection, StreamOpener
+from spikeserve.errors import SessionLostError, SpikeserveError, error_of_call, make_error
+from spikeserve.open_requests import (
+    OpenRequest,
+    OpenRequests,
+    stream_closed,
+    stream_ended,
+    stream_silent,
+)
+from spikeserve.replicas import Route
 from spikeserve.session import Session
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
@@ -26,6 +33,7 @@ class _Call:
         self._requests: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._replies: queue.SimpleQueue[Message | SpikeserveError] = queue.SimpleQueue()
         self._call = open_stream(iter(self._requests.get, None))
+        self._ended = False  # by this client
         self._reader = threading.Thread(
             target=self._read, name="spikeserve-act-stream", daemon=True
         )
@@ -42,6 +50,7 @@ class _Call:
             return None
 
     def end(self) -> None:
+        self._ended = True
         self._requests.put(None)
         self._call.cancel()
         self._reader.join()
@@ -52,7 +61,9 @@ class _Call:
                 self._replies.put(reply)
             self._replies.put(stream_ended())
         except grpc.RpcError as error:
-            self._replies.put(error_of_call("ActStream", error))
+            # A proxy cancels the streams of a server that is gone.
+            is_cut = error.code() == grpc.StatusCode.CANCELLED and not self._ended
+            self._replies.put(stream_ended() if is_cut else error_of_call("ActStream", error))
 
 
 class ActStream:
@@ -63,26 +74,30 @@ class ActStream:
     without an answer again, as long as `ClientOptions.retry` allows; then it raises
     UnavailableError, and the next `send` opens another stream. With RetryOptions(max_attempts=1) a
     broken stream stays broken. A request that the server refused for a moment is sent again at the
-    time that the server named.
+    time that the server named. With several servers, the next stream goes to another one, and so do
+    all calls of the sessions of the stream.
     """
 
-    def __init__(
-        self,
-        open_stream: Callable[[Iterable[Message]], Any],
-        retry: RetryOptions,
-        new_patience: Callable[[], Patience],
-    ) -> None:
-        self._open_stream = open_stream
-        self._open: OpenRequests[Session] = OpenRequests(retry, new_patience)
+    def __init__(self, client: Connection) -> None:
+        self._client = client
+        self._opener = StreamOpener(client)
+        self._open: OpenRequests[Session] = OpenRequests(
+            self._opener, client.options, client.patience
+        )
         self._closed = False
         self._reopens_at: float | None = None  # of time.monotonic(); None: the stream is whole
-        self._call = _Call(open_stream)
+        self._call = _Call(self._opener.open)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def route(self) -> Route:
+        """Returns the way of the calls of the stream, for Client.open_session."""
+        return self._opener.route
 
     def send(
         self,
@@ -117,15 +132,37 @@ class ActStream:
                     raise make_error("ActStream", grpc.StatusCode.DEADLINE_EXCEEDED, message)
                 continue
             if isinstance(reply, SpikeserveError):
-                pause = self._open.pause_after_break(reply)
-                self._reopens_at = None if pause is None else time.monotonic() + pause
+                self._break(reply)
                 continue
             accepted = self._open.accept(reply)
-            if isinstance(accepted, OpenRequest):
-                accepted.session.open_again()
-                self._call.send(self._open.restart(accepted))
+            if isinstance(accepted, SpikeserveError):
+                self._break(accepted)
+            elif isinstance(accepted, OpenRequest):
+                answered = self._find(accepted)
+                if answered is not None:
+                    return answered
             elif accepted is not None:
                 return accepted
+
+    def _break(self, error: SpikeserveError) -> None:
+        pause = self._open.pause_after_break(error)
+        self._reopens_at = None if pause is None else time.monotonic() + pause
+
+    def _find(
+        self, request: OpenRequest[Session]
+    ) -> tuple[Session, Decision | SpikeserveError] | None:
+        """Makes the call of a request outside of the stream. None: in a new session, later."""
+        session = request.session
+        try:
+            return session, self._client.run(request.call)
+        except SessionLostError as error:
+            if not session.reopens:
+                return session, error
+        except SpikeserveError as error:
+            return session, error
+        session.open_again()
+        self._call.send(self._open.restart(request))
+        return None
 
     def act(
         self,
@@ -162,8 +199,10 @@ class ActStream:
             self._call.send(request)
         until_due = self._open.seconds_until_due()
         until_end = None if deadline is None else max(0.0, deadline - time.monotonic())
-        waits = [seconds for seconds in (until_due, until_end) if seconds is not None]
-        return self._call.receive(min(waits) if waits else None)
+        until_silent = self._open.seconds_until_silent()
+        waits = [s for s in (until_due, until_end, until_silent) if s is not None]
+        reply = self._call.receive(min(waits) if waits else None)
+        return stream_silent() if reply is None and self._open.is_silent() else reply
 
     def _reopen_if_broken(self) -> None:
         if self._closed:
@@ -176,7 +215,7 @@ class ActStream:
 
     def _start(self) -> None:
         self._call.end()
-        self._call = _Call(self._open_stream)
+        self._call = _Call(self._opener.open)
         self._open.broken = None
         self._reopens_at = None
         for request in self._open.all_messages():

@@ -93,6 +93,9 @@ class SessionOptions:
     # The head to start from: W - W_base as Session.state and AdminClient.get_head return it. None:
     # the head of the policy.
     head_delta: ArrayLike | None = None
+    # NONE: the session ends with its server. ASYNC, SYNC: it outlives it (docs/fleet.md). "": the
+    # default of the server.
+    durability: str = ""
 
     def to_wire(self, policy: str) -> Message:
         """Returns the OpenSessionRequest for `policy`."""
@@ -109,6 +112,7 @@ class SessionOptions:
             version_label=self.version_label,
             routing_key=self.routing_key,
             head_delta=() if self.head_delta is None else _flat(self.head_delta),
+            durability=self.durability or "DURABILITY_DEFAULT",
         )
 
 
@@ -123,6 +127,7 @@ class Opening:
     context_length: int  # timesteps
     target_return: float
     recording: str  # path below the --record_dir of the server; empty: not recorded
+    durability: str  # NONE, ASYNC or SYNC
 
     @classmethod
     def from_wire(cls, message: Message) -> Opening:
@@ -135,6 +140,7 @@ class Opening:
             context_length=message.context_length,
             target_return=message.target_return,
             recording=message.recording,
+            durability=enum_name(message, "durability"),
         )
 
     def check_action_space(self, space: ActionSpace) -> None:

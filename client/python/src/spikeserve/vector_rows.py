@@ -22,9 +22,12 @@ from typing import Any, Generic
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spikeserve.calls import Call, SessionCursor, act_all
+from spikeserve.batches import act_all
+from spikeserve.calls import Call
 from spikeserve.check import check
+from spikeserve.cursor import SessionCursor
 from spikeserve.errors import SessionLostError
+from spikeserve.replicas import Route, draw_id
 from spikeserve.session_handle import AnySession
 from spikeserve.spaces import (
     ActionSpace,
@@ -73,6 +76,7 @@ class VectorRows(Generic[AnySession]):
         self._observation_space = envs.single_observation_space
         self._action_space: ActionSpace = as_action_space(envs.single_action_space)
         self._sessions: list[AnySession] = []
+        self._route = Route(draw_id())  # of all rows, so that one call reaches them
         self.decisions: list[Decision | None] = [None] * self._num_envs
         self.ended: dict[int, EpisodeSummary] = {}
         self._newly_ended: dict[int, EpisodeSummary] = {}

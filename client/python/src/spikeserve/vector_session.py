@@ -36,7 +36,7 @@ class VectorSession(VectorRows[Session]):
         self._client = client
         with contextlib.ExitStack() as opened:
             for row_options in self._row_options(options):
-                session = client.open_session(policy, row_options, reopen=reopen)
+                session = client.open_session(policy, row_options, reopen=reopen, route=self._route)
                 self._sessions.append(opened.enter_context(session))
             self._check_fits()
             self._opened = opened.pop_all()

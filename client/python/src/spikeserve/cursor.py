@@ -1,0 +1,210 @@
+"""`SessionCursor`: where a session is, and the calls from there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import grpc
+from numpy.typing import ArrayLike
+
+from spikeserve.calls import Call, Opened
+from spikeserve.check import check
+from spikeserve.errors import NotFoundError, SpikeserveError, expected_decision, make_error
+from spikeserve.explanation import Explanation
+from spikeserve.replicas import Route
+from spikeserve.unacknowledged import Unacknowledged
+from spikeserve.values import (
+    ActionLike,
+    Decision,
+    EpisodeSummary,
+    SessionState,
+    action_to_wire,
+    observation_array,
+)
+from spikeserve.wire import METHODS, Message
+
+T = TypeVar("T")
+
+
+class SessionCursor:
+    """The id of a session and the step of its next request. Describes the calls of a session.
+
+    `decision` and `episode` are known for a session that this client opened, not for one that it
+    attached to. Such a session is followed through the loss of its server.
+    """
+
+    def __init__(self, session_id: str, step: int) -> None:
+        self.session_id = session_id
+        self.step = step
+        self.decision: int | None = None  # number of the next decision in the session
+        self.episode: int | None = None
+        self.route = Route(session_id)
+        self._unacknowledged: Unacknowledged | None = None
+
+    def begin(self, opened: Opened, reopens: bool) -> None:
+        """Moves to a session that was opened now.
+
+        A session that no store has stays at its server, unless a lost session is opened again.
+        """
+        self.session_id, self.route = opened.session_id, opened.route
+        self.step = self.decision = self.episode = 0
+        is_stored = opened.opening.durability in ("ASYNC", "SYNC")
+        self.route.is_pinned = not is_stored and not reopens
+        self._unacknowledged = Unacknowledged() if is_stored else None
+
+    def act(
+        self,
+        observation: ArrayLike,
+        reward: float | None,
+        timeout: float | None = None,
+        executed_action: ActionLike | None = None,
+    ) -> Call[Decision]:
+        """Describes Session.act. The response moves the cursor to the next step."""
+        check(self.step == 0 or reward is not None, "reward", "one after step 0", None)
+        request = METHODS["Act"].request(
+            session_id=self.session_id,
+            step=self.step,
+            observation=observation_array(observation),
+            reward=0.0 if self.step == 0 or reward is None else float(reward),
+            executed_action=action_to_wire(executed_action),
+            decision=self.decision,
+        )
+        return Call(
+            "Act",
+            request,
+            lambda response: self.accept(request, response),
+            timeout,
+            session_id=self.session_id,
+            route=self.route,
+            missing=self.missing,
+        )
+
+    def end_episode(
+        self,
+        reward: float,
+        terminated: bool = False,
+        truncated: bool = False,
+        target_return: float | None = None,
+        observation: ArrayLike | None = None,
+        executed_action: ActionLike | None = None,
+    ) -> Call[EpisodeSummary]:
+        """Describes Session.end_episode. The response moves the cursor to step 0."""
+        request = METHODS["EndEpisode"].request(
+            session_id=self.session_id,
+            reward=float(reward),
+            terminated=bool(terminated),
+            truncated=bool(truncated),
+            target_return=target_return,
+            observation=() if observation is None else observation_array(observation),
+            executed_action=action_to_wire(executed_action),
+            episode=self.episode,
+            steps=None if self.episode is None else self.step,
+        )
+
+        def accept(response: Message) -> EpisodeSummary:
+            self._keep("EndEpisode", self.decision, request, response)
+            self.step = 0
+            if self.episode is not None:
+                self.episode += 1
+            return EpisodeSummary.from_wire(response)
+
+        return Call(
+            "EndEpisode",
+            request,
+            accept,
+            session_id=self.session_id,
+            route=self.route,
+            missing=self.missing,
+        )
+
+    def state(self, include_head_delta: bool = False) -> Call[SessionState]:
+        """Describes Session.state."""
+        request = METHODS["GetSession"].request(
+            session_id=self.session_id, include_head_delta=include_head_delta
+        )
+
+        def accept(response: Message) -> SessionState:
+            self._check_is_current("GetSession", response.decisions)
+            return SessionState.from_wire(response)
+
+        return self._reading("GetSession", request, accept)
+
+    def explain(self) -> Call[Explanation]:
+        """Describes Session.explain."""
+        request = METHODS["Explain"].request(session_id=self.session_id)
+
+        def accept(response: Message) -> Explanation:
+            is_last = response.answer.step == self.step - 1 and response.episode == self.episode
+            if self.decision is not None and not is_last:
+                self._check_is_current("Explain", 0)
+            return Explanation.from_wire(response)
+
+        return self._reading("Explain", request, accept)
+
+    def close(self) -> Call[None]:
+        """Describes Session.close."""
+        request = METHODS["CloseSession"].request(session_id=self.session_id)
+        return Call(
+            "CloseSession",
+            request,
+            lambda _: None,
+            already_done=NotFoundError,
+            session_id=self.session_id,
+            route=self.route,
+        )
+
+    def check(self, response: Message) -> None:
+        """Raises SpikeserveError (INTERNAL) if `response` does not answer this step."""
+        if (response.session_id, response.step) != (self.session_id, self.step):
+            raise make_error(
+                "Act",
+                grpc.StatusCode.INTERNAL,
+                f"response: expected step {self.step} of session {self.session_id}, "
+                f"received step {response.step} of session {response.session_id}",
+            )
+
+    def accept(self, request: Message, response: Message) -> Decision:
+        """Returns the decision of the answer to this step and moves to the next step."""
+        self.check(response)
+        self._keep("Act", self.decision, request, response)
+        self.step += 1
+        if self.decision is not None:
+            self.decision += 1
+        return Decision.from_wire(response)
+
+    def missing(self, error: SpikeserveError) -> list[Call[None]]:
+        """Returns the calls that the server misses, if it expects an older decision: Call.missing.
+
+        Returns none if they are not kept, or if the server misses none.
+        """
+        expected = expected_decision(error)
+        if expected is None or self._unacknowledged is None:
+            return []
+        return self._unacknowledged.calls_from(expected, self.route)
+
+    def _missing_or_last(self, error: SpikeserveError) -> list[Call[None]]:
+        if expected_decision(error) is None or self._unacknowledged is None:
+            return []
+        return self.missing(error) or self._unacknowledged.last_call(self.route)
+
+    def _check_is_current(self, method: str, decisions: int) -> None:
+        """Raises FailedPreconditionError if the server knows fewer decisions than were made."""
+        if self._unacknowledged and self.decision is not None and decisions < self.decision:
+            message = f"decisions: expected {self.decision}, received {decisions}"
+            code = grpc.StatusCode.FAILED_PRECONDITION
+            raise make_error(method, code, message, expected_decision=decisions)
+
+    def _reading(self, method: str, request: Message, decode: Callable[[Message], T]) -> Call[T]:
+        return Call(
+            method,
+            request,
+            decode,
+            session_id=self.session_id,
+            route=self.route,
+            missing=self._missing_or_last,
+        )
+
+    def _keep(self, method: str, decision: int | None, request: Message, answer: Message) -> None:
+        if self._unacknowledged is not None and decision is not None:
+            self._unacknowledged.add(method, decision, request, answer)
