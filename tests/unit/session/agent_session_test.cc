@@ -7,6 +7,7 @@
 #include <numeric>
 #include <set>
 
+#include "core/engine/energy.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 
