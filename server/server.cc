@@ -175,11 +175,13 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       admin_worker_(kLongCallsWaiting),
       head_handler_(registry_.get(), &store_),
       inference_handler_(registry_.get(), &store_, &handler_, &clock_, options.session_ttl),
+      history_([this] { return metrics_->Collect(); }, &clock_),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
               .rollouts = &rollout_handler_,
               .store = &store_,
               .metrics = metrics_.get(),
+              .history = &history_,
               .clock = &clock_,
               .worker = &worker_,
               .serving = [this] { return serving() && TransportResponds(); }}) {}
@@ -256,6 +258,8 @@ absl::Status Server::StartHttp() {
                                 });
   if (!http.ok()) return http.status();
   http_ = *std::move(http);
+  history_ticker_ =
+      std::make_unique<Periodic>(ServerHistory::kInterval, [this] { history_.Tick(); });
   return absl::OkStatus();
 }
 
@@ -265,6 +269,7 @@ void Server::Stop() {
   if (stopping_.exchange(true)) return;
   poller_.reset();
   rollout_ticker_.reset();
+  history_ticker_.reset();
   rollouts_.SaveEvidence();
   token_reloader_.reset();
   memory_trimmer_.reset();

@@ -25,6 +25,7 @@
 #include "server/base/audit_log.h"
 #include "server/base/background_worker.h"
 #include "server/base/periodic.h"
+#include "server/history/server_history.h"
 #include "server/inference/inference_handler.h"
 #include "server/metrics/metrics.h"
 #include "server/options.h"
@@ -111,6 +112,7 @@ class Server {
   // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;
+  ServerHistory history_;
   StatusPages pages_;
   Address grpc_address_;
   std::unique_ptr<TlsContext> http_tls_;  // null without TLS
@@ -118,6 +120,7 @@ class Server {
   // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;
   std::unique_ptr<Periodic> rollout_ticker_;
+  std::unique_ptr<Periodic> history_ticker_;  // null without --http_listen
   std::unique_ptr<Periodic> token_reloader_;
   std::unique_ptr<Periodic> memory_trimmer_;
 };

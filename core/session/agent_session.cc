@@ -64,7 +64,11 @@ void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
 
 AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session session,
                            const Clock* clock)
-    : served_(std::move(served)), clock_(clock), session_(std::move(session)) {
+    : served_(std::move(served)),
+      clock_(clock),
+      session_(std::move(session)),
+      created_(clock->Now()),
+      life_(session_.decisions, session_.episode) {
   const Policy& policy = served_->policy();
   if (session_.options.learning.has_value() && !session_.learner.has_value()) {
     Eigen::VectorXf delta = session_.options.head_delta;
@@ -169,8 +173,11 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
     last = chosen;
     session.Record(std::move(answer), call.observation, reward);
     session.WriteToJournal(call, reward, outputs[i].readout, choice.noise);
-    call.answer = &*session.session_.last_answer;
-    served.observer->OnDecision(*session.session_.last_answer);
+    const Answer& answered = *session.session_.last_answer;
+    session.life_.OnDecision(chosen - session.created_, answered.counts.total_spikes(),
+                             answered.compute_seconds);
+    call.answer = &answered;
+    served.observer->OnDecision(answered);
   }
 }
 
@@ -382,6 +389,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
       std::make_shared<const EndedEpisode>(EndedEpisode{.end = end, .summary = summary});
   DropContext();
   if (journal_ != nullptr) journal_->OnEpisodeEnd(session_);
+  life_.OnEpisode(summary.episode_return);
   served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;
 }

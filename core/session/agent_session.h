@@ -23,6 +23,7 @@
 #include "Eigen/Core"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/time/time.h"
 #include "absl/types/span.h"
 #include "core/action/reported_action.h"
 #include "core/base/clock.h"
@@ -32,6 +33,7 @@
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
 #include "core/session/session_journal.h"
+#include "core/session/session_life.h"
 
 namespace spikeserve {
 
@@ -115,6 +117,11 @@ class AgentSession {
 
   const Session& session() const { return session_; }
 
+  // Returns a summary of what the session has done since this object was created.
+  const SessionLife& life() const { return life_; }
+  // Returns the time since this object was created.
+  absl::Duration Age() const { return clock_->Now() - created_; }
+
   // Returns the error with which ActTogether would refuse `call` as a new decision, or OK.
   absl::Status CheckNewDecision(const ActCall& call) const { return CheckRequest(call); }
 
@@ -160,6 +167,8 @@ class AgentSession {
   std::shared_ptr<const ServedPolicy> served_;
   const Clock* clock_;
   Session session_;
+  const absl::Duration created_;  // time of the clock
+  SessionLife life_;
   std::unique_ptr<Engine::Context> context_;  // null: rebuilt by the next decision
   std::optional<Linear> head_;  // private head; absent: the policy's or the fleet's head is used
   std::unique_ptr<FleetHead::Member> member_;  // of the head that the fleet shares; null: of none

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -135,6 +136,16 @@ std::shared_ptr<SessionEntry> SessionStore::Peek(absl::string_view id) {
   absl::MutexLock lock(&shard.mutex);
   const auto it = shard.slots.find(id);
   return it == shard.slots.end() ? nullptr : it->second.entry;
+}
+
+std::optional<ListedSession> SessionStore::PeekListed(absl::string_view id) {
+  const absl::Duration now = clock_->Now();
+  Shard& shard = ShardOf(id);
+  absl::MutexLock lock(&shard.mutex);
+  const auto it = shard.slots.find(id);
+  if (it == shard.slots.end()) return std::nullopt;
+  return ListedSession{
+      .id = it->first, .entry = it->second.entry, .idle = now - it->second.last_used};
 }
 
 absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant) {

@@ -10,6 +10,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -101,6 +102,9 @@ class SessionStore {
   // Looks up a session of any tenant without resetting its idle timer. Returns null if the id is
   // unknown.
   std::shared_ptr<SessionEntry> Peek(absl::string_view id);
+
+  // As Peek, with the session's idle time. Returns nullopt if the id is unknown.
+  std::optional<ListedSession> PeekListed(absl::string_view id);
 
   // Removes a session of `tenant`. NOT_FOUND if the tenant has no session with this id.
   absl::Status Close(absl::string_view id, absl::string_view tenant = "");

@@ -1,16 +1,20 @@
 #include "server/web/status_pages.h"
 
+#include <cstdint>
 #include <memory>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "absl/time/time.h"
+#include "core/base/json.h"
 #include "proto/json.h"
 #include "server/access/admission.h"
 #include "server/base/http_query.h"
 #include "server/web/embedded_files.h"
+#include "server/web/session_list.h"
 #include "server/web/status_json.h"
 
 namespace spikeserve {
@@ -18,9 +22,15 @@ namespace {
 
 constexpr size_t kMaxWaiting = 16;  // requests of one client, and for /healthz
 
+// The windows of /status.json and /history.json, in seconds.
+constexpr int64_t kDefaultWindow = 60;
+constexpr int64_t kLongestWindow = 1'000'000'000;  // longer than any server runs
+constexpr int64_t kDefaultHistory = 600;
+
 absl::string_view ContentTypeOf(absl::string_view file) {
   if (absl::EndsWith(file, ".html")) return "text/html; charset=utf-8";
   if (absl::EndsWith(file, ".css")) return "text/css; charset=utf-8";
+  if (absl::EndsWith(file, ".json")) return "application/schema+json";
   if (absl::EndsWith(file, ".js")) return "text/javascript; charset=utf-8";
   return "text/plain; charset=utf-8";
 }
@@ -32,8 +42,8 @@ HttpResponse FileResponse(absl::string_view path) {
   if (file == EmbeddedFiles().end()) {
     return {.code = 404,
             .body =
-                "expected /, /metrics, /healthz, /status.json, /sessions.json or "
-                "/explain.json\n"};
+                "expected /, /metrics, /healthz, /schema.json, /status.json, /history.json, "
+                "/sessions.json, /session.json or /explain.json\n"};
   }
   return {.code = 200,
           .content_type = std::string(ContentTypeOf(name)),
@@ -90,8 +100,10 @@ void StatusPages::AnswerPage(const HttpRequest& request, const HttpServer::Done&
                  .content_type = "text/plain; version=0.0.4; charset=utf-8",
                  .body = parts_.metrics->ToText()});
   }
-  if (path == "/status.json") return done(JsonResponse(Status()));
+  if (path == "/status.json") return done(JsonResponse(Status(request)));
+  if (path == "/history.json") return done(JsonResponse(History(request)));
   if (path == "/sessions.json") return done(JsonResponse(Sessions(**caller, request)));
+  if (path == "/session.json") return done(JsonResponse(Session(**caller, request)));
   if (path == "/explain.json") return Explain(*caller, request, done);
   done(FileResponse(path));
 }
@@ -101,21 +113,48 @@ HttpResponse StatusPages::Health() const {
   return {.code = serving ? 200 : 503, .body = serving ? "SERVING\n" : "NOT_SERVING\n"};
 }
 
-absl::StatusOr<std::string> StatusPages::Status() const {
+absl::StatusOr<std::string> StatusPages::Status(const HttpRequest& request) const {
+  const auto query = HttpQuery::Parse(request.parameters, {"window", "metrics"});
+  if (!query.ok()) return query.status();
+  const auto window = query->GetInteger("window", kDefaultWindow, 1, kLongestWindow);
+  if (!window.ok()) return window.status();
+  const std::string metrics = query->Get("metrics", "true");
+  if (metrics != "true" && metrics != "false") {
+    return absl::InvalidArgumentError(
+        absl::StrCat("metrics: expected true or false, received ", Quoted(metrics)));
+  }
   v1::ListPoliciesResponse policies;
   if (auto status = parts_.handler->ListPolicies({}, &policies); !status.ok()) return status;
   v1::ListRolloutsResponse rollouts;
   if (auto status = parts_.rollouts->ListRollouts({}, &rollouts); !status.ok()) return status;
-  return StatusJson(parts_.metrics->Collect(), policies, rollouts,
+  std::vector<prometheus::MetricFamily> families;
+  if (metrics == "true") families = parts_.metrics->Collect();
+  return StatusJson(parts_.history->Status(absl::Seconds(*window)), families, policies, rollouts,
                     absl::ToDoubleSeconds(parts_.clock->Now()), parts_.serving());
+}
+
+absl::StatusOr<std::string> StatusPages::History(const HttpRequest& request) const {
+  const auto query = HttpQuery::Parse(request.parameters, {"seconds"});
+  if (!query.ok()) return query.status();
+  const auto seconds = query->GetInteger("seconds", kDefaultHistory, 1,
+                                         absl::ToInt64Seconds(ServerHistory::kLongest));
+  if (!seconds.ok()) return seconds.status();
+  return parts_.history->Over(absl::Seconds(*seconds)).dump();
+}
+
+absl::StatusOr<std::string> StatusPages::Session(const Credential& caller,
+                                                 const HttpRequest& request) const {
+  const auto query = HttpQuery::Parse(request.parameters, {"session"});
+  if (!query.ok()) return query.status();
+  return SessionJson(*parts_.store, caller, query->Get("session"));
 }
 
 absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,
                                                   const HttpRequest& request) const {
-  const auto parsed =
-      HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "offset", "limit"});
-  if (!parsed.ok()) return parsed.status();
-  return SessionsJson(*parts_.store, caller, *parsed);
+  const auto query =
+      HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "page_size", "page_token"});
+  if (!query.ok()) return query.status();
+  return SessionsJson(*parts_.store, caller, *query);
 }
 
 void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,

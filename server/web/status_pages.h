@@ -13,6 +13,7 @@
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
+#include "server/history/server_history.h"
 #include "server/metrics/metrics.h"
 #include "server/web/http_server.h"
 
@@ -28,6 +29,7 @@ class StatusPages {
     const RolloutHandler* rollouts;
     SessionStore* store;
     const Metrics* metrics;
+    const ServerHistory* history;
     const Clock* clock;
     BackgroundWorker* worker;
     std::function<bool()> serving;
@@ -43,7 +45,9 @@ class StatusPages {
  private:
   void AnswerPage(const HttpRequest& request, const HttpServer::Done& done) const;
   HttpResponse Health() const;
-  absl::StatusOr<std::string> Status() const;
+  absl::StatusOr<std::string> Status(const HttpRequest& request) const;
+  absl::StatusOr<std::string> History(const HttpRequest& request) const;
+  absl::StatusOr<std::string> Session(const Credential& caller, const HttpRequest& request) const;
   absl::StatusOr<std::string> Sessions(const Credential& caller, const HttpRequest& request) const;
   // Calls `done` when the background worker has explained the decision.
   void Explain(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,

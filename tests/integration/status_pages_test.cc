@@ -105,12 +105,11 @@ TEST_F(StatusPagesTest, SessionsAreFilteredSortedAndPaged) {
   const std::string middling = Play("discrete", 4);
   EXPECT_THAT(SessionIds("?sort=decisions&order=descending"), ElementsAre(busy, middling, idle));
   EXPECT_THAT(SessionIds("?sort=decisions"), ElementsAre(idle, middling, busy));
-  EXPECT_THAT(SessionIds("?sort=decisions&offset=1&limit=1"), ElementsAre(middling));
   EXPECT_THAT(SessionIds("?filter=discrete%2F2&sort=step"), ElementsAre(middling, busy));
   EXPECT_THAT(SessionIds("?filter=robot=marvin"), ElementsAre(busy));
   EXPECT_THAT(SessionIds("?filter=" + idle), ElementsAre(idle));
 
-  const json page = GetJson("/sessions.json?filter=box&limit=5");
+  const json page = GetJson("/sessions.json?filter=box&page_size=5");
   EXPECT_EQ(page["open"], 3);
   EXPECT_EQ(page["matching"], 1);
   const json session = page["sessions"][0];
@@ -119,15 +118,84 @@ TEST_F(StatusPagesTest, SessionsAreFilteredSortedAndPaged) {
   EXPECT_EQ(session["step"], "1");
   EXPECT_EQ(session["labels"]["robot"], "C-3PO");
   EXPECT_GT(session["energy_joules"], 0.0);
-  EXPECT_EQ(GetJson("/sessions.json?offset=1000000")["sessions"], json::array());
+  EXPECT_EQ(page["next_page_token"], "");
+}
+
+// The pages add up to the whole list although a session that was listed already goes on.
+TEST_F(StatusPagesTest, PagesOfSessionsContinueBehindTheLastOne) {
+  for (int64_t i = 0; i < 7; ++i) Play("discrete", 1 + i % 3);
+  const std::vector<std::string> expected = SessionIds("?sort=decisions&order=descending");
+  std::vector<std::string> listed;
+  std::string token;
+  do {
+    const json page =
+        GetJson("/sessions.json?sort=decisions&order=descending&page_size=3&page_token=" + token);
+    EXPECT_LE(page["sessions"].size(), 3u);
+    for (const json& session : page["sessions"]) listed.push_back(session["session_id"]);
+    if (token.empty()) client_->Act(listed[0], 3);
+    token = page["next_page_token"];
+  } while (!token.empty());
+  EXPECT_EQ(listed, expected);
+}
+
+TEST_F(StatusPagesTest, SessionsWithoutAnEndedEpisodeHaveNoReturn) {
+  const std::string good = Play("discrete", 2);
+  const std::string bad = Play("discrete", 2);
+  const std::string fresh = Play("discrete", 2);
+  client_->EndEpisode(good, 5.0);
+  client_->EndEpisode(bad, -5.0);
+  EXPECT_THAT(SessionIds("?sort=mean_return"), ElementsAre(bad, good, fresh));
+  EXPECT_THAT(SessionIds("?sort=mean_return&order=descending"), ElementsAre(good, bad, fresh));
+  EXPECT_EQ(GetJson("/sessions.json?filter=" + fresh)["sessions"][0]["mean_return"], nullptr);
+}
+
+TEST_F(StatusPagesTest, ASessionHasTheHistoryOfItsLife) {
+  const std::string id = Play("discrete", 70);
+  client_->EndEpisode(id, 5.0);
+  const json session = GetJson("/session.json?session=" + id);
+  EXPECT_EQ(session["session_id"], id);
+  EXPECT_EQ(session["decisions"], "70");
+  int64_t next = 0;
+  double spikes = 0.0;
+  for (const json& part : session["history"]["decisions"]) {
+    EXPECT_EQ(part["first"], next);
+    next += part["count"].get<int64_t>();
+    spikes += part["spikes_per_decision"].get<double>() * part["count"].get<double>();
+  }
+  EXPECT_EQ(next, 70);
+  EXPECT_NEAR(spikes, std::stod(session["spikes"].get<std::string>()), 1.0);
+  ASSERT_EQ(session["history"]["episodes"].size(), 1u);
+  EXPECT_EQ(session["history"]["episodes"][0]["mean_return"], session["last_return"]);
+}
+
+// The history is collected every two seconds, so the decisions appear a little later.
+TEST_F(StatusPagesTest, FiguresAndTheirHistoryCountWhatAgentsDo) {
+  Play("discrete", 7);
+  json status;
+  do {
+    status = GetJson("/status.json?window=600&metrics=false");
+  } while (status["figures"]["decisions"] != 7.0);
+  EXPECT_EQ(status["metrics"], json::object());
+  for (const json& version : status["versions"]) {
+    const bool played = version["policy"] == "discrete" && version["version"] == "2";
+    EXPECT_EQ(version["decisions"], played ? 7.0 : 0.0);
+  }
+  EXPECT_GT(status["figures"]["spikes_per_decision"], 0.0);
+  EXPECT_EQ(status["alerts"].size(), 11u);
+
+  const json history = GetJson("/history.json?seconds=600");
+  ASSERT_EQ(history["versions"].size(), 1u);
+  const json version = history["versions"][0];
+  EXPECT_EQ(version["policy"], "discrete");
+  EXPECT_EQ(version["decisions_per_second"].size(), history["seconds_ago"].size());
 }
 
 TEST_F(StatusPagesTest, EveryColumnCanBeSortedBy) {
   Play("discrete", 2);
   Play("box", 1);
   for (const std::string column :
-       {"session_id", "policy", "episode", "step", "episode_return", "decisions",
-        "spikes_per_decision", "energy_joules", "head_drift", "idle_seconds"}) {
+       {"session_id", "policy", "episode", "step", "episode_return", "decisions", "mean_return",
+        "last_return", "spikes_per_decision", "energy_joules", "head_drift", "idle_seconds"}) {
     EXPECT_EQ(SessionIds("?sort=" + column).size(), 2u) << column;
   }
 }
@@ -152,9 +220,20 @@ TEST_F(StatusPagesTest, MistakesAreNamed) {
   expect_error("/explain.json?session=nobody", 404, "NOT_FOUND", "nobody");
   expect_error("/explain.json", 404, "NOT_FOUND", "session_id: expected");
   expect_error("/explain.json?session=" + client_->Open(), 409, "FAILED_PRECONDITION", "step 0");
-  expect_error("/sessions.json?limit=0", 400, "INVALID_ARGUMENT", "limit: expected");
-  expect_error("/sessions.json?limit=1001", 400, "INVALID_ARGUMENT", "limit: expected");
-  expect_error("/sessions.json?offset=-1", 400, "INVALID_ARGUMENT", "offset: expected");
+  expect_error("/sessions.json?page_size=0", 400, "INVALID_ARGUMENT", "page_size: expected");
+  expect_error("/sessions.json?page_size=1001", 400, "INVALID_ARGUMENT", "page_size: expected");
+  for (const std::string token : {"x", "AAAA", "%FF", "hPWA"}) {
+    expect_error("/sessions.json?page_token=" + token, 400, "INVALID_ARGUMENT", "page_token: ");
+  }
+  Play("discrete", 1);
+  const std::string token = GetJson("/sessions.json?page_size=1")["next_page_token"];
+  ASSERT_NE(token, "");
+  expect_error("/sessions.json?sort=step&page_token=" + token, 400, "INVALID_ARGUMENT",
+               "the same sort and order");
+  expect_error("/session.json?session=nobody", 404, "NOT_FOUND", "nobody");
+  expect_error("/status.json?window=0", 400, "INVALID_ARGUMENT", "window: expected");
+  expect_error("/status.json?metrics=no", 400, "INVALID_ARGUMENT", "metrics: expected");
+  expect_error("/history.json?seconds=1801", 400, "INVALID_ARGUMENT", "seconds: expected");
   expect_error("/sessions.json?sort=mood", 400, "INVALID_ARGUMENT", "sort: expected one of");
   expect_error("/sessions.json?order=up", 400, "INVALID_ARGUMENT", "order: expected");
   expect_error("/sessions.json?colour=red", 400, "INVALID_ARGUMENT", "\"colour\"");

@@ -102,14 +102,19 @@ def test_lists_of_sessions_need_memory_for_one_page(tmp_path):
         idle = process.memory()
         process.reset_peak()
 
-        def page(number):
-            query = f"sort=energy_joules&order=descending&filter=robot&offset={number}&limit=50"
-            return json.loads(http_body(addresses.http, f"/sessions.json?{query}", "Bearer viewer"))
+        def read_pages(_):
+            token = ""
+            for _ in range(5):
+                query = f"sort=energy_joules&order=descending&filter=robot&page_size=50&page_token={token}"
+                page = json.loads(http_body(addresses.http, f"/sessions.json?{query}", "Bearer viewer"))
+                token = page["next_page_token"]
+                yield page
 
         with concurrent.futures.ThreadPoolExecutor(8) as readers:
-            pages = list(readers.map(page, range(40)))
-        assert all(read["matching"] == LISTED_SESSIONS for read in pages)
-        assert all(len(read["sessions"]) == 50 for read in pages)
+            readings = list(readers.map(lambda reader: list(read_pages(reader)), range(8)))
+        for pages in readings:
+            assert all(page["matching"] == LISTED_SESSIONS for page in pages)
+            assert len({session["session_id"] for page in pages for session in page["sessions"]}) == 250
         seen, token = [], ""
         for _ in range(5):
             listed = viewer.ListSessions(page_size=1000, page_token=token)

@@ -39,7 +39,7 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
         explained = http_code(addresses.http, f"/explain.json?session={session}", f"Bearer {token}")
         with service_with(addresses, token, ADMIN) as admin:
             listed = admin.ListSessions(page_size=1000)
-        page = json.loads(http_body(addresses.http, "/sessions.json?limit=1000", f"Bearer {token}"))
+        page = json.loads(http_body(addresses.http, "/sessions.json?page_size=1000", f"Bearer {token}"))
         assert listed.open_sessions == len(listed.sessions) == page["open"] == page["matching"]
         for ids in (
             [entry.session_id for entry in listed.sessions],
@@ -53,7 +53,7 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
         assert seen_by(token) == ([ok, ok], 200), token
     for token in ("rival-viewer", "rival-operator"):
         assert seen_by(token) == ([not_found, not_found], 404), token
-    query = "/sessions.json?limit=1000&filter=tenant%3Drival"
+    query = "/sessions.json?page_size=1000&filter=tenant%3Drival"
     with service_with(addresses, "rival") as theirs:
         theirs.OpenSession(policy="cartpole")
     rivals = json.loads(http_body(addresses.http, query, "Bearer watchman"))["sessions"]

@@ -1,90 +1,95 @@
-// The charts over time, with one line per policy version.
-import {si} from './format.js';
-import {policyRows} from './policies.js';
+// The charts over time: one line per policy version, or one line for one session.
+import {element, policyLink, si, fixed} from './format.js';
 
 const CHARTS = [
-  ['chart-decisions', (row) => row.decisionRate],
-  ['chart-power', (row) => row.power],
-  ['chart-spikes', (row) => row.spikes],
-  ['chart-latency', (row) => row.p99 ?? undefined],
+  {title: 'Decisions per second', of: (row) => row.decisions_per_second, format: (y) => si(y)},
+  {title: 'Time of a decision, p99', of: (row) => row.decision_p99_seconds, format: (y) => si(y, 's')},
+  {title: 'Return of an episode', of: (row) => row.return_mean, format: (y) => fixed(y)},
+  {title: 'Energy per second (estimate)', of: (row, model) => row.energy_joules_per_second[model],
+   format: (y) => si(y, 'J')},
 ];
-const HEIGHT = 170;
-const SECONDS = 60;  // the shortest time that a chart spans, so that a new chart does not rescale every second
+const HEIGHT = 150;
+const MINUTES = [30, 60, 120, 180, 300, 600];  // in seconds
 const LINES = 8;  // more lines cannot be told apart; the tables show all versions
 // Colours by Okabe and Ito, distinguishable for the colour-blind, on a light and a dark background.
 const COLOURS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#8a8f00', '#888888'];
 
+function axisStyle() {
+  const style = getComputedStyle(document.documentElement);
+  const grid = {stroke: style.getPropertyValue('--grid'), width: 1};
+  return {stroke: style.getPropertyValue('--quiet'), grid, ticks: {show: false}, font: '11px system-ui'};
+}
+
+/**
+ * Makes a chart in a figure of its own. `lines` is a list of {label, colour}; `formatX` and `formatY` write the numbers
+ * of the axes, whose x axis has ticks at multiples of one of `stepsX`. The caption shows the values under the cursor.
+ */
+export function makeChart(target, title, lines, formatX, formatY, rangeX, stepsX) {
+  const readout = element('span', {className: 'quiet'});
+  const box = element('div');
+  target.append(element('figure', {}, element('figcaption', {textContent: title}, ' ', readout), box));
+  const axis = axisStyle();
+  return new uPlot({
+    width: Math.max(box.clientWidth, 160), height: HEIGHT, legend: {show: false},
+    cursor: {drag: {x: false, y: false}, points: {size: 6}},
+    padding: [6, 16, 0, 0],
+    scales: {
+      x: {time: false, range: rangeX},
+      y: {range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(0, (high ?? 0) * 1.1) || 1]},
+    },
+    axes: [
+      {...axis, size: 22, space: 60, incrs: stepsX, values: (_, ticks) => ticks.map(formatX)},
+      {...axis, size: 52, space: 32, values: (_, ticks) => ticks.map(formatY)},
+    ],
+    series: [{}, ...lines.map(({label, colour}) => (
+      {label, stroke: colour, width: 2, spanGaps: true, points: {show: false}}))],
+    hooks: {setCursor: [(plot) => {
+      const i = plot.cursor.idx;
+      const values = i == null ? [] : plot.data.slice(1).map((ys) => formatY(ys[i])).filter((y) => y !== '–');
+      readout.textContent = values.length ? `${values.join(' · ')} at ${formatX(plot.data[0][i])}` : '';
+    }]},
+  }, [[], ...lines.map(() => [])], box);
+}
+
 export class Charts {
-  constructor() {
-    this.keys = [];
+  constructor(target, legend) {
+    this.target = target;
+    this.legend = legend;
     this.plots = [];
-    this.known = new WeakMap();
     const rebuild = () => {
-      this.keys = [];  // makes show() build the charts again
+      this.built = undefined;  // makes show() build the charts again
       if (this.shown) this.show(...this.shown);
     };
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', rebuild);
     addEventListener('resize', rebuild);
   }
 
-  show(samples, energyModel) {
-    this.shown = [samples, energyModel];
-    const steps = samples.steps().map(({time, window}) => ({time, rows: this.rowsOf(window, energyModel)}));
-    if (steps.length === 0) return;
-    const end = steps[steps.length - 1];
-    const keys = [...end.rows].sort((a, b) => (b.energyTotal ?? 0) - (a.energyTotal ?? 0)).slice(0, LINES).map((row) => row.key);
-    if (keys.join() !== this.keys.join()) this.build(keys);
-    const times = steps.map(({time}) => time - end.time);
-    CHARTS.forEach(([, figure], i) => {
-      const lines = keys.map((key) => steps.map(({rows}) => {
-        const row = rows.find((candidate) => candidate.key === key);
-        return row && figure(row);
-      }));
-      const plot = this.plots[i];
-      plot.setData([times, ...lines]);
-      // Shows the latest values in the legend unless the cursor is on the chart. uPlot clears the legend when it draws,
-      // so this waits for the next frame.
-      requestAnimationFrame(() => {
-        if (plot.cursor.idx == null) plot.setLegend({idx: times.length - 1});
-      });
-    });
+  /** Shows the versions that used the most energy, or the version that the route names. */
+  show(history, route, model) {
+    this.shown = [history, route, model];
+    if (route.session) return;
+    const energy = (row) => (row.energy_joules_per_second?.[model] ?? []).reduce((sum, x) => sum + (x ?? 0), 0);
+    const rows = route.policy
+      ? history.versions.filter((row) => row.policy === route.policy && row.version === route.version)
+      : [...history.versions].sort((a, b) => energy(b) - energy(a)).slice(0, LINES);
+    const names = rows.map((row) => `${row.policy}/${row.version}`);
+    if (names.join() !== this.built) this.build(rows, names);
+    const times = history.seconds_ago.map((seconds) => -seconds);
+    CHARTS.forEach(({of}, i) => this.plots[i].setData([times, ...rows.map((row) => of(row, model) ?? times.map(() => null))]));
   }
 
-  /** Returns the rows of a window. They do not change for a given sample, so they are cached by sample. */
-  rowsOf(window, energyModel) {
-    let known = this.known.get(window.to);
-    if (known?.energyModel !== energyModel) {
-      known = {energyModel, rows: policyRows(window, energyModel)};
-      this.known.set(window.to, known);
-    }
-    return known.rows;
-  }
-
-  build(keys) {
-    this.keys = keys;
-    const style = getComputedStyle(document.documentElement);
-    const axis = {
-      stroke: style.getPropertyValue('--ink'), grid: {stroke: style.getPropertyValue('--grid')},
-      ticks: {stroke: style.getPropertyValue('--grid')}, font: '11px system-ui',
-    };
+  build(rows, names) {
+    this.built = names.join();
     this.plots.forEach((plot) => plot.destroy());
-    this.plots = CHARTS.map(([id]) => {
-      const element = document.getElementById(id);
-      return new uPlot({
-        width: Math.max(element.clientWidth, 200), height: HEIGHT, cursor: {drag: {x: false, y: false}},
-        scales: {x: {time: false, range: (_, low) => [Math.min(-SECONDS, low ?? 0), 0]}, y: {range: (_, low, high) => [Math.min(0, low ?? 0), (high ?? 0) * 1.1 || 1]}},
-        axes: [
-          {...axis, values: (_, ticks) => ticks.map((t) => `${t} s`)},
-          {...axis, size: 60, values: (_, ticks) => ticks.map((y) => si(y, ''))},
-        ],
-        series: [
-          {label: 'seconds ago', value: (_, t) => (t == null ? '' : `${(-t).toFixed(0)}`)},
-          ...keys.map((key, i) => ({
-            label: key, stroke: COLOURS[i], width: 2, points: {show: false},
-            value: (_, y) => (y == null ? '' : si(y, '')),
-          })),
-        ],
-      }, [[], ...keys.map(() => [])], element);
-    });
+    this.target.replaceChildren();
+    const lines = names.map((label, i) => ({label, colour: COLOURS[i]}));
+    const ago = (x) => (x === 0 ? 'now' : `${+(x / 60).toFixed(1)} min`.replace('-', '−'));
+    this.plots = CHARTS.map(({title, format}) =>
+      makeChart(this.target, title, lines, ago, format, (_, low) => [Math.min(-60, low ?? 0), 0], MINUTES));
+    this.legend.replaceChildren(...rows.flatMap((row, i) => {
+      const swatch = element('span', {className: 'swatch'});
+      swatch.style.setProperty('background', COLOURS[i]);
+      return [element('a', {href: policyLink(row.policy, row.version)}, swatch, names[i])];
+    }));
   }
 }

@@ -1,191 +1,162 @@
-// Shows one decision: spike rasters by layer and stage, phase spikes, routing gates and attention.
-import {count, fixed, si} from './format.js';
+// Draws one decision: what it decided and from what, the spikes by layer and stage, routing gates and attention.
+import {count, element, fixed, si} from './format.js';
 import {STAGES} from './policies.js';
 
-const RASTER_WIDTH = 165;  // pixels, so that the six rasters of a layer fit in one row
+const RASTER_HEIGHT = 150;  // CSS pixels of every raster, whatever its population
+const FULL = 4;  // an attention weight of so many times the equal weight has the full colour
 const SYMBOLS = {RETURN_TO_GO: 'G', STATE: 's', ACTION: 'a'};
+const KINDS = ['RETURN_TO_GO', 'STATE', 'ACTION'];
 
-function tokenName(token) {
-  return `${SYMBOLS[token.kind]} ${token.timestep}`;
+/** Draws a decision into `target`. `kind` limits the rasters to one kind of token; empty: all. */
+export function drawDecision(target, decision, kind) {
+  const blocks = [summary(decision)];
+  if (decision.routing.length) blocks.push(section('Routing gates', decision.routing.map((gates) => gateFigure(decision, gates))));
+  blocks.push(section('Attention of the state token', decision.attention.map((layer) => attentionFigure(decision, layer))));
+  blocks.push(...rasters(decision, kind));
+  target.replaceChildren(...blocks);
 }
 
-function element(tag, properties, ...children) {
-  const made = Object.assign(document.createElement(tag), properties);
-  made.append(...children);
-  return made;
+function section(title, figures, className = 'wide') {
+  return element('div', {}, element('h3', {textContent: title}), element('div', {className}, ...figures));
 }
 
-function section(title, figures) {
-  return [element('h3', {textContent: title}), element('div', {className: 'rasters'}, ...figures)];
+/** Returns a row with a name, a bar of a length in [0, 1] and a value. */
+function barRow(name, share, value) {
+  const bar = element('span', {className: 'meter'});
+  bar.style.setProperty('--share', `${100 * Math.min(1, Math.max(0, share))}%`);
+  return element('div', {className: 'bar-row'}, element('span', {textContent: name}), bar,
+                 element('span', {textContent: value}));
 }
 
-export class Explanation {
-  constructor() {
-    this.section = document.getElementById('decision');
-    this.body = document.getElementById('decision-body');
-    this.error = document.getElementById('decision-error');
-    this.token = document.getElementById('token');
-    this.token.addEventListener('change', () => this.draw());
-    document.getElementById('explain-again').addEventListener('click', () => this.load(this.session));
-    matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.draw());
-  }
-
-  /** Loads and shows the last decision of a session, and moves the keyboard focus to it. */
-  async show(session) {
-    this.section.hidden = false;
-    await this.load(session);
-    this.section.focus();
-    this.section.scrollIntoView();
-  }
-
-  async load(session) {
-    this.session = session;
-    const response = await fetch(`explain.json?${new URLSearchParams({session})}`);
-    const answer = await response.json();
-    if (this.session !== session) return;
-    this.decision = response.ok ? answer : undefined;
-    this.error.textContent = response.ok ? '' : answer.message;
-    this.draw();
-  }
-
-  draw() {
-    const decision = this.decision;
-    if (!decision) {
-      this.body.replaceChildren();
-      return;
-    }
-    this.body.replaceChildren(summary(decision), ...this.rasters(decision), ...routing(decision),
-                              ...attention(decision));
-  }
-
-  rasters(decision) {
-    if (decision.rasters.length === 0) {
-      return [element('p', {textContent: 'A dense policy has no spikes.'})];
-    }
-    const wanted = decision.rasters.filter((raster) => !this.token.value || raster.token.kind === this.token.value);
-    const layers = [...new Set(wanted.map((raster) => raster.layer))].sort((a, b) => (a ?? 1e9) - (b ?? 1e9));
-    return layers.flatMap((layer) => {
-      const figures = STAGES.flatMap((stage) => {
-        const rasters = wanted.filter((raster) => raster.layer === layer && raster.stage === stage);
-        return rasters.length ? [rasterFigure(stage, rasters, decision.ticks)] : [];
-      });
-      const title = layer === undefined ? 'Spikes outside the layers' : `Spikes of layer ${layer}`;
-      return section(title, figures);
-    });
-  }
+function bars(title, rows, note) {
+  const quiet = note ? [element('p', {className: 'quiet', textContent: note})] : [];
+  return element('figure', {}, element('figcaption', {textContent: title}), ...rows, ...quiet);
 }
 
+/** Says what the decision was in a sentence, and shows its input, its alternatives and its cost. */
 function summary(decision) {
   const {answer} = decision;
-  const action = answer.action.continuous ? answer.action.continuous.values.map((x) => fixed(x, 3)).join(', ')
-                                          : answer.action.discrete;
-  const list = (numbers) => numbers.map((x) => fixed(x, 3)).join(', ');
-  const facts = [
-    ['Session', decision.session_id], ['Policy', `${decision.policy}/${decision.version} (${decision.mode})`],
-    ['Episode and step', `${decision.episode}, ${answer.step}`], ['Observation', list(decision.observation)],
-    ['Return-to-go', fixed(answer.return_to_go, 2)], ['Action', action],
-    ['Probabilities', list(answer.action_probabilities) || 'none (continuous action)'],
-    ['Logits', list(decision.logits)], ['Spikes', count(Number(answer.stats.spikes))],
-    ['Membrane updates', count(Number(answer.stats.membrane_updates))],
-    ['Energy (estimate)', `${si(answer.stats.energy_joules, 'J')} by horowitz_45nm`],
-  ];
-  const body = element('tbody', {});
-  for (const [name, value] of facts) {
-    const row = body.insertRow();
-    row.append(element('th', {scope: 'row', className: 'text', textContent: name}),
-               element('td', {className: 'text', textContent: value}));
-  }
-  return element('table', {className: 'figures facts'}, body);
+  const continuous = answer.action.continuous?.values;
+  const action = continuous ? continuous.map((x) => fixed(x, 3)).join(', ') : answer.action.discrete;
+  const sentence = element('p', {className: 'verdict'}, 'Action ', element('strong', {textContent: action}),
+    ` at step ${answer.step} of episode ${decision.episode}, with return-to-go ${fixed(answer.return_to_go, 1)}: ` +
+    `${count(Number(answer.stats.spikes))} spikes, ` +
+    (decision.rasters.length ? `${si(answer.stats.energy_joules, 'J')} by spike_5pj, ` : '') +
+    `${si(answer.stats.horowitz_energy_joules, 'J')} by horowitz_45nm (estimates).`);
+  const largest = Math.max(...decision.observation.map(Math.abs), 1e-9);
+  const observation = bars('Observation', decision.observation.map((x, i) =>
+    barRow(`${i}`, Math.abs(x) / largest, fixed(x, 3))), `policy ${decision.policy}/${decision.version}, ${decision.mode}`);
+  const probabilities = answer.action_probabilities;
+  const choice = probabilities.length
+    ? bars('Probabilities of the actions', probabilities.map((p, i) => barRow(`${i}`, p, fixed(p, 3))),
+           `logits ${decision.logits.map((x) => fixed(x, 2)).join(', ')}`)
+    : bars('Action', (continuous ?? []).map((x, i) => barRow(`${i}`, Math.abs(x) / Math.max(...continuous.map(Math.abs), 1e-9), fixed(x, 3))), 'continuous');
+  const byStage = Object.entries(answer.stats.spikes_by_stage ?? {}).map(([stage, n]) => [stage, Number(n)]);
+  const most = Math.max(...byStage.map(([, n]) => n), 1);
+  const stages = bars('Spikes by stage', byStage.map(([stage, n]) => barRow(stage, n / most, count(n))));
+  return element('div', {}, sentence, element('div', {className: 'wide'}, observation, choice, ...(byStage.length ? [stages] : [])));
 }
 
-/**
- * Returns a canvas of `rows` x `columns` cells of `cell` = [width, height] pixels. `shade(row, column)` in [0, 1] is
- * the opacity of a cell. Draws a vertical line before each column in `lines`. `description` is the text for screen
- * readers.
- */
-function heatMap(rows, columns, cell, shade, lines, description) {
-  const canvas = element('canvas', {className: 'map', width: columns * cell[0], height: rows * cell[1]});
-  canvas.setAttribute('role', 'img');
-  canvas.setAttribute('aria-label', description);
-  const style = getComputedStyle(document.documentElement);
-  const context = canvas.getContext('2d');
-  context.fillStyle = style.getPropertyValue('--ground');
-  context.fillRect(0, 0, canvas.width, canvas.height);
-  context.fillStyle = style.getPropertyValue('--spike');
-  for (let row = 0; row < rows; ++row) {
-    for (let column = 0; column < columns; ++column) {
-      context.globalAlpha = shade(row, column);
-      if (context.globalAlpha > 0) context.fillRect(column * cell[0], row * cell[1], cell[0], cell[1]);
-    }
-  }
-  context.globalAlpha = 1;
-  context.fillStyle = style.getPropertyValue('--line');
-  for (const column of lines) context.fillRect(column * cell[0], 0, 1, canvas.height);
-  return canvas;
+/** The mean gate of each head for the last token: how much each head counts. */
+function gateFigure({heads, ticks}, {layer, gates}) {
+  const last = gates.slice(-ticks * heads);
+  const means = Array.from({length: heads}, (_, head) =>
+    last.filter((__, i) => i % heads === head).reduce((sum, gate) => sum + gate, 0) / ticks);
+  const first = means.indexOf(Math.max(...means));
+  const figure = bars(`Layer ${layer}`, means.map((mean, head) => barRow(`head ${head}`, mean, fixed(mean, 2))),
+                      `Head ${first} has the largest gate for the state token, mean of ${ticks} ticks.`);
+  figure.setAttribute('aria-label', `routing gates of layer ${layer}`);
+  return figure;
 }
 
-function figure(title, canvas, axis) {
-  return element('figure', {}, element('figcaption', {textContent: title}), canvas,
-                 element('p', {className: 'axis', textContent: axis}));
+/** The attention of each head over the timesteps of the context, mean over the ticks. */
+function attentionFigure({heads}, {layer, ticks, keys, weights}) {
+  const n = keys.length;
+  const mean = (head, key) => {
+    let sum = 0;
+    for (let tick = 0; tick < ticks; ++tick) sum += weights[(tick * heads + head) * n + key];
+    return sum / ticks;
+  };
+  const steps = [...new Set(keys.map(({timestep}) => Number(timestep)))];
+  const now = steps[steps.length - 1];
+  let best = {weight: -1};
+  const cells = [];
+  for (let head = 0; head < heads; ++head) {
+    keys.forEach((key, i) => {
+      const weight = mean(head, i);
+      if (weight > best.weight) best = {weight, head, key};
+      cells.push({x: steps.indexOf(Number(key.timestep)) * 3 + KINDS.indexOf(key.kind), y: head, weight});
+    });
+  }
+  const even = 1 / n;
+  const lines = steps.map((_, i) => i * 3);
+  const map = canvas(steps.length * 3, heads, heads * 22, lines, (paint) => {
+    for (const {x, y, weight} of cells) paint(x, y, weight / Math.max(best.weight, FULL * even));
+  }, `attention of layer ${layer}: ${heads} heads over ${n} tokens of ${steps.length} timesteps`);
+  const ago = now - Number(best.key.timestep);
+  const place = ago === 0 ? 'of this timestep' : `${ago} step${ago === 1 ? '' : 's'} ago`;
+  return element('figure', {}, element('figcaption', {textContent: `Layer ${layer}`}),
+    element('div', {className: 'axes'},
+            element('div', {className: 'rows'}, ...Array.from({length: heads}, (_, head) =>
+              element('span', {textContent: `head ${head}`}))),
+            map,
+            element('div', {className: 'columns'},
+                    element('span', {textContent: steps.length > 1 ? `${steps.length - 1} steps ago` : ''}),
+                    element('span', {textContent: 'now'}))),
+    element('p', {className: 'quiet', textContent: `Most: head ${best.head}, ${SYMBOLS[best.key.kind]} ${place}, ` +
+      `weight ${fixed(best.weight, 3)}; equal weights would be ${fixed(even, 3)}. Columns G, s, a of each timestep.`}));
+}
+
+function rasters(decision, kind) {
+  if (decision.rasters.length === 0) return [element('p', {textContent: 'A dense policy has no spikes.'})];
+  const wanted = decision.rasters.filter((raster) => !kind || raster.token.kind === kind);
+  const layers = [...new Set(wanted.map((raster) => raster.layer))].sort((a, b) => (a ?? 1e9) - (b ?? 1e9));
+  return layers.map((layer) => {
+    const figures = STAGES.flatMap((stage) => {
+      const some = wanted.filter((raster) => raster.layer === layer && raster.stage === stage);
+      return some.length ? [rasterFigure(stage, some, decision.ticks)] : [];
+    });
+    return section(layer === undefined ? 'Spikes outside the layers' : `Spikes of layer ${layer}`, figures, 'rasters');
+  });
 }
 
 /** Draws the spikes of one stage: one row per neuron, one column per tick, the tokens side by side. */
-function rasterFigure(stage, rasters, ticks) {
-  const fired = new Set();
-  let spikes = 0;
-  rasters.forEach((raster, i) => raster.ticks.forEach((tick, j) => {
-    fired.add(`${raster.neurons[j]} ${i * ticks + tick}`);
-    ++spikes;
-  }));
-  const population = rasters[0].population;
-  const names = rasters.map((raster) => tokenName(raster.token)).join(' | ');
-  const columns = rasters.length * ticks;
-  const width = Math.max(4, Math.floor(RASTER_WIDTH / columns));
-  const height = population <= 16 ? 12 : population <= 160 ? 2 : 1;
+function rasterFigure(stage, all, ticks) {
+  const spikes = all.reduce((sum, raster) => sum + raster.ticks.length, 0);
+  const population = all[0].population;
+  const names = all.map(({token}) => SYMBOLS[token.kind]);
   const title = `${stage}: ${spikes} spike${spikes === 1 ? '' : 's'}`;
-  const canvas = heatMap(population, columns, [width, height],
-                         (neuron, column) => (fired.has(`${neuron} ${column}`) ? 1 : 0),
-                         rasters.map((_, i) => i * ticks),
-                         `${title} of ${population} neurons over ${ticks} ticks of ${names}`);
-  const axis = `${population} neurons ↓, ${ticks} ticks → of ${names}`;
-  return figure(title, canvas, axis);
+  const map = canvas(all.length * ticks, population, RASTER_HEIGHT, all.map((_, i) => i * ticks), (paint) => {
+    all.forEach((raster, i) => raster.ticks.forEach((tick, j) => paint(i * ticks + tick, raster.neurons[j], 1)));
+  }, `${title} of ${population} neurons over ${ticks} ticks of ${names.join(', ')}`);
+  const tokens = element('div', {className: 'tokens'}, ...names.map((name) => element('span', {textContent: name})));
+  return element('figure', {}, element('figcaption', {textContent: title}), map, tokens,
+                 element('p', {className: 'quiet', textContent: `${population} neurons, ${ticks} ticks`}));
 }
 
-function routing(decision) {
-  if (decision.routing.length === 0) return [];
-  const {heads, ticks} = decision;
-  const figures = decision.routing.map(({layer, tokens, gates}) => {
-    const columns = tokens.length * ticks;
-    const largest = Math.max(...gates);
-    const canvas = heatMap(heads, columns, [Math.max(1, Math.min(14, Math.floor(900 / columns))), 14],
-                           (head, column) => gates[column * heads + head] / largest,
-                           tokens.map((_, i) => i * ticks),
-                           `routing gates of layer ${layer}, ${heads} heads over the ticks of ${tokens.length} tokens`);
-    const last = gates.slice(-ticks * heads);
-    const means = Array.from({length: heads}, (_, head) =>
-      last.filter((__, i) => i % heads === head).reduce((sum, gate) => sum + gate, 0) / ticks);
-    return figure(`Layer ${layer}`, canvas, `${heads} heads ↓, ticks → of ${tokenName(tokens[0])} to ` +
-      `${tokenName(tokens[tokens.length - 1])}; means for the last token: ` +
-      means.map((x) => fixed(x, 2)).join(', '));
+/**
+ * Returns a canvas of `rows` x `columns` cells, as wide as its place and `height` CSS pixels high. `fill(paint)` calls
+ * paint(column, row, opacity) for the cells that are not empty; each is at least two pixels high, so that a single
+ * spike of a large population can be seen. Draws a line before each column in `lines`.
+ */
+function canvas(columns, rows, height, lines, fill, description) {
+  const scale = 2;  // for sharp cells on screens of high density
+  const width = 360;
+  const made = element('canvas', {className: 'map', width: width * scale, height: height * scale});
+  made.style.setProperty('height', `${height}px`);
+  made.setAttribute('role', 'img');
+  made.setAttribute('aria-label', description);
+  const style = getComputedStyle(document.documentElement);
+  const context = made.getContext('2d');
+  const [cellWidth, cellHeight] = [made.width / columns, made.height / rows];
+  context.fillStyle = style.getPropertyValue('--ground');
+  context.fillRect(0, 0, made.width, made.height);
+  context.fillStyle = style.getPropertyValue('--line');
+  for (const column of lines.slice(1)) context.fillRect(column * cellWidth - 1, 0, 2, made.height);
+  context.fillStyle = style.getPropertyValue('--spike');
+  fill((column, row, opacity) => {
+    context.globalAlpha = opacity;
+    context.fillRect(column * cellWidth, row * cellHeight, Math.max(cellWidth - 2, 2), Math.max(cellHeight - 2, 4));
   });
-  return section('Routing gates', figures);
-}
-
-function attention(decision) {
-  const {heads} = decision;
-  const figures = decision.attention.map(({layer, ticks, keys, weights}) => {
-    const n = keys.length;
-    // Rows: all ticks of the first head, then all ticks of the second, and so on.
-    const weight = (row, key) => weights[((row % ticks) * heads + Math.floor(row / ticks)) * n + key];
-    const rows = heads * ticks;
-    const largest = Math.max(...weights);
-    const canvas = heatMap(rows, n,
-                           [Math.max(2, Math.min(14, Math.floor(700 / n))), Math.max(4, Math.floor(160 / rows))],
-                           (row, key) => weight(row, key) / largest,
-                           keys.flatMap((key, i) => (key.kind === 'RETURN_TO_GO' ? [i] : [])),
-                           `attention of layer ${layer}, ${rows} rows of heads and ticks over ${n} keys`);
-    return figure(`Layer ${layer}`, canvas, `${heads} heads of ${ticks} ticks ↓, keys → ${tokenName(keys[0])} to ` +
-      `${tokenName(keys[n - 1])}; full colour: ${fixed(largest, 3)}`);
-  });
-  return section('Attention of the state token', figures);
+  return made;
 }

@@ -1,4 +1,4 @@
-// Formats numbers for display.
+// Formats numbers for display, and makes elements.
 
 const PREFIXES = [[1e9, 'G'], [1e6, 'M'], [1e3, 'k'], [1, ''], [1e-3, 'm'], [1e-6, 'µ'], [1e-9, 'n'], [1e-12, 'p']];
 export const NOTHING = '–';
@@ -16,15 +16,42 @@ export function count(x) {
   return isNumber(x) ? Math.round(x).toLocaleString('en') : NOTHING;
 }
 
+/** Returns a ratio in percent. */
+export function percent(x) {
+  return isNumber(x) ? `${Number((100 * x).toPrecision(2))} %` : NOTHING;
+}
+
 /** Returns `x` with an SI prefix: 6.5e-10, 'J' becomes "650 pJ". */
-export function si(x, unit) {
+export function si(x, unit = '') {
   if (!isNumber(x)) return NOTHING;
   if (x === 0) return `0 ${unit}`.trim();
   const [scale, prefix] = PREFIXES.find(([s]) => Math.abs(x) >= s) ?? PREFIXES[PREFIXES.length - 1];
   return `${Number((x / scale).toPrecision(3))} ${prefix}${unit}`.trim();
 }
 
-/** Returns a quantile of a histogram as text. null means that it lies beyond the last finite bucket bound. */
-export function seconds(x) {
-  return x === null ? 'off scale' : si(x, 's');
+/** Returns a time in seconds as text: with an SI prefix below a minute, otherwise in minutes or hours. */
+export function duration(x) {
+  if (!isNumber(x) || x < 60) return si(x, 's');
+  return x < 7200 ? `${Math.round(x / 60)} min` : `${fixed(x / 3600)} h`;
+}
+
+/** Makes an element with properties and children. */
+export function element(tag, properties = {}, ...children) {
+  const made = Object.assign(document.createElement(tag), properties);
+  made.append(...children);
+  return made;
+}
+
+/** Sets the text of an element only when it changes, so that a screen reader does not repeat it. */
+export function setText(target, text) {
+  if (target.textContent !== text) target.textContent = text;
+}
+
+/** Returns the link to the page of a policy version or of a session. */
+export function policyLink(policy, version) {
+  return `#/policies/${encodeURIComponent(policy)}/${version}`;
+}
+
+export function sessionLink(id) {
+  return `#/sessions/${encodeURIComponent(id)}`;
 }

@@ -1,62 +1,119 @@
-// Fetches the status of the server once a second and passes it to the parts of the page.
+// Fetches the state of the server and passes it to the parts of the page, which the fragment of the address selects:
+//   #/                        everything
+//   #/policies/NAME/VERSION   one policy version
+//   #/sessions/ID             one session
 import {Charts} from './charts.js';
-import {Explanation} from './explain.js';
+import {Comparisons} from './comparisons.js';
+import {fetchJson} from './fetch.js';
+import {element, setText} from './format.js';
 import {Policies} from './policies.js';
-import {Samples} from './samples.js';
+import {SessionView} from './session.js';
 import {Sessions} from './sessions.js';
+import {AlertList, Tiles} from './tiles.js';
 
 const PERIOD_MILLISECONDS = 1000;
+const HISTORY_EVERY = 5;  // periods
+const LOST_SECONDS = 60;  // SpikeserveDown waits as long
 
-const samples = new Samples();
+const get = (id) => document.getElementById(id);
+const tiles = new Tiles(get('tiles'));
+const alerts = new AlertList(get('alerts'));
+const charts = new Charts(get('charts'), get('chart-legend'));
 const policies = new Policies();
-const charts = new Charts();
-const explanation = new Explanation();
-const sessions = new Sessions((id) => {
-  sessions.mark(id);
-  explanation.show(id).catch(showProblem);
-});
+const comparisons = new Comparisons(get('comparisons'));
+const sessions = new Sessions();
+const session = new SessionView();
 
-const health = document.getElementById('health');
-const pause = document.getElementById('pause');
-const windowChoice = document.getElementById('window');
-const energyModel = document.getElementById('energy-model');
+const state = {status: undefined, history: undefined, answered: Date.now(), route: {}};
 
-function showProblem(error) {
-  setHealth(`no answer from the server: ${error.message}`, false);
+/** Returns what the fragment selects: {}, {policy, version} or {session}. */
+function parseRoute() {
+  const [kind, name, version] = location.hash.replace(/^#\//, '').split('/').map(decodeURIComponent);
+  if (kind === 'policies' && name && version) return {policy: name, version};
+  if (kind === 'sessions' && name) return {session: name};
+  return {};
 }
 
-function setHealth(text, good) {
-  // Written only when it changes, so that a screen reader does not repeat it every second.
-  if (health.textContent !== text) health.textContent = text;
-  health.classList.toggle('bad', !good);
+function navigate() {
+  if (location.hash && !location.hash.startsWith('#/')) return;  // a place on this page
+  const route = parseRoute();
+  state.route = route;
+  const scope = get('scope');
+  const place = route.session ? ['Session ', element('code', {textContent: route.session})]
+                              : [`${route.policy}/${route.version}`];
+  scope.replaceChildren(element('a', {href: '#/', textContent: 'All policies'}), ' › ', ...place);
+  scope.hidden = !route.session && !route.policy;
+  for (const id of ['overview', 'policies', 'comparisons', 'sessions', 'stages', 'calls']) {
+    get(id).hidden = Boolean(route.session) || (id === 'calls' && Boolean(route.policy));
+  }
+  get('session').hidden = !route.session;
+  sessions.setScope(route.policy ? `${route.policy}/${route.version}` : '');
+  session.open(route.session);
+  draw();
+  if (!route.session) sessions.refresh().catch(showProblem);
+  scrollTo(0, 0);
 }
 
 function draw() {
-  if (!samples.latest) return;
-  policies.show(samples.window(Number(windowChoice.value)), energyModel.value);
-  charts.show(samples, energyModel.value);
+  const {status, history, route} = state;
+  if (!status) return;
+  const model = get('energy-model').value;
+  alerts.show(status.alerts);
+  tiles.show(status, history, route, model);
+  if (history) charts.show(history, route, model);
+  policies.show(status, route, model);
+  comparisons.show(status, route);
 }
 
-async function update() {
-  const response = await fetch('status.json');
-  if (!response.ok) throw new Error((await response.json()).message);
-  const status = await response.json();
-  samples.add(status);
-  document.getElementById('version').textContent = status.version;
-  setHealth(status.serving ? 'serving' : 'not serving (draining)', status.serving);
+function setHealth(text, good) {
+  setText(get('health'), text);
+  get('health').classList.toggle('bad', !good);
+  document.title = good ? 'spikeserve' : `spikeserve: ${text}`;
+}
+
+function showProblem(error) {
+  const seconds = Math.round((Date.now() - state.answered) / 1000);
+  setHealth(`no answer for ${seconds} s: ${error.message}`, false);
+  document.body.classList.toggle('lost', seconds >= LOST_SECONDS);
+}
+
+function showModels(models) {
+  const choice = get('energy-model');
+  if (models.length === choice.options.length) return;
+  const before = choice.value || 'horowitz_45nm';
+  choice.replaceChildren(...models.map((model) => element('option', {value: model, textContent: model})));
+  if (models.includes(before)) choice.value = before;
+}
+
+async function update(turn) {
+  const status = await fetchJson('status.json', {window: get('window').value, metrics: false});
+  if (turn % HISTORY_EVERY === 0 || !state.history) state.history = await fetchJson('history.json');
+  state.status = status;
+  state.answered = Date.now();
+  document.body.classList.remove('lost');
+  showModels(Object.keys(status.figures.energy_joules));
+  setText(get('version'), status.version);
+  const firing = status.alerts.filter((alert) => alert.state === 'firing').length;
+  const alarm = firing ? `, ${firing} alert${firing === 1 ? '' : 's'}` : '';
+  setHealth((status.serving ? 'serving' : 'not serving (draining)') + alarm, status.serving && firing === 0);
   draw();
-  await sessions.refresh();
+  if (state.route.session) await session.refresh();
+  else await sessions.refresh();
 }
 
+let turn = 0;
 async function run() {
-  const paused = pause.getAttribute('aria-pressed') === 'true';
-  if (!paused && !document.hidden) await update().catch(showProblem);
+  const paused = get('pause').getAttribute('aria-pressed') === 'true';
+  if (!paused && !document.hidden) await update(turn++).catch(showProblem);
   setTimeout(run, PERIOD_MILLISECONDS);
 }
 
-pause.addEventListener('click', () => {
-  pause.setAttribute('aria-pressed', String(pause.getAttribute('aria-pressed') !== 'true'));
+get('pause').addEventListener('click', ({target}) => {
+  target.setAttribute('aria-pressed', String(target.getAttribute('aria-pressed') !== 'true'));
 });
-windowChoice.addEventListener('change', draw);
-energyModel.addEventListener('change', draw);
+get('window').addEventListener('change', () => update(turn++).catch(showProblem));
+get('energy-model').addEventListener('change', draw);
+addEventListener('hashchange', navigate);
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', draw);
+navigate();
 run();

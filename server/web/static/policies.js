@@ -1,212 +1,127 @@
-// The tables of policies, returns, stages and calls, the totals, and the policy that uses the most energy.
-import {NOTHING, count, fixed, isNumber, seconds, si} from './format.js';
-import {quantile} from './samples.js';
+// The tables of policies, of spikes by stage and of calls.
+import {NOTHING, count, element, fixed, isNumber, policyLink, setText, si} from './format.js';
 import {Table} from './table.js';
 
 export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
 const JOULES_PER_SPIKE = 5e-12;  // of energy model spike_5pj, the only one that is counted by stage
-const QUANTILES = [['p50', 0.5], ['p90', 0.9], ['p99', 0.99], ['p99.9', 0.999]];
 
-/** Returns one row for each policy version with its figures over a window. */
-export function policyRows(window, energyModel) {
-  const rollouts = new Map(window.to.status.rollouts.map((rollout) => [`${rollout.policy}/${rollout.version}`, rollout]));
-  const rows = window.to.status.policies.map((policy) => policyRow(policy, window, energyModel, rollouts));
+/** Returns the state of a roll-out, such as running. */
+export function stateOf(rollout) {
+  return rollout.state.replace('STATE_', '').toLowerCase();
+}
+
+/** Returns one row for each policy version: its figures, what it is, and how much traffic it gets. */
+export function policyRows(status, model) {
+  const keyOf = (policy, version) => `${policy}/${version}`;
+  const figures = new Map(status.versions.map((row) => [keyOf(row.policy, row.version), row]));
+  const rollouts = new Map(status.rollouts.map((rollout) => [keyOf(rollout.policy, rollout.version), rollout]));
+  const rows = status.policies.map((policy) => {
+    const key = keyOf(policy.name, policy.version);
+    const row = {...figures.get(key), key, info: policy, rollout: rollouts.get(key)};
+    row.power = row.energy_joules_per_second?.[model];
+    row.energy = row.energy_joules_per_decision?.[model];
+    row.chips = chipsOf(policy, row.rollout);
+    row.idle = !(row.decisions > 0) && !(row.sessions > 0) && !(row.rollout && stateOf(row.rollout) === 'running');
+    return row;
+  });
   const power = rows.reduce((sum, row) => sum + (row.power || 0), 0);
   for (const row of rows) row.powerShare = power > 0 ? row.power / power : 0;
   return rows;
 }
 
-/** Returns the state of a roll-out, such as running. */
-function stateOf(rollout) {
-  return rollout.state.replace('STATE_', '').toLowerCase();
+/** Returns which new sessions a version gets, its labels, whether it is the shadow, and its roll-out. */
+function chipsOf(policy, rollout) {
+  const chips = [];
+  if (policy.traffic_percent !== undefined) chips.push(`${policy.traffic_percent} %`);
+  else if (policy.is_default) chips.push('default');
+  chips.push(...policy.version_labels);
+  if (policy.is_shadow) chips.push('shadow');
+  if (rollout) chips.push(`roll-out ${stateOf(rollout)}`);
+  return chips;
 }
 
-/** Returns the share of the new sessions that a version gets, its labels, whether it is the shadow, and its roll-out. */
-function trafficText(policy, rollout) {
-  const parts = [];
-  if (policy.traffic_percent !== undefined) parts.push(`${policy.traffic_percent} %`);
-  else if (policy.is_default) parts.push('100 %');
-  parts.push(...policy.version_labels);
-  if (policy.is_shadow) parts.push('(shadow)');
-  if (rollout) parts.push(`(roll-out ${stateOf(rollout)})`);
-  return parts.join(' ') || NOTHING;
+function numberColumn(key, label, format, value = (row) => row[key]) {
+  return {key, label, value, text: (row) => format(value(row))};
 }
-
-function policyRow(policy, window, energyModel, rollouts) {
-  const labels = {policy: policy.name, version: policy.version};
-  const withModel = {...labels, energy_model: energyModel};
-  // A policy to which the model does not apply has no series under it, and so no figure.
-  const priced = window.matching('spikeserve_energy_joules_total', withModel).length > 0;
-  const decisions = window.increase('spikeserve_decisions_total', labels);
-  const perDecision = (x) => (decisions > 0 ? x / decisions : undefined);
-  const durations = window.histogram('spikeserve_decision_duration_seconds', labels);
-  const row = {
-    key: `${policy.name}/${policy.version}`,
-    name: policy.name,
-    version: Number(policy.version),
-    mode: policy.mode,
-    environment: policy.environment,
-    isDefault: policy.is_default,
-    traffic: trafficText(policy, rollouts.get(`${policy.name}/${policy.version}`)),
-    sessions: window.gauge('spikeserve_sessions', labels) ?? 0,
-    decisionRate: window.rate('spikeserve_decisions_total', labels),
-    spikes: perDecision(window.increase('spikeserve_spikes_total', labels)),
-    energy: priced ? perDecision(window.increase('spikeserve_energy_joules_total', withModel)) : undefined,
-    power: priced ? window.rate('spikeserve_energy_joules_total', withModel) : undefined,
-    energyTotal: window.gauge('spikeserve_energy_joules_total', withModel),
-    episodes: window.gauge('spikeserve_episodes_total', labels) ?? 0,
-    drift: window.gauge('spikeserve_head_drift_ratio', labels),
-    updates: window.rate('spikeserve_learning_updates_total', labels),
-    stages: Object.fromEntries(STAGES.map(
-      (stage) => [stage, perDecision(window.increase('spikeserve_spikes_total', {...labels, stage}))])),
-  };
-  row.meanReturn = row.episodes > 0 ? window.gauge('spikeserve_episode_return_mean', labels) : undefined;
-  for (const [name, q] of QUANTILES) row[name] = quantile(durations, q);
-  return row;
-}
-
-function numberColumn(key, label, format) {
-  return {key, label, value: (row) => row[key], text: (row) => format(row[key])};
-}
-
-const quantileColumns = QUANTILES.map(([name]) => numberColumn(name, name, seconds));
 
 export class Policies {
   constructor() {
-    const name = {key: 'key', label: 'Policy', value: (row) => row.key, text: (row) => row.key, isText: true};
     const key = (row) => row.key;
+    const name = {key: 'key', label: 'Policy', value: key, isText: true, fill: (cell, row) => {
+      cell.append(element('a', {href: policyLink(row.info.name, row.info.version), textContent: row.key,
+                                title: `${row.info.environment}, ${row.info.mode}`}));
+    }};
     this.table = new Table(document.getElementById('policies-table'), [
       name,
-      {key: 'power', label: 'Energy per second (estimate)', value: (row) => row.power,
-       text: (row) => si(row.power, 'J/s'), share: (row) => row.powerShare},
-      numberColumn('energy', 'Energy per decision (estimate)', (x) => si(x, 'J')),
-      numberColumn('energyTotal', 'Energy since start (estimate)', (x) => si(x, 'J')),
-      numberColumn('spikes', 'Spikes per decision', fixed),
-      numberColumn('decisionRate', 'Decisions per second', fixed),
-      numberColumn('sessions', 'Sessions', count),
-      ...quantileColumns,
-    ], {sort: 'power', descending: true, key});
-    this.returns = new Table(document.getElementById('returns-table'), [
-      name,
-      {key: 'environment', label: 'Environment', value: (row) => row.environment, isText: true,
-       text: (row) => `${row.environment} ${row.mode}${row.isDefault ? ' (default)' : ''}`},
-      {key: 'traffic', label: 'New sessions', value: (row) => row.traffic, text: (row) => row.traffic, isText: true},
-      numberColumn('meanReturn', 'Mean return since start', fixed),
-      numberColumn('episodes', 'Episodes since start', count),
-      numberColumn('drift', 'Head drift', (x) => fixed(x, 4)),
-      numberColumn('updates', 'Head updates per second', fixed),
-    ], {sort: 'episodes', descending: true, key});
-    this.rollouts = new Table(document.getElementById('rollouts-table'), [
-      {key: 'key', label: 'Roll-out', value: (row) => row.key, text: (row) => row.key, isText: true},
-      {key: 'state', label: 'State', value: (row) => row.state, text: (row) => row.state, isText: true},
-      numberColumn('percent', 'Reached, %', count),
+      {key: 'chips', label: 'New sessions', isText: true, text: (row) => row.chips.join('\n') || NOTHING, update: (cell, row) => {
+        cell.replaceChildren(...row.chips.map((chip) => element('span', {className: 'chip', textContent: chip})));
+      }},
+      {key: 'power', label: 'Energy per second', value: (row) => row.power, text: (row) => si(row.power, 'J'),
+       share: (row) => row.powerShare},
+      numberColumn('energy', 'Energy per decision', (x) => si(x, 'J')),
+      numberColumn('spikes_per_decision', 'Spikes per decision', fixed),
+      numberColumn('decisions_per_second', 'Decisions per second', fixed),
+      numberColumn('p50', 'p50', (x) => si(x, 's'), (row) => row.decision_seconds?.p50),
+      numberColumn('p99', 'p99', (x) => si(x, 's'), (row) => row.decision_seconds?.p99),
+      numberColumn('return_mean', 'Return', fixed),
       numberColumn('episodes', 'Episodes', count),
-      numberColumn('meanReturn', 'Mean return', fixed),
-      numberColumn('stableReturn', 'Mean return, stable', fixed),
-      numberColumn('failed', 'Sessions with errors', count),
-      numberColumn('p99', 'p99', seconds),
-      numberColumn('stableP99', 'p99, stable', seconds),
-      {key: 'reason', label: 'Why', value: (row) => row.reason, text: (row) => row.reason, isText: true},
-    ], {sort: 'key', key});
+      numberColumn('errors_per_second', 'Errors per second', fixed),
+      numberColumn('head_drift', 'Head drift', (x) => fixed(x, 4)),
+      numberColumn('sessions', 'Sessions', count),
+    ], {sort: 'power', descending: true, key});
+    this.idle = document.getElementById('idle');
+    this.idle.addEventListener('click', () => {
+      this.idle.setAttribute('aria-expanded', String(this.idle.getAttribute('aria-expanded') !== 'true'));
+      if (this.shown) this.show(...this.shown);
+    });
     const unit = document.getElementById('stage-unit');
     const stageText = (spikes) => (unit.value === 'spikes' ? fixed(spikes) : si(spikes * JOULES_PER_SPIKE, 'J'));
     unit.addEventListener('change', () => this.stages.show(this.stages.rows));
     this.stages = new Table(document.getElementById('stages-table'), [
       name,
       ...STAGES.map((stage) => ({
-        key: stage, label: stage, value: (row) => row.stages[stage], text: (row) => stageText(row.stages[stage]),
-        share: (row) => row.stages[stage] / row.spikes,
+        key: stage, label: stage, value: (row) => row.spikes_by_stage?.[stage],
+        text: (row) => stageText(row.spikes_by_stage?.[stage]),
+        share: (row) => row.spikes_by_stage?.[stage] / row.spikes_per_decision,
       })),
-      numberColumn('spikes', 'all', stageText),
-    ], {sort: 'spikes', descending: true, key});
+      numberColumn('spikes_per_decision', 'all', stageText),
+    ], {sort: 'spikes_per_decision', descending: true, key});
+    const errors = (row) => Object.values(row.errors_per_second).reduce((sum, x) => sum + (x ?? 0), 0);
     this.calls = new Table(document.getElementById('calls-table'), [
       {key: 'method', label: 'Method', value: (row) => row.method, text: (row) => row.method, isText: true},
-      numberColumn('rate', 'Calls per second', fixed),
-      numberColumn('failures', 'Failed calls per second', fixed),
-      ...quantileColumns,
+      numberColumn('rate', 'Calls per second', fixed, (row) => row.calls_per_second),
+      numberColumn('errors', 'Errors per second', fixed, errors),
+      {key: 'codes', label: 'Codes', isText: true, text: (row) => Object.entries(row.errors_per_second)
+        .filter(([, rate]) => rate > 0).map(([code]) => code).join(', ') || NOTHING},
+      ...['p50', 'p90', 'p99', 'p999'].map((q) => numberColumn(q, q, (x) => si(x, 's'), (row) => row.seconds[q])),
     ], {sort: 'rate', descending: true, key: (row) => row.method});
   }
 
-  show(window, energyModel) {
-    const rows = policyRows(window, energyModel);
-    this.table.show(rows);
-    this.returns.show(rows);
-    this.stages.show(rows);
-    this.calls.show(callRows(window));
-    const rollouts = window.to.status.rollouts;
-    document.getElementById('rollouts').hidden = rollouts.length === 0;
-    this.rollouts.show(rollouts.map(rolloutRow));
-    showTotals(rows, window);
-    showMostEnergy(rows, energyModel);
+  show(status, route, model) {
+    this.shown = [status, route, model];
+    const all = policyRows(status, model);
+    const rows = all.filter((row) => !route.policy || row.info.name === route.policy);
+    const idle = route.policy ? [] : rows.filter((row) => row.idle);
+    const open = this.idle.getAttribute('aria-expanded') === 'true';
+    this.table.show(open ? rows : rows.filter((row) => !idle.includes(row)));
+    this.idle.hidden = idle.length === 0;
+    setText(this.idle, `${open ? 'Hide' : 'Show'} ${idle.length} idle version${idle.length === 1 ? '' : 's'}`);
+    this.stages.show(rows.filter((row) => row.decisions > 0));
+    this.calls.show(status.calls.filter((row) => row.calls_per_second > 0));
+    this.showMostEnergy(all, route, model);
   }
-}
 
-function rolloutRow(rollout) {
-  const fresh = rollout.new_version_evidence;
-  const stable = rollout.stable_version_evidence;
-  const measured = (evidence) => (Number(evidence.decisions) > 0 ? evidence.p99_seconds : undefined);
-  const returned = (evidence) => (Number(evidence.episodes) > 0 ? evidence.mean_return : undefined);
-  return {
-    key: `${rollout.policy}/${rollout.version}`,
-    state: stateOf(rollout),
-    percent: rollout.percent,
-    episodes: Number(fresh.episodes),
-    meanReturn: returned(fresh),
-    stableReturn: returned(stable),
-    failed: Number(fresh.failed_sessions),
-    p99: measured(fresh),
-    stableP99: measured(stable),
-    reason: rollout.reason,
-  };
-}
-
-function callRows(window) {
-  const name = 'spikeserve_rpc_duration_seconds';
-  const methods = new Set(window.matching(name).map(([, series]) => series.labels.method));
-  return [...methods].map((method) => {
-    const histogram = window.histogram(name, {method});
-    const answered = window.histogram(name, {method, code: 'OK'}).count;
-    const row = {
-      method,
-      rate: window.duration && histogram.count / window.duration,
-      failures: window.duration && (histogram.count - answered) / window.duration,
-    };
-    for (const [label, q] of QUANTILES) row[label] = quantile(histogram, q);
-    return row;
-  });
-}
-
-function showTotals(rows, window) {
-  const sum = (key) => rows.reduce((total, row) => total + (row[key] || 0), 0);
-  const durations = window.histogram('spikeserve_decision_duration_seconds');
-  const timed = window.duration !== undefined;
-  const totals = [
-    ['Sessions', count(sum('sessions'))],
-    ['Decisions per second', timed ? fixed(sum('decisionRate')) : NOTHING],
-    ['Decision time, p50', seconds(quantile(durations, 0.5))],
-    ['Decision time, p99', seconds(quantile(durations, 0.99))],
-    ['Energy per second (estimate)', timed ? si(sum('power'), 'J/s') : NOTHING],
-  ];
-  document.getElementById('totals').replaceChildren(...totals.map(([label, value]) => {
-    const item = document.createElement('div');
-    item.append(Object.assign(document.createElement('dt'), {textContent: label}),
-                Object.assign(document.createElement('dd'), {textContent: value}));
-    return item;
-  }));
-}
-
-function showMostEnergy(rows, energyModel) {
-  const line = document.getElementById('most-energy');
-  const running = rows.filter((row) => row.power > 0);
-  const top = (list, key) => list.reduce((best, row) => (row[key] > (best?.[key] ?? 0) ? row : best), undefined);
-  const most = top(running, 'power') ?? top(rows, 'energyTotal');
-  if (!most) {
-    line.textContent = 'No policy has used energy yet.';
-    return;
+  showMostEnergy(rows, route, model) {
+    const line = document.getElementById('most-energy');
+    line.hidden = Boolean(route.policy);
+    const most = rows.reduce((best, row) => (row.power > (best?.power ?? 0) ? row : best), undefined);
+    if (!most) {
+      setText(line, 'No policy uses energy in this window.');
+      return;
+    }
+    const share = isNumber(most.powerShare) ? `, ${fixed(100 * most.powerShare, 0)} % of the total` : '';
+    const text = ` (${si(most.power, 'J')} per second${share}; estimated by ${model}).`;
+    if (line.textContent === `Most energy: ${most.key}${text}`) return;
+    line.replaceChildren('Most energy: ', element('strong', {textContent: most.key}), text);
   }
-  const figure = isNumber(most.power) && most.power > 0
-    ? `${si(most.power, 'J/s')}, ${fixed(100 * most.powerShare, 0)} % of the total`
-    : `${si(most.energyTotal, 'J')} since the server started, none in this window`;
-  line.replaceChildren('Most energy: ', Object.assign(document.createElement('strong'), {textContent: most.key}),
-                       ` (${figure}; estimated by ${energyModel}).`);
 }

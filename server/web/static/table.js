@@ -2,8 +2,9 @@
 // is kept.
 
 /**
- * columns: a list of {key, label, value(row), text(row), share(row), isText, fill(cell, row)}. A column without `value`
- * cannot be sorted. `share` in [0, 1] draws a bar. `fill` fills in a new cell once.
+ * columns: a list of {key, label, value(row), text(row), share(row), isText, fill(cell, row), update(cell, row)}. A column without `value`
+ * cannot be sorted. `share` in [0, 1] draws a bar. `fill` fills in a new cell once; `update` fills in a cell whenever its
+ * text has changed.
  * options: {sort, descending, key(row), onSort(sort, descending)}. With onSort, the caller of show() sorts the rows.
  */
 export class Table {
@@ -15,6 +16,7 @@ export class Table {
     this.descending = options.descending ?? false;
     this.rows = [];
     this.rowElements = new Map();
+    this.texts = new WeakMap();  // by cell
     this.heads = new Map();  // by column
     this.body = document.createElement('tbody');
     element.replaceChildren(this.makeHead(), this.body);
@@ -45,8 +47,12 @@ export class Table {
 
   sortBy(column) {
     // The first click on a column of numbers sorts the largest first.
-    this.descending = this.sort === column.key ? !this.descending : !column.isText;
-    this.sort = column.key;
+    this.setSort(column.key, this.sort === column.key ? !this.descending : !column.isText);
+  }
+
+  setSort(key, descending) {
+    this.sort = key;
+    this.descending = descending;
     this.markSort();
     if (this.options.onSort) this.options.onSort(this.sort, this.descending);
     else this.show(this.rows);
@@ -98,6 +104,7 @@ export class Table {
     for (const column of this.columns) {
       const cell = element.insertCell();
       if (column.isText) cell.className = 'text';
+      cell.dataset.label = column.label;  // which a narrow screen shows in front of the value
       if (column.share) cell.classList.add('bar');
       column.fill?.(cell, row);
     }
@@ -107,11 +114,13 @@ export class Table {
   fillRow(element, row) {
     this.columns.forEach((column, i) => {
       const cell = element.cells[i];
-      if (column.text) {
-        const text = column.text(row);
-        if (cell.textContent !== text) cell.textContent = text;
-      }
       if (column.share) cell.style.setProperty('--share', `${100 * (column.share(row) || 0)}%`);
+      if (!column.text) return;
+      const text = column.text(row);
+      if (this.texts.get(cell) === text) return;
+      this.texts.set(cell, text);
+      if (column.update) column.update(cell, row);
+      else cell.textContent = text;
     });
   }
 }

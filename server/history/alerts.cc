@@ -1,0 +1,238 @@
+#include "server/history/alerts.h"
+
+#include <cmath>
+#include <initializer_list>
+#include <string>
+#include <utility>
+
+#include "server/history/figures.h"
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+using Instances = std::vector<AlertInstance>;
+
+// Episodes in half an hour below which a return is not judged, and decisions of a shadow.
+constexpr double kFewestEpisodes = 10.0;
+constexpr double kFewestShadowDecisions = 100.0;
+
+TimeSpan WindowOf(const AlertRule& rule, const AlertInput& input) {
+  return {.from = input.now - rule.window, .to = input.now};
+}
+
+// Returns the series by the values of the given labels.
+std::map<MetricLabels, Selection> GroupBy(std::initializer_list<const char*> labels,
+                                          const Selection& all) {
+  std::map<MetricLabels, Selection> groups;
+  for (const MetricSeries* series : all) {
+    MetricLabels key;
+    for (const char* label : labels) {
+      const auto found = series->labels.find(label);
+      if (found != series->labels.end()) key.insert(*found);
+    }
+    groups[key].push_back(series);
+  }
+  return groups;
+}
+
+Instances ServerIf(bool holds, double value) {
+  return holds ? Instances{{.labels = {}, .value = value}} : Instances{};
+}
+
+Instances ShareOfCalls(const AlertRule& rule, const AlertInput& input,
+                       bool (*wanted)(const std::string& method, const std::string& code)) {
+  const auto count = [&](const Selection& calls) {
+    return Observed(calls, WindowOf(rule, input)).count;
+  };
+  const double all = count(input.history.Select("spikeserve_rpc_duration_seconds"));
+  const double share = count(SelectCalls(input.history, wanted)) / all;  // 0 / 0 is above nothing
+  return ServerIf(share > rule.threshold, share);
+}
+
+Instances Down(const AlertRule& /*rule*/, const AlertInput& /*input*/) { return {}; }
+
+Instances Errors(const AlertRule& rule, const AlertInput& input) {
+  return ShareOfCalls(rule, input, [](const std::string& /*method*/, const std::string& code) {
+    return IsServerError(code);
+  });
+}
+
+Instances CallsRefused(const AlertRule& rule, const AlertInput& input) {
+  return ShareOfCalls(rule, input, [](const std::string& /*method*/, const std::string& code) {
+    return IsAgentMistake(code);
+  });
+}
+
+Instances Slow(const AlertRule& rule, const AlertInput& input) {
+  const Selection acts =
+      SelectCalls(input.history, [](const std::string& method, const std::string& /*code*/) {
+        return method == "Act" || method == "ActStream";
+      });
+  const double p99 = Quantile(Observed(acts, WindowOf(rule, input)), 0.99);
+  return ServerIf(p99 > rule.threshold, p99);
+}
+
+Instances UnusualObservations(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const Selection unusual = input.history.Select("spikeserve_unusual_observations_total");
+  for (const auto& [labels, series] : GroupBy({"policy", "version", "element"}, unusual)) {
+    const double count = Increase(series, WindowOf(rule, input));
+    if (count == 0.0) continue;
+    MetricLabels version = labels;
+    version.erase("element");
+    const double share =
+        count / Increase(input.history.Select("spikeserve_decisions_total", version),
+                         WindowOf(rule, input));
+    if (share > rule.threshold) found.push_back({labels, share});
+  }
+  return found;
+}
+
+Instances NoDecisions(const AlertRule& rule, const AlertInput& input) {
+  const double sessions = Gauge(input.history.Select("spikeserve_sessions"));
+  const double decisions =
+      Increase(input.history.Select("spikeserve_decisions_total"), WindowOf(rule, input));
+  return ServerIf(sessions > rule.threshold && decisions == 0.0, sessions);
+}
+
+Instances SessionsNearLimit(const AlertRule& rule, const AlertInput& input) {
+  const double share = Gauge(input.history.Select("spikeserve_sessions")) /
+                       Gauge(input.history.Select("spikeserve_sessions_limit"));
+  return ServerIf(share > rule.threshold, share);
+}
+
+// Compares medians, because the sum of a histogram of negative returns decreases, which Prometheus
+// takes for a restart.
+Instances ReturnFalling(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const TimeSpan window = WindowOf(rule, input);
+  const TimeSpan day_before = {.from = window.from - absl::Hours(24), .to = window.from};
+  const Selection returns = input.history.Select("spikeserve_episode_return");
+  for (const auto& [labels, series] : GroupBy({"policy", "version"}, returns)) {
+    const Distribution recent = Observed(series, window);
+    if (recent.count < kFewestEpisodes) continue;
+    const double before = Quantile(Observed(series, day_before), 0.5);
+    const double fall = before - Quantile(recent, 0.5);
+    if (fall > rule.threshold * std::abs(before)) found.push_back({labels, fall});
+  }
+  return found;
+}
+
+Instances LearningRolledBack(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const Selection rollbacks = input.history.Select("spikeserve_learning_rollbacks_total");
+  for (const auto& [labels, series] : GroupBy({"policy", "version", "scope"}, rollbacks)) {
+    const double count = Increase(series, WindowOf(rule, input));
+    if (count > rule.threshold) found.push_back({labels, count});
+  }
+  return found;
+}
+
+Instances ShadowDisagrees(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const Selection shadowed = input.history.Select("spikeserve_shadow_decisions_total");
+  for (const auto& [labels, series] : GroupBy({"policy", "version", "shadow_version"}, shadowed)) {
+    const double all = Increase(series, WindowOf(rule, input));
+    MetricLabels differing = labels;
+    differing["agreement"] = "differ";
+    const double differ =
+        Increase(input.history.Select("spikeserve_shadow_decisions_total", differing),
+                 WindowOf(rule, input));
+    if (all >= kFewestShadowDecisions && differ / all > rule.threshold) {
+      found.push_back({labels, differ / all});
+    }
+  }
+  return found;
+}
+
+Instances RolloutAborted(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  for (const MetricSeries* ended : input.history.Select(
+           "spikeserve_policy_rollout_ended_timestamp_seconds", {{"state", "aborted"}})) {
+    const double ago = input.unix_seconds - ended->raw[0];
+    if (ended->present && ago < rule.threshold) found.push_back({ended->labels, ago});
+  }
+  return found;
+}
+
+constexpr absl::Duration kNow = absl::ZeroDuration();
+
+const std::vector<AlertRule>& Rules() {
+  static const auto* const rules = new std::vector<AlertRule>{
+      {"SpikeserveDown", "critical", "The server does not answer.", 0.0, kNow, absl::Minutes(1),
+       Down},
+      {"SpikeserveErrors", "critical", "Calls fail because of the server or its limits.", 0.01,
+       absl::Minutes(5), absl::Minutes(5), Errors},
+      {"SpikeserveCallsRefused", "warning", "Calls are refused because of mistakes of agents.",
+       0.05, absl::Minutes(5), absl::Minutes(5), CallsRefused},
+      {"SpikeserveSlow", "warning",
+       "The slowest 1 % of the decisions' calls take too long, in seconds.", 0.025,
+       absl::Minutes(5), absl::Minutes(5), Slow},
+      {"SpikeserveUnusualObservations", "warning",
+       "An element of the observations is far outside the training data.", 0.05, absl::Minutes(5),
+       absl::Minutes(5), UnusualObservations},
+      {"SpikeserveNoDecisions", "critical", "Sessions are open and receive no decisions.", 0.0,
+       absl::Minutes(5), absl::Minutes(10), NoDecisions},
+      {"SpikeserveSessionsNearLimit", "warning", "Most of --max_sessions are open.", 0.8, kNow,
+       absl::Minutes(5), SessionsNearLimit},
+      {"SpikeserveReturnFalling", "warning",
+       "The median return of the last 30 minutes is below that of the day before.", 0.1,
+       absl::Minutes(30), absl::Minutes(5), ReturnFalling},
+      {"SpikeserveLearningRolledBack", "warning", "The guard rolled a learned head back.", 0.0,
+       absl::Minutes(15), kNow, LearningRolledBack},
+      {"SpikeserveShadowDisagrees", "warning",
+       "The shadow chooses other actions than the version that it shadows.", 0.1, absl::Minutes(30),
+       absl::Minutes(5), ShadowDisagrees},
+      {"SpikeserveRolloutAborted", "warning", "The server aborted a roll-out, seconds ago.", 3600.0,
+       kNow, kNow, RolloutAborted},
+  };
+  return *rules;
+}
+
+}  // namespace
+
+void Alerts::Evaluate(const MetricHistory& history, absl::Duration now, double unix_seconds) {
+  now_ = now;
+  decltype(active_) active;
+  for (const AlertRule& rule : Rules()) {
+    for (AlertInstance& instance : rule.evaluate(rule, {history, now, unix_seconds})) {
+      const auto key = std::make_pair(&rule, std::move(instance.labels));
+      const auto before = active_.find(key);
+      const absl::Duration since = before == active_.end() ? now : before->second.since;
+      active[key] = {.since = since, .value = instance.value};
+    }
+  }
+  active_ = std::move(active);
+}
+
+Json Alerts::ToJson() const {
+  Json list = Json::array();
+  for (const AlertRule& rule : Rules()) {
+    Json instances = Json::array();
+    bool fires = false;
+    for (const auto& [key, active] : active_) {
+      if (key.first != &rule) continue;
+      const absl::Duration held = now_ - active.since;
+      const bool firing = held >= rule.wait;
+      fires = fires || firing;
+      instances.push_back({{"labels", key.second},
+                           {"value", active.value},
+                           {"seconds", absl::ToDoubleSeconds(held)},
+                           {"state", firing ? "firing" : "pending"}});
+    }
+    list.push_back({{"name", rule.name},
+                    {"severity", rule.severity},
+                    {"description", rule.description},
+                    {"threshold", rule.threshold},
+                    {"window_seconds", absl::ToDoubleSeconds(rule.window)},
+                    {"for_seconds", absl::ToDoubleSeconds(rule.wait)},
+                    {"state", fires               ? "firing"
+                              : instances.empty() ? "ok"
+                                                  : "pending"},
+                    {"instances", std::move(instances)}});
+  }
+  return list;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,297 @@
+#include "server/web/session_list.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "core/base/json.h"
+#include "nlohmann/json.hpp"
+#include "proto/json.h"
+#include "server/admin/session_info.h"
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr int64_t kDefaultPageSize = 50;
+constexpr int64_t kLargestPageSize = 1000;
+
+// What a session is sorted by.
+struct SortKey {
+  std::string text = {};
+  double number = 0.0;
+  bool missing = false;  // true: the session is listed last in both orders
+};
+
+using KeyOf = SortKey (*)(const ListedSession&, const AgentSession&);
+
+template <auto Field>
+SortKey Number(const ListedSession& /*listed*/, const AgentSession& agent) {
+  return {.number = static_cast<double>(agent.session().*Field)};
+}
+
+template <auto Return>
+SortKey OfEpisodes(const ListedSession& /*listed*/, const AgentSession& agent) {
+  const SessionLife& life = agent.life();
+  return {.number = (life.*Return)(), .missing = life.ended_episodes() == 0};
+}
+
+double SpikesPerDecision(const Session& session) {
+  const double decisions = static_cast<double>(std::max<uint64_t>(session.decisions, 1));
+  return static_cast<double>(session.spikes) / decisions;
+}
+
+const std::map<std::string, KeyOf>& Columns() {
+  using Listed = const ListedSession&;
+  using Agent = const AgentSession&;
+  static const auto* const columns = new std::map<std::string, KeyOf>{
+      {"session_id", [](Listed, Agent) { return SortKey{}; }},  // equal keys are sorted by id
+      {"policy",
+       [](Listed, Agent agent) {
+         const SessionOptions& options = agent.session().options;
+         return SortKey{.text = options.policy, .number = static_cast<double>(options.version)};
+       }},
+      {"episode", Number<&Session::episode>},
+      {"step", Number<&Session::step>},
+      {"episode_return", Number<&Session::episode_return>},
+      {"mean_return", OfEpisodes<&SessionLife::mean_return>},
+      {"last_return", OfEpisodes<&SessionLife::last_return>},
+      {"decisions", Number<&Session::decisions>},
+      {"spikes_per_decision",
+       [](Listed, Agent agent) { return SortKey{.number = SpikesPerDecision(agent.session())}; }},
+      {"energy_joules", Number<&Session::energy_joules>},
+      {"head_drift", [](Listed, Agent agent) { return SortKey{.number = agent.HeadDrift()}; }},
+      {"idle_seconds",
+       [](Listed listed, Agent) { return SortKey{.number = absl::ToDoubleSeconds(listed.idle)}; }},
+  };
+  return *columns;
+}
+
+// The place of a session in a list.
+struct Place {
+  SortKey key;
+  std::string id;
+};
+
+// The order of a list of sessions.
+struct Order {
+  std::string column;
+  KeyOf key;
+  bool descending;
+
+  bool IsBefore(const Place& a, const Place& b) const {
+    if (a.key.missing != b.key.missing) return b.key.missing;
+    const auto x = std::tie(a.key.text, a.key.number);
+    const auto y = std::tie(b.key.text, b.key.number);
+    if (x != y) return descending ? y < x : x < y;
+    return column == "session_id" && descending ? b.id < a.id : a.id < b.id;
+  }
+};
+
+absl::StatusOr<Order> OrderOf(const HttpQuery& query) {
+  const std::string sort = query.Get("sort", "session_id");
+  const auto column = Columns().find(sort);
+  if (column == Columns().end()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "sort: expected one of ",
+        absl::StrJoin(Columns(), ", ",
+                      [](std::string* out, const auto& known) { out->append(known.first); }),
+        ", received ", Quoted(sort)));
+  }
+  const std::string order = query.Get("order", "ascending");
+  if (order == "ascending" || order == "descending") {
+    return Order{.column = sort, .key = column->second, .descending = order == "descending"};
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat("order: expected ascending or descending, received ", Quoted(order)));
+}
+
+// A page token is the place of the last session of the page before, as CBOR in base64. It names
+// the order, because places of different orders cannot be compared.
+std::string TokenOf(const Place& place, const Order& order) {
+  const auto cbor = Json::to_cbor({order.column, order.descending, place.key.text, place.key.number,
+                                   place.key.missing, place.id});
+  return absl::WebSafeBase64Escape(std::string(cbor.begin(), cbor.end()));
+}
+
+absl::StatusOr<std::optional<Place>> PlaceOf(const std::string& token, const Order& order) {
+  if (token.empty()) return std::optional<Place>();
+  std::string cbor;
+  Json parts;
+  if (absl::WebSafeBase64Unescape(token, &cbor)) {
+    parts = Json::from_cbor(cbor, /*strict=*/true, /*allow_exceptions=*/false);
+  }
+  const bool valid = parts.is_array() && parts.size() == 6 && parts[0] == order.column &&
+                     parts[1] == order.descending && parts[2].is_string() && parts[3].is_number() &&
+                     parts[4].is_boolean() && parts[5].is_string();
+  if (!valid) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("page_token: expected the next_page_token of a list with the same sort and "
+                     "order, received ",
+                     Quoted(token)));
+  }
+  return Place{.key = {.text = parts[2], .number = parts[3], .missing = parts[4]}, .id = parts[5]};
+}
+
+// A session in a list.
+struct Row {
+  Place place;
+  ListedSession session;
+};
+
+// Keeps the first `limit` rows in an order.
+class FirstRows {
+ public:
+  FirstRows(const Order& order, size_t limit) : order_(order), limit_(limit) {}
+
+  void Add(Row row) {
+    const auto before = [this](const Row& a, const Row& b) {
+      return order_.IsBefore(a.place, b.place);
+    };
+    if (rows_.size() == limit_) {
+      if (!before(row, rows_.front())) return;
+      std::pop_heap(rows_.begin(), rows_.end(), before);
+      rows_.pop_back();
+    }
+    rows_.push_back(std::move(row));
+    std::push_heap(rows_.begin(), rows_.end(), before);
+  }
+
+  // Returns the rows in their order.
+  std::vector<Row> Take() {
+    std::sort(rows_.begin(), rows_.end(),
+              [this](const Row& a, const Row& b) { return order_.IsBefore(a.place, b.place); });
+    return std::move(rows_);
+  }
+
+ private:
+  const Order& order_;
+  const size_t limit_;
+  std::vector<Row> rows_;  // a heap, the last row at its front
+};
+
+// Returns true if the id, "policy/version", "tenant=name" or a "key=value" label of the session
+// contains the text, ignoring case.
+bool Matches(const ListedSession& listed, const SessionOptions& options,
+             absl::string_view lower_case) {
+  const auto holds = [&](absl::string_view text) {
+    return absl::StrContains(absl::AsciiStrToLower(text), lower_case);
+  };
+  if (lower_case.empty() || holds(listed.id)) return true;
+  if (holds(absl::StrCat(options.policy, "/", options.version))) return true;
+  if (holds(absl::StrCat("tenant=", options.tenant))) return true;
+  return std::any_of(options.labels.begin(), options.labels.end(), [&](const auto& label) {
+    return holds(absl::StrCat(label.first, "=", label.second));
+  });
+}
+
+// Returns a SessionInfo as JSON, with the returns of the ended episodes.
+absl::StatusOr<Json> InfoJson(const ListedSession& listed) {
+  v1::SessionInfo info;
+  ToProto(listed, &info);
+  const auto text = MessageToJson(info);
+  if (!text.ok()) return text.status();
+  Json json = Json::parse(*text);
+  absl::MutexLock lock(&listed.entry->mutex);
+  const SessionLife& life = listed.entry->agent.life();
+  const bool ended = life.ended_episodes() > 0;
+  json["ended_episodes"] = life.ended_episodes();
+  json["mean_return"] = ended ? Json(life.mean_return()) : Json();
+  json["last_return"] = ended ? Json(life.last_return()) : Json();
+  return json;
+}
+
+}  // namespace
+
+absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& caller,
+                                         const HttpQuery& query) {
+  const auto order = OrderOf(query);
+  if (!order.ok()) return order.status();
+  const auto page_size = query.GetInteger("page_size", kDefaultPageSize, 1, kLargestPageSize);
+  if (!page_size.ok()) return page_size.status();
+  const auto after = PlaceOf(query.Get("page_token"), *order);
+  if (!after.ok()) return after.status();
+
+  // One list at a time, so that many readers together take no more memory and time than one.
+  static absl::Mutex one_at_a_time(absl::kConstInit);
+  absl::MutexLock turn(&one_at_a_time);
+  const std::string filter = absl::AsciiStrToLower(query.Get("filter"));
+  const auto limit = static_cast<size_t>(*page_size);
+  int64_t open = 0;
+  int64_t matching = 0;
+  FirstRows first(*order, limit + 1);  // one more, which tells whether there is another page
+  const auto visit = [&](const ListedSession& listed) {
+    ++open;
+    SessionEntry& entry = *listed.entry;
+    absl::MutexLock lock(&entry.mutex);
+    if (!Matches(listed, entry.agent.session().options, filter)) return;
+    ++matching;
+    Place place = {.key = order->key(listed, entry.agent), .id = listed.id};
+    if (after->has_value() && !order->IsBefore(**after, place)) return;
+    first.Add({.place = std::move(place), .session = listed});
+  };
+  store.ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); }, visit);
+
+  std::vector<Row> rows = first.Take();
+  std::string next;
+  if (rows.size() > limit) {
+    rows.resize(limit);
+    next = TokenOf(rows.back().place, *order);
+  }
+  Json sessions = Json::array();
+  for (const Row& row : rows) {
+    auto info = InfoJson(row.session);
+    if (!info.ok()) return info.status();
+    sessions.push_back(*std::move(info));
+  }
+  return Json{{"open", open},
+              {"matching", matching},
+              {"sessions", std::move(sessions)},
+              {"next_page_token", next}}
+      .dump();
+}
+
+absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& caller,
+                                        const std::string& id) {
+  const std::optional<ListedSession> found = store.PeekListed(id);
+  if (!found.has_value() || !caller.CanRead(found->entry->tenant)) return NoSuchSession(id);
+  auto json = InfoJson(*found);
+  if (!json.ok()) return json.status();
+
+  absl::MutexLock lock(&found->entry->mutex);
+  const AgentSession& agent = found->entry->agent;
+  const Session& session = agent.session();
+  (*json)["target_return"] = session.target_return;
+  (*json)["return_to_go"] = session.return_to_go;
+  (*json)["age_seconds"] = absl::ToDoubleSeconds(agent.Age());
+  Json& decisions = (*json)["history"]["decisions"] = Json::array();
+  for (const auto& [first, count, sum] : agent.life().decisions()) {
+    const auto n = static_cast<double>(count);
+    decisions.push_back({{"first", first},
+                         {"count", count},
+                         {"until_seconds", sum.until},
+                         {"spikes_per_decision", sum.spikes / n},
+                         {"mean_seconds", sum.seconds / n}});
+  }
+  Json& episodes = (*json)["history"]["episodes"] = Json::array();
+  for (const auto& [first, count, sum] : agent.life().episodes()) {
+    episodes.push_back({{"first", first},
+                        {"count", count},
+                        {"mean_return", sum.episode_return / static_cast<double>(count)}});
+  }
+  return json->dump();
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,168 @@
+// Shows one session: its figures, its history, and its last decisions one by one.
+import {makeChart} from './charts.js';
+import {drawDecision} from './explain.js';
+import {fetchJson} from './fetch.js';
+import {NOTHING, count, duration, fixed, setText, si} from './format.js';
+import {TileGrid} from './tiles.js';
+
+const KEPT_DECISIONS = 120;
+const PLAY_MILLISECONDS = 250;
+const COLOUR = '#0072b2';
+const WHOLE = [1, 2, 5].flatMap((digit) => [0, 1, 2, 3, 4, 5, 6, 7, 8].map((power) => digit * 10 ** power)).sort((a, b) => a - b);
+const CHARTS = [
+  {title: 'Return of an episode, by episode', format: (y) => fixed(y), points: ({episodes}) =>
+    episodes.map(({first, count: n, mean_return: y}) => [first + n - 1, y])},
+  {title: 'Spikes per decision, by decision', format: (y) => si(y), points: ({decisions}) =>
+    decisions.map(({first, count: n, spikes_per_decision: y}) => [first + n, y])},
+  {title: 'Time of a decision, by decision', format: (y) => si(y, 's'), points: ({decisions}) =>
+    decisions.map(({first, count: n, mean_seconds: y}) => [first + n, y])},
+  {title: 'Decisions per second, by decision', format: (y) => si(y), points: ({decisions}) =>
+    decisions.map(({first, count: n, until_seconds: end}, i) => {
+      const seconds = end - (decisions[i - 1]?.until_seconds ?? 0);
+      return [first + n, seconds > 0 ? n / seconds : null];
+    })},
+];
+
+function pressed(button) {
+  return button.getAttribute('aria-pressed') === 'true';
+}
+
+export class SessionView {
+  constructor() {
+    const get = (id) => document.getElementById(id);
+    this.section = get('session');
+    this.error = get('session-error');
+    this.tiles = new TileGrid(get('session-tiles'));
+    this.chartBox = get('session-charts');
+    this.body = get('decision');
+    this.decisionError = get('decision-error');
+    this.token = get('token');
+    this.frame = get('frame');
+    this.frameText = get('frame-text');
+    this.followButton = get('follow');
+    this.playButton = get('play');
+    this.frames = [];  // explanations of the last decisions, oldest first
+    this.token.addEventListener('change', () => this.draw());
+    this.frame.addEventListener('input', () => {
+      this.setFollowing(false);
+      this.draw();
+    });
+    this.followButton.addEventListener('click', () => this.setFollowing(!pressed(this.followButton)));
+    this.playButton.addEventListener('click', () => this.play(!pressed(this.playButton)));
+    const rebuild = () => {
+      this.plots = undefined;
+      if (this.shown) this.showFigures(this.shown);
+      this.draw();
+    };
+    matchMedia('(prefers-color-scheme: dark)').addEventListener('change', rebuild);
+    addEventListener('resize', rebuild);
+  }
+
+  /** Selects a session; undefined selects none. */
+  open(id) {
+    if (id === this.id) return;
+    this.id = id;
+    this.frames = [];
+    this.shown = undefined;
+    this.play(false);
+    this.setFollowing(true);
+    for (const text of [this.error, this.decisionError, this.frameText]) setText(text, '');
+    this.body.replaceChildren();
+    if (!id) return;
+    this.section.focus({preventScroll: true});
+    this.refresh().catch(() => {});  // the next turn of the page shows a problem that lasts
+  }
+
+  async refresh() {
+    const {id} = this;
+    let session;
+    try {
+      session = await fetchJson('session.json', {session: id});
+    } catch (error) {
+      setText(this.error, error.message);
+      return;
+    }
+    if (this.id !== id) return;
+    setText(this.error, '');
+    this.showFigures(session);
+    if (pressed(this.followButton)) await this.addFrame(id);
+  }
+
+  showFigures(session) {
+    this.shown = session;
+    const decisions = Number(session.decisions);
+    const labels = Object.entries(session.labels).map(([key, value]) => `${key}=${value}`).join(' ');
+    const {history} = session;
+    const seconds = history.decisions.reduce((sum, point) => sum + point.count * point.mean_seconds, 0);
+    const counted = history.decisions.reduce((sum, point) => sum + point.count, 0);
+    this.tiles.show([
+      {label: 'Policy', value: `${session.policy}/${session.version}`, note: labels || 'no labels'},
+      {label: 'Mean return', value: fixed(session.mean_return ?? undefined),
+       note: `${count(session.ended_episodes)} episodes ended`},
+      {label: 'Last return', value: fixed(session.last_return ?? undefined),
+       note: `target ${fixed(session.target_return)}`},
+      {label: 'Return so far', value: fixed(session.episode_return),
+       note: `step ${session.step}, no. ${session.episode}`},
+      {label: 'Decisions', value: count(decisions), note: `idle for ${duration(session.idle_seconds)}`},
+      {label: 'Spikes / decision', value: decisions ? fixed(Number(session.spikes) / decisions) : NOTHING,
+       note: `${count(Number(session.spikes))} spikes`},
+      {label: 'Time of a decision', value: si(counted ? seconds / counted : undefined, 's'), note: 'mean'},
+      {label: 'Energy', value: si(session.energy_joules, 'J'), note: 'estimate'},
+    ]);
+    if (!this.plots) {
+      this.chartBox.replaceChildren();
+      const range = (_, low, high) => [low ?? 0, Math.max(high ?? 1, (low ?? 0) + 1)];
+      this.plots = CHARTS.map(({title, format}) =>
+        makeChart(this.chartBox, title, [{label: title, colour: COLOUR}], (x) => si(x), format, range, WHOLE));
+    }
+    CHARTS.forEach(({points}, i) => {
+      const list = points(history);
+      this.plots[i].setData([list.map(([x]) => x), list.map(([, y]) => y)]);
+    });
+  }
+
+  async addFrame(id) {
+    let decision;
+    try {
+      decision = await fetchJson('explain.json', {session: id});
+    } catch (error) {
+      if (this.id === id) setText(this.decisionError, error.message);
+      return;
+    }
+    if (this.id !== id) return;
+    setText(this.decisionError, '');
+    const last = this.frames[this.frames.length - 1];
+    if (last && last.episode === decision.episode && last.answer.step === decision.answer.step) return;
+    this.frames.push(decision);
+    if (this.frames.length > KEPT_DECISIONS) this.frames.shift();
+    this.frame.max = this.frames.length - 1;
+    if (!pressed(this.playButton)) this.frame.value = this.frame.max;
+    this.draw();
+  }
+
+  setFollowing(on) {
+    this.followButton.setAttribute('aria-pressed', String(on));
+  }
+
+  /** Shows the decisions that the page has one after the other, from the first one if the last one is shown. */
+  play(on) {
+    clearInterval(this.timer);
+    this.playButton.setAttribute('aria-pressed', String(on));
+    if (!on) return;
+    if (this.frame.value === this.frame.max) this.frame.value = 0;
+    this.draw();
+    this.timer = setInterval(() => {
+      this.frame.value = Number(this.frame.value) + 1;
+      this.draw();
+      if (this.frame.value === this.frame.max) this.play(false);
+    }, PLAY_MILLISECONDS);
+  }
+
+  draw() {
+    const decision = this.frames[Number(this.frame.value)];
+    if (!decision) return;
+    setText(this.frameText, `${Number(this.frame.value) + 1} of ${this.frames.length}: ` +
+      `episode ${decision.episode}, step ${decision.answer.step}`);
+    drawDecision(this.body, decision, this.token.value);
+  }
+}

@@ -1,0 +1,106 @@
+"""Checks every JSON document of the HTTP port against the schema that the server publishes."""
+
+import json
+import pathlib
+import shutil
+
+import grpc
+import jsonschema
+import pytest
+
+from security import ADMIN, POLICY
+from serving import DEPLOY, SHIPPED_POLICIES, Service, running_server
+from test_watching import get, wait_for
+
+SCHEMA_FILE = DEPLOY.parent / "server" / "web" / "static" / "schema.json"
+OBSERVATION = [0.01, -0.02, 0.03, 0.1]
+
+
+def play(agent):
+    """Plays an episode and a half. Leaves the session open, and returns its id."""
+    session = agent.OpenSession(policy="robot", labels={"robot": "a"}).session_id
+    for step in range(5):
+        agent.Act(session_id=session, step=step, observation=OBSERVATION, reward=1.0)
+    agent.EndEpisode(session_id=session, reward=1.0, terminated=True)
+    agent.Act(session_id=session, step=0, observation=OBSERVATION)
+    with pytest.raises(grpc.RpcError):
+        agent.Act(session_id=session, step=7, observation=OBSERVATION)
+    return session
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    """Starts a server with a roll-out, a label, a shadow and a session. Yields its HTTP address and the session."""
+    policies = tmp_path_factory.mktemp("policies")
+    for version in ("1", "2"):
+        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "robot" / version)
+    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        admin = Service(channel, ADMIN)
+        admin.SetDefaultVersion(policy="robot", version=1)
+        admin.SetLabel(policy="robot", version=1, label="stable")
+        admin.SetShadow(policy="robot", shadow_version=2)
+        admin.StartRollout(policy="robot", version=2, steps=[50, 100])
+        session = play(Service(channel, POLICY))
+        played = lambda: json.loads(get(f"http://{addresses.http}/status.json"))["figures"]["decisions"] == 6
+        wait_for(played, "the decisions in the history")
+        yield addresses.http, session
+
+
+def validate(definition, document):
+    schema = json.loads(SCHEMA_FILE.read_text())
+    jsonschema.Draft202012Validator({**schema, "anyOf": [{"$ref": f"#/$defs/{definition}"}]}).validate(document)
+
+
+def test_the_schema_is_valid_and_published(server):
+    address, _ = server
+    published = get(f"http://{address}/schema.json")
+    assert published == SCHEMA_FILE.read_text()
+    jsonschema.Draft202012Validator.check_schema(json.loads(published))
+
+
+@pytest.mark.parametrize(
+    ("definition", "path"),
+    [
+        ("status", "/status.json"),
+        ("status", "/status.json?window=600&metrics=false"),
+        ("history", "/history.json"),
+        ("history", "/history.json?seconds=1800"),
+        ("sessions", "/sessions.json"),
+        ("sessions", "/sessions.json?filter=nothing"),
+        ("session", "/session.json?session={session}"),
+        ("explain", "/explain.json?session={session}"),
+    ],
+)
+def test_documents_follow_the_schema(server, definition, path):
+    address, session = server
+    document = json.loads(get(f"http://{address}{path.format(session=session)}"))
+    validate(definition, document)
+    # The definitions are closed, so a field that the schema does not know is found.
+    with pytest.raises(jsonschema.ValidationError):
+        validate("error", document)
+
+
+def test_errors_follow_the_schema(server):
+    address, _ = server
+    with pytest.raises(OSError) as error:
+        get(f"http://{address}/session.json?session=nobody")
+    validate("error", json.loads(error.value.read()))
+
+
+def test_the_documents_hold_what_the_page_shows(server):
+    address, session = server
+    status = json.loads(get(f"http://{address}/status.json?window=600"))
+    [first, second] = status["versions"]
+    assert [first["version"], second["version"]] == ["1", "2"]
+    assert first["decisions"] + second["decisions"] == 6
+    assert status["figures"]["episodes"] == 1
+    assert status["figures"]["return_mean"] == 5.0
+    assert 0 < status["figures"]["refused_ratio"] < 1
+    assert sum(status["figures"]["spikes_by_stage"].values()) == pytest.approx(
+        status["figures"]["spikes_per_decision"]
+    )
+    [rollout] = status["rollouts"]
+    assert rollout["state"] == "STATE_RUNNING"
+    listed = json.loads(get(f"http://{address}/sessions.json?sort=mean_return"))
+    assert [row["session_id"] for row in listed["sessions"]] == [session]
+    assert listed["sessions"][0]["last_return"] == 5.0
