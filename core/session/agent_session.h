@@ -167,7 +167,7 @@ class AgentSession {
   std::shared_ptr<const ServedPolicy> served_;
   const Clock* clock_;
   Session session_;
-  const absl::Duration created_;  // time of the clock
+  absl::Duration created_;  // time of the clock
   SessionLife life_;
   std::unique_ptr<Engine::Context> context_;  // null: rebuilt by the next decision
   std::optional<Linear> head_;  // private head; absent: the policy's or the fleet's head is used

@@ -139,6 +139,14 @@ Json FigureSource::Figures(TimeSpan span) const {
 
 Json FigureSource::Series(const std::vector<absl::Duration>& times) const {
   Json lists = Json::object();
+  AddMain({.from = history_.end(), .to = history_.end()}, &lists);  // for the names of the figures
+  for (auto& [name, value] : lists.items()) {
+    if (!value.is_object()) {
+      value = Json::array();
+      continue;
+    }
+    for (auto& [key, number] : value.items()) number = Json::array();
+  }
   for (size_t i = 1; i < times.size(); ++i) {
     Json figures = Json::object();
     AddMain({.from = times[i - 1], .to = times[i]}, &figures);

@@ -173,7 +173,7 @@ double Quantile(const Distribution& distribution, double q) {
   size_t i = 0;
   while (i + 1 < buckets.size() && buckets[i].second < rank) ++i;
   const double bound = buckets[i].first;
-  if (std::isinf(bound)) return buckets[i - 1].first;  // a histogram with counts has i > 0 here
+  if (std::isinf(bound)) return buckets[i - 1].first;  // i > 0: the first bound is finite
   const double lower = i == 0 ? std::min(0.0, bound) : buckets[i - 1].first;
   const double below = i == 0 ? 0.0 : buckets[i - 1].second;
   return lower + (bound - lower) * (rank - below) / (buckets[i].second - below);

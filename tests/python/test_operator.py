@@ -14,7 +14,7 @@ from browser import DESKTOP, PHONE, SCREENSHOTS, chromium
 from robots import Fleet
 from security import ADMIN
 from serving import SHIPPED_POLICIES, Service, running_server
-from test_watching import get
+from test_watching import get, wait_for
 
 ENERGY_MODEL = "horowitz_45nm"
 WEAK_ROBOT = "arm-03"
@@ -36,7 +36,7 @@ def fleet(tmp_path_factory):
         admin = Service(channel, ADMIN)
         admin.SetDefaultVersion(policy="cartpole", version=1)
         admin.SetLabel(policy="cartpole", version=1, label="stable")
-        admin.SetShadow(policy="pendulum", shadow_version=1)
+        admin.SetShadow(policy="acrobot", shadow_version=1)
         admin.StartRollout(policy="cartpole", version=2, steps=[50, 100], min_episodes=20)
         robots = Fleet(addresses.grpc)
         robots.add("CartPole-v1", "cartpole", 3, prefix="arm")
@@ -166,26 +166,29 @@ def test_everything_fits_a_phone(page, scheme):
     assert '"Energy per second"' in labels
 
 
-def wait_for_history(page):
-    """Waits until the charts have a minute of figures."""
-    page.wait_for("performance.now() > 3000", "three seconds")
+def wait_for_figures(page):
+    """Waits until the page has drawn figures in its present size and colours."""
+    page.driver.execute_script("window.asked = performance.getEntriesByType('resource').length")
+    page.wait_for("performance.getEntriesByType('resource').length > window.asked + 12", "new figures")
 
 
 @pytest.mark.skipif(not SCREENSHOTS, reason="writes pictures only on request")
 def test_pictures(page, fleet):
     address, robots = fleet
+    history = lambda: len(document(fleet, "/history.json?seconds=600")["seconds_ago"]) > 40
+    wait_for(history, "three minutes of figures", seconds=240)
     for scheme in ("light", "dark"):
         page.prefer(scheme)
-        wait_for_history(page)
+        wait_for_figures(page)
         page.screenshot(f"status-{scheme}.png", height=1300)
     page.prefer("light")
     page.resize(PHONE)
-    wait_for_history(page)
+    wait_for_figures(page)
     page.screenshot("status-phone.png", height=1500)
     page.resize(DESKTOP)
     page.driver.get(f"http://{address}/#/sessions/{robots.session_of(WEAK_ROBOT)}")
     page.wait_for("document.querySelector('#frame').max >= 5", "six decisions")
     page.screenshot("session-light.png")
     page.prefer("dark")
-    wait_for_history(page)
+    wait_for_figures(page)
     page.screenshot("session-dark.png")

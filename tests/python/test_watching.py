@@ -39,14 +39,14 @@ def get(url, **parameters):
         return response.read().decode()
 
 
-def wait_for(condition, what):
+def wait_for(condition, what, seconds=DEADLINE_SECONDS):
     """Calls `condition` until its result is true, and returns the result."""
-    deadline = time.monotonic() + DEADLINE_SECONDS
+    deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if answer := condition():
             return answer
         time.sleep(0.05)
-    pytest.fail(f"{what}: expected within {DEADLINE_SECONDS} s, received none")
+    pytest.fail(f"{what}: expected within {seconds} s, received none")
 
 
 class Prometheus:

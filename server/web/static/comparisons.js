@@ -90,10 +90,11 @@ function card(title, verdict, ...more) {
 function rolloutCard(rollout) {
   const name = `${rollout.policy}/${rollout.version}`;
   const stable = `${rollout.policy}/${rollout.stable_version}`;
+  const running = stateOf(rollout) === 'running';
   const [fresh, old] = [ofEvidence(rollout.new_version_evidence), ofEvidence(rollout.stable_version_evidence)];
   return card(`Roll-out of ${name}: ${stateOf(rollout)}`, verdictOf(name, fresh, old), stepsOf(rollout), table([
-    {name, link: policyLink(rollout.policy, rollout.version), share: rollout.percent, of: fresh},
-    {name: stable, link: policyLink(rollout.policy, rollout.stable_version), share: 100 - rollout.percent, of: old},
+    {name, link: policyLink(rollout.policy, rollout.version), share: running ? rollout.percent : undefined, of: fresh},
+    {name: stable, link: policyLink(rollout.policy, rollout.stable_version), share: running ? 100 - rollout.percent : undefined, of: old},
   ]), element('p', {className: 'quiet', textContent: rollout.reason}));
 }
 
