@@ -10,7 +10,7 @@ runs the blocks in order:
   python     in one Python for each page, or as the file that the text in front of the block names.
   cmake, cpp as the file that the text in front of the block names, if it names one.
 
-Blocks without a language are output, and are not run. Stops at the first block that fails.
+Blocks without a language are output or take too long, and are not run. Stops at the first block that fails.
 """
 
 import pathlib

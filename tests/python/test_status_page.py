@@ -1,4 +1,4 @@
-"""Opens the status page of a server with 1,000 sessions in a browser. Uses only the keyboard, in light and in dark mode."""
+"""Opens the status page of a server with 1,000 sessions in a browser. Uses only the keyboard, by day and by night."""
 
 import shutil
 import threading
@@ -75,6 +75,7 @@ def page(browser, server):
     addresses, _ = server
     browser.prefer("light")
     browser.driver.get("about:blank")
+    browser.problems()  # drops those that an earlier test expects
     browser.driver.get(f"http://{addresses.http}/")
     browser.wait_for("document.querySelector('#most-energy strong')", "power")
     browser.wait_for("document.querySelectorAll('#sessions-table tbody tr').length === 50", "sessions")
@@ -162,8 +163,13 @@ def test_traffic_and_rollouts_are_shown(browser, tmp_path):
         assert browser.evaluate(chips) == ["25 %, shadow, roll-out running", "75 %, stable"]
         admin.AbortRollout(policy="robot")
         admin.SetTrafficShares(policy="robot", shares=[{"version": 1, "percent": 90}, {"version": 2, "percent": 10}])
-        browser.wait_for("document.querySelector('#comparisons article:last-child h3').textContent === 'Shares of robot'", "shares")
+        title = "document.querySelector('#comparisons article:last-child h3').textContent"
+        browser.wait_for(f"{title} === 'Shares of robot'", "shares")
         assert browser.problems() == []
+    # The server is gone.
+    browser.wait_for("/^no answer for [0-9]+ s: /.test(document.querySelector('#health').textContent)", "health")
+    assert browser.evaluate("document.querySelector('#health').classList.contains('bad')")
+    browser.problems()  # Chromium reports the connections that failed
 
 
 def test_every_stage_and_call_is_there(page):
@@ -231,10 +237,8 @@ def test_a_decision_is_explained_by_keyboard(page):
     assert page.evaluate(drawn)
     page.tab_to("e.id === 'token'")
     page.press("s")
-    page.wait_for(
-        "[...document.querySelectorAll('#decision canvas[aria-label*=ticks]')].every((e) => e.ariaLabel.endsWith(' of s'))",
-        "the state token alone",
-    )
+    rasters = "[...document.querySelectorAll('#decision canvas[aria-label*=ticks]')]"
+    page.wait_for(f"{rasters}.every((map) => map.ariaLabel.endsWith(' of s'))", "the state token alone")
 
 
 def test_what_cannot_be_explained_is_said(page, server):
