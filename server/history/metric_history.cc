@@ -111,10 +111,11 @@ Selection MetricHistory::Select(absl::string_view family, const MetricLabels& la
   Selection selection;
   const auto found = families_.find(family);
   if (found == families_.end()) return selection;
-  for (const auto& [of, series] : found->second) {
-    const bool matches = std::all_of(labels.begin(), labels.end(), [&of](const auto& wanted) {
-      const auto label = of.find(wanted.first);
-      return label != of.end() && label->second == wanted.second;
+  for (const auto& item : found->second) {
+    const MetricSeries& series = item.second;
+    const bool matches = std::all_of(labels.begin(), labels.end(), [&series](const auto& wanted) {
+      const auto label = series.labels.find(wanted.first);
+      return label != series.labels.end() && label->second == wanted.second;
     });
     if (matches) selection.push_back(&series);
   }

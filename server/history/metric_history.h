@@ -104,8 +104,8 @@ double GaugeAt(const Selection& gauges, absl::Duration time);
 Distribution Observed(const Selection& histograms, TimeSpan span);
 
 // Returns the quantile `q` in [0, 1] as Prometheus estimates it, by interpolation within a bucket,
-// and the last finite bound for a quantile beyond it. Returns NaN without observations, or without a
-// finite bound.
+// and the last finite bound for a quantile beyond it. Returns NaN without observations, or without
+// a finite bound.
 double Quantile(const Distribution& distribution, double q);
 
 }  // namespace spikeserve

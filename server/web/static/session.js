@@ -98,7 +98,7 @@ export class SessionView {
     this.tiles.show([
       {label: 'Policy', value: `${session.policy}/${session.version}`, note: labels || 'no labels'},
       {label: 'Mean return', value: fixed(session.mean_return ?? undefined),
-       note: `${count(session.ended_episodes)} episodes ended`},
+       note: `${count(session.ended_episodes)} episodes`},
       {label: 'Last return', value: fixed(session.last_return ?? undefined),
        note: `target ${fixed(session.target_return)}`},
       {label: 'Return so far', value: fixed(session.episode_return),

@@ -119,7 +119,7 @@ function serverTiles(figures, lines, model, status) {
      line: lines.failed_ratio, bad: bad('SpikeserveErrors', 'SpikeserveCallsRefused')},
     decisions,
     {label: 'Call, p99', value: si(figures.call_p99_seconds, 's'),
-     note: `${si(figures.decision_p99_seconds, 's')} to compute`, line: lines.call_p99_seconds,
+     note: `${si(figures.decision_p99_seconds, 's')} engine`, line: lines.call_p99_seconds,
      bad: bad('SpikeserveSlow')},
     returns,
     spikes,
