@@ -14,7 +14,7 @@ if [[ -z ${NEWCOMER_OUTSIDE:-} ]]; then
   NEWCOMER_OUTSIDE=$(mktemp -d)
   export NEWCOMER_OUTSIDE
   trap 'rm -rf "$NEWCOMER_OUTSIDE"' EXIT
-  unshare --mount --net --pid --fork "$0" "$checkout" "$python" "$@"
+  unshare --mount --net --pid --fork --kill-child "$0" "$checkout" "$python" "$@"
   exit
 fi
 

@@ -13,6 +13,7 @@ import {AlertList, Tiles} from './tiles.js';
 
 const PERIOD_MILLISECONDS = 1000;
 const HISTORY_EVERY = 5;  // periods
+const SESSIONS_EVERY = 3;  // a list costs the server one pass over all sessions
 const LOST_SECONDS = 60;  // SpikeserveDown waits as long
 
 const get = (id) => document.getElementById(id);
@@ -98,7 +99,7 @@ async function update(turn) {
   setHealth((status.serving ? 'serving' : 'not serving (draining)') + alarm, status.serving && firing === 0);
   draw();
   if (state.route.session) await session.refresh();
-  else await sessions.refresh();
+  else if (turn % SESSIONS_EVERY === 0) await sessions.refresh();
 }
 
 let turn = 0;
