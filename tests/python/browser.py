@@ -16,6 +16,8 @@ from serving import DEADLINE_SECONDS
 SCREENSHOTS = os.environ.get("SPIKESERVE_SCREENSHOTS")
 DESKTOP = (1280, 900)
 PHONE = (390, 844)
+# The browser, the server and the robots share a machine that may run other tests.
+WAIT_SECONDS = 4 * DEADLINE_SECONDS
 
 
 class Browser:
@@ -26,7 +28,7 @@ class Browser:
 
     def wait_for(self, script, what):
         """Waits until the result of a script is true, and returns it."""
-        wait = WebDriverWait(self.driver, DEADLINE_SECONDS, poll_frequency=0.1)
+        wait = WebDriverWait(self.driver, WAIT_SECONDS, poll_frequency=0.1)
         return wait.until(lambda driver: driver.execute_script(f"return {script}"), what)
 
     def evaluate(self, script):
