@@ -39,7 +39,7 @@ PAGES = (
     "training.md",
 )
 # Pages that a newcomer reads only.
-WITHOUT_COMMANDS = {"architecture.md", "learning.md", "paper.md", "performance.md"}
+WITHOUT_COMMANDS = {"architecture.md", "energy.md", "learning.md", "paper.md", "performance.md", "threat-model.md"}
 SERVERS = ("spikeserve ", "build/release/bin/spikeserve ", "prometheus ")
 # The training that a page prints takes hours; that the commands work shows after a few steps.
 EDITS = {

@@ -41,8 +41,7 @@ function summary(decision) {
   const sentence = element('p', {className: 'verdict'}, 'Action ', element('strong', {textContent: action}),
     ` at step ${answer.step} of episode ${decision.episode}, with return-to-go ${fixed(answer.return_to_go, 1)}: ` +
     `${count(Number(answer.stats.spikes))} spikes, ` +
-    (decision.rasters.length ? `${si(answer.stats.energy_joules, 'J')} by spike_5pj, ` : '') +
-    `${si(answer.stats.horowitz_energy_joules, 'J')} by horowitz_45nm (estimates).`);
+    `${si(answer.stats.energy_joules, 'J')} by horowitz_45nm (estimate).`);
   const largest = Math.max(...decision.observation.map(Math.abs), 1e-9);
   const observation = bars('Observation', decision.observation.map((x, i) =>
     barRow(`${i}`, Math.abs(x) / largest, fixed(x, 3))), `policy ${decision.policy}/${decision.version}, ${decision.mode}`);

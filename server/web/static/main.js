@@ -78,12 +78,16 @@ function showProblem(error) {
   document.body.classList.toggle('lost', seconds >= LOST_SECONDS);
 }
 
+/** Offers the energy models that the server knows, and says what each of them counts. */
 function showModels(models) {
   const choice = get('energy-model');
   if (models.length === choice.options.length) return;
-  const before = choice.value || 'horowitz_45nm';
-  choice.replaceChildren(...models.map((model) => element('option', {value: model, textContent: model})));
-  if (models.includes(before)) choice.value = before;
+  choice.replaceChildren(...models.map(({name}) => element('option', {value: name, textContent: name})));
+  choice.value = models.find((model) => model.default).name;
+  get('models').replaceChildren(...models.flatMap((model) => [
+    element('dt', {textContent: model.name}),
+    element('dd', {textContent: `Counts ${model.counts}. Leaves out ${model.leaves_out}. Applies to ${model.applies_to}.`}),
+  ]));
 }
 
 async function update(turn) {
@@ -92,7 +96,7 @@ async function update(turn) {
   state.status = status;
   state.answered = Date.now();
   document.body.classList.remove('lost');
-  showModels(Object.keys(status.figures.energy_joules));
+  showModels(status.energy_models);
   setText(get('version'), status.version);
   const firing = status.alerts.filter((alert) => alert.state === 'firing').length;
   const alarm = firing ? `, ${firing} alert${firing === 1 ? '' : 's'}` : '';
