@@ -21,6 +21,8 @@ packages=(
   # tests, demo
   libgtest-dev libgmock-dev prometheus redis-server ca-certificates curl python3 python3-venv chromium chromium-driver
   mandoc zsh fish
+  # tests of exported populations: Debian's PyTorch, which has no CUDA
+  python3-torch
   # interop: clients in other languages, and proxies
   golang-go haproxy nghttp2-client nginx
 )
@@ -57,4 +59,5 @@ if ! cmp -s "$requirements" "$venv/requirements.txt"; then
   cp "$requirements" "$venv/requirements.txt"
 fi
 
+tests/chips/install.sh "$build_dir"
 tests/interop/install.sh "$build_dir"

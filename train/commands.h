@@ -27,6 +27,10 @@ void AddQuantizeCommand(Program& program);
 // Plays --policy in closed loop.
 void AddEvalCommand(Program& program);
 
+// Measures --policy in the terms of NeuroBench, over episodes that it plays or that a server has
+// recorded.
+void AddNeuroBenchCommand(Program& program);
+
 // Runs the paper's experiments that are not finished in --out, and writes the report there. The
 // report contains the command line.
 void AddReportCommand(Program& program);

@@ -9,6 +9,8 @@
 With `ModelConfig(arithmetic="int8")` the spike-driven weights are 8-bit integers; `quantize` of
 `spikeserve.integer_weights` rounds float32 weights to such tensors.
 
+`to_nir` writes the spiking populations of a policy file in NIR (docs/chips.md).
+
 The exporter checks everything that the server checks, before it writes anything. It needs the
 package `safetensors` (`spikeserve[export]`), and neither PyTorch nor a server.
 """
@@ -29,9 +31,10 @@ from numpy.typing import NDArray
 from spikeserve.check import check
 from spikeserve.integer_weights import check_integers, integer_dtype, integer_shapes
 from spikeserve.model_config import ModelConfig
+from spikeserve.nir_export import to_nir
 from spikeserve.spaces import ActionSpace, Discrete, as_action_space
 
-__all__ = ["ModelConfig", "export_policy", "tensor_shapes"]
+__all__ = ["ModelConfig", "export_policy", "tensor_shapes", "to_nir"]
 
 FORMAT = "spikeserve.policy.v1"
 

@@ -1,0 +1,157 @@
+"""Writes the spiking populations of a policy in NIR, the Neuromorphic Intermediate Representation.
+
+    from spikeserve.export import to_nir
+
+    exported = to_nir("deploy/policies/cartpole/2/policy.safetensors")
+    exported.write("cartpole-nir")  # one .nir file for each population, and manifest.json
+
+A population is an `Affine` node and a `LIF` node: the query, key, value and hidden neurons of each
+layer. NIR cannot express the other parts (softmax attention, LayerNorm, routing, phase generators,
+plasticity), so a host computes them. The manifest lists in which order host and populations follow
+each other for a token, and what each of them passes on.
+
+Needs the packages `nir` and `safetensors` (`spikeserve[nir]`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikeserve.check import check
+from spikeserve.model_config import ModelConfig
+
+__all__ = ["NirExport", "to_nir"]
+
+FORMAT = "spikeserve.nir.v1"
+TICK_SECONDS = 0.001
+POPULATIONS = ("attention.query", "attention.key", "attention.value", "ffn.hidden")
+
+
+@dataclass(frozen=True)
+class NirExport:
+    """The populations of a policy as NIR graphs, by name, and what a host does between them."""
+
+    populations: dict[str, Any]  # nir.NIRGraph by name, such as "layers.0.attention.query"
+    manifest: dict[str, Any]
+
+    def write(self, folder: str | os.PathLike[str]) -> None:
+        """Writes `NAME.nir` for each population, and `manifest.json`, to a folder that it makes."""
+        import nir
+
+        path = pathlib.Path(folder)
+        path.mkdir(parents=True, exist_ok=True)
+        for name, graph in self.populations.items():
+            nir.write(path / f"{name}.nir", graph)
+        (path / "manifest.json").write_text(json.dumps(self.manifest, indent=2) + "\n")
+
+
+def to_nir(policy: str | os.PathLike[str]) -> NirExport:
+    """Converts a policy file. ValueError for a dense policy, which has no spikes.
+
+    The weights, biases and thresholds of an int8 policy are its integers. A neuron of NIR fires
+    above its threshold, one of this project at its threshold or above, so the threshold of an
+    integer neuron is half a unit lower, and that of a float32 neuron is the next smaller number.
+    NIR has real-valued membranes: those of an int8 policy, which are rounded to integers at every
+    tick, can differ from them by a few units.
+    """
+    import safetensors
+
+    with safetensors.safe_open(policy, "numpy") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}
+        values = json.loads(file.metadata()["config"])
+    known = {field.name for field in fields(ModelConfig)}
+    config = ModelConfig(**{name: value for name, value in values.items() if name in known})
+    check(not config.is_dense, "mode", "a spiking mode", repr(config.mode))
+    names = [f"layers.{i}.{part}" for i in range(config.layers) for part in POPULATIONS]
+    graphs = {name: _population(name, tensors, config) for name in names}
+    return NirExport(graphs, _manifest(config, tensors))
+
+
+def _population(name: str, tensors: dict[str, NDArray[Any]], config: ModelConfig) -> Any:
+    import nir
+
+    weight = tensors[f"{name}.weight"].astype(np.float32)
+    ones = np.ones(len(weight), np.float64)
+    leak = 1 - _decay(config)
+    lif = nir.LIF(
+        tau=TICK_SECONDS / leak * ones,
+        r=ones / leak,
+        v_leak=0 * ones,
+        v_threshold=_thresholds(name, tensors, config),
+        v_reset=0 * ones,
+    )
+    affine = nir.Affine(weight=weight, bias=tensors[f"{name}.bias"].astype(np.float32))
+    return nir.NIRGraph.from_list(affine, lif)
+
+
+def _decay(config: ModelConfig) -> float:
+    """Returns the factor of a membrane at each tick."""
+    decay = np.float32(config.membrane_decay)
+    return round(float(decay) * 32768) / 32768 if config.is_int8 else float(decay)
+
+
+def _thresholds(
+    name: str, tensors: dict[str, NDArray[Any]], config: ModelConfig
+) -> NDArray[np.float64]:
+    if config.is_int8:
+        return tensors[f"{name}.threshold"].astype(np.float64) - 0.5
+    below = np.nextafter(np.float32(config.threshold), np.float32(-np.inf))
+    return np.full(len(tensors[f"{name}.bias"]), float(below))
+
+
+def _manifest(config: ModelConfig, tensors: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    steps = [_host("embedding and LayerNorm of the token", "d numbers")]
+    for layer in range(config.layers):
+        steps += _layer_steps(f"layers.{layer}", config)
+    steps.append(_host("state token: coder readout.coder", "firing rates"))
+    steps.append(_host("action head, and its plasticity", "the action"))
+    return {
+        "format": FORMAT,
+        "config": {field.name: getattr(config, field.name) for field in fields(config)},
+        "tick_seconds": TICK_SECONDS,
+        "ticks": config.ticks,
+        "units": "integers of the policy file" if config.is_int8 else "float32",
+        "membranes": "start at 0 for every token and live for its ticks",
+        "populations": {
+            name.removesuffix(".weight"): {
+                "file": f"{name.removesuffix('.weight')}.nir",
+                "neurons": len(tensors[name]),
+                "inputs": tensors[name].shape[1],
+            }
+            for name in sorted(tensors)
+            if name.removesuffix(".weight").endswith(POPULATIONS) and name.endswith(".weight")
+        },
+        "steps_of_a_token": steps,
+    }
+
+
+def _host(does: str, passes_on: str) -> dict[str, str]:
+    return {"on": "host", "does": does, "passes_on": passes_on}
+
+
+def _chip(population: str) -> dict[str, str]:
+    return {"on": "chip", "population": population, "passes_on": "spikes"}
+
+
+def _layer_steps(layer: str, config: ModelConfig) -> list[dict[str, str]]:
+    phase = " and the phase spikes of the timestep" if config.has_phase else ""
+    gates = "routing gates" if config.has_routing else "equal gates"
+    attention = f"{layer}.attention"
+    return [
+        _host(f"LIF neurons of {layer}.coder under constant currents", f"spikes{phase}"),
+        *(_chip(f"{attention}.{part}") for part in ("key", "value", "query")),
+        _host(
+            f"softmax attention over the window, {gates}, {attention}.output, LayerNorm",
+            "d numbers",
+        ),
+        _host(f"LIF neurons of {layer}.ffn.coder under constant currents", "spikes"),
+        _chip(f"{layer}.ffn.hidden"),
+        _host(f"{layer}.ffn.output of the spike counts, LayerNorm", "d numbers"),
+    ]
