@@ -9,7 +9,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow build train bench attacks sanitize fuzz format clean setup configure
+.PHONY: demo test test-slow build train bench attacks chaos sanitize fuzz format clean setup configure
 
 demo: configure
 	cmake --build $(BUILD) --target spikeserve spikectl
@@ -41,6 +41,13 @@ bench: build
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
 attacks: build
 	build/interop/venv/bin/python -m tests.attacks --program=$(BIN)/spikeserve $(ATTACKS_FLAGS)
+
+# Plays 512 sessions on three replicas and one Redis that are killed, stopped and cut off all the time, and compares every
+# answer with an undisturbed run. Needs root. CHAOS_FLAGS="--decisions=200" makes it shorter.
+chaos: build
+	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
+	  build/venv/bin/python -m tests.chaos $(CHAOS_FLAGS)
 
 # Runs load tests with the address sanitizer, then with the thread sanitizer: 60 seconds with 1,000 sessions on 8
 # streams, 10 seconds with 64 sessions that learn a shared head, and 10 seconds with 64 sessions that learn their own

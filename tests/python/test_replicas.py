@@ -1,6 +1,7 @@
 """The Python client on three replicas: whichever of them is lost, its user sees late answers and nothing else."""
 
 import asyncio
+import concurrent.futures
 import shutil
 
 import pytest
@@ -17,7 +18,7 @@ from replicated import (
     reward,
     running_fleet,
 )
-from serving import running_server
+from serving import DEADLINE_SECONDS, running_server
 from spikeserve.replicas import rank
 
 pytestmark = pytest.mark.skipif(shutil.which("redis-server") is None, reason="without redis-server")
@@ -305,3 +306,28 @@ def test_streams_of_sessions_without_a_store(fleet):
         with pytest.raises(ValueError, match="session: expected one that is stored"):
             for session in elsewhere:
                 stream.act(session, observation(0, 0), timeout=30)
+
+
+def test_a_replica_that_was_stopped_sends_no_stale_answer(fleet):
+    """It receives a request, is stopped before it appends, and goes on when another one owns the session."""
+    impatient = spikeserve.ClientOptions(
+        timeout=DEADLINE_SECONDS, retry=spikeserve.RetryOptions(max_attempts=1)
+    )
+    stopped, other = fleet.replicas[:2]
+    with (
+        spikeserve.Client(stopped.address, impatient) as former,
+        spikeserve.Client(other.address, OPTIONS) as present,
+        concurrent.futures.ThreadPoolExecutor() as threads,
+    ):
+        session = former.open_session("cartpole", options_of(1, "SYNC"))
+        session.act(observation(1, 0))
+        stopped.stop()
+        late = threads.submit(session.act, observation(1, 1), reward(1))
+        taken_over = spikeserve.Session(present, session.session_id, step=1)
+        # Other observations than those that the former owner has received.
+        answers = [comparable(taken_over.act(observation(1, t), reward(t))) for t in (7, 8)]
+        stopped.resume()
+        with pytest.raises(spikeserve.UnavailableError):
+            late.result()
+        again = spikeserve.Session(present, session.session_id, step=2)
+        assert comparable(again.act(observation(1, 8), reward(8))) == answers[1]

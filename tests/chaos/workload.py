@@ -1,0 +1,130 @@
+"""The sessions of the chaos suite, which play by calls, in batches and on streams at the same time."""
+
+import asyncio
+import dataclasses
+import hashlib
+import time
+
+import spikeserve
+from replicated import comparable, comparable_state, observation, options_of, policy_of, reward
+
+GROUP = 32  # sessions of a batch, or of a stream
+EPISODE = 50  # decisions
+LEVELS = ("ASYNC", "SYNC")
+
+OPTIONS = spikeserve.ClientOptions(timeout=1.0, retry=spikeserve.RetryOptions(max_elapsed=120))
+
+
+@dataclasses.dataclass
+class Answered:
+    """When a session had an answer, and how long it took, in seconds."""
+
+    at: float
+    seconds: float
+
+
+class Workload:
+    """Plays `sessions` sessions for `decisions` decisions each. `digests` says what they answered.
+
+    A session makes at most `rate` decisions a second, so that there is time for faults.
+    """
+
+    def __init__(self, sessions, decisions, stored, rate=None):
+        self._sessions = sessions
+        self._decisions = decisions
+        self._stored = stored
+        self._interval = 1 / rate if rate else 0.0
+        self.digests = {}
+        self.answers = []  # of the sessions that play by calls
+        self.decided = 0
+
+    async def play(self, servers):
+        """Plays until all sessions have ended."""
+        groups = [
+            range(first, min(first + GROUP, self._sessions))
+            for first in range(0, self._sessions, GROUP)
+        ]
+        players = [self._play_calls, self._play_batches, self._play_stream]
+        async with spikeserve.AsyncClient(servers, OPTIONS) as client:
+            await asyncio.gather(
+                *(players[n % len(players)](client, group) for n, group in enumerate(groups))
+            )
+
+    async def _steps(self):
+        due = time.monotonic()
+        for t in range(self._decisions):
+            yield t
+            due = max(due + self._interval, time.monotonic() - self._interval)
+            await asyncio.sleep(due - time.monotonic())
+
+    def _options(self, i):
+        # Four kinds of sessions in a row, two policies: the level changes every eight.
+        level = LEVELS[i // 8 % 2] if self._stored else "NONE"
+        return options_of(i, level)
+
+    async def _open(self, client, group):
+        return {i: await client.open_session(policy_of(i), self._options(i)) for i in group}
+
+    async def _play_calls(self, client, group):
+        await asyncio.gather(*(self._play_one(client, i) for i in group))
+
+    async def _play_one(self, client, i):
+        session = (await self._open(client, [i]))[i]
+        digest = hashlib.sha256()
+        async for t in self._steps():
+            begin = time.monotonic()
+            decision = await session.act(observation(i, t), reward(t))
+            now = time.monotonic()
+            self.answers.append(Answered(now, now - begin))
+            self._take(digest, decision)
+            await self._end_if_due(session, i, t, digest)
+        await self._finish(session, i, digest)
+
+    async def _play_batches(self, client, group):
+        sessions = await self._open(client, group)
+        digests = {i: hashlib.sha256() for i in group}
+        async for t in self._steps():
+            observations = [observation(i, t) for i in group]
+            results = await client.act_batch(
+                list(sessions.values()), observations, [reward(t)] * len(group)
+            )
+            for i, decision in zip(group, results, strict=True):
+                self._take(digests[i], decision)
+            for i in group:
+                await self._end_if_due(sessions[i], i, t, digests[i])
+        for i in group:
+            await self._finish(sessions[i], i, digests[i])
+
+    async def _play_stream(self, client, group):
+        digests = {i: hashlib.sha256() for i in group}
+        async with client.act_stream() as stream:
+            opening = (
+                client.open_session(policy_of(i), self._options(i), route=stream.route)
+                for i in group
+            )
+            sessions = dict(zip(group, await asyncio.gather(*opening), strict=True))
+            async for t in self._steps():
+                for i in group:
+                    await stream.send(sessions[i], observation(i, t), reward(t))
+                answers = dict([await stream.receive() for _ in group])
+                for i in group:
+                    self._take(digests[i], answers[sessions[i]])
+                    await self._end_if_due(sessions[i], i, t, digests[i])
+        for i in group:
+            await self._finish(sessions[i], i, digests[i])
+
+    def _take(self, digest, decision):
+        if isinstance(decision, spikeserve.SpikeserveError):
+            raise decision
+        digest.update(comparable(decision).encode())
+        self.decided += 1
+
+    async def _end_if_due(self, session, i, t, digest):
+        if (t + 1) % EPISODE == 0:
+            digest.update(repr(await session.end_episode(1.0 + i, terminated=True)).encode())
+
+    async def _finish(self, session, i, digest):
+        state, head = comparable_state(await session.state(include_head_delta=True))
+        digest.update(state.encode() + (head or b""))
+        self.digests[i] = digest.hexdigest()
+        await session.close()
