@@ -179,13 +179,15 @@ bool Matches(const ListedSession& listed, const SessionOptions& options,
 
 absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamily>& families,
                                        const v1::ListPoliciesResponse& policies,
-                                       const v1::ListRolloutsResponse& rollouts, double time,
-                                       bool serving) {
+                                       const v1::ListRolloutsResponse& rollouts,
+                                       const ServerStatus& server) {
   const auto policies_json = MessageToJson(policies);
   if (!policies_json.ok()) return policies_json.status();
   const auto rollouts_json = MessageToJson(rollouts);
   if (!rollouts_json.ok()) return rollouts_json.status();
-  Json status = {{"time", time}, {"version", std::string(Version())}, {"serving", serving}};
+  Json status = {{"time", server.time},       {"version", std::string(Version())},
+                 {"serving", server.serving}, {"store", server.store},
+                 {"replica", server.replica}, {"replicas", server.replicas}};
   status["policies"] = Json::parse(*policies_json)["policies"];
   status["rollouts"] = Json::parse(*rollouts_json)["rollouts"];
   for (const prometheus::MetricFamily& family : families) {

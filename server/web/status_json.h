@@ -17,15 +17,24 @@
 
 namespace spikeserve {
 
-// Returns {"time", "version", "serving", "policies", "rollouts", "metrics"}. "time" is in seconds
-// of a monotonic clock. "policies" is the list of ListPolicies, "rollouts" that of ListRollouts.
+// What StatusJson() tells of the server itself.
+struct ServerStatus {
+  double time = 0.0;  // in seconds of a monotonic clock
+  bool serving = false;
+  std::string store = "";    // address of the session store, without a password
+  std::string replica = "";  // what the store calls this server; empty for memory
+  int replicas = 1;          // servers that share the store and are alive
+};
+
+// Returns {"time", "version", "serving", "store", "replica", "replicas", "policies", "rollouts",
+// "metrics"}. "policies" is the list of ListPolicies, "rollouts" that of ListRollouts.
 // "metrics" maps the name of each metric family to a list of {"labels", "value"}, or of {"labels",
 // "count", "sum", "buckets"}, where "buckets" holds cumulative [upper bound, count] pairs and the
 // last bound, infinity, is null.
 absl::StatusOr<std::string> StatusJson(const std::vector<prometheus::MetricFamily>& families,
                                        const v1::ListPoliciesResponse& policies,
-                                       const v1::ListRolloutsResponse& rollouts, double time,
-                                       bool serving);
+                                       const v1::ListRolloutsResponse& rollouts,
+                                       const ServerStatus& server);
 
 // Returns {"open", "matching", "sessions"}. "open" is the number of sessions that `caller` may
 // read, "matching" the number of those that match the parameter `filter`. "sessions" holds a page

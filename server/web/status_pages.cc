@@ -107,7 +107,11 @@ absl::StatusOr<std::string> StatusPages::Status() const {
   v1::ListRolloutsResponse rollouts;
   if (auto status = parts_.rollouts->ListRollouts({}, &rollouts); !status.ok()) return status;
   return StatusJson(parts_.metrics->Collect(), policies, rollouts,
-                    absl::ToDoubleSeconds(parts_.clock->Now()), parts_.serving());
+                    {.time = absl::ToDoubleSeconds(parts_.clock->Now()),
+                     .serving = parts_.serving(),
+                     .store = parts_.store_address,
+                     .replica = parts_.replicas->self(),
+                     .replicas = parts_.replicas->count()});
 }
 
 absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,

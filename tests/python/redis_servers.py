@@ -6,6 +6,7 @@ import signal
 import socket
 import ssl
 import subprocess
+import tempfile
 
 import pytest
 from security import make_authority, make_certificate, until
@@ -45,10 +46,11 @@ class Redis:
                 *("--tls-cert-file", f"{certificates}/server.pem", "--tls-key-file", f"{certificates}/server.key"),
                 *("--tls-ca-cert-file", f"{certificates}/ca.pem", "--tls-auth-clients", "yes"),
             ]
+        self.folder = tempfile.TemporaryDirectory()  # a replica writes what it gets from its primary
         secret = ["--requirepass", password, "--masterauth", password] if password else []
         self.program = [
             *("redis-server", "--bind", "127.0.0.1", *port),
-            *("--save", "", "--appendonly", "no", *secret, *flags),
+            *("--save", "", "--appendonly", "no", "--dir", self.folder.name, *secret, *flags),
         ]
         self.start()
 
@@ -131,13 +133,10 @@ def primary_port(sentinel):
     return int(reply[1]) if isinstance(reply, list) else None
 
 
-def start_cluster(folder, servers, nodes=3):
+def start_cluster(servers, nodes=3):
     """Starts the nodes of a Cluster, adds them to `servers`, and divides the slots evenly."""
     for _ in range(nodes):
-        files = ["--cluster-enabled", "yes", "--dir", str(folder)]
-        port = free_port()
-        bus = ["--cluster-config-file", f"nodes-{port}.conf", "--cluster-port", str(free_port())]
-        servers.append(Redis(*files, *bus))
+        servers.append(Redis("--cluster-enabled", "yes", "--cluster-port", str(free_port())))
     first = servers[0]
     for i, server in enumerate(servers):
         begin, end = SLOTS * i // nodes, SLOTS * (i + 1) // nodes - 1

@@ -155,7 +155,7 @@ def is_watched(sentinel, replicas, sentinels):
     return (int(state[b"num-slaves"]), int(state[b"num-other-sentinels"])) == (replicas, sentinels)
 
 
-def test_too_few_replicas(tmp_path, password):
+def test_too_few_replicas(password):
     with stopping([Redis()]) as servers:
         [primary] = servers
         flags = [password, "--store_replicas=1"]
@@ -166,7 +166,7 @@ def test_too_few_replicas(tmp_path, password):
             server.close()
 
 
-def test_a_replica_of_redis_is_no_store(tmp_path, password):
+def test_a_replica_of_redis_is_no_store(password):
     """Of several addresses, the one that takes writes is used."""
     with stopping([Redis()]) as servers:
         [primary] = servers
@@ -178,10 +178,10 @@ def test_a_replica_of_redis_is_no_store(tmp_path, password):
             server.close()
 
 
-def test_cluster_whose_slots_move(tmp_path, password, undisturbed):
+def test_cluster_whose_slots_move(password, undisturbed):
     """While the sessions are played, the slots of all their keys move to other nodes."""
     with stopping([]) as servers:
-        start_cluster(tmp_path, servers)
+        start_cluster(servers)
         with Restartable(f"redis://127.0.0.1:1,127.0.0.1:{servers[1].port}", [password]) as server:
 
             def disturb(episode, step):
@@ -234,7 +234,7 @@ def begin_to_move(i, servers):
 def test_cluster_has_one_database(tmp_path, password):
     log = tmp_path / "log"
     with stopping([]) as servers:
-        start_cluster(tmp_path, servers)
+        start_cluster(servers)
         with log.open("w") as file, Restartable(
             f"redis://127.0.0.1:{servers[0].port}/3", [password], log=file
         ) as server:

@@ -105,9 +105,9 @@ def test_redis(password):
 
 
 @WITHOUT_REDIS
-def test_a_cluster(tmp_path, password):
+def test_a_cluster(password):
     with stopping([]) as servers:
-        start_cluster(tmp_path, servers)
+        start_cluster(servers)
         store = f"redis://127.0.0.1:{servers[0].port}"
         with Restartable(store, [password]) as server:
             play(server)
