@@ -90,6 +90,13 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("durability", EnumKind<Durability>(), &options->durability,
            "Durability of stored sessions that name none")
       .Add("store_password_file", "FILE", &options->store.password_file, "Password of Redis")
+      .Add("store_ca", "FILE", &options->store.tls_files.ca,
+           "PEM authorities of Redis over TLS; empty: those of the system")
+      .Add("store_certificate", "FILE", &options->store.tls_files.certificate,
+           "PEM client certificate for Redis")
+      .Add("store_key", "FILE", &options->store.tls_files.key, "PEM private key of the former")
+      .Add("store_replicas", "N", &options->store.replicas,
+           "Replicas of Redis that must have a record before it counts")
       .Add("store_retention", "DURATION", &options->store.retention,
            "Time that the store keeps an unused session");
   program.Flags("Security")

@@ -3,6 +3,7 @@
 #include <malloc.h>
 #include <sched.h>
 
+#include <algorithm>
 #include <utility>
 #include <vector>
 
@@ -32,6 +33,10 @@ constexpr absl::Duration kTokensInterval = absl::Seconds(1);
 
 // The interval of judging roll-outs.
 constexpr absl::Duration kRolloutInterval = absl::Milliseconds(200);
+
+// The interval of looking for what other servers have changed, and of saying that this one is
+// alive.
+constexpr absl::Duration kFollowInterval = absl::Milliseconds(250);
 
 // The health page reports a server whose loops do not finish a turn within this time.
 constexpr absl::Duration kHealthTimeout = absl::Seconds(1);
@@ -76,12 +81,15 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   if (!authenticator.ok()) return authenticator.status();
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
+  auto store = OpenStore(options.store, &metrics->registry());
+  if (!store.ok()) return store.status();
   ReloadReport report;
   auto registry = PolicyRegistry::Load(
       {.directory = options.policies,
        .settings_path = options.policy_settings,
        .default_rule = options.default_version,
-       .share_heads = options.share_heads_across_tenants},
+       .share_heads = options.share_heads_across_tenants,
+       .shared = store->shared.get()},
       [kept = metrics.get(), deviations = options.unusual_deviations](
           const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy, deviations);
@@ -107,17 +115,20 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     if (!created.ok()) return created.status();
     recordings = *std::move(created);
   }
-  auto journals = OpenStore(options.store, &metrics->registry());
-  if (!journals.ok()) return journals.status();
   metrics->AddSource([served = registry->get()] { return CollectTraffic(*served->catalog()); });
   auto server = std::unique_ptr<Server>(
       new Server(options, *std::move(authenticator), *std::move(registry), *std::move(audit_log),
-                 std::move(metrics), std::move(recordings), *std::move(journals)));
+                 std::move(metrics), std::move(recordings), *std::move(store)));
+  if (server->shared_ != nullptr) server->FollowReplicas();
   if (auto status = server->StartTransport(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
     server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
                                                      report.refused);
+  }
+  if (server->shared_ != nullptr) {
+    server->follower_ = std::make_unique<Periodic>(
+        kFollowInterval, [pointer = server.get()] { pointer->FollowReplicas(); });
   }
   server->rollout_ticker_ = std::make_unique<Periodic>(
       kRolloutInterval, [pointer = server.get()] { pointer->rollouts_.Tick(); });
@@ -131,14 +142,16 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
 Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
                std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
                std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings,
-               std::unique_ptr<JournalStore> journals)
+               OpenedStore store)
     : options_(options),
       authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
+      shared_(std::move(store.shared)),
+      replicas_(store.replica),
       registry_(std::move(registry)),
       audit_log_(std::move(audit_log)),
       recordings_(std::move(recordings)),
-      journals_(std::move(journals)),
+      journals_(std::move(store.journals)),
       shadows_(metrics_->registry()),
       store_(options.max_sessions, &clock_),
       reaper_(&store_,
@@ -151,10 +164,11 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get(),
                {.journals = journals_.get(), .level = options.durability}),
       audit_(audit_log_.get(), registry_.get(), &store_),
-      rollouts_(registry_.get(), metrics_.get(), &clock_,
+      rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
                 [this](const RolloutManager::Change& change) { audit_.Record(change); }),
       rollout_handler_(registry_.get(), &rollouts_),
-      admin_handler_(registry_.get(), &store_, audit_log_.get(), [this](bool) { PublishHealth(); }),
+      admin_handler_(registry_.get(), &store_, audit_log_.get(), &replicas_,
+                     [this](bool) { PublishHealth(); }),
       services_({.gate = &gate_,
                  .authenticator = authenticator_.get(),
                  .metrics = metrics_.get(),
@@ -184,7 +198,9 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .history = &history_,
               .clock = &clock_,
               .worker = &worker_,
-              .serving = [this] { return serving() && TransportResponds(); }}) {}
+              .serving = [this] { return serving() && TransportResponds(); },
+              .store_address = store.address,
+              .replicas = &replicas_}) {}
 
 absl::Status Server::StartTransport() {
   auto address = ParseAddressOrUnix("--listen", options_.listen);
@@ -231,6 +247,31 @@ void Server::PublishHealth() {
   health_.SetServing(ServiceName<v1::LoadPolicyRequest>(), !stopping_);
 }
 
+void Server::FollowReplicas() {
+  const bool had_joined = registry_->has_joined();
+  auto status = registry_->Follow();
+  if (status.ok()) {
+    auto alive = shared_->Beat();
+    status = alive.status();
+    if (alive.ok()) replicas_.SetAlive(*alive);
+  }
+  authenticator_->SetReplicas(replicas_.count());
+  if (registry_->has_joined() && !had_joined && transport_ != nullptr) PublishHealth();
+  const bool fails = !status.ok();
+  if (fails && !std::exchange(follow_failed_, fails)) {
+    LogError("settings not shared; tries again", {{"error", status.message()}});
+  }
+  follow_failed_ = fails;
+}
+
+void Server::ReleaseSessions() {
+  const auto is_stored = [](const SessionEntry& entry) { return entry.journal != nullptr; };
+  store_.ForEach(is_stored, [](const ListedSession& session) {
+    absl::MutexLock lock(&session.entry->mutex);
+    session.entry->journal->OnRelease(session.entry->agent.session());
+  });
+}
+
 void Server::ReloadTokens() {
   if (auto status = authenticator_->Reload(); !status.ok()) {
     LogError("token file not reloaded; the old tokens stay valid", {{"error", status.message()}});
@@ -270,7 +311,9 @@ void Server::Stop() {
   poller_.reset();
   rollout_ticker_.reset();
   history_ticker_.reset();
+  follower_.reset();
   rollouts_.SaveEvidence();
+  if (shared_ != nullptr) shared_->Leave().IgnoreError();  // the others find out in any case
   token_reloader_.reset();
   memory_trimmer_.reset();
   if (transport_ != nullptr) StopTransport();
@@ -291,7 +334,9 @@ void Server::StopTransport() {
   health_.EndWatches();
   transport_->Stop(kLeaveTimeout);
   if (journals_ == nullptr) return;
-  journals_->Stop(kLeaveTimeout);
+  ReleaseSessions();
+  const bool reachable = journals_->CheckReachable().ok();
+  journals_->Stop(reachable ? std::max(kLeaveTimeout, end - clock_.Now()) : kLeaveTimeout);
   recovery_->ForgetWaiters();
 }
 

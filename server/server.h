@@ -25,6 +25,7 @@
 #include "server/base/audit_log.h"
 #include "server/base/background_worker.h"
 #include "server/base/periodic.h"
+#include "server/base/replicas.h"
 #include "server/history/server_history.h"
 #include "server/inference/inference_handler.h"
 #include "server/metrics/metrics.h"
@@ -35,7 +36,7 @@
 #include "server/services/call_gate.h"
 #include "server/services/health_service.h"
 #include "server/services/services.h"
-#include "server/store/journal_store.h"
+#include "server/store/open_store.h"
 #include "server/transport/transport.h"
 #include "server/web/http_server.h"
 #include "server/web/status_pages.h"
@@ -69,13 +70,18 @@ class Server {
   Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
          std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
          std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings,
-         std::unique_ptr<JournalStore> journals);
+         OpenedStore store);
 
   void ReloadTokens();
   absl::Status StartTransport();
   void StopTransport();
+  // Says that this server is alive, and takes over what the others have changed.
+  void FollowReplicas();
+  // Writes a last snapshot of every stored session, from which another server goes on.
+  void ReleaseSessions();
   absl::Status StartHttp();
-  bool serving() const { return !stopping_ && !store_.draining(); }
+  // False until the settings that servers share were taken over, too.
+  bool serving() const { return !stopping_ && !store_.draining() && registry_->has_joined(); }
   // Returns true unless the loops of the transport are stuck.
   bool TransportResponds() const;
   void TrimMemory();
@@ -85,6 +91,8 @@ class Server {
   const SteadyClock clock_;
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
+  const std::unique_ptr<RedisShared> shared_;  // null: this server shares nothing
+  Replicas replicas_;
   const std::unique_ptr<PolicyRegistry> registry_;
   const std::unique_ptr<AuditLog> audit_log_;
   const std::unique_ptr<Recordings> recordings_;  // null without --record_dir; outlives the store
@@ -109,6 +117,7 @@ class Server {
   const HeadHandler head_handler_;
   InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
+  bool follow_failed_ = false;  // of FollowReplicas(), which one thread calls at a time
   // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;
@@ -121,6 +130,7 @@ class Server {
   std::unique_ptr<PolicyPoller> poller_;
   std::unique_ptr<Periodic> rollout_ticker_;
   std::unique_ptr<Periodic> history_ticker_;  // null without --http_listen
+  std::unique_ptr<Periodic> follower_;
   std::unique_ptr<Periodic> token_reloader_;
   std::unique_ptr<Periodic> memory_trimmer_;
 };

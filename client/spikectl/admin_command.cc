@@ -209,27 +209,34 @@ ordered_json ToJson(const v1::SessionInfo& session) {
           {"spikes", session.spikes()},
           {"energy_joules", session.energy_joules()},
           {"idle_seconds", session.idle_seconds()},
-          {"learning", session.learning()}};
+          {"learning", session.learning()},
+          {"durability", v1::Durability_Name(session.durability())},
+          {"epoch", session.epoch()},
+          {"durable_decision", session.durable_decision()}};
 }
 
 absl::Status Sessions(const AdminFlags& flags) {
   auto request = VersionRequest<v1::ListSessionsRequest>(flags);
-  std::string text = absl::StrFormat("%-32s %-20s %7s %-12s %8s %8s %10s %8s", "SESSION", "POLICY",
-                                     "VERSION", "TENANT", "EPISODE", "STEP", "DECISIONS", "IDLE_S");
+  std::string text = absl::StrFormat("%-32s %-20s %7s %-12s %8s %8s %10s %8s %-7s %8s", "SESSION",
+                                     "POLICY", "VERSION", "TENANT", "EPISODE", "STEP", "DECISIONS",
+                                     "IDLE_S", "STORED", "EPOCH");
   ordered_json sessions = ordered_json::array();
+  std::string replica;
   do {
     const auto page = CallAdmin(flags, &AdminStub::ListSessions, request);
     if (!page.ok()) return page.status();
     for (const v1::SessionInfo& session : page->sessions()) {
       sessions.push_back(ToJson(session));
-      absl::StrAppendFormat(&text, "\n%-32s %-20s %7d %-12s %8d %8d %10d %8.1f",
+      absl::StrAppendFormat(&text, "\n%-32s %-20s %7d %-12s %8d %8d %10d %8.1f %-7s %8d",
                             session.session_id(), session.policy(), session.version(),
                             session.tenant(), session.episode(), session.step(),
-                            session.decisions(), session.idle_seconds());
+                            session.decisions(), session.idle_seconds(),
+                            v1::Durability_Name(session.durability()), session.epoch());
     }
+    replica = page->replica();
     request.set_page_token(page->next_page_token());
   } while (!request.page_token().empty());
-  Print(flags, text, {{"sessions", sessions}});
+  Print(flags, text, {{"sessions", sessions}, {"replica", replica}});
   return absl::OkStatus();
 }
 

@@ -26,6 +26,9 @@ void AddAdaptCommand(Command program, const ServerFlags& server);
 // Replays a recorded session and fails at the first decision that differs.
 void AddReplayCommand(Command program, const ServerFlags& server);
 
+// Adds the commands that read a session store, without a server, as subcommands of `store`.
+void AddStoreCommands(Command program, const ServerFlags& server);
+
 // Adds the commands for operators as subcommands of `admin`.
 void AddAdminCommands(Command program, const ServerFlags& server);
 

@@ -18,5 +18,6 @@ int main(int argc, char** argv) {
   spikeserve::AddAdaptCommand(root, server);
   spikeserve::AddReplayCommand(root, server);
   spikeserve::AddAdminCommands(root, server);
+  spikeserve::AddStoreCommands(root, server);
   return program.Run(argc, argv);
 }

@@ -18,6 +18,7 @@ struct JournalRecord {
     kOpen,      // a snapshot that starts the journal; ALREADY_EXISTS if there is one
     kEntry,     // adds an entry
     kSnapshot,  // adds a snapshot, which replaces everything before it
+    kRelease,   // adds a snapshot, and gives the session up: the server stops
     kClose,     // ends the session: its journal is deleted
   };
 

@@ -57,6 +57,11 @@ void SessionJournal::OnEpisodeEnd(const Session& session) {
   Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions);
 }
 
+void SessionJournal::OnRelease(const Session& session) {
+  if (lost()) return;
+  Write(JournalRecord::Kind::kRelease, SerializeSession(session), session.decisions);
+}
+
 void SessionJournal::OnClose() {
   if (!lost()) Write(JournalRecord::Kind::kClose, "", decisions_.load(std::memory_order_relaxed));
 }

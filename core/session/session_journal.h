@@ -61,6 +61,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   void OnDecision(const Session& session, const JournalEntryView& entry);
   // Writes a snapshot, because the end of an episode is no entry.
   void OnEpisodeEnd(const Session& session);
+  // Writes a last snapshot, from which another server goes on. Nothing is written after it.
+  void OnRelease(const Session& session);
   // Ends the session in the store.
   void OnClose();
   // Starts the journal again with a snapshot if the store has lost it.

@@ -80,6 +80,13 @@ absl::Status Authenticator::Reload() {
   return absl::OkStatus();
 }
 
+void Authenticator::SetReplicas(int replicas) {
+  absl::MutexLock lock(&mutex_);
+  if (std::exchange(replicas_, replicas) == replicas || !text_.has_value()) return;
+  const auto file = ParseTokenFile(*text_);
+  if (file.ok()) Publish(*file);
+}
+
 std::shared_ptr<Tenant> Authenticator::TenantOf(const std::string& name) {
   std::shared_ptr<Tenant>& tenant = tenants_[name];
   if (tenant == nullptr) tenant = std::make_shared<Tenant>(name);
@@ -88,7 +95,11 @@ std::shared_ptr<Tenant> Authenticator::TenantOf(const std::string& name) {
 
 void Authenticator::Publish(const TokenFile& file) {
   const int64_t share = file.tenants.size() > 1 ? default_sessions_ : 0;
-  for (const auto& [name, limits] : file.tenants) TenantOf(name)->SetLimits(limits, share);
+  for (const auto& [name, limits] : file.tenants) {
+    TenantLimits divided = limits;
+    divided.decisions_per_second /= replicas_;
+    TenantOf(name)->SetLimits(divided, share);
+  }
   Table table;
   {
     absl::ReaderMutexLock lock(&table_mutex_);

@@ -85,6 +85,10 @@ class Authenticator {
   // read before stay valid.
   absl::Status Reload();
 
+  // Gives this server its share of the decisions per second of each tenant: one of `replicas` equal
+  // ones.
+  void SetReplicas(int replicas) ABSL_LOCKS_EXCLUDED(mutex_);
+
  private:
   // Tokens are looked up by their SHA-256 digest, whose bytes an attacker cannot choose, and
   // digests are compared in constant time, so timing reveals nothing about stored tokens.
@@ -110,6 +114,7 @@ class Authenticator {
 
   absl::Mutex mutex_;                                        // taken by writers only
   std::optional<std::string> text_ ABSL_GUARDED_BY(mutex_);  // of the file that was applied
+  int replicas_ ABSL_GUARDED_BY(mutex_) = 1;
   // By name. A tenant that was removed from the file is kept while sessions or calls belong to it.
   std::map<std::string, std::shared_ptr<Tenant>> tenants_ ABSL_GUARDED_BY(mutex_);
 

@@ -24,6 +24,7 @@ absl::Status TenantLimits::Validate() const {
 void Tenant::SetLimits(const TenantLimits& limits, int64_t default_sessions) {
   max_sessions_.store(limits.max_sessions.value_or(default_sessions), std::memory_order_relaxed);
   max_message_bytes_.store(limits.max_message_bytes, std::memory_order_relaxed);
+  max_durability_.store(limits.max_durability, std::memory_order_relaxed);
   decisions_.Set(limits.decisions_per_second);
 }
 

@@ -12,6 +12,7 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
+#include "core/session/durability.h"
 #include "core/session/session_quota.h"
 #include "server/access/rate_limit.h"
 #include "server/access/refusal_pacer.h"
@@ -25,6 +26,7 @@ struct TenantLimits {
   std::optional<int64_t> max_sessions;
   double decisions_per_second = 0.0;  // on average; one second's decisions may come at once
   int64_t max_message_bytes = 0;      // of one request
+  Durability max_durability = Durability::kSync;  // of a session
 
   // Returns INVALID_ARGUMENT that names the field, the expected and the received value.
   absl::Status Validate() const;
@@ -47,6 +49,9 @@ class Tenant final : public SessionQuota {
   // RESOURCE_EXHAUSTED with google.rpc.RetryInfo if decisions_per_second is exceeded.
   absl::Status AcquireDecision(absl::Duration now);
 
+  // Returns the highest durability that sessions of the tenant may have.
+  Durability max_durability() const { return max_durability_.load(std::memory_order_relaxed); }
+
   // Returns true if decisions_per_second limits the tenant.
   bool limits_decisions() const { return decisions_.is_limited(); }
 
@@ -66,6 +71,7 @@ class Tenant final : public SessionQuota {
   ByteBudget bytes_in_flight_;
   std::atomic<int64_t> max_sessions_ = 0;
   std::atomic<int64_t> max_message_bytes_ = 0;
+  std::atomic<Durability> max_durability_ = Durability::kSync;
   std::atomic<int64_t> sessions_ = 0;
 };
 

@@ -53,6 +53,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TenantLimits* l
   object.Optional("max_sessions", &limits->max_sessions);
   object.Optional("decisions_per_second", &limits->decisions_per_second);
   object.Optional("max_message_bytes", &limits->max_message_bytes);
+  object.Optional("max_durability", &limits->max_durability);
   if (auto status = object.Finish(); !status.ok()) return status;
   const auto valid = limits->Validate();
   if (valid.ok()) return valid;

@@ -1,18 +1,18 @@
 // Parses the tokens file, which lists the valid tokens with their tenants, roles and limits:
 //
 //   {"tenants": {"fleet-a": {"max_sessions": 100, "decisions_per_second": 5000,
-//                            "max_message_bytes": 65536}},
+//                            "max_message_bytes": 65536, "max_durability": "async"}},
 //    "tokens": [{"sha256": "<64 hexadecimal digits>", "tenant": "fleet-a", "role": "agent",
 //                "expires": "2027-01-31T00:00:00Z"},
 //               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all",
 //                "name": "alice"},
 //               {"sha256": "...", "tenant": "fleet-a", "role": "agent", "learning": false}]}
 //
-// An absent limit does not apply, except that several tenants share --max_sessions
-// (TenantLimits::max_sessions). Sessions of a token with `"learning": false` cannot learn. A token
-// without `expires` is valid until it is removed. `sees` tells whose sessions the token may read:
-// those of its "tenant" (the default) or "all". The file holds hashes of tokens, so reading the
-// file does not give access to the server.
+// max_durability is none, async or sync. An absent limit does not apply, except that several
+// tenants share --max_sessions (TenantLimits::max_sessions). Sessions of a token with `"learning":
+// false` cannot learn. A token without `expires` is valid until it is removed. `sees` tells whose
+// sessions the token may read: those of its "tenant" (the default) or "all". The file holds hashes
+// of tokens, so reading the file does not give access to the server.
 #ifndef SERVER_ACCESS_TOKEN_FILE_H_
 #define SERVER_ACCESS_TOKEN_FILE_H_
 

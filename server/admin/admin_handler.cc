@@ -185,6 +185,7 @@ absl::Status AdminHandler::ListSessions(const Credential& caller,
   }
   if (sessions.size() > size) response->set_next_page_token(sessions[size - 1].id);
   response->set_open_sessions(open);
+  response->set_replica(replicas_->self());
   return absl::OkStatus();
 }
 

@@ -12,6 +12,7 @@
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/base/audit_log.h"
+#include "server/base/replicas.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -19,13 +20,14 @@ namespace spikeserve {
 
 class AdminHandler {
  public:
-  // `registry`, `store` and `history` must outlive the handler. Drain calls `on_draining` with the
-  // new draining state, on the thread of its caller.
+  // All must outlive the handler. Drain calls `on_draining` with the new draining state, on the
+  // thread of its caller.
   AdminHandler(PolicyRegistry* registry, SessionStore* store, const AuditLog* history,
-               std::function<void(bool)> on_draining)
+               const Replicas* replicas, std::function<void(bool)> on_draining)
       : registry_(registry),
         store_(store),
         history_(history),
+        replicas_(replicas),
         on_draining_(std::move(on_draining)) {}
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
@@ -59,6 +61,7 @@ class AdminHandler {
   PolicyRegistry* const registry_;
   SessionStore* const store_;
   const AuditLog* const history_;
+  const Replicas* const replicas_;
   const std::function<void(bool)> on_draining_;
 };
 

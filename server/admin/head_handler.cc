@@ -129,6 +129,7 @@ absl::Status HeadHandler::PromoteHead(const Credential& caller,
         absl::StrCat("version: expected one whose shared head has learned, received ",
                      (*served)->version, ", whose shared head equals that of its file"));
   }
+  if (registry_->shares_settings()) return Share(**served, *snapshot, request, response);
   const auto version =
       WriteNewVersion(registry_->directory(), (*served)->name, Promoted(**served, *snapshot));
   if (!version.ok()) return version.status();
@@ -143,6 +144,21 @@ absl::Status HeadHandler::PromoteHead(const Credential& caller,
   }
   response->set_version(version->version);
   response->set_path(path);
+  return absl::OkStatus();
+}
+
+absl::Status HeadHandler::Share(const ServedPolicy& served, const FleetHead::Snapshot& snapshot,
+                                const v1::PromoteHeadRequest& request,
+                                v1::PromoteHeadResponse* response) const {
+  absl::StatusOr<PolicyVersion> version;
+  auto shared = ChangeTraffic(*registry_, served.name, response->mutable_traffic(), [&] {
+    version =
+        registry_->ShareVersion(served.name, Promoted(served, snapshot), request.make_default());
+    return version.status();
+  });
+  if (!shared.ok()) return shared;
+  response->set_version(version->version);
+  response->set_path(PolicyFilePath(registry_->directory(), *version));
   return absl::OkStatus();
 }
 

@@ -36,6 +36,11 @@ class HeadHandler {
                               v1::ResumeLearningResponse* response) const;
 
  private:
+  // Promotes a head on all servers that share settings.
+  absl::Status Share(const ServedPolicy& served, const FleetHead::Snapshot& snapshot,
+                     const v1::PromoteHeadRequest& request,
+                     v1::PromoteHeadResponse* response) const;
+
   PolicyRegistry* const registry_;
   SessionStore* const store_;
   mutable absl::Mutex promote_mutex_;  // keeps two promotions from choosing the same version number

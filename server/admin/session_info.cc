@@ -2,6 +2,7 @@
 
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "server/agent/convert.h"
 
 namespace spikeserve {
 
@@ -21,6 +22,11 @@ void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
   info->set_idle_seconds(absl::ToDoubleSeconds(listed.idle));
   info->set_learning(session.options.learning.has_value());
   info->set_head_drift(listed.entry->agent.HeadDrift());
+  info->set_durability(ToProto(session.options.durability));
+  if (const auto& journal = listed.entry->journal; journal != nullptr) {
+    info->set_epoch(journal->key().epoch);
+    info->set_durable_decision(journal->durable_decisions());
+  }
   info->mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
 }
 

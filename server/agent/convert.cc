@@ -97,18 +97,6 @@ absl::StatusOr<LearningRequest> LearningFromProto(const v1::LearningConfig& conf
   return request;
 }
 
-v1::Durability ToProto(Durability durability) {
-  switch (durability) {
-    case Durability::kAsync:
-      return v1::ASYNC;
-    case Durability::kSync:
-      return v1::SYNC;
-    case Durability::kNone:
-      break;
-  }
-  return v1::NONE;
-}
-
 // `Error` is an ActError or an ActResult, which have these fields in common.
 template <typename Error>
 void SetError(const absl::Status& status, Error* error) {
@@ -121,6 +109,18 @@ void SetError(const absl::Status& status, Error* error) {
 }
 
 }  // namespace
+
+v1::Durability ToProto(Durability durability) {
+  switch (durability) {
+    case Durability::kAsync:
+      return v1::ASYNC;
+    case Durability::kSync:
+      return v1::SYNC;
+    case Durability::kNone:
+      break;
+  }
+  return v1::NONE;
+}
 
 absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& request) {
   SessionRequest settings;

@@ -27,6 +27,7 @@ absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& re
 ReportedAction FromProto(const v1::Action& action);
 
 v1::ActionSpace ToProto(const ActionSpace& space);
+v1::Durability ToProto(Durability durability);
 // REQUIRES: `entry` is the policy that `served` is a version of.
 v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served);
 v1::RecordingState ToProto(RecordingState state);

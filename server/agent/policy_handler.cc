@@ -126,10 +126,10 @@ absl::Status PolicyHandler::OpenSession(const Credential& caller,
     return absl::InvalidArgumentError(absl::StrCat(
         "session_id: expected 32 hexadecimal digits in lower case, received ", Quoted(id)));
   }
-  const auto durability = ChooseDurability(request);
+  const auto durability = ChooseDurability(*caller.tenant(), request);
   if (!durability.ok()) return durability.status();
   const auto open = store_->Find(id, caller.tenant()->name());
-  if (open.ok()) return OpenAgain(**open, request, response, commits);
+  if (open.ok()) return OpenAgain(**open, request, *durability, response, commits);
   return OpenNew(caller, id, request, *durability, response, commits);
 }
 
@@ -140,7 +140,7 @@ absl::Status PolicyHandler::OpenSessionAs(const Credential& caller, std::string 
 }
 
 absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
-    const v1::OpenSessionRequest& request) const {
+    const Tenant& tenant, const v1::OpenSessionRequest& request) const {
   const bool stores = durability_.journals != nullptr;
   if (!v1::Durability_IsValid(request.durability())) {
     return absl::InvalidArgumentError(
@@ -153,17 +153,27 @@ absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
         v1::Durability_Name(request.durability())));
   }
   if (!stores) return Durability::kNone;
+  const Durability most = tenant.max_durability();
+  const auto check = [&](Durability level, absl::string_view why) -> absl::StatusOr<Durability> {
+    if (level <= most) return level;
+    return absl::PermissionDeniedError(
+        absl::StrCat("durability: expected at most ", v1::Durability_Name(ToProto(most)),
+                     ", the max_durability of tenant ", tenant.name(), ", received ",
+                     v1::Durability_Name(ToProto(level)), why));
+  };
   // What a session of a fleet decides depends on the shared head and could not be computed again.
-  if (request.learning().scope() == v1::LearningConfig::FLEET) return Durability::kSync;
+  if (request.learning().scope() == v1::LearningConfig::FLEET) {
+    return check(Durability::kSync, ", which learning.scope FLEET needs");
+  }
   switch (request.durability()) {
     case v1::NONE:
       return Durability::kNone;
     case v1::ASYNC:
-      return Durability::kAsync;
+      return check(Durability::kAsync, "");
     case v1::SYNC:
-      return Durability::kSync;
+      return check(Durability::kSync, "");
     default:
-      return request.has_learning() ? Durability::kSync : durability_.level;
+      return std::min(most, request.has_learning() ? Durability::kSync : durability_.level);
   }
 }
 
@@ -207,14 +217,15 @@ absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string sessio
 }
 
 absl::Status PolicyHandler::OpenAgain(SessionEntry& entry, const v1::OpenSessionRequest& request,
-                                      v1::OpenSessionResponse* response, Commits* commits) const {
+                                      Durability durability, v1::OpenSessionResponse* response,
+                                      Commits* commits) const {
   absl::MutexLock lock(&entry.mutex);
   const Session& session = entry.agent.session();
   const SessionOptions& opened = session.options;
   auto options = OptionsFromProto(request, *entry.served);
   if (!options.ok()) return options.status();
   options->tenant = opened.tenant;
-  options->durability = *ChooseDurability(request);
+  options->durability = durability;
   options->policy = request.policy();
   if (request.version() != 0) options->version = request.version();
   if (request.record()) options->recording = opened.recording;

@@ -103,8 +103,10 @@ class PolicyHandler {
                             v1::CloseSessionResponse* response, Commits* commits = nullptr) const;
 
  private:
-  // Returns the durability of a new session, or INVALID_ARGUMENT.
-  absl::StatusOr<Durability> ChooseDurability(const v1::OpenSessionRequest& request) const;
+  // Returns the durability of a new session: INVALID_ARGUMENT if the server cannot give it,
+  // PERMISSION_DENIED if it is above the ceiling of the tenant.
+  absl::StatusOr<Durability> ChooseDurability(const Tenant& tenant,
+                                              const v1::OpenSessionRequest& request) const;
   // Opens a session that does not exist yet.
   absl::Status OpenNew(const Credential& caller, std::string id,
                        const v1::OpenSessionRequest& request, Durability durability,
@@ -112,7 +114,8 @@ class PolicyHandler {
   // Answers a request for a session that is open. Returns ALREADY_EXISTS unless the same request
   // opened it.
   absl::Status OpenAgain(SessionEntry& entry, const v1::OpenSessionRequest& request,
-                         v1::OpenSessionResponse* response, Commits* commits) const;
+                         Durability durability, v1::OpenSessionResponse* response,
+                         Commits* commits) const;
 
   // Returns a session that `caller` may read, without resetting its idle time.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const Credential& caller,

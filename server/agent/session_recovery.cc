@@ -62,6 +62,7 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
   }
   auto served = FindPolicy(options, registry_);
   if (!served.ok()) return served.status();
+  journals_.CountReplayed(journal->entries.size());
   auto session = RestoreSession(*std::move(journal), (*served)->policy());
   if (!session.ok()) return session.status();
 

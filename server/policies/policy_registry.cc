@@ -1,15 +1,20 @@
 #include "server/policies/policy_registry.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "server/base/log.h"
 #include "server/policies/version_writer.h"
 
 namespace spikeserve {
 namespace {
+
+// How often a change is tried while other servers change the settings, too.
+constexpr int kMostAttempts = 20;
 
 // Returns NOT_FOUND unless the policy has this version.
 absl::Status CheckVersion(const CatalogPolicy& policy, const std::string& name, int64_t version) {
@@ -74,7 +79,11 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOpt
     }
   }
   SweepUnfinishedVersions(registry->directory());
-  auto loaded = registry->Reload();
+  absl::StatusOr<ReloadReport> loaded;
+  {
+    absl::MutexLock change(&registry->change_mutex_);
+    loaded = registry->ReloadOnce();
+  }
   if (!loaded.ok()) return Annotate(loaded.status(), "--policies");
   *report = *std::move(loaded);
   return registry;
@@ -120,8 +129,9 @@ absl::Status PolicyRegistry::KeepDefaults(const PolicyCatalog& catalog) {
     }
   }
   if (settings.policies == settings_.policies) return absl::OkStatus();
-  settings_ = std::move(settings);
-  return Save(settings_);
+  auto status = Save(settings);
+  if (!absl::IsAborted(status)) settings_ = std::move(settings);
+  return status;
 }
 
 bool PolicyRegistry::HasUnloaded() {
@@ -129,9 +139,142 @@ bool PolicyRegistry::HasUnloaded() {
   return !settings_.unloaded.empty();
 }
 
-absl::Status PolicyRegistry::Save(const Settings& settings) const {
+absl::Status PolicyRegistry::Save(const Settings& settings) {
+  if (shares_settings() && has_joined()) {
+    auto status = options_.shared->Write({.revision = revision_ + 1, .json = ToJson(settings)});
+    if (!status.ok()) return status;
+    ++revision_;
+  }
+  return SaveFile(settings);
+}
+
+absl::Status PolicyRegistry::SaveFile(const Settings& settings) const {
   return options_.settings_path.empty() ? absl::OkStatus()
                                         : WriteSettings(settings, options_.settings_path);
+}
+
+absl::Status PolicyRegistry::WithLatest(absl::FunctionRef<absl::Status()> attempt) {
+  absl::Status status;
+  for (int i = 0; i < kMostAttempts; ++i) {
+    if (status = Refresh(); !status.ok()) return status;
+    if (status = attempt(); !absl::IsAborted(status)) return status;
+  }
+  return absl::UnavailableError(absl::StrCat(status.message(), "; try again"));
+}
+
+absl::Status PolicyRegistry::Follow() {
+  absl::MutexLock change(&change_mutex_);
+  return Refresh();
+}
+
+absl::Status PolicyRegistry::Refresh() {
+  if (!shares_settings()) return absl::OkStatus();
+  auto document = options_.shared->Read();
+  if (!document.ok()) return document.status();
+  if (document->revision == 0) {
+    // The store is new, or has lost the settings.
+    document = SharedSettings::Document{.revision = 1, .json = ToJson(settings_)};
+    auto status = options_.shared->Write(*document);
+    if (absl::IsAborted(status)) return Refresh();  // another server was faster
+    if (!status.ok()) return status;
+    revision_ = 1;
+  } else if (document->revision != revision_) {
+    if (auto status = Adopt(*document); !status.ok()) return status;
+  }
+  joined_.store(true, std::memory_order_release);
+  return absl::OkStatus();
+}
+
+absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
+  auto settings = ParseSettings(document.json);
+  if (!settings.ok()) return Annotate(settings.status(), "shared settings");
+  settings_ = *std::move(settings);
+  revision_ = document.revision;
+  if (auto status = SaveFile(settings_); !status.ok()) {
+    LogError("shared settings not saved", {{"error", status.message()}});
+  }
+  FetchPromoted();
+  auto folders = ListPolicyFolders(options_.directory);
+  if (!folders.ok()) return folders.status();
+  ReloadReport report;
+  PolicyCatalog catalog = *this->catalog();
+  for (const PolicyVersion& version : settings_.unloaded) {
+    const auto policy = catalog.policies().find(version.policy);
+    if (policy == catalog.policies().end()) continue;
+    policy->second.versions.erase(version.version);
+    files_.erase(version);
+    if (policy->second.versions.empty()) catalog.policies().erase(policy);
+  }
+  LoadChanged(folders->versions, &catalog, &report);
+  UnloadRemoved(&catalog, &report);
+  ApplySettings(&catalog);
+  SwitchLearning();
+  Publish(std::move(catalog));
+  return absl::OkStatus();
+}
+
+void PolicyRegistry::FetchPromoted() {
+  for (const auto& [version, sha256] : settings_.promoted) {
+    const std::string path = PolicyFilePath(options_.directory, version);
+    absl::Status status;
+    if (StampOf(path).size >= 0) {
+      const auto found = Sha256OfFile(path);
+      if (found.ok() && *found != sha256) {
+        status = absl::FailedPreconditionError(
+            absl::StrCat(path, ": expected SHA-256 ", sha256, ", received ", *found));
+      }
+    } else {
+      auto bytes = options_.shared->GetFile(sha256);
+      status = bytes.status();
+      if (status.ok()) status = WriteVersion(options_.directory, version, *bytes, sha256);
+    }
+    if (!status.ok()) {
+      LogError("promoted version not taken over",
+               {{"policy", version.policy}, {"error", status.message()}});
+    }
+  }
+}
+
+absl::StatusOr<PolicyVersion> PolicyRegistry::ShareVersion(const std::string& name,
+                                                           const Policy& policy,
+                                                           bool make_default) {
+  const auto bytes = PolicyFileBytes(options_.directory, name, policy);
+  if (!bytes.ok()) return bytes.status();
+  const std::string sha256 = Sha256Of(*bytes);
+  absl::MutexLock change(&change_mutex_);
+  if (auto status = options_.shared->PutFile(sha256, *bytes); !status.ok()) return status;
+  absl::StatusOr<PolicyVersion> version;
+  auto status = WithLatest([&] {
+    change_mutex_.AssertHeld();
+    version = ShareOnce(name, sha256, make_default);
+    return version.status();
+  });
+  if (!status.ok()) return status;
+  return version;
+}
+
+absl::StatusOr<PolicyVersion> PolicyRegistry::ShareOnce(const std::string& name,
+                                                        const std::string& sha256,
+                                                        bool make_default) {
+  Settings settings = settings_;
+  PolicyVersion version = {.policy = name, .version = NextVersion(options_.directory, name)};
+  for (const auto& [known, ignored] : settings.promoted) {
+    if (known.policy == name) version.version = std::max(version.version, known.version + 1);
+  }
+  settings.promoted[version] = sha256;
+  if (make_default) {
+    PolicySettings& changed = settings.policies[name];
+    if (auto status = CheckNoRollout(changed); !status.ok()) return status;
+    changed.default_version = version.version;
+    changed.default_follows_highest = false;
+  }
+  if (auto status = Save(settings); !status.ok()) return status;
+  // From here on as on every other server.
+  if (auto status = Adopt({.revision = revision_, .json = ToJson(settings)}); !status.ok()) {
+    return status;
+  }
+  if (auto served = catalog()->Find(name, version.version); !served.ok()) return served.status();
+  return version;
 }
 
 std::shared_ptr<const PolicyCatalog> PolicyRegistry::catalog() const {
@@ -165,6 +308,17 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
 
 absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
   absl::MutexLock change(&change_mutex_);
+  absl::StatusOr<ReloadReport> report;
+  auto status = WithLatest([&] {
+    change_mutex_.AssertHeld();
+    report = ReloadOnce();
+    return report.status();
+  });
+  if (!status.ok()) return status;
+  return report;
+}
+
+absl::StatusOr<ReloadReport> PolicyRegistry::ReloadOnce() {
   auto folders = ListPolicyFolders(options_.directory);
   if (!folders.ok()) return folders.status();
   ReloadReport report;
@@ -173,7 +327,9 @@ absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
   LoadChanged(folders->versions, &catalog, &report);
   UnloadRemoved(&catalog, &report);
   report.waiting = ApplySettings(&catalog);
-  if (auto status = KeepDefaults(catalog); !status.ok()) report.refused.push_back(status);
+  auto kept = KeepDefaults(catalog);
+  if (absl::IsAborted(kept)) return kept;
+  if (!kept.ok()) report.refused.push_back(kept);
   if (!report.loaded.empty() || !report.unloaded.empty()) Publish(std::move(catalog));
   return report;
 }
@@ -243,6 +399,18 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
                                             ": expected a file that can be read"));
   }
   absl::MutexLock change(&change_mutex_);
+  absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
+  auto status = WithLatest([&] {
+    change_mutex_.AssertHeld();
+    served = LoadOnce(version, make_default);
+    return served.status();
+  });
+  if (!status.ok()) return status;
+  return served;
+}
+
+absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadOnce(
+    const PolicyVersion& version, bool make_default) {
   Settings settings = settings_;
   bool changed = settings.unloaded.erase(version) == 1;
   if (make_default) {
@@ -268,6 +436,13 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
 
 absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
   absl::MutexLock change(&change_mutex_);
+  return WithLatest([&] {
+    change_mutex_.AssertHeld();
+    return UnloadOnce(version);
+  });
+}
+
+absl::Status PolicyRegistry::UnloadOnce(const PolicyVersion& version) {
   PolicyCatalog catalog = *this->catalog();
   const auto found = catalog.FindPolicy(version.policy);
   if (!found.ok()) return found.status();
@@ -300,6 +475,15 @@ absl::Status PolicyRegistry::Change(
     const std::string& policy,
     absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change) {
   absl::MutexLock lock(&change_mutex_);
+  return WithLatest([&] {
+    change_mutex_.AssertHeld();
+    return ChangeOnce(policy, change);
+  });
+}
+
+absl::Status PolicyRegistry::ChangeOnce(
+    const std::string& policy,
+    absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change) {
   PolicyCatalog catalog = *this->catalog();
   const auto found = catalog.FindPolicy(policy);
   if (!found.ok()) return found.status();
@@ -351,24 +535,25 @@ absl::Status PolicyRegistry::RemoveLabel(const std::string& policy, const std::s
   });
 }
 
-absl::Status PolicyRegistry::SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
+absl::Status PolicyRegistry::SetTraffic(const std::string& policy,
+                                        const std::vector<TrafficShare>& shares,
                                         int64_t shadow_version) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
     if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
     auto status = CheckTraffic(served, policy, shares, shadow_version);
     if (!status.ok()) return status;
-    settings->shares = std::move(shares);
+    settings->shares = shares;
     settings->shadow_version = shadow_version;
     return status;
   });
 }
 
 absl::Status PolicyRegistry::SetShares(const std::string& policy,
-                                       std::vector<TrafficShare> shares) {
+                                       const std::vector<TrafficShare>& shares) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
     if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
     auto status = CheckTraffic(served, policy, shares, served.settings.shadow_version);
-    if (status.ok()) settings->shares = std::move(shares);
+    if (status.ok()) settings->shares = shares;
     return status;
   });
 }
@@ -383,6 +568,13 @@ absl::Status PolicyRegistry::SetShadow(const std::string& policy, int64_t shadow
 
 absl::Status PolicyRegistry::SetLearningPaused(const std::string& policy, bool paused) {
   absl::MutexLock lock(&change_mutex_);
+  return WithLatest([&] {
+    change_mutex_.AssertHeld();
+    return PauseOnce(policy, paused);
+  });
+}
+
+absl::Status PolicyRegistry::PauseOnce(const std::string& policy, bool paused) {
   const auto catalog = this->catalog();
   if (!policy.empty()) {
     if (const auto found = catalog->FindPolicy(policy); !found.ok()) return found.status();
@@ -393,10 +585,14 @@ absl::Status PolicyRegistry::SetLearningPaused(const std::string& policy, bool p
   }
   if (auto status = Save(settings); !status.ok()) return status;
   settings_ = std::move(settings);
+  SwitchLearning();
+  return absl::OkStatus();
+}
+
+void PolicyRegistry::SwitchLearning() {
   for (const auto& [name, learning] : learning_) {
     learning->set_paused(settings_.policies[name].learning_paused);
   }
-  return absl::OkStatus();
 }
 
 }  // namespace spikeserve

@@ -4,11 +4,13 @@
 // Thread-safe. catalog() returns an immutable snapshot that a reader may keep. Changes run one at a
 // time and read files without blocking readers. A session keeps the version it was opened on. If
 // there is a settings file, a setting is written to it before it takes effect, so that it survives
-// a restart.
+// a restart. Several servers may share their settings (SharedSettings); a setting is then written
+// there first, and the changes of the others are taken over by Follow().
 #ifndef SERVER_POLICIES_POLICY_REGISTRY_H_
 #define SERVER_POLICIES_POLICY_REGISTRY_H_
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -24,6 +26,7 @@
 #include "core/base/enum_names.h"
 #include "server/policies/policy_catalog.h"
 #include "server/policies/policy_repository.h"
+#include "server/policies/shared_settings.h"
 
 namespace spikeserve {
 
@@ -50,7 +53,8 @@ struct RegistryOptions {
   std::string directory;           // of the policies
   std::string settings_path = "";  // empty: settings are not saved
   DefaultRule default_rule = DefaultRule::kStay;
-  bool share_heads = false;  // see LoadPolicyVersion
+  bool share_heads = false;          // see LoadPolicyVersion
+  SharedSettings* shared = nullptr;  // null: the settings are those of this server
 };
 
 class PolicyRegistry {
@@ -72,6 +76,22 @@ class PolicyRegistry {
 
   // Returns true if operators have unloaded versions that are not loaded again.
   bool HasUnloaded();
+
+  // The methods below return UNAVAILABLE if the shared settings cannot be reached.
+
+  // Takes over the settings that other servers have changed, and the versions that they have
+  // promoted. The first server writes its own settings. Does nothing without shared settings.
+  absl::Status Follow();
+
+  // Returns true if settings are shared.
+  bool shares_settings() const { return options_.shared != nullptr; }
+  // Returns true once the shared settings were taken over.
+  bool has_joined() const { return joined_.load(std::memory_order_acquire); }
+
+  // Makes `policy` a new version of the policy `name` on all servers that share settings, and loads
+  // it here. If `make_default`, it also becomes the default. REQUIRES: shares_settings().
+  absl::StatusOr<PolicyVersion> ShareVersion(const std::string& name, const Policy& policy,
+                                             bool make_default);
 
   // Updates the catalog from the directory: loads new and changed files, and unloads versions whose
   // files were removed, unless a setting uses them. If a changed file is refused, the version that
@@ -102,10 +122,10 @@ class PolicyRegistry {
   // default), and the version that shadows the others (0: none). Returns INVALID_ARGUMENT unless
   // `shares` passes CheckShares, and FAILED_PRECONDITION if the shadow has other observations or
   // actions than a version it would shadow.
-  absl::Status SetTraffic(const std::string& policy, std::vector<TrafficShare> shares,
+  absl::Status SetTraffic(const std::string& policy, const std::vector<TrafficShare>& shares,
                           int64_t shadow_version);
   // As SetTraffic, but keeps the shadow.
-  absl::Status SetShares(const std::string& policy, std::vector<TrafficShare> shares);
+  absl::Status SetShares(const std::string& policy, const std::vector<TrafficShare>& shares);
 
   // As SetTraffic, but keeps the shares, also during a roll-out.
   absl::Status SetShadow(const std::string& policy, int64_t shadow_version);
@@ -115,7 +135,8 @@ class PolicyRegistry {
   absl::Status RemoveLabel(const std::string& policy, const std::string& label);
 
   // Applies `change` to the settings of the policy, saves them and puts them into force. `policy`
-  // is the state before the change. If `change` returns an error, nothing changes.
+  // is the state before the change. If `change` returns an error, nothing changes. `change` is
+  // called again if another server has changed the settings meanwhile.
   absl::Status Change(
       const std::string& policy,
       absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)>
@@ -133,7 +154,41 @@ class PolicyRegistry {
   };
 
   PolicyRegistry(RegistryOptions options, NewObserver new_observer)
-      : options_(std::move(options)), new_observer_(std::move(new_observer)) {}
+      : options_(std::move(options)),
+        new_observer_(std::move(new_observer)),
+        joined_(options_.shared == nullptr) {}
+
+  // Calls `attempt`, and calls it again with the new settings whenever it returns ABORTED because
+  // another server has changed them.
+  absl::Status WithLatest(absl::FunctionRef<absl::Status()> attempt)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // As Follow().
+  absl::Status Refresh() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // Puts the settings of other servers into force.
+  absl::Status Adopt(const SharedSettings::Document& document)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // Writes the files of promoted versions that this server does not have. Logs what fails.
+  void FetchPromoted() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+
+  // Each is one attempt of the public method of its name.
+  absl::StatusOr<ReloadReport> ReloadOnce() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadOnce(const PolicyVersion& version,
+                                                               bool make_default)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::Status UnloadOnce(const PolicyVersion& version)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::Status ChangeOnce(
+      const std::string& policy,
+      absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::Status PauseOnce(const std::string& policy, bool paused)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::StatusOr<PolicyVersion> ShareOnce(const std::string& name, const std::string& sha256,
+                                          bool make_default)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+
+  // Pauses and resumes learning as the settings say.
+  void SwitchLearning() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   void Publish(PolicyCatalog catalog) ABSL_LOCKS_EXCLUDED(mutex_);
 
@@ -148,8 +203,11 @@ class PolicyRegistry {
   absl::Status KeepDefaults(const PolicyCatalog& catalog)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
-  // Writes the settings to their file, if there is one.
-  absl::Status Save(const Settings& settings) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // Writes the settings to the shared ones and to their file, if there are any. Returns ABORTED if
+  // another server has changed them since they were read.
+  absl::Status Save(const Settings& settings) ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::Status SaveFile(const Settings& settings) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> Read(const PolicyVersion& version)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
@@ -160,12 +218,14 @@ class PolicyRegistry {
 
   const RegistryOptions options_;
   const NewObserver new_observer_;
+  std::atomic<bool> joined_;
 
   absl::Mutex change_mutex_;  // held during a whole change; taken before mutex_
   std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
   // All settings of operators, including those that wait for a version; the catalog has those that
   // are in force.
   Settings settings_ ABSL_GUARDED_BY(change_mutex_);
+  int64_t revision_ ABSL_GUARDED_BY(change_mutex_) = 0;  // of the shared settings in `settings_`
   // By policy: all versions share one switch, so that a pause also covers versions loaded later.
   std::map<std::string, std::shared_ptr<LearningSwitch>> learning_ ABSL_GUARDED_BY(change_mutex_);
 

@@ -1,6 +1,6 @@
 #include "server/policies/policy_repository.h"
 
-#include <openssl/evp.h>
+#include <openssl/sha.h>
 #include <sys/stat.h>
 
 #include <algorithm>
@@ -166,16 +166,17 @@ std::string PolicyFilePath(const std::string& directory, const PolicyVersion& ve
       .string();
 }
 
+std::string Sha256Of(absl::string_view bytes) {
+  unsigned char digest[SHA256_DIGEST_LENGTH];
+  SHA256(reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), digest);
+  return absl::BytesToHexString(
+      absl::string_view(reinterpret_cast<const char*>(digest), sizeof(digest)));
+}
+
 absl::StatusOr<std::string> Sha256OfFile(const std::string& path) {
   const auto bytes = ReadFile(path);
   if (!bytes.ok()) return bytes.status();
-  unsigned char digest[EVP_MAX_MD_SIZE];
-  unsigned int size = 0;
-  if (EVP_Digest(bytes->data(), bytes->size(), digest, &size, EVP_sha256(), nullptr) != 1) {
-    return absl::InternalError(absl::StrCat(path, ": cannot compute the SHA-256"));
-  }
-  return absl::BytesToHexString(
-      absl::string_view(reinterpret_cast<const char*>(digest), static_cast<size_t>(size)));
+  return Sha256Of(*bytes);
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(

@@ -66,6 +66,9 @@ bool IsPlainName(const std::string& name);
 
 std::string PolicyFilePath(const std::string& directory, const PolicyVersion& version);
 
+// Returns the SHA-256 of bytes in hexadecimal.
+std::string Sha256Of(absl::string_view bytes);
+
 // Returns the SHA-256 of a file in hexadecimal.
 absl::StatusOr<std::string> Sha256OfFile(const std::string& path);
 

@@ -149,15 +149,25 @@ absl::StatusOr<Settings> ParseSettings(absl::string_view text) {
   if (!json.ok()) return json.status();
   Settings settings;
   std::map<std::string, std::vector<int64_t>> unloaded;
+  std::map<std::string, std::map<std::string, std::string>> promoted;
   JsonObject object("", *json);
   object.Optional("policies", &settings.policies);
   object.Optional("unloaded", &unloaded);
+  object.Optional("promoted", &promoted);
   if (auto status = object.Finish(); !status.ok()) return status;
   for (const auto& [name, versions] : unloaded) {
     for (const int64_t version : versions) {
       const auto status = CheckVersion(absl::StrCat("unloaded.", name), version);
       if (!status.ok()) return status;
       settings.unloaded.insert({.policy = name, .version = version});
+    }
+  }
+  for (const auto& [name, versions] : promoted) {
+    const std::string field = absl::StrCat("promoted.", name);
+    for (const auto& [number, sha256] : versions) {
+      const auto version = ParseVersion(number);
+      if (!version.ok()) return Annotate(version.status(), field);
+      settings.promoted[{.policy = name, .version = *version}] = sha256;
     }
   }
   return settings;
@@ -170,6 +180,9 @@ std::string ToJson(const Settings& settings) {
   }
   for (const PolicyVersion& version : settings.unloaded) {
     json["unloaded"][version.policy].push_back(version.version);
+  }
+  for (const auto& [version, sha256] : settings.promoted) {
+    json["promoted"][version.policy][absl::StrCat(version.version)] = sha256;
   }
   return json.dump(2) + "\n";
 }

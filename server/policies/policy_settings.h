@@ -7,7 +7,8 @@
 //                              "shadow_version": 3,
 //                              "learning_paused": true},
 //                 "pendulum": {"default_follows_highest": true}},
-//    "unloaded": {"cartpole": [4]}}
+//    "unloaded": {"cartpole": [4]},
+//    "promoted": {"cartpole": {"5": "<64 hexadecimal digits>"}}}
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_POLICIES_POLICY_SETTINGS_H_
@@ -65,6 +66,8 @@ absl::Status ReadJson(absl::string_view field, const nlohmann::json& json,
 struct Settings {
   std::map<std::string, PolicySettings> policies;
   std::set<PolicyVersion> unloaded;  // not loaded until an operator loads them
+  // The SHA-256 of the files of promoted versions, in hexadecimal; with shared settings only.
+  std::map<PolicyVersion, std::string> promoted;
 };
 
 // Returns INVALID_ARGUMENT unless `shares` is empty, or every percent is in [0, 100], each version

@@ -97,6 +97,7 @@ Json RolloutJson(const Rollout& rollout) {
                {"step_started", rollout.step_started},
                {"ended", rollout.ended},
                {"reason", rollout.reason},
+               {"replica", rollout.replica},
                {"new_evidence", EvidenceJson(rollout.new_evidence)},
                {"stable_evidence", EvidenceJson(rollout.stable_evidence)}};
   for (const RolloutCondition& condition : rollout.abort_if) {
@@ -122,6 +123,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, Rollout* rollou
   object.Required("step_started", &rollout->step_started);
   object.Required("ended", &rollout->ended);
   object.Required("reason", &rollout->reason);
+  object.Optional("replica", &rollout->replica);
   object.Required("new_evidence", &rollout->new_evidence);
   object.Required("stable_evidence", &rollout->stable_evidence);
   if (auto status = object.Finish(); !status.ok()) return status;

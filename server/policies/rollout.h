@@ -70,6 +70,8 @@ struct Rollout {
   double step_started = 0.0;
   double ended = 0.0;       // 0 while it is running
   std::string reason = "";  // why it ended
+  // The server whose sessions judge it, if several share their settings; empty: any.
+  std::string replica = "";
   RolloutEvidence new_evidence = {};
   RolloutEvidence stable_evidence = {};
 

@@ -16,6 +16,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/file.h"
 #include "core/model/policy_file.h"
 
 namespace spikeserve {
@@ -102,6 +103,45 @@ void SweepVersion(const fs::path& folder) {
 }
 
 }  // namespace
+
+int64_t NextVersion(const std::string& directory, const std::string& name) {
+  return NextVersion(fs::path(directory) / name);
+}
+
+absl::Status WriteVersion(const std::string& directory, const PolicyVersion& version,
+                          const std::string& bytes, const std::string& sha256) {
+  if (const std::string received = Sha256Of(bytes); received != sha256) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("policy file: expected SHA-256 ", sha256, ", received ", received));
+  }
+  const fs::path policy_folder = fs::path(directory) / version.policy;
+  std::error_code error;
+  fs::create_directories(policy_folder, error);
+  std::string folder = (policy_folder / absl::StrCat(kUnfinished, "XXXXXX")).string();
+  if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
+  const OpenFolder in_use(folder);
+  in_use.Lock();
+  auto status = WriteFileAtomically((fs::path(folder) / kPolicyFile).string(), {bytes});
+  fs::permissions(folder, fs::perms(0755), error);
+  const fs::path target = policy_folder / absl::StrCat(version.version);
+  if (status.ok() && rename(folder.c_str(), target.c_str()) != 0) {
+    status = SystemError(target, "create the folder");
+  }
+  if (!status.ok()) fs::remove_all(folder, error);
+  return status;
+}
+
+absl::StatusOr<std::string> PolicyFileBytes(const std::string& directory, const std::string& name,
+                                            const Policy& policy) {
+  std::string folder = (fs::path(directory) / name / absl::StrCat(kUnfinished, "XXXXXX")).string();
+  if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
+  const std::string path = (fs::path(folder) / kPolicyFile).string();
+  const auto written = WritePolicyFile(policy, path);
+  auto bytes = written.ok() ? ReadFile(path) : absl::StatusOr<std::string>(written);
+  std::error_code ignored;
+  fs::remove_all(folder, ignored);
+  return bytes;
+}
 
 absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
                                               const Policy& policy) {

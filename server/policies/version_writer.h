@@ -21,6 +21,19 @@ namespace spikeserve {
 absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
                                               const Policy& policy);
 
+// Writes the version with the content `bytes` of its file. INVALID_ARGUMENT if their SHA-256 is not
+// `sha256`, ALREADY_EXISTS if there is such a version.
+absl::Status WriteVersion(const std::string& directory, const PolicyVersion& version,
+                          const std::string& bytes, const std::string& sha256);
+
+// Returns the content of the file of `policy`. Uses a temporary file in the folder of the policy
+// `name`.
+absl::StatusOr<std::string> PolicyFileBytes(const std::string& directory, const std::string& name,
+                                            const Policy& policy);
+
+// Returns the number one above every version folder of the policy `name`.
+int64_t NextVersion(const std::string& directory, const std::string& name);
+
 // Removes what killed processes have left in the policy directory: the hidden folders of
 // WriteNewVersion() that no process writes to, temporary files of policies that are older than ten
 // minutes, and empty version folders. What cannot be removed stays.

@@ -76,17 +76,25 @@ absl::Status CheckStart(const CatalogPolicy& policy, const PolicySettings& setti
 }  // namespace
 
 RolloutManager::RolloutManager(PolicyRegistry* registry, Metrics* metrics, const Clock* clock,
-                               std::function<void(const Change&)> changed)
-    : registry_(registry), metrics_(metrics), clock_(clock), changed_(std::move(changed)) {
+                               const Replicas* replicas, std::function<void(const Change&)> changed)
+    : registry_(registry),
+      metrics_(metrics),
+      clock_(clock),
+      replicas_(replicas),
+      changed_(std::move(changed)) {
   absl::MutexLock lock(&mutex_);
   const auto catalog = registry_->catalog();
   for (const auto& [name, policy] : catalog->policies()) {
-    if (!policy.settings.rollout_running()) continue;
-    Watch(name, *policy.settings.rollout);
-    running_[name] = {.ticked = clock_->Now(),
-                      .saved = clock_->Now(),
-                      .held_seconds = policy.settings.rollout->held_seconds};
+    const std::optional<Rollout>& rollout = policy.settings.rollout;
+    const bool running = policy.settings.rollout_running();
+    if (running && replicas_->IsMine(rollout->replica)) TakeOver(name, *rollout);
   }
+}
+
+void RolloutManager::TakeOver(const std::string& policy, const Rollout& rollout) {
+  Watch(policy, rollout);
+  const absl::Duration now = clock_->Now();
+  running_[policy] = {.ticked = now, .saved = now, .held_seconds = rollout.held_seconds};
 }
 
 void RolloutManager::Watch(const std::string& policy, const Rollout& rollout) {
@@ -101,7 +109,7 @@ void RolloutManager::Stop(const std::string& policy, const Rollout& rollout) {
 
 RolloutManager::Progress RolloutManager::ProgressOf(const std::string& policy,
                                                     const Rollout& rollout) const {
-  if (!rollout.running()) {
+  if (!rollout.running() || !running_.contains(policy)) {
     return {rollout, CountsOf(rollout.new_evidence), CountsOf(rollout.stable_evidence)};
   }
   return {rollout, metrics_->EvidenceOf(policy, rollout.version)->Read(),
@@ -121,6 +129,7 @@ absl::Status RolloutManager::Start(const std::string& policy, Rollout plan) {
     settings->default_version = plan.stable_version;
     settings->default_follows_highest = false;
     settings->shares = SharesOf(plan);
+    plan.replica = replicas_->self();
     settings->rollout = plan;
     return absl::OkStatus();
   };
@@ -154,7 +163,7 @@ void RolloutManager::SaveEvidence() {
   absl::MutexLock lock(&mutex_);
   const auto catalog = registry_->catalog();
   for (const auto& [name, policy] : catalog->policies()) {
-    if (policy.settings.rollout_running()) SaveOrLog(name);
+    if (policy.settings.rollout_running() && running_.contains(name)) SaveOrLog(name);
   }
 }
 
@@ -167,7 +176,14 @@ void RolloutManager::Tick() {
   absl::MutexLock lock(&mutex_);
   const auto catalog = registry_->catalog();
   for (const auto& [name, policy] : catalog->policies()) {
-    if (policy.settings.rollout_running()) TickOne(name, policy);
+    const std::optional<Rollout>& rollout = policy.settings.rollout;
+    const bool running = policy.settings.rollout_running();
+    if (running && replicas_->IsMine(rollout->replica)) {
+      if (!running_.contains(name)) TakeOver(name, *rollout);
+      TickOne(name, policy);
+    } else if (running_.erase(name) > 0 && rollout.has_value()) {
+      Stop(name, *rollout);
+    }
   }
 }
 
@@ -255,10 +271,13 @@ absl::Status RolloutManager::Save(const std::string& policy,
           absl::StrCat("rollout: expected one that is running, received none of policy ", policy));
     }
     Rollout& rollout = *settings->rollout;
-    const Progress progress = ProgressOf(policy, rollout);
-    rollout.new_evidence = EvidenceOf(progress.new_version);
-    rollout.stable_evidence = EvidenceOf(progress.stable_version);
-    rollout.held_seconds = running_[policy].held_seconds;
+    if (const auto running = running_.find(policy); running != running_.end()) {
+      const Progress progress = ProgressOf(policy, rollout);
+      rollout.new_evidence = EvidenceOf(progress.new_version);
+      rollout.stable_evidence = EvidenceOf(progress.stable_version);
+      rollout.held_seconds = running->second.held_seconds;
+      rollout.replica = replicas_->self();
+    }
     change(&rollout, settings);
     return absl::OkStatus();
   });

@@ -21,6 +21,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
+#include "server/base/replicas.h"
 #include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"
 #include "server/policies/rollout.h"
@@ -46,9 +47,10 @@ class RolloutManager {
   };
 
   // Resumes the roll-outs that the settings say are running. `registry`, `metrics` and `clock` must
-  // outlive the manager. `changed` is called by Tick.
+  // outlive the manager, as must `replicas`. `changed` is called by Tick. Of several servers that
+  // share their settings, one judges a roll-out, by its own sessions; if it dies, another goes on.
   RolloutManager(PolicyRegistry* registry, Metrics* metrics, const Clock* clock,
-                 std::function<void(const Change&)> changed);
+                 const Replicas* replicas, std::function<void(const Change&)> changed);
 
   // Starts a roll-out. `plan` has the version, the steps, the hold time, the fewest episodes and
   // the conditions; its other fields are ignored. Returns the errors that policy_admin.proto names
@@ -78,7 +80,11 @@ class RolloutManager {
 
   void Watch(const std::string& policy, const Rollout& rollout);
   void Stop(const std::string& policy, const Rollout& rollout);
-  Progress ProgressOf(const std::string& policy, const Rollout& rollout) const;
+  Progress ProgressOf(const std::string& policy, const Rollout& rollout) const
+      ABSL_SHARED_LOCKS_REQUIRED(mutex_);
+  // Begins to judge a roll-out, with the evidence that its last judge has saved.
+  void TakeOver(const std::string& policy, const Rollout& rollout)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void TickOne(const std::string& policy, const CatalogPolicy& catalog_policy)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Leaves a step that was held long enough.
@@ -99,9 +105,10 @@ class RolloutManager {
   PolicyRegistry* const registry_;
   Metrics* const metrics_;
   const Clock* const clock_;
+  const Replicas* const replicas_;
   const std::function<void(const Change&)> changed_;
   mutable absl::Mutex mutex_;  // taken before the locks of the registry
-  std::map<std::string, Running> running_ ABSL_GUARDED_BY(mutex_);  // by policy
+  std::map<std::string, Running> running_ ABSL_GUARDED_BY(mutex_);  // by policy; judged here
 };
 
 }  // namespace spikeserve

@@ -13,32 +13,13 @@
 #include "core/session/field_codec.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
+#include "core/store/lmdb.h"
+#include "core/store/stored_session.h"
 #include "server/base/file_descriptor.h"
-#include "server/store/lmdb.h"
 
 namespace spikeserve {
 
-// What the store knows of a session beside its records.
-struct StoredSession {
-  std::string tenant;
-  uint64_t epoch = 0;
-  int64_t written_seconds = 0;  // when a record was written, to within kWrittenStep; Unix time
-};
-
-template <typename T, typename Visitor>
-requires std::same_as<std::remove_const_t<T>, StoredSession>
-void VisitFields(T& session, Visitor&& visit) {
-  visit("tenant", session.tenant);
-  visit("epoch", session.epoch);
-  visit("written_seconds", session.written_seconds);
-}
-
 namespace {
-
-constexpr char kFormat[] = "spikeserve.stored.v1";
-
-// The file may grow to this size. It takes only the space that it needs.
-constexpr size_t kMostBytes = size_t{64} << 30;
 
 // The time of the last record is kept with this resolution, so that most records write nothing
 // else.
@@ -86,9 +67,9 @@ class FileBackend final : public JournalBackend {
 absl::Status FileBackend::Open(absl::Duration retention) {
   auto transaction = LmdbTransaction::Begin(environment_.get());
   if (!transaction.ok()) return transaction.status();
-  const auto sessions = transaction->OpenTable("sessions");
+  const auto sessions = transaction->OpenTable(kSessionsTable);
   if (!sessions.ok()) return sessions.status();
-  const auto records = transaction->OpenTable("records");
+  const auto records = transaction->OpenTable(kRecordsTable);
   if (!records.ok()) return records.status();
   sessions_ = *sessions;
   records_ = *records;
@@ -150,7 +131,9 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
   if (auto status = transaction.Put(records_, record_key, record.bytes); !status.ok()) {
     return status;
   }
-  if (record.kind != JournalRecord::Kind::kSnapshot) return absl::OkStatus();
+  const bool replaces =
+      record.kind == JournalRecord::Kind::kSnapshot || record.kind == JournalRecord::Kind::kRelease;
+  if (!replaces) return absl::OkStatus();
   return RemoveBefore(transaction, key.id, record.decisions);
 }
 
@@ -177,7 +160,8 @@ absl::StatusOr<std::optional<StoredSession>> FileBackend::Read(LmdbTransaction& 
   const auto bytes = transaction.Get(sessions_, id);
   if (!bytes.ok()) return bytes.status();
   if (!bytes->has_value()) return std::nullopt;
-  const auto json = codec::ParseDocument(std::string(**bytes), "stored session", kFormat);
+  const auto json =
+      codec::ParseDocument(std::string(**bytes), "stored session", kStoredSessionFormat);
   if (!json.ok()) return absl::DataLossError(json.status().message());
   StoredSession session;
   codec::Reader reader;
@@ -190,7 +174,7 @@ absl::Status FileBackend::Put(LmdbTransaction& transaction, const std::string& i
                               const StoredSession& session) {
   std::string bytes;
   codec::Writer writer(&bytes);
-  writer.Begin(kFormat);
+  writer.Begin(kStoredSessionFormat);
   writer.Write(session);
   return transaction.Put(sessions_, id, bytes);
 }
@@ -238,7 +222,7 @@ absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(const std::strin
   }
   auto lock = LockFolder(directory);
   if (!lock.ok()) return lock.status();
-  auto environment = OpenLmdb(directory, kMostBytes);
+  auto environment = OpenLmdb(directory, kMostStoreBytes);
   if (!environment.ok()) return environment.status();
   auto backend =
       std::make_unique<FileBackend>(*std::move(lock), *std::move(environment), std::move(now));

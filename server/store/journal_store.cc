@@ -22,10 +22,9 @@ constexpr size_t kMostRecords = 512;
 constexpr absl::Duration kFirstRetry = absl::Milliseconds(20);
 constexpr absl::Duration kLongestRetry = absl::Seconds(1);
 
-prometheus::Counter& Count(prometheus::Registry* registry, const char* name, const char* help,
-                           const char* outcome) {
-  return prometheus::BuildCounter().Name(name).Help(help).Register(*registry).Add(
-      {{"outcome", outcome}});
+prometheus::Counter& AddCounter(prometheus::Registry* registry, const char* name, const char* help,
+                                const prometheus::Labels& labels = {}) {
+  return prometheus::BuildCounter().Name(name).Help(help).Register(*registry).Add(labels);
 }
 
 constexpr char kRecords[] = "spikeserve_store_records_total";
@@ -33,7 +32,8 @@ constexpr char kRecordsHelp[] =
     "Records of session journals that the store has written, or refused because another server "
     "owns the session.";
 constexpr char kClaims[] = "spikeserve_store_claims_total";
-constexpr char kClaimsHelp[] = "Sessions that this server took over from the store.";
+constexpr char kClaimsHelp[] =
+    "Sessions that this server took over from the store, or could not take over.";
 
 }  // namespace
 
@@ -41,8 +41,8 @@ JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock*
                            prometheus::Registry* registry)
     : backend_(std::move(backend)),
       clock_(clock),
-      written_(Count(registry, kRecords, kRecordsHelp, "written")),
-      refused_(Count(registry, kRecords, kRecordsHelp, "refused")),
+      written_(AddCounter(registry, kRecords, kRecordsHelp, {{"outcome", "written"}})),
+      refused_(AddCounter(registry, kRecords, kRecordsHelp, {{"outcome", "refused"}})),
       acknowledgement_(
           prometheus::BuildHistogram()
               .Name("spikeserve_store_acknowledgement_seconds")
@@ -56,9 +56,14 @@ JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock*
                          .Help("Bytes of records that wait for the store.")
                          .Register(*registry)
                          .Add({})),
-      claimed_(Count(registry, kClaims, kClaimsHelp, "claimed")),
-      not_found_(Count(registry, kClaims, kClaimsHelp, "not_found")),
-      claims_failed_(Count(registry, kClaims, kClaimsHelp, "failed")),
+      claimed_(AddCounter(registry, kClaims, kClaimsHelp, {{"outcome", "claimed"}})),
+      claims_failed_(AddCounter(registry, kClaims, kClaimsHelp, {{"outcome", "failed"}})),
+      fences_(AddCounter(registry, "spikeserve_store_fences_total",
+                         "Sessions that another server has taken over while this one had them.")),
+      reseeds_(AddCounter(registry, "spikeserve_store_reseeds_total",
+                          "Sessions that were written again because the store had lost them.")),
+      replayed_(AddCounter(registry, "spikeserve_store_replayed_entries_total",
+                           "Decisions that were read from journals to restore sessions.")),
       reachable_gauge_(prometheus::BuildGauge()
                            .Name("spikeserve_store_reachable")
                            .Help("1 while the store answers, 0 while it does not.")
@@ -161,8 +166,7 @@ bool JournalStore::WriteRecords(Work* work) {
     const absl::Duration now = clock_->Now();
     for (size_t i = 0; i < batch.size(); ++i) {
       const JournalRecord& record = batch[i];
-      ((*outcomes)[i].ok() ? written_ : refused_).Increment();
-      acknowledgement_.Observe(absl::ToDoubleSeconds(now - work->queued[first + i]));
+      Count(record, (*outcomes)[i], now - work->queued[first + i]);
       backlog_bytes_.fetch_sub(record.bytes.size(), std::memory_order_relaxed);
       record.journal->OnWritten(record, (*outcomes)[i]);
     }
@@ -177,6 +181,15 @@ bool JournalStore::WriteRecords(Work* work) {
   return false;
 }
 
+void JournalStore::Count(const JournalRecord& record, const absl::Status& outcome,
+                         absl::Duration latency) {
+  (outcome.ok() ? written_ : refused_).Increment();
+  acknowledgement_.Observe(absl::ToDoubleSeconds(latency));
+  const bool reseeds = record.kind == JournalRecord::Kind::kOpen && record.position > 1;
+  if (outcome.ok() && reseeds) reseeds_.Increment();
+  if (absl::IsAborted(outcome) && !record.journal->lost()) fences_.Increment();
+}
+
 void JournalStore::RunClaims(std::vector<ClaimRequest> claims) {
   absl::Status reachable = CheckReachable();
   for (ClaimRequest& request : claims) {
@@ -184,9 +197,7 @@ void JournalStore::RunClaims(std::vector<ClaimRequest> claims) {
                                  : absl::StatusOr<ClaimedJournal>(reachable);
     if (result.ok()) {
       claimed_.Increment();
-    } else if (absl::IsNotFound(result.status())) {
-      not_found_.Increment();
-    } else {
+    } else if (!absl::IsNotFound(result.status())) {
       claims_failed_.Increment();
       // One timeout is enough for all that wait.
       if (absl::IsUnavailable(result.status())) reachable = result.status();

@@ -43,7 +43,10 @@ class JournalStore final : public JournalWriter {
   //   spikeserve_store_records_total{outcome}: written or refused
   //   spikeserve_store_acknowledgement_seconds
   //   spikeserve_store_backlog_bytes
-  //   spikeserve_store_claims_total{outcome}: claimed, not_found or failed
+  //   spikeserve_store_claims_total{outcome}: claimed or failed
+  //   spikeserve_store_fences_total
+  //   spikeserve_store_reseeds_total
+  //   spikeserve_store_replayed_entries_total
   //   spikeserve_store_reachable
   JournalStore(std::unique_ptr<JournalBackend> backend, const Clock* clock,
                prometheus::Registry* registry);
@@ -56,6 +59,9 @@ class JournalStore final : public JournalWriter {
   // Claims a session after all records that were written before this call. Calls `claimed` on the
   // thread of the store, with the result of JournalBackend::Claim().
   void Claim(std::string id, std::string tenant, Claimed claimed);
+
+  // Counts the entries that were folded into a snapshot to restore a session.
+  void CountReplayed(size_t entries) { replayed_.Increment(static_cast<double>(entries)); }
 
   // Writes what waits, for at most `timeout`, and ends the thread. Records that are written later
   // are dropped.
@@ -80,6 +86,7 @@ class JournalStore final : public JournalWriter {
   bool IsUrgent() const ABSL_SHARED_LOCKS_REQUIRED(mutex_);
   // Returns true if all records were written.
   bool WriteRecords(Work* work);
+  void Count(const JournalRecord& record, const absl::Status& outcome, absl::Duration latency);
   void RunClaims(std::vector<ClaimRequest> claims);
   // Refuses what waits when the store gives up.
   void DropClaims() ABSL_LOCKS_EXCLUDED(mutex_);
@@ -95,8 +102,10 @@ class JournalStore final : public JournalWriter {
   prometheus::Histogram& acknowledgement_;
   prometheus::Gauge& backlog_gauge_;
   prometheus::Counter& claimed_;
-  prometheus::Counter& not_found_;
   prometheus::Counter& claims_failed_;
+  prometheus::Counter& fences_;
+  prometheus::Counter& reseeds_;
+  prometheus::Counter& replayed_;
   prometheus::Gauge& reachable_gauge_;
 
   std::atomic<bool> reachable_ = true;

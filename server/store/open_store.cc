@@ -1,18 +1,16 @@
 #include "server/store/open_store.h"
 
 #include <utility>
-#include <vector>
 
 #include "absl/strings/ascii.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "core/base/clock.h"
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/session/session_store.h"
+#include "core/store/redis_tls.h"
 #include "server/store/file_backend.h"
 #include "server/store/redis_backend.h"
 
@@ -21,34 +19,44 @@ namespace {
 
 constexpr char kAddressFlag[] = "--session_store";
 constexpr char kPasswordFlag[] = "--store_password_file";
-constexpr int kLargestPort = 65535;
+constexpr char kReplicasFlag[] = "--store_replicas";
 
-// Parses HOST[:PORT][/DATABASE]. Returns false if `text` is anything else.
-bool ParseRedisAddress(absl::string_view text, RedisAddress* address) {
-  const std::vector<absl::string_view> parts = absl::StrSplit(text, absl::MaxSplits('/', 1));
-  if (parts.size() == 2 &&
-      (!absl::SimpleAtoi(parts[1], &address->database) || address->database < 0)) {
-    return false;
+// Returns INVALID_ARGUMENT unless the options of Redis fit its address.
+absl::Status CheckRedisOptions(const StoreOptions& options, const StoreAddress& address) {
+  const bool is_redis = address.kind == StoreAddress::Kind::kRedis;
+  const auto refuse = [](absl::string_view flag, absl::string_view expected, auto received) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(flag, ": expected ", expected, ", received ", received));
+  };
+  if (!is_redis && !options.password_file.empty()) {
+    return refuse(kPasswordFlag, "none without a store in Redis", options.password_file);
   }
-  const std::vector<absl::string_view> host = absl::StrSplit(parts[0], absl::MaxSplits(':', 1));
-  if (host.size() == 2 && (!absl::SimpleAtoi(host[1], &address->port) || address->port < 1 ||
-                           address->port > kLargestPort)) {
-    return false;
+  if (options.replicas < 0 || (!is_redis && options.replicas > 0)) {
+    return refuse(kReplicasFlag, is_redis ? "at least 0" : "0 without a store in Redis",
+                  options.replicas);
   }
-  address->host = std::string(host[0]);
-  return !address->host.empty();
+  const RedisTlsFiles& files = options.tls_files;
+  for (const auto& [flag, file] :
+       {std::pair("--store_ca", &files.ca), std::pair("--store_certificate", &files.certificate),
+        std::pair("--store_key", &files.key)}) {
+    if (!file->empty() && !address.redis.tls) {
+      return refuse(flag, "none unless --session_store begins with rediss", *file);
+    }
+  }
+  if (files.certificate.empty() != files.key.empty()) {
+    return refuse("--store_certificate, --store_key", "both or none", "one");
+  }
+  return address.redis.tls ? CheckRedisTlsFiles(files) : absl::OkStatus();
 }
 
-absl::StatusOr<std::unique_ptr<JournalBackend>> OpenRedis(RedisAddress address,
-                                                          const StoreOptions& options) {
-  if (!options.password_file.empty()) {
-    auto password = ReadFile(options.password_file);
-    if (!password.ok()) return Annotate(password.status(), kPasswordFlag);
-    address.password = std::string(absl::StripAsciiWhitespace(*password));
-  }
-  const auto owner = NewSessionId();  // any random name
-  if (!owner.ok()) return owner.status();
-  return NewRedisBackend(std::move(address), options.retention, *owner);
+absl::StatusOr<RedisOptions> ReadRedisOptions(RedisAddress address, const StoreOptions& options) {
+  RedisOptions redis = {
+      .address = std::move(address), .tls_files = options.tls_files, .replicas = options.replicas};
+  if (options.password_file.empty()) return redis;
+  auto password = ReadFile(options.password_file);
+  if (!password.ok()) return Annotate(password.status(), kPasswordFlag);
+  redis.password = std::string(absl::StripAsciiWhitespace(*password));
+  return redis;
 }
 
 }  // namespace
@@ -59,36 +67,41 @@ absl::StatusOr<StoreAddress> ParseStoreAddress(const std::string& text) {
   if (absl::ConsumePrefix(&rest, "file:") && !rest.empty()) {
     return StoreAddress{.kind = StoreAddress::Kind::kFile, .folder = std::string(rest)};
   }
-  StoreAddress address = {.kind = StoreAddress::Kind::kRedis};
-  rest = text;
-  if (absl::ConsumePrefix(&rest, "redis://") && ParseRedisAddress(rest, &address.redis)) {
-    return address;
+  if (auto redis = ParseRedisAddress(text); redis.has_value()) {
+    return StoreAddress{.kind = StoreAddress::Kind::kRedis, .redis = *std::move(redis)};
   }
-  return absl::InvalidArgumentError(absl::StrCat(
-      "expected memory, file:DIR or redis://HOST[:PORT][/DATABASE], received ", Quoted(text)));
+  return absl::InvalidArgumentError(
+      absl::StrCat("expected memory, file:DIR, ", kRedisAddressForms, ", received ", Quoted(text)));
 }
 
 absl::Status StoreOptions::Validate() const {
   const auto parsed = ParseStoreAddress(address);
   if (!parsed.ok()) return Annotate(parsed.status(), kAddressFlag);
-  if (!password_file.empty() && parsed->kind != StoreAddress::Kind::kRedis) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        kPasswordFlag, ": expected none without a store in Redis, received ", password_file));
-  }
-  return absl::OkStatus();
+  return CheckRedisOptions(*this, *parsed);
 }
 
-absl::StatusOr<std::unique_ptr<JournalStore>> OpenStore(const StoreOptions& options,
-                                                        prometheus::Registry* registry) {
+absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::Registry* registry) {
   static const SteadyClock clock;
-  const auto address = ParseStoreAddress(options.address);
+  auto address = ParseStoreAddress(options.address);
   if (!address.ok()) return Annotate(address.status(), kAddressFlag);
-  if (address->kind == StoreAddress::Kind::kMemory) return nullptr;
-  auto backend = address->kind == StoreAddress::Kind::kFile
-                     ? OpenFileBackend(address->folder, options.retention)
-                     : OpenRedis(address->redis, options);
-  if (!backend.ok()) return Annotate(backend.status(), kAddressFlag);
-  return std::make_unique<JournalStore>(*std::move(backend), &clock, registry);
+  if (address->kind == StoreAddress::Kind::kMemory) return OpenedStore();
+  OpenedStore store = {.address = options.address};
+  const auto replica = NewSessionId();  // any random name
+  if (!replica.ok()) return replica.status();
+  store.replica = *replica;
+  std::unique_ptr<JournalBackend> backend;
+  if (address->kind == StoreAddress::Kind::kFile) {
+    auto opened = OpenFileBackend(address->folder, options.retention);
+    if (!opened.ok()) return Annotate(opened.status(), kAddressFlag);
+    backend = *std::move(opened);
+  } else {
+    const auto redis = ReadRedisOptions(std::move(address->redis), options);
+    if (!redis.ok()) return redis.status();
+    backend = NewRedisBackend(*redis, options.retention, store.replica);
+    store.shared = std::make_unique<RedisShared>(*redis, store.replica);
+  }
+  store.journals = std::make_unique<JournalStore>(std::move(backend), &clock, registry);
+  return store;
 }
 
 }  // namespace spikeserve

@@ -5,19 +5,28 @@
 #define SERVER_STORE_OPEN_STORE_H_
 
 #include <memory>
+#include <string>
 
 #include "absl/status/statusor.h"
 #include "prometheus/registry.h"
 #include "server/store/journal_store.h"
+#include "server/store/redis_shared.h"
 #include "server/store/store_options.h"
 
 namespace spikeserve {
 
-// Opens the store. Returns null for memory. Returns INVALID_ARGUMENT if a file store cannot be
+// The parts of a store, and what it calls itself.
+struct OpenedStore {
+  std::string address = "memory";                    // without a password
+  std::string replica = "";                          // identifies this server; empty for memory
+  std::unique_ptr<JournalStore> journals = nullptr;  // null: no session is stored
+  std::unique_ptr<RedisShared> shared = nullptr;     // null: this server shares nothing
+};
+
+// Opens the store. Returns INVALID_ARGUMENT if a file store cannot be
 // used. A Redis server that cannot be reached is no error: the store tries again. `registry` must
 // outlive the store.
-absl::StatusOr<std::unique_ptr<JournalStore>> OpenStore(const StoreOptions& options,
-                                                        prometheus::Registry* registry);
+absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::Registry* registry);
 
 }  // namespace spikeserve
 

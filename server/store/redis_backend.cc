@@ -3,19 +3,28 @@
 #include <string>
 #include <utility>
 
+#include "absl/random/random.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
+#include "core/store/redis_client.h"
+#include "core/store/stored_session.h"
 
 namespace spikeserve {
 namespace {
 
-// Starts a journal, or writes it again for its owner. Returns 0 if another owner has the session.
-// KEYS: hash, list. ARGV: epoch, owner, tenant, snapshot, retention in milliseconds.
+// Starts a journal, or writes it again for its owner, which also replaces an older epoch: a store
+// that has lost a claim. Returns 0 if another owner has the session.
+// KEYS: hash, list. ARGV: epoch, owner, tenant, snapshot, retention in milliseconds, prefix of the
+// list's key.
 constexpr char kOpen[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner')
-if found[1] and (found[1] ~= ARGV[1] or found[2] ~= ARGV[2]) then return 0 end
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
+if found[1] then
+  local newer = tonumber(found[1]) < tonumber(ARGV[1]) and found[3] == 'open'
+  if not newer and (found[1] ~= ARGV[1] or found[2] ~= ARGV[2]) then return 0 end
+  redis.call('DEL', ARGV[6] .. found[1])
+end
 redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[2], 'tenant', ARGV[3], 'state', 'open')
 redis.call('RPUSH', KEYS[2], ARGV[4])
 redis.call('PEXPIRE', KEYS[1], ARGV[5])
@@ -31,13 +40,26 @@ redis.call('DEL', KEYS[2])
 redis.call('PEXPIRE', KEYS[1], ARGV[2])
 return 1)";
 
+// Adds a last snapshot, which replaces everything before it, and leaves the session without an
+// owner. Returns 0 if another owner has the session.
+// KEYS: hash, list. ARGV: epoch, snapshot, retention in milliseconds.
+constexpr char kRelease[] = R"(
+if redis.call('HGET', KEYS[1], 'epoch') ~= ARGV[1] then return 0 end
+if redis.call('RPUSHX', KEYS[2], ARGV[2]) == 0 then return 0 end
+redis.call('LTRIM', KEYS[2], -1, -1)
+redis.call('HSET', KEYS[1], 'owner', '')
+redis.call('PEXPIRE', KEYS[1], ARGV[3])
+redis.call('PEXPIRE', KEYS[2], ARGV[3])
+return 1)";
+
 // Makes the caller the owner. Returns the new epoch and the journal, or nothing if there is no open
 // session of the tenant.
-// KEYS: hash. ARGV: prefix of the list's key, owner, tenant, retention in milliseconds.
+// KEYS: hash. ARGV: prefix of the list's key, owner, tenant, retention in milliseconds, what to add
+// to the epoch.
 constexpr char kClaim[] = R"(
 local found = redis.call('HMGET', KEYS[1], 'epoch', 'tenant', 'state')
 if not found[1] or found[2] ~= ARGV[3] or found[3] ~= 'open' then return false end
-local epoch = string.format('%d', found[1] + 1)
+local epoch = string.format('%d', found[1] + ARGV[5])
 local from = ARGV[1] .. found[1]
 local to = ARGV[1] .. epoch
 if redis.call('EXISTS', from) == 0 then return false end
@@ -47,16 +69,19 @@ redis.call('PEXPIRE', KEYS[1], ARGV[4])
 redis.call('PEXPIRE', to, ARGV[4])
 return {epoch, redis.call('LRANGE', to, 0, -1)})";
 
-std::string HashKey(const std::string& id) { return absl::StrCat("ss:{", id, "}:o"); }
-std::string ListPrefix(const std::string& id) { return absl::StrCat("ss:{", id, "}:"); }
+// A claim adds a random number up to this to the epoch. If a primary fails and its replica did not
+// have the last claim yet, the next claim then gets another epoch, and the two owners do not append
+// to one list.
+constexpr uint32_t kMostEpochs = 1 << 20;
+
 std::string ListKey(const SessionJournal::Key& key) {
-  return absl::StrCat(ListPrefix(key.id), key.epoch);
+  return absl::StrCat(RedisListPrefix(key.id), key.epoch);
 }
 
 class RedisBackend final : public JournalBackend {
  public:
-  RedisBackend(RedisAddress address, absl::Duration retention, std::string owner)
-      : address_(std::move(address)),
+  RedisBackend(RedisOptions options, absl::Duration retention, std::string owner)
+      : options_(std::move(options)),
         retention_(absl::StrCat(absl::ToInt64Milliseconds(retention))),
         owner_(std::move(owner)) {}
 
@@ -64,9 +89,10 @@ class RedisBackend final : public JournalBackend {
   absl::StatusOr<ClaimedJournal> Claim(const std::string& id, const std::string& tenant) override;
 
  private:
-  // Runs `exchange` on an open connection, which is dropped if it fails.
+  // Runs `exchange` on a connected client, which is dropped if it fails, and waits for the
+  // replicas.
   template <typename Result, typename Exchange>
-  absl::StatusOr<Result> OnConnection(Exchange exchange);
+  absl::StatusOr<Result> OnClient(Exchange exchange);
   absl::StatusOr<std::vector<absl::Status>> WriteAll(absl::Span<const JournalRecord> records);
   void Append(const JournalRecord& record);
   // Reads the replies to Append(). Returns 0 if the record was refused.
@@ -75,27 +101,31 @@ class RedisBackend final : public JournalBackend {
   absl::StatusOr<absl::Status> ReasonOf(const JournalRecord& record);
   absl::StatusOr<ClaimedJournal> ClaimNow(const std::string& id, const std::string& tenant);
 
-  const RedisAddress address_;
+  const RedisOptions options_;
   const std::string retention_;  // milliseconds
   const std::string owner_;
-  std::unique_ptr<RedisConnection> connection_;
+  std::unique_ptr<RedisClient> client_;
+  absl::BitGen random_;
 };
 
 template <typename Result, typename Exchange>
-absl::StatusOr<Result> RedisBackend::OnConnection(Exchange exchange) {
-  if (connection_ == nullptr) {
-    auto connected = RedisConnection::Connect(address_);
+absl::StatusOr<Result> RedisBackend::OnClient(Exchange exchange) {
+  if (client_ == nullptr) {
+    auto connected = RedisClient::Connect(options_);
     if (!connected.ok()) return connected.status();
-    connection_ = *std::move(connected);
+    client_ = *std::move(connected);
   }
   absl::StatusOr<Result> result = exchange();
-  if (absl::IsUnavailable(result.status())) connection_ = nullptr;
+  if (result.ok() && options_.replicas > 0) {
+    if (auto status = client_->WaitForReplicas(); !status.ok()) result = status;
+  }
+  if (absl::IsUnavailable(result.status())) client_ = nullptr;
   return result;
 }
 
 absl::StatusOr<std::vector<absl::Status>> RedisBackend::Write(
     absl::Span<const JournalRecord> records) {
-  return OnConnection<std::vector<absl::Status>>([&] { return WriteAll(records); });
+  return OnClient<std::vector<absl::Status>>([&] { return WriteAll(records); });
 }
 
 absl::StatusOr<std::vector<absl::Status>> RedisBackend::WriteAll(
@@ -118,30 +148,32 @@ absl::StatusOr<std::vector<absl::Status>> RedisBackend::WriteAll(
 
 void RedisBackend::Append(const JournalRecord& record) {
   const SessionJournal::Key& key = record.journal->key();
-  const std::string hash = HashKey(key.id);
+  const std::string hash = RedisHashKey(key.id);
   const std::string list = ListKey(key);
   const std::string epoch = absl::StrCat(key.epoch);
   switch (record.kind) {
     case JournalRecord::Kind::kOpen:
-      return connection_->Append(
-          {"EVAL", kOpen, "2", hash, list, epoch, owner_, key.tenant, record.bytes, retention_});
+      return client_->Append({"EVAL", kOpen, "2", hash, list, epoch, owner_, key.tenant,
+                              record.bytes, retention_, RedisListPrefix(key.id)});
     case JournalRecord::Kind::kEntry:
-      return connection_->Append({"RPUSHX", list, record.bytes});
+      return client_->Append({"RPUSHX", list, record.bytes});
     case JournalRecord::Kind::kSnapshot:
-      connection_->Append({"RPUSHX", list, record.bytes});
-      connection_->Append({"LTRIM", list, "-1", "-1"});
-      connection_->Append({"PEXPIRE", list, retention_});
-      return connection_->Append({"PEXPIRE", hash, retention_});
+      client_->Append({"RPUSHX", list, record.bytes});
+      client_->Append({"LTRIM", list, "-1", "-1"});
+      client_->Append({"PEXPIRE", list, retention_});
+      return client_->Append({"PEXPIRE", hash, retention_});
+    case JournalRecord::Kind::kRelease:
+      return client_->Append({"EVAL", kRelease, "2", hash, list, epoch, record.bytes, retention_});
     case JournalRecord::Kind::kClose:
-      return connection_->Append({"EVAL", kClose, "2", hash, list, epoch, retention_});
+      return client_->Append({"EVAL", kClose, "2", hash, list, epoch, retention_});
   }
 }
 
 absl::StatusOr<int64_t> RedisBackend::ReadReplies(const JournalRecord& record) {
-  auto first = connection_->Read();
+  auto first = client_->Read();
   const int others = record.kind == JournalRecord::Kind::kSnapshot ? 3 : 0;
   for (int i = 0; first.ok() && i < others; ++i) {
-    if (auto reply = connection_->Read(); !reply.ok()) return reply.status();
+    if (auto reply = client_->Read(); !reply.ok()) return reply.status();
   }
   if (!first.ok()) return first.status();
   return (*first)->integer;
@@ -149,8 +181,7 @@ absl::StatusOr<int64_t> RedisBackend::ReadReplies(const JournalRecord& record) {
 
 absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const JournalRecord& record) {
   const SessionJournal::Key& key = record.journal->key();
-  connection_->Append({"HMGET", HashKey(key.id), "epoch", "owner", "state"});
-  const auto reply = connection_->Read();
+  const auto reply = client_->Run({"HMGET", RedisHashKey(key.id), "epoch", "owner", "state"});
   if (!reply.ok()) return reply.status();
   const redisReply& fields = **reply;
   if (fields.type != REDIS_REPLY_ARRAY || fields.elements != 3) {
@@ -176,14 +207,14 @@ absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const JournalRecord& record)
 
 absl::StatusOr<ClaimedJournal> RedisBackend::Claim(const std::string& id,
                                                    const std::string& tenant) {
-  return OnConnection<ClaimedJournal>([&] { return ClaimNow(id, tenant); });
+  return OnClient<ClaimedJournal>([&] { return ClaimNow(id, tenant); });
 }
 
 absl::StatusOr<ClaimedJournal> RedisBackend::ClaimNow(const std::string& id,
                                                       const std::string& tenant) {
-  connection_->Append(
-      {"EVAL", kClaim, "1", HashKey(id), ListPrefix(id), owner_, tenant, retention_});
-  const auto reply = connection_->Read();
+  const std::string step = absl::StrCat(absl::Uniform(random_, 1U, kMostEpochs));
+  const auto reply = client_->Run({"EVAL", kClaim, "1", RedisHashKey(id), RedisListPrefix(id),
+                                   owner_, tenant, retention_, step});
   if (!reply.ok()) return reply.status();
   const redisReply& claimed = **reply;
   if (claimed.type == REDIS_REPLY_NIL) return NoSuchSession(id);
@@ -204,9 +235,9 @@ absl::StatusOr<ClaimedJournal> RedisBackend::ClaimNow(const std::string& id,
 
 }  // namespace
 
-std::unique_ptr<JournalBackend> NewRedisBackend(RedisAddress address, absl::Duration retention,
+std::unique_ptr<JournalBackend> NewRedisBackend(RedisOptions options, absl::Duration retention,
                                                 std::string owner) {
-  return std::make_unique<RedisBackend>(std::move(address), retention, std::move(owner));
+  return std::make_unique<RedisBackend>(std::move(options), retention, std::move(owner));
 }
 
 }  // namespace spikeserve

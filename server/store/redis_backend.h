@@ -3,7 +3,7 @@
 // `{id}` is a hash tag, so that the keys of a session lie on one node of a cluster:
 // - ss:{id}:o, a hash: epoch, owner, tenant and state (open or closed).
 // - ss:{id}:<epoch>, a list: a snapshot, then entries.
-// A claim renames the list to the next epoch. Appends are RPUSHX, which does nothing for a list
+// A claim renames the list to a later epoch. Appends are RPUSHX, which does nothing for a list
 // that does not exist, so a former owner cannot append and finds out that it was replaced.
 #ifndef SERVER_STORE_REDIS_BACKEND_H_
 #define SERVER_STORE_REDIS_BACKEND_H_
@@ -12,14 +12,14 @@
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "core/store/redis_options.h"
 #include "server/store/journal_backend.h"
-#include "server/store/redis_connection.h"
 
 namespace spikeserve {
 
 // Connects at the first use, and again after every error. Redis removes a session that nothing was
 // written to for `retention`. `owner` identifies this server, for people who look into Redis.
-std::unique_ptr<JournalBackend> NewRedisBackend(RedisAddress address, absl::Duration retention,
+std::unique_ptr<JournalBackend> NewRedisBackend(RedisOptions options, absl::Duration retention,
                                                 std::string owner);
 
 }  // namespace spikeserve

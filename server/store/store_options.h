@@ -2,28 +2,23 @@
 #ifndef SERVER_STORE_STORE_OPTIONS_H_
 #define SERVER_STORE_STORE_OPTIONS_H_
 
+#include <cstdint>
 #include <string>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "core/store/redis_options.h"
 
 namespace spikeserve {
 
-struct RedisAddress {
-  std::string host;
-  int port = 6379;
-  int database = 0;
-  std::string password = "";  // empty: none
-};
-
-// The parts of an address: memory, file:DIR, or redis://HOST[:PORT][/DATABASE].
+// The parts of an address: memory, file:DIR, or one of Redis (redis_options.h).
 struct StoreAddress {
   enum class Kind { kMemory, kFile, kRedis };
 
   Kind kind = Kind::kMemory;
   std::string folder = "";  // kFile only
-  RedisAddress redis = {};  // kRedis only, without its password
+  RedisAddress redis = {};  // kRedis only
 };
 
 // Returns INVALID_ARGUMENT unless `text` is an address.
@@ -32,6 +27,8 @@ absl::StatusOr<StoreAddress> ParseStoreAddress(const std::string& text);
 struct StoreOptions {
   std::string address = "memory";
   std::string password_file;                   // of Redis; empty: none
+  RedisTlsFiles tls_files;                     // of Redis
+  int64_t replicas = 0;                        // of Redis, that must have a record before it counts
   absl::Duration retention = absl::Hours(24);  // time that a session stays after its last use
 
   // Returns INVALID_ARGUMENT, which names the flag, what was expected and what was received.

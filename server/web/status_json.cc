@@ -59,16 +59,19 @@ Json EnergyModelsToJson() {
 absl::StatusOr<std::string> StatusJson(Json figures,
                                        const std::vector<prometheus::MetricFamily>& families,
                                        const v1::ListPoliciesResponse& policies,
-                                       const v1::ListRolloutsResponse& rollouts, double time,
-                                       bool serving) {
+                                       const v1::ListRolloutsResponse& rollouts,
+                                       const ServerStatus& server) {
   const auto policies_json = MessageToJson(policies);
   if (!policies_json.ok()) return policies_json.status();
   const auto rollouts_json = MessageToJson(rollouts);
   if (!rollouts_json.ok()) return rollouts_json.status();
   Json status = std::move(figures);
-  status["time"] = time;
+  status["time"] = server.time;
   status["version"] = std::string(Version());
-  status["serving"] = serving;
+  status["serving"] = server.serving;
+  status["store"] = server.store;
+  status["replica"] = server.replica;
+  status["replicas"] = server.replicas;
   status["policies"] = Json::parse(*policies_json)["policies"];
   status["rollouts"] = Json::parse(*rollouts_json)["rollouts"];
   status["energy_models"] = EnergyModelsToJson();

@@ -15,16 +15,25 @@
 
 namespace spikeserve {
 
+// What StatusJson() tells of the server itself.
+struct ServerStatus {
+  double time = 0.0;  // in seconds of a monotonic clock
+  bool serving = false;
+  std::string store = "";    // address of the session store, without a password
+  std::string replica = "";  // what the store calls this server; empty for memory
+  int replicas = 1;          // servers that share the store and are alive
+};
+
 // Returns `figures`, which ServerHistory::Status returns, with "time", "version", "serving",
-// "policies", "rollouts" and "metrics". "time" is in seconds of a monotonic clock. "policies" is
-// the list of ListPolicies, "rollouts" that of ListRollouts. "metrics" maps the name of each metric
-// family to a list of {"labels", "value"}, or of {"labels", "count", "sum", "buckets"}, where
-// "buckets" holds cumulative [upper bound, count] pairs and the last bound, infinity, is null.
+// "store", "replica", "replicas", "policies", "rollouts" and "metrics". "policies" is the list of
+// ListPolicies, "rollouts" that of ListRollouts. "metrics" maps the name of each metric family to a
+// list of {"labels", "value"}, or of {"labels", "count", "sum", "buckets"}, where "buckets" holds
+// cumulative [upper bound, count] pairs and the last bound, infinity, is null.
 absl::StatusOr<std::string> StatusJson(nlohmann::json figures,
                                        const std::vector<prometheus::MetricFamily>& families,
                                        const v1::ListPoliciesResponse& policies,
-                                       const v1::ListRolloutsResponse& rollouts, double time,
-                                       bool serving);
+                                       const v1::ListRolloutsResponse& rollouts,
+                                       const ServerStatus& server);
 
 // Returns {"code", "message"} of an error; "code" is the name of the status code.
 std::string ErrorJson(const absl::Status& status);

@@ -130,7 +130,11 @@ absl::StatusOr<std::string> StatusPages::Status(const HttpRequest& request) cons
   std::vector<prometheus::MetricFamily> families;
   if (metrics == "true") families = parts_.metrics->Collect();
   return StatusJson(parts_.history->Status(absl::Seconds(*window)), families, policies, rollouts,
-                    absl::ToDoubleSeconds(parts_.clock->Now()), parts_.serving());
+                    {.time = absl::ToDoubleSeconds(parts_.clock->Now()),
+                     .serving = parts_.serving(),
+                     .store = parts_.store_address,
+                     .replica = parts_.replicas->self(),
+                     .replicas = parts_.replicas->count()});
 }
 
 absl::StatusOr<std::string> StatusPages::History(const HttpRequest& request) const {

@@ -13,6 +13,7 @@
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
+#include "server/base/replicas.h"
 #include "server/history/server_history.h"
 #include "server/metrics/metrics.h"
 #include "server/web/http_server.h"
@@ -33,6 +34,8 @@ class StatusPages {
     const Clock* clock;
     BackgroundWorker* worker;
     std::function<bool()> serving;
+    std::string store_address;  // of the session store, without a password
+    const Replicas* replicas;
   };
 
   explicit StatusPages(Parts parts);

@@ -1,17 +1,16 @@
 """Several servers share the sessions in one Redis server."""
 
-import contextlib
 import os
-import shutil
+import queue
 import signal
-import socket
 import subprocess
 import urllib.request
 
 import grpc
 import pytest
+from redis_servers import WITHOUT_REDIS, Redis
 from security import until
-from serving import DEADLINE_SECONDS
+from serving import DEADLINE_SECONDS, Service, message_class, running_server
 from stored_sessions import (
     SESSIONS,
     Restartable,
@@ -25,43 +24,7 @@ from stored_sessions import (
 LARGEST_LEAD = 256  # decisions of one ASYNC session that may wait for the store
 
 
-def free_port():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
-
-
-class Redis:
-    """A Redis server without files."""
-
-    def __init__(self):
-        self.port = free_port()
-        self.process = subprocess.Popen(
-            [
-                *("redis-server", "--bind", "127.0.0.1", "--port", str(self.port)),
-                *("--save", "", "--appendonly", "no", "--requirepass", "secret"),
-            ],
-            stdout=subprocess.DEVNULL,
-        )
-        until(lambda: self.command("PING") == b"+PONG")
-
-    def command(self, *words):
-        """Returns the first line of the reply."""
-        with contextlib.suppress(OSError):
-            with socket.create_connection(("127.0.0.1", self.port)) as connection:
-                connection.sendall(b"AUTH secret\r\n" + " ".join(words).encode() + b"\r\n")
-                lines = connection.makefile("rb")
-                assert lines.readline() == b"+OK\r\n"
-                return lines.readline().strip()
-        return None
-
-    def stop(self):
-        self.process.send_signal(signal.SIGCONT)
-        self.process.kill()
-        self.process.wait()
-
-
-pytestmark = pytest.mark.skipif(shutil.which("redis-server") is None, reason="without redis-server")
+pytestmark = WITHOUT_REDIS
 
 
 @pytest.fixture(scope="module")
@@ -205,8 +168,102 @@ def test_flags():
         assert run.returncode == 1
         return run.stderr
 
-    expected = "expected memory, file:DIR or redis://HOST[:PORT][/DATABASE], received"
-    for wrong in ("redis://", "redis://host:0", "redis://host/x", "file:", "disk"):
+    expected = "expected memory, file:DIR, redis://HOST[:PORT][,...][/DATABASE], redis+sentinel://"
+    for wrong in (
+        *("redis://", "redis://host:0", "redis://host/x", "redis://a,", "redis://[::1", "redis://[::1]x"),
+        *("redis+sentinel://host", "redis+sentinel://host/", "redis://host/1/2", "file:", "disk"),
+    ):
         assert expected in refusal(f"--session_store={wrong}")
     assert "--store_password_file: expected none" in refusal("--store_password_file=/x")
+    assert "--store_replicas: expected 0 without a store in Redis, received 1" in refusal("--store_replicas=1")
+    plain = "--session_store=redis://host"
+    assert "--store_ca: expected none unless --session_store begins with rediss" in refusal(plain, "--store_ca=/x")
+    secure = "--session_store=rediss://host"
+    assert "--store_ca: expected a PEM file of authorities, received /x" in refusal(secure, "--store_ca=/x")
+    assert "--store_certificate, --store_key: expected both or none" in refusal(secure, "--store_key=/x")
     assert "--store_retention: expected at least" in refusal("--store_retention=1s")
+
+
+def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path):
+    """SIGTERM: streams end with UNAVAILABLE, and every session has a last snapshot and no owner."""
+    redis.command("FLUSHALL")
+    password = tmp_path / "password"
+    password.write_text("secret\n")
+    flags = [f"--store_password_file={password}"]
+    store = f"redis://127.0.0.1:{redis.port}"
+    with Restartable(store, flags) as second, running_server(
+        flags=[f"--session_store={store}", *flags]
+    ) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        first = Service(channel, "spikeserve.v1.PolicyService")
+        for i in range(6):
+            first.OpenSession(**opening(i) | {"durability": "ASYNC"})
+            for step in range(5):
+                act(first, i, step)
+        request_class = message_class(channel, "spikeserve.v1.ActRequest")
+        response_class = message_class(channel, "spikeserve.v1.ActResponse")
+        stream = channel.stream_stream(
+            "/spikeserve.v1.PolicyService/ActStream",
+            request_serializer=request_class.SerializeToString,
+            response_deserializer=response_class.FromString,
+        )
+        requests = queue.SimpleQueue()
+        requests.put(request_class(**acting(0, 0, 5)))
+        answers = stream(iter(requests.get, None))
+        assert next(answers).step == 5
+        addresses.process.terminate()
+        with pytest.raises(grpc.RpcError) as error:
+            next(answers)
+        assert error.value.code() == grpc.StatusCode.UNAVAILABLE
+        addresses.process.wait()
+        for i in range(6):
+            owner, epoch = redis.command(f"HMGET ss:{{{i:032x}}}:o owner epoch")
+            assert (owner, epoch) == (b"", b"1")
+            assert redis.command(f"LLEN ss:{{{i:032x}}}:1") == 1
+        replayed = metric(second, "spikeserve_store_replayed_entries_total")
+        for i in range(6):
+            assert second.GetSession(session_id=f"{i:032x}").decisions == (6 if i == 0 else 5)
+        assert metric(second, "spikeserve_store_replayed_entries_total") == replayed
+        requests.put(None)
+        second.close()
+
+
+def test_what_is_counted(redis, replicas):
+    first, second = replicas
+    with pytest.raises(grpc.RpcError):
+        act(first, 0, 0)  # an unknown session is no take-over
+    first.OpenSession(**opening(5))
+    for step in range(3):
+        act(first, 5, step)
+    act(second, 5, 3)
+    assert code_of_act(first, 5, 3) == grpc.StatusCode.UNAVAILABLE
+    assert metric(first, "spikeserve_store_fences_total") == 1
+    assert metric(second, "spikeserve_store_replayed_entries_total") == 3
+    assert metric(second, 'spikeserve_store_claims_total{outcome="claimed"}') == 1
+    assert metric(first, 'spikeserve_store_claims_total{outcome="failed"}') == 0
+    redis.command("FLUSHALL")
+    code_of_act(second, 5, 4)
+    until(lambda: code_of_act(second, 5, 4) == grpc.StatusCode.OK)
+    assert metric(second, "spikeserve_store_reseeds_total") == 1
+
+
+def test_an_owner_replaces_an_older_journal(redis, replicas):
+    """The store has lost the last take-over: its replica took the primary's place too early."""
+    first, second = replicas
+    session = opening(5)["session_id"]
+    first.OpenSession(**opening(5))
+    act(first, 5, 0)
+    act(second, 5, 1)
+    epoch = int(redis.command(f"HGET ss:{{{session}}}:o epoch", database=1))
+    assert epoch > 1
+    restore(redis, session, epoch)
+    assert code_of_act(second, 5, 2) == grpc.StatusCode.UNAVAILABLE
+    until(lambda: code_of_act(second, 5, 2) == grpc.StatusCode.OK)
+    second.kill()
+    until(lambda: code_of_act(first, 5, 3) == grpc.StatusCode.OK)
+    assert first.GetSession(session_id=session).decisions == 4
+
+
+def restore(redis, session, epoch):
+    """Puts back the state before a take-over, whose list has the name of epoch 1 again."""
+    redis.command(f"RENAME ss:{{{session}}}:{epoch} ss:{{{session}}}:1", database=1)
+    redis.command(f"HSET ss:{{{session}}}:o epoch 1 owner former", database=1)

@@ -1,11 +1,12 @@
 """Sessions survive their server: after kill -9 they go on, and decide what they would have decided without it."""
 
+import json
 import secrets
 import shutil
 
 import grpc
 import pytest
-from security import OBSERVATION, code_of, service_with
+from security import OBSERVATION, TOKENS, code_of, service_with, until
 from serving import SHIPPED_POLICIES, Service, message_class
 from stored_sessions import (
     DEADLINE_SECONDS,
@@ -126,6 +127,42 @@ def test_levels(server):
     with pytest.raises(grpc.RpcError) as error:
         server.GetSession(session_id=session)
     assert error.value.code() == grpc.StatusCode.NOT_FOUND
+
+
+def test_the_ceiling_of_a_tenant(tmp_path):
+    """A tenant gets no higher durability than its max_durability, which may change while the server runs."""
+    file = tmp_path / "tokens.json"
+    none, asynchronous, sync = 1, 2, 3
+
+    def write(ceiling):
+        tenants = {"fleet": {"max_durability": ceiling}, "rival": {}}
+        file.write_text(json.dumps({"tenants": tenants, "tokens": TOKENS["tokens"][:3]}))
+
+    write("async")
+    learning = {"action_selection": "SAMPLE", "learning": {}}
+    fleet = {"action_selection": "SAMPLE", "learning": {"scope": "FLEET"}}
+    with Restartable(f"file:{tmp_path}/store", flags=[f"--tokens={file}", "--durability=sync"]) as server:
+        with service_with(server.addresses, "agent") as service:
+
+            def level(**fields):
+                return service.OpenSession(policy="cartpole", **fields).durability
+
+            assert [level(), level(**learning), level(durability="ASYNC")] == [asynchronous] * 3
+            assert level(durability="NONE") == none
+            for fields, why in (({"durability": "SYNC"}, ""), (fleet, ", which learning.scope FLEET needs")):
+                with pytest.raises(grpc.RpcError) as error:
+                    level(**fields)
+                assert error.value.code() == grpc.StatusCode.PERMISSION_DENIED
+                assert error.value.details() == (
+                    "durability: expected at most ASYNC, the max_durability of tenant fleet, received SYNC" + why
+                )
+            write("none")
+            until(lambda: level() == none)
+            denied = grpc.StatusCode.PERMISSION_DENIED
+            assert code_of(service.OpenSession, policy="cartpole", durability="ASYNC") == denied
+            write("sync")
+            until(lambda: level() == sync)
+        server.close()
 
 
 def test_episodes_are_ended_once(server):

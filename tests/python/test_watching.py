@@ -155,7 +155,9 @@ def server(tmp_path_factory):
     policies = tmp_path_factory.mktemp("policies") / "policies"
     shutil.copytree(SHIPPED_POLICIES, policies)
     shutil.copytree(policies / "cartpole-dial" / "1", policies / "cartpole" / "3")
-    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+    store = tmp_path_factory.mktemp("store")
+    flags = [f"--session_store=file:{store}"]
+    with running_server(policies, flags=flags) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
         agent, admin = Service(channel, POLICY), Service(channel, ADMIN)
         roll_out_in_vain(agent, admin)
         shadow(agent, admin, addresses.http)

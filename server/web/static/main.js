@@ -97,7 +97,8 @@ async function update(turn) {
   state.answered = Date.now();
   document.body.classList.remove('lost');
   showModels(status.energy_models);
-  setText(get('version'), status.version);
+  const store = status.replica ? ` · ${status.replica}, one of ${status.replicas} on ${status.store}` : '';
+  setText(get('version'), status.version + store);
   const firing = status.alerts.filter((alert) => alert.state === 'firing').length;
   const alarm = firing ? `, ${firing} alert${firing === 1 ? '' : 's'}` : '';
   setHealth((status.serving ? 'serving' : 'not serving (draining)') + alarm, status.serving && firing === 0);

@@ -1,4 +1,4 @@
-#include "server/store/lmdb.h"
+#include "core/store/lmdb.h"
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -36,16 +36,34 @@ absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t mo
   return environment;
 }
 
+absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory) {
+  MDB_env* raw = nullptr;
+  if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
+  LmdbEnvironment environment(raw);
+  for (const int error : {mdb_env_set_maxdbs(raw, 2),
+                          mdb_env_open(raw, directory.c_str(), MDB_NOTLS | MDB_RDONLY, 0600)}) {
+    if (auto status = LmdbStatus(error); !status.ok()) return status;
+  }
+  return environment;
+}
+
 absl::StatusOr<LmdbTransaction> LmdbTransaction::Begin(MDB_env* environment) {
   MDB_txn* transaction = nullptr;
   const int error = mdb_txn_begin(environment, nullptr, 0, &transaction);
   if (auto status = LmdbStatus(error); !status.ok()) return status;
-  return LmdbTransaction(transaction);
+  return LmdbTransaction(transaction, /*writes=*/true);
+}
+
+absl::StatusOr<LmdbTransaction> LmdbTransaction::BeginToRead(MDB_env* environment) {
+  MDB_txn* transaction = nullptr;
+  const int error = mdb_txn_begin(environment, nullptr, MDB_RDONLY, &transaction);
+  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  return LmdbTransaction(transaction, /*writes=*/false);
 }
 
 absl::StatusOr<MDB_dbi> LmdbTransaction::OpenTable(const char* name) {
   MDB_dbi table = 0;
-  const int error = mdb_dbi_open(transaction_.get(), name, MDB_CREATE, &table);
+  const int error = mdb_dbi_open(transaction_.get(), name, writes_ ? MDB_CREATE : 0, &table);
   if (auto status = LmdbStatus(error); !status.ok()) return status;
   return table;
 }

@@ -6,8 +6,8 @@
 //   if (status.ok()) status = transaction->Commit();
 //
 // Not thread-safe: one thread uses an environment and its transactions.
-#ifndef SERVER_STORE_LMDB_H_
-#define SERVER_STORE_LMDB_H_
+#ifndef CORE_STORE_LMDB_H_
+#define CORE_STORE_LMDB_H_
 
 #include <lmdb.h>
 
@@ -30,6 +30,9 @@ using LmdbEnvironment = std::unique_ptr<MDB_env, LmdbCloser>;
 // Returns OK for 0, and otherwise UNAVAILABLE with LMDB's description of the error.
 absl::Status LmdbStatus(int error);
 
+// Opens the environment in `directory`, to read while another process may write to it.
+absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory);
+
 // Opens the environment in `directory`, which exists. It may grow to `most_bytes` and have two
 // named tables.
 absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes);
@@ -38,8 +41,10 @@ absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t mo
 class LmdbTransaction {
  public:
   static absl::StatusOr<LmdbTransaction> Begin(MDB_env* environment);
+  // Sees the state of now until it ends, whatever others write.
+  static absl::StatusOr<LmdbTransaction> BeginToRead(MDB_env* environment);
 
-  // Opens a table, and creates it if it does not exist.
+  // Opens a table. A transaction that may write creates it if it does not exist.
   absl::StatusOr<MDB_dbi> OpenTable(const char* name);
 
   // Returns nullopt if there is no such key. The view is valid until the next write.
@@ -59,11 +64,12 @@ class LmdbTransaction {
   struct Aborter {
     void operator()(MDB_txn* transaction) const { mdb_txn_abort(transaction); }
   };
-  explicit LmdbTransaction(MDB_txn* transaction) : transaction_(transaction) {}
+  LmdbTransaction(MDB_txn* transaction, bool writes) : transaction_(transaction), writes_(writes) {}
 
   std::unique_ptr<MDB_txn, Aborter> transaction_;
+  bool writes_;
 };
 
 }  // namespace spikeserve
 
-#endif  // SERVER_STORE_LMDB_H_
+#endif  // CORE_STORE_LMDB_H_

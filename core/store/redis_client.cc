@@ -1,0 +1,251 @@
+#include "core/store/redis_client.h"
+
+#include <utility>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int kMostRedirections = 5;
+
+// Time that replicas have to take over what was written, in milliseconds. Less than the timeout of
+// a connection.
+constexpr char kReplicaTimeout[] = "500";
+
+absl::Status Unavailable(absl::string_view what) {
+  return absl::UnavailableError(absl::StrCat("session store: ", what));
+}
+
+bool IsArray(const redisReply& reply, size_t least) {
+  return reply.type == REDIS_REPLY_ARRAY && reply.elements >= least;
+}
+
+}  // namespace
+
+// CRC16 with the polynomial x^16 + x^12 + x^5 + 1 (XMODEM), as the Cluster's specification says.
+uint16_t RedisSlot(absl::string_view key) {
+  const size_t open = key.find('{');
+  if (open != absl::string_view::npos) {
+    const size_t close = key.find('}', open + 1);
+    if (close != absl::string_view::npos && close > open + 1) {
+      key = key.substr(open + 1, close - open - 1);
+    }
+  }
+  uint32_t crc = 0;
+  for (const char c : key) {
+    crc ^= static_cast<uint32_t>(static_cast<uint8_t>(c)) << 8;
+    for (int bit = 0; bit < 8; ++bit) crc = (crc & 0x8000) != 0 ? (crc << 1) ^ 0x1021 : crc << 1;
+    crc &= 0xffff;
+  }
+  return static_cast<uint16_t>(crc % RedisClient::kSlots);
+}
+
+absl::StatusOr<std::unique_ptr<RedisClient>> RedisClient::Connect(const RedisOptions& options) {
+  absl::Status status;
+  for (const RedisEndpoint& endpoint : options.address.endpoints) {
+    auto client = std::unique_ptr<RedisClient>(new RedisClient(options));
+    status = options.address.primary.empty() ? client->ConnectTo(endpoint)
+                                             : client->ConnectBySentinel(endpoint);
+    if (status.ok()) return client;
+  }
+  return status;
+}
+
+absl::Status RedisClient::ConnectBySentinel(const RedisEndpoint& sentinel) {
+  const auto connection = RedisConnection::Connect(sentinel, options_);
+  if (!connection.ok()) return connection.status();
+  const std::string& name = options_.address.primary;
+  const auto reply = (*connection)->Run({"SENTINEL", "get-master-addr-by-name", name});
+  if (!reply.ok()) return reply.status();
+  RedisEndpoint primary;
+  if (!IsArray(**reply, 2) || !absl::SimpleAtoi(TextOf(*(*reply)->element[1]), &primary.port)) {
+    return Unavailable(absl::StrCat("Sentinel ", sentinel.ToString(), " knows no primary ", name));
+  }
+  primary.host = std::string(TextOf(*(*reply)->element[0]));
+  return ConnectTo(primary);
+}
+
+absl::Status RedisClient::ConnectTo(const RedisEndpoint& endpoint) {
+  Node& node = NodeAt(endpoint);
+  if (auto status = Connect(node, &node.connection); !status.ok()) return status;
+  RedisConnection& connection = *node.connection;
+  // A server that is no node of a Cluster answers with an error.
+  connection.Append(FormatRedisCommand({"CLUSTER", "SLOTS"}));
+  const auto slots = connection.Read();
+  if (!slots.ok()) return slots.status();
+  if ((*slots)->type == REDIS_REPLY_ARRAY) {
+    ReadSlots(**slots, endpoint);
+    return absl::OkStatus();
+  }
+  // A former primary that came back is a replica, which refuses writes.
+  connection.Append(FormatRedisCommand({"ROLE"}));
+  const auto role = connection.Read();
+  if (!role.ok()) return role.status();
+  if (IsArray(**role, 1) && TextOf(*(*role)->element[0]) != "master") {
+    return Unavailable(absl::StrCat(endpoint.ToString(), " is no primary"));
+  }
+  only_ = &node;
+  return absl::OkStatus();
+}
+
+void RedisClient::ReadSlots(const redisReply& reply, const RedisEndpoint& asked) {
+  slots_.assign(kSlots, nullptr);
+  for (size_t i = 0; i < reply.elements; ++i) {
+    const redisReply& range = *reply.element[i];
+    if (!IsArray(range, 3) || !IsArray(*range.element[2], 2)) continue;
+    RedisEndpoint endpoint = {.host = std::string(TextOf(*range.element[2]->element[0])),
+                              .port = static_cast<int>(range.element[2]->element[1]->integer)};
+    if (endpoint.host.empty()) endpoint.host = asked.host;  // a node that does not know its address
+    Node& node = NodeAt(endpoint);
+    const auto last = static_cast<size_t>(range.element[1]->integer);
+    for (auto slot = static_cast<size_t>(range.element[0]->integer); slot <= last; ++slot) {
+      if (slot < kSlots) slots_[slot] = &node;
+    }
+  }
+}
+
+RedisClient::Node& RedisClient::NodeAt(const RedisEndpoint& endpoint) {
+  Node& node = nodes_[endpoint.ToString()];
+  node.endpoint = endpoint;
+  return node;
+}
+
+RedisClient::Node& RedisClient::NodeOf(absl::string_view key) {
+  Node* const node = is_cluster() ? slots_[RedisSlot(key)] : only_;
+  return node == nullptr ? nodes_.begin()->second : *node;  // which says where the slot is
+}
+
+absl::Status RedisClient::Connect(const Node& node, std::unique_ptr<RedisConnection>* connection) {
+  if (*connection != nullptr) return absl::OkStatus();
+  auto connected = RedisConnection::Connect(node.endpoint, options_);
+  if (!connected.ok()) return connected.status();
+  if (options_.address.database != 0) {
+    const auto reply = (*connected)->Run({"SELECT", absl::StrCat(options_.address.database)});
+    if (!reply.ok()) return reply.status();
+  }
+  *connection = *std::move(connected);
+  return absl::OkStatus();
+}
+
+void RedisClient::Append(std::initializer_list<absl::string_view> arguments) {
+  const absl::string_view* const first = arguments.begin();
+  Node& node = NodeOf(first[*first == "EVAL" ? 3 : 1]);
+  Pending& pending = pending_.emplace_back();
+  pending.node = &node;
+  pending.failure = Connect(node, &node.connection);
+  if (!pending.failure.ok()) return;
+  std::string command = FormatRedisCommand(arguments);
+  node.connection->Append(command);
+  if (options_.replicas > 0) written_.insert(node.connection.get());
+  if (is_cluster()) pending.command = std::move(command);
+}
+
+absl::StatusOr<RedisReply> RedisClient::Read() {
+  const Pending pending = std::move(pending_.front());
+  pending_.pop_front();
+  if (!pending.failure.ok()) return pending.failure;
+  auto reply = pending.node->connection->Read();
+  if (!reply.ok()) return reply;
+  Redirection redirection;
+  if (is_cluster() && ParseRedirection(**reply, pending.node->endpoint, &redirection)) {
+    return Follow(pending.command, std::move(redirection));
+  }
+  if (auto status = RedisStatus(**reply); !status.ok()) return status;
+  return reply;
+}
+
+absl::StatusOr<RedisReply> RedisClient::Run(std::initializer_list<absl::string_view> arguments) {
+  Append(arguments);
+  return Read();
+}
+
+// Parses "MOVED 3999 127.0.0.1:6381" and "ASK 3999 127.0.0.1:6381".
+bool RedisClient::ParseRedirection(const redisReply& reply, const RedisEndpoint& from,
+                                   Redirection* redirection) {
+  if (reply.type != REDIS_REPLY_ERROR) return false;
+  const std::vector<absl::string_view> words = absl::StrSplit(TextOf(reply), ' ');
+  if (words.size() != 3 || (words[0] != "MOVED" && words[0] != "ASK")) return false;
+  const size_t colon = words[2].rfind(':');
+  uint32_t slot = 0;
+  if (colon == absl::string_view::npos || !absl::SimpleAtoi(words[1], &slot) || slot >= kSlots ||
+      !absl::SimpleAtoi(words[2].substr(colon + 1), &redirection->endpoint.port)) {
+    return false;
+  }
+  redirection->is_ask = words[0] == "ASK";
+  redirection->slot = static_cast<uint16_t>(slot);
+  redirection->endpoint.host = std::string(words[2].substr(0, colon));
+  if (redirection->endpoint.host.empty()) redirection->endpoint.host = from.host;
+  return true;
+}
+
+absl::StatusOr<RedisReply> RedisClient::Follow(const std::string& command,
+                                               Redirection redirection) {
+  for (int i = 0; i < kMostRedirections; ++i) {
+    Node& node = NodeAt(redirection.endpoint);
+    if (auto status = Connect(node, &node.redirected); !status.ok()) return status;
+    if (!redirection.is_ask) slots_[redirection.slot] = &node;
+    RedisConnection& connection = *node.redirected;
+    if (redirection.is_ask) {
+      if (const auto asking = connection.Run({"ASKING"}); !asking.ok()) return asking.status();
+    }
+    if (options_.replicas > 0) written_.insert(&connection);
+    connection.Append(command);
+    auto reply = connection.Read();
+    if (!reply.ok()) return reply;
+    if (ParseRedirection(**reply, node.endpoint, &redirection)) continue;
+    if (auto status = RedisStatus(**reply); !status.ok()) return status;
+    return reply;
+  }
+  return Unavailable(absl::StrCat("expected at most ", kMostRedirections,
+                                  " redirections of a command, received more"));
+}
+
+absl::Status RedisClient::ScanKeys(absl::string_view pattern,
+                                   absl::FunctionRef<void(absl::string_view key)> visit) {
+  std::set<Node*> primaries(slots_.begin(), slots_.end());
+  if (!is_cluster()) primaries.insert(only_);
+  primaries.erase(nullptr);
+  for (Node* node : primaries) {
+    if (auto status = Connect(*node, &node->connection); !status.ok()) return status;
+    if (auto status = ScanNode(*node->connection, pattern, visit); !status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status RedisClient::ScanNode(RedisConnection& connection, absl::string_view pattern,
+                                   absl::FunctionRef<void(absl::string_view key)> visit) {
+  std::string cursor = "0";
+  do {
+    const auto reply = connection.Run({"SCAN", cursor, "MATCH", pattern, "COUNT", "1000"});
+    if (!reply.ok()) return reply.status();
+    if (!IsArray(**reply, 2)) return Unavailable("expected a cursor and keys");
+    cursor = std::string(TextOf(*(*reply)->element[0]));
+    const redisReply& keys = *(*reply)->element[1];
+    for (size_t i = 0; i < keys.elements; ++i) visit(TextOf(*keys.element[i]));
+  } while (cursor != "0");
+  return absl::OkStatus();
+}
+
+absl::Status RedisClient::WaitForReplicas() {
+  const auto connections = std::exchange(written_, {});
+  const std::string replicas = absl::StrCat(options_.replicas);
+  for (RedisConnection* connection : connections) {
+    connection->Append(FormatRedisCommand({"WAIT", replicas, kReplicaTimeout}));
+  }
+  absl::Status outcome;
+  for (RedisConnection* connection : connections) {
+    const auto reply = connection->Read();
+    if (!reply.ok()) return reply.status();
+    if (auto status = RedisStatus(**reply); !status.ok()) return status;
+    if ((*reply)->integer >= options_.replicas) continue;
+    outcome =
+        Unavailable(absl::StrCat(connection->endpoint().ToString(), ": expected ", replicas,
+                                 " replicas that have the records, received ", (*reply)->integer));
+  }
+  return outcome;
+}
+
+}  // namespace spikeserve

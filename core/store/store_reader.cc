@@ -1,0 +1,249 @@
+#include "core/store/store_reader.h"
+
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <system_error>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+#include "core/session/field_codec.h"
+#include "core/session/journal_entry.h"
+#include "core/store/lmdb.h"
+#include "core/store/redis_client.h"
+#include "core/store/stored_session.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kIdSize = 32;  // hexadecimal digits
+
+int64_t SizeOf(absl::Span<const std::string> records) {
+  int64_t bytes = 0;
+  for (const std::string& record : records) bytes += static_cast<int64_t>(record.size());
+  return bytes;
+}
+
+// Returns the servers that were alive lately. KEYS: sorted set. ARGV: milliseconds.
+constexpr char kLiving[] = R"(
+local time = redis.call('TIME')
+local now = time[1] * 1000 + math.floor(time[2] / 1000)
+return redis.call('ZRANGEBYSCORE', KEYS[1], now - ARGV[1], '+inf'))";
+
+// A session's hash in Redis.
+struct RedisSession {
+  std::string epoch;
+  std::string owner;
+  std::string tenant;
+  std::string state;
+};
+
+// What SCAN has found: the sessions with a hash, and the epochs of lists by session.
+struct RedisKeys {
+  std::set<std::string> sessions;
+  std::map<std::string, std::set<std::string>> lists;
+};
+
+void AddKey(absl::string_view key, RedisKeys* keys) {
+  absl::string_view rest = key;
+  if (!absl::ConsumePrefix(&rest, "ss:{")) return;
+  const size_t end = rest.find("}:");
+  if (end == absl::string_view::npos) return;
+  const std::string id(rest.substr(0, end));
+  const std::string part(rest.substr(end + 2));
+  part == "o" ? static_cast<void>(keys->sessions.insert(id))
+              : static_cast<void>(keys->lists[id].insert(part));
+}
+
+absl::StatusOr<std::optional<RedisSession>> ReadHash(RedisClient& client, const std::string& id) {
+  const auto reply = client.Run({"HMGET", RedisHashKey(id), "epoch", "owner", "tenant", "state"});
+  if (!reply.ok()) return reply.status();
+  if ((*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements != 4 ||
+      (*reply)->element[0]->type != REDIS_REPLY_STRING) {
+    return std::nullopt;
+  }
+  const auto text = [&](size_t i) { return std::string(TextOf(*(*reply)->element[i])); };
+  return RedisSession{.epoch = text(0), .owner = text(1), .tenant = text(2), .state = text(3)};
+}
+
+absl::StatusOr<std::vector<std::string>> ReadList(RedisClient& client, const std::string& key) {
+  const auto reply = client.Run({"LRANGE", key, "0", "-1"});
+  if (!reply.ok()) return reply.status();
+  std::vector<std::string> items;
+  for (size_t i = 0; i < (*reply)->elements; ++i) {
+    items.emplace_back(TextOf(*(*reply)->element[i]));
+  }
+  return items;
+}
+
+// Checks one session, and adds it to `report`. Leaves in `epoch` that of its journal.
+absl::Status CheckRedisSession(RedisClient& client, const std::string& id, StoreReport* report,
+                               std::string* epoch) {
+  // A server may take the session over between the two commands, which renames the list.
+  constexpr int kTries = 3;
+  for (int i = 0; i < kTries; ++i) {
+    const auto session = ReadHash(client, id);
+    if (!session.ok()) return session.status();
+    if (!session->has_value()) return absl::OkStatus();  // expired meanwhile
+    *epoch = (*session)->epoch;
+    if ((*session)->state == "closed") {
+      ++report->closed;
+      return absl::OkStatus();
+    }
+    const auto records = ReadList(client, RedisListPrefix(id) + *epoch);
+    if (!records.ok()) return records.status();
+    if (records->empty() && i + 1 < kTries) continue;
+    ++report->open;
+    const bool alive = std::find(report->replicas.begin(), report->replicas.end(),
+                                 (*session)->owner) != report->replicas.end();
+    ++(alive ? report->owned : report->ownerless);
+    report->bytes += SizeOf(*records);
+    const auto status = CheckJournal(id, (*session)->tenant, *records, &report->entries);
+    if (!status.ok()) report->damaged.push_back({id, std::string(status.message())});
+    return absl::OkStatus();
+  }
+  return absl::OkStatus();
+}
+
+// Adds lists that are no journal of an open session. `epochs` are those of the journals.
+absl::Status FindOrphans(RedisClient& client, const RedisKeys& keys,
+                         const std::map<std::string, std::string>& epochs, StoreReport* report) {
+  for (const auto& [id, lists] : keys.lists) {
+    for (const std::string& epoch : lists) {
+      const auto known = epochs.find(id);
+      if (known != epochs.end() && known->second == epoch) continue;
+      const std::string key = RedisListPrefix(id) + epoch;
+      const auto exists = client.Run({"EXISTS", key});  // it may have been renamed meanwhile
+      if (!exists.ok()) return exists.status();
+      if ((*exists)->integer == 0) continue;
+      report->orphaned.push_back(
+          {key, known == epochs.end()
+                    ? "a journal without its session"
+                    : absl::StrCat("a journal of another epoch than ", known->second)});
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status CheckJournal(absl::string_view id, absl::string_view tenant,
+                          absl::Span<const std::string> records, int64_t* entries) {
+  const auto journal = ParseJournal(records);
+  if (!journal.ok()) return journal.status();
+  const Session& snapshot = journal->snapshot;
+  if (snapshot.id != id || snapshot.options.tenant != tenant) {
+    return absl::DataLossError("journal: expected the session's own, received another one");
+  }
+  uint64_t decisions = snapshot.decisions;
+  for (const JournalEntry& entry : journal->entries) {
+    if (entry.decision < decisions) continue;  // written again
+    if (entry.decision > decisions) {
+      return absl::DataLossError(absl::StrCat("journal: expected decision ", decisions,
+                                              ", received decision ", entry.decision));
+    }
+    ++decisions;
+    ++*entries;
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
+  std::error_code error;
+  if (!std::filesystem::exists(std::filesystem::path(directory) / "data.mdb", error)) {
+    return absl::NotFoundError(
+        absl::StrCat("expected a folder with a session store, received ", directory));
+  }
+  auto environment = OpenLmdbToRead(directory);
+  if (!environment.ok()) return environment.status();
+  auto transaction = LmdbTransaction::BeginToRead(environment->get());
+  if (!transaction.ok()) return transaction.status();
+  const auto sessions = transaction->OpenTable(kSessionsTable);
+  if (!sessions.ok()) return sessions.status();
+  const auto records = transaction->OpenTable(kRecordsTable);
+  if (!records.ok()) return records.status();
+
+  StoreReport report;
+  std::map<std::string, std::vector<std::string>> journals;
+  std::string last;  // the session whose journal is gathered
+  std::vector<std::string> journal;
+  std::optional<absl::string_view> description;
+  absl::Status failure;
+  const auto check = [&] {
+    if (last.empty()) return;
+    report.bytes += SizeOf(journal);
+    const auto bytes = transaction->Get(*sessions, last);
+    if (!bytes.ok()) {
+      failure = bytes.status();
+    } else if (!bytes->has_value()) {
+      report.orphaned.push_back({last, "a journal without its session"});
+    } else {
+      const auto json =
+          codec::ParseDocument(std::string(**bytes), "stored session", kStoredSessionFormat);
+      absl::Status status = json.status();
+      StoredSession session;
+      if (status.ok()) {
+        codec::Reader reader;
+        reader.Read(*json, "stored session", session);
+        status = reader.status();
+      }
+      if (status.ok()) status = CheckJournal(last, session.tenant, journal, &report.entries);
+      if (!status.ok()) report.damaged.push_back({last, std::string(status.message())});
+    }
+    journal.clear();
+  };
+  std::set<std::string> with_records;
+  auto status =
+      transaction->Scan(*records, "", [&](absl::string_view key, absl::string_view bytes) {
+        const std::string id(key.substr(0, kIdSize));
+        if (id != last) {
+          check();
+          last = id;
+          with_records.insert(id);
+        }
+        journal.emplace_back(bytes);
+      });
+  check();
+  if (status.ok()) status = failure;
+  if (!status.ok()) return status;
+  status = transaction->Scan(*sessions, "", [&](absl::string_view id, absl::string_view) {
+    ++report.open;
+    ++report.ownerless;
+    if (!with_records.contains(std::string(id))) {
+      report.damaged.push_back({std::string(id), "a session without its journal"});
+    }
+  });
+  if (!status.ok()) return status;
+  return report;
+}
+
+absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options) {
+  auto client = RedisClient::Connect(options);
+  if (!client.ok()) return client.status();
+  StoreReport report;
+  const auto replicas =
+      (*client)->Run({"EVAL", kLiving, "1", kRedisReplicas, absl::StrCat(kAliveMilliseconds)});
+  if (!replicas.ok()) return replicas.status();
+  for (size_t i = 0; i < (*replicas)->elements; ++i) {
+    report.replicas.emplace_back(TextOf(*(*replicas)->element[i]));
+  }
+  RedisKeys keys;
+  auto status =
+      (*client)->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); });
+  if (!status.ok()) return status;
+  std::map<std::string, std::string> epochs;
+  for (const std::string& id : keys.sessions) {
+    std::string epoch;
+    if (status = CheckRedisSession(**client, id, &report, &epoch); !status.ok()) return status;
+    if (!epoch.empty()) epochs[id] = epoch;
+  }
+  if (status = FindOrphans(**client, keys, epochs, &report); !status.ok()) return status;
+  return report;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,57 @@
+// How a session lies in a store: the names of its keys in Redis, and its description in a file.
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef CORE_STORE_STORED_SESSION_H_
+#define CORE_STORE_STORED_SESSION_H_
+
+#include <concepts>
+#include <cstdint>
+#include <string>
+#include <type_traits>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+
+namespace spikeserve {
+
+// The tables of a file store: from ids to StoredSession, and from ids with the number of decisions
+// to records.
+inline constexpr char kSessionsTable[] = "sessions";
+inline constexpr char kRecordsTable[] = "records";
+
+// The size that a file store may grow to. It takes only the space that it needs.
+inline constexpr size_t kMostStoreBytes = size_t{64} << 30;
+
+// What a file store knows of a session beside its records, and the name of its binary form.
+struct StoredSession {
+  std::string tenant;
+  uint64_t epoch = 0;
+  int64_t written_seconds = 0;  // when a record was written, to within a minute; Unix time
+};
+inline constexpr char kStoredSessionFormat[] = "spikeserve.stored.v1";
+
+template <typename T, typename Visitor>
+requires std::same_as<std::remove_const_t<T>, StoredSession>
+void VisitFields(T& session, Visitor&& visit) {
+  visit("tenant", session.tenant);
+  visit("epoch", session.epoch);
+  visit("written_seconds", session.written_seconds);
+}
+
+// The keys of a session in Redis: ss:{id}:o, a hash, and ss:{id}:<epoch>, a list. `{id}` is a hash
+// tag, so that the keys of a session lie on one node of a Cluster.
+inline std::string RedisListPrefix(absl::string_view id) { return absl::StrCat("ss:{", id, "}:"); }
+inline std::string RedisHashKey(absl::string_view id) {
+  return absl::StrCat(RedisListPrefix(id), "o");
+}
+inline constexpr char kRedisSessionKeys[] = "ss:{*}:*";
+
+// The servers that share a store in Redis, by the time at which they were alive last.
+inline constexpr char kRedisReplicas[] = "r";
+
+// A server that has not said for this long that it is alive counts as dead.
+inline constexpr int64_t kAliveMilliseconds = 5000;
+
+}  // namespace spikeserve
+
+#endif  // CORE_STORE_STORED_SESSION_H_

@@ -1,0 +1,59 @@
+// What servers share in Redis beside sessions: the settings of operators, the files of promoted
+// versions, and which servers are alive.
+//
+// - cfg, a hash: revision and settings.
+// - pf:<SHA-256>: the file of a promoted version.
+// - r, a sorted set: the servers, by the time at which they were alive last.
+//
+// Thread-safe. All methods block for at most a few RedisConnection::kTimeout.
+#ifndef SERVER_STORE_REDIS_SHARED_H_
+#define SERVER_STORE_REDIS_SHARED_H_
+
+#include <initializer_list>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/synchronization/mutex.h"
+#include "core/store/redis_client.h"
+#include "core/store/redis_options.h"
+#include "server/policies/shared_settings.h"
+
+namespace spikeserve {
+
+class RedisShared final : public SharedSettings {
+ public:
+  // `replica` identifies this server.
+  RedisShared(RedisOptions options, std::string replica)
+      : options_(std::move(options)), replica_(std::move(replica)) {}
+
+  const std::string& replica() const { return replica_; }
+
+  absl::StatusOr<Document> Read() override;
+  absl::Status Write(const Document& document) override;
+  absl::Status PutFile(const std::string& sha256, const std::string& bytes) override;
+  absl::StatusOr<std::string> GetFile(const std::string& sha256) override;
+
+  // Says that this server is alive, and returns all that are.
+  absl::StatusOr<std::vector<std::string>> Beat();
+  // Says that this server ends.
+  absl::Status Leave();
+
+ private:
+  // Runs a command, and waits for the replicas of Redis if it `writes`.
+  absl::StatusOr<RedisReply> Run(bool writes, std::initializer_list<absl::string_view> arguments)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+
+  const RedisOptions options_;
+  const std::string replica_;
+  absl::Mutex mutex_;
+  std::unique_ptr<RedisClient> client_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_STORE_REDIS_SHARED_H_

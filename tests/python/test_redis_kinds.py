@@ -1,0 +1,243 @@
+"""Sessions survive in Redis over TLS, behind Sentinels, and in a Cluster."""
+
+import grpc
+import pytest
+from redis_servers import (
+    PASSWORD,
+    WITHOUT_REDIS,
+    Redis,
+    Sentinel,
+    make_certificates,
+    move_slot,
+    primary_port,
+    start_cluster,
+    stopping,
+)
+from security import until
+from stored_sessions import (
+    EPISODES,
+    SESSIONS,
+    STEPS,
+    Restartable,
+    acting,
+    comparable,
+    ending,
+    opening,
+    play,
+    undisturbed_play,
+)
+
+pytestmark = WITHOUT_REDIS
+
+
+@pytest.fixture(scope="module")
+def undisturbed():
+    return undisturbed_play()
+
+
+@pytest.fixture
+def password(tmp_path):
+    path = tmp_path / "password"
+    path.write_text(PASSWORD)
+    return f"--store_password_file={path}"
+
+
+def until_answered(call):
+    """Repeats a call while its outcome is UNAVAILABLE, as the client libraries do."""
+    answers = []
+
+    def answered():
+        try:
+            answers.append(call())
+        except grpc.RpcError as error:
+            assert error.code() == grpc.StatusCode.UNAVAILABLE, error
+        return answers != []
+
+    until(answered)
+    return answers[0]
+
+
+def play_patiently(service, disturb):
+    """As play(), but with one call for each decision, which is repeated until it is answered."""
+    answers = {i: [] for i in range(SESSIONS)}
+    for i in range(SESSIONS):
+        until_answered(lambda i=i: service().OpenSession(**opening(i)))
+    for episode in range(EPISODES):
+        for step in range(STEPS):
+            disturb(episode, step)
+            for i in range(SESSIONS):
+                answer = until_answered(lambda i=i: service().Act(**acting(i, episode, step)))
+                answers[i].append(comparable(answer))
+        for i in range(SESSIONS):
+            ended = until_answered(lambda i=i: service().EndEpisode(**ending(i, episode)))
+            answers[i].append(ended.SerializeToString(deterministic=True))
+    for i in range(SESSIONS):
+        view = until_answered(
+            lambda i=i: service().GetSession(session_id=f"{i:032x}", include_head_delta=True)
+        )
+        answers[i].append(view.SerializeToString(deterministic=True))
+    return answers
+
+
+def test_tls(tmp_path, password, undisturbed):
+    certificates = make_certificates(tmp_path)
+    with stopping([Redis(certificates=certificates)]) as [redis]:
+        flags = [
+            *(password, f"--store_ca={certificates}/ca.pem"),
+            *(f"--store_certificate={certificates}/client.pem", f"--store_key={certificates}/client.key"),
+        ]
+        with Restartable(f"rediss://localhost:{redis.port}", flags) as server:
+
+            def disturb(episode, step):
+                if (episode, step) == (0, 20):
+                    server.restart()
+
+            assert play(lambda: server, disturb) == undisturbed
+            server.close()
+
+
+def test_tls_with_strangers(tmp_path, password):
+    """A Redis server that another authority signed, or that has another name, is not used."""
+    certificates = make_certificates(tmp_path)
+    mine = [f"--store_certificate={certificates}/client.pem", f"--store_key={certificates}/client.key"]
+    log = tmp_path / "log"
+    with stopping([Redis(certificates=certificates)]) as [redis]:
+        for flags, host, expected in (
+            ([*mine, f"--store_ca={certificates}/stranger.pem"], "localhost", "self-signed certificate"),
+            ([*mine, f"--store_ca={certificates}/ca.pem"], "[::ffff:127.0.0.1]", "IP address mismatch"),
+            ([f"--store_ca={certificates}/ca.pem"], "localhost", "tlsv13 alert certificate required"),
+        ):
+            with log.open("w") as file, Restartable(
+                f"rediss://{host}:{redis.port}", [password, *flags], log=file
+            ) as server:
+                until(lambda: code_of_open(server) == grpc.StatusCode.UNAVAILABLE)
+                until(lambda expected=expected: expected in log.read_text())
+                server.close()
+
+
+def code_of_open(server):
+    try:
+        server.OpenSession(**opening(0))
+    except grpc.RpcError as error:
+        return error.code()
+    return grpc.StatusCode.OK
+
+
+def test_sentinels_name_the_new_primary(tmp_path, password, undisturbed):
+    """The primary is killed. Nothing that a replica of Redis was to have is lost."""
+    with stopping([Redis()]) as servers:
+        primary = servers[0]
+        servers += [Redis("--replicaof", "127.0.0.1", str(primary.port)) for _ in range(2)]
+        until(lambda: b"connected_slaves:2" in primary.command("INFO replication"))
+        sentinels = [Sentinel(tmp_path, primary, quorum=2) for _ in range(3)]
+        servers += sentinels
+        until(lambda: all(primary_port(each) == primary.port for each in sentinels))
+        addresses = ",".join(f"127.0.0.1:{each.port}" for each in sentinels)
+        for each in sentinels:
+            until(lambda each=each: is_watched(each, replicas=2, sentinels=2))
+        flags = [password, "--store_replicas=1"]
+        with Restartable(f"redis+sentinel://{addresses}/mymaster/2", flags) as server:
+
+            def disturb(episode, step):
+                if (episode, step) == (0, 15):
+                    primary.kill()
+                if (episode, step) == (1, 5):
+                    server.restart()  # what the new primary has is all there is
+
+            assert play_patiently(lambda: server, disturb) == undisturbed
+            assert primary_port(sentinels[0]) != primary.port
+            server.close()
+
+
+def is_watched(sentinel, replicas, sentinels):
+    fields = sentinel.command("SENTINEL MASTER mymaster")
+    state = dict(zip(fields[::2], fields[1::2], strict=True))
+    return (int(state[b"num-slaves"]), int(state[b"num-other-sentinels"])) == (replicas, sentinels)
+
+
+def test_too_few_replicas(password):
+    with stopping([Redis()]) as servers:
+        [primary] = servers
+        flags = [password, "--store_replicas=1"]
+        with Restartable(f"redis://127.0.0.1:{primary.port}", flags) as server:
+            assert code_of_open(server) == grpc.StatusCode.UNAVAILABLE
+            servers.append(Redis("--replicaof", "127.0.0.1", str(primary.port)))
+            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            server.close()
+
+
+def test_a_replica_of_redis_is_no_store(password):
+    """Of several addresses, the one that takes writes is used."""
+    with stopping([Redis()]) as servers:
+        [primary] = servers
+        servers.append(Redis("--replicaof", "127.0.0.1", str(primary.port)))
+        addresses = f"127.0.0.1:{servers[1].port},127.0.0.1:{primary.port}"
+        until(lambda: b"role:slave" in servers[1].command("INFO replication"))
+        with Restartable(f"redis://{addresses}", [password]) as server:
+            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            server.close()
+
+
+def test_cluster_whose_slots_move(password, undisturbed):
+    """While the sessions are played, the slots of all their keys move to other nodes."""
+    with stopping([]) as servers:
+        start_cluster(servers)
+        with Restartable(f"redis://127.0.0.1:1,127.0.0.1:{servers[1].port}", [password]) as server:
+
+            def disturb(episode, step):
+                if (episode, step) == (0, 10):
+                    for i in range(0, SESSIONS, 4):
+                        move(i, servers)
+                if (episode, step) == (1, 10):
+                    server.restart()
+                if (episode, step) == (1, 20):  # commands on the other half are sent on by ASK
+                    for i in range(1, SESSIONS, 4):
+                        begin_to_move(i, servers)
+
+            assert play_patiently(lambda: server, disturb) == undisturbed
+            assert sum(holds(each) for each in servers) == 3
+            server.close()
+
+
+def holds(server):
+    return server.command("DBSIZE") > 0
+
+
+def slot_of(i, servers):
+    return servers[0].command(f"CLUSTER KEYSLOT ss:{{{i:032x}}}:o")
+
+
+def owner_of(slot, servers):
+    def owns(server):
+        return server.command(f"CLUSTER COUNTKEYSINSLOT {slot}") > 0
+
+    return next(server for server in servers if owns(server))
+
+
+def other_than(server, servers):
+    return servers[(servers.index(server) + 1) % len(servers)]
+
+
+def move(i, servers):
+    slot = slot_of(i, servers)
+    source = owner_of(slot, servers)
+    move_slot(slot, source, other_than(source, servers), servers)
+
+
+def begin_to_move(i, servers):
+    """Moves the keys, but not the slot."""
+    slot = slot_of(i, servers)
+    source = owner_of(slot, servers)
+    move_slot(slot, source, other_than(source, servers), servers, finish=False)
+
+
+def test_cluster_has_one_database(tmp_path, password):
+    log = tmp_path / "log"
+    with stopping([]) as servers:
+        start_cluster(servers)
+        with log.open("w") as file, Restartable(
+            f"redis://127.0.0.1:{servers[0].port}/3", [password], log=file
+        ) as server:
+            assert code_of_open(server) == grpc.StatusCode.UNAVAILABLE
+            assert "SELECT is not allowed in cluster mode" in log.read_text()
+            server.close()

@@ -1,0 +1,230 @@
+"""Replicas share the settings of operators and promoted versions."""
+
+import json
+import re
+import shutil
+import urllib.request
+from concurrent.futures import ThreadPoolExecutor
+
+import grpc
+import pytest
+from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
+from security import ADMIN, HEALTH, SERVING, code_of, entry, service_with, until
+from serving import SHIPPED_POLICIES, Service
+from stored_sessions import Restartable
+
+pytestmark = WITHOUT_REDIS
+
+
+@pytest.fixture
+def redis():
+    with stopping([Redis()]) as [started]:
+        yield started
+
+
+@pytest.fixture
+def start(redis, tmp_path):
+    """Returns a function that starts a replica with its own folder of policies."""
+    password = tmp_path / "password"
+    password.write_text(PASSWORD)
+    started = []
+
+    def start_one(name, *flags):
+        policies = tmp_path / name
+        for policy in ("cartpole", "pendulum"):
+            shutil.copytree(SHIPPED_POLICIES / policy, policies / policy)
+        store = f"redis://127.0.0.1:{redis.port}"
+        replica = Restartable(store, [f"--store_password_file={password}", *flags], policies)
+        replica.start()
+        replica.folder = policies
+        started.append(replica)
+        return replica
+
+    yield start_one
+    for replica in started:
+        replica.close()
+        replica.stack.close()
+
+
+def admin(replica):
+    return Service(replica.channel, ADMIN)
+
+
+def opened_version(replica, **fields):
+    return replica.OpenSession(policy="cartpole", **fields).version
+
+
+def status_of(replica):
+    with urllib.request.urlopen(f"http://{replica.addresses.http}/status.json") as page:
+        return json.load(page)
+
+
+def health_of(replica):
+    return Service(replica.channel, HEALTH).Check(service="").status
+
+
+def test_a_change_on_one_replica_reaches_all(start):
+    first, second = start("a"), start("b")
+    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    until(lambda: opened_version(second) == 1)
+    admin(second).SetLabel(policy="cartpole", version=2, label="canary")
+    until(lambda: code_of(first.OpenSession, policy="cartpole", version_label="canary") == grpc.StatusCode.OK)
+    assert opened_version(first, version_label="canary") == 2
+    admin(first).SetTraffic(
+        policy="cartpole", shares=[{"version": 1, "percent": 0}, {"version": 2, "percent": 100}], shadow_version=1
+    )
+    until(lambda: opened_version(second) == 2)
+    admin(second).PauseLearning(policy="cartpole")
+    until(lambda: admin(first).GetHead(policy="cartpole").paused)
+    admin(second).UnloadPolicy(policy="pendulum", version=1)
+    missing = grpc.StatusCode.NOT_FOUND
+    until(lambda: code_of(first.OpenSession, policy="pendulum", version=1) == missing)
+    admin(first).LoadPolicy(policy="pendulum", version=1)
+    until(lambda: code_of(second.OpenSession, policy="pendulum", version=1) == grpc.StatusCode.OK)
+
+
+def test_changes_at_the_same_time_are_all_made(start):
+    """Each replica sets labels as fast as it can. None overwrites those of the others."""
+    replicas = [start(name) for name in "abc"]
+
+    def set_labels(n):
+        operator = admin(replicas[n])
+        for i in range(20):
+            operator.SetLabel(policy="cartpole", version=1, label=f"label-{n}-{i}")
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(set_labels, range(3)))
+    labels = {f"label-{n}-{i}" for n in range(3) for i in range(20)}
+    for replica in replicas:
+        until(
+            lambda replica=replica: all(
+                code_of(replica.OpenSession, policy="cartpole", version_label=label) == grpc.StatusCode.OK
+                for label in labels
+            )
+        )
+
+
+def test_a_new_replica_takes_over_the_settings_before_it_serves(start):
+    first = start("a")
+    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    second = start("b")
+    assert health_of(second) == SERVING
+    assert opened_version(second) == 1
+    until(lambda: [status_of(each)["replicas"] for each in (first, second)] == [2, 2])
+    names = {status_of(each)["replica"] for each in (first, second)}
+    assert len(names) == 2
+    assert status_of(first)["store"].startswith("redis://127.0.0.1:")
+    second.kill()
+    until(lambda: status_of(first)["replicas"] == 1)
+
+
+def test_a_replica_without_settings_does_not_serve(redis, start):
+    redis.kill()
+    replica = start("a")
+    assert health_of(replica) == 2  # NOT_SERVING
+    assert code_of(admin(replica).SetDefaultVersion, policy="cartpole", version=1) == grpc.StatusCode.UNAVAILABLE
+    redis.start()
+    until(lambda: health_of(replica) == SERVING)
+
+
+def test_redis_loses_the_settings(redis, start):
+    """The replicas write what they have."""
+    first, second = start("a"), start("b")
+    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    until(lambda: opened_version(second) == 1)
+    redis.command("FLUSHALL")
+    until(lambda: redis.command("HGET cfg revision") == b"1")
+    assert opened_version(start("c")) == 1
+
+
+def learn(replica):
+    """Plays episodes that teach the fleet."""
+    learning = {"scope": "FLEET", "modulator": "realized", "learning_rate": 0.5}
+    fields = {"action_selection": "SAMPLE", "seed": 1, "learning": learning}
+    session = replica.OpenSession(policy="cartpole", **fields).session_id
+    for step in range(20):
+        replica.Act(session_id=session, step=step, observation=[0.1, 0.2, -0.1, 0.0], reward=float(step % 3))
+    replica.EndEpisode(session_id=session, reward=5.0, terminated=True)
+
+
+def test_a_promoted_version_travels(start):
+    first, second = start("a"), start("b")
+    learn(first)
+    promoted = admin(first).PromoteHead(policy="cartpole", make_default=True)
+    assert promoted.version == 3
+    until(lambda: opened_version(second) == 3)
+    files = [each.folder / "cartpole" / "3" / "policy.safetensors" for each in (first, second)]
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+    # A session of the new version goes on elsewhere, and one that joins later has it.
+    session = first.OpenSession(policy="cartpole", durability="SYNC").session_id
+    answer = first.Act(session_id=session, observation=[0.1] * 4)
+    first.kill()
+    assert second.Act(session_id=session, observation=[0.1] * 4).action == answer.action
+    assert opened_version(start("c")) == 3
+
+
+def test_two_replicas_promote_at_the_same_time(start):
+    replicas = [start("a"), start("b")]
+    for replica in replicas:
+        learn(replica)
+    with ThreadPoolExecutor() as pool:
+        promoted = list(pool.map(lambda each: admin(each).PromoteHead(policy="cartpole"), replicas))
+    assert sorted(each.version for each in promoted) == [3, 4]
+    for replica in replicas:
+        for version in (3, 4):
+            until(
+                lambda replica=replica, version=version: (
+                    code_of(replica.OpenSession, policy="cartpole", version=version) == grpc.StatusCode.OK
+                )
+            )
+    files = [[each.folder / "cartpole" / str(version) for each in replicas] for version in (3, 4)]
+    for ours, theirs in files:
+        assert (ours / "policy.safetensors").read_bytes() == (theirs / "policy.safetensors").read_bytes()
+
+
+def test_other_bytes_of_a_version(start, tmp_path):
+    """A replica whose file of a version differs does not go on with its sessions, and says so."""
+    first = start("a")
+    shutil.copytree(SHIPPED_POLICIES / "cartpole", tmp_path / "other" / "cartpole")
+    file = tmp_path / "other" / "cartpole" / "2" / "policy.safetensors"
+    shutil.copy(SHIPPED_POLICIES / "cartpole" / "1" / "policy.safetensors", file)
+    session = first.OpenSession(policy="cartpole", version=2, durability="SYNC").session_id
+    second = start("b")
+    second.kill()
+    second.stack.close()
+    second.policies = tmp_path / "other"
+    second.start()
+    with pytest.raises(grpc.RpcError) as error:
+        second.Act(session_id=session, observation=[0.0] * 4)
+    assert error.value.code() == grpc.StatusCode.UNAVAILABLE
+    assert error.value.details() == (
+        "session_id: expected a session whose policy this server has, received one of cartpole version 2, "
+        "whose file is another one here"
+    )
+    # The second replica has taken the session over in vain. The first one finds that out, and takes it back.
+    until(lambda: code_of(first.Act, session_id=session, observation=[0.0] * 4) == grpc.StatusCode.OK)
+
+
+def test_limits_are_divided(start, tmp_path):
+    """Of a limit for a tenant, each of two replicas has half, so that the second decision waits twice as long."""
+    tokens = tmp_path / "tokens.json"
+    slow = {"slow": {"decisions_per_second": 0.001}}
+    entries = [entry("agent", "agent", "slow"), entry("viewer", "viewer", "slow")]
+    tokens.write_text(json.dumps({"tenants": slow, "tokens": entries}))
+    _, second = (start(name, f"--tokens={tokens}") for name in "ab")
+    header = {"Authorization": "Bearer viewer"}
+
+    def replicas():
+        request = urllib.request.Request(f"http://{second.addresses.http}/status.json", headers=header)
+        with urllib.request.urlopen(request) as page:
+            return json.load(page)["replicas"]
+
+    until(lambda: replicas() == 2)
+    with service_with(second.addresses, "agent") as service:
+        session = service.OpenSession(policy="cartpole").session_id
+        service.Act(session_id=session, observation=[0.0] * 4)
+        with pytest.raises(grpc.RpcError) as error:
+            service.Act(session_id=session, step=1, observation=[0.0] * 4)
+    assert error.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+    assert int(re.search(r"try again in (\d+)m", error.value.details())[1]) > 20
