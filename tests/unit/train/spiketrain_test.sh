@@ -116,7 +116,7 @@ fi
 grep -q 'expected a run of .* --learning_rate=1 .*, received one of ' message || fail "report: $(cat message)"
 refuses "--out: expected the directory to write into, received none" report
 
-refuses 'command: expected one of expert, dataset, train, quantize, eval, report, received none'
+refuses 'command: expected one of expert, dataset, train, quantize, eval, neurobench, report, received none'
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8
