@@ -156,6 +156,27 @@ Instances RolloutAborted(const AlertRule& rule, const AlertInput& input) {
   return found;
 }
 
+Instances StoreUnreachable(const AlertRule& rule, const AlertInput& input) {
+  const Selection reachable = input.history.Select("spikeserve_store_reachable");
+  const double value = Gauge(reachable);
+  return ServerIf(!reachable.empty() && value < rule.threshold, value);
+}
+
+Instances StoreSlow(const AlertRule& rule, const AlertInput& input) {
+  const Selection waits = input.history.Select("spikeserve_store_acknowledgement_seconds");
+  const double p99 = Quantile(Observed(waits, WindowOf(rule, input)), 0.99);
+  return ServerIf(p99 > rule.threshold, p99);
+}
+
+Instances SessionsBounce(const AlertRule& rule, const AlertInput& input) {
+  const auto increase = [&](const char* counter) {
+    return Increase(input.history.Select(counter), WindowOf(rule, input));
+  };
+  const double fences = increase("spikeserve_store_fences_total");
+  const double records = increase("spikeserve_store_records_total");
+  return ServerIf(fences > rule.threshold * records, fences / absl::ToDoubleSeconds(rule.window));
+}
+
 constexpr absl::Duration kNow = absl::ZeroDuration();
 
 const std::vector<AlertRule>& Rules() {
@@ -186,6 +207,14 @@ const std::vector<AlertRule>& Rules() {
        absl::Minutes(5), ShadowDisagrees},
       {"SpikeserveRolloutAborted", "warning", "The server aborted a roll-out, seconds ago.", 3600.0,
        kNow, kNow, RolloutAborted},
+      {"SpikeserveStoreUnreachable", "critical", "The server cannot reach its session store.", 1.0,
+       kNow, absl::Minutes(1), StoreUnreachable},
+      {"SpikeserveStoreSlow", "warning",
+       "The session store acknowledges the slowest 1 % of the records late, in seconds.", 0.1,
+       absl::Minutes(5), absl::Minutes(5), StoreSlow},
+      {"SpikeserveSessionsBounce", "warning",
+       "Several servers take sessions from each other, for each record that is stored.", 0.01,
+       absl::Minutes(5), absl::Minutes(5), SessionsBounce},
   };
   return *rules;
 }

@@ -270,8 +270,9 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   auto json = InfoJson(*found);
   if (!json.ok()) return json.status();
 
-  absl::MutexLock lock(&found->entry->mutex);
-  const AgentSession& agent = found->entry->agent;
+  SessionEntry& entry = *found->entry;
+  absl::MutexLock lock(&entry.mutex);
+  const AgentSession& agent = entry.agent;
   const Session& session = agent.session();
   (*json)["target_return"] = session.target_return;
   (*json)["return_to_go"] = session.return_to_go;
