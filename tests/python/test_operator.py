@@ -41,8 +41,8 @@ def fleet(tmp_path_factory):
         robots = Fleet(addresses.grpc)
         robots.add("CartPole-v1", "cartpole", 3, prefix="arm")
         robots.add("CartPole-v1", "cartpole", 1, broken={None: 0.5}, prefix="arm")  # arm-03
-        # The motors of these robots do not get along with version 2.
-        robots.add("CartPole-v1", "cartpole", 8, broken={2: 0.6}, keeps_session=False, prefix="cart")
+        # The motors of these robots ignore version 2, so its episodes are much shorter whatever chance does.
+        robots.add("CartPole-v1", "cartpole", 8, broken={2: 1.0}, keeps_session=False, prefix="cart")
         robots.add("Pendulum-v1", "pendulum", 4, prefix="swing")
         with robots:
             yield addresses.http, robots
