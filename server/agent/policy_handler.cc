@@ -90,7 +90,7 @@ absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& s
   }
   if (request.has_episode() && !repeats && session.step == 0) {
     return absl::FailedPreconditionError(
-        "step: expected at least one decision in the episode, received none");
+        "step: expected at least one decision since the last episode ended, received none");
   }
   return absl::OkStatus();
 }
