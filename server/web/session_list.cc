@@ -272,13 +272,12 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
 
   SessionEntry& entry = *found->entry;
   absl::MutexLock lock(&entry.mutex);
-  const AgentSession& agent = entry.agent;
-  const Session& session = agent.session();
+  const Session& session = entry.agent.session();
   (*json)["target_return"] = session.target_return;
   (*json)["return_to_go"] = session.return_to_go;
-  (*json)["age_seconds"] = absl::ToDoubleSeconds(agent.Age());
+  (*json)["age_seconds"] = absl::ToDoubleSeconds(entry.agent.Age());
   Json& decisions = (*json)["history"]["decisions"] = Json::array();
-  for (const auto& [first, count, sum] : agent.life().decisions()) {
+  for (const auto& [first, count, sum] : entry.agent.life().decisions()) {
     const auto n = static_cast<double>(count);
     decisions.push_back({{"first", first},
                          {"count", count},
@@ -287,7 +286,7 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
                          {"mean_seconds", sum.seconds / n}});
   }
   Json& episodes = (*json)["history"]["episodes"] = Json::array();
-  for (const auto& [first, count, sum] : agent.life().episodes()) {
+  for (const auto& [first, count, sum] : entry.agent.life().episodes()) {
     episodes.push_back({{"first", first},
                         {"count", count},
                         {"mean_return", sum.episode_return / static_cast<double>(count)}});

@@ -23,14 +23,12 @@ BY_THE_LIBRARY = {
     "OpenSessionRequest": {
         # The id makes a repeated OpenSession find the session that a lost answer has opened.
         "session_id",
-        # How much of a session survives is decided with the session, beside its id.
-        "durability",
     },
     # The session counts its steps and decisions.
     "ActRequest": {"session_id", "step", "decision"},
     "EndEpisodeRequest": {"session_id", "episode", "steps"},
     "GetSessionRequest": {"session_id"},
-    "OpenSessionResponse": {"session_id", "durability"},
+    "OpenSessionResponse": {"session_id"},
     "ActResponse": {"session_id", "error"},  # the session, and an exception
     "ExplainResponse": set(),
 }
@@ -142,7 +140,8 @@ def flags_of(program, *command):
 def test_spikectl_run_has_every_option():
     flags = flags_of("SPIKECTL_PROGRAM", "run")
     # The switch --learn selects the scope. --scope is that of adapt.
-    options = fields_of("OpenSessionRequest") - {"learning"} | {"learn"}
+    # The C++ client stays at one server, so that it has no use for a durability of its own.
+    options = fields_of("OpenSessionRequest") - {"learning", "durability"} | {"learn"}
     learning = fields_of("LearningConfig") - {"scope"}
     assert options | learning <= flags
     assert learning | {"scope"} <= flags_of("SPIKECTL_PROGRAM", "adapt")
