@@ -7,14 +7,10 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
-#include "server/base/log.h"
 #include "server/policies/version_writer.h"
 
 namespace spikeserve {
 namespace {
-
-// How often a change is tried while other servers change the settings, too.
-constexpr int kMostAttempts = 20;
 
 // Returns NOT_FOUND unless the policy has this version.
 absl::Status CheckVersion(const CatalogPolicy& policy, const std::string& name, int64_t version) {
@@ -50,13 +46,6 @@ absl::Status CheckTraffic(const CatalogPolicy& policy, const std::string& name,
     if (auto status = CheckVersion(policy, name, share.version); !status.ok()) return status;
   }
   return CheckShadow(policy, name, shares, shadow_version);
-}
-
-absl::Status CheckNoRollout(const PolicySettings& settings) {
-  if (!settings.rollout_running()) return absl::OkStatus();
-  return absl::FailedPreconditionError(
-      absl::StrCat("rollout: expected none that is running, received one of version ",
-                   settings.rollout->version, "; abort it first"));
 }
 
 }  // namespace
@@ -151,130 +140,6 @@ absl::Status PolicyRegistry::Save(const Settings& settings) {
 absl::Status PolicyRegistry::SaveFile(const Settings& settings) const {
   return options_.settings_path.empty() ? absl::OkStatus()
                                         : WriteSettings(settings, options_.settings_path);
-}
-
-absl::Status PolicyRegistry::WithLatest(absl::FunctionRef<absl::Status()> attempt) {
-  absl::Status status;
-  for (int i = 0; i < kMostAttempts; ++i) {
-    if (status = Refresh(); !status.ok()) return status;
-    if (status = attempt(); !absl::IsAborted(status)) return status;
-  }
-  return absl::UnavailableError(absl::StrCat(status.message(), "; try again"));
-}
-
-absl::Status PolicyRegistry::Follow() {
-  absl::MutexLock change(&change_mutex_);
-  return Refresh();
-}
-
-absl::Status PolicyRegistry::Refresh() {
-  if (!shares_settings()) return absl::OkStatus();
-  auto document = options_.shared->Read();
-  if (!document.ok()) return document.status();
-  if (document->revision == 0) {
-    // The store is new, or has lost the settings.
-    document = SharedSettings::Document{.revision = 1, .json = ToJson(settings_)};
-    auto status = options_.shared->Write(*document);
-    if (absl::IsAborted(status)) return Refresh();  // another server was faster
-    if (!status.ok()) return status;
-    revision_ = 1;
-  } else if (document->revision != revision_) {
-    if (auto status = Adopt(*document); !status.ok()) return status;
-  }
-  joined_.store(true, std::memory_order_release);
-  return absl::OkStatus();
-}
-
-absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
-  auto settings = ParseSettings(document.json);
-  if (!settings.ok()) return Annotate(settings.status(), "shared settings");
-  settings_ = *std::move(settings);
-  revision_ = document.revision;
-  if (auto status = SaveFile(settings_); !status.ok()) {
-    LogError("shared settings not saved", {{"error", status.message()}});
-  }
-  FetchPromoted();
-  auto folders = ListPolicyFolders(options_.directory);
-  if (!folders.ok()) return folders.status();
-  ReloadReport report;
-  PolicyCatalog catalog = *this->catalog();
-  for (const PolicyVersion& version : settings_.unloaded) {
-    const auto policy = catalog.policies().find(version.policy);
-    if (policy == catalog.policies().end()) continue;
-    policy->second.versions.erase(version.version);
-    files_.erase(version);
-    if (policy->second.versions.empty()) catalog.policies().erase(policy);
-  }
-  LoadChanged(folders->versions, &catalog, &report);
-  UnloadRemoved(&catalog, &report);
-  ApplySettings(&catalog);
-  SwitchLearning();
-  Publish(std::move(catalog));
-  return absl::OkStatus();
-}
-
-void PolicyRegistry::FetchPromoted() {
-  for (const auto& [version, sha256] : settings_.promoted) {
-    const std::string path = PolicyFilePath(options_.directory, version);
-    absl::Status status;
-    if (StampOf(path).size >= 0) {
-      const auto found = Sha256OfFile(path);
-      if (found.ok() && *found != sha256) {
-        status = absl::FailedPreconditionError(
-            absl::StrCat(path, ": expected SHA-256 ", sha256, ", received ", *found));
-      }
-    } else {
-      auto bytes = options_.shared->GetFile(sha256);
-      status = bytes.status();
-      if (status.ok()) status = WriteVersion(options_.directory, version, *bytes, sha256);
-    }
-    if (!status.ok()) {
-      LogError("promoted version not taken over",
-               {{"policy", version.policy}, {"error", status.message()}});
-    }
-  }
-}
-
-absl::StatusOr<PolicyVersion> PolicyRegistry::ShareVersion(const std::string& name,
-                                                           const Policy& policy,
-                                                           bool make_default) {
-  const auto bytes = PolicyFileBytes(options_.directory, name, policy);
-  if (!bytes.ok()) return bytes.status();
-  const std::string sha256 = Sha256Of(*bytes);
-  absl::MutexLock change(&change_mutex_);
-  if (auto status = options_.shared->PutFile(sha256, *bytes); !status.ok()) return status;
-  absl::StatusOr<PolicyVersion> version;
-  auto status = WithLatest([&] {
-    change_mutex_.AssertHeld();
-    version = ShareOnce(name, sha256, make_default);
-    return version.status();
-  });
-  if (!status.ok()) return status;
-  return version;
-}
-
-absl::StatusOr<PolicyVersion> PolicyRegistry::ShareOnce(const std::string& name,
-                                                        const std::string& sha256,
-                                                        bool make_default) {
-  Settings settings = settings_;
-  PolicyVersion version = {.policy = name, .version = NextVersion(options_.directory, name)};
-  for (const auto& [known, ignored] : settings.promoted) {
-    if (known.policy == name) version.version = std::max(version.version, known.version + 1);
-  }
-  settings.promoted[version] = sha256;
-  if (make_default) {
-    PolicySettings& changed = settings.policies[name];
-    if (auto status = CheckNoRollout(changed); !status.ok()) return status;
-    changed.default_version = version.version;
-    changed.default_follows_highest = false;
-  }
-  if (auto status = Save(settings); !status.ok()) return status;
-  // From here on as on every other server.
-  if (auto status = Adopt({.revision = revision_, .json = ToJson(settings)}); !status.ok()) {
-    return status;
-  }
-  if (auto served = catalog()->Find(name, version.version); !served.ok()) return served.status();
-  return version;
 }
 
 std::shared_ptr<const PolicyCatalog> PolicyRegistry::catalog() const {

@@ -104,6 +104,13 @@ int PolicySettings::PercentOf(int64_t version) const {
   return 0;
 }
 
+absl::Status CheckNoRollout(const PolicySettings& settings) {
+  if (!settings.rollout_running()) return absl::OkStatus();
+  return absl::FailedPreconditionError(
+      absl::StrCat("rollout: expected none that is running, received one of version ",
+                   settings.rollout->version, "; abort it first"));
+}
+
 absl::Status CheckShares(const std::vector<TrafficShare>& shares) {
   int sum = 0;
   std::set<int64_t> seen;

@@ -70,6 +70,9 @@ struct Settings {
   std::map<PolicyVersion, std::string> promoted;
 };
 
+// Returns FAILED_PRECONDITION while a roll-out of the policy is running.
+absl::Status CheckNoRollout(const PolicySettings& settings);
+
 // Returns INVALID_ARGUMENT unless `shares` is empty, or every percent is in [0, 100], each version
 // occurs once and the percents sum to 100.
 absl::Status CheckShares(const std::vector<TrafficShare>& shares);
