@@ -38,8 +38,8 @@ PAGES = (
     "fleet.md",
     "training.md",
 )
-# Pages that a newcomer reads only.
-WITHOUT_COMMANDS = {"architecture.md", "energy.md", "learning.md", "paper.md", "performance.md", "threat-model.md"}
+# Pages that a newcomer reads only. test_chips.py runs the examples of chips.md.
+WITHOUT_COMMANDS = {"architecture.md", "chips.md", "energy.md", "learning.md", "paper.md", "performance.md", "threat-model.md"}
 SERVERS = ("spikeserve ", "build/release/bin/spikeserve ", "prometheus ")
 # The training that a page prints takes hours; that the commands work shows after a few steps.
 EDITS = {
