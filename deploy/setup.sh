@@ -19,7 +19,7 @@ packages=(
   # training only
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo
-  libgtest-dev libgmock-dev prometheus redis-server spin ca-certificates curl python3 python3-venv chromium chromium-driver
+  libgtest-dev libgmock-dev prometheus redis-server spin iproute2 ca-certificates curl python3 python3-venv chromium chromium-driver
   mandoc zsh fish
   # tests of exported populations: Debian's PyTorch, which has no CUDA
   python3-torch

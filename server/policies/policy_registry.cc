@@ -1,6 +1,5 @@
 #include "server/policies/policy_registry.h"
 
-#include <algorithm>
 #include <utility>
 
 #include "absl/algorithm/container.h"
