@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 
+import fleet_bench
 import programs
 import report
 import server_bench
@@ -29,7 +30,7 @@ def parse_arguments():
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=1.0, help="seconds for each contestant in a round")
     parser.add_argument("--max_sessions", type=int, default=1_000_000, help="largest number of open sessions")
-    sections = ["engine", "growth", "sessions", "server", "learning"]
+    sections = ["engine", "growth", "sessions", "server", "learning", "fleet"]
     parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     return parser.parse_args()
 
@@ -136,6 +137,7 @@ def main():
     section("sessions", lambda: measure_sessions(arguments))
     section("server", lambda: server_bench.measure_servers(arguments))
     section("learning", lambda: server_bench.measure_learning(arguments))
+    section("fleet", lambda: fleet_bench.measure_fleet(arguments))
     result["duration_seconds"] = time.monotonic() - start
     arguments.json.write_text(json.dumps(result, indent=2) + "\n")
     arguments.markdown.write_text(report.to_markdown(result))

@@ -72,11 +72,11 @@ class Bench:
         self._tokens, self._token = token_files(self._folder)
         self._policies = {arithmetic: policy_folder(self._folder, arithmetic) for arithmetic in VERSIONS}
 
-    def spikeserve(self, arithmetic, loops=1):
-        """Starts spikeserve, with one core for each loop."""
+    def spikeserve(self, arithmetic, cores=programs.MEASURED_CORE, flags=()):
+        """Starts spikeserve with one loop, unless `flags` say otherwise."""
         command = [self._bin / "spikeserve", f"--policies={self._policies[arithmetic]}", "--listen=127.0.0.1:0"]
-        command += ["--http_listen=", f"--loops={loops}", f"--tokens={self._tokens}"]
-        return programs.running_server(command, "spikeserve: serving gRPC on ", f"0-{loops - 1}")
+        command += ["--http_listen=", "--loops=1", f"--tokens={self._tokens}", *flags]
+        return programs.running_server(command, "spikeserve: serving gRPC on ", cores)
 
     def echo(self):
         """Starts the echo service."""
@@ -161,7 +161,7 @@ def loops(bench, rounds):
     own_cores = os.cpu_count() >= CORES_FOR_LOOPS
     load_cores = "2-" if own_cores else "0-"
     results = []
-    with bench.spikeserve("int8") as one, bench.spikeserve("int8", loops=2) as two:
+    with bench.spikeserve("int8") as one, bench.spikeserve("int8", "0-1", ["--loops=2"]) as two:
         for mode in ("unary", "stream"):
             measured = {1: [], 2: []}
             for _ in range(rounds):
