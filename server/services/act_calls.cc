@@ -58,8 +58,8 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
     return Finish(status);
   }
   // The next request of a tenant with a limit must wait if this one is refused.
-  const size_t most = caller().tenant()->limits_decisions() ? 1 : kMaxInProgress;
-  if (++in_progress_ >= most) call()->PauseReading();
+  limited_ = caller().tenant()->limits_decisions();
+  if (++in_progress_ >= kMaxInProgress || limited_) call()->PauseReading();
   const auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
                                          context().max_message_bytes);
   if (!status.ok()) return OnDecided(*messages, status, message.size(), received);
@@ -74,6 +74,11 @@ void ActStreamCall::HandleTooLong(size_t length, const absl::Status& error) {
   ActMessages unread;
   ++in_progress_;
   OnDecided(unread, error, length, context().clock->Now());
+}
+
+void ActStreamCall::OnGranted() {
+  if (!std::exchange(limited_, false) || call() == nullptr) return;
+  if (in_progress_ < kMaxInProgress && !is_delayed()) call()->ResumeReading();
 }
 
 void ActStreamCall::OnDecided(ActMessages& messages, const absl::Status& status,

@@ -55,6 +55,7 @@ class ActStreamCall final : public ServiceCall, public ActClient {
       : ServiceCall(context, call, Method::kActStream), queue_(*queue) {}
 
   void OnDrain() override;
+  void OnGranted() override;
   void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,
                  absl::Duration received) override;
 
@@ -70,7 +71,8 @@ class ActStreamCall final : public ServiceCall, public ActClient {
   static constexpr size_t kMaxInProgress = 64;
 
   ActQueue& queue_;
-  size_t in_progress_ = 0;  // requests that wait for their decision
+  size_t in_progress_ = 0;  // requests that wait for their answer
+  bool limited_ = false;    // the request that was read last may be refused, and no other is read
   bool half_closed_ = false;
   bool draining_ = false;
 };

@@ -117,6 +117,7 @@ void ActQueue::Answer(const Act& act, const absl::Status& status, const Commits&
   if (commits.empty()) {
     return act.client->OnDecided(*act.messages, status, act.request_bytes, act.received);
   }
+  if (status.ok()) act.client->OnGranted();
   // The act is moved on, because a call must be destroyed on the thread of its loop.
   WhenDurable(commits, [act, status,
                         loop = &loop_.events()](const std::vector<absl::Status>& outcomes) mutable {

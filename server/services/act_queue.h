@@ -31,6 +31,9 @@ using ActMessages = CallMessages<v1::ActRequest, v1::ActResponse>;
 class ActClient {
  public:
   virtual ~ActClient() = default;
+  // Called before OnDecided() if the request is granted and its answer waits for the store. Called
+  // on the thread of the loop that the request came from.
+  virtual void OnGranted() {}
   // Called on the thread of the loop that the request came from. `received` is the time that was
   // passed to Add().
   virtual void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,

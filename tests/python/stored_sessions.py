@@ -84,7 +84,9 @@ class Restartable:
         self.start()
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, kind, *error):
+        if kind is not None:
+            self.kill()  # otherwise the end of the server would hide the error
         self.stack.close()
 
     def start(self):

@@ -143,6 +143,14 @@ class Http2Client:
             self.receive()
         return answer
 
+    def wait_for_ping(self):
+        """Waits until the server has read all that was sent before."""
+        answered = self.pings
+        self.h2.ping(b"\x00\x01\x02\x03\x04\x05\x06\x07")
+        self.flush()
+        while self.pings == answered:
+            self.receive()
+
     def wait_closed(self):
         """Reads until the server closes the connection."""
         while not self.closed:

@@ -239,10 +239,7 @@ def test_an_answer_waits_for_the_window_of_its_stream(server):
         stream = client.begin(headers(LIST))
         client.send(stream, framed(EMPTY), end=True)
         client.wait(stream, until=lambda answer: answer.headers)
-        client.h2.ping(b"12345678")
-        client.flush()
-        while client.pings == 0:
-            client.receive()
+        client.wait_for_ping()
         assert not client.answers[stream].data
         for _ in range(10):
             client.h2.increment_flow_control_window(7, stream)
@@ -286,10 +283,7 @@ def test_a_cancelled_call_leaves_the_others_alone(client):
 
 
 def test_the_server_answers_pings(client):
-    client.h2.ping(b"\x00\x01\x02\x03\x04\x05\x06\x07")
-    client.flush()
-    while client.pings == 0:
-        client.receive()
+    client.wait_for_ping()
     assert serves(client)
 
 
@@ -314,11 +308,15 @@ def test_a_tenant_has_a_budget_of_its_own(tmp_path):
     with running_server(flags=flags) as started, contextlib.ExitStack() as connections:
 
         def begin(token):
-            """Sends a part of a request on a new connection. Returns the connection and its stream."""
+            """Sends a part of a request on a new connection, and waits until the server has read it.
+
+            Returns the connection and its stream.
+            """
             client = connections.enter_context(Http2Client(started.grpc))
             stream = client.begin(headers(OPEN, authorization=f"Bearer {token}"))
             with contextlib.suppress(h2.exceptions.StreamClosedError):  # the refusal came first
                 client.send(stream, incomplete)
+            client.wait_for_ping()
             return client, stream
 
         begin("agent")
