@@ -107,7 +107,9 @@ absl::Status RedisConnection::SendAll() {
     const char* from = unsent_.data() + sent;
     size_t count = unsent_.size() - sent;
     if (tls_ != nullptr) {
-      if (SSL_write_ex(tls_.get(), from, count, &count) != 1) return Failed(TakeTlsError());
+      if (SSL_write_ex(tls_.get(), from, count, &count) != 1) {
+        return Failed(TakeTlsErrorOfWrite(tls_.get()));
+      }
     } else {
       const ssize_t written = send(context_->fd, from, count, MSG_NOSIGNAL);
       if (written < 0 && errno == EINTR) continue;

@@ -48,6 +48,14 @@ std::string TakeTlsError() {
   return reason == nullptr ? "the connection was closed, or there was no answer" : reason;
 }
 
+std::string TakeTlsErrorOfWrite(SSL* connection) {
+  const std::string reason = TakeTlsError();
+  char byte = 0;
+  size_t count = 0;
+  if (SSL_read_ex(connection, &byte, 1, &count) == 1 || ERR_peek_error() == 0) return reason;
+  return TakeTlsError();
+}
+
 absl::StatusOr<SslConnection> ConnectTls(int fd, const std::string& host,
                                          const RedisTlsFiles& files) {
   auto context = MakeContext(files);
