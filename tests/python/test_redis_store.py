@@ -1,5 +1,6 @@
 """Several servers share the sessions in one Redis server."""
 
+import json
 import os
 import queue
 import signal
@@ -9,7 +10,7 @@ import urllib.request
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis
-from security import until
+from security import TOKENS, code_of, service_with, until
 from serving import DEADLINE_SECONDS, Service, message_class, running_server
 from stored_sessions import (
     SESSIONS,
@@ -133,6 +134,44 @@ def test_redis_does_not_answer(redis, replicas):
     first.kill()
     assert second.GetSession(session_id=asynchronous).decisions == LARGEST_LEAD + 1
     assert second.GetSession(session_id=opening(0)["session_id"]).decisions == 2
+
+
+def test_a_stream_decides_while_the_store_is_slow(redis, tmp_path):
+    """Its answers wait for the store, but its next requests are decided, although the tenant has a limit."""
+    tokens, password = tmp_path / "tokens.json", tmp_path / "password"
+    limits = {"fleet": {"decisions_per_second": 1000}}
+    tokens.write_text(json.dumps({"tenants": limits, "tokens": TOKENS["tokens"][:1]}))
+    password.write_text("secret\n")
+    flags = [f"--tokens={tokens}", f"--store_password_file={password}", "--durability=sync"]
+    metadata = (("authorization", "Bearer agent"),)
+    with Restartable(f"redis://127.0.0.1:{redis.port}/2", flags) as server:
+        with service_with(server.addresses, "agent") as service:
+            opened = [service.OpenSession(policy="cartpole").session_id for _ in range(3)]
+            redis.process.send_signal(signal.SIGSTOP)
+            requests = [acting(0, 0, 0) | {"session_id": session} for session in opened]
+            codes = [answer.error.code for answer in stream_of(server)(requests, metadata)]
+            assert codes == [grpc.StatusCode.UNAVAILABLE.value[0]] * 3
+            redis.process.send_signal(signal.SIGCONT)
+            for session in opened:
+                until(lambda session=session: code_of(service.GetSession, session_id=session) == grpc.StatusCode.OK)
+                assert service.GetSession(session_id=session).decisions == 1
+        server.close()
+
+
+def stream_of(server):
+    """Returns a function that sends requests on a stream of their own and yields its answers."""
+    request_class = message_class(server.channel, "spikeserve.v1.ActRequest")
+    call = server.channel.stream_stream(
+        "/spikeserve.v1.PolicyService/ActStream",
+        request_serializer=request_class.SerializeToString,
+        response_deserializer=message_class(server.channel, "spikeserve.v1.ActResponse").FromString,
+    )
+
+    def answers(requests, metadata):
+        messages = (request_class(**request) for request in requests)
+        return call(messages, timeout=DEADLINE_SECONDS, metadata=metadata)
+
+    return answers
 
 
 def test_redis_comes_back_empty(redis, replicas):
