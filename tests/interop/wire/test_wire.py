@@ -256,10 +256,7 @@ def test_an_answer_waits_for_the_window_of_its_connection(server):
         stream = client.begin(headers(f"/{POLICY}/ActBatch"))
         client.send(stream, framed(request), end=True)
         client.wait(stream, until=lambda answer: len(answer.data) == 65535)
-        client.h2.ping(b"12345678")
-        client.flush()
-        while client.pings == 0:
-            client.receive()
+        client.wait_for_ping()
         assert len(client.answers[stream].data) == 65535
         client.h2.increment_flow_control_window(1 << 20)
         client.flush()
