@@ -86,6 +86,20 @@ def learning_targets(learning):
     ]
 
 
+def fleet_targets(fleet):
+    rows = []
+    for case in fleet["durabilities"]:
+        target = {"async redis": 0.9, "sync redis": 0.75}.get(case["server"])
+        if target is not None:
+            of = f"share of the processor rate without a store, {case['server']}, {case['mode']}, 64 sessions"
+            rows.append([of, *verdict(case["share_of_processor"], target)])
+    costs = [c["redis_processor_seconds_per_decision"] for c in fleet["durabilities"] if c["server"] == "async redis"]
+    rows.append(["decisions a second that one Redis core takes, async", *verdict(1 / max(costs), 100_000)])
+    for case in fleet["replicas"]:
+        rows.append([f"rate of two replicas on two cores, times one's, {case['mode']}", *verdict(case["ratio"], 1.8)])
+    return rows
+
+
 def session_targets(sessions):
     active = max(s.get("active_bytes", 0) for s in sessions if s["sessions"] > 1)
     idle = max(s["idle_bytes"] for s in sessions if s["sessions"] > 1)
@@ -102,6 +116,7 @@ def targets_section(result):
         "engine": engine_targets,
         "server": server_targets,
         "learning": learning_targets,
+        "fleet": fleet_targets,
         "sessions": session_targets,
     }
     for key, targets in of.items():
@@ -259,6 +274,48 @@ def learning_section(learning):
     return text + "shares compare them with as many frozen sessions in the same round.\n\n" + table(header, rows)
 
 
+def durabilities_section(cases):
+    rows = [
+        [
+            f"{case['mode']}, {case['server']}",
+            number(case["decisions_per_second"]),
+            f"{case['share_of_rate']:.2f}",
+            number(case["processor_seconds_per_decision"] * 1e6),
+            f"{case['share_of_processor']:.2f}",
+            number(case["redis_processor_seconds_per_decision"] * 1e6) if "redis" in case["server"] else "",
+            number(case["p99_seconds"] * 1e3),
+        ]
+        for case in cases
+    ]
+    header = ["mode, durability and store", "decisions/s", "share", "processor µs", "share", "Redis µs", "p99, ms"]
+    text = "64 sessions of the policy in int8. The server has one core; Redis and the load generator share the others. The "
+    text += "shares compare with `none`: the first that of the rates, the second that of the rates which the server's processor "
+    text += "time allows. Redis has an append-only file that it synchronises each second; its time is that of the thread which "
+    return text + "executes commands. A file store synchronises each group of records.\n\n" + table(header, rows)
+
+
+def replicas_section(cases):
+    rows = [
+        [
+            case["mode"],
+            f"{case['ratio']:.2f}",
+            *(number(case[f"replicas_{n}"]["processor_seconds_per_decision"] * 1e6) for n in (1, 2)),
+            *(number(case[f"replicas_{n}"]["redis_processor_seconds_per_decision"] * 1e6) for n in (1, 2)),
+        ]
+        for case in cases
+    ]
+    header = ["mode", "ratio", "one replica, µs", "two", "one replica, Redis µs", "two"]
+    text = "Two replicas, each with a core and 64 ASYNC sessions, and one replica with one core and 64 sessions, on one Redis "
+    text += "server. The load generators and Redis share the cores. The ratio is two cores divided by the processor time of a "
+    text += "decision with two replicas, over one core divided by that with one.\n\n"
+    return text + table(header, rows)
+
+
+def fleet_section(fleet):
+    parts = [durabilities_section(fleet["durabilities"]), replicas_section(fleet["replicas"])]
+    return "## Sessions in a store\n\n" + "\n".join(parts)
+
+
 def to_markdown(result):
     machine = result["machine"]
     caches = ", ".join(" ".join(pair) for pair in zip(machine["caches"][::2], machine["caches"][1::2], strict=False))
@@ -272,6 +329,7 @@ def to_markdown(result):
         (engine_section, ["engine"]),
         (server_section, ["server"]),
         (learning_section, ["learning"]),
+        (fleet_section, ["fleet"]),
         (growth_section, ["growth"]),
         (sessions_section, ["sessions"]),
     ]
