@@ -73,7 +73,9 @@ def engine_contestants(arguments, folder):
         "torch_snn_window": [torch, "--model=snn", shipped],
         "torch_dense_window": [torch, "--model=dense"],
         "torch_dense_cached": [torch, "--model=dense_cached"],
+        "torch_dense_cached_int8": [torch, "--model=dense_cached_int8"],
         "onnx_dense_cached": [arguments.python, BENCH / "dense_onnx.py", dense, dense_logits],
+        "onnx_dense_cached_int8": [arguments.python, BENCH / "dense_onnx.py", dense, dense_logits, "--int8"],
     }
 
 

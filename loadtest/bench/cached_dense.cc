@@ -1,5 +1,6 @@
 #include "loadtest/bench/cached_dense.h"
 
+#include <ATen/core/dispatch/Dispatcher.h>
 #include <torch/torch.h>
 
 #include <algorithm>
@@ -7,6 +8,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
 
 namespace spikeserve {
 namespace {
@@ -37,10 +39,33 @@ torch::Tensor AppendToCache(const torch::Tensor& fresh, torch::Tensor& cache) {
   return window;
 }
 
+using Packed = c10::intrusive_ptr<LinearPackedParamsBase>;
+
+// Returns the linear layers with weights that are rounded to 8 bits, by their names.
+std::map<std::string, Packed> PackLinear(const Parameters& parameters) {
+  // The faster one, by far, of the two that Debian's libtorch has; oneDNN is the other.
+  at::globalContext().setQEngine(at::QEngine::QNNPACK);
+  const auto pack = c10::Dispatcher::singleton()
+                        .findSchemaOrThrow("quantized::linear_prepack", "")
+                        .typed<Packed(torch::Tensor, c10::optional<torch::Tensor>)>();
+  std::map<std::string, Packed> packed;
+  for (const auto& [name, weight] : parameters.tensors()) {
+    const std::string bias = absl::StrCat(absl::StripSuffix(name, ".weight"), ".bias");
+    if (weight.dim() != 2 || !parameters.tensors().contains(bias)) continue;
+    const double scale = weight.abs().max().item<double>() / 127.0;
+    const torch::Tensor rounded =
+        torch::quantize_per_tensor(weight.detach(), scale, /*zero_point=*/0, torch::kQInt8);
+    packed[std::string(absl::StripSuffix(name, ".weight"))] =
+        pack.call(rounded, parameters[bias].detach());
+  }
+  return packed;
+}
+
 }  // namespace
 
-CachedDense::CachedDense(const Policy& policy)
+CachedDense::CachedDense(const Policy& policy, bool int8)
     : policy_(policy), p_(policy), mask_(Band(policy.config.context)) {
+  if (int8) packed_ = PackLinear(p_);
   const ModelConfig& config = policy_.config;
   for (int layer = 0; layer < config.layers; ++layer) {
     const auto zeros = [&config] {
@@ -58,7 +83,11 @@ torch::Tensor CachedDense::Decide(int64_t timestep, const torch::Tensor& action,
   torch::Tensor x = torch::cat({Embed("action", action, std::max<int64_t>(timestep - 1, 0)),
                                 Embed("return", g, timestep), Embed("state", s, timestep)});
   for (int layer = 0; layer < policy_.config.layers; ++layer) x = Layer(x, layer);
-  return p_.Linear(x, "head");
+  return Linear(x, "head");
+}
+
+torch::Tensor CachedDense::Linear(const torch::Tensor& x, const std::string& name) const {
+  return packed_.empty() ? p_.Linear(x, name) : packed_.at(name)->apply_dynamic(x);
 }
 
 torch::Tensor CachedDense::Embed(const char* modality, const torch::Tensor& input,
@@ -66,7 +95,7 @@ torch::Tensor CachedDense::Embed(const char* modality, const torch::Tensor& inpu
   const std::string name = absl::StrCat("embed.", modality);
   const torch::Tensor& table = p_["embed.timestep.weight"];
   const int64_t row = std::min<int64_t>(timestep, table.size(0) - 1);
-  return p_.Norm(p_.Linear(input, name) + table[row], name + ".norm");
+  return p_.Norm(Linear(input, name) + table[row], name + ".norm");
 }
 
 torch::Tensor CachedDense::Heads(const torch::Tensor& x) const {
@@ -79,18 +108,18 @@ torch::Tensor CachedDense::Layer(const torch::Tensor& x, int layer) {
   const bool is_last = layer + 1 == policy_.config.layers;
   const torch::Tensor asking = is_last ? x.slice(0, kNew - 1) : x;
   const torch::Tensor mask = is_last ? mask_.slice(0, kNew - 1) : mask_;
-  const torch::Tensor query = Heads(p_.Linear(asking, attention + ".query"));
+  const torch::Tensor query = Heads(Linear(asking, attention + ".query"));
   const torch::Tensor keys =
-      AppendToCache(Heads(p_.Linear(x, attention + ".key")), caches_[layer].keys);
+      AppendToCache(Heads(Linear(x, attention + ".key")), caches_[layer].keys);
   const torch::Tensor values =
-      AppendToCache(Heads(p_.Linear(x, attention + ".value")), caches_[layer].values);
+      AppendToCache(Heads(Linear(x, attention + ".value")), caches_[layer].values);
   const torch::Tensor scores =
       torch::matmul(query, keys.transpose(1, 2)) / std::sqrt(policy_.config.head_size()) + mask;
   const torch::Tensor y = torch::matmul(torch::softmax(scores, -1), values).transpose(0, 1);
   const torch::Tensor after =
-      p_.Norm(asking + p_.Linear(y.flatten(1), attention + ".output"), attention + ".norm");
-  const torch::Tensor hidden = at::gelu(p_.Linear(after, name + ".ffn.hidden"), "tanh");
-  return p_.Norm(after + p_.Linear(hidden, name + ".ffn.output"), name + ".ffn.norm");
+      p_.Norm(asking + Linear(y.flatten(1), attention + ".output"), attention + ".norm");
+  const torch::Tensor hidden = at::gelu(Linear(after, name + ".ffn.hidden"), "tanh");
+  return p_.Norm(after + Linear(hidden, name + ".ffn.output"), name + ".ffn.norm");
 }
 
 }  // namespace spikeserve

@@ -6,8 +6,11 @@
 #ifndef LOADTEST_BENCH_CACHED_DENSE_H_
 #define LOADTEST_BENCH_CACHED_DENSE_H_
 
+#include <ATen/native/quantized/PackedParams.h>
 #include <torch/types.h>
 
+#include <map>
+#include <string>
 #include <vector>
 
 #include "core/model/policy.h"
@@ -17,8 +20,9 @@ namespace spikeserve {
 
 class CachedDense {
  public:
-  // REQUIRES: a valid policy of dense mode.
-  explicit CachedDense(const Policy& policy);
+  // With `int8`, linear layers have 8-bit weights and round their inputs to 8 bits, as PyTorch's
+  // dynamic quantisation does. REQUIRES: a valid policy of dense mode.
+  CachedDense(const Policy& policy, bool int8);
 
   // Returns the logits [1, act] of timestep `timestep` from its three new tokens: a_{t-1} [1, act],
   // encoded by ActionSpace::Encode, and G_t [1, 1] and s_t [1, obs] in environment units. REQUIRES:
@@ -32,13 +36,15 @@ class CachedDense {
     torch::Tensor values;  // likewise
   };
 
+  torch::Tensor Linear(const torch::Tensor& x, const std::string& name) const;
   torch::Tensor Embed(const char* modality, const torch::Tensor& input, int64_t timestep) const;
   torch::Tensor Heads(const torch::Tensor& x) const;  // [H, tokens, d_h]
   torch::Tensor Layer(const torch::Tensor& x, int layer);
 
   const Policy policy_;
   const Parameters p_;
-  const torch::Tensor mask_;  // [3, 3N + 2]
+  std::map<std::string, c10::intrusive_ptr<LinearPackedParamsBase>> packed_;  // empty: float32
+  const torch::Tensor mask_;                                                  // [3, 3N + 2]
   std::vector<Cache> caches_;
 };
 

@@ -1,18 +1,23 @@
 """A contestant of the benchmark: a dense decision transformer of the paper's size in ONNX Runtime.
 
-usage: dense_onnx.py POLICY_FILE LOGITS   (the file that torch_bench --export wrote, and the JSON that it printed)
+usage: dense_onnx.py POLICY_FILE LOGITS [--int8]   (the file that torch_bench --export wrote, and the JSON that it printed)
 
 One decision computes its three new tokens a_{t-1}, G_t, s_t with a key/value cache, in one thread. The window is full.
-The program exits with an error unless its logits equal those of the engine in dense mode.
+The program exits with an error unless its logits equal those of the engine in dense mode. --int8 rounds the weights with
+ONNX Runtime's dynamic quantisation; then the logits may differ by INT8_TOLERANCE.
 """
 
 import json
+import logging
+import pathlib
 import sys
+import tempfile
 
 import numpy as np
 import onnx
 import onnxruntime
 from onnx import TensorProto, helper, numpy_helper
+from onnxruntime.quantization import QuantType, quantize_dynamic
 
 import contestant
 import policy_tensors
@@ -25,6 +30,8 @@ PAST = 3 * CONTEXT - 1  # G_{t-N} ... s_{t-1}
 KEYS = PAST + NEW
 HEAD_SIZE = HIDDEN // HEADS
 UNSEEN = -1e9
+TOLERANCE = 1e-3
+INT8_TOLERANCE = 0.1
 
 
 class Graph:
@@ -132,6 +139,16 @@ def build_model(tensors):
     return model, cache
 
 
+def quantized(model):
+    """Returns the model with 8-bit weights, whose linear layers also round their inputs to 8 bits."""
+    logging.getLogger().setLevel(logging.ERROR)  # otherwise each run is advised to prepare the model in another way
+    with tempfile.TemporaryDirectory() as name:
+        before, after = (pathlib.Path(name) / file for file in ("float.onnx", "int8.onnx"))
+        onnx.save(model, before)
+        quantize_dynamic(before, after, weight_type=QuantType.QInt8)
+        return onnx.load(after)
+
+
 def logits_at_last(session, tensors, metadata, decisions):
     """Returns the logits of the last of `decisions`. The inputs are those of torch_bench.cc."""
     cache = {name.name: np.zeros(name.shape, np.float32) for name in session.get_inputs() if "past" in name.name}
@@ -179,15 +196,17 @@ class Player:
 
 
 def main():
-    policy_file, expected = sys.argv[1:]
+    policy_file, expected, *flags = sys.argv[1:]
+    is_int8 = flags == ["--int8"]
     tensors, metadata = policy_tensors.read_policy_file(policy_file)
     model, cache = build_model(tensors)
+    model = quantized(model) if is_int8 else model
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
     logits = logits_at_last(session, tensors, metadata, decisions=3 * CONTEXT)
-    if not np.allclose(logits, json.loads(expected), rtol=0, atol=1e-3):
+    if not np.allclose(logits, json.loads(expected), rtol=0, atol=INT8_TOLERANCE if is_int8 else TOLERANCE):
         sys.exit(f"dense_onnx: logits: expected {expected}, received {logits}")
     contestant.run(Player(session, cache).decide)
 

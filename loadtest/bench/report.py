@@ -13,7 +13,9 @@ ENGINE_NAMES = {
     "torch_snn_window": "the same model, libtorch eager, full window",
     "torch_dense_window": "dense decision transformer, libtorch, full window",
     "torch_dense_cached": "dense, libtorch, key/value cache",
+    "torch_dense_cached_int8": "dense, libtorch, key/value cache, 8-bit weights",
     "onnx_dense_cached": "dense, ONNX Runtime, key/value cache",
+    "onnx_dense_cached_int8": "dense, ONNX Runtime, key/value cache, 8-bit weights",
 }
 
 

@@ -1,7 +1,7 @@
 // A contestant of the benchmark: the same model, or a dense decision transformer of its size, in
 // eager libtorch on one thread, in steady state.
 //
-// usage: torch_bench --model=snn|dense|dense_cached --policy=FILE
+// usage: torch_bench --model=snn|dense|dense_cached|dense_cached_int8 --policy=FILE
 //        torch_bench --export=FILE
 //
 // --policy is the policy of the snn. The dense models have random weights, because weights do not
@@ -90,9 +90,9 @@ std::vector<float> EngineLogits(const std::shared_ptr<const Policy>& policy) {
 
 // Returns INTERNAL if CachedDense computes other logits than the engine in dense mode, so that only
 // a correct model is measured.
-absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy) {
-  constexpr float kTolerance = 1e-3f;
-  CachedDense cached(*policy);
+absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy, bool int8) {
+  const float tolerance = int8 ? 0.1f : 1e-3f;
+  CachedDense cached(*policy, int8);
   const torch::Tensor action = torch::tensor({{1.0f, 0.0f}});
   torch::Tensor logits;
   for (int64_t t = 0; t < CheckDecisions(*policy); ++t) {
@@ -102,7 +102,7 @@ absl::Status CheckAgainstEngine(const std::shared_ptr<const Policy>& policy) {
   const std::vector<float> expected = EngineLogits(policy);
   for (size_t i = 0; i < expected.size(); ++i) {
     const float received = logits[0][static_cast<int64_t>(i)].item<float>();
-    if (std::abs(received - expected[i]) <= kTolerance) continue;
+    if (std::abs(received - expected[i]) <= tolerance) continue;
     return absl::InternalError(absl::StrCat("dense_cached: logit ", i, ": expected ", expected[i],
                                             ", received ", received));
   }
@@ -117,11 +117,12 @@ absl::Status Export(const std::string& path) {
   return WritePolicyFile(policy, path);
 }
 
-absl::StatusOr<Decide> CachedWindow(const Policy& policy) {
-  if (auto status = CheckAgainstEngine(std::make_shared<const Policy>(policy)); !status.ok()) {
+absl::StatusOr<Decide> CachedWindow(const Policy& policy, bool int8) {
+  if (auto status = CheckAgainstEngine(std::make_shared<const Policy>(policy), int8);
+      !status.ok()) {
     return status;
   }
-  const auto model = std::make_shared<CachedDense>(policy);
+  const auto model = std::make_shared<CachedDense>(policy, int8);
   const torch::Tensor action = torch::tensor({{1.0f, 0.0f}});
   const torch::Tensor return_to_go = torch::ones({1, 1});
   const torch::Tensor observation = torch::randn({1, policy.observation_size()});
@@ -138,7 +139,7 @@ absl::StatusOr<Decide> MakeDecide(const Flags& flags) {
     return FullWindow(*std::move(policy));
   }
   if (flags.model == "dense") return FullWindow(DensePolicy());
-  return CachedWindow(DensePolicy());
+  return CachedWindow(DensePolicy(), /*int8=*/flags.model == "dense_cached_int8");
 }
 
 absl::Status Run(const Flags& flags) {
@@ -158,7 +159,7 @@ int main(int argc, char** argv) {
   spikeserve::Flags flags;
   CLI::App app("A contestant of the benchmark, see contestant.h", "torch_bench");
   app.add_option("--model", flags.model, "dense: full window")
-      ->check(CLI::IsMember({"snn", "dense", "dense_cached"}));
+      ->check(CLI::IsMember({"snn", "dense", "dense_cached", "dense_cached_int8"}));
   app.add_option("--policy", flags.policy, "Policy file of the snn");
   app.add_option("--export", flags.export_file, "Policy file to write for another contestant");
   CLI11_PARSE(app, argc, argv);
