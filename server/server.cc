@@ -38,6 +38,9 @@ constexpr absl::Duration kRolloutInterval = absl::Milliseconds(200);
 // alive.
 constexpr absl::Duration kFollowInterval = absl::Milliseconds(250);
 
+// How long a starting server waits for the heads that servers share, before it listens.
+constexpr absl::Duration kJoinTimeout = absl::Seconds(2);
+
 // The health page reports a server whose loops do not finish a turn within this time.
 constexpr absl::Duration kHealthTimeout = absl::Seconds(1);
 
@@ -89,7 +92,8 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
        .settings_path = options.policy_settings,
        .default_rule = options.default_version,
        .share_heads = options.share_heads_across_tenants,
-       .shared = store->shared.get()},
+       .shared = store->shared.get(),
+       .head_logs = store->heads.get()},
       [kept = metrics.get(), deviations = options.unusual_deviations](
           const std::string& name, int64_t version, const Policy& policy) {
         return kept->NewPolicyObserver(name, version, policy, deviations);
@@ -119,7 +123,10 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   auto server = std::unique_ptr<Server>(
       new Server(options, *std::move(authenticator), *std::move(registry), *std::move(audit_log),
                  std::move(metrics), std::move(recordings), *std::move(store)));
-  if (server->shared_ != nullptr) server->FollowReplicas();
+  if (server->shared_ != nullptr) {
+    server->FollowReplicas();
+    if (server->registry_->has_joined()) server->heads_->WaitToJoin(kJoinTimeout);
+  }
   if (auto status = server->StartTransport(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
   if (options.poll_policies > absl::ZeroDuration()) {
@@ -147,6 +154,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
       shared_(std::move(store.shared)),
+      heads_(std::move(store.heads)),
       replicas_(store.replica),
       registry_(std::move(registry)),
       audit_log_(std::move(audit_log)),
@@ -248,15 +256,18 @@ void Server::PublishHealth() {
 }
 
 void Server::FollowReplicas() {
-  const bool had_joined = registry_->has_joined();
   auto status = registry_->Follow();
+  heads_->SetFollowing(status.ok());
   if (status.ok()) {
     auto alive = shared_->Beat();
     status = alive.status();
     if (alive.ok()) replicas_.SetAlive(*alive);
   }
   authenticator_->SetReplicas(replicas_.count());
-  if (registry_->has_joined() && !had_joined && transport_ != nullptr) PublishHealth();
+  if (transport_ != nullptr && !joined_ && has_joined()) {
+    joined_ = true;
+    PublishHealth();
+  }
   const bool fails = !status.ok();
   if (fails && !std::exchange(follow_failed_, fails)) {
     LogError("settings not shared; tries again", {{"error", status.message()}});
@@ -337,6 +348,7 @@ void Server::StopTransport() {
   ReleaseSessions();
   const bool reachable = journals_->CheckReachable().ok();
   journals_->Stop(reachable ? std::max(kLeaveTimeout, end - clock_.Now()) : kLeaveTimeout);
+  if (heads_ != nullptr) heads_->Stop(kLeaveTimeout);
   recovery_->ForgetWaiters();
 }
 

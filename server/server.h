@@ -80,8 +80,11 @@ class Server {
   // Writes a last snapshot of every stored session, from which another server goes on.
   void ReleaseSessions();
   absl::Status StartHttp();
-  // False until the settings that servers share were taken over, too.
-  bool serving() const { return !stopping_ && !store_.draining() && registry_->has_joined(); }
+  // False until the settings and the heads that servers share were taken over, too.
+  bool serving() const { return !stopping_ && !store_.draining() && has_joined(); }
+  bool has_joined() const {
+    return registry_->has_joined() && (heads_ == nullptr || heads_->has_joined());
+  }
   // Returns true unless the loops of the transport are stuck.
   bool TransportResponds() const;
   void TrimMemory();
@@ -92,6 +95,7 @@ class Server {
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
   const std::unique_ptr<RedisShared> shared_;  // null: this server shares nothing
+  const std::unique_ptr<HeadLogStore> heads_;  // null as `shared_`
   Replicas replicas_;
   const std::unique_ptr<PolicyRegistry> registry_;
   const std::unique_ptr<AuditLog> audit_log_;
@@ -117,7 +121,9 @@ class Server {
   const HeadHandler head_handler_;
   InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
-  bool follow_failed_ = false;  // of FollowReplicas(), which one thread calls at a time
+  // Of FollowReplicas(), which one thread calls at a time.
+  bool follow_failed_ = false;
+  bool joined_ = false;  // as it was published
   // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;

@@ -9,6 +9,14 @@ void ContributionBudget::Leave(const std::string& contributor) {
   if (--member->second == 0) members_.erase(member);
 }
 
+std::vector<std::string> ContributionBudget::Members() const {
+  std::vector<std::string> members;
+  for (const auto& [name, sessions] : members_) {
+    if (members.size() < kProtectedMembers) members.push_back(name);
+  }
+  return members;
+}
+
 bool ContributionBudget::Take(const std::string& contributor, absl::Duration now) {
   if (now - minute_ >= absl::Minutes(1)) {
     minute_ = now;
@@ -35,9 +43,29 @@ void ContributionBudget::OnWindowEnd(bool bad) {
       account.suspended_windows = kSuspendedWindows;
     }
     account.in_window = 0;
-    const bool forget = account.suspended_windows == 0 && !members_.contains(it->first);
-    it = forget ? accounts_.erase(it) : std::next(it);
+    // An empty account is as good as none.
+    it = account == Account() ? accounts_.erase(it) : std::next(it);
   }
+}
+
+ContributionBudget::State ContributionBudget::state() const {
+  State state;
+  state.minute_ms = absl::ToInt64Milliseconds(minute_);
+  state.total_in_minute = total_in_minute_;
+  for (const auto& [name, account] : accounts_) {
+    state.contributors.push_back(name);
+    state.accounts.push_back(account);
+  }
+  return state;
+}
+
+void ContributionBudget::Restore(const State& state) {
+  accounts_.clear();
+  for (size_t i = 0; i < state.accounts.size(); ++i) {
+    accounts_[state.contributors[i]] = state.accounts[i];
+  }
+  minute_ = absl::Milliseconds(state.minute_ms);
+  total_in_minute_ = state.total_in_minute;
 }
 
 }  // namespace spikeserve

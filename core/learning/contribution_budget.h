@@ -12,13 +12,19 @@
 // interquartile mean leaves out. A contributor that has given as many in a window that was bad
 // contributes nothing to the next kSuspendedWindows windows.
 //
+// Equal calls of Take() and OnWindowEnd() leave equal accounts, whichever process counts them: what
+// Join() and Leave() count matters only until CountMembers() is called.
+//
 // Not thread-safe.
 #ifndef CORE_LEARNING_CONTRIBUTION_BUDGET_H_
 #define CORE_LEARNING_CONTRIBUTION_BUDGET_H_
 
 #include <cstddef>
+#include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/time/time.h"
 
@@ -36,8 +42,14 @@ class ContributionBudget {
   void Join(const std::string& contributor) { ++members_[contributor]; }
   void Leave(const std::string& contributor);
 
+  // Returns the contributors with a session, at most kProtectedMembers: more make no difference.
+  std::vector<std::string> Members() const;
+
+  // Replaces the count of Join() and Leave() by that of several processes.
+  void CountMembers(size_t members) { counted_ = members; }
+
   // Returns true if the head has enough members to be protected.
-  bool is_protected() const { return members_.size() >= kProtectedMembers; }
+  bool is_protected() const { return counted_.value_or(members_.size()) >= kProtectedMembers; }
 
   // Counts a contribution and returns true if it is within the budget. `now` is the time of a
   // monotonic clock, the same clock in every call.
@@ -46,14 +58,29 @@ class ContributionBudget {
   // Starts a new window. `bad`: the guard has restored an earlier head.
   void OnWindowEnd(bool bad);
 
- private:
   struct Account {
     int in_window = 0;
     int in_minute = 0;
     int suspended_windows = 0;
-  };
 
+    friend bool operator==(const Account&, const Account&) = default;
+  };
+  // All that decides about later contributions, except the members.
+  struct State {
+    std::vector<std::string> contributors;  // sorted
+    std::vector<Account> accounts;          // of `contributors`
+    int64_t minute_ms = 0;                  // start of the running minute, in milliseconds
+    int total_in_minute = 0;
+
+    friend bool operator==(const State&, const State&) = default;
+  };
+  State state() const;
+  // Goes on from `state`. REQUIRES: it has as many accounts as contributors.
+  void Restore(const State& state);
+
+ private:
   std::map<std::string, int> members_;  // open sessions by contributor
+  std::optional<size_t> counted_;       // absent: the number of `members_`
   std::map<std::string, Account> accounts_;
   absl::Duration minute_;  // start of the running minute
   int total_in_minute_ = 0;

@@ -41,9 +41,11 @@ UpdateOutcome FleetHead::Add(const Eigen::VectorXf& contribution) {
 }
 
 FleetHead::Merged FleetHead::Merge(const Eigen::VectorXf& contribution, double episode_return,
-                                   const std::string& contributor, absl::Duration now) {
+                                   const std::string& contributor, absl::Duration now,
+                                   std::optional<size_t> members) {
   Merged merged;
   absl::MutexLock lock(&mutex_);
+  if (members.has_value()) budget_.CountMembers(*members);
   // A caller without a name is no client.
   const bool accepted = contributor.empty() || budget_.Take(contributor, now);
   merged.outcome = accepted ? Add(contribution) : UpdateOutcome::kOverBudget;
@@ -79,6 +81,42 @@ std::shared_ptr<const FleetHead::Snapshot> FleetHead::Rollback() {
   ++rollbacks_;
   Publish();
   return before;
+}
+
+std::vector<std::string> FleetHead::Members() const {
+  absl::MutexLock lock(&mutex_);
+  return budget_.Members();
+}
+
+FleetHead::State FleetHead::state() const {
+  absl::MutexLock lock(&mutex_);
+  return {.delta = delta_,
+          .gathered = gathered_,
+          .guard = guard_,
+          .budget = budget_.state(),
+          .updates = updates_,
+          .rejected = rejected_,
+          .rollbacks = rollbacks_};
+}
+
+void FleetHead::Restore(const State& state) {
+  absl::MutexLock lock(&mutex_);
+  delta_ = state.delta;
+  gathered_ = state.gathered;
+  guard_ = state.guard;
+  budget_.Restore(state.budget);
+  updates_ = state.updates;
+  rejected_ = state.rejected;
+  rollbacks_ = state.rollbacks;
+  Publish();
+}
+
+bool FleetHead::IsPossible(const State& state) const {
+  const auto size = static_cast<Eigen::Index>(policy_->weights.head.weight.values.size());
+  return state.delta.size() == size && state.gathered.size() == size &&
+         state.guard.beginning.size() == size && state.guard.good.size() == size &&
+         state.guard.returns.size() < ReturnGuard::kWindow &&
+         state.budget.contributors.size() == state.budget.accounts.size();
 }
 
 void FleetHead::Publish() {

@@ -11,13 +11,18 @@
 // protected has no reference, its contributions are gathered and added at the end of the first
 // window, so that the reference is that of the policy's own head.
 //
+// Equal sequences of Merge() and Rollback() leave heads that are equal bit for bit, in whichever
+// processes they run, if all of them pass the number of members.
+//
 // Thread-safe.
 #ifndef CORE_LEARNING_FLEET_HEAD_H_
 #define CORE_LEARNING_FLEET_HEAD_H_
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "Eigen/Core"
 #include "absl/base/thread_annotations.h"
@@ -68,9 +73,30 @@ class FleetHead {
   };
   // Adds the contribution [act * d] of one episode and passes the return of that episode to the
   // guard, unless `contributor` has used up its budget. `now` is the time of a monotonic clock, the
-  // same clock in every call.
+  // same clock in every call. `members` is the number of contributors with a session in all
+  // processes that share the head; absent: that of the Members of this one.
   Merged Merge(const Eigen::VectorXf& contribution, double episode_return,
-               const std::string& contributor = "", absl::Duration now = absl::ZeroDuration());
+               const std::string& contributor = "", absl::Duration now = absl::ZeroDuration(),
+               std::optional<size_t> members = std::nullopt);
+
+  // Returns contributors with a Member; see ContributionBudget::Members().
+  std::vector<std::string> Members() const;
+
+  // All that decides about the head and its later changes.
+  struct State {
+    Eigen::VectorXf delta;     // [act * d]
+    Eigen::VectorXf gathered;  // [act * d]
+    ReturnGuard guard;
+    ContributionBudget::State budget;
+    int64_t updates = 0;
+    int64_t rejected = 0;
+    int64_t rollbacks = 0;
+  };
+  State state() const;
+  // Goes on from `state`. REQUIRES: IsPossible(state).
+  void Restore(const State& state);
+  // Returns true if `state` may be that of a head of this policy.
+  bool IsPossible(const State& state) const;
 
   // A session that decides with the head; protects the others by its presence (ContributionBudget).
   class Member {

@@ -1,4 +1,5 @@
-// The shared heads of one policy version, one for each tenant.
+// The shared heads of one policy version, one for each tenant. The empty name is that of the
+// sessions without a tenant.
 //
 // Thread-safe.
 #ifndef CORE_LEARNING_TENANT_HEADS_H_
@@ -8,6 +9,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
@@ -27,6 +29,16 @@ class TenantHeads {
     std::shared_ptr<FleetHead>& head = heads_[tenant];
     if (head == nullptr) head = std::make_shared<FleetHead>(policy_);
     return head;
+  }
+
+  const std::shared_ptr<const Policy>& policy() const { return policy_; }
+
+  // Returns all tenants with a head, sorted.
+  std::vector<std::string> Tenants() const {
+    absl::MutexLock lock(&mutex_);
+    std::vector<std::string> tenants;
+    for (const auto& [tenant, head] : heads_) tenants.push_back(tenant);
+    return tenants;
   }
 
   // Returns the head of a tenant, or null if it has none.

@@ -80,6 +80,8 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
     const bool by_tenant = served_->SharesHead(tenant) && !tenant.empty();
     member_ = std::make_unique<FleetHead::Member>(served_->HeadOf(tenant),
                                                   by_tenant ? tenant : session_.id);
+    if (served_->log == nullptr) session_.pending = nullptr;
+    if (session_.pending != nullptr) contribution_ = NewContribution();
     return;
   }
   const Eigen::VectorXf delta = HeadDelta();
@@ -139,6 +141,7 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
   sessions.clear();
   for (const ActCall* call : calls) {
     AgentSession& session = *call->session;
+    session.TakeMerged();
     sessions.push_back(&session);
     if (call->executed.has_value() && session.session_.step > 0) {
       session.TakeExecuted(*ParseExecutedAction(*call->executed, served.policy().action_space));
@@ -347,6 +350,7 @@ void AgentSession::RebuildContext() {
 }
 
 absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
+  TakeMerged();
   if (session_.step == 0) {
     if (session_.last_end != nullptr && session_.last_end->end == end) {
       return session_.last_end->summary;
@@ -365,6 +369,10 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   }
   const double target_return = end.target_return.value_or(session_.options.target_return);
   if (auto status = CheckTargetReturn(target_return); !status.ok()) return status;
+  if (contribution_ != nullptr) {
+    return absl::UnavailableError(
+        "fleet head: has not taken the last episode of the session yet; try again");
+  }
 
   if (end.executed_action.has_value()) TakeExecuted(*end.executed_action);
   if (recorder_ != nullptr) {
@@ -388,7 +396,12 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   session_.last_end =
       std::make_shared<const EndedEpisode>(EndedEpisode{.end = end, .summary = summary});
   DropContext();
-  if (journal_ != nullptr) journal_->OnEpisodeEnd(session_);
+  if (session_.pending != nullptr) contribution_ = NewContribution();
+  if (journal_ != nullptr) {
+    journal_->OnEpisodeEnd(session_, contribution_);
+  } else if (contribution_ != nullptr) {
+    contribution_->Append();
+  }
   life_.OnEpisode(summary.episode_return);
   served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;
@@ -407,13 +420,14 @@ std::optional<LearningSummary> AgentSession::LearnFromEpisode(const EpisodeEnd& 
                              .returns = learner.returns};
   InFleet() ? MergeIntoFleet(episode_return, &summary) : WatchPrivateHead(episode_return, &summary);
   learner.StartEpisode(options);
-  served_->observer->OnLearned(summary);
+  if (session_.pending == nullptr) served_->observer->OnLearned(summary);
   return summary;
 }
 
 void AgentSession::MergeIntoFleet(double episode_return, LearningSummary* summary) {
   FleetHead& fleet = member_->head();
   std::shared_ptr<const FleetHead::Snapshot> snapshot;
+  const bool is_logged = served_->log != nullptr;
   const auto merge = [&] {
     FleetHead::Merged merged = fleet.Merge(session_.learner->head_delta, episode_return,
                                            member_->contributor(), clock_->Now());
@@ -424,10 +438,36 @@ void AgentSession::MergeIntoFleet(double episode_return, LearningSummary* summar
     summary->rolled_back = merged.rolled_back;
     snapshot = std::move(merged.snapshot);
   };
-  const bool merged = !session_.learner->suspended && served_->learning->MergeUnlessPaused(merge);
+  const bool merged =
+      !is_logged && !session_.learner->suspended && served_->learning->MergeUnlessPaused(merge);
   if (!merged) snapshot = fleet.Read();
   summary->head_drift = snapshot->drift;
   summary->watched_return = snapshot->level.mean;
+  if (!is_logged || session_.learner->suspended) return;
+  session_.pending = std::make_shared<const PendingContribution>(
+      PendingContribution{.episode = session_.episode,
+                          .delta = session_.learner->head_delta,
+                          .episode_return = episode_return,
+                          .summary = *summary});
+}
+
+std::shared_ptr<FleetContribution> AgentSession::NewContribution() const {
+  const std::string& tenant = session_.options.tenant;
+  return std::make_shared<FleetContribution>(served_, session_.id,
+                                             served_->SharesHead(tenant) ? "" : tenant,
+                                             member_->contributor(), session_.pending);
+}
+
+void AgentSession::TakeMerged() {
+  if (contribution_ == nullptr) return;
+  const auto merged = contribution_->merged();
+  if (!merged.has_value()) return;
+  contribution_ = nullptr;
+  session_.pending = nullptr;
+  if (session_.last_end == nullptr) return;
+  EndedEpisode ended = *session_.last_end;
+  ended.summary.learning = *merged;
+  session_.last_end = std::make_shared<const EndedEpisode>(std::move(ended));
 }
 
 void AgentSession::WatchPrivateHead(double episode_return, LearningSummary* summary) {

@@ -30,6 +30,7 @@
 #include "core/engine/engine.h"
 #include "core/session/episode.h"
 #include "core/session/episode_recorder.h"
+#include "core/session/head_log.h"
 #include "core/session/served_policy.h"
 #include "core/session/session.h"
 #include "core/session/session_journal.h"
@@ -95,8 +96,13 @@ class AgentSession {
   // If the last end is repeated before the next decision, it is a retry: the stored summary is
   // returned, and nothing is counted or learned twice. Errors do not change the session:
   // FAILED_PRECONDITION for any other end without a decision since the last one; INVALID_ARGUMENT
-  // for a number that is not finite or an observation of the wrong length.
+  // for a number that is not finite or an observation of the wrong length; UNAVAILABLE if the
+  // contribution of the episode before is not in the log of the fleet's head yet.
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
+
+  // Returns the contribution of the last episode that has ended, whose outcome the summary that the
+  // last EndEpisode has returned may lack. Null: it lacks nothing.
+  const std::shared_ptr<FleetContribution>& contribution() const { return contribution_; }
 
   // Records the episodes that start after this call.
   void RecordTo(std::unique_ptr<EpisodeRecorder> recorder) { recorder_ = std::move(recorder); }
@@ -158,6 +164,10 @@ class AgentSession {
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
   std::optional<LearningSummary> LearnFromEpisode(const EpisodeEnd& end, double episode_return);
   void MergeIntoFleet(double episode_return, LearningSummary* summary);
+  // Returns the contribution that `session_.pending` holds.
+  std::shared_ptr<FleetContribution> NewContribution() const;
+  // Completes the summary of the last episode when the outcome of its contribution is known.
+  void TakeMerged();
   void WatchPrivateHead(double episode_return, LearningSummary* summary);
   void Record(Answer answer, absl::Span<const float> observation, double reward);
   // Writes the last decision to the journal, if there is one.
@@ -172,10 +182,11 @@ class AgentSession {
   std::unique_ptr<Engine::Context> context_;  // null: rebuilt by the next decision
   std::optional<Linear> head_;  // private head; absent: the policy's or the fleet's head is used
   std::unique_ptr<FleetHead::Member> member_;  // of the head that the fleet shares; null: of none
-  std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded
-  std::shared_ptr<SessionJournal> journal_;    // null: the session is not stored
-  bool action_pending_ = false;                // true: the context lacks the last timestep's action
-  bool reports_actions_ = false;               // true: the agent has reported an executed action
+  std::shared_ptr<FleetContribution> contribution_;  // of `session_.pending`; null: none
+  std::unique_ptr<EpisodeRecorder> recorder_;        // null: nothing is recorded
+  std::shared_ptr<SessionJournal> journal_;          // null: the session is not stored
+  bool action_pending_ = false;   // true: the context lacks the last timestep's action
+  bool reports_actions_ = false;  // true: the agent has reported an executed action
 };
 
 // Returns the value of a new session at step 0 of its first episode.

@@ -10,6 +10,7 @@
 
 namespace spikeserve {
 
+class FleetContribution;
 class SessionJournal;
 
 // One write to the journal of a session.
@@ -28,6 +29,8 @@ struct JournalRecord {
   uint64_t position = 0;    // of the record in all that its owner writes, from 1
   bool is_awaited = false;  // an answer waits for it, so that it should be written at once
   std::shared_ptr<SessionJournal> journal;
+  // To append to the log of its head when the record was written; null: none.
+  std::shared_ptr<FleetContribution> contribution = nullptr;
 };
 
 // Implementations are thread-safe.

@@ -22,6 +22,8 @@
 
 namespace spikeserve {
 
+class HeadLog;
+
 // Observes the sessions of a policy. Every event is reported once; retries and rebuilt caches are
 // not reported. Implementations are thread-safe, return quickly, and never call
 // back into a session.
@@ -79,6 +81,8 @@ struct ServedPolicy {
   // Learned by the sessions without a tenant, and by all sessions if the tenants share their heads.
   std::shared_ptr<FleetHead> fleet;
   std::shared_ptr<TenantHeads> tenant_heads;  // null: the tenants share `fleet`
+  // The log that changes the heads (head_log.h); null: they are those of this process alone.
+  std::shared_ptr<HeadLog> log;
   // Shared by all versions of the policy that are served at the same time.
   std::shared_ptr<LearningSwitch> learning = std::make_shared<LearningSwitch>();
 

@@ -55,6 +55,19 @@ absl::Status CheckLearner(const LearningOptions& options, const Learner& learner
   return absl::OkStatus();
 }
 
+// Checks that a session with a pending contribution is one of a fleet.
+absl::Status CheckPending(const Session& session) {
+  if (session.pending == nullptr) return absl::OkStatus();
+  if (!session.learner.has_value() || session.options.learning->scope != Scope::kFleet) {
+    return absl::InvalidArgumentError(
+        "session.pending: expected none unless session.options.learning.scope is fleet");
+  }
+  const int64_t size = session.learner->head_delta.size();
+  if (session.pending->delta.size() == size) return absl::OkStatus();
+  return Inconsistent("pending.delta", absl::StrCat(size, " numbers"),
+                      session.pending->delta.size());
+}
+
 // Checks the invariants of a session between two requests.
 absl::Status CheckInvariants(const Session& session) {
   if (session.options.version < 1) {
@@ -79,6 +92,7 @@ absl::Status CheckInvariants(const Session& session) {
     return absl::InvalidArgumentError(
         "session.learner: expected one if and only if session.options.learning is set");
   }
+  if (auto status = CheckPending(session); !status.ok()) return status;
   if (session.learner.has_value()) return CheckLearner(*session.options.learning, *session.learner);
   return absl::OkStatus();
 }

@@ -179,6 +179,14 @@ void VisitFields(T& options, Visitor&& visit) {
   visit("policy_sha256", options.policy_sha256);
 }
 
+template <Is<PendingContribution> T, typename Visitor>
+void VisitFields(T& pending, Visitor&& visit) {
+  visit("episode", pending.episode);
+  visit("delta", pending.delta);
+  visit("episode_return", pending.episode_return);
+  visit("summary", pending.summary);
+}
+
 template <Is<Session> T, typename Visitor>
 void VisitFields(T& session, Visitor&& visit) {
   visit("id", session.id);
@@ -197,6 +205,7 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("spikes", session.spikes);
   visit("energy_joules", session.energy_joules);
   visit("learner", session.learner);
+  visit("pending", session.pending);
 }
 
 // Is satisfied by types that have an overload of VisitFields().

@@ -52,9 +52,11 @@ void SessionJournal::OnDecision(const Session& session, const JournalEntryView& 
   }
 }
 
-void SessionJournal::OnEpisodeEnd(const Session& session) {
+void SessionJournal::OnEpisodeEnd(const Session& session,
+                                  std::shared_ptr<FleetContribution> contribution) {
   entries_ = 0;
-  Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions);
+  Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions,
+        std::move(contribution));
 }
 
 void SessionJournal::OnRelease(const Session& session) {
@@ -72,15 +74,18 @@ void SessionJournal::WriteAgainIfMissing(const Session& session) {
   OnOpen(session);
 }
 
-void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions) {
+void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions,
+                           std::shared_ptr<FleetContribution> contribution) {
   decisions_.store(decisions, std::memory_order_relaxed);
   JournalRecord record = {.kind = kind,
                           .bytes = std::move(bytes),
                           .decisions = decisions,
                           .is_awaited = is_sync_ || kind == JournalRecord::Kind::kOpen,
-                          .journal = shared_from_this()};
+                          .journal = shared_from_this(),
+                          .contribution = std::move(contribution)};
   // The lock makes the order of the queue that of the positions.
   absl::MutexLock lock(&mutex_);
+  if (kind == JournalRecord::Kind::kOpen) record.contribution = std::exchange(kept_, nullptr);
   record.position = ++written_;
   writer_.Write(std::move(record));
 }
@@ -117,6 +122,7 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
       stored_ = 0;
       missing_ = true;
       outcome = MissingError();
+      if (record.contribution != nullptr) kept_ = record.contribution;
     } else {
       stored_ = record.position;
       const bool is_taken =
@@ -128,6 +134,7 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
     if (outcome.ok()) durable_decisions_.store(record.decisions, std::memory_order_release);
     ready = TakeReady(/*all=*/!outcome.ok());
   }
+  if (outcome.ok() && record.contribution != nullptr) record.contribution->Append();
   for (const Waiter& waiter : ready) waiter.done(outcome);
 }
 

@@ -22,6 +22,7 @@
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "core/session/durability.h"
+#include "core/session/head_log.h"
 #include "core/session/journal_entry.h"
 #include "core/session/journal_writer.h"
 #include "core/session/session.h"
@@ -59,8 +60,10 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   void OnOpen(const Session& session);
   // Writes the decision that `session` has just made: `entry`, or a snapshot in its place.
   void OnDecision(const Session& session, const JournalEntryView& entry);
-  // Writes a snapshot, because the end of an episode is no entry.
-  void OnEpisodeEnd(const Session& session);
+  // Writes a snapshot, because the end of an episode is no entry. Appends `contribution`, which the
+  // session holds, to the log of its head when the store has the snapshot.
+  void OnEpisodeEnd(const Session& session,
+                    std::shared_ptr<FleetContribution> contribution = nullptr);
   // Writes a last snapshot, from which another server goes on. Nothing is written after it.
   void OnRelease(const Session& session);
   // Ends the session in the store.
@@ -98,8 +101,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
 
   // Returns the waiters that the outcome of a record ends.
   std::vector<Waiter> TakeReady(bool all) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  void Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions)
-      ABSL_LOCKS_EXCLUDED(mutex_);
+  void Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions,
+             std::shared_ptr<FleetContribution> contribution = nullptr) ABSL_LOCKS_EXCLUDED(mutex_);
 
   const Key key_;
   const bool is_sync_;
@@ -115,6 +118,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   uint64_t stored_ ABSL_GUARDED_BY(mutex_) = 0;  // position
   absl::Status loss_ ABSL_GUARDED_BY(mutex_);    // not OK if the copy is lost
   std::vector<Waiter> waiters_ ABSL_GUARDED_BY(mutex_);
+  // Its record was not written, because the store has lost the journal. The next snapshot has it.
+  std::shared_ptr<FleetContribution> kept_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace spikeserve

@@ -97,6 +97,8 @@ absl::Status SessionStore::Add(std::shared_ptr<const ServedPolicy> served, Sessi
     entry->agent.JournalTo(entry->journal);
     if (is_new) entry->journal->OnOpen(entry->agent.session());
   }
+  // The server that had the session may not have appended it; the log takes it once.
+  if (entry->agent.contribution() != nullptr) entry->agent.contribution()->Append();
   observer->OnOpen();
   return absl::OkStatus();
 }

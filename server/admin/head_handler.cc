@@ -10,6 +10,7 @@
 #include "core/base/json.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
+#include "core/session/head_log.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/traffic.h"
 #include "server/policies/policy_repository.h"
@@ -77,6 +78,11 @@ std::shared_ptr<FleetHead> HeadOf(const ServedPolicy& served, const std::string&
       std::shared_ptr<const Policy>(served.engine, &served.policy()));
 }
 
+// Brings the heads of a version up to date with their log, if they have one.
+absl::Status CatchUp(const ServedPolicy& served) {
+  return served.log == nullptr ? absl::OkStatus() : served.log->CatchUp();
+}
+
 }  // namespace
 
 absl::Status HeadHandler::GetHead(const Credential& caller, const v1::GetHeadRequest& request,
@@ -86,6 +92,7 @@ absl::Status HeadHandler::GetHead(const Credential& caller, const v1::GetHeadReq
   const auto tenant = TenantOf(caller, request);
   if (!tenant.ok()) return tenant.status();
   const Policy& policy = (*served)->policy();
+  CatchUp(**served).IgnoreError();
   const auto snapshot = HeadOf(**served, *tenant)->Read();
   response->set_policy((*served)->name);
   response->set_version((*served)->version);
@@ -123,6 +130,7 @@ absl::Status HeadHandler::PromoteHead(const Credential& caller,
   if (!served.ok()) return served.status();
   const auto tenant = TenantOf(caller, request);
   if (!tenant.ok()) return tenant.status();
+  if (auto status = CatchUp(**served); !status.ok()) return status;
   const auto snapshot = HeadOf(**served, *tenant)->Read();
   if (snapshot->drift == 0.0) {
     return absl::FailedPreconditionError(
@@ -169,18 +177,35 @@ absl::Status HeadHandler::RollbackHead(const Credential& caller,
   if (!served.ok()) return served.status();
   const auto tenant = TenantOf(caller, request);
   if (!tenant.ok()) return tenant.status();
-  response->set_drift(HeadOf(**served, *tenant)->Rollback()->drift);
-  return absl::OkStatus();
+  if ((*served)->log == nullptr) {
+    response->set_drift(HeadOf(**served, *tenant)->Rollback()->drift);
+    return absl::OkStatus();
+  }
+  const auto drift = (*served)->log->Rollback((*served)->SharesHead(*tenant) ? "" : *tenant);
+  if (drift.ok()) response->set_drift(*drift);
+  return drift.status();
 }
 
 absl::Status HeadHandler::PauseLearning(const v1::PauseLearningRequest& request,
                                         v1::PauseLearningResponse* /*response*/) const {
-  return registry_->SetLearningPaused(request.policy(), true);
+  return SetPaused(request.policy(), true);
 }
 
 absl::Status HeadHandler::ResumeLearning(const v1::ResumeLearningRequest& request,
                                          v1::ResumeLearningResponse* /*response*/) const {
-  return registry_->SetLearningPaused(request.policy(), false);
+  return SetPaused(request.policy(), false);
+}
+
+absl::Status HeadHandler::SetPaused(const std::string& policy, bool paused) const {
+  absl::Status status = registry_->SetLearningPaused(policy, paused);
+  const auto catalog = registry_->catalog();
+  for (const auto& [name, served] : catalog->policies()) {
+    if (!policy.empty() && name != policy) continue;
+    for (const auto& [version, loaded] : served.versions) {
+      if (status.ok() && loaded->log != nullptr) status = loaded->log->SetPaused(paused);
+    }
+  }
+  return status;
 }
 
 }  // namespace spikeserve

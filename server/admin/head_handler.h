@@ -1,9 +1,12 @@
 // Answers the requests of PolicyAdmin about learning: reads, promotes and rolls back the heads that
-// fleets share, and pauses and resumes learning.
+// fleets share, and pauses and resumes learning. A head that several servers learn is first brought
+// up to date with its log (core/session/head_log.h), so that all of them give the same answers.
 //
 // Thread-safe.
 #ifndef SERVER_ADMIN_HEAD_HANDLER_H_
 #define SERVER_ADMIN_HEAD_HANDLER_H_
+
+#include <string>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
@@ -21,9 +24,10 @@ class HeadHandler {
   HeadHandler(PolicyRegistry* registry, SessionStore* store) : registry_(registry), store_(store) {}
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
-  // status that policy_admin.proto names; NOT_FOUND if the policy or version is not served. A
-  // caller reaches the heads of the tenants whose sessions it may read; the others are
-  // PERMISSION_DENIED.
+  // status that policy_admin.proto names; NOT_FOUND if the policy or version is not served, and
+  // UNAVAILABLE if the log of the head cannot be reached, except that GetHead then answers with the
+  // head that this server has. A caller reaches the heads of the tenants whose sessions it may
+  // read; the others are PERMISSION_DENIED.
   absl::Status GetHead(const Credential& caller, const v1::GetHeadRequest& request,
                        v1::GetHeadResponse* response) const;
   absl::Status PromoteHead(const Credential& caller, const v1::PromoteHeadRequest& request,
@@ -40,6 +44,10 @@ class HeadHandler {
   absl::Status Share(const ServedPolicy& served, const FleetHead::Snapshot& snapshot,
                      const v1::PromoteHeadRequest& request,
                      v1::PromoteHeadResponse* response) const;
+
+  // Pauses or resumes learning of a policy, or of all policies if `policy` is empty: in the
+  // settings and in the logs of the heads.
+  absl::Status SetPaused(const std::string& policy, bool paused) const;
 
   PolicyRegistry* const registry_;
   SessionStore* const store_;

@@ -196,22 +196,25 @@ v1::RecordingState ToProto(RecordingState state) {
   return v1::NOT_RECORDED;
 }
 
+v1::LearningSummary ToProto(const LearningSummary& summary) {
+  v1::LearningSummary proto;
+  proto.set_updates(summary.updates);
+  proto.set_rejected_updates(summary.rejected);
+  proto.set_head_drift(summary.head_drift);
+  proto.set_modulator_mean(summary.returns.mean);
+  proto.set_modulator_std(summary.returns.deviation());
+  proto.set_rolled_back(summary.rolled_back);
+  proto.set_watched_return(summary.watched_return);
+  return proto;
+}
+
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
   v1::EndEpisodeResponse proto;
   proto.set_episode_return(summary.episode_return);
   proto.set_steps(summary.steps);
   proto.set_spikes(summary.spikes);
   proto.set_energy_joules(summary.energy_joules);
-  if (summary.learning.has_value()) {
-    v1::LearningSummary* learning = proto.mutable_learning();
-    learning->set_updates(summary.learning->updates);
-    learning->set_rejected_updates(summary.learning->rejected);
-    learning->set_head_drift(summary.learning->head_drift);
-    learning->set_modulator_mean(summary.learning->returns.mean);
-    learning->set_modulator_std(summary.learning->returns.deviation());
-    learning->set_rolled_back(summary.learning->rolled_back);
-    learning->set_watched_return(summary.learning->watched_return);
-  }
+  if (summary.learning.has_value()) *proto.mutable_learning() = ToProto(*summary.learning);
   return proto;
 }
 

@@ -31,6 +31,7 @@ v1::Durability ToProto(Durability durability);
 // REQUIRES: `entry` is the policy that `served` is a version of.
 v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served);
 v1::RecordingState ToProto(RecordingState state);
+v1::LearningSummary ToProto(const LearningSummary& summary);
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary);
 v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta);
 

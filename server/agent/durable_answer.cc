@@ -27,12 +27,16 @@ void WhenDurable(const Commits& commits,
   gathering->outcomes.resize(commits.size());
   gathering->done = std::move(done);
   for (size_t i = 0; i < commits.size(); ++i) {
-    commits[i].journal->WhenDurable(commits[i].position,
-                                    [gathering, i](const absl::Status& status) {
-                                      gathering->outcomes[i] = status;
-                                      if (gathering->missing.fetch_sub(1) == 1)
-                                        gathering->done(gathering->outcomes);
-                                    });
+    const auto finish = [gathering, i](const absl::Status& status) {
+      gathering->outcomes[i] = status;
+      if (gathering->missing.fetch_sub(1) == 1) gathering->done(gathering->outcomes);
+    };
+    commits[i].journal->WhenDurable(
+        commits[i].position,
+        [finish, contribution = commits[i].contribution](const absl::Status& status) {
+          if (!status.ok() || contribution == nullptr) return finish(status);
+          contribution->WhenMerged(finish);
+        });
   }
 }
 

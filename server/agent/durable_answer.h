@@ -1,5 +1,5 @@
 // What an answer waits for before it is sent: the records of its sessions that the store must
-// acknowledge.
+// acknowledge, and a contribution that the head of a fleet must take.
 //
 //   Commits commits;
 //   AddCommit(*entry, &commits);
@@ -16,6 +16,7 @@
 
 #include "absl/container/inlined_vector.h"
 #include "absl/status/status.h"
+#include "core/session/head_log.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
 
@@ -26,6 +27,8 @@ struct Commit {
   std::shared_ptr<SessionJournal> journal;
   uint64_t position = 0;
   int item = -1;  // index of the item of a batch that waits; -1: the whole answer waits
+  // Awaited after the journal, because its outcome is part of the answer; null: none.
+  std::shared_ptr<FleetContribution> contribution = nullptr;
 };
 // Empty, and without memory of its own, unless a session is stored.
 using Commits = absl::InlinedVector<Commit, 1>;
@@ -35,7 +38,7 @@ using Commits = absl::InlinedVector<Commit, 1>;
 void AddCommit(const SessionEntry& entry, Commits* commits, int item = -1);
 
 // Calls `done` once, on any thread, with the outcome of each of `commits`; see
-// SessionJournal::WhenDurable().
+// SessionJournal::WhenDurable() and FleetContribution::WhenMerged().
 void WhenDurable(const Commits& commits,
                  std::function<void(const std::vector<absl::Status>& outcomes)> done);
 

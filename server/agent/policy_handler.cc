@@ -392,7 +392,10 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
     }
     return WithExpectedDecision(status, agent.session().decisions, agent.session().step);
   }
-  if (status.ok() && commits != nullptr) AddCommit(**entry, commits);
+  if (status.ok() && commits != nullptr) {
+    AddCommit(**entry, commits);
+    if (!commits->empty()) commits->back().contribution = agent.contribution();
+  }
   return status;
 }
 

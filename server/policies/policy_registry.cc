@@ -164,8 +164,8 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     const auto set = settings_.policies.find(version.policy);
     learning->set_paused(set != settings_.policies.end() && set->second.learning_paused);
   }
-  auto served =
-      LoadPolicyVersion(options_.directory, version, learning, new_observer_, options_.share_heads);
+  auto served = LoadPolicyVersion(options_.directory, version, learning, new_observer_,
+                                  options_.share_heads, options_.head_logs);
   file.status = served.status();
   return served;
 }

@@ -55,6 +55,7 @@ struct RegistryOptions {
   DefaultRule default_rule = DefaultRule::kStay;
   bool share_heads = false;          // see LoadPolicyVersion
   SharedSettings* shared = nullptr;  // null: the settings are those of this server
+  HeadLogs* head_logs = nullptr;     // null: the shared heads are those of this server
 };
 
 class PolicyRegistry {

@@ -181,7 +181,8 @@ absl::StatusOr<std::string> Sha256OfFile(const std::string& path) {
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version,
-    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer, bool share_heads) {
+    std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer, bool share_heads,
+    HeadLogs* logs) {
   const std::string path = PolicyFilePath(directory, version);
   auto policy = ReadPolicyFile(path);
   if (!policy.ok()) return policy.status();
@@ -193,9 +194,11 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   served->sha256 = *std::move(sha256);
   const auto shared = std::make_shared<const Policy>(*std::move(policy));
   served->engine = MakeStreamingEngine(shared);
-  served->fleet = std::make_shared<FleetHead>(shared);
-  if (!share_heads) served->tenant_heads = std::make_shared<TenantHeads>(shared);
   served->learning = std::move(learning);
+  if (logs != nullptr) served->log = logs->Open(*served);
+  const auto heads = logs != nullptr ? served->log->heads() : std::make_shared<TenantHeads>(shared);
+  served->fleet = heads->Of("");
+  if (!share_heads) served->tenant_heads = heads;
   if (auto status = WarmUp(*served->engine, path); !status.ok()) return status;
   served->observer = new_observer(served->name, served->version, served->policy());
   return served;

@@ -16,6 +16,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/session/head_log.h"
 #include "core/session/served_policy.h"
 
 namespace spikeserve {
@@ -80,11 +81,12 @@ using NewObserver = std::function<std::shared_ptr<SessionObserver>(
 // memory. Returns the errors of ReadPolicyFile, and INVALID_ARGUMENT if the decision is not finite;
 // messages start with the path. `learning` pauses this version together with the others that share
 // the switch. `share_heads`: the fleet sessions of all tenants learn one head; otherwise each
-// tenant has its own.
+// tenant has its own. `logs` opens the log that changes the heads; null: they are those of this
+// process alone.
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version,
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer,
-    bool share_heads = false);
+    bool share_heads = false, HeadLogs* logs = nullptr);
 
 }  // namespace spikeserve
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/session/head_log.h"
 #include "server/agent/convert.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -47,6 +48,14 @@ template <typename Response>
 void FailItem(int /*item*/, const absl::Status& /*status*/, Response* /*response*/) {}
 inline void FailItem(int item, const absl::Status& status, v1::ActBatchResponse* response) {
   ErrorToProto(status, response->mutable_results(item));
+}
+
+// Completes the summary of an episode with the outcome of its contribution to the head of a fleet.
+template <typename Response>
+void TakeMerged(const FleetContribution& /*contribution*/, Response* /*response*/) {}
+inline void TakeMerged(const FleetContribution& contribution, v1::EndEpisodeResponse* response) {
+  const auto merged = contribution.merged();
+  if (merged.has_value()) *response->mutable_learning() = ToProto(*merged);
 }
 
 // Replaces the results of items that found no session by the reasons why the session could not be

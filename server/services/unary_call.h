@@ -64,8 +64,11 @@ class UnaryCall : public ServiceCall {
                           commits](const std::vector<absl::Status>& outcomes) mutable {
       loop->Post([self = std::move(self), outcome, commits, outcomes]() mutable {
         for (size_t i = 0; i < commits.size(); ++i) {
-          if (outcomes[i].ok()) continue;
-          if (commits[i].item >= 0) {
+          if (outcomes[i].ok()) {
+            if (commits[i].contribution != nullptr) {
+              TakeMerged(*commits[i].contribution, self->response());
+            }
+          } else if (commits[i].item >= 0) {
             FailItem(commits[i].item, outcomes[i], self->response());
           } else {
             outcome = outcomes[i];

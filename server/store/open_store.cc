@@ -99,6 +99,7 @@ absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::R
     if (!redis.ok()) return redis.status();
     backend = NewRedisBackend(*redis, options.retention, store.replica);
     store.shared = std::make_unique<RedisShared>(*redis, store.replica);
+    store.heads = std::make_unique<HeadLogStore>(*redis, options.retention, &clock, registry);
   }
   store.journals = std::make_unique<JournalStore>(std::move(backend), &clock, registry);
   return store;

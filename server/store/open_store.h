@@ -9,6 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "prometheus/registry.h"
+#include "server/store/head_log_store.h"
 #include "server/store/journal_store.h"
 #include "server/store/redis_shared.h"
 #include "server/store/store_options.h"
@@ -21,6 +22,7 @@ struct OpenedStore {
   std::string replica = "";                          // identifies this server; empty for memory
   std::unique_ptr<JournalStore> journals = nullptr;  // null: no session is stored
   std::unique_ptr<RedisShared> shared = nullptr;     // null: this server shares nothing
+  std::unique_ptr<HeadLogStore> heads = nullptr;     // null as `shared`
 };
 
 // Opens the store. Returns INVALID_ARGUMENT if a file store cannot be

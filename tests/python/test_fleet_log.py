@@ -1,0 +1,351 @@
+"""Replicas learn shared heads through an ordered log in Redis: each contribution once, and equal heads everywhere."""
+
+import shutil
+import threading
+import urllib.request
+from concurrent.futures import ThreadPoolExecutor
+
+import grpc
+import pytest
+import spikeserve
+from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
+from replicated import running_fleet
+from security import ADMIN, HEALTH, SERVING, code_of, until
+from serving import SHIPPED_POLICIES, Service
+from stored_sessions import Restartable
+
+pytestmark = WITHOUT_REDIS
+
+FLEET = {"scope": "FLEET", "learning_rate": 0.3}
+SAMPLING = {"action_selection": "SAMPLE", "temperature": 4.0}
+LEARNERS = 64
+EPISODES = 8
+STEPS = 5
+
+
+@pytest.fixture
+def redis():
+    with stopping([Redis()]) as [started]:
+        yield started
+
+
+@pytest.fixture
+def start(redis, tmp_path):
+    """Returns a function that starts a replica, which serves version 1 of one policy."""
+    password = tmp_path / "password"
+    password.write_text(PASSWORD)
+    shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", tmp_path / "policies" / "cartpole" / "1")
+    started = []
+
+    def start_one():
+        log = (tmp_path / f"log-{len(started)}").open("w+")
+        store = f"redis://127.0.0.1:{redis.port}"
+        replica = Restartable(store, [f"--store_password_file={password}"], tmp_path / "policies", log)
+        replica.start()
+        started.append(replica)
+        return replica
+
+    yield start_one
+    for replica in started:
+        replica.close()
+        replica.stack.close()
+        replica.log.close()
+
+
+def admin(replica):
+    return Service(replica.channel, ADMIN)
+
+
+def head_of(replica):
+    return admin(replica).GetHead(policy="cartpole", version=1, include_weights=True)
+
+
+def weights(replica):
+    """Returns all of a shared head that replicas must agree on."""
+    head = head_of(replica)
+    return head.delta[:], head.updates, head.rejected_updates, head.rollbacks, head.watched_return
+
+
+def metric(replica, name, **labels):
+    """Returns the sum of a counter over all series with these labels."""
+    with urllib.request.urlopen(f"http://{replica.addresses.http}/metrics") as page:
+        lines = page.read().decode().splitlines()
+    wanted = [f'{key}="{value}"' for key, value in labels.items()]
+    found = [line for line in lines if line.startswith(name + "{") and all(each in line for each in wanted)]
+    return sum(float(line.rsplit(" ", 1)[1]) for line in found)
+
+
+def logged(replica):
+    replica.log.flush()
+    with open(replica.log.name) as log:
+        return log.read()
+
+
+def open_learner(replica, seed=1):
+    return replica.OpenSession(policy="cartpole", version=1, seed=seed, learning=FLEET, **SAMPLING).session_id
+
+
+def act(replica, session, steps=STEPS, reward=1.0):
+    for step in range(steps):
+        observation = [0.02 * step, 0.1, -0.1, 0.05]
+        replica.Act(session_id=session, step=step, observation=observation, reward=reward * (step % 3))
+
+
+def play(replica, session, steps=STEPS, reward=1.0):
+    act(replica, session, steps, reward)
+    return replica.EndEpisode(session_id=session, reward=reward, terminated=True)
+
+
+def key_of(redis, kind):
+    """Returns the name of the log (fl) or of its snapshot (fs)."""
+    [key] = redis.command(f"KEYS {kind}:*")
+    return key.decode()
+
+
+def entries_of(redis):
+    return redis.command(f"XLEN {key_of(redis, 'fl')}")
+
+
+def test_contributions_arrive_once_while_replicas_are_killed():
+    """64 learners play on three replicas that are killed in turn. Redis keeps which contributions it has."""
+    options = spikeserve.ClientOptions(timeout=2.0, retry=spikeserve.RetryOptions(max_elapsed=120))
+    learning = spikeserve.Learning(scope="FLEET", learning_rate=0.3)
+    session_options = spikeserve.SessionOptions(sample=True, temperature=4.0, learning=learning, version=1)
+    played = threading.Semaphore(0)
+
+    def learn(client, i):
+        with client.open_session("cartpole", session_options) as session:
+            for episode in range(EPISODES):
+                for step in range(STEPS):
+                    session.act([0.01 * i, 0.1, -0.1, 0.02 * step], 1.0 if step else 0.0)
+                session.end_episode(1.0, terminated=True)
+                played.release()
+            return session.session_id
+
+    with (
+        running_fleet("--reflection_v1alpha") as fleet,
+        spikeserve.Client(fleet.addresses, options) as client,
+        ThreadPoolExecutor(LEARNERS) as pool,
+    ):
+        learners = [pool.submit(learn, client, i) for i in range(LEARNERS)]
+        for learner in learners:
+            # One that fails lets the test go on to its result.
+            learner.add_done_callback(lambda _: played.release(LEARNERS * EPISODES))
+        # Every replica is killed twice, each time when a part of the episodes was played.
+        for i in range(6):
+            for _ in range(LEARNERS * EPISODES // 8):
+                played.acquire()
+            fleet.replicas[i % 3].kill()
+            fleet.replicas[i % 3].start()
+        sessions = {learner.result() for learner in learners}
+        heads = []
+        for replica in fleet.replicas:
+            with grpc.insecure_channel(replica.address) as channel:
+                head = Service(channel, ADMIN).GetHead(policy="cartpole", version=1, include_weights=True)
+            heads.append((head.delta[:], head.updates, head.rejected_updates, head.rollbacks, head.watched_return))
+        markers = command(fleet.redis.port, "KEYS fc:*")
+        [log] = command(fleet.redis.port, "KEYS fl:{cartpole@1}:*")
+        entries = command(fleet.redis.port, f"XLEN {log.decode()}")
+    expected = {f"fc:{{cartpole@1}}:{session}:{episode}" for session in sessions for episode in range(EPISODES)}
+    assert {marker.decode() for marker in markers} == expected
+    assert entries == len(expected) == LEARNERS * EPISODES
+    delta, updates, rejected, rollbacks, _ = heads[0]
+    assert rollbacks == 0 and updates > 0 and updates + rejected == LEARNERS * EPISODES
+    assert any(delta)
+    assert heads[1] == heads[0] and heads[2] == heads[0]
+
+
+def command(port, words):
+    redis = Redis.__new__(Redis)
+    redis.port, redis.password, redis.certificates = port, "", None
+    return redis.command(words)
+
+
+def test_what_one_replica_does_all_see(start):
+    first, second = start(), start()
+    ours, theirs = open_learner(first), open_learner(second)
+    play(first, ours)
+    assert any(weights(first)[0]) and weights(second) == weights(first)
+    play(second, theirs)
+    assert head_of(first).updates == 2 and weights(second) == weights(first)
+
+    admin(second).PauseLearning(policy="cartpole")
+    before = weights(first)
+    until(lambda: head_of(first).paused)
+    play(first, ours)
+    assert weights(first) == weights(second) == before
+    admin(first).ResumeLearning()
+    until(lambda: not head_of(second).paused)
+    play(second, theirs)
+    assert head_of(first).updates == 3 and weights(second) == weights(first)
+
+    promoted = admin(second).PromoteHead(policy="cartpole", version=1)
+    until(lambda: code_of(first.OpenSession, policy="cartpole", version=promoted.version) == grpc.StatusCode.OK)
+    drift = head_of(first).drift
+    assert admin(second).RollbackHead(policy="cartpole", version=1).drift == drift > 0
+    assert weights(first) == weights(second)
+    head = head_of(first)
+    assert (head.drift, head.updates, head.rollbacks) == (0, 0, 1)
+
+
+def test_a_pause_refuses_what_is_under_way(start):
+    """The episode ends at a replica that may not know of the pause yet."""
+    first, second = start(), start()
+    sessions = [open_learner(first, seed) for seed in range(8)]
+    for session in sessions:
+        act(first, session)
+    admin(second).PauseLearning(policy="cartpole")
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(lambda each: first.EndEpisode(session_id=each, reward=1.0, terminated=True), sessions))
+    assert [head_of(each).updates for each in (first, second)] == [0, 0]
+
+
+def test_a_replica_that_joins_has_the_head_before_it_serves(start):
+    first = start()
+    session = open_learner(first)
+    for _ in range(3):
+        play(first, session)
+    second = start()
+    assert Service(second.channel, HEALTH).Check(service="").status == SERVING
+    # Sessions decide with the heads that they find; GetHead would read the log first.
+    learner = open_learner(second, seed=2)
+    assert second.GetSession(session_id=learner).head_drift == head_of(first).drift > 0
+    assert weights(second) == weights(first)
+
+
+def test_a_replica_joins_from_a_snapshot(redis, start):
+    """The log is trimmed behind the snapshot, which has also what the budgets have counted."""
+    first = start()
+    sessions = [open_learner(first, seed) for seed in range(10)]
+    for _ in range(101):
+        for session in sessions:
+            play(first, session, steps=1)
+    number = int(redis.command(f"HGET {key_of(redis, 'fs')} n"))
+    assert 1000 <= number <= 1010
+    assert entries_of(redis) == 1010 - number + 1
+    second = start()
+    assert weights(second) == weights(first)
+    assert head_of(first).updates + head_of(first).rejected_updates == 1010
+    for session in sessions:
+        play(second, session)
+    assert weights(second) == weights(first)
+
+
+def test_the_guard_decides_once(start):
+    replicas = [start(), start()]
+    sessions = [open_learner(replica) for replica in replicas]
+    ends = []
+    for episode in range(40):
+        # Half the return in the second window.
+        reward = 1.0 if episode < 20 else 0.5
+        ends.append(play(replicas[episode % 2], sessions[episode % 2], reward=reward))
+    assert [end.learning.rolled_back for end in ends] == [False] * 39 + [True]
+    assert ends[-1].learning.head_drift == 0 and ends[-2].learning.head_drift > 0
+    assert weights(replicas[0]) == weights(replicas[1])
+    assert [head_of(each).rollbacks for each in replicas] == [1, 1]
+    rollbacks = [metric(each, "spikeserve_learning_rollbacks_total", scope="fleet") for each in replicas]
+    assert sorted(rollbacks) == [0, 1]
+
+
+def test_a_lost_entry_is_noticed_and_the_head_reloaded(redis, start):
+    first, second = start(), start()
+    session = open_learner(first)
+    play(first, session)
+    assert weights(second) == weights(first)
+    second.addresses.process.send_signal(19)  # SIGSTOP
+    for _ in range(3):
+        play(first, session)
+    log = key_of(redis, "fl")
+    lost = redis.command(f"XRANGE {log} - +")[2][0].decode()
+    assert redis.command(f"XDEL {log} {lost}") == 1
+    second.addresses.process.send_signal(18)  # SIGCONT
+    until(lambda: metric(second, "spikeserve_head_log_reloads_total", outcome="reloaded") == 1)
+    assert weights(second) == weights(first)
+    assert "error the log of shared heads lacks entries" in logged(second)
+    assert "warning shared heads reloaded from their log" in logged(second)
+    assert metric(first, "spikeserve_head_log_reloads_total") == 0
+    third = start()
+    assert weights(third) == weights(first) and head_of(third).updates == 4
+
+
+def test_a_gap_that_none_can_fill_is_cut(redis, start):
+    first = start()
+    session = open_learner(first)
+    for _ in range(3):
+        play(first, session)
+    first.kill()
+    log = key_of(redis, "fl")
+    lost = redis.command(f"XRANGE {log} - +")[1][0].decode()
+    redis.command(f"XDEL {log} {lost}")
+    second = start()
+    until(lambda: Service(second.channel, HEALTH).Check(service="").status == SERVING)
+    assert "error the log of shared heads was cut" in logged(second)
+    assert head_of(second).updates == 1
+    play(second, session)
+    assert head_of(second).updates == 2 and weights(start()) == weights(second)
+
+
+def test_redis_loses_everything(redis, start):
+    """The replicas write the heads that they have."""
+    first, second = start(), start()
+    session = open_learner(first)
+    play(first, session)
+    assert weights(second) == weights(first)
+    before = weights(first)
+    redis.command("FLUSHALL")
+    rewritten = "spikeserve_head_log_reloads_total"
+    until(lambda: sum(metric(each, rewritten, outcome="rewritten") for each in (first, second)) >= 1)
+    assert weights(first) == weights(second) == before
+    other = open_learner(second, seed=3)
+    play(second, other)
+    assert head_of(first).updates == 2 and weights(first) == weights(second) == weights(start())
+
+
+def test_a_contribution_that_was_not_appended_is_repaired_once(redis, start):
+    """The owner has stored the end of an episode, cannot append the contribution, and is killed."""
+    first, second = start(), start()
+    session = open_learner(first)
+    play(first, session)
+    log = key_of(redis, "fl")
+    redis.command(f"RENAME {log} kept")
+    redis.command(f"SET {log} blocked")
+    act(first, session)
+    end = {"session_id": session, "reward": 1.0, "terminated": True, "episode": 1, "steps": STEPS}
+    assert code_of(first.EndEpisode, **end) == grpc.StatusCode.UNAVAILABLE
+    # Neither is the episode played twice, nor does the next one end before it is in the log.
+    assert code_of(first.EndEpisode, **end) == grpc.StatusCode.UNAVAILABLE
+    first.kill()
+    redis.command(f"DEL {log}")
+    redis.command(f"RENAME kept {log}")
+
+    answers = []
+
+    def ended():
+        try:
+            answers.append(second.EndEpisode(**end))
+        except grpc.RpcError as error:
+            assert error.code() == grpc.StatusCode.UNAVAILABLE
+        return len(answers) > 0
+
+    until(ended)
+    assert answers[0].learning.updates == 1
+    assert second.EndEpisode(**end) == answers[0]
+    assert entries_of(redis) == 2
+    assert head_of(second).updates == 2
+    play(second, session)
+    third = start()
+    assert head_of(third).updates == 3 and weights(third) == weights(second)
+
+
+def test_the_summary_has_the_outcome_of_the_merge(redis, start):
+    """Over its budget, a contribution is refused, as on one server."""
+    first, second = start(), start()
+    sessions = [open_learner(replica, seed) for seed, replica in enumerate([first, second] * 3)]
+    # Six contributors on two replicas: the head is protected, and one of them may give four episodes of a window.
+    until(lambda: redis.command("KEYS fm:*") and redis.command(f"ZCARD {key_of(redis, 'fm')}") == 6)
+    updates = []
+    for _ in range(6):
+        learning = play(first, sessions[0]).learning
+        updates.append((learning.updates, learning.rejected_updates))
+    assert updates == [(1, 0)] * 4 + [(0, 1)] * 2
+    assert head_of(second).rejected_updates == 2
