@@ -13,8 +13,13 @@
 namespace spikeserve {
 namespace {
 
-// The interval of reading the logs while this server appends nothing.
+// The interval of reading a log while this server appends nothing, and while it has no session that
+// uses the heads.
 constexpr absl::Duration kReadInterval = absl::Milliseconds(100);
+constexpr absl::Duration kUnusedReadInterval = absl::Seconds(1);
+
+// How often a store that stops tries to append what waits.
+constexpr absl::Duration kStopInterval = absl::Milliseconds(10);
 
 constexpr absl::Duration kFirstRetry = absl::Milliseconds(100);
 constexpr absl::Duration kLongestRetry = absl::Seconds(1);
@@ -124,7 +129,9 @@ bool HeadLogStore::Wait() {
     const auto log = item.second.lock();
     return log != nullptr && !log->requests.empty();
   });
-  return waits && clock_->Now() < stop_by_;
+  const auto is_over = [this]()
+                           ABSL_SHARED_LOCKS_REQUIRED(mutex_) { return clock_->Now() >= stop_by_; };
+  return waits && !mutex_.AwaitWithTimeout(absl::Condition(&is_over), kStopInterval);
 }
 
 std::vector<std::shared_ptr<VersionLog>> HeadLogStore::Logs() {
@@ -161,8 +168,9 @@ void HeadLogStore::Run() {
       if (!connected.ok()) {
         log->failures = 0;
         Fail(*log, Take(*log), connected);
-      } else if (clock_->Now() >= log->retry_at) {
-        Serve(*log);
+      } else if (const absl::Duration now = clock_->Now(); now >= log->retry_at) {
+        Requests requests = Take(*log);
+        if (!requests.empty() || now >= log->read_at) Serve(*log, std::move(requests));
       }
     }
     const bool joined =
@@ -174,10 +182,15 @@ void HeadLogStore::Run() {
   }
 }
 
-void HeadLogStore::Serve(VersionLog& log) {
-  Requests requests = Take(log);
+void HeadLogStore::Serve(VersionLog& log, Requests requests) {
   log.outcomes.clear();
-  const absl::Status status = Exchange(log, requests);
+  absl::Status status = Exchange(log, requests);
+  if (absl::IsUnavailable(status)) {
+    // The connection may be one that Redis has closed since it was used last.
+    client_ = nullptr;
+    for (Request& request : requests) request.is_in_log = false;  // Redis may have lost it
+    status = Exchange(log, requests);
+  }
   if (!status.ok()) {
     // JournalStore says that the store cannot be reached.
     if (++log.failures == kFailuresToLog) {
@@ -187,6 +200,7 @@ void HeadLogStore::Serve(VersionLog& log) {
     return Fail(log, std::move(requests), status);
   }
   log.failures = 0;
+  log.read_at = clock_->Now() + (log.is_used ? kReadInterval : kUnusedReadInterval);
   log.retry_delay = kFirstRetry;
   Finish(log, requests);
   CorrectPause(log);
@@ -369,12 +383,16 @@ absl::Status HeadLogStore::KeepMembers(VersionLog& log) {
   const absl::Duration now = clock_->Now();
   if (now - log.members_kept < kMembersInterval) return absl::OkStatus();
   log.members_kept = now;
+  size_t sent = 0;
   for (const std::string& tenant : log.heads()->Tenants()) {
     const auto members = log.heads()->Of(tenant)->Members();
     if (members.empty()) continue;
-    if (auto status = KeepHeadMembers(*client_, log.keys, tenant, members); !status.ok()) {
-      return status;
-    }
+    SendHeadMembers(*client_, log.keys, tenant, members);
+    ++sent;
+  }
+  log.is_used = sent > 0;
+  for (; sent > 0; --sent) {
+    if (const auto reply = client_->Read(); !reply.ok()) return reply.status();
   }
   return absl::OkStatus();
 }
@@ -431,7 +449,7 @@ void HeadLogStore::Fail(VersionLog& log, Requests requests, const absl::Status& 
       continue;
     }
     if (request.contribution != nullptr) request.contribution->OnUnreachable(away);
-    request.is_in_log = false;  // Redis may have lost it
+    request.is_in_log = false;
     again.push_back(std::move(request));
   }
   absl::MutexLock lock(&mutex_);

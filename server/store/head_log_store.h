@@ -80,7 +80,7 @@ class HeadLogStore final : public HeadLogs {
   std::vector<std::shared_ptr<VersionLog>> Logs() ABSL_LOCKS_EXCLUDED(mutex_);
   Requests Take(VersionLog& log) ABSL_LOCKS_EXCLUDED(mutex_);
   // Appends the requests of a log and folds what it has.
-  void Serve(VersionLog& log);
+  void Serve(VersionLog& log, Requests requests);
   absl::Status Exchange(VersionLog& log, Requests& requests);
   absl::Status Connect();
   // Sends the requests and folds the answer. Returns true if all of them are in the log.

@@ -260,14 +260,12 @@ absl::Status AskForHeadSnapshot(RedisClient& client, const HeadLogKeys& keys) {
   return client.Run({"HSET", keys.snapshot, "wanted", "1"}).status();
 }
 
-absl::Status KeepHeadMembers(RedisClient& client, const HeadLogKeys& keys, absl::string_view head,
-                             const std::vector<std::string>& members) {
+void SendHeadMembers(RedisClient& client, const HeadLogKeys& keys, absl::string_view head,
+                     const std::vector<std::string>& members) {
   const auto padded = Padded(members);
-  return client
-      .Run({"EVAL", KeepScript(), "1", absl::StrCat(keys.members_prefix, head),
-            absl::StrCat(kAliveMilliseconds), padded[0], padded[1], padded[2], padded[3],
-            padded[4]})
-      .status();
+  client.Append({"EVAL", KeepScript(), "1", absl::StrCat(keys.members_prefix, head),
+                 absl::StrCat(kAliveMilliseconds), padded[0], padded[1], padded[2], padded[3],
+                 padded[4]});
 }
 
 }  // namespace spikeserve

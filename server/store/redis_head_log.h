@@ -93,9 +93,10 @@ absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
 // Asks the other servers for a snapshot.
 absl::Status AskForHeadSnapshot(RedisClient& client, const HeadLogKeys& keys);
 
-// Says that the contributors have a session on this server.
-absl::Status KeepHeadMembers(RedisClient& client, const HeadLogKeys& keys, absl::string_view head,
-                             const std::vector<std::string>& members);
+// Sends the command that says that the contributors have a session on this server. Its reply has no
+// meaning.
+void SendHeadMembers(RedisClient& client, const HeadLogKeys& keys, absl::string_view head,
+                     const std::vector<std::string>& members);
 
 }  // namespace spikeserve
 

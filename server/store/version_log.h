@@ -60,10 +60,12 @@ class VersionLog final : public HeadLog {
   bool has_joined = false;
   int64_t snapshot_number = 0;
   bool wants_snapshot = false;
-  int failures = 0;  // since the log was read last, on a connection that was made
+  int failures = 0;        // since the log was read last, on a connection that was made
+  absl::Duration read_at;  // the next time without requests
   absl::Duration retry_at;
   absl::Duration retry_delay;
-  absl::Duration members_kept;                // when
+  bool is_used = false;         // a session on this server uses a head, as of `members_kept`
+  absl::Duration members_kept;  // when
   std::optional<absl::Duration> gap_since;    // the stored log has a gap
   std::optional<absl::Duration> pause_since;  // the log and the settings differ in the pause
   // Outcomes of entries that were folded since the requests were taken.

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import grpc
 import pytest
 import spikeserve
-from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
+from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
 from replicated import running_fleet
 from security import ADMIN, HEALTH, SERVING, code_of, until
 from serving import SHIPPED_POLICIES, Service
@@ -31,7 +31,20 @@ def redis():
 
 @pytest.fixture
 def start(redis, tmp_path):
-    """Returns a function that starts a replica, which serves version 1 of one policy."""
+    """Returns a function that starts a replica on one Redis server."""
+    yield from replicas_on(redis.port, tmp_path)
+
+
+@pytest.fixture
+def start_on_cluster(tmp_path):
+    """Returns a function that starts a replica on a Cluster of Redis."""
+    with stopping([]) as servers:
+        start_cluster(servers)
+        yield from replicas_on(servers[0].port, tmp_path)
+
+
+def replicas_on(port, tmp_path):
+    """Yields a function that starts a replica, which serves version 1 of one policy."""
     password = tmp_path / "password"
     password.write_text(PASSWORD)
     shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", tmp_path / "policies" / "cartpole" / "1")
@@ -39,7 +52,7 @@ def start(redis, tmp_path):
 
     def start_one():
         log = (tmp_path / f"log-{len(started)}").open("w+")
-        store = f"redis://127.0.0.1:{redis.port}"
+        store = f"redis://127.0.0.1:{port}"
         replica = Restartable(store, [f"--store_password_file={password}"], tmp_path / "policies", log)
         replica.start()
         started.append(replica)
@@ -188,6 +201,14 @@ def test_what_one_replica_does_all_see(start):
     assert (head.drift, head.updates, head.rollbacks) == (0, 0, 1)
 
 
+def test_the_nodes_of_a_cluster(start_on_cluster):
+    first, second = start_on_cluster(), start_on_cluster()
+    for replica in (first, second):
+        play(replica, open_learner(replica))
+    assert head_of(first).updates == 2
+    assert weights(first) == weights(second) == weights(start_on_cluster())
+
+
 def test_a_pause_refuses_what_is_under_way(start):
     """The episode ends at a replica that may not know of the pause yet."""
     first, second = start(), start()
@@ -299,6 +320,26 @@ def test_redis_loses_everything(redis, start):
     other = open_learner(second, seed=3)
     play(second, other)
     assert head_of(first).updates == 2 and weights(first) == weights(second) == weights(start())
+
+
+def test_redis_is_away(redis, start):
+    """A head can be read then, and nothing that was answered is lost when Redis comes back empty."""
+    first, second = start(), start()
+    session = open_learner(first)
+    play(first, session)
+    before = weights(first)
+    act(first, session)
+    redis.kill()
+    end = {"session_id": session, "reward": 1.0, "terminated": True, "episode": 1, "steps": STEPS}
+    assert code_of(first.EndEpisode, **end) == grpc.StatusCode.UNAVAILABLE
+    assert weights(first) == before
+    for action in (admin(first).RollbackHead, admin(first).PromoteHead):
+        assert code_of(action, policy="cartpole", version=1) == grpc.StatusCode.UNAVAILABLE
+    assert code_of(admin(first).PauseLearning, policy="cartpole") == grpc.StatusCode.UNAVAILABLE
+    redis.start()
+    until(lambda: code_of(first.EndEpisode, **end) == grpc.StatusCode.OK)
+    assert head_of(first).updates == 2
+    assert weights(first) == weights(second) == weights(start())
 
 
 def test_a_contribution_that_was_not_appended_is_repaired_once(redis, start):
