@@ -3,6 +3,7 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
+#include "core/session/head_log.h"
 #include "core/session/journal_entry.h"
 #include "core/session/session_journal.h"
 #include "server/base/log.h"
@@ -19,6 +20,14 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindPolicy(const SessionOpti
       "session_id: expected a session whose policy this server has, received one of ",
       options.policy, " version ", options.version,
       served.ok() ? ", whose file is another one here" : ", which is not served here"));
+}
+
+// Returns the contribution that the session has not been told the outcome of, or null.
+std::shared_ptr<FleetContribution> ContributionOf(SessionStore& sessions, const std::string& id) {
+  const auto entry = sessions.Peek(id);
+  if (entry == nullptr) return nullptr;
+  absl::MutexLock lock(&entry->mutex);
+  return entry->agent.contribution();
 }
 
 }  // namespace
@@ -46,7 +55,14 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
   const std::shared_ptr<SessionQuota> quota = caller.tenant();
   journals_.Claim(id, key.first, [=, this](absl::StatusOr<ClaimedJournal> result) {
     const auto claimed = std::make_shared<absl::StatusOr<ClaimedJournal>>(std::move(result));
-    post([=, this] { Finish(key, Restore(key, quota, std::move(*claimed))); });
+    post([=, this] {
+      const absl::Status status = Restore(key, quota, std::move(*claimed));
+      const auto contribution = status.ok() ? ContributionOf(sessions_, id) : nullptr;
+      if (contribution == nullptr) return Finish(key, status);
+      // The next episode could not end before. If the log of the head cannot be reached, the
+      // session goes on without.
+      contribution->WhenMerged([=, this](const absl::Status&) { Finish(key, absl::OkStatus()); });
+    });
   });
 }
 
@@ -85,6 +101,7 @@ void SessionRecovery::Finish(const Key& key, const absl::Status& status) {
   {
     absl::MutexLock lock(&mutex_);
     const auto claim = claims_.find(key);
+    if (claim == claims_.end()) return;  // forgotten
     waiters = std::move(claim->second);
     claims_.erase(claim);
   }
