@@ -12,6 +12,7 @@
 #include "train/commands.h"
 #include "train/evaluation/ablation.h"
 #include "train/evaluation/evaluation.h"
+#include "train/evaluation/paired_evaluation.h"
 #include "train/evaluation/return_response.h"
 #include "train/record_flags.h"
 
@@ -20,6 +21,7 @@ namespace {
 
 struct EvalFlags {
   std::string policy;
+  std::string against;             // empty: no second policy
   std::optional<std::string> env;  // absent: the policy's
   EvaluationOptions options;
   std::vector<std::string> target_returns;  // empty: the default of the policy
@@ -54,16 +56,44 @@ absl::StatusOr<Policy> ReadPolicy(const EvalFlags& flags) {
   return policy;
 }
 
+void Print(const EvalFlags& flags, const nlohmann::ordered_json& json, const std::string& text) {
+  std::fputs((flags.json ? json.dump(2) + "\n" : text).c_str(), stdout);
+}
+
+// Plays the policy of --against and `policy` on the same starts.
+absl::Status Compare(const EvalFlags& flags, const Policy& policy) {
+  if (!flags.target_returns.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--target_returns: expected none with --against, received ", flags.target_returns.front()));
+  }
+  absl::StatusOr<Policy> other = ReadPolicyFile(flags.against);
+  if (!other.ok()) return other.status();
+  other->environment = policy.environment;
+  const absl::StatusOr<PairedEvaluation> pair =
+      EvaluatePair(std::make_shared<const Policy>(*other), std::make_shared<const Policy>(policy),
+                   flags.options);
+  if (!pair.ok()) return pair.status();
+  Print(flags,
+        {{"against", ToJson(pair->first, other->config)},
+         {"policy", ToJson(pair->second, policy.config)},
+         {"paired_returns", ToJson(*pair)}},
+        absl::StrCat(flags.against, ": ", ToText(pair->first, other->config), flags.policy, ": ",
+                     ToText(pair->second, policy.config),
+                     ToText(*pair, "of --against", "of --policy")));
+  return absl::OkStatus();
+}
+
 absl::Status EvaluatePolicy(const EvalFlags& flags) {
   absl::StatusOr<Policy> policy = ReadPolicy(flags);
   if (!policy.ok()) return policy.status();
+  if (!flags.against.empty()) return Compare(flags, *policy);
   const absl::StatusOr<std::vector<double>> targets = ParseTargetReturns(flags);
   if (!targets.ok()) return targets.status();
   if (targets->size() > 1) {
     const absl::StatusOr<ReturnResponse> response =
         MeasureReturnResponse(*policy, *targets, flags.options);
     if (!response.ok()) return response.status();
-    std::fputs((flags.json ? ToJson(*response).dump(2) + "\n" : ToText(*response)).c_str(), stdout);
+    Print(flags, ToJson(*response), ToText(*response));
     return absl::OkStatus();
   }
   if (!targets->empty()) policy->target_return = static_cast<float>(targets->front());
@@ -71,9 +101,7 @@ absl::Status EvaluatePolicy(const EvalFlags& flags) {
   const absl::StatusOr<Evaluation> evaluation =
       Evaluate(std::make_shared<const Policy>(*std::move(policy)), flags.options);
   if (!evaluation.ok()) return evaluation.status();
-  std::fputs((flags.json ? ToJson(*evaluation, config).dump(2) + "\n" : ToText(*evaluation, config))
-                 .c_str(),
-             stdout);
+  Print(flags, ToJson(*evaluation, config), ToText(*evaluation, config));
   return absl::OkStatus();
 }
 
@@ -84,6 +112,8 @@ void AddEvalCommand(Program& program) {
   const auto flags = std::make_shared<EvalFlags>();
   command.Flags("Playing")
       .Add("policy", "FILE", &flags->policy, "Policy file")
+      .Add("against", "FILE", &flags->against,
+           "Policy file to compare with on the same starts; default: none")
       .Add("env", "ID", &flags->env, "Environment; default: the policy's")
       .Add("episodes", "N", &flags->options.episodes, "Episodes to play")
       .Add("seed", "N", &flags->options.first_seed,

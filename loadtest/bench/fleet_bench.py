@@ -162,4 +162,3 @@ def measure_fleet(arguments):
     rounds = min(arguments.rounds, 5)
     with prepared(arguments) as bench:
         return {"durabilities": durabilities(bench, rounds), "replicas": replicas(bench, rounds)}
-

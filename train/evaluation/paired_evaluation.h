@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "core/model/policy.h"
 #include "nlohmann/json.hpp"
 #include "train/evaluation/evaluation.h"
@@ -42,8 +43,8 @@ absl::StatusOr<PairedEvaluation> EvaluatePair(std::shared_ptr<const Policy> firs
 // and spikes per decision of both, and the mean difference of the returns with its interval.
 nlohmann::ordered_json ToJson(const PairedEvaluation& pair);
 
-// Formats the comparison as text for the terminal.
-std::string ToText(const PairedEvaluation& pair);
+// Formats the comparison as text for the terminal, with a name for each policy.
+std::string ToText(const PairedEvaluation& pair, absl::string_view first, absl::string_view second);
 
 }  // namespace spikeserve
 
