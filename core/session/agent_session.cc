@@ -1,53 +1,19 @@
 #include "core/session/agent_session.h"
 
 #include <algorithm>
-#include <cmath>
 #include <functional>
-#include <limits>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
-#include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/counter_random.h"
 #include "core/math/vector_view.h"
+#include "core/session/session_value.h"
 
 namespace spikeserve {
 namespace {
-
-// Returns whether `value` is finite as a float32, the type that the model reads.
-bool IsFiniteFloat(double value) {
-  return std::abs(value) <= static_cast<double>(std::numeric_limits<float>::max());
-}
-
-absl::Status CheckObservation(absl::Span<const float> observation, int expected_size) {
-  if (observation.size() != static_cast<size_t>(expected_size)) {
-    return absl::InvalidArgumentError(absl::StrCat("observation: expected ", expected_size,
-                                                   " numbers, received ", observation.size()));
-  }
-  for (size_t i = 0; i < observation.size(); ++i) {
-    if (!std::isfinite(observation[i])) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "observation[", i, "]: expected a finite number, received ", observation[i]));
-    }
-  }
-  return absl::OkStatus();
-}
-
-absl::Status CheckReward(double reward, double next_return_to_go) {
-  if (!std::isfinite(reward)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("reward: expected a finite number, received ", reward));
-  }
-  if (!IsFiniteFloat(next_return_to_go)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("reward: expected a return-to-go within float32, received ", reward,
-                     ", which makes it ", next_return_to_go));
-  }
-  return absl::OkStatus();
-}
 
 // Sorts `all` by policy version, and calls `visit` once per version with the elements of that
 // version.
@@ -503,54 +469,6 @@ void AgentSession::DropContext() {
 void AgentSession::Compact() {
   DropContext();
   session_.history.ShrinkToFit();
-}
-
-Session NewSession(std::string id, SessionOptions options) {
-  Session session;
-  session.id = std::move(id);
-  session.target_return = options.target_return;
-  session.return_to_go = options.target_return;
-  session.options = std::move(options);
-  return session;
-}
-
-double NextReturnToGo(const Session& session, double reward) {
-  return session.step == 0 ? session.target_return : session.return_to_go - reward;
-}
-
-std::optional<UpdateOutcome> ReplaceLastAction(const Policy& policy, const Action& executed,
-                                               Session* session) {
-  session->history.ReplaceLastAction(executed);
-  if (!session->learner.has_value()) return std::nullopt;
-  const Answer& answer = *session->last_answer;
-  return session->learner->OnExecuted(
-      *session->options.learning, policy, session->options.action_selection, answer.logits,
-      answer.action, executed, static_cast<double>(answer.return_to_go));
-}
-
-void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> observation,
-                   double reward, Session* session) {
-  const auto limit = static_cast<size_t>(HistorySize(policy.config));
-  session->history.Append(answer.return_to_go, observation, answer.action, limit);
-
-  const uint64_t spikes = answer.counts.total_spikes();
-  const double energy = DefaultEnergy(answer.counts, policy.config);
-  session->return_to_go = NextReturnToGo(*session, reward);
-  session->episode_return += reward;
-  session->episode_spikes += spikes;
-  session->episode_energy_joules += energy;
-  session->spikes += spikes;
-  session->energy_joules += energy;
-  ++session->step;
-  ++session->decisions;
-  session->last_answer = std::move(answer);
-  session->last_end.reset();
-}
-
-absl::Status CheckTargetReturn(double target_return) {
-  if (IsFiniteFloat(target_return)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "target_return: expected a finite number within float32, received ", target_return));
 }
 
 }  // namespace spikeserve

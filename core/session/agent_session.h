@@ -189,28 +189,6 @@ class AgentSession {
   bool reports_actions_ = false;  // true: the agent has reported an executed action
 };
 
-// Returns the value of a new session at step 0 of its first episode.
-Session NewSession(std::string id, SessionOptions options);
-
-// Returns G_{t+1} = G_t - r_t, which conditions the next decision of `session`, in double precision
-// so that rounding errors do not accumulate over an episode.
-double NextReturnToGo(const Session& session, double reward);
-
-// Puts `executed` in the place of the last answered action of `session`: in the history and in what
-// the session learns from. Returns the outcome of the update of the head that replaces the
-// decision's update, if there is one. REQUIRES: the running episode has a decision.
-std::optional<UpdateOutcome> ReplaceLastAction(const Policy& policy, const Action& executed,
-                                               Session* session);
-
-// Adds an answered decision to `session`: its history, its counters and its last answer. `reward`
-// is 0 at step 0.
-void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> observation,
-                   double reward, Session* session);
-
-// Returns INVALID_ARGUMENT unless `target_return` is finite as a float32, the type that the model
-// reads.
-absl::Status CheckTargetReturn(double target_return);
-
 }  // namespace spikeserve
 
 #endif  // CORE_SESSION_AGENT_SESSION_H_

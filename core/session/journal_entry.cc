@@ -7,8 +7,8 @@
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
 #include "core/base/status.h"
-#include "core/session/agent_session.h"
 #include "core/session/field_codec.h"
+#include "core/session/session_value.h"
 
 namespace spikeserve {
 namespace {

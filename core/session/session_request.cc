@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/session/agent_session.h"
+#include "core/session/session_value.h"
 
 namespace spikeserve {
 namespace {

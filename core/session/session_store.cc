@@ -13,6 +13,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/session/session_value.h"
 
 namespace spikeserve {
 namespace {

@@ -8,6 +8,7 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "core/session/session_locks.h"
+#include "core/session/session_value.h"
 
 namespace spikeserve {
 namespace {
