@@ -170,10 +170,11 @@ def digest(path):
     return hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest()
 
 
-def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path):
+def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     arguments = ("home_made:HomeMade-v0", home_made.go_to_corner)
     first = spikeserve.imitate(*arguments, tmp_path / "a", options=SMALLEST, spiketrain=SPIKETRAIN)
-    second = spikeserve.imitate(*arguments, tmp_path / "b", options=SMALLEST, spiketrain=SPIKETRAIN)
+    second = spikeserve.imitate(*arguments, "b", options=SMALLEST, spiketrain=SPIKETRAIN)
     stage = "stages/3-silence-3/policy.safetensors"
     first_weights, second_weights = (read_weights(tmp_path / run / stage) for run in "ab")
     for name, values in first_weights.items():

@@ -65,7 +65,8 @@ def imitate(
     factory.make().close()  # refuses an environment that cannot be used
     source = str(expert) if is_dataset(expert) else load_expert(expert)
     settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
-    journal = Journal(pathlib.Path(out), settings)
+    # Minari joins a relative folder to itself.
+    journal = Journal(pathlib.Path(out).resolve(), settings)
     return _Run(factory, source, options, trainer, journal).run()
 
 
