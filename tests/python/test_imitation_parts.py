@@ -193,7 +193,10 @@ def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path, monkeypatch):
     engine = spikeserve.engine.Engine(again.quantized)
     assert (engine.arithmetic, engine.environment) == ("int8", "home_made:HomeMade-v0")
     assert engine.training_return == pytest.approx(again.quantized_figures.mean)
-    assert json.loads(engine.training)["imitation"]["steps"] == 400
+    record = json.loads(engine.training)
+    assert record["imitation"]["steps"] == 400
+    assert record["parent_sha256"] == digest(again.policy)
+    assert not any(str(tmp_path) in stage["command"] for stage in [record, *record["lineage"]])
     with pytest.raises(ValueError, match="out: expected the settings of .* received other seed"):
         other = ImitationOptions(**(vars(SMALLEST) | {"seed": 1}))
         spikeserve.imitate(*arguments, tmp_path / "a", options=other, spiketrain=SPIKETRAIN)
