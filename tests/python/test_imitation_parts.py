@@ -195,6 +195,7 @@ def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path, monkeypatch):
     assert engine.training_return == pytest.approx(again.quantized_figures.mean)
     record = json.loads(engine.training)
     assert record["imitation"]["steps"] == 400
+    assert again.policy.stat().st_mode & 0o777 == 0o644
     assert record["parent_sha256"] == digest(again.policy)
     assert not any(str(tmp_path) in stage["command"] for stage in [record, *record["lineage"]])
     with pytest.raises(ValueError, match="out: expected the settings of .* received other seed"):
