@@ -170,10 +170,11 @@ def digest(path):
     return hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest()
 
 
-def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path):
+def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     arguments = ("home_made:HomeMade-v0", home_made.go_to_corner)
     first = spikeserve.imitate(*arguments, tmp_path / "a", options=SMALLEST, spiketrain=SPIKETRAIN)
-    second = spikeserve.imitate(*arguments, tmp_path / "b", options=SMALLEST, spiketrain=SPIKETRAIN)
+    second = spikeserve.imitate(*arguments, "b", options=SMALLEST, spiketrain=SPIKETRAIN)
     stage = "stages/3-silence-3/policy.safetensors"
     first_weights, second_weights = (read_weights(tmp_path / run / stage) for run in "ab")
     for name, values in first_weights.items():
@@ -192,7 +193,11 @@ def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path):
     engine = spikeserve.engine.Engine(again.quantized)
     assert (engine.arithmetic, engine.environment) == ("int8", "home_made:HomeMade-v0")
     assert engine.training_return == pytest.approx(again.quantized_figures.mean)
-    assert json.loads(engine.training)["imitation"]["steps"] == 400
+    record = json.loads(engine.training)
+    assert record["imitation"]["steps"] == 400
+    assert again.policy.stat().st_mode & 0o777 == 0o644
+    assert record["parent_sha256"] == digest(again.policy)
+    assert not any(str(tmp_path) in stage["command"] for stage in [record, *record["lineage"]])
     with pytest.raises(ValueError, match="out: expected the settings of .* received other seed"):
         other = ImitationOptions(**(vars(SMALLEST) | {"seed": 1}))
         spikeserve.imitate(*arguments, tmp_path / "a", options=other, spiketrain=SPIKETRAIN)

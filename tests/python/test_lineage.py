@@ -1,12 +1,17 @@
 """Follows how every shipped policy came to be, from its file to its first stage."""
 
+import argparse
+import dataclasses
 import hashlib
 import json
 import re
+import shlex
 
 import pytest
 from policy_file import read_policy
 from serving import DEPLOY, SHIPPED_POLICIES
+from spikeserve.imitation.command import add_command
+from spikeserve.imitation.options import ImitationOptions
 
 ROOT = DEPLOY.parent
 FILES = sorted(SHIPPED_POLICIES.glob("*/*/policy.safetensors"))
@@ -73,9 +78,23 @@ def test_the_int8_version_follows_from_the_float32_version(name):
     assert record["lineage"] == stages(first)
 
 
+def imitation(recipe):
+    """Returns the settings of the command `spikeserve imitate` of a recipe, as policies record them."""
+    parser = argparse.ArgumentParser()
+    add_command(parser.add_subparsers())
+    words = shlex.split(recipe.replace("\\\n", " "), comments=True)
+    arguments = parser.parse_args(words[words.index("imitate") :])
+    settings = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(ImitationOptions)}
+    return json.loads(json.dumps({"environment": arguments.env_id} | settings))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_there_is_a_recipe_with_as_many_stages(name):
     recipe = (ROOT / "train/recipes" / f"{name}.sh").read_text()
+    first = training(SHIPPED_POLICIES / name / "1/policy.safetensors")
+    if "imitation" in first:
+        assert first["imitation"] == imitation(recipe)
+        return
     recorded = len(stages(SHIPPED_POLICIES / name / "1/policy.safetensors"))
     # A stage whose policy was replaced by a later one is in the recipe and not in the lineage.
     assert len(re.findall(r"^stage ", recipe, re.MULTILINE)) >= recorded

@@ -25,12 +25,18 @@ absl::Span<const Number> View(const InputArray<Number>& array) {
   return {array.data(), array.size()};
 }
 
-std::shared_ptr<PlayedPolicy> Open(const nb::object& path) {
-  const auto name = nb::cast<std::string>(nb::module_::import_("os").attr("fspath")(path));
+std::string PathOf(const nb::object& path) {
+  return nb::cast<std::string>(nb::module_::import_("os").attr("fspath")(path));
+}
+
+std::shared_ptr<PlayedPolicy> Open(const nb::object& path, const nb::object& shared_memory) {
+  const std::string name = PathOf(path);
+  const std::string folder = shared_memory.is_none() ? "" : PathOf(shared_memory);
   absl::StatusOr<std::shared_ptr<const PlayedPolicy>> played = nullptr;
   {
     const nb::gil_scoped_release release;
-    played = PlayedPolicy::Read(name);
+    played =
+        shared_memory.is_none() ? PlayedPolicy::Read(name) : PlayedPolicy::ReadShared(name, folder);
   }
   return std::const_pointer_cast<PlayedPolicy>(ValueOrRaise(std::move(played)));
 }
@@ -147,10 +153,14 @@ auto OfPolicy(Get get) {
 
 void BindEngine(nb::module_& module) {
   BindSession(module);
-  nb::class_<PlayedPolicy>(module, "Engine",
-                           "Plays one policy file in this process. Thread-safe.\n\n"
-                           "ValueError or FileNotFoundError if the file is not a valid policy.")
-      .def(nb::new_(&Open), "path"_a)
+  nb::class_<PlayedPolicy>(
+      module, "Engine",
+      "Plays one policy file in this process. Thread-safe.\n\n"
+      "`shared_memory` is a folder, such as /dev/shm/policies. The processes\n"
+      "of this user that name it have the weight matrices of a policy once in\n"
+      "memory. Only this user may write the folder.\n\n"
+      "ValueError or FileNotFoundError if the file is not a valid policy.")
+      .def(nb::new_(&Open), "path"_a, nb::kw_only(), "shared_memory"_a = nb::none())
       .def("session", &OpenSession, nb::kw_only(), "target_return"_a = nb::none(), "seed"_a = 0,
            "sample"_a = false, "temperature"_a = nb::none(), "learning"_a = nb::none(),
            "head_delta"_a = nb::none(),

@@ -1,5 +1,7 @@
 #include "client/python/engine/played_policy.h"
 
+#include <malloc.h>
+
 #include <algorithm>
 #include <utility>
 
@@ -15,13 +17,13 @@ namespace {
 
 constexpr char kName[] = "policy";  // sessions need a name, but only a server has several policies
 
-std::shared_ptr<const ServedPolicy> Serve(Policy policy) {
-  const auto shared = std::make_shared<const Policy>(std::move(policy));
+std::shared_ptr<const ServedPolicy> Serve(std::shared_ptr<const Engine> engine) {
+  const std::shared_ptr<const Policy> policy(engine, &engine->policy());
   auto served = std::make_shared<ServedPolicy>();
   served->name = kName;
   served->version = 1;
-  served->engine = MakeStreamingEngine(shared);
-  served->fleet = std::make_shared<FleetHead>(shared);
+  served->engine = std::move(engine);
+  served->fleet = std::make_shared<FleetHead>(policy);
   served->observer = std::make_shared<SessionObserver>();
   return served;
 }
@@ -37,12 +39,36 @@ absl::Status CheckDifferent(absl::Span<const std::shared_ptr<LocalSession>> sess
 
 }  // namespace
 
-PlayedPolicy::PlayedPolicy(Policy policy) : served_(Serve(std::move(policy))) {}
+PlayedPolicy::PlayedPolicy(std::shared_ptr<const Engine> engine,
+                           std::unique_ptr<const PolicySource> source)
+    : served_(Serve(std::move(engine))), source_(std::move(source)) {}
 
 absl::StatusOr<std::shared_ptr<const PlayedPolicy>> PlayedPolicy::Read(const std::string& path) {
   absl::StatusOr<Policy> policy = ReadPolicyFile(path);
   if (!policy.ok()) return policy.status();
-  return std::shared_ptr<const PlayedPolicy>(new PlayedPolicy(*std::move(policy)));
+  auto engine = MakeStreamingEngine(std::make_shared<const Policy>(*std::move(policy)));
+  return std::shared_ptr<const PlayedPolicy>(new PlayedPolicy(std::move(engine), nullptr));
+}
+
+absl::StatusOr<std::shared_ptr<const PlayedPolicy>> PlayedPolicy::ReadShared(
+    const std::string& path, const std::string& folder) {
+  absl::StatusOr<std::unique_ptr<const PolicySource>> source = PolicySource::Open(path);
+  if (!source.ok()) return source.status();
+  absl::StatusOr<Policy> policy = (*source)->Read();
+  if (!policy.ok()) return policy.status();
+  auto engine = MakeSharedStreamingEngine(*std::move(policy), folder);
+  if (!engine.ok()) return engine.status();
+  // The allocator would keep the memory of the file's content and of the matrices.
+  malloc_trim(0);
+  return std::shared_ptr<const PlayedPolicy>(
+      new PlayedPolicy(*std::move(engine), *std::move(source)));
+}
+
+absl::StatusOr<Explanation> PlayedPolicy::Explain(const Session& session) const {
+  if (source_ == nullptr) return spikeserve::Explain(policy(), session);
+  const absl::StatusOr<Policy> complete = source_->Read();
+  if (!complete.ok()) return complete.status();
+  return spikeserve::Explain(*complete, session);
 }
 
 absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Open(
@@ -73,7 +99,7 @@ absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(const EpisodeEnd& end) {
 absl::StatusOr<LocalSession::Explained> LocalSession::Explain() {
   Explained explained = {.session = With([](const AgentSession& agent) { return agent.session(); }),
                          .explanation = {}};
-  absl::StatusOr<Explanation> explanation = spikeserve::Explain(policy(), explained.session);
+  absl::StatusOr<Explanation> explanation = played_->Explain(explained.session);
   if (!explanation.ok()) return explanation.status();
   explained.explanation = *std::move(explanation);
   return explained;

@@ -16,6 +16,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
+#include "client/python/engine/policy_source.h"
 #include "core/base/clock.h"
 #include "core/session/explanation.h"
 #include "core/session/session_request.h"
@@ -29,15 +30,23 @@ class PlayedPolicy {
  public:
   // Errors: see ReadPolicyFile.
   static absl::StatusOr<std::shared_ptr<const PlayedPolicy>> Read(const std::string& path);
+  // As above, with the weight matrices in memory that processes share. Errors: see also
+  // MakeSharedStreamingEngine.
+  static absl::StatusOr<std::shared_ptr<const PlayedPolicy>> ReadShared(const std::string& path,
+                                                                        const std::string& folder);
 
+  // Without weight matrices, if they are shared.
   const Policy& policy() const { return served_->policy(); }
+  // Explains a decision of a session. Reads shared matrices from the file again.
+  absl::StatusOr<Explanation> Explain(const Session& session) const;
   const std::shared_ptr<const ServedPolicy>& served() const { return served_; }
   const Clock& clock() const { return clock_; }
 
  private:
-  explicit PlayedPolicy(Policy policy);
+  PlayedPolicy(std::shared_ptr<const Engine> engine, std::unique_ptr<const PolicySource> source);
 
   std::shared_ptr<const ServedPolicy> served_;
+  std::unique_ptr<const PolicySource> source_;  // null if the engine's policy is complete
   SteadyClock clock_;
 };
 

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "absl/status/status.h"
 #include "core/engine/dense/dense_engine.h"
 #include "core/engine/reference/reference_engine.h"
 #include "core/engine/spiking/streaming_engine.h"
@@ -16,6 +17,14 @@ std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy
 std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy) {
   return policy->config.is_dense() ? MakeDenseStreamingEngine(std::move(policy))
                                    : MakeSpikingStreamingEngine(std::move(policy));
+}
+
+absl::StatusOr<std::unique_ptr<Engine>> MakeSharedStreamingEngine(Policy policy,
+                                                                  const std::string& folder) {
+  if (policy.config.is_dense()) {
+    return absl::InvalidArgumentError("mode: expected a spiking policy, received dense");
+  }
+  return MakeSharedSpikingEngine(std::move(policy), folder);
 }
 
 }  // namespace spikeserve

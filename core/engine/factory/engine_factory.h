@@ -5,7 +5,9 @@
 #define CORE_ENGINE_FACTORY_ENGINE_FACTORY_H_
 
 #include <memory>
+#include <string>
 
+#include "absl/status/statusor.h"
 #include "core/engine/engine.h"
 
 namespace spikeserve {
@@ -18,6 +20,12 @@ std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy
 // Creates the engine that the server uses. It stores the keys and values of earlier tokens,
 // bit-packed in spiking modes, and computes only the new tokens. REQUIRES: a valid policy.
 std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy);
+
+// Creates the same engine, whose weight matrices are once in memory for all processes of this user
+// that name the same folder; its policy() has none. Decisions are equal bit for bit. Errors: see
+// ShareBytes (shared_bytes.h); INVALID_ARGUMENT for a dense policy. REQUIRES: a valid policy.
+absl::StatusOr<std::unique_ptr<Engine>> MakeSharedStreamingEngine(Policy policy,
+                                                                  const std::string& folder);
 
 }  // namespace spikeserve
 

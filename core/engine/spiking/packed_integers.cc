@@ -1,6 +1,7 @@
 #include "core/engine/spiking/packed_integers.h"
 
 #include <limits>
+#include <utility>
 
 #include "core/engine/spiking/packed_weights.h"
 
@@ -13,7 +14,7 @@ PackedIntegerPopulation Pack(std::initializer_list<const IntegerPopulation*> pop
   for (const auto* population : populations) {
     packed.width += PadToLanes(population->weight.shape[0]);
   }
-  packed.rows.assign(static_cast<size_t>(packed.inputs) * packed.width, 0);
+  AlignedVector<int8_t> rows(static_cast<size_t>(packed.inputs) * packed.width);
   packed.bias.assign(packed.width, 0);
   packed.silent.assign(packed.width, std::numeric_limits<int16_t>::max());
   packed.nonzero.assign(packed.inputs, 0);
@@ -25,13 +26,14 @@ PackedIntegerPopulation Pack(std::initializer_list<const IntegerPopulation*> pop
       packed.silent[lane + k] = static_cast<int16_t>(population->threshold.values[k] - 1);
       for (int j = 0; j < packed.inputs; ++j) {
         const int8_t weight = population->weight.at(k, j);
-        packed.rows[static_cast<size_t>(j) * packed.width + lane + k] = weight;
+        rows[static_cast<size_t>(j) * packed.width + lane + k] = weight;
         packed.nonzero[j] += weight != 0;
       }
     }
     packed.outputs = lane + outputs;
     lane += PadToLanes(outputs);
   }
+  packed.rows = std::move(rows);
   packed.phase_rows.assign(packed.row(hidden_size), packed.row(packed.inputs));
   return packed;
 }
@@ -41,7 +43,7 @@ PackedIntegerOutput Pack(const IntegerOutput& output, int ticks) {
   PackedIntegerOutput packed;
   packed.inputs = output.weight.shape[1];
   packed.width = PadToLanes(outputs);
-  packed.rows.assign(static_cast<size_t>(PadToLanes(packed.inputs)) * packed.width, 0);
+  AlignedVector<int8_t> rows(static_cast<size_t>(PadToLanes(packed.inputs)) * packed.width);
   packed.factor.assign(packed.width, 0.0f);
   packed.bias.assign(packed.width, 0.0f);
   packed.nonzero.assign(PadToLanes(packed.inputs), 0);
@@ -50,10 +52,11 @@ PackedIntegerOutput Pack(const IntegerOutput& output, int ticks) {
     packed.bias[k] = output.bias.values[k];
     for (int j = 0; j < packed.inputs; ++j) {
       const int8_t weight = output.weight.at(k, j);
-      packed.rows[(static_cast<size_t>(j / 2) * packed.width + k) * 2 + j % 2] = weight;
+      rows[(static_cast<size_t>(j / 2) * packed.width + k) * 2 + j % 2] = weight;
       packed.nonzero[j] = static_cast<int16_t>(packed.nonzero[j] + (weight != 0));
     }
   }
+  packed.rows = std::move(rows);
   return packed;
 }
 

@@ -10,6 +10,7 @@
 #include <initializer_list>
 
 #include "core/engine/spiking/aligned_vector.h"
+#include "core/engine/spiking/constant_array.h"
 #include "core/model/integer_weights.h"
 
 namespace spikeserve {
@@ -20,7 +21,7 @@ struct PackedIntegerPopulation {
   int inputs = 0;
   int outputs = 0;             // number of lanes up to the last one that is not padding
   int width = 0;               // number of all lanes
-  AlignedVector<int8_t> rows;  // [inputs][width]
+  ConstantArray<int8_t> rows;  // [inputs][width]
   // [inputs - d][width]: the rows of the phase inputs, which are added one by one, as currents.
   AlignedVector<int16_t> phase_rows;
   AlignedVector<int16_t> bias;      // [width]
@@ -40,7 +41,7 @@ struct PackedIntegerPopulation {
 struct PackedIntegerOutput {
   int inputs = 0;                  // F
   int width = 0;                   // number of all lanes
-  AlignedVector<int8_t> rows;      // [pad(F) / 2][width][2]
+  ConstantArray<int8_t> rows;      // [pad(F) / 2][width][2]
   AlignedVector<float> factor;     // [width]: scale / T
   AlignedVector<float> bias;       // [width]
   AlignedVector<int16_t> nonzero;  // [pad(F)]: number of nonzero weights of an input

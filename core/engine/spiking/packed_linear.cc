@@ -1,12 +1,14 @@
 #include "core/engine/spiking/packed_linear.h"
 
+#include <utility>
+
 namespace spikeserve {
 
 PackedLinear Pack(std::initializer_list<const Linear*> linears) {
   PackedLinear packed;
   packed.inputs = (*linears.begin())->weight.shape[1];
   for (const Linear* linear : linears) packed.width += PadToLanes(linear->weight.shape[0]);
-  packed.rows.assign(static_cast<size_t>(packed.inputs) * packed.width, 0.0f);
+  AlignedVector<float> rows(static_cast<size_t>(packed.inputs) * packed.width);
   packed.bias.assign(packed.width, 0.0f);
   packed.nonzero.assign(packed.inputs, 0);
   int lane = 0;
@@ -15,7 +17,7 @@ PackedLinear Pack(std::initializer_list<const Linear*> linears) {
     for (int i = 0; i < outputs; ++i) {
       packed.bias[lane + i] = linear->bias.values[i];
       for (int j = 0; j < packed.inputs; ++j) {
-        packed.rows[static_cast<size_t>(j) * packed.width + lane + i] = linear->weight.at(i, j);
+        rows[static_cast<size_t>(j) * packed.width + lane + i] = linear->weight.at(i, j);
       }
     }
     const std::vector<uint32_t> nonzero = NonzeroByInput(*linear);
@@ -23,6 +25,7 @@ PackedLinear Pack(std::initializer_list<const Linear*> linears) {
     packed.outputs = lane + outputs;
     lane += PadToLanes(outputs);
   }
+  packed.rows = std::move(rows);
   return packed;
 }
 

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "core/engine/spiking/aligned_vector.h"
+#include "core/engine/spiking/constant_array.h"
 #include "core/math/tensor.h"
 
 namespace spikeserve {
@@ -27,7 +28,7 @@ struct PackedLinear {
   int inputs = 0;
   int outputs = 0;                  // number of lanes up to the last one that is not padding
   int width = 0;                    // number of all lanes
-  AlignedVector<float> rows;        // [inputs][width]
+  ConstantArray<float> rows;        // [inputs][width]
   AlignedVector<float> bias;        // [width]
   AlignedVector<uint32_t> nonzero;  // [inputs]: number of nonzero weights of an input
 

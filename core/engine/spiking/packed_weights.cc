@@ -1,7 +1,12 @@
 #include "core/engine/spiking/packed_weights.h"
 
 #include <cmath>
+#include <cstddef>
+#include <memory>
+#include <utility>
 
+#include "absl/status/statusor.h"
+#include "core/base/shared_bytes.h"
 #include "core/math/exp.h"
 
 namespace spikeserve {
@@ -16,6 +21,33 @@ std::vector<float> AttentionWeights(const ModelConfig& config, const Tensor& sca
     }
   }
   return weights;
+}
+
+// Calls `visit` with the rows of every map.
+template <class Arithmetic, class Visitor>
+void VisitRows(PackedWeights<Arithmetic>* packed, const Visitor& visit) {
+  visit(packed->embed_return.rows);
+  visit(packed->embed_state.rows);
+  visit(packed->embed_action.rows);
+  for (PackedLayer<Arithmetic>& layer : packed->layers) {
+    visit(layer.key_value_query.rows);
+    visit(layer.routing_hidden.rows);
+    visit(layer.routing_gate.rows);
+    visit(layer.attention_output.rows);
+    visit(layer.ffn_hidden.rows);
+    visit(layer.ffn_output.rows);
+  }
+}
+
+size_t NextCacheLine(size_t offset) {
+  const auto line = static_cast<size_t>(kCacheLine);
+  return (offset + line - 1) / line * line;
+}
+
+// Frees the memory, which clear() would keep.
+template <class Number>
+void Free(BasicTensor<Number>* matrix) {
+  matrix->values = std::vector<Number>();
 }
 
 }  // namespace
@@ -47,6 +79,42 @@ PackedWeights<Arithmetic>::PackedWeights(const Policy& policy)
     layer.ffn_output = Arithmetic::PackOutput(maps.ffn_output, policy.config.ticks);
     layer.attention_weight = AttentionWeights(policy.config, weights.scale);
     layers.push_back(std::move(layer));
+  }
+}
+
+template <class Arithmetic>
+absl::Status PackedWeights<Arithmetic>::ShareRows(const std::string& folder) {
+  std::string bytes;
+  VisitRows(this, [&](const auto& rows) {
+    bytes.resize(NextCacheLine(bytes.size()));
+    bytes.append(reinterpret_cast<const char*>(rows.data()), rows.bytes());
+  });
+  const absl::StatusOr<std::shared_ptr<const char>> shared = ShareBytes(folder, bytes);
+  if (!shared.ok()) return shared.status();
+  size_t offset = 0;
+  VisitRows(this, [&](auto& rows) {
+    offset = NextCacheLine(offset);
+    rows.MoveTo({*shared, reinterpret_cast<decltype(rows.data())>(shared->get() + offset)});
+    offset += rows.bytes();
+  });
+  return absl::OkStatus();
+}
+
+void DropPackedMatrices(Arithmetic arithmetic, Weights* weights) {
+  Free(&weights->embed_return.linear.weight);
+  Free(&weights->embed_state.linear.weight);
+  Free(&weights->embed_action.linear.weight);
+  for (LayerWeights& layer : weights->layers) {
+    VisitMaps(arithmetic, layer, [](auto& maps) {
+      Free(&maps.query.weight);
+      Free(&maps.key.weight);
+      Free(&maps.value.weight);
+      Free(&maps.ffn_hidden.weight);
+      Free(&maps.ffn_output.weight);
+    });
+    Free(&layer.routing_hidden.weight);
+    Free(&layer.routing_gate.weight);
+    Free(&layer.attention_output.weight);
   }
 }
 

@@ -5,8 +5,10 @@
 #define CORE_ENGINE_SPIKING_PACKED_WEIGHTS_H_
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "core/engine/spiking/arithmetic.h"
 #include "core/engine/spiking/packed_linear.h"
 #include "core/model/policy.h"
@@ -37,6 +39,10 @@ template <class Arithmetic>
 struct PackedWeights {
   explicit PackedWeights(const Policy& policy);
 
+  // Moves the rows of all maps to memory that the processes of this user share. Errors: see
+  // ShareBytes (shared_bytes.h).
+  absl::Status ShareRows(const std::string& folder);
+
   PackedLinear embed_return;
   PackedLinear embed_state;
   PackedLinear embed_action;
@@ -44,6 +50,9 @@ struct PackedWeights {
   std::vector<uint32_t> head_nonzero;  // [d]: number of nonzero weights of an input
   PeriodTable periods;                 // of the coder neurons
 };
+
+// Frees the matrices of `weights` that are in PackedWeights. The other tensors stay.
+void DropPackedMatrices(Arithmetic arithmetic, Weights* weights);
 
 }  // namespace spikeserve
 

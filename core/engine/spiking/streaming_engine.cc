@@ -327,6 +327,8 @@ class StreamingEngine final : public Engine {
  public:
   explicit StreamingEngine(std::shared_ptr<const Policy> policy)
       : policy_(std::move(policy)), packed_(*policy_) {}
+  StreamingEngine(std::shared_ptr<const Policy> policy, PackedWeights<Arithmetic> packed)
+      : policy_(std::move(policy)), packed_(std::move(packed)) {}
 
   const Policy& policy() const override { return *policy_; }
 
@@ -384,7 +386,24 @@ class StreamingEngine final : public Engine {
   PackedWeights<Arithmetic> packed_;
 };
 
+template <class Arithmetic>
+absl::StatusOr<std::unique_ptr<Engine>> MakeShared(Policy policy, const std::string& folder) {
+  PackedWeights<Arithmetic> packed(policy);
+  if (absl::Status status = packed.ShareRows(folder); !status.ok()) return status;
+  DropPackedMatrices(policy.config.arithmetic, &policy.weights);
+  return std::make_unique<StreamingEngine<Arithmetic>>(
+      std::make_shared<const Policy>(std::move(policy)), std::move(packed));
+}
+
 }  // namespace
+
+absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
+                                                                const std::string& folder) {
+  if (policy.config.arithmetic == Arithmetic::kInt8) {
+    return MakeShared<Int8Arithmetic>(std::move(policy), folder);
+  }
+  return MakeShared<Float32Arithmetic>(std::move(policy), folder);
+}
 
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {
   if (policy->config.arithmetic == Arithmetic::kInt8) {

@@ -3,7 +3,9 @@
 #define CORE_ENGINE_SPIKING_STREAMING_ENGINE_H_
 
 #include <memory>
+#include <string>
 
+#include "absl/status/statusor.h"
 #include "core/engine/engine.h"
 
 namespace spikeserve {
@@ -13,6 +15,12 @@ namespace spikeserve {
 // integer, its period, and every weight row is read once per token instead of once per spike.
 // REQUIRES: a valid policy of a spiking mode.
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy);
+
+// Creates the same engine, with its weight matrices in a file in `folder` that the processes of
+// this user map, and without those of its policy. Errors: see ShareBytes (shared_bytes.h).
+// REQUIRES: a valid policy of a spiking mode.
+absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
+                                                                const std::string& folder);
 
 }  // namespace spikeserve
 

@@ -105,12 +105,14 @@ TEST_P(IntegerKernelsTest, RowsOfTheLargestWeightsAddUpExactly) {
   population.inputs = kRows;
   population.width = 416;
   std::vector<int32_t> members;
+  AlignedVector<int8_t> rows;
   for (int j = 0; j < kRows; ++j) {
     for (int k = 0; k < population.width; ++k) {
-      population.rows.push_back(k % 2 == 0 ? int8_t{127} : int8_t{-127});
+      rows.push_back(k % 2 == 0 ? int8_t{127} : int8_t{-127});
     }
     members.push_back(j);
   }
+  population.rows = std::move(rows);
   std::vector<int16_t> sum(population.width);
   for (const int count : {1, 2, 257, kRows}) {
     kernels::SumRows(population, members.data(), count, population.width, sum.data());

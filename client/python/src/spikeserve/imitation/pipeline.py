@@ -61,11 +61,13 @@ def imitate(
     options = options or ImitationOptions()
     check_packages()
     factory = EnvironmentFactory(env_id, wrappers, options.max_episode_steps)
-    trainer = Spiketrain(find_spiketrain(spiketrain), options.threads)
+    # Minari joins a relative folder to itself.
+    folder = pathlib.Path(out).resolve()
+    trainer = Spiketrain(find_spiketrain(spiketrain), options.threads, folder)
     factory.make().close()  # refuses an environment that cannot be used
     source = str(expert) if is_dataset(expert) else load_expert(expert)
     settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
-    journal = Journal(pathlib.Path(out), settings)
+    journal = Journal(folder, settings)
     return _Run(factory, source, options, trainer, journal).run()
 
 
@@ -232,8 +234,9 @@ class _Run:
     def _publish(self, chosen: _Candidate) -> ImitationResult:
         folder = self._journal.folder
         stage = folder / "stages/quantized/policy.safetensors"
-        quantized = self._trainer.quantize(chosen.policy, stage)
         first, first_figures = self._publish_version(1, chosen.policy)
+        # From the published file, so that its record names a parent that exists for others.
+        quantized = self._trainer.quantize(first, stage)
         second, second_figures = self._publish_version(2, quantized)
         result = ImitationResult(
             policies=folder / "policies",
@@ -266,7 +269,8 @@ class _Run:
         evaluation = {key: value for key, value in figures.to_json().items() if key != "returns"}
         settings = {"environment": self._factory.name, **asdict(options)}
         target = folder / "policy.safetensors"
-        write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
+        if not target.is_file():  # a second writing would order the metadata differently
+            write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
         return target, figures
 
 

@@ -19,4 +19,5 @@ def write_with_record(source: pathlib.Path, target: pathlib.Path, record: dict[s
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_suffix(".partial")
     safetensors.numpy.save_file(tensors, partial, metadata)
+    partial.chmod(0o644)  # the user of a server may be another one
     partial.rename(target)

@@ -22,9 +22,9 @@ def find_spiketrain(path: str | None = None) -> str:
     check(
         found is not None, "spiketrain", "the program on PATH, in $SPIKETRAIN or as an option", None
     )
-    assert found is not None
-    check(shutil.which(found) is not None, "spiketrain", "a program", found)
-    return found
+    program = shutil.which(str(found))
+    check(program is not None, "spiketrain", "a program", found)
+    return os.path.abspath(str(program))
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,22 @@ class Training:
 
 @dataclass
 class Spiketrain:
-    """Trains and quantises policies. `commands` are the command lines that ran."""
+    """Trains and quantises policies. `commands` are the command lines that ran.
+
+    Runs in `folder`, which contains all files, so that the records of policies name them by paths
+    that do not depend on the machine.
+    """
 
     program: str
     threads: int
+    folder: pathlib.Path
     commands: list[str] = field(default_factory=list)
 
     def train(self, training: Training, out: pathlib.Path) -> pathlib.Path:
         """Trains into the folder `out` and returns the policy. Continues an interrupted run."""
         flags = [
-            "--data=" + ",".join(map(str, training.data)),
-            f"--out={out}",
+            "--data=" + ",".join(str(self._relative(path)) for path in training.data),
+            f"--out={self._relative(out)}",
             f"--seed={training.seed}",
             f"--iterations={training.iterations}",
             "--episodes=1",  # of its own evaluation, which is not used here
@@ -58,7 +63,7 @@ class Spiketrain:
             *training.flags,
         ]
         if training.init is not None:
-            flags.append(f"--init={training.init}")
+            flags.append(f"--init={self._relative(training.init)}")
         policy = out / "policy.safetensors"
         if not policy.is_file():
             self._run("train", *flags)
@@ -67,15 +72,24 @@ class Spiketrain:
     def quantize(self, policy: pathlib.Path, out: pathlib.Path) -> pathlib.Path:
         """Writes the policy with 8-bit weights to the file `out`."""
         if not out.is_file():
-            self._run("quantize", f"--policy={policy}", f"--out={out}", "--episodes=1")
+            source, target = self._relative(policy), self._relative(out)
+            self._run("quantize", f"--policy={source}", f"--out={target}", "--episodes=1")
         return out
+
+    def _relative(self, path: pathlib.Path) -> pathlib.Path:
+        return path.relative_to(self.folder)
 
     def _run(self, *arguments: str) -> None:
         command = [self.program, *arguments]
         self.commands.append(shlex.join(command))
         environment = os.environ | {"OMP_NUM_THREADS": str(self.threads)}
         finished = subprocess.run(
-            command, env=environment, check=False, stdout=subprocess.PIPE, text=True
+            command,
+            cwd=self.folder,
+            env=environment,
+            check=False,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         if finished.returncode != 0:
             raise RuntimeError(

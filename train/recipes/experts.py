@@ -1,0 +1,48 @@
+"""Experts for environments of Gymnasium that have none of their own.
+
+    python -m spikeserve imitate InvertedDoublePendulum-v5 --expert experts:balance_double_pendulum
+"""
+
+import functools
+
+import gymnasium
+import mujoco
+import numpy as np
+
+# The weights of the regulator's cost: of position and angles, of their velocities, and of the force.
+STATE_COST = np.diag([1.0, 10.0, 10.0, 0.1, 0.1, 0.1])
+FORCE_COST = 1.0
+DIFFERENCE = 1e-5
+
+
+def balance_double_pendulum(observation):
+    """Returns the force of a linear-quadratic regulator, the expert of InvertedDoublePendulum-v5."""
+    angles = np.arctan2(observation[1:3], observation[3:5])
+    state = np.concatenate([observation[:1], angles, observation[5:8]])
+    return np.clip(-double_pendulum_gain() @ state, -1.0, 1.0)
+
+
+@functools.cache
+def double_pendulum_gain():
+    """Returns K of u = -K x at the upright rest, [1, 6]: the fixed point of the discrete Riccati equation."""
+    change, effect = linear_double_pendulum()
+    cost = STATE_COST
+    for _ in range(3000):
+        gain = np.linalg.solve(FORCE_COST + effect.T @ cost @ effect, effect.T @ cost @ change)
+        cost = STATE_COST + change.T @ cost @ (change - effect @ gain)
+    return gain
+
+
+def linear_double_pendulum():
+    """Returns A [6, 6] and B [6, 1] of one step x' = A x + B u near the upright rest, by central differences."""
+    environment = gymnasium.make("InvertedDoublePendulum-v5").unwrapped
+    model, data = environment.model, environment.data
+
+    def step(state_and_force):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = np.split(state_and_force, [3, 6])
+        mujoco.mj_step(model, data, nstep=environment.frame_skip)
+        return np.concatenate([data.qpos, data.qvel])
+
+    columns = [(step(row) - step(-row)) / (2 * DIFFERENCE) for row in DIFFERENCE * np.eye(7)]
+    return np.array(columns[:6]).T, np.array(columns[6:]).T
