@@ -4,6 +4,8 @@
 #include <optional>
 #include <utility>
 
+#include "core/session/session_value.h"
+
 namespace spikeserve {
 namespace {
 

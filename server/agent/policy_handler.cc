@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
+#include "core/session/session_value.h"
 #include "server/agent/act_together.h"
 #include "server/agent/convert.h"
 #include "server/agent/explain_convert.h"

@@ -3,6 +3,7 @@
 // An input is a list of records, each after its length in two bytes, the most significant first.
 #include "core/session/journal_entry.h"
 #include "core/session/session.h"
+#include "core/session/session_value.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"

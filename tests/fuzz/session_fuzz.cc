@@ -2,6 +2,7 @@
 // nothing is decided twice.
 #include "core/session/agent_session.h"
 #include "core/session/session.h"
+#include "core/session/session_value.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"

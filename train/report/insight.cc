@@ -6,6 +6,7 @@
 #include "core/environment/environment.h"
 #include "core/session/agent_session.h"
 #include "core/session/explanation.h"
+#include "core/session/session_value.h"
 #include "train/data/policy_player.h"
 
 namespace spikeserve {

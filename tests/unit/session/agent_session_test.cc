@@ -8,6 +8,7 @@
 #include <set>
 
 #include "core/engine/energy.h"
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 

@@ -7,6 +7,7 @@
 
 #include <optional>
 
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 #include "tests/unit/session/allocation_counter.h"

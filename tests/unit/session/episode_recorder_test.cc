@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "core/session/agent_session.h"
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 

@@ -11,6 +11,7 @@
 #include "core/session/agent_session.h"
 #include "core/session/journal_entry.h"
 #include "core/session/session_journal.h"
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 

@@ -7,6 +7,7 @@
 #include <ostream>
 
 #include "core/session/agent_session.h"
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 

@@ -7,6 +7,7 @@
 #include <thread>
 #include <vector>
 
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 

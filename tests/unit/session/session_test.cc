@@ -5,6 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 

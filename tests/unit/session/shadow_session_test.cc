@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 
