@@ -3,6 +3,7 @@
 #include <string>
 
 #include "absl/strings/cord.h"
+#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "google/rpc/error_details.pb.h"
@@ -28,7 +29,14 @@ std::optional<uint64_t> ParseNumber(const std::string& text) {
 }  // namespace
 
 absl::Status StatusFromGrpc(const grpc::Status& status) {
-  absl::Status converted = StatusFromCode(status.error_code(), status.error_message());
+  // A proxy resets the calls of a server that is gone: nginx with INTERNAL_ERROR, HAProxy with
+  // CANCEL. gRPC makes INTERNAL and CANCELLED of them. UNAVAILABLE says what they mean.
+  const bool is_reset = status.error_code() == grpc::StatusCode::INTERNAL ||
+                        status.error_code() == grpc::StatusCode::CANCELLED;
+  const auto code = is_reset && absl::StrContains(status.error_message(), "RST_STREAM")
+                        ? grpc::StatusCode::UNAVAILABLE
+                        : status.error_code();
+  absl::Status converted = StatusFromCode(code, status.error_message());
   google::rpc::Status details;
   if (converted.ok() || !details.ParseFromString(status.error_details())) return converted;
   for (const auto& detail : details.details()) {

@@ -1,6 +1,8 @@
 // Plays sessions with the C++ client, as the lines of its standard input say.
 //
-//   client_player SERVERS calls|batch|stream
+//   client_player SERVERS calls|batch|stream [CA]
+//
+// With CA, a file of authorities, it uses TLS.
 //
 // Messages are in hexadecimal. Sessions are counted from 0 in the order of their opening. Each line
 // is answered by one line: the response, or "error" and a status.
@@ -142,10 +144,11 @@ class Player {
 }  // namespace spikeserve
 
 int main(int argc, char** argv) {
-  if (argc != 3) return 1;
+  if (argc < 3 || argc > 4) return 1;
   spikeserve::ClientOptions options;
   options.call_timeout = absl::Seconds(1);  // a stopped server is given up after this time
   options.retry.max_elapsed = absl::Minutes(1);
+  if (argc == 4) options.security.ca = argv[3];
   const auto client = spikeserve::Client::Connect(argv[1], options, absl::Minutes(1));
   if (!client.ok()) return 1;
   spikeserve::Player player(client->get(), argv[2]);

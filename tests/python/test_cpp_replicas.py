@@ -1,5 +1,6 @@
 """The C++ client and its programs on three replicas: the tests of the Python client, and the same answers."""
 
+import asyncio
 import os
 import subprocess
 
@@ -10,8 +11,10 @@ from spikeserve.values import Decision, EpisodeSummary, SessionState
 from spikeserve.wire import message_class
 from test_replicas import (  # noqa: F401
     Calls,
+    Streams,
     disturbing,
     fleet,
+    play,
     pytestmark,
     test_a_rolling_restart,
     test_every_replica_is_killed,
@@ -27,12 +30,13 @@ class CppCalls(Calls):
     """Plays with tests/integration/client_player.cc. A session is its number."""
 
     mode = "calls"
+    more = ()  # arguments
 
     def __init__(self, client):
         super().__init__(client)
         self.closed = set()
         self.player = subprocess.Popen(
-            [os.environ["CLIENT_PLAYER_PROGRAM"], client.server, self.mode],
+            [os.environ["CLIENT_PLAYER_PROGRAM"], client.server, self.mode, *self.more],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -156,3 +160,22 @@ def test_spikeload_uses_all_servers(fleet, mode, durability):  # noqa: F811
     flags = [f"--durability={durability}", "--sessions=32", "--duration=1s", "--episode_steps=10"]
     loaded = subprocess.run([*command, *flags], capture_output=True, text=True)
     assert loaded.returncode == 0 and "\n0 errors\n" in loaded.stdout, loaded
+
+
+def test_unix_sockets(tmp_path, undisturbed):  # noqa: F811
+    """An address of a client may be a socket of the file system, and one of several."""
+    path = f"unix:{tmp_path}/server.sock"
+    with running_server(flags=[f"--listen={path}"]) as server:
+        assert server.grpc == path
+        for player in (Calls, Streams, CppCalls, CppStreams):
+            assert asyncio.run(play(path, player, "NONE")) == undisturbed
+        for player in (Calls, CppCalls):
+            several = f"unix:{tmp_path}/none.sock,{path}"
+            assert asyncio.run(play(several, player, "NONE")) == undisturbed
+
+
+@pytest.mark.parametrize("player", [Calls, Streams, CppCalls, CppStreams], ids=lambda p: p.__name__)
+def test_a_maximum_connection_age_is_not_noticed(player, undisturbed):  # noqa: F811
+    """The server asks for new connections all the time."""
+    with running_server(flags=["--max_connection_age=100ms"]) as server:
+        assert asyncio.run(play(server.grpc, player, "NONE")) == undisturbed
