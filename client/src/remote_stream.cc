@@ -77,7 +77,8 @@ void RemoteStream::Start() {
   replica_ = client_->replicas_->Choose(*route_);
   call_ = std::make_shared<StreamCall>(*replica_->stub, *route_);
   // A call that ends meanwhile has a status, which Receive finds.
-  open_->SendAll([this](const v1::ActRequest& request) { (void)call_->Send(request); });
+  StreamCall& call = *call_;
+  open_->SendAll([&call](const v1::ActRequest& request) { (void)call.Send(request); });
   if (send_closed_) call_->CloseSend();
 }
 
@@ -100,7 +101,8 @@ absl::Time RemoteStream::Advance(absl::Time deadline) {
     if (now < *reopens_at_) return std::min(deadline, *reopens_at_);
     Start();
   }
-  open_->SendDue(now, [this](const v1::ActRequest& request) { (void)call_->Send(request); });
+  StreamCall& call = *call_;
+  open_->SendDue(now, [&call](const v1::ActRequest& request) { (void)call.Send(request); });
   const absl::Time until = std::min(deadline, open_->next_due());
   if (!client_->replicas_->MayMove(*route_)) return until;
   return std::min(until, open_->waits_since() + client_->options().call_timeout);
