@@ -12,6 +12,9 @@ namespace {
 
 using std::chrono::steady_clock;
 
+// Returns whether the server misses decisions, which SimulatedAgent::Resume sends again.
+bool IsBehind(const absl::Status& status) { return ExpectedDecision(status).has_value(); }
+
 // Returns whether the same request may succeed later. RESOURCE_EXHAUSTED counts as transient,
 // because a rate limit allows requests again after a pause. OUT_OF_RANGE is the end of a stream.
 bool IsTransient(const absl::Status& status) {
@@ -123,7 +126,7 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
 void Caller::Fail(SimulatedAgent& agent, const absl::Status& error) {
   report_.CountError(error);
   const bool lost = IsSessionLost(error) && agent.reopens();
-  if (lost || IsTransient(error)) stalled_.push_back({&agent, error});
+  if (lost || IsBehind(error) || IsTransient(error)) stalled_.push_back({&agent, error});
 }
 
 void Caller::FailRequestsInFlight(const absl::Status& status) {
@@ -146,7 +149,7 @@ std::vector<SimulatedAgent*> Caller::ResumeStalled() {
     report_.CountError(status);
     // A session that is lost stays lost until a new one is open.
     if (IsTransient(status)) stalled_.push_back({agent, IsSessionLost(error) ? error : status});
-    if (IsSessionLost(status)) stalled_.push_back({agent, status});
+    if (IsBehind(status) || IsSessionLost(status)) stalled_.push_back({agent, status});
   }
   return resumed;
 }

@@ -69,24 +69,27 @@ class UnaryExchange : public Exchange {
 // Sends all requests over one stream.
 class StreamExchange : public Exchange {
  public:
-  explicit StreamExchange(Client* client) : client_(client), stream_(client->OpenStream()) {}
+  StreamExchange(Client* client, std::shared_ptr<Route> route)
+      : client_(client), route_(std::move(route)), stream_(client->OpenStream(route_)) {}
 
   absl::Status Send(const v1::ActRequest& request) override { return stream_->Send(request); }
   absl::StatusOr<ActReply> Receive(absl::Duration timeout) override {
     return stream_->Receive(timeout);
   }
 
-  void Reset() override { stream_ = client_->OpenStream(); }
+  void Reset() override { stream_ = client_->OpenStream(route_); }
 
  private:
   Client* const client_;
+  const std::shared_ptr<Route> route_;
   std::unique_ptr<RemoteStream> stream_;
 };
 
 // Collects requests and sends them as a batch when an answer is asked for and none is left.
 class BatchExchange : public Exchange {
  public:
-  BatchExchange(int batch_size, Client* client) : batch_size_(batch_size), client_(client) {}
+  BatchExchange(int batch_size, Client* client, std::shared_ptr<Route> route)
+      : batch_size_(batch_size), client_(client), route_(std::move(route)) {}
 
   absl::Status Send(const v1::ActRequest& request) override {
     requests_.push_back(request);
@@ -112,7 +115,7 @@ class BatchExchange : public Exchange {
     const auto end = requests_.begin() + std::min(limit, requests_.size());
     const std::vector<v1::ActRequest> batch(requests_.begin(), end);
     requests_.erase(requests_.begin(), end);
-    auto results = client_->ActBatch(batch);
+    auto results = client_->ActBatch(batch, route_);
     const auto arrived = std::chrono::steady_clock::now();
     for (size_t i = 0; i < batch.size(); ++i) {
       replies_.push_back({batch[i].session_id(), batch[i].step(),
@@ -122,20 +125,22 @@ class BatchExchange : public Exchange {
 
   const int batch_size_;
   Client* const client_;
+  const std::shared_ptr<Route> route_;
   std::deque<v1::ActRequest> requests_;
   std::deque<ActReply> replies_;
 };
 
 }  // namespace
 
-std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* client) {
+std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* client,
+                                       std::shared_ptr<Route> route) {
   switch (mode) {
     case LoadMode::kUnary:
       return std::make_unique<UnaryExchange>(client);
     case LoadMode::kStream:
-      return std::make_unique<StreamExchange>(client);
+      return std::make_unique<StreamExchange>(client, std::move(route));
     case LoadMode::kBatch:
-      return std::make_unique<BatchExchange>(batch_size, client);
+      return std::make_unique<BatchExchange>(batch_size, client, std::move(route));
   }
   return nullptr;  // unreachable: the switch handles every mode
 }

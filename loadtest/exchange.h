@@ -32,9 +32,10 @@ class Exchange {
   virtual void Reset() = 0;
 };
 
-// Creates the exchange for `mode`. `batch_size` is LoadOptions::batch_size. `client` must outlive
-// the exchange.
-std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* client);
+// Creates the exchange for `mode`. `batch_size` is LoadOptions::batch_size. `route` is that of
+// the sessions, if they have one in common. `client` must outlive the exchange.
+std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* client,
+                                       std::shared_ptr<Route> route = nullptr);
 
 }  // namespace spikeserve
 

@@ -21,6 +21,15 @@ absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name) {
       absl::StrCat("expected unary, stream or batch, received \"", name, "\""));
 }
 
+absl::StatusOr<v1::Durability> ParseDurability(absl::string_view name) {
+  if (name.empty()) return v1::DURABILITY_DEFAULT;
+  if (name == "none") return v1::NONE;
+  if (name == "async") return v1::ASYNC;
+  if (name == "sync") return v1::SYNC;
+  return absl::InvalidArgumentError(
+      absl::StrCat("expected none, async or sync, received \"", name, "\""));
+}
+
 absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
     absl::string_view name) {
   if (name.empty()) return std::nullopt;

@@ -22,12 +22,15 @@ enum class LoadMode { kUnary, kStream, kBatch };
 // Parses "unary", "stream" or "batch". INVALID_ARGUMENT reads "expected X, received Y".
 absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name);
 
+// Parses "none", "async", "sync", or "" for the default of the server. Errors as above.
+absl::StatusOr<v1::Durability> ParseDurability(absl::string_view name);
+
 // Parses "session", "fleet", or "" for sessions that do not learn. Errors as above.
 absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(absl::string_view name);
 
 struct LoadOptions {
   SecurityOptions security;
-  std::string server = DefaultServer();  // HOST:PORT
+  std::string server = DefaultServer();  // as Client::Connect takes it
   LoadMode mode = LoadMode::kUnary;
   int sessions = 64;
   // Concurrent callers, each with a thread and a connection; at most one per session.
@@ -37,6 +40,7 @@ struct LoadOptions {
   std::string policy;                              // empty: the first policy of the server
   // The head that every session learns, with sampled actions; absent: frozen and greedy.
   std::optional<v1::LearningConfig::Scope> learning_scope;
+  v1::Durability durability = v1::DURABILITY_DEFAULT;  // of every session
   int episode_steps = 200;  // steps after which a session ends its episode
   int batch_size = 0;       // largest number of requests in a batch; 0: all agents of a caller
   // The pause of a caller after an error; 0: none, so a server that refuses requests is flooded.

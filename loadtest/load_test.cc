@@ -25,18 +25,20 @@ absl::StatusOr<std::string> ChoosePolicy(Client& client, const std::string& name
 // options.streams and so on.
 absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& options,
                                                        const std::string& policy, int index,
-                                                       Client* client) {
+                                                       Client* client,
+                                                       const std::shared_ptr<Route>& route) {
   std::vector<SimulatedAgent> agents;
   for (int i = index; i < options.sessions; i += options.streams) {
     const uint64_t seed = options.seed + static_cast<uint64_t>(i);
     v1::OpenSessionRequest request;
     request.set_policy(policy);
     request.set_seed(seed);
+    request.set_durability(options.durability);
     if (options.learning_scope.has_value()) {
       request.set_action_selection(v1::SAMPLE);
       request.mutable_learning()->set_scope(*options.learning_scope);
     }
-    auto session = RemoteSession::Open(client, std::move(request), /*reopens=*/true);
+    auto session = RemoteSession::Open(client, std::move(request), /*reopens=*/true, route);
     if (!session.ok()) return session.status();
     const auto observation_size = static_cast<int>(session->opening().observation_size());
     const int first_episode_steps = 1 + i % options.episode_steps;
@@ -88,10 +90,13 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
     clients.push_back(*std::move(client));
     const auto policy = ChoosePolicy(*clients.back(), options.policy);
     if (!policy.ok()) return policy.status();
-    auto agents = OpenAgents(options, *policy, i, clients.back().get());
+    // The sessions of a stream or a batch go to one server; those of single calls are spread.
+    const auto route = options.mode == LoadMode::kUnary ? nullptr : MakeRoute();
+    auto agents = OpenAgents(options, *policy, i, clients.back().get(), route);
     if (!agents.ok()) return agents.status();
-    callers.emplace_back(MakeExchange(options.mode, options.batch_size, clients.back().get()),
-                         *std::move(agents), options.pause_after_error, 4 * options.call_timeout);
+    callers.emplace_back(
+        MakeExchange(options.mode, options.batch_size, clients.back().get(), route),
+        *std::move(agents), options.pause_after_error, 4 * options.call_timeout);
   }
   LoadReport report = RunCallers(options, callers);
   absl::Status closed;

@@ -46,6 +46,9 @@ void SimulatedAgent::StartEpisode() {
 }
 
 absl::Status SimulatedAgent::Resume(const absl::Status& error) {
+  if (ExpectedDecision(error).has_value()) {
+    if (absl::Status status = session_.CatchUp(error); !status.ok()) return status;
+  }
   if (!IsSessionLost(error)) return episode_over_ ? EndEpisode() : absl::OkStatus();
   // The end of an episode has opened a new session by itself.
   if (session_.reopened() == sessions_lost_) {

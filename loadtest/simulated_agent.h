@@ -33,8 +33,9 @@ class SimulatedAgent {
   // another request, or the error of that call.
   absl::Status Accept(const v1::ActResponse& response);
 
-  // Makes the agent ready to send after `error`: opens a new session if the server has lost it, and
-  // ends the episode if its end has failed. Returns the error of these calls.
+  // Makes the agent ready to send after `error`: opens a new session if the server has lost it,
+  // sends decisions again that the server misses, and ends the episode if its end has failed.
+  // Returns the error of these calls.
   absl::Status Resume(const absl::Status& error);
   // Returns whether Resume can replace a lost session.
   bool reopens() const { return session_.reopens(); }

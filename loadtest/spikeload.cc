@@ -1,4 +1,4 @@
-// spikeload: a load test of a spikeserve server, in closed loop or at a rate.
+// spikeload: a load test of spikeserve servers, in closed loop or at a rate.
 #include <iostream>
 #include <optional>
 #include <string>
@@ -70,6 +70,12 @@ void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
             return Store(ParseLearningScope(text), &options->learning_scope);
           },
           "Head that learns; default: none")
+      .AddParsed(
+          "durability", "none|async|sync", "",
+          [=](const std::string& text) {
+            return Store(ParseDurability(text), &options->durability);
+          },
+          "What survives the loss of a server; default: the server's")
       .Add("episode_steps", "N", &options->episode_steps, "Steps of an episode")
       .Add("observation_bound", "X", &options->observation_bound,
            "Random observations are within plus and minus this")
@@ -78,7 +84,8 @@ void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
 
 void AddFlags(Command program, LoadFlags* flags) {
   program.Flags("Server")
-      .Add("server", "HOST:PORT", &flags->options.server, "Address; default: $SPIKESERVE_SERVER")
+      .Add("server", "HOST:PORT,...", &flags->options.server,
+           "Address, or several; default: $SPIKESERVE_SERVER")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   AddLoadFlags(program.Flags("Load"), &flags->options);
   AddAgentFlags(program.Flags("Agents"), &flags->options);

@@ -17,9 +17,7 @@ absl::StatusOr<RemoteSession> Open(Client& client, const AdaptationOptions& opti
                                    v1::OpenSessionRequest request) {
   request.set_policy(options.policy.name());
   request.set_version(options.policy.version());
-  const auto opened = client.OpenSession(request);
-  if (!opened.ok()) return opened.status();
-  return RemoteSession(&client, opened->session_id(), 0);
+  return RemoteSession::Open(&client, std::move(request));
 }
 
 absl::StatusOr<RemoteSession> OpenLearner(Client& client, const AdaptationOptions& options,
@@ -115,7 +113,7 @@ absl::Status Learn(Client& client, const AdaptationOptions& options, Curve* curv
   for (const absl::Status& status : statuses) {
     if (!status.ok()) return status;
   }
-  auto session = client.GetSession(learners[0].session_id(), /*include_head_delta=*/true);
+  auto session = learners[0].State(/*include_head_delta=*/true);
   if (!session.ok()) return session.status();
   *learned = *std::move(session);
   for (RemoteSession& learner : learners) {

@@ -28,8 +28,7 @@ absl::StatusOr<v1::ExplainResponse> PlayAndExplain(const ExplainFlags& flags,
   if (!opened.ok()) return opened.status();
   RemoteSession& session = opened->session;
   const absl::Status played = PlaySteps(environment, session, flags.agent.seed, flags.steps);
-  auto explained = played.ok() ? client.Explain(session.session_id())
-                               : absl::StatusOr<v1::ExplainResponse>(played);
+  auto explained = played.ok() ? session.Explain() : absl::StatusOr<v1::ExplainResponse>(played);
   const absl::Status closed = session.Close();
   if (explained.ok() && !closed.ok()) return closed;
   return explained;

@@ -8,8 +8,6 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/strip.h"
-#include "absl/time/clock.h"
-#include "absl/time/time.h"
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
 #include "nlohmann/json.hpp"
@@ -47,12 +45,14 @@ std::string ToText(const v1::ActionSpace& space) {
 }
 
 // Returns no roll-outs for callers that may not list them, such as agents.
-v1::ListRolloutsResponse ListRollouts(const Client& client) {
-  grpc::ClientContext context;
-  context.set_deadline(absl::ToChronoTime(absl::Now() + kAdminTimeout));
+v1::ListRolloutsResponse ListRollouts(Client& client) {
   v1::ListRolloutsResponse response;
-  const auto stub = v1::PolicyAdmin::NewStub(client.channel());
-  if (!stub->ListRollouts(&context, {}, &response).ok()) response.Clear();
+  const absl::Status status = client.CallOther(
+      kAdminTimeout, /*repeatable=*/true,
+      [&](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
+        return v1::PolicyAdmin::NewStub(channel)->ListRollouts(context, {}, &response);
+      });
+  if (!status.ok()) response.Clear();
   return response;
 }
 

@@ -184,14 +184,13 @@ absl::Status CheckReplayable(const std::vector<Dataset>& recording) {
 
 absl::StatusOr<ReplayResult> Replay(const std::vector<Dataset>& recording,
                                     const std::string& policy, int64_t version, Client& client) {
-  const auto opened = client.OpenSession(Opening(ServedOf(recording[0]), policy, version));
-  if (!opened.ok()) return opened.status();
+  auto session = RemoteSession::Open(&client, Opening(ServedOf(recording[0]), policy, version));
+  if (!session.ok()) return session.status();
   ReplayResult result;
-  result.policy = opened->policy();
-  result.version = opened->version();
-  RemoteSession session(&client, opened->session_id(), 0);
-  absl::Status status = ReplayEpisodes(recording, session, &result);
-  status.Update(session.Close());
+  result.policy = session->opening().policy();
+  result.version = session->opening().version();
+  absl::Status status = ReplayEpisodes(recording, *session, &result);
+  status.Update(session->Close());
   if (!status.ok()) return status;
   return result;
 }

@@ -6,7 +6,8 @@ namespace spikeserve {
 
 void AddServerFlags(Command program, ServerFlags* flags) {
   program.Flags("Server")
-      .Add("server", "HOST:PORT", &flags->server, "Address; default: $SPIKESERVE_SERVER")
+      .Add("server", "HOST:PORT,...", &flags->server,
+           "Address, or several; default: $SPIKESERVE_SERVER")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   AddSecurityFlags(program, &flags->security);
 }

@@ -15,7 +15,7 @@
 namespace spikeserve {
 
 struct ServerFlags {
-  std::string server = DefaultServer();  // HOST:PORT
+  std::string server = DefaultServer();  // as Client::Connect takes it
   bool json = false;                     // print one JSON object instead of text
   SecurityFlags security;
 };
@@ -23,7 +23,7 @@ struct ServerFlags {
 // Adds the flags to `program`. `flags` must live until Program::Run returns.
 void AddServerFlags(Command program, ServerFlags* flags);
 
-// Returns a client of --server. UNAVAILABLE if the server cannot be reached within a few seconds.
+// Returns a client of --server. UNAVAILABLE if no server can be reached within a few seconds.
 absl::StatusOr<std::unique_ptr<Client>> Connect(const ServerFlags& flags);
 // As Connect, for the calls of operators.
 absl::StatusOr<std::unique_ptr<AdminClient>> ConnectAdmin(const ServerFlags& flags);

@@ -13,9 +13,23 @@
 namespace spikeserve {
 namespace {
 
+constexpr char kLearning[] = "Advanced: learning";
+
 bool AnySet(const LearningFlags& flags) {
   return flags.rule || flags.modulator || flags.learning_rate || flags.trace_decay ||
          flags.discount || flags.clip || flags.max_drift || flags.guard_margin;
+}
+
+v1::Durability ToProto(Durability durability) {
+  switch (durability) {
+    case Durability::kNone:
+      return v1::NONE;
+    case Durability::kAsync:
+      return v1::ASYNC;
+    case Durability::kSync:
+      return v1::SYNC;
+  }
+  return v1::DURABILITY_DEFAULT;  // unreachable: the switch handles every level
 }
 
 // Reads W - W_base from a file: a list of numbers, or an object with such a list as `delta` or
@@ -45,7 +59,7 @@ absl::Status ReadHeadDelta(const std::string& path, v1::OpenSessionRequest* requ
 }  // namespace
 
 void AddLearningFlags(Command command, LearningFlags* flags) {
-  FlagGroup group = command.Flags("Advanced: learning");
+  FlagGroup group = command.Flags(kLearning);
   group.Add("rule", EnumKind<Rule>(), &flags->rule, "Learning rule; default: policy_gradient")
       .Add("modulator", EnumKind<Modulator>(), &flags->modulator,
            "Return that modulates it; default: realized")
@@ -71,11 +85,13 @@ void AddSessionFlags(Command command, SessionFlags* flags) {
       .Add("routing_key", "KEY", &flags->routing_key,
            "Key that decides the traffic share; equal keys get equal versions")
       .AddList("labels", "KEY=VALUE,...", &flags->labels, "Labels of the session")
-      .Add("head_delta", "FILE", &flags->head_delta,
-           "Head to start from: the JSON of admin head --weights")
       .AddSwitch("record", &flags->record, "Have the server record it in its --record_dir")
-      .Add("learn", EnumKind<Scope>(), &flags->learn, "Head that learns; default: none");
+      .Add("learn", EnumKind<Scope>(), &flags->learn, "Head that learns; default: none")
+      .Add("durability", EnumKind<Durability>(), &flags->durability,
+           "What survives the loss of a server; default: the server's");
   AddLearningFlags(command, &flags->learning);
+  command.Flags(kLearning).Add("head_delta", "FILE", &flags->head_delta,
+                               "Head to start from: the JSON of admin head --weights");
 }
 
 v1::LearningConfig ToProto(Scope scope, const LearningFlags& flags) {
@@ -134,6 +150,7 @@ absl::Status FillRequest(const SessionFlags& flags, v1::OpenSessionRequest* requ
   request->set_version_label(flags.version_label);
   request->set_routing_key(flags.routing_key);
   request->set_record(flags.record);
+  if (flags.durability) request->set_durability(ToProto(*flags.durability));
   for (const std::string& label : flags.labels) {
     const std::pair<std::string, std::string> parts =
         absl::StrSplit(label, absl::MaxSplits('=', 1));

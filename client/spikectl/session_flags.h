@@ -12,6 +12,7 @@
 #include "core/action/action_space.h"
 #include "core/cli/program.h"
 #include "core/learning/learning_options.h"
+#include "core/session/durability.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -38,6 +39,7 @@ struct SessionFlags {
   std::vector<std::string> labels;  // KEY=VALUE
   std::string head_delta;           // path of a JSON file; empty: the head of the policy
   bool record = false;
+  std::optional<Durability> durability;  // absent: the server's default
 };
 
 // Adds the flags of LearningFlags, under a heading that the manual describes.

@@ -8,19 +8,15 @@ namespace spikeserve {
 
 using Stub = v1::PolicyAdmin::Stub;
 
-absl::StatusOr<std::unique_ptr<AdminClient>> AdminClient::Connect(const std::string& server,
+absl::StatusOr<std::unique_ptr<AdminClient>> AdminClient::Connect(const std::string& servers,
                                                                   ClientOptions options,
                                                                   absl::Duration patience) {
-  RetryOptions retry = options.retry;
-  auto client = Client::Connect(server, std::move(options), patience);
+  auto client = Client::Connect(servers, std::move(options), patience);
   if (!client.ok()) return client.status();
-  return absl::WrapUnique(new AdminClient(*std::move(client), std::move(retry)));
+  return absl::WrapUnique(new AdminClient(*std::move(client)));
 }
 
-AdminClient::AdminClient(std::unique_ptr<Client> client, RetryOptions retry)
-    : client_(std::move(client)),
-      stub_(v1::PolicyAdmin::NewStub(client_->channel())),
-      retry_(std::move(retry)) {}
+AdminClient::AdminClient(std::unique_ptr<Client> client) : client_(std::move(client)) {}
 
 absl::StatusOr<v1::LoadPolicyResponse> AdminClient::LoadPolicy(
     const v1::LoadPolicyRequest& request) {

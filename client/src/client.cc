@@ -2,15 +2,54 @@
 
 #include <grpcpp/client_context.h>
 
+#include <algorithm>
+#include <map>
 #include <optional>
 #include <utility>
 
 #include "absl/memory/memory.h"
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
+#include "client/src/attempts.h"
 #include "client/src/diagnosis.h"
+#include "client/src/item_status.h"
+#include "client/src/replicas.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
+namespace {
+
+using Stub = v1::PolicyService::Stub;
+
+// The route of a call: `given`, or one for `key` that exists for this call alone.
+class RouteOfCall {
+ public:
+  RouteOfCall(const std::shared_ptr<Route>& given, const std::string& key) : given_(given.get()) {
+    if (given_ == nullptr) own_.emplace(key);
+  }
+
+  Route& get() { return given_ == nullptr ? *own_ : *given_; }
+
+ private:
+  Route* const given_;
+  std::optional<Route> own_;
+};
+
+void Prepare(const Route& route, absl::Duration timeout, grpc::ClientContext* context) {
+  context->set_deadline(absl::ToChronoTime(absl::Now() + timeout));
+  // The id of a session that does not exist may be any text, but gRPC aborts on illegal metadata.
+  const bool is_legal = std::all_of(route.key.begin(), route.key.end(), absl::ascii_isprint);
+  if (is_legal && !route.key.empty()) context->AddMetadata(kAffinityKey, route.key);
+}
+
+std::unique_ptr<Replicas> MakeReplicas(std::vector<std::unique_ptr<Replica>> replicas,
+                                       const RetryOptions& retry) {
+  return std::make_unique<Replicas>(std::move(replicas), retry.initial_backoff, retry.max_backoff);
+}
+
+}  // namespace
+
+std::shared_ptr<Route> MakeRoute() { return std::make_shared<Route>(DrawId()); }
 
 absl::Status ClientOptions::Validate() const {
   if (call_timeout <= absl::ZeroDuration()) {
@@ -20,194 +59,287 @@ absl::Status ClientOptions::Validate() const {
   return retry.Validate();
 }
 
-absl::StatusOr<std::unique_ptr<Client>> Client::Create(const std::string& server,
+absl::StatusOr<std::unique_ptr<Client>> Client::Create(const std::string& servers,
                                                        ClientOptions options) {
-  auto channel = MakeChannel(server, options.security);
-  if (!channel.ok()) return channel.status();
-  return Create(*std::move(channel), std::move(options));
+  if (absl::Status status = options.Validate(); !status.ok()) return status;
+  const auto addresses = ParseServers(servers);
+  if (!addresses.ok()) return addresses.status();
+  std::vector<std::unique_ptr<Replica>> replicas;
+  for (const std::string& address : *addresses) {
+    auto channel = MakeChannel(address, options.security);
+    if (!channel.ok()) return channel.status();
+    replicas.push_back(std::make_unique<Replica>(address, *std::move(channel)));
+  }
+  auto all = MakeReplicas(std::move(replicas), options.retry);
+  return absl::WrapUnique(new Client(std::move(all), std::move(options)));
 }
 
 absl::StatusOr<std::unique_ptr<Client>> Client::Create(std::shared_ptr<grpc::Channel> channel,
                                                        ClientOptions options) {
   if (absl::Status status = options.Validate(); !status.ok()) return status;
-  return absl::WrapUnique(new Client(std::move(channel), std::move(options)));
+  std::vector<std::unique_ptr<Replica>> replicas;
+  replicas.push_back(std::make_unique<Replica>("", std::move(channel)));
+  auto all = MakeReplicas(std::move(replicas), options.retry);
+  return absl::WrapUnique(new Client(std::move(all), std::move(options)));
 }
 
-absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& server,
+absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& servers,
                                                         ClientOptions options,
                                                         absl::Duration patience) {
-  auto client = Create(server, std::move(options));
+  auto client = Create(servers, std::move(options));
   if (!client.ok()) return client.status();
-  const auto deadline = absl::ToChronoTime(absl::Now() + patience);
-  if ((*client)->channel_->WaitForConnected(deadline)) return client;
-  // The status of a call has gRPC's own words for the cause.
-  v1::ListPoliciesResponse ignored;
-  const absl::Status status = (*client)->CallOnce(&v1::PolicyService::Stub::ListPolicies,
-                                                  v1::ListPoliciesRequest(), &ignored);
-  const std::string cause =
-      DiagnoseConnection(server, (*client)->options_.security.use_tls(), status.message());
-  return absl::UnavailableError(absl::StrCat("no server could be reached at ", server, " within ",
-                                             absl::FormatDuration(patience),
-                                             cause.empty() ? "" : ": ", cause));
+  Replicas& replicas = *(*client)->replicas_;
+  if (replicas.AwaitConnection(absl::Now() + patience)) return client;
+  std::string causes;
+  replicas.ForEach([&](Replica& replica) {
+    // The status of a call has gRPC's own words for the cause.
+    grpc::ClientContext context;
+    Prepare(Route(""), (*client)->options_.call_timeout, &context);
+    v1::ListPoliciesResponse ignored;
+    const grpc::Status status = replica.stub->ListPolicies(&context, {}, &ignored);
+    const std::string cause = DiagnoseConnection(
+        replica.address, (*client)->options_.security.use_tls(), status.error_message());
+    if (cause.empty()) return;
+    const std::string which = replicas.size() == 1 ? "" : absl::StrCat(replica.address, ": ");
+    absl::StrAppend(&causes, causes.empty() ? ": " : "; ", which, cause);
+  });
+  return absl::UnavailableError(absl::StrCat("no server could be reached at ", servers, " within ",
+                                             absl::FormatDuration(patience), causes));
 }
 
-Client::Client(std::shared_ptr<grpc::Channel> channel, ClientOptions options)
-    : channel_(std::move(channel)),
-      stub_(v1::PolicyService::NewStub(channel_)),
-      options_(std::move(options)) {}
+Client::Client(std::unique_ptr<Replicas> replicas, ClientOptions options)
+    : replicas_(std::move(replicas)), options_(std::move(options)) {}
 
-template <typename Request, typename Response>
-absl::Status Client::CallOnce(grpc::Status (v1::PolicyService::Stub::*method)(grpc::ClientContext*,
-                                                                              const Request&,
-                                                                              Response*),
-                              const Request& request, Response* response) {
-  grpc::ClientContext context;
-  context.set_deadline(absl::ToChronoTime(absl::Now() + options_.call_timeout));
-  return StatusFromGrpc(((*stub_).*method)(&context, request, response));
+Client::~Client() = default;
+
+absl::Status Client::Run(const Rules& rules, Attempts& attempts,
+                         absl::FunctionRef<grpc::Status(Replica&, grpc::ClientContext*)> attempt) {
+  for (bool is_first = true;; is_first = false) {
+    grpc::ClientContext context;
+    Prepare(attempts.route(), rules.timeout, &context);
+    const absl::Status status = StatusFromGrpc(attempt(attempts.replica(), &context));
+    if (status.ok()) {
+      attempts.Answered();
+      return status;
+    }
+    if (rules.not_found_is_done && !is_first && absl::IsNotFound(status)) return absl::OkStatus();
+    const auto delay = attempts.DelayAfter(status, rules.timeout);
+    if (!delay.has_value() || !(rules.repeatable || IsRefusedForNow(status))) return status;
+    options_.retry.sleep(*delay);
+  }
+}
+
+absl::Status Client::CallOther(
+    absl::Duration timeout, bool repeatable,
+    absl::FunctionRef<grpc::Status(const std::shared_ptr<grpc::Channel>&, grpc::ClientContext*)>
+        attempt) {
+  Route route("");
+  Attempts attempts(replicas_.get(), &route, options_.retry, /*names_session=*/false);
+  return Run({.timeout = timeout, .repeatable = repeatable}, attempts,
+             [&](Replica& replica, grpc::ClientContext* context) {
+               return attempt(replica.channel, context);
+             });
 }
 
 template <typename Request, typename Response>
-absl::StatusOr<Response> Client::Call(grpc::Status (v1::PolicyService::Stub::*method)(
-                                          grpc::ClientContext*, const Request&, Response*),
-                                      const Request& request, const std::string& key) {
+absl::StatusOr<Response> Client::CallOfSession(
+    grpc::Status (Stub::*method)(grpc::ClientContext*, const Request&, Response*),
+    const Request& request, const std::shared_ptr<Route>& route) {
+  RouteOfCall route_of_call(route, request.session_id());
+  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/true);
   Response response;
-  const absl::Status status =
-      CallWithRetries(options_.retry, key, [&] { return CallOnce(method, request, &response); });
-  if (!status.ok()) return status;
-  return response;
-}
-
-template <typename Request, typename Response>
-absl::StatusOr<Response> Client::CallOfSession(grpc::Status (v1::PolicyService::Stub::*method)(
-                                                   grpc::ClientContext*, const Request&, Response*),
-                                               const Request& request) {
-  auto response = Call(method, request, request.session_id());
-  if (!response.ok()) return ForSession(response.status());
+  const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
+                                  [&](Replica& replica, grpc::ClientContext* context) {
+                                    return ((*replica.stub).*method)(context, request, &response);
+                                  });
+  if (!status.ok()) return ForSession(status);
   return response;
 }
 
 absl::StatusOr<v1::ListPoliciesResponse> Client::ListPolicies() {
-  return Call(&v1::PolicyService::Stub::ListPolicies, v1::ListPoliciesRequest(), "ListPolicies");
+  v1::ListPoliciesResponse response;
+  const absl::Status status =
+      CallOther(options_.call_timeout, /*repeatable=*/true,
+                [&](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
+                  return v1::PolicyService::NewStub(channel)->ListPolicies(context, {}, &response);
+                });
+  if (!status.ok()) return status;
+  return response;
 }
 
-absl::StatusOr<v1::OpenSessionResponse> Client::OpenSession(const v1::OpenSessionRequest& request) {
-  return Call(&v1::PolicyService::Stub::OpenSession, request, request.policy());
+absl::StatusOr<v1::OpenSessionResponse> Client::OpenSession(const v1::OpenSessionRequest& request,
+                                                            const std::shared_ptr<Route>& route) {
+  v1::OpenSessionRequest named = request;
+  if (named.session_id().empty()) named.set_session_id(DrawId());
+  RouteOfCall route_of_call(route, named.session_id());
+  // NOT_FOUND is about the policy.
+  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/false);
+  v1::OpenSessionResponse response;
+  const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
+                                  [&](Replica& replica, grpc::ClientContext* context) {
+                                    return replica.stub->OpenSession(context, named, &response);
+                                  });
+  if (!status.ok()) return status;
+  return response;
 }
 
-absl::StatusOr<v1::ActResponse> Client::Act(const v1::ActRequest& request) {
-  return CallOfSession(&v1::PolicyService::Stub::Act, request);
+absl::StatusOr<v1::ActResponse> Client::Act(const v1::ActRequest& request,
+                                            const std::shared_ptr<Route>& route) {
+  return CallOfSession(&Stub::Act, request, route);
 }
 
 void Client::ActAsync(const v1::ActRequest& request,
-                      std::function<void(absl::StatusOr<v1::ActResponse>)> done) {
+                      std::function<void(absl::StatusOr<v1::ActResponse>)> done,
+                      const std::shared_ptr<Route>& route) {
   struct PendingCall {
+    std::shared_ptr<Route> route;
     grpc::ClientContext context;
     v1::ActRequest request;
     v1::ActResponse response;
   };
   auto call = std::make_shared<PendingCall>();
-  call->context.set_deadline(absl::ToChronoTime(absl::Now() + options_.call_timeout));
+  call->route = route == nullptr ? std::make_shared<Route>(request.session_id()) : route;
+  Prepare(*call->route, options_.call_timeout, &call->context);
   call->request = request;
   auto* pending = call.get();
-  stub_->async()->Act(
-      &pending->context, &pending->request, &pending->response,
-      [call = std::move(call), done = std::move(done)](const grpc::Status& status) mutable {
-        absl::StatusOr<v1::ActResponse> response = std::move(call->response);
-        if (!status.ok()) response = ForSession(StatusFromGrpc(status));
-        // Releases the context, which holds a reference to the channel, before calling `done`.
-        // After `done` the client may be destroyed, and a channel must not be destroyed on a thread
-        // of gRPC.
-        call.reset();
-        done(std::move(response));
-      });
+  Replica& replica = *replicas_->Choose(*call->route);
+  replica.stub->async()->Act(&pending->context, &pending->request, &pending->response,
+                             [this, &replica, call = std::move(call),
+                              done = std::move(done)](const grpc::Status& status) mutable {
+                               absl::StatusOr<v1::ActResponse> response = std::move(call->response);
+                               if (!status.ok()) response = ForSession(StatusFromGrpc(status));
+                               if (status.ok()) {
+                                 replicas_->Answered(*call->route, replica);
+                               } else if (absl::IsDeadlineExceeded(response.status())) {
+                                 replicas_->Failed(replica, options_.call_timeout);
+                               } else if (IsRetryable(response.status())) {
+                                 replicas_->Failed(replica);
+                               }
+                               // Releases the context, which holds a reference to the channel,
+                               // before calling `done`. After `done` the client may be destroyed,
+                               // and a channel must not be destroyed on a thread of gRPC.
+                               call.reset();
+                               done(std::move(response));
+                             });
 }
 
 // Makes one decision for each of `requests` with one call.
-absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatchOnce(
-    absl::Span<const v1::ActRequest> requests) {
+absl::StatusOr<Client::BatchResults> Client::ActBatchOnce(absl::Span<const v1::ActRequest> requests,
+                                                          Attempts& attempts) {
   v1::ActBatchRequest batch;
   batch.mutable_requests()->Add(requests.begin(), requests.end());
-  absl::StatusOr<v1::ActBatchResponse> answer =
-      Call(&v1::PolicyService::Stub::ActBatch, batch,
-           requests.empty() ? std::string() : requests.front().session_id());
-  if (!answer.ok()) return answer.status();
-  if (answer->results_size() != batch.requests_size()) {
+  v1::ActBatchResponse answer;
+  const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
+                                  [&](Replica& replica, grpc::ClientContext* context) {
+                                    return replica.stub->ActBatch(context, batch, &answer);
+                                  });
+  if (!status.ok()) return status;
+  if (answer.results_size() != batch.requests_size()) {
     return absl::InternalError(absl::StrCat("results: expected ", batch.requests_size(),
-                                            " of them, received ", answer->results_size()));
+                                            " of them, received ", answer.results_size()));
   }
-  std::vector<absl::StatusOr<v1::ActResponse>> results;
+  BatchResults results;
   results.reserve(requests.size());
-  for (v1::ActResult& result : *answer->mutable_results()) {
+  for (v1::ActResult& result : *answer.mutable_results()) {
     if (result.code() == 0) {
       results.emplace_back(std::move(*result.mutable_response()));
-      continue;
+    } else {
+      results.emplace_back(StatusOfItem(result));
     }
-    std::optional<double> delay;
-    if (result.has_retry_after_seconds()) delay = result.retry_after_seconds();
-    results.emplace_back(ForSession(StatusFromCode(result.code(), result.message(), delay)));
   }
   return results;
 }
 
-absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> Client::ActBatch(
-    absl::Span<const v1::ActRequest> requests) {
-  auto results = ActBatchOnce(requests);
-  RetrySchedule schedule(options_.retry, requests.empty() ? "" : requests.front().session_id());
+absl::StatusOr<Client::BatchResults> Client::ActBatchOn(absl::Span<const v1::ActRequest> requests,
+                                                        Route& route) {
+  Attempts attempts(replicas_.get(), &route, options_.retry, /*names_session=*/true);
+  auto results = ActBatchOnce(requests, attempts);
   while (results.ok()) {
-    std::vector<size_t> refused;
+    const bool may_move = replicas_->MayMove(route);
+    std::vector<size_t> failed;
     std::vector<v1::ActRequest> again;
-    absl::Status longest;  // of the refused items, the one that has to wait longest
+    absl::Status longest;  // of the failed items, the one that has to wait longest
     for (size_t i = 0; i < results->size(); ++i) {
       const absl::Status& status = (*results)[i].status();
-      if (!IsRefusedForNow(status)) continue;
-      refused.push_back(i);
+      // Another server may have a lost session.
+      const bool is_elsewhere = may_move && IsSessionLost(status);
+      if (!is_elsewhere && !IsRetryable(status) && !IsRefusedForNow(status)) continue;
+      failed.push_back(i);
       again.push_back(requests[i]);
       if (longest.ok() || RetryAfter(status) > RetryAfter(longest)) longest = status;
     }
-    if (refused.empty()) break;
-    const auto delay = schedule.DelayAfter(longest);
+    if (failed.empty()) break;
+    const auto delay = attempts.DelayAfter(longest, options_.call_timeout);
     if (!delay.has_value()) break;
     options_.retry.sleep(*delay);
-    auto part = ActBatchOnce(again);
+    auto part = ActBatchOnce(again, attempts);
     if (!part.ok()) return part.status();
-    for (size_t i = 0; i < refused.size(); ++i) (*results)[refused[i]] = std::move((*part)[i]);
+    for (size_t i = 0; i < failed.size(); ++i) (*results)[failed[i]] = std::move((*part)[i]);
   }
   return results;
 }
 
-std::unique_ptr<RemoteStream> Client::OpenStream() {
-  return std::make_unique<RemoteStream>(*stub_);
+absl::StatusOr<Client::BatchResults> Client::ActBatch(absl::Span<const v1::ActRequest> requests,
+                                                      const std::shared_ptr<Route>& route) {
+  if (route != nullptr) return ActBatchOn(requests, *route);
+  if (replicas_->size() == 1 || requests.empty()) {
+    Route own(requests.empty() ? "" : requests.front().session_id());
+    return ActBatchOn(requests, own);
+  }
+  std::map<Replica*, std::vector<size_t>> rows;
+  for (size_t i = 0; i < requests.size(); ++i) {
+    Route own(requests[i].session_id());
+    rows[replicas_->Choose(own)].push_back(i);
+  }
+  BatchResults results(requests.size());
+  for (const auto& [replica, group] : rows) {
+    std::vector<v1::ActRequest> part;
+    for (const size_t row : group) part.push_back(requests[row]);
+    Route own(part.front().session_id());
+    auto answers = ActBatchOn(part, own);
+    if (!answers.ok()) return answers.status();
+    for (size_t i = 0; i < group.size(); ++i) results[group[i]] = std::move((*answers)[i]);
+  }
+  return results;
 }
 
-absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRequest& request) {
-  return CallOfSession(&v1::PolicyService::Stub::EndEpisode, request);
+std::unique_ptr<RemoteStream> Client::OpenStream(std::shared_ptr<Route> route) {
+  if (route == nullptr) route = MakeRoute();
+  return std::make_unique<RemoteStream>(this, std::move(route));
+}
+
+absl::StatusOr<v1::EndEpisodeResponse> Client::EndEpisode(const v1::EndEpisodeRequest& request,
+                                                          const std::shared_ptr<Route>& route) {
+  return CallOfSession(&Stub::EndEpisode, request, route);
 }
 
 absl::StatusOr<v1::GetSessionResponse> Client::GetSession(const std::string& session_id,
-                                                          bool include_head_delta) {
+                                                          bool include_head_delta,
+                                                          const std::shared_ptr<Route>& route) {
   v1::GetSessionRequest request;
   request.set_session_id(session_id);
   request.set_include_head_delta(include_head_delta);
-  return CallOfSession(&v1::PolicyService::Stub::GetSession, request);
+  return CallOfSession(&Stub::GetSession, request, route);
 }
 
-absl::StatusOr<v1::ExplainResponse> Client::Explain(const std::string& session_id) {
+absl::StatusOr<v1::ExplainResponse> Client::Explain(const std::string& session_id,
+                                                    const std::shared_ptr<Route>& route) {
   v1::ExplainRequest request;
   request.set_session_id(session_id);
-  return CallOfSession(&v1::PolicyService::Stub::Explain, request);
+  return CallOfSession(&Stub::Explain, request, route);
 }
 
-absl::Status Client::CloseSession(const std::string& session_id) {
+absl::Status Client::CloseSession(const std::string& session_id,
+                                  const std::shared_ptr<Route>& route) {
   v1::CloseSessionRequest request;
   request.set_session_id(session_id);
-  v1::CloseSessionResponse response;
-  int attempts = 0;
-  const absl::Status status = CallWithRetries(options_.retry, session_id, [&] {
-    ++attempts;
-    return CallOnce(&v1::PolicyService::Stub::CloseSession, request, &response);
-  });
-  const bool closed_by_lost_attempt = attempts > 1 && absl::IsNotFound(status);
-  return closed_by_lost_attempt ? absl::OkStatus() : status;
+  RouteOfCall route_of_call(route, session_id);
+  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/true);
+  return Run({.timeout = options_.call_timeout, .not_found_is_done = true}, attempts,
+             [&](Replica& replica, grpc::ClientContext* context) {
+               v1::CloseSessionResponse response;
+               return replica.stub->CloseSession(context, request, &response);
+             });
 }
 
 }  // namespace spikeserve

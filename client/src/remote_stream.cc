@@ -1,142 +1,208 @@
 #include "spikeserve/remote_stream.h"
 
-#include <grpcpp/client_context.h>
-#include <grpcpp/support/client_callback.h>
-
-#include <deque>
-#include <optional>
+#include <algorithm>
 #include <utility>
 
-#include "absl/base/thread_annotations.h"
-#include "absl/synchronization/mutex.h"
+#include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
-#include "spikeserve/status.h"
+#include "client/src/item_status.h"
+#include "client/src/open_requests.h"
+#include "client/src/replicas.h"
+#include "client/src/stream_call.h"
+#include "spikeserve/client.h"
+#include "spikeserve/remote_session.h"
 
 namespace spikeserve {
 
-// gRPC allows one read and one write at a time. A read is always active; requests wait in a queue
-// whose front is being written.
-class RemoteStream::Call : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActResponse> {
- public:
-  explicit Call(v1::PolicyService::Stub& stub) {
-    stub.async()->ActStream(&context_, this);
-    // Writes start outside of gRPC's callbacks. The hold keeps gRPC from ending the call before
-    // them.
-    AddHold();
-    StartRead(&incoming_);
-    StartCall();
-  }
-
-  absl::Status Send(const v1::ActRequest& request) ABSL_LOCKS_EXCLUDED(mutex_) {
-    absl::MutexLock lock(&mutex_);
-    if (final_status_.has_value() && !final_status_->ok()) return *final_status_;
-    if (read_ended_) return absl::UnavailableError("the stream has ended");
-    if (send_closed_) return absl::FailedPreconditionError("the stream is closed for sending");
-    outgoing_.push_back(request);
-    if (outgoing_.size() == 1) StartWrite(&outgoing_.front());
-    return absl::OkStatus();
-  }
-
-  absl::StatusOr<ActReply> Receive(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mutex_) {
-    absl::MutexLock lock(&mutex_);
-    const absl::Time deadline = absl::Now() + timeout;
-    while (replies_.empty() && !final_status_.has_value()) {
-      if (changed_.WaitWithDeadline(&mutex_, deadline) && replies_.empty() &&
-          !final_status_.has_value()) {
-        return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
-      }
-    }
-    if (replies_.empty()) {
-      return final_status_->ok() ? absl::OutOfRangeError("the stream has ended") : *final_status_;
-    }
-    ActReply reply = std::move(replies_.front());
-    replies_.pop_front();
-    return reply;
-  }
-
-  void CloseSend() ABSL_LOCKS_EXCLUDED(mutex_) {
-    absl::MutexLock lock(&mutex_);
-    if (send_closed_ || read_ended_) return;
-    send_closed_ = true;
-    if (outgoing_.empty()) StartWritesDone();
-  }
-
-  // Cancels the call if it has not ended, and blocks until gRPC has called OnDone.
-  void Shutdown() ABSL_LOCKS_EXCLUDED(mutex_) {
-    context_.TryCancel();
-    absl::MutexLock lock(&mutex_);
-    while (!final_status_.has_value()) changed_.Wait(&mutex_);
-  }
-
-  void OnReadDone(bool ok) override ABSL_LOCKS_EXCLUDED(mutex_) {
-    absl::MutexLock lock(&mutex_);
-    if (!ok) {
-      read_ended_ = true;
-      RemoveHold();
-      return;
-    }
-    replies_.push_back(TakeIncoming());
-    changed_.Signal();
-    StartRead(&incoming_);
-  }
-
-  void OnWriteDone(bool ok) override ABSL_LOCKS_EXCLUDED(mutex_) {
-    absl::MutexLock lock(&mutex_);
-    if (!ok || read_ended_) return;  // the call is over; OnDone has the status
-    outgoing_.pop_front();
-    if (!outgoing_.empty()) {
-      StartWrite(&outgoing_.front());
-    } else if (send_closed_) {
-      StartWritesDone();
-    }
-  }
-
-  void OnDone(const grpc::Status& status) override ABSL_LOCKS_EXCLUDED(mutex_) {
-    absl::MutexLock lock(&mutex_);
-    final_status_ = StatusFromGrpc(status);
-    changed_.SignalAll();
-  }
-
- private:
-  ActReply TakeIncoming() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    ActReply reply{.session_id = incoming_.session_id(),
-                   .step = incoming_.step(),
-                   .response = v1::ActResponse(),
-                   .arrived = std::chrono::steady_clock::now()};
-    if (incoming_.has_error()) {
-      const v1::ActError& error = incoming_.error();
-      std::optional<double> delay;
-      if (error.has_retry_after_seconds()) delay = error.retry_after_seconds();
-      reply.response = ForSession(StatusFromCode(error.code(), error.message(), delay));
-    } else {
-      reply.response = std::move(incoming_);
-    }
-    incoming_.Clear();
-    return reply;
-  }
-
-  grpc::ClientContext context_;
-  v1::ActResponse incoming_;  // written by gRPC between StartRead and OnReadDone
-
-  absl::Mutex mutex_;
-  absl::CondVar changed_;  // signalled when a reply arrives or the call ends
-  std::deque<v1::ActRequest> outgoing_ ABSL_GUARDED_BY(mutex_);  // the front is being written
-  std::deque<ActReply> replies_ ABSL_GUARDED_BY(mutex_);
-  bool send_closed_ ABSL_GUARDED_BY(mutex_) = false;
-  bool read_ended_ ABSL_GUARDED_BY(mutex_) = false;  // no more replies will arrive
-  std::optional<absl::Status> final_status_ ABSL_GUARDED_BY(mutex_);
-};
-
-RemoteStream::RemoteStream(v1::PolicyService::Stub& stub) : call_(std::make_unique<Call>(stub)) {}
-
-RemoteStream::~RemoteStream() { call_->Shutdown(); }
-
-absl::Status RemoteStream::Send(const v1::ActRequest& request) { return call_->Send(request); }
-
-absl::StatusOr<ActReply> RemoteStream::Receive(absl::Duration timeout) {
-  return call_->Receive(timeout);
+RemoteStream::RemoteStream(Client* client, std::shared_ptr<Route> route)
+    : client_(client), route_(std::move(route)), open_(std::make_unique<OpenRequests>()) {
+  absl::MutexLock lock(&mutex_);
+  Start();
 }
 
-void RemoteStream::CloseSend() { call_->CloseSend(); }
+RemoteStream::~RemoteStream() = default;
+
+absl::Status RemoteStream::Send(RemoteSession* session, absl::Span<const float> observation,
+                                double reward, const std::optional<v1::Action>& executed_action) {
+  absl::MutexLock lock(&mutex_);
+  if (open_->Has(session->session_id())) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "session ", session->session_id(), ": expected no request under way, received one"));
+  }
+  const Replica* home =
+      session->route_ == nullptr ? nullptr : client_->replicas_->PinnedTo(*session->route_);
+  if (home != nullptr && home != replica_) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "session: expected one that is stored, or opened with the route of the stream, at ",
+        replica_->address, ", received one at ", home->address));
+  }
+  if (home == nullptr) session->route_ = route_;
+  return Send(session, session->MakeRequest(observation, reward, executed_action));
+}
+
+absl::Status RemoteStream::Send(const v1::ActRequest& request) {
+  absl::MutexLock lock(&mutex_);
+  return Send(nullptr, request);
+}
+
+absl::Status RemoteStream::Send(RemoteSession* session, v1::ActRequest request) {
+  if (send_closed_) return absl::FailedPreconditionError("the stream is closed for sending");
+  if (broken_.has_value()) {
+    if (!MayReopen()) return *broken_;
+    Start();
+  }
+  if (!reopens_at_.has_value()) {
+    const absl::Status sent = call_->Send(request);
+    // If the call has ended, Receive opens another one.
+    if (!sent.ok() && !MayReopen()) return sent;
+  }
+  open_->Add({session, std::move(request), std::nullopt});
+  return absl::OkStatus();
+}
+
+void RemoteStream::CloseSend() {
+  absl::MutexLock lock(&mutex_);
+  send_closed_ = true;
+  call_->CloseSend();
+}
+
+bool RemoteStream::MayReopen() const {
+  const RetryOptions& retry = client_->options().retry;
+  return retry.max_attempts != 1 && retry.max_elapsed > absl::ZeroDuration();
+}
+
+void RemoteStream::Start() {
+  broken_.reset();
+  reopens_at_.reset();
+  replica_ = client_->replicas_->Choose(*route_);
+  call_ = std::make_shared<StreamCall>(*replica_->stub, *route_);
+  // A call that ends meanwhile has a status, which Receive finds.
+  StreamCall& call = *call_;
+  open_->SendAll([&call](const v1::ActRequest& request) { (void)call.Send(request); });
+  if (send_closed_) call_->CloseSend();
+}
+
+void RemoteStream::Break(const absl::Status& error) {
+  client_->replicas_->Failed(*replica_);
+  if (!schedule_.has_value()) schedule_.emplace(client_->options().retry, route_->key);
+  const auto delay = open_->empty() ? std::nullopt : schedule_->DelayAfter(error);
+  if (delay.has_value()) {
+    reopens_at_ = absl::Now() + *delay;
+    return;
+  }
+  broken_ = error;
+  schedule_.reset();
+  open_->Clear();
+}
+
+absl::Time RemoteStream::Advance(absl::Time deadline) {
+  const absl::Time now = absl::Now();
+  if (reopens_at_.has_value()) {
+    if (now < *reopens_at_) return std::min(deadline, *reopens_at_);
+    Start();
+  }
+  StreamCall& call = *call_;
+  open_->SendDue(now, [&call](const v1::ActRequest& request) { (void)call.Send(request); });
+  const absl::Time until = std::min(deadline, open_->next_due());
+  if (!client_->replicas_->MayMove(*route_)) return until;
+  return std::min(until, open_->waits_since() + client_->options().call_timeout);
+}
+
+absl::Status RemoteStream::TakeEnd(const absl::Status& end) {
+  if (absl::IsOutOfRange(end) && send_closed_ && open_->empty()) return end;
+  // A proxy cancels the streams of a server that is gone.
+  const bool is_cut = absl::IsOutOfRange(end) || absl::IsCancelled(end);
+  Break(is_cut ? absl::UnavailableError("the server ended the stream") : end);
+  return absl::OkStatus();
+}
+
+bool RemoteStream::Postpone(const absl::Status& error, OpenRequest* request) {
+  if (!IsRetryable(error) && !IsRefusedForNow(error)) return false;
+  if (!request->schedule.has_value()) {
+    request->schedule.emplace(client_->options().retry, request->request.session_id());
+  }
+  const auto delay = request->schedule->DelayAfter(error);
+  if (!delay.has_value()) return false;
+  const bool is_elsewhere =
+      IsRetryable(error) && ++request->failures > 1 && client_->replicas_->MayMove(*route_);
+  open_->Postpone(std::move(*request), absl::Now() + *delay);
+  if (is_elsewhere) Break(error);
+  return true;
+}
+
+absl::StatusOr<ActReply> RemoteStream::Receive(absl::Duration timeout) {
+  const absl::Time deadline = absl::Now() + timeout;
+  while (true) {
+    std::shared_ptr<StreamCall> call;
+    absl::Time until;
+    {
+      absl::MutexLock lock(&mutex_);
+      if (broken_.has_value()) return *broken_;
+      until = Advance(deadline);
+      if (!reopens_at_.has_value()) call = call_;
+    }
+    std::optional<absl::StatusOr<StreamCall::Incoming>> incoming;
+    if (call != nullptr) {
+      incoming = call->Receive(until);
+    } else {
+      absl::SleepFor(until - absl::Now());
+    }
+    absl::ReleasableMutexLock lock(&mutex_);
+    if (incoming.has_value() && call != call_) continue;  // of a call that was given up meanwhile
+    if (!incoming.has_value()) {
+      const absl::Time now = absl::Now();
+      const bool is_silent = call != nullptr && call == call_ &&
+                             client_->replicas_->MayMove(*route_) &&
+                             now >= open_->waits_since() + client_->options().call_timeout;
+      if (is_silent) Break(absl::DeadlineExceededError("no answer in time"));
+      if (now < deadline) continue;
+      return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
+    }
+    if (!incoming->ok()) {
+      if (absl::Status ended = TakeEnd(incoming->status()); !ended.ok()) return ended;
+      continue;
+    }
+    v1::ActRequest find;
+    auto reply = TakeResponse(std::move((*incoming)->response), (*incoming)->arrived, &find);
+    if (!reply.has_value()) continue;
+    lock.Release();
+    // A call outside of the stream finds the session, or brings its server up to date.
+    if (!find.session_id().empty()) (*reply)->response = (*reply)->session->Decide(find);
+    return *std::move(reply);
+  }
+}
+
+std::optional<absl::StatusOr<ActReply>> RemoteStream::TakeResponse(
+    v1::ActResponse response, std::chrono::steady_clock::time_point arrived, v1::ActRequest* find) {
+  auto request = open_->Take(response.session_id());
+  if (!request.has_value()) {
+    return absl::InternalError(absl::StrCat(
+        "session_id: expected one with a request under way, received ", response.session_id()));
+  }
+  schedule_.reset();
+  client_->replicas_->Answered(*route_, *replica_);
+  RemoteSession* session = request->session;
+  ActReply reply = {.session_id = response.session_id(),
+                    .step = response.step(),
+                    .response = v1::ActResponse(),
+                    .arrived = arrived,
+                    .session = session};
+  if (response.has_error()) {
+    reply.response = StatusOfItem(response.error());
+    const absl::Status& error = reply.response.status();
+    if (session == nullptr) return reply;
+    if (Postpone(error, &*request)) return std::nullopt;
+    if (IsSessionLost(error) || ExpectedDecision(error).has_value()) {
+      *find = std::move(request->request);
+    }
+    return reply;
+  }
+  reply.response = std::move(response);
+  if (session != nullptr) {
+    absl::Status accepted = session->Accept(*reply.response);
+    if (!accepted.ok()) reply.response = std::move(accepted);
+  }
+  return reply;
+}
 
 }  // namespace spikeserve

@@ -48,11 +48,15 @@ RetrySchedule::RetrySchedule(const RetryOptions& options, const std::string& key
       backoff_(options.initial_backoff) {}
 
 std::optional<absl::Duration> RetrySchedule::DelayAfter(const absl::Status& status) {
-  ++attempts_;
   if (!IsRetryable(status) && !IsRefusedForNow(status)) return std::nullopt;
+  return NextDelay(RetryAfter(status));
+}
+
+std::optional<absl::Duration> RetrySchedule::NextDelay(std::optional<absl::Duration> named) {
+  ++attempts_;
   if (options_.max_attempts.has_value() && attempts_ >= *options_.max_attempts) return std::nullopt;
   absl::Duration delay;
-  if (const auto named = RetryAfter(status)) {
+  if (named.has_value()) {
     delay = *named * std::uniform_real_distribution<double>(1.0, 1.1)(random_);
   } else {
     delay = backoff_ * std::uniform_real_distribution<double>(0.5, 1.0)(random_);

@@ -3,6 +3,8 @@
 #include <string>
 
 #include "absl/strings/cord.h"
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
@@ -12,30 +14,55 @@ namespace {
 
 // URLs of the payloads that a status carries.
 constexpr char kRetryInfo[] = "type.googleapis.com/google.rpc.RetryInfo";
+constexpr char kErrorInfo[] = "type.googleapis.com/google.rpc.ErrorInfo";
 constexpr char kSessionLost[] = "spikeserve.session_lost";
+constexpr char kDiverged[] = "spikeserve.diverged";
+
+constexpr char kExpectedDecision[] = "expected_decision";  // in the metadata of ErrorInfo
+
+std::optional<uint64_t> ParseNumber(const std::string& text) {
+  uint64_t number = 0;
+  if (!absl::SimpleAtoi(text, &number)) return std::nullopt;
+  return number;
+}
 
 }  // namespace
 
 absl::Status StatusFromGrpc(const grpc::Status& status) {
-  absl::Status converted = StatusFromCode(status.error_code(), status.error_message());
+  // A proxy resets the calls of a server that is gone: nginx with INTERNAL_ERROR, HAProxy with
+  // CANCEL. gRPC makes INTERNAL and CANCELLED of them. UNAVAILABLE says what they mean.
+  const bool is_reset = status.error_code() == grpc::StatusCode::INTERNAL ||
+                        status.error_code() == grpc::StatusCode::CANCELLED;
+  const auto code = is_reset && absl::StrContains(status.error_message(), "RST_STREAM")
+                        ? grpc::StatusCode::UNAVAILABLE
+                        : status.error_code();
+  absl::Status converted = StatusFromCode(code, status.error_message());
   google::rpc::Status details;
   if (converted.ok() || !details.ParseFromString(status.error_details())) return converted;
   for (const auto& detail : details.details()) {
-    if (detail.type_url() == kRetryInfo)
-      converted.SetPayload(kRetryInfo, absl::Cord(detail.value()));
+    for (const char* url : {kRetryInfo, kErrorInfo}) {
+      if (detail.type_url() == url) converted.SetPayload(url, absl::Cord(detail.value()));
+    }
   }
   return converted;
 }
 
 absl::Status StatusFromCode(int32_t code, absl::string_view message,
-                            std::optional<double> retry_after_seconds) {
+                            std::optional<double> retry_after_seconds,
+                            std::optional<uint64_t> expected_decision) {
   // The codes of absl have the same numbers as those of gRPC.
   constexpr int32_t kLastCode = static_cast<int32_t>(absl::StatusCode::kUnauthenticated);
   if (code < 0 || code > kLastCode) {
     return absl::UnknownError(absl::StrCat("status code ", code, ": ", message));
   }
   absl::Status status(static_cast<absl::StatusCode>(code), message);
-  if (status.ok() || !retry_after_seconds.has_value()) return status;
+  if (status.ok()) return status;
+  if (expected_decision.has_value()) {
+    google::rpc::ErrorInfo info;
+    (*info.mutable_metadata())[kExpectedDecision] = absl::StrCat(*expected_decision);
+    status.SetPayload(kErrorInfo, absl::Cord(info.SerializeAsString()));
+  }
+  if (!retry_after_seconds.has_value()) return status;
   google::rpc::RetryInfo info;
   absl::Duration rest;
   const absl::Duration delay = absl::Seconds(*retry_after_seconds);
@@ -51,6 +78,27 @@ std::optional<absl::Duration> RetryAfter(const absl::Status& status) {
   if (!payload.has_value() || !info.ParseFromString(std::string(*payload))) return std::nullopt;
   return absl::Seconds(info.retry_delay().seconds()) +
          absl::Nanoseconds(info.retry_delay().nanos());
+}
+
+std::optional<uint64_t> ExpectedDecision(const absl::Status& status) {
+  const auto payload = status.GetPayload(kErrorInfo);
+  google::rpc::ErrorInfo info;
+  if (!payload.has_value() || !info.ParseFromString(std::string(*payload))) return std::nullopt;
+  const auto found = info.metadata().find(kExpectedDecision);
+  return found == info.metadata().end() ? std::nullopt : ParseNumber(found->second);
+}
+
+std::optional<uint64_t> DivergedAt(const absl::Status& status) {
+  const auto payload = status.GetPayload(kDiverged);
+  return payload.has_value() ? ParseNumber(std::string(*payload)) : std::nullopt;
+}
+
+absl::Status DivergedError(absl::string_view session_id, uint64_t decision) {
+  absl::Status status = absl::DataLossError(
+      absl::StrCat("session ", session_id, ": expected the answer of decision ", decision,
+                   " that was received before, received another one"));
+  status.SetPayload(kDiverged, absl::Cord(absl::StrCat(decision)));
+  return status;
 }
 
 bool IsSessionLost(const absl::Status& status) {

@@ -1,4 +1,4 @@
-// The server that a client program calls if no flag names one.
+// The servers that a client program calls if no flag names them.
 #ifndef CLIENT_TOOLS_DEFAULT_SERVER_H_
 #define CLIENT_TOOLS_DEFAULT_SERVER_H_
 
@@ -6,8 +6,8 @@
 
 namespace spikeserve {
 
-// Returns the environment variable SPIKESERVE_SERVER, or 127.0.0.1:50051 if it is not set. Safe to
-// call from many threads.
+// Returns the environment variable SPIKESERVE_SERVER, one address or several separated by commas,
+// or 127.0.0.1:50051 if it is not set. Safe to call from many threads.
 std::string DefaultServer();
 
 // Stops gRPC's own log lines on standard error, unless the environment variable GRPC_VERBOSITY asks

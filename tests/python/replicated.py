@@ -94,19 +94,19 @@ class Fleet:
 
 
 @contextlib.contextmanager
-def running_fleet(*flags):
-    """Starts Redis and three replicas and yields the Fleet."""
+def running_fleet(*flags, replicas=REPLICAS, http=False):
+    """Starts Redis and the replicas, which have HTTP ports if `http`, and yields the Fleet."""
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         redis = Redis(pathlib.Path(folder))
         stack.callback(redis.kill)
         redis.start()
-        replicas = []
-        for _ in range(REPLICAS):
-            replica = RestartableServer(f"--session_store={redis.store}", *flags)
+        started = []
+        for _ in range(replicas):
+            replica = RestartableServer(f"--session_store={redis.store}", *flags, http=http)
             stack.callback(replica.kill)
             replica.start()
-            replicas.append(replica)
-        yield Fleet(redis, replicas)
+            started.append(replica)
+        yield Fleet(redis, started)
 
 
 def options_of(i, durability):

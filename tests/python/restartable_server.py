@@ -11,14 +11,16 @@ from serving import DEADLINE_SECONDS, SHIPPED_POLICIES
 class RestartableServer:
     """Its first start picks a free port of `host`; later starts use the same one.
 
-    `prefix` is a command that runs the server in its own process, such as nsenter.
+    `prefix` is a command that runs the server in its own process, such as nsenter. The server has an HTTP port, at
+    `http_address`, if `http` is true.
     """
 
-    def __init__(self, *flags, host="127.0.0.1", prefix=()):
+    def __init__(self, *flags, host="127.0.0.1", prefix=(), http=False):
         self._flags = flags
         self._prefix = prefix
         self._process = None
         self.address = f"{host}:0"
+        self.http_address = f"{host}:0" if http else ""
 
     def start(self):
         """Starts the server and waits until it listens."""
@@ -28,16 +30,21 @@ class RestartableServer:
                 os.environ["SPIKESERVE_PROGRAM"],
                 f"--policies={SHIPPED_POLICIES}",
                 f"--listen={self.address}",
-                "--http_listen=",
+                f"--http_listen={self.http_address}",
                 *self._flags,
             ],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
         )
+        self.address = self._announced("gRPC")
+        if self.http_address:
+            self.http_address = self._announced("HTTP")
+
+    def _announced(self, protocol):
         line = self._process.stdout.readline()
-        assert line.startswith("spikeserve: serving gRPC on "), line
-        self.address = line.split()[-1]
+        assert line.startswith(f"spikeserve: serving {protocol} on "), line
+        return line.split()[-1]
 
     def kill(self):
         """Kills the server without a chance to say goodbye. Its sessions are lost."""

@@ -140,8 +140,7 @@ def flags_of(program, *command):
 def test_spikectl_run_has_every_option():
     flags = flags_of("SPIKECTL_PROGRAM", "run")
     # The switch --learn selects the scope. --scope is that of adapt.
-    # The C++ client stays at one server, so that it has no use for a durability of its own.
-    options = fields_of("OpenSessionRequest") - {"learning", "durability"} | {"learn"}
+    options = fields_of("OpenSessionRequest") - {"learning"} | {"learn"}
     learning = fields_of("LearningConfig") - {"scope"}
     assert options | learning <= flags
     assert learning | {"scope"} <= flags_of("SPIKECTL_PROGRAM", "adapt")

@@ -54,6 +54,9 @@ class Calls:
     async def close(self, session):
         session.close()
 
+    def leave(self):
+        """Ends what the player has started."""
+
 
 class Batches(Calls):
     """Plays with one batch for each step."""
@@ -130,6 +133,17 @@ async def play(server, player_class, durability, disturb=lambda t: None):
     client = (spikeserve.AsyncClient if is_async else spikeserve.Client)(server, OPTIONS)
     player = player_class(client)
     levels = durability if isinstance(durability, list) else [durability]
+    try:
+        answers = await answers_of(player, levels, disturb)
+    finally:
+        player.leave()
+    closed = client.close()
+    if is_async:
+        await closed
+    return answers
+
+
+async def answers_of(player, levels, disturb):
     sessions = [await player.open(i, levels[i % len(levels)]) for i in range(SESSIONS)]
     answers = [[] for _ in sessions]
     for episode in range(EPISODES):
@@ -144,9 +158,6 @@ async def play(server, player_class, durability, disturb=lambda t: None):
         answers[i].append(comparable_state(await player.state(session)))
         await player.close(session)
         await player.close(session)  # does nothing
-    closed = client.close()
-    if is_async:
-        await closed
     return answers
 
 
@@ -156,22 +167,26 @@ def undisturbed():
         return asyncio.run(play(server.grpc, Calls, "NONE"))
 
 
-@pytest.fixture(params=PLAYERS, ids=lambda player: player.__name__)
-def disturbed(fleet, undisturbed, request):
-    """Returns a function that plays with disturbances by decision and compares the answers."""
+def disturbing(fleet, undisturbed, player):
+    """Yields a function that plays with disturbances by decision and compares the answers."""
 
     def run(durability, disturbances):
         def disturb(t):
             if t in disturbances:
                 disturbances[t]()
 
-        answers = asyncio.run(play(fleet.addresses, request.param, durability, disturb))
+        answers = asyncio.run(play(fleet.addresses, player, durability, disturb))
         assert answers == undisturbed
 
     yield run
     for replica in fleet.replicas:
         replica.kill()
         replica.start()
+
+
+@pytest.fixture(params=PLAYERS, ids=lambda player: player.__name__)
+def disturbed(fleet, undisturbed, request):
+    yield from disturbing(fleet, undisturbed, request.param)
 
 
 BOTH = ["ASYNC"] * 4 + ["SYNC"] * 4  # each kind of session with both levels

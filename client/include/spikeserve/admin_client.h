@@ -5,6 +5,8 @@
 //   request.set_policy("cartpole");
 //   auto response = (*admin)->SetDefaultVersion(request);
 //
+// With several servers (Client), a call goes to any of them that answers.
+//
 // Thread-safe.
 #ifndef SPIKESERVE_ADMIN_CLIENT_H_
 #define SPIKESERVE_ADMIN_CLIENT_H_
@@ -15,11 +17,8 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "spikeserve/client.h"
-#include "spikeserve/retry.h"
-#include "spikeserve/status.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
 namespace spikeserve {
@@ -32,7 +31,7 @@ class AdminClient {
  public:
   // As Client::Connect. `options.call_timeout` is ignored: each attempt may take kAdminTimeout.
   static absl::StatusOr<std::unique_ptr<AdminClient>> Connect(
-      const std::string& server, ClientOptions options = {},
+      const std::string& servers, ClientOptions options = {},
       absl::Duration patience = absl::Seconds(3));
 
   // Every method returns the server's code and message on an error. Methods that have the same
@@ -71,25 +70,20 @@ class AdminClient {
                                                                               const Request&,
                                                                               Response*),
                                 const Request& request, bool repeatable) {
-    RetrySchedule schedule(retry_, std::string(Request::descriptor()->name()));
-    while (true) {
-      grpc::ClientContext context;
-      context.set_deadline(absl::ToChronoTime(absl::Now() + kAdminTimeout));
-      Response response;
-      const absl::Status status = StatusFromGrpc(((*stub_).*method)(&context, request, &response));
-      if (status.ok()) return response;
-      const auto delay = schedule.DelayAfter(status);
-      if (!delay.has_value() || !(repeatable || IsRefusedForNow(status))) return status;
-      retry_.sleep(*delay);
-    }
+    Response response;
+    const absl::Status status = client_->CallOther(
+        kAdminTimeout, repeatable,
+        [&](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
+          return ((*v1::PolicyAdmin::NewStub(channel)).*method)(context, request, &response);
+        });
+    if (!status.ok()) return status;
+    return response;
   }
 
  private:
-  AdminClient(std::unique_ptr<Client> client, RetryOptions retry);
+  explicit AdminClient(std::unique_ptr<Client> client);
 
-  const std::unique_ptr<Client> client_;  // owns the channel
-  const std::unique_ptr<v1::PolicyAdmin::Stub> stub_;
-  const RetryOptions retry_;
+  const std::unique_ptr<Client> client_;
 };
 
 }  // namespace spikeserve

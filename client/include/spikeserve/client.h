@@ -7,6 +7,10 @@
 //
 // For one session, RemoteSession (remote_session.h) is simpler: it keeps count of the steps.
 //
+// Several addresses, separated by commas, are those of servers that share their sessions in one
+// store (docs/fleet.md). Each session prefers one of them, the same one in all clients, and its
+// calls go to another one while that one is away.
+//
 // Thread-safe.
 #ifndef SPIKESERVE_CLIENT_H_
 #define SPIKESERVE_CLIENT_H_
@@ -18,6 +22,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
@@ -38,89 +43,128 @@ struct ClientOptions {
   absl::Status Validate() const;
 };
 
+// Names calls that go to one server together: those of a session, of a stream, or of all sessions
+// of a batch. Sessions without a store exist at one server only, so open them with the route of the
+// stream or batch that they are played on. With one server, routes have no effect but the metadata
+// `spikeserve-affinity`, by which a proxy may choose a server.
+struct Route;
+std::shared_ptr<Route> MakeRoute();
+
+class Attempts;
+class Replicas;
+struct Replica;
+
 class Client {
  public:
-  // Creates a client of the server at "HOST:PORT" on a new channel (MakeChannel), or on `channel`.
-  // Does not wait for the connection. Returns INVALID_ARGUMENT if `options` are not valid, and the
-  // errors of MakeChannel.
-  static absl::StatusOr<std::unique_ptr<Client>> Create(const std::string& server,
+  // Creates a client of the server at "HOST:PORT" or "unix:PATH", or of several of them, separated
+  // by commas, on new channels (MakeChannel), or of one server on `channel`. Does not wait for a
+  // connection. Returns INVALID_ARGUMENT if `servers` or `options` are not valid, and the errors of
+  // MakeChannel.
+  static absl::StatusOr<std::unique_ptr<Client>> Create(const std::string& servers,
                                                         ClientOptions options = {});
   static absl::StatusOr<std::unique_ptr<Client>> Create(std::shared_ptr<grpc::Channel> channel,
                                                         ClientOptions options = {});
 
-  // As Create, but waits for the connection. Returns UNAVAILABLE, with the cause, if there is none
-  // within `patience`.
+  // As Create, but waits until one server is connected. Returns UNAVAILABLE, with the causes, if
+  // none is within `patience`.
   static absl::StatusOr<std::unique_ptr<Client>> Connect(
-      const std::string& server, ClientOptions options = {},
+      const std::string& servers, ClientOptions options = {},
       absl::Duration patience = absl::Seconds(3));
 
-  // The channel of this client, for calls of other services.
-  const std::shared_ptr<grpc::Channel>& channel() const { return channel_; }
+  // Blocks until health checks of servers, which run in the background, have ended.
+  ~Client();
+
+  const ClientOptions& options() const { return options_; }
+
+  // Calls another service: makes attempts with `attempt` on the channel of a server that is not
+  // away, with a deadline of `timeout` each. After an error, repeats the call as `options().retry`
+  // says, at another server if there is one. If not `repeatable`, repeats it only if the server
+  // refused it for now. Returns the last status.
+  absl::Status CallOther(
+      absl::Duration timeout, bool repeatable,
+      absl::FunctionRef<grpc::Status(const std::shared_ptr<grpc::Channel>&, grpc::ClientContext*)>
+          attempt);
 
   // The methods below return the server's code and message on an error. After the last attempt they
   // return UNAVAILABLE if the server could not be reached, and DEADLINE_EXCEEDED if it did not
-  // answer within call_timeout. RetryAfter and IsSessionLost (status.h) say more about an error.
+  // answer within call_timeout. RetryAfter, IsSessionLost and ExpectedDecision (status.h) say more
+  // about an error. Without a `route`, a call takes the one of its session.
 
   absl::StatusOr<v1::ListPoliciesResponse> ListPolicies();
 
-  // Retried. If an answer is lost, the session that it opened stays idle until the server ends it.
-  absl::StatusOr<v1::OpenSessionResponse> OpenSession(const v1::OpenSessionRequest& request);
+  // Retried. Draws the id of the session if the request has none, so that a repeated attempt finds
+  // the session that an earlier one has opened.
+  absl::StatusOr<v1::OpenSessionResponse> OpenSession(
+      const v1::OpenSessionRequest& request, const std::shared_ptr<Route>& route = nullptr);
 
   // Retried: the server answers a repeated step with the stored answer, byte for byte.
-  absl::StatusOr<v1::ActResponse> Act(const v1::ActRequest& request);
+  absl::StatusOr<v1::ActResponse> Act(const v1::ActRequest& request,
+                                      const std::shared_ptr<Route>& route = nullptr);
 
   // Makes one attempt without blocking. Calls `done` once, on a thread of gRPC; `done` must not
   // block. The client must outlive the call.
   void ActAsync(const v1::ActRequest& request,
-                std::function<void(absl::StatusOr<v1::ActResponse>)> done);
+                std::function<void(absl::StatusOr<v1::ActResponse>)> done,
+                const std::shared_ptr<Route>& route = nullptr);
 
   // Makes one decision for each request and returns the results in the same order. The call is
-  // retried as a whole, and its items that the server refused for now are sent again. An item that
-  // failed has its own status, and may be sent again with the same step.
+  // retried as a whole, and its items that the server could not answer now are sent again. An item
+  // that failed has its own status, and may be sent again with the same step. Without a `route`,
+  // there is one call for each server that some of the sessions prefer.
   absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> ActBatch(
-      absl::Span<const v1::ActRequest> requests);
+      absl::Span<const v1::ActRequest> requests, const std::shared_ptr<Route>& route = nullptr);
 
-  // Opens a stream for any number of sessions.
-  std::unique_ptr<RemoteStream> OpenStream();
+  // Opens a stream for any number of sessions, on a route of its own if there is no `route`.
+  std::unique_ptr<RemoteStream> OpenStream(std::shared_ptr<Route> route = nullptr);
 
   // Retried: the server recognises a repeated request and counts the end of an episode once.
-  absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const v1::EndEpisodeRequest& request);
+  absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const v1::EndEpisodeRequest& request,
+                                                    const std::shared_ptr<Route>& route = nullptr);
 
   // Retried. With `include_head_delta`, the response holds W - W_base of the session's action head.
   absl::StatusOr<v1::GetSessionResponse> GetSession(const std::string& session_id,
-                                                    bool include_head_delta = false);
+                                                    bool include_head_delta = false,
+                                                    const std::shared_ptr<Route>& route = nullptr);
 
   // Retried.
-  absl::StatusOr<v1::ExplainResponse> Explain(const std::string& session_id);
+  absl::StatusOr<v1::ExplainResponse> Explain(const std::string& session_id,
+                                              const std::shared_ptr<Route>& route = nullptr);
 
   // Retried. Returns OK if a repeated attempt finds that the session does not exist any more.
-  absl::Status CloseSession(const std::string& session_id);
+  absl::Status CloseSession(const std::string& session_id,
+                            const std::shared_ptr<Route>& route = nullptr);
 
  private:
-  Client(std::shared_ptr<grpc::Channel> channel, ClientOptions options);
+  friend class RemoteSession;
+  friend class RemoteStream;
 
-  // Makes one attempt of the stub's `method`.
-  template <typename Request, typename Response>
-  absl::Status CallOnce(grpc::Status (v1::PolicyService::Stub::*method)(grpc::ClientContext*,
-                                                                        const Request&, Response*),
-                        const Request& request, Response* response);
+  // How a call is repeated.
+  struct Rules {
+    absl::Duration timeout;          // of each attempt
+    bool repeatable = true;          // also if it may have been carried out
+    bool not_found_is_done = false;  // NOT_FOUND after a failed attempt counts as OK
+  };
+  using BatchResults = std::vector<absl::StatusOr<v1::ActResponse>>;
 
-  template <typename Request, typename Response>
-  absl::StatusOr<Response> Call(grpc::Status (v1::PolicyService::Stub::*method)(
-                                    grpc::ClientContext*, const Request&, Response*),
-                                const Request& request, const std::string& key);
+  Client(std::unique_ptr<Replicas> replicas, ClientOptions options);
 
-  // As Call, for a request that names a session.
+  // Makes attempts of one call until one succeeds or `rules` and `attempts` allow no other one.
+  absl::Status Run(const Rules& rules, Attempts& attempts,
+                   absl::FunctionRef<grpc::Status(Replica&, grpc::ClientContext*)> attempt);
+
+  // Calls the stub's `method` for a request that names a session.
   template <typename Request, typename Response>
   absl::StatusOr<Response> CallOfSession(grpc::Status (v1::PolicyService::Stub::*method)(
                                              grpc::ClientContext*, const Request&, Response*),
-                                         const Request& request);
+                                         const Request& request,
+                                         const std::shared_ptr<Route>& route);
 
-  absl::StatusOr<std::vector<absl::StatusOr<v1::ActResponse>>> ActBatchOnce(
-      absl::Span<const v1::ActRequest> requests);
+  absl::StatusOr<BatchResults> ActBatchOnce(absl::Span<const v1::ActRequest> requests,
+                                            Attempts& attempts);
+  // Makes the decisions of `requests` at the server of `route`.
+  absl::StatusOr<BatchResults> ActBatchOn(absl::Span<const v1::ActRequest> requests, Route& route);
 
-  const std::shared_ptr<grpc::Channel> channel_;
-  const std::unique_ptr<v1::PolicyService::Stub> stub_;
+  const std::unique_ptr<Replicas> replicas_;
   const ClientOptions options_;
 };
 

@@ -1,27 +1,34 @@
 // One session of an agent on the server. Counts the steps, so that the server recognises repeated
 // requests.
 //
-//   RemoteSession session(client.get(), opened->session_id(), /*step=*/0);
-//   auto answer = session.Act(observation, reward);
-//   session.EndEpisode({.reward = last_reward, .terminated = true});
+//   auto session = RemoteSession::Open(client.get(), request);
+//   auto answer = session->Act(observation, reward);
+//   session->EndEpisode({.reward = last_reward, .terminated = true});
 //
-// The only state is the session id and the step. A restarted agent continues its session with
-// RemoteSession(&client, id, step): repeating the last answered step returns the same answer, byte
-// for byte, and the episode continues from there.
+// A restarted agent continues its session with RemoteSession(&client, id, step): repeating the last
+// answered step returns the same answer, byte for byte, and the episode continues from there.
+//
+// A session that is opened with Open and is stored (opening().durability() is ASYNC or SYNC)
+// outlives its server. It keeps the requests that the store may not have yet, and sends them again
+// to the server that goes on with the session. Calls return DATA_LOSS (DivergedAt) once if one of
+// them gets another answer than before.
 //
 // Not thread-safe. Several sessions may share one client from many threads.
 #ifndef SPIKESERVE_REMOTE_SESSION_H_
 #define SPIKESERVE_REMOTE_SESSION_H_
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
 #include "spikeserve/client.h"
+#include "spikeserve/unacknowledged.h"
 
 namespace spikeserve {
 
@@ -42,9 +49,11 @@ class RemoteSession {
   // Opens a session. If `reopens`, a session that the server has lost (IsSessionLost) is replaced
   // by a new one with the same request: Act then decides at step 0 of its first episode, and what
   // the lost session remembered and learned is gone. EndEpisode still returns the error, because
-  // the totals of the episode are lost. `client` must outlive the session.
+  // the totals of the episode are lost. The calls of the session take the way of `route`, or one of
+  // their own. `client` must outlive the session.
   static absl::StatusOr<RemoteSession> Open(Client* client, v1::OpenSessionRequest request,
-                                            bool reopens = false);
+                                            bool reopens = false,
+                                            std::shared_ptr<Route> route = nullptr);
 
   // `step` is the step of the next request: a new one, or the last answered one to repeat it.
   // `client` must outlive the session.
@@ -63,14 +72,25 @@ class RemoteSession {
       absl::Span<const float> observation, double reward,
       const std::optional<v1::Action>& executed_action = std::nullopt);
 
-  // Act in two parts, for ActBatch and streams. MakeRequest returns the request of this step;
-  // Accept takes its answer and advances the step, with the errors of Act.
+  // Act in two parts, for ActBatch and ActAsync. MakeRequest returns the request of this step;
+  // Accept takes the answer to the last one and advances the step, with the errors of Act.
   v1::ActRequest MakeRequest(absl::Span<const float> observation, double reward,
-                             const std::optional<v1::Action>& executed_action = std::nullopt) const;
+                             const std::optional<v1::Action>& executed_action = std::nullopt);
   absl::Status Accept(const v1::ActResponse& response);
+
+  // Brings a server up to date that does not have all decisions of the session, as `error` of such
+  // a request says (ExpectedDecision): sends again what it misses. Returns OK if the request may
+  // then be sent again, and `error` if there is nothing to send. Act and the other calls of this
+  // class, and streams, do this by themselves.
+  absl::Status CatchUp(const absl::Status& error);
 
   // Ends the episode and sets the step to 0. On an error the step stays. Errors: see Client.
   absl::StatusOr<v1::EndEpisodeResponse> EndEpisode(const EpisodeOutcome& outcome);
+
+  // Return the state of the session on the server, and its last decision from the inside, as the
+  // methods of Client, but never from a server that does not have all decisions.
+  absl::StatusOr<v1::GetSessionResponse> State(bool include_head_delta = false);
+  absl::StatusOr<v1::ExplainResponse> Explain();
 
   // The response to the request that opened the session; empty if it was not opened by Open.
   const v1::OpenSessionResponse& opening() const { return opening_; }
@@ -84,12 +104,31 @@ class RemoteSession {
   absl::Status OpenAgain();
 
   // Ends the session on the server.
-  absl::Status Close() { return client_->CloseSession(session_id_); }
+  absl::Status Close() { return client_->CloseSession(session_id_, route_); }
+
+  // The way of the calls of the session; null: that of its id.
+  const std::shared_ptr<Route>& route() const { return route_; }
 
  private:
+  friend class RemoteStream;
+
+  // Makes `call` until the server has all decisions. Returns its last result.
+  template <typename Response>
+  absl::StatusOr<Response> CallUpToDate(absl::FunctionRef<absl::StatusOr<Response>()> call,
+                                        bool reads = false);
+  // Act, for a request of MakeRequest.
+  absl::StatusOr<v1::ActResponse> Decide(const v1::ActRequest& request);
+  absl::Status CatchUp(const absl::Status& error, bool reads);
+
   Client* client_;
   std::string session_id_;
   int64_t step_;
+  std::shared_ptr<Route> route_;
+  // The number of the next decision, and of the episode. Absent if the session was not opened here.
+  std::optional<uint64_t> decision_;
+  std::optional<int64_t> episode_;
+  std::optional<Unacknowledged> unacknowledged_;     // absent: the session is not stored
+  v1::ActRequest request_;                           // the last one; empty if not stored
   std::optional<v1::OpenSessionRequest> reopening_;  // absent: a lost session stays lost
   v1::OpenSessionResponse opening_;
   int reopened_ = 0;

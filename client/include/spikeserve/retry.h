@@ -51,6 +51,8 @@ class RetrySchedule {
   // Returns the delay before the next attempt, or nothing if there is none: after an error that
   // would repeat itself, after the last attempt, and if the delay would exceed max_elapsed.
   std::optional<absl::Duration> DelayAfter(const absl::Status& status);
+  // As DelayAfter, after any error. `named` is the time of the next try that the server named.
+  std::optional<absl::Duration> NextDelay(std::optional<absl::Duration> named);
 
  private:
   const RetryOptions& options_;

@@ -1,5 +1,5 @@
-// Converts gRPC statuses to absl::Status. Keeps the code, the message and the time of the next try
-// that the server sent.
+// Converts gRPC statuses to absl::Status. Keeps the code, the message, the time of the next try and
+// the expected decision that the server sent.
 //
 // Free functions, safe to call from many threads.
 #ifndef SPIKESERVE_STATUS_H_
@@ -20,13 +20,27 @@ namespace spikeserve {
 absl::Status StatusFromGrpc(const grpc::Status& status);
 
 // Converts the status of one item of a batch or a stream. `code` is the number of a gRPC status
-// code; any other number becomes UNKNOWN. `retry_after_seconds` is that of the item, if it has one.
+// code; any other number becomes UNKNOWN. `retry_after_seconds` and `expected_decision` are those
+// of the item, if it has them.
 absl::Status StatusFromCode(int32_t code, absl::string_view message,
-                            std::optional<double> retry_after_seconds = std::nullopt);
+                            std::optional<double> retry_after_seconds = std::nullopt,
+                            std::optional<uint64_t> expected_decision = std::nullopt);
 
 // Returns the time after which the server expects that the call may succeed, if it named one
 // (google.rpc.RetryInfo).
 std::optional<absl::Duration> RetryAfter(const absl::Status& status);
+
+// Returns the number of the decision that the session expects, if the request was out of order and
+// the server said so.
+std::optional<uint64_t> ExpectedDecision(const absl::Status& status);
+
+// Returns the number of the decision if `status` says that a request, which was sent again after
+// the loss of a server, got another answer than before. For the end of an episode: the number of
+// the decision that follows. The session goes on from the new answer.
+std::optional<uint64_t> DivergedAt(const absl::Status& status);
+
+// Returns DATA_LOSS, for which DivergedAt returns `decision`.
+absl::Status DivergedError(absl::string_view session_id, uint64_t decision);
 
 // Returns whether the server does not know the session of the call any more, because it was
 // restarted or has ended the session.

@@ -14,18 +14,17 @@ int main(int argc, char** argv) {
   }
   spikeserve::v1::OpenSessionRequest request;
   request.set_policy("cartpole");
-  const auto opened = (*client)->OpenSession(request);
-  if (!opened.ok()) {
-    std::cerr << opened.status() << std::endl;
+  auto session = spikeserve::RemoteSession::Open(client->get(), request);
+  if (!session.ok()) {
+    std::cerr << session.status() << std::endl;
     return 1;
   }
-  spikeserve::RemoteSession session(client->get(), opened->session_id(), /*step=*/0);
   const std::vector<float> observation = {0.0f, 0.0f, 0.1f, 0.0f};
-  const auto answer = session.Act(observation, /*reward=*/0.0);
+  const auto answer = session->Act(observation, /*reward=*/0.0);
   if (!answer.ok()) {
     std::cerr << answer.status() << std::endl;
     return 1;
   }
   std::cout << "action " << answer->action().discrete() << std::endl;
-  return session.Close().ok() ? 0 : 1;
+  return session->Close().ok() ? 0 : 1;
 }

@@ -69,7 +69,7 @@ TEST_F(RemoteSessionTest, ARestartedAgentGetsItsLastAnswerAgain) {
 }
 
 TEST_F(RemoteSessionTest, MakesTheRequestOfItsStep) {
-  const RemoteSession session(client_.get(), "mine", 4);
+  RemoteSession session(client_.get(), "mine", 4);
   const v1::ActRequest request = session.MakeRequest(observation_, -0.25);
   EXPECT_EQ(request.session_id(), "mine");
   EXPECT_EQ(request.step(), 4);

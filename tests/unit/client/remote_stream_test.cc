@@ -81,10 +81,13 @@ TEST_F(RemoteStreamTest, CloseSendLetsTheServerFinish) {
   EXPECT_TRUE(absl::IsOutOfRange(stream->Receive(kPatience).status()));
 }
 
-TEST_F(RemoteStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
+TEST_F(RemoteStreamTest, ABrokenStreamStaysBrokenWithoutRetries) {
+  ClientOptions options;
+  options.retry.max_attempts = 1;
+  const auto client = *Client::Create(fake_.channel(), options);
   RemoteSession session = Open();
   fake_.BreakNextStream({grpc::StatusCode::UNAVAILABLE, "draining"});
-  const auto broken = client_->OpenStream();
+  const auto broken = client->OpenStream();
   ASSERT_TRUE(broken->Send(session.MakeRequest({}, 0.0)).ok());
   const auto first = broken->Receive(kPatience);
   ASSERT_TRUE(first.ok()) << first.status();
@@ -99,6 +102,73 @@ TEST_F(RemoteStreamTest, ABrokenStreamGivesItsStatusAndTheStepsGoOnElsewhere) {
   ASSERT_TRUE(again.ok()) << again.status();
   EXPECT_EQ(again->response->SerializeAsString(), first->response->SerializeAsString());
   EXPECT_EQ(fake_.decisions(), 1);
+}
+
+TEST_F(RemoteStreamTest, AStreamThatBreaksGoesOnByItself) {
+  constexpr int kSessions = 10;
+  std::vector<RemoteSession> sessions;
+  for (int i = 0; i < kSessions; ++i) sessions.push_back(Open());
+  const auto stream = client_->OpenStream();
+  for (int step = 0; step < 5; ++step) {
+    fake_.BreakNextStream({step % 2 == 0 ? grpc::StatusCode::UNAVAILABLE
+                                         : grpc::StatusCode::CANCELLED,  // as proxies do
+                           "draining"});
+    for (RemoteSession& session : sessions) ASSERT_TRUE(stream->Send(&session, {}, 0.0).ok());
+    for (int i = 0; i < kSessions; ++i) {
+      const auto reply = stream->Receive(kPatience);
+      ASSERT_TRUE(reply.ok()) << reply.status();
+      ASSERT_TRUE(reply->response.ok()) << reply->response.status();
+      EXPECT_EQ(reply->session->session_id(), reply->session_id);
+      EXPECT_EQ(reply->session->step(), step + 1);
+    }
+  }
+  EXPECT_EQ(fake_.decisions(), 5 * kSessions);
+}
+
+TEST_F(RemoteStreamTest, AnIdleStreamThatBreaksIsOpenedByTheNextRequest) {
+  RemoteSession session = Open();
+  const auto stream = client_->OpenStream();
+  fake_.BreakNextStream({grpc::StatusCode::UNAVAILABLE, "draining"});
+  ASSERT_TRUE(stream->Send(&session, {}, 0.0).ok());
+  ASSERT_TRUE(stream->Receive(kPatience).ok());
+  EXPECT_EQ(stream->Receive(kPatience).status(), absl::UnavailableError("draining"));
+  ASSERT_TRUE(stream->Send(&session, {}, 0.0).ok());
+  const auto reply = stream->Receive(kPatience);
+  ASSERT_TRUE(reply.ok()) << reply.status();
+  EXPECT_TRUE(reply->response.ok()) << reply->response.status();
+}
+
+TEST_F(RemoteStreamTest, ASessionHasOneRequestUnderWay) {
+  RemoteSession session = Open();
+  const auto stream = client_->OpenStream();
+  ASSERT_TRUE(stream->Send(&session, {}, 0.0).ok());
+  EXPECT_TRUE(absl::IsInvalidArgument(stream->Send(&session, {}, 0.0)));
+  EXPECT_TRUE(stream->Receive(kPatience).ok());
+  EXPECT_TRUE(stream->Send(&session, {}, 0.0).ok());
+}
+
+TEST_F(RemoteStreamTest, ALostSessionIsReplacedOnRequest) {
+  auto lost = RemoteSession::Open(client_.get(), {});
+  auto reopened = RemoteSession::Open(client_.get(), {}, /*reopens=*/true);
+  ASSERT_TRUE(lost.ok() && reopened.ok());
+  const auto stream = client_->OpenStream();
+  for (RemoteSession* session : {&*lost, &*reopened}) {
+    ASSERT_TRUE(stream->Send(session, {}, 0.0).ok());
+    ASSERT_TRUE(stream->Receive(kPatience)->response.ok());
+    ASSERT_TRUE(client_->CloseSession(session->session_id()).ok());
+  }
+  ASSERT_TRUE(stream->Send(&*lost, {}, 1.0).ok());
+  ASSERT_TRUE(stream->Send(&*reopened, {}, 1.0).ok());
+  for (int i = 0; i < 2; ++i) {
+    const auto reply = stream->Receive(kPatience);
+    ASSERT_TRUE(reply.ok()) << reply.status();
+    if (reply->session == &*lost) {
+      EXPECT_TRUE(IsSessionLost(reply->response.status())) << reply->response.status();
+    } else {
+      EXPECT_EQ(reply->response->step(), 0);
+    }
+  }
+  EXPECT_EQ(reopened->reopened(), 1);
 }
 
 TEST_F(RemoteStreamTest, MayBeDroppedWithRequestsUnderWay) {

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from spikeserve.async_session import AsyncSession
 from spikeserve.connection import AsyncConnection, StreamOpener
-from spikeserve.errors import SessionLostError, SpikeserveError, make_error
+from spikeserve.errors import SessionLostError, SpikeserveError, code_of_end, make_error
 from spikeserve.open_requests import (
     OpenRequest,
     OpenRequests,
@@ -144,10 +144,11 @@ class AsyncActStream:
         except grpc.RpcError:
             # The error of a read may only say that the call has ended; its status says why.
             code, details = await self._call.code(), await self._call.details()
-            # A proxy cancels the streams of a server that is gone.
+            # A proxy may cancel the streams of a server that is gone.
             if details == _CORE_ERROR or code == grpc.StatusCode.CANCELLED:
                 code = grpc.StatusCode.UNAVAILABLE
-            return make_error("ActStream", code, details or "")
+            details = details or ""
+            return make_error("ActStream", code_of_end(code, details), details)
         return stream_ended() if reply is grpc.aio.EOF else reply
 
     async def _read_in_time(self) -> Any:

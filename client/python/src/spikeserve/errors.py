@@ -136,10 +136,19 @@ def make_error(
 
 def error_of_call(call: str, error: grpc.RpcError) -> SpikeserveError:
     """Returns the exception for an error of grpc or grpc.aio."""
-    details = details_of(error)
-    return make_error(
-        call, error.code(), error.details() or "", details.retry_delay, details.expected_decision
-    )
+    details, message = details_of(error), error.details() or ""
+    code = code_of_end(error.code(), message)
+    return make_error(call, code, message, details.retry_delay, details.expected_decision)
+
+
+def code_of_end(code: grpc.StatusCode, message: str) -> grpc.StatusCode:
+    """Returns the code of a call that ended with a code and message of grpc.
+
+    A proxy resets the calls of a server that is gone: nginx with INTERNAL_ERROR, HAProxy with
+    CANCEL. gRPC makes INTERNAL and CANCELLED of them. UNAVAILABLE says what they mean.
+    """
+    is_reset = code in (grpc.StatusCode.INTERNAL, grpc.StatusCode.CANCELLED)
+    return grpc.StatusCode.UNAVAILABLE if is_reset and "RST_STREAM" in message else code
 
 
 def error_of_item(call: str, item: Any) -> SpikeserveError:

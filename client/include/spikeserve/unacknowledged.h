@@ -1,0 +1,69 @@
+// The requests of a session that its store may not have yet. RemoteSession uses it.
+//
+// A server answers a session of durability ASYNC before the store has the decision. If the server
+// is lost then, the next one expects an older decision. These requests are sent again, in order,
+// and get the same answers, because a decision depends only on the requests of its session.
+//
+// Not thread-safe.
+#ifndef SPIKESERVE_UNACKNOWLEDGED_H_
+#define SPIKESERVE_UNACKNOWLEDGED_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <variant>
+
+#include "absl/status/status.h"
+#include "spikeserve/v1/policy_service.pb.h"
+
+namespace spikeserve {
+
+class Client;
+struct Route;
+
+class Unacknowledged {
+ public:
+  // Adds an answered request, and drops those that the store has, as the answer says, except the
+  // last one. `decision` is the number of the decision, or of the one that follows the end of an
+  // episode. Keeps at most 256 decisions, which a server lets wait for the store at most.
+  void Add(uint64_t decision, v1::ActRequest request, v1::ActResponse answer);
+  void Add(uint64_t decision, v1::EndEpisodeRequest request, v1::EndEpisodeResponse answer);
+
+  size_t size() const { return answered_.size(); }
+  // Returns whether all requests from `decision` on are here, and at least one.
+  bool Covers(uint64_t decision) const;
+
+  // Sends all requests from `decision` on again, in order. Returns DATA_LOSS (DivergedAt) if one of
+  // them gets another answer than before; the new answers count from then on. Returns OK if a
+  // server cannot answer now: the call that follows says what is still missing.
+  absl::Status SendAgain(uint64_t decision, Client* client, const std::shared_ptr<Route>& route);
+  // Sends the last request again. A server whose copy of the session is an old one claims the
+  // session for it. REQUIRES: size() > 0.
+  absl::Status SendLastAgain(Client* client, const std::shared_ptr<Route>& route);
+
+ private:
+  struct Act {
+    v1::ActRequest request;
+    v1::ActResponse answer;
+  };
+  struct End {
+    v1::EndEpisodeRequest request;
+    v1::EndEpisodeResponse answer;
+  };
+  struct Answered {
+    uint64_t decision;
+    std::variant<Act, End> exchange;
+  };
+  using Iterator = std::deque<Answered>::iterator;
+
+  // Sends the acts in [begin, end) again with one call.
+  absl::Status ActAgain(Iterator begin, Iterator end, Client* client,
+                        const std::shared_ptr<Route>& route);
+
+  std::deque<Answered> answered_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SPIKESERVE_UNACKNOWLEDGED_H_

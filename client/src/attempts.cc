@@ -1,0 +1,36 @@
+#include "client/src/attempts.h"
+
+#include "spikeserve/status.h"
+
+namespace spikeserve {
+
+Attempts::Attempts(Replicas* replicas, Route* route, const RetryOptions& retry, bool names_session)
+    : replicas_(replicas),
+      route_(route),
+      names_session_(names_session),
+      schedule_(retry, route->key),
+      replica_(replicas->Choose(*route)) {}
+
+std::optional<absl::Duration> Attempts::DelayAfter(const absl::Status& error,
+                                                   absl::Duration timeout) {
+  const bool is_missing = names_session_ && absl::IsNotFound(error);
+  if (!replicas_->MayMove(*route_) || !(is_missing || IsRetryable(error))) {
+    return schedule_.DelayAfter(error);
+  }
+  if (is_missing) {
+    // Another replica may hold a session that the store has lost.
+    without_.insert(replica_);
+    if (without_.size() == replicas_->size()) return std::nullopt;
+  } else if (absl::IsDeadlineExceeded(error)) {
+    replicas_->Failed(*replica_, timeout);
+  } else {
+    replicas_->Failed(*replica_);
+  }
+  tried_.insert(replica_);
+  const bool all_tried = tried_.size() == replicas_->size();
+  if (all_tried) tried_ = without_;
+  replica_ = replicas_->Choose(*route_, tried_);
+  return schedule_.NextDelay(all_tried ? RetryAfter(error) : std::nullopt);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,48 @@
+// Counts the failed attempts of one call, and decides what follows each of them: a pause, and the
+// replica of the next attempt.
+//
+// Not thread-safe.
+#ifndef CLIENT_SRC_ATTEMPTS_H_
+#define CLIENT_SRC_ATTEMPTS_H_
+
+#include <optional>
+#include <set>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "client/src/replicas.h"
+#include "spikeserve/retry.h"
+
+namespace spikeserve {
+
+class Attempts {
+ public:
+  // `names_session` says whether the call names a session, which another replica may have if this
+  // one does not know it. The arguments must outlive the object.
+  Attempts(Replicas* replicas, Route* route, const RetryOptions& retry, bool names_session);
+
+  // The replica of the next attempt.
+  Replica& replica() const { return *replica_; }
+  Route& route() const { return *route_; }
+
+  // Notes that `replica` answered the call.
+  void Answered() { replicas_->Answered(*route_, *replica_); }
+
+  // Returns the delay before the call, or a part of it, is sent again to `replica`, or nothing if
+  // there is no next attempt. Chooses another replica if `error` says that this one cannot answer
+  // now. `timeout` is that of the failed attempt.
+  std::optional<absl::Duration> DelayAfter(const absl::Status& error, absl::Duration timeout);
+
+ private:
+  Replicas* const replicas_;
+  Route* const route_;
+  const bool names_session_;
+  RetrySchedule schedule_;
+  std::set<const Replica*> tried_;
+  std::set<const Replica*> without_;  // those that do not know the session
+  Replica* replica_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_SRC_ATTEMPTS_H_

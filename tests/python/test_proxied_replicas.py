@@ -1,0 +1,204 @@
+"""Two replicas behind nginx, HAProxy and Envoy, with the configurations of deploy/: a lost replica is not noticed."""
+
+import asyncio
+import contextlib
+import os
+import pathlib
+import shutil
+import subprocess
+
+import grpc
+import pytest
+import spikeserve
+from replicated import EPISODES, SESSIONS, STEPS, free_port, options_of, policy_of, running_fleet
+from security import until
+from serving import DEADLINE_SECONDS, DEPLOY
+from test_cpp_replicas import CppCalls, CppStreams
+from test_replicas import AsyncCalls, AsyncStreams, Calls, Streams, answers_of, undisturbed  # noqa: F401
+
+OPTIONS = spikeserve.ClientOptions(
+    timeout=2.0, connect_timeout=DEADLINE_SECONDS, retry=spikeserve.RetryOptions(max_elapsed=60)
+)
+
+NGINX = """
+daemon off;
+pid {path}/nginx.pid;
+events {{}}
+http {{
+  access_log off;
+  client_body_temp_path {path};
+  proxy_temp_path {path};
+  fastcgi_temp_path {path};
+  uwsgi_temp_path {path};
+  scgi_temp_path {path};
+  include {path}/site.conf;
+}}
+"""
+
+
+def configuration(file, certificates, replacements):
+    """Returns a configuration of deploy/ with the addresses of a test. Each part must occur once."""
+    text = (DEPLOY / file).read_text()
+    for part, value in replacements.items():
+        assert text.count(part) == 1, part
+        text = text.replace(part, str(value))
+    for part in ("server.pem", "server.key"):
+        text = text.replace(f"/etc/spikeserve/{part}", str(certificates / part))
+    assert "10.0.0." not in text
+    return text
+
+
+def nginx(path, port, certificates, replicas):
+    parts = {"listen 443": f"listen 127.0.0.1:{port}"}
+    parts |= {f"10.0.0.{i + 1}:50051": replica.address for i, replica in enumerate(replicas)}
+    site = configuration("nginx/spikeserve-replicas.conf", certificates, parts)
+    (path / "site.conf").write_text(site)
+    (path / "nginx.conf").write_text(NGINX.format(path=path))
+    return ["nginx", "-p", path, "-e", "stderr", "-c", path / "nginx.conf"]
+
+
+def haproxy(path, port, certificates, replicas):
+    both = (certificates / "server.pem").read_text() + (certificates / "server.key").read_text()
+    (path / "spikeserve.pem").write_text(both)
+    parts = {"bind :443": f"bind 127.0.0.1:{port}", "/etc/haproxy/spikeserve.pem": path / "spikeserve.pem"}
+    for i, replica in enumerate(replicas):
+        http_port = replica.http_address.rpartition(":")[2]
+        server = "{} proto h2 check check-proto h1 port {}".format
+        parts[server(f"10.0.0.{i + 1}:50051", 9464)] = server(replica.address, http_port)
+    text = configuration("haproxy/haproxy-replicas.cfg", certificates, parts)
+    (path / "haproxy.cfg").write_text(text)
+    return ["haproxy", "-q", "-db", "-f", path / "haproxy.cfg"]
+
+
+def envoy(path, port, certificates, replicas):
+    address = "address: {}, port_value: {}".format
+    parts = {address("0.0.0.0", 443): address("127.0.0.1", port)}
+    for i, replica in enumerate(replicas):
+        parts[address(f"10.0.0.{i + 1}", 50051)] = address(*replica.address.rsplit(":", 1))
+    (path / "envoy.yaml").write_text(configuration("envoy/envoy-replicas.yaml", certificates, parts))
+    flags = ["--concurrency", "1", "--use-dynamic-base-id", "--log-level", "error"]
+    return ["envoy", "-c", path / "envoy.yaml", *flags]
+
+
+def installed(name):
+    """Returns the path of a program. Skips the test if it is not installed, and fails it in CI."""
+    path = shutil.which(
+        name, path=f"{os.environ['SPIKESERVE_INTEROP']}/bin:{os.environ['PATH']}:/usr/sbin"
+    )
+    if path is None:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"without {name}")
+    return path
+
+
+@contextlib.contextmanager
+def running(command):
+    process = subprocess.Popen(command)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(timeout=DEADLINE_SECONDS)
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    installed("redis-server")
+    with running_fleet(replicas=2, http=True) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def root(certificates):
+    return certificates / "ca.pem"
+
+
+@pytest.fixture(scope="module", params=[nginx, haproxy, envoy], ids=lambda proxy: proxy.__name__)
+def address(fleet, certificates, request, tmp_path_factory):
+    """Starts a proxy in front of the replicas, all of which it has found, and yields its address."""
+    program = installed(request.param.__name__)
+    port = free_port()
+    path = tmp_path_factory.mktemp("proxy")
+    _, *arguments = request.param(path, port, certificates, fleet.replicas)
+    with running([program, *arguments]):
+        yield f"localhost:{port}"
+
+
+def play(address, root, player_class, disturb=lambda t: None):
+    """Plays all sessions through a proxy, once it has found a replica, and returns what they answered."""
+    credentials = grpc.ssl_channel_credentials(pathlib.Path(root).read_bytes())
+
+    def is_ready():
+        with spikeserve.Client(address, OPTIONS, credentials) as client:
+            with contextlib.suppress(spikeserve.SpikeserveError):
+                return client.list_policies()
+
+    async def run():
+        is_async = issubclass(player_class, AsyncCalls)
+        client = (spikeserve.AsyncClient if is_async else spikeserve.Client)(
+            address, OPTIONS, credentials
+        )
+        player = player_class(client)
+        try:
+            return await answers_of(player, ["ASYNC"] * 4 + ["SYNC"] * 4, disturb)
+        finally:
+            player.leave()
+            closed = client.close()
+            if is_async:
+                await closed
+
+    until(is_ready)
+    return asyncio.run(run())
+
+
+def sessions_at(replica):
+    """Returns the sessions that a replica has, with their epochs."""
+    with spikeserve.AdminClient(replica.address) as admin:
+        return {session.session_id: session.epoch for session in admin.list_sessions().sessions}
+
+
+class RoutedStreams(Streams):
+    """Opens the sessions with the route of the stream, so that they need not move to its replica."""
+
+    async def open(self, i, durability):
+        options = options_of(i, durability)
+        return self.client.open_session(policy_of(i), options, route=self.stream.route)
+
+
+@pytest.mark.parametrize("player", [Calls, RoutedStreams], ids=lambda player: player.__name__)
+def test_a_session_stays_at_its_replica(address, fleet, root, player):
+    """The calls of a session, or of a stream, reach one replica: no session is ever claimed."""
+    found = []
+
+    def look(t):
+        if t == EPISODES * STEPS - 1:
+            found.extend(sessions_at(replica) for replica in fleet.replicas)
+
+    play(address, root, player, look)
+    first, second = found
+    assert not first.keys() & second.keys()
+    assert len(first) + len(second) == SESSIONS
+    assert set((first | second).values()) == {1}
+    # Single sessions are spread; those of a stream are together.
+    assert bool(first and second) == (player is Calls)
+
+
+PLAYERS = [Calls, Streams, AsyncStreams, CppCalls, CppStreams]
+
+
+@pytest.mark.parametrize("player", PLAYERS, ids=lambda player: player.__name__)
+def test_sessions_go_on(address, fleet, root, undisturbed, player):  # noqa: F811
+    """Each replica is killed, and each is drained and started again, while sessions play."""
+    player.more = (root,)
+    first, second = fleet.replicas
+    disturbances = {
+        7: first.kill,
+        20: lambda: (first.start(), second.kill()),
+        37: second.start,
+        45: first.restart,
+        52: second.restart,
+    }
+    try:
+        answers = play(address, root, player, lambda t: disturbances.get(t, lambda: None)())
+    finally:
+        player.more = ()
+    assert answers == undisturbed
