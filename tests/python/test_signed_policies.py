@@ -64,7 +64,13 @@ def services(folder, flags, log=None):
 
 def refusal_at_start(folder, flags):
     """Returns what a server that does not start says."""
-    command = [os.environ["SPIKESERVE_PROGRAM"], f"--policies={folder}", "--listen=127.0.0.1:0", "--http_listen=", *flags]
+    command = [
+        os.environ["SPIKESERVE_PROGRAM"],
+        f"--policies={folder}",
+        "--listen=127.0.0.1:0",
+        "--http_listen=",
+        *flags,
+    ]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS, check=False)
     assert ended.returncode != 0
     return ended.stderr
