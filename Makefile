@@ -9,7 +9,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow build train bench attacks chaos sanitize fuzz format clean setup configure
+.PHONY: demo test test-slow build train bench attacks chaos soak sanitize fuzz format clean setup configure
 
 demo: configure
 	cmake --build $(BUILD) --target spikeserve spikectl
@@ -48,6 +48,13 @@ chaos: build
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
 	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
 	  build/venv/bin/python -m tests.chaos $(CHAOS_FLAGS)
+
+# Does all kinds of work for hours and prints what the server holds after each minute of it. Fails if memory grows by more
+# than 1 MB a million decisions, or descriptors or threads grow. SOAK_SECONDS=1800 makes it shorter.
+SOAK_SECONDS := 14400
+soak: build
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve SPIKELOAD_PROGRAM=$(BIN)/spikeload \
+	  build/venv/bin/python -m tests.soak --seconds=$(SOAK_SECONDS)
 
 # Runs load tests with the address sanitizer, then with the thread sanitizer: 60 seconds with 1,000 sessions on 8
 # streams, 10 seconds with 64 sessions that learn a shared head, and 10 seconds with 64 sessions that learn their own

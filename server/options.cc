@@ -68,6 +68,9 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(absl::StrCat(
         "--compact_after: expected at least 1ms, received ", absl::FormatDuration(compact_after)));
   }
+  if (!signing_key.empty() && trusted_keys.empty()) {
+    return absl::InvalidArgumentError("--signing_key: expected --trusted_keys, too, received none");
+  }
   if (!(unusual_deviations >= 0.0)) {
     return absl::InvalidArgumentError(
         absl::StrCat("--unusual_deviations: expected at least 0, received ", unusual_deviations));

@@ -32,6 +32,8 @@ struct ServerOptions {
   bool allow_no_policies = false;                    // start although nothing can be served
   std::string policy_settings;  // file that keeps what operators set; empty: not kept
   std::string audit_log;        // file that keeps what operators did; empty: not kept
+  std::string trusted_keys;     // file of public keys, see PolicySignatures; empty: none is needed
+  std::string signing_key;      // file of the private key of promoted versions; empty: none
 
   absl::Duration session_ttl = absl::Minutes(10);    // idle time that ends a session
   absl::Duration compact_after = absl::Seconds(10);  // idle time that shrinks one to its history

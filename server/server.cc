@@ -75,6 +75,31 @@ absl::Status CheckServesPolicies(const ServerOptions& options, PolicyRegistry& r
       absl::StrCat("--policies: ", ExplainNoPolicies(options.policies, report.refused)));
 }
 
+absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions& options,
+                                                             const OpenedStore& store,
+                                                             Metrics* metrics,
+                                                             ReloadReport* report) {
+  std::shared_ptr<const PolicySignatures> signatures;
+  if (!options.trusted_keys.empty()) {
+    auto read = PolicySignatures::Read(options.trusted_keys, options.signing_key);
+    if (!read.ok()) return read.status();
+    signatures = *std::move(read);
+  }
+  return PolicyRegistry::Load(
+      {.directory = options.policies,
+       .settings_path = options.policy_settings,
+       .default_rule = options.default_version,
+       .share_heads = options.share_heads_across_tenants,
+       .shared = store.shared.get(),
+       .head_logs = store.heads.get(),
+       .signatures = std::move(signatures)},
+      [metrics, deviations = options.unusual_deviations](const std::string& name, int64_t version,
+                                                         const Policy& policy) {
+        return metrics->NewPolicyObserver(name, version, policy, deviations);
+      },
+      report);
+}
+
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
@@ -87,18 +112,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   auto store = OpenStore(options.store, &metrics->registry());
   if (!store.ok()) return store.status();
   ReloadReport report;
-  auto registry = PolicyRegistry::Load(
-      {.directory = options.policies,
-       .settings_path = options.policy_settings,
-       .default_rule = options.default_version,
-       .share_heads = options.share_heads_across_tenants,
-       .shared = store->shared.get(),
-       .head_logs = store->heads.get()},
-      [kept = metrics.get(), deviations = options.unusual_deviations](
-          const std::string& name, int64_t version, const Policy& policy) {
-        return kept->NewPolicyObserver(name, version, policy, deviations);
-      },
-      &report);
+  auto registry = LoadPolicies(options, *store, metrics.get(), &report);
   if (!registry.ok()) return registry.status();
   if (auto status = CheckServesPolicies(options, **registry, report); !status.ok()) return status;
   for (const absl::Status& status : report.refused) {

@@ -4,6 +4,7 @@
 #include <variant>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/model/policy_metadata.h"
@@ -78,8 +79,8 @@ absl::StatusOr<Policy> ReadPolicyFile(const std::string& path) {
   return policy;
 }
 
-absl::Status WritePolicyFile(const Policy& policy, const std::string& path) {
-  if (absl::Status status = policy.Validate(); !status.ok()) return Annotate(status, path);
+absl::StatusOr<std::string> FormatPolicyFile(const Policy& policy) {
+  if (absl::Status status = policy.Validate(); !status.ok()) return status;
   Safetensors contents{.metadata = FormatPolicyMetadata(policy), .tensors = {}};
   Weights weights = policy.weights;
   for (const TensorSlot& slot : TensorSlots(policy.config, policy.observation_size(),
@@ -87,7 +88,13 @@ absl::Status WritePolicyFile(const Policy& policy, const std::string& path) {
     std::visit([&](auto* tensor) { contents.tensors[slot.name] = std::move(*tensor); },
                slot.tensor);
   }
-  return WriteSafetensors(contents, path);
+  return FormatSafetensors(contents);
+}
+
+absl::Status WritePolicyFile(const Policy& policy, const std::string& path) {
+  const auto bytes = FormatPolicyFile(policy);
+  if (!bytes.ok()) return Annotate(bytes.status(), path);
+  return WriteFileAtomically(path, {*bytes});
 }
 
 }  // namespace spikeserve

@@ -23,6 +23,9 @@ absl::StatusOr<Policy> ReadPolicyFile(const std::string& path);
 // As above, of the bytes of a file. Messages do not name a path.
 absl::StatusOr<Policy> ParsePolicyFile(absl::string_view bytes);
 
+// Returns the content of the file of `policy`. INVALID_ARGUMENT if the policy is not valid.
+absl::StatusOr<std::string> FormatPolicyFile(const Policy& policy);
+
 // Writes `policy` to a temporary file in the same directory and renames it to `path`, so that a
 // reader never sees a part of a policy. INVALID_ARGUMENT if the policy is not valid; in that case
 // nothing is written.

@@ -12,8 +12,10 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "core/base/file.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -271,7 +273,7 @@ absl::StatusOr<Safetensors> ParseSafetensors(absl::string_view bytes) {
   return contents;
 }
 
-absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path) {
+absl::StatusOr<std::string> FormatSafetensors(const Safetensors& contents) {
   nlohmann::ordered_json header = nlohmann::ordered_json::object();
   if (!contents.metadata.empty()) header[kMetadataKey] = contents.metadata;
   std::vector<absl::string_view> pieces(2);  // the length prefix and the header, set at the end
@@ -297,8 +299,7 @@ absl::Status WriteSafetensors(const Safetensors& contents, const std::string& pa
   try {
     text = header.dump();
   } catch (const json::exception&) {  // dump() throws only for strings that are not UTF-8
-    return absl::InvalidArgumentError(
-        absl::StrCat(path, ": expected names and metadata in UTF-8, received other bytes"));
+    return absl::InvalidArgumentError("expected names and metadata in UTF-8, received other bytes");
   }
   text.resize((text.size() + kPrefixBytes - 1) / kPrefixBytes * kPrefixBytes, ' ');
   const uint64_t text_size = text.size();
@@ -306,7 +307,13 @@ absl::Status WriteSafetensors(const Safetensors& contents, const std::string& pa
   std::memcpy(prefix, &text_size, kPrefixBytes);
   pieces[0] = absl::string_view(prefix, kPrefixBytes);
   pieces[1] = text;
-  return WriteFileAtomically(path, pieces);
+  return absl::StrJoin(pieces, "");
+}
+
+absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path) {
+  const auto bytes = FormatSafetensors(contents);
+  if (!bytes.ok()) return Annotate(bytes.status(), path);
+  return WriteFileAtomically(path, {*bytes});
 }
 
 }  // namespace spikeserve

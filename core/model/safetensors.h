@@ -49,9 +49,12 @@ absl::StatusOr<Safetensors> ParseSafetensors(absl::string_view bytes);
 // Does both.
 absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path);
 
-// Writes the layout of the reference implementation: tensors sorted by dtype (widest first), then
-// by name, and the header padded with spaces to a multiple of 8 bytes. Replaces `path` atomically
-// (see file.h). REQUIRES: the number of values of every tensor matches its shape.
+// Returns the bytes of a container in the layout of the reference implementation: tensors sorted by
+// dtype (widest first), then by name, and the header padded with spaces to a multiple of 8 bytes.
+// REQUIRES: the number of values of every tensor matches its shape.
+absl::StatusOr<std::string> FormatSafetensors(const Safetensors& contents);
+
+// Writes the bytes of FormatSafetensors(). Replaces `path` atomically (see file.h).
 absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path);
 
 }  // namespace spikeserve

@@ -13,7 +13,7 @@ SessionReaper::SessionReaper(SessionStore* store, const IdleLimits& limits,
         const absl::Duration pause = std::min(limits.compact_after, limits.time_to_live) / 4;
         const SteadyClock clock;
         absl::Duration last = clock.Now();
-        while (!stop_.WaitForNotificationWithTimeout(pause)) {
+        while (!stop_.WaitFor(pause)) {
           const absl::Duration overslept = clock.Now() - last - pause;
           if (overslept > pause) store->Forgive(overslept);
           last = clock.Now();

@@ -9,8 +9,8 @@
 #include <functional>
 #include <thread>
 
-#include "absl/synchronization/notification.h"
 #include "absl/time/time.h"
+#include "core/base/steady_wait.h"
 #include "core/session/session_store.h"
 
 namespace spikeserve {
@@ -33,7 +33,7 @@ class SessionReaper {
   ~SessionReaper();
 
  private:
-  absl::Notification stop_;
+  SteadyNotification stop_;
   std::thread thread_;
 };
 

@@ -195,6 +195,7 @@ void SessionStore::ForEach(absl::FunctionRef<bool(const SessionEntry&)> wanted,
     std::vector<ListedSession> sessions;  // visited without the shard's lock
     {
       absl::MutexLock lock(&shard.mutex);
+      sessions.reserve(shard.slots.size());
       for (const auto& [id, slot] : shard.slots) {
         if (!wanted(*slot.entry)) continue;
         sessions.push_back({.id = id, .entry = slot.entry, .idle = now - slot.last_used});

@@ -125,6 +125,7 @@ absl::Status HeadHandler::GetHead(const Credential& caller, const v1::GetHeadReq
 absl::Status HeadHandler::PromoteHead(const Credential& caller,
                                       const v1::PromoteHeadRequest& request,
                                       v1::PromoteHeadResponse* response) const {
+  if (auto status = registry_->CheckCanSign(); !status.ok()) return status;
   absl::MutexLock lock(&promote_mutex_);
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
@@ -137,9 +138,10 @@ absl::Status HeadHandler::PromoteHead(const Credential& caller,
         absl::StrCat("version: expected one whose shared head has learned, received ",
                      (*served)->version, ", whose shared head equals that of its file"));
   }
-  if (registry_->shares_settings()) return Share(**served, *snapshot, request, response);
-  const auto version =
-      WriteNewVersion(registry_->directory(), (*served)->name, Promoted(**served, *snapshot));
+  const auto files = registry_->FormatVersion(Promoted(**served, *snapshot));
+  if (!files.ok()) return files.status();
+  if (registry_->shares_settings()) return Share((*served)->name, *files, request, response);
+  const auto version = WriteNewVersion(registry_->directory(), (*served)->name, *files);
   if (!version.ok()) return version.status();
   const std::string path = PolicyFilePath(registry_->directory(), *version);
   auto loaded = ChangeTraffic(*registry_, version->policy, response->mutable_traffic(), [&] {
@@ -155,13 +157,12 @@ absl::Status HeadHandler::PromoteHead(const Credential& caller,
   return absl::OkStatus();
 }
 
-absl::Status HeadHandler::Share(const ServedPolicy& served, const FleetHead::Snapshot& snapshot,
+absl::Status HeadHandler::Share(const std::string& policy, const VersionFiles& files,
                                 const v1::PromoteHeadRequest& request,
                                 v1::PromoteHeadResponse* response) const {
   absl::StatusOr<PolicyVersion> version;
-  auto shared = ChangeTraffic(*registry_, served.name, response->mutable_traffic(), [&] {
-    version =
-        registry_->ShareVersion(served.name, Promoted(served, snapshot), request.make_default());
+  auto shared = ChangeTraffic(*registry_, policy, response->mutable_traffic(), [&] {
+    version = registry_->ShareVersion(policy, files, request.make_default());
     return version.status();
   });
   if (!shared.ok()) return shared;

@@ -40,8 +40,8 @@ class HeadHandler {
                               v1::ResumeLearningResponse* response) const;
 
  private:
-  // Promotes a head on all servers that share settings.
-  absl::Status Share(const ServedPolicy& served, const FleetHead::Snapshot& snapshot,
+  // Adds a version on all servers that share settings.
+  absl::Status Share(const std::string& policy, const VersionFiles& files,
                      const v1::PromoteHeadRequest& request,
                      v1::PromoteHeadResponse* response) const;
 

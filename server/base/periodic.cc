@@ -6,7 +6,7 @@ namespace spikeserve {
 
 Periodic::Periodic(absl::Duration interval, std::function<void()> work)
     : thread_([this, interval, work = std::move(work)] {
-        while (!stop_.WaitForNotificationWithTimeout(interval)) work();
+        while (!stop_.WaitFor(interval)) work();
       }) {}
 
 Periodic::~Periodic() {

@@ -5,8 +5,8 @@
 #include <functional>
 #include <thread>
 
-#include "absl/synchronization/notification.h"
 #include "absl/time/time.h"
+#include "core/base/steady_wait.h"
 
 namespace spikeserve {
 
@@ -20,7 +20,7 @@ class Periodic {
   ~Periodic();
 
  private:
-  absl::Notification stop_;
+  SteadyNotification stop_;
   std::thread thread_;
 };
 

@@ -1,5 +1,6 @@
 #include "server/metrics/process_metrics.h"
 
+#include <malloc.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -86,6 +87,9 @@ std::vector<MetricFamily> CollectProcessMetrics() {
     add("process_start_time_seconds", "Start time of the process since the Unix epoch.",
         MetricType::Gauge, BootSeconds() + start_ticks / ticks_per_second);
   }
+  const struct mallinfo2 heap = mallinfo2();
+  add("spikeserve_allocated_bytes", "Memory that was allocated and not freed.", MetricType::Gauge,
+      static_cast<double>(heap.uordblks + heap.hblkhd));
   if (timespec used; clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &used) == 0) {
     add("process_cpu_seconds_total", "User and system CPU time.", MetricType::Counter,
         absl::ToDoubleSeconds(absl::DurationFromTimespec(used)));

@@ -9,8 +9,9 @@
 namespace spikeserve {
 
 // Returns process_cpu_seconds_total, process_resident_memory_bytes, process_open_fds,
-// process_max_fds and process_start_time_seconds, read from /proc now. Omits values that /proc does
-// not provide. Thread-safe.
+// process_max_fds and process_start_time_seconds, read from /proc now, and
+// spikeserve_allocated_bytes, which the allocator counts. Omits values that /proc does not provide.
+// Thread-safe.
 std::vector<prometheus::MetricFamily> CollectProcessMetrics();
 
 }  // namespace spikeserve

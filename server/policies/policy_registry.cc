@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/model/policy_file.h"
 #include "server/policies/version_writer.h"
 
 namespace spikeserve {
@@ -153,19 +154,41 @@ void PolicyRegistry::Publish(PolicyCatalog catalog) {
   catalog_.swap(next);
 }
 
+PolicyRegistry::KnownFile PolicyRegistry::Look(const PolicyVersion& version) const {
+  const std::string path = PolicyFilePath(options_.directory, version);
+  KnownFile file = {.policy = StampOf(path), .signature = {}, .status = absl::OkStatus()};
+  if (options_.signatures != nullptr) file.signature = StampOf(SignaturePath(path));
+  return file;
+}
+
+absl::Status PolicyRegistry::CheckCanSign() const {
+  return options_.signatures == nullptr ? absl::OkStatus() : options_.signatures->CheckCanSign();
+}
+
+absl::StatusOr<VersionFiles> PolicyRegistry::FormatVersion(const Policy& policy) const {
+  auto bytes = FormatPolicyFile(policy);
+  if (!bytes.ok()) return bytes.status();
+  VersionFiles files = {.policy = *std::move(bytes), .signature = {}};
+  if (options_.signatures == nullptr) return files;
+  auto signature = options_.signatures->Sign(files.policy);
+  if (!signature.ok()) return signature.status();
+  files.signature = *std::move(signature);
+  return files;
+}
+
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     const PolicyVersion& version) {
-  // The stamp is taken before reading, so that a file that changes while it is read is read again.
+  // The files are looked at before they are read, so that one that changes meanwhile is read again.
   KnownFile& file = files_[version];
-  file.stamp = StampOf(PolicyFilePath(options_.directory, version));
+  file = Look(version);
   std::shared_ptr<LearningSwitch>& learning = learning_[version.policy];
   if (learning == nullptr) {
     learning = std::make_shared<LearningSwitch>();
     const auto set = settings_.policies.find(version.policy);
     learning->set_paused(set != settings_.policies.end() && set->second.learning_paused);
   }
-  auto served = LoadPolicyVersion(options_.directory, version, learning, new_observer_,
-                                  options_.share_heads, options_.head_logs);
+  auto served = LoadPolicyVersion(options_.directory, version, options_.signatures.get(), learning,
+                                  new_observer_, options_.share_heads, options_.head_logs);
   file.status = served.status();
   return served;
 }
@@ -204,8 +227,9 @@ void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, Pol
   for (const PolicyVersion& version : versions) {
     if (settings_.unloaded.contains(version)) continue;
     const auto known = files_.find(version);
-    const FileStamp stamp = StampOf(PolicyFilePath(options_.directory, version));
-    if (known == files_.end() || known->second.stamp != stamp) {
+    const KnownFile found = Look(version);
+    if (known == files_.end() || known->second.policy != found.policy ||
+        known->second.signature != found.signature) {
       if (auto served = Read(version); served.ok()) {
         catalog->policies()[version.policy].versions[version.version] = *std::move(served);
         report->loaded.push_back(version);

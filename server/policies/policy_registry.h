@@ -26,6 +26,7 @@
 #include "core/base/enum_names.h"
 #include "server/policies/policy_catalog.h"
 #include "server/policies/policy_repository.h"
+#include "server/policies/policy_signatures.h"
 #include "server/policies/shared_settings.h"
 
 namespace spikeserve {
@@ -56,6 +57,7 @@ struct RegistryOptions {
   bool share_heads = false;          // see LoadPolicyVersion
   SharedSettings* shared = nullptr;  // null: the settings are those of this server
   HeadLogs* head_logs = nullptr;     // null: the shared heads are those of this server
+  std::shared_ptr<const PolicySignatures> signatures = nullptr;  // null: versions need no signature
 };
 
 class PolicyRegistry {
@@ -89,9 +91,16 @@ class PolicyRegistry {
   // Returns true once the shared settings were taken over.
   bool has_joined() const { return joined_.load(std::memory_order_acquire); }
 
-  // Makes `policy` a new version of the policy `name` on all servers that share settings, and loads
+  // Returns FAILED_PRECONDITION if versions need a signature and this server cannot sign them.
+  absl::Status CheckCanSign() const;
+
+  // Returns the files of a version that this server makes of `policy`, with a signature if versions
+  // need one. INVALID_ARGUMENT if the policy is not valid, and the error of CheckCanSign().
+  absl::StatusOr<VersionFiles> FormatVersion(const Policy& policy) const;
+
+  // Makes `files` a new version of the policy `name` on all servers that share settings, and loads
   // it here. If `make_default`, it also becomes the default. REQUIRES: shares_settings().
-  absl::StatusOr<PolicyVersion> ShareVersion(const std::string& name, const Policy& policy,
+  absl::StatusOr<PolicyVersion> ShareVersion(const std::string& name, const VersionFiles& files,
                                              bool make_default);
 
   // Updates the catalog from the directory: loads new and changed files, and unloads versions whose
@@ -148,11 +157,15 @@ class PolicyRegistry {
   absl::Status SetLearningPaused(const std::string& policy, bool paused);
 
  private:
-  // The state of a version's file when it was last read.
+  // The state of a version's files when they were last read.
   struct KnownFile {
-    FileStamp stamp;
-    absl::Status status;  // OK, or why the file was refused
+    FileStamp policy;
+    FileStamp signature;  // of no file if versions need no signature
+    absl::Status status;  // OK, or why the version was refused
   };
+
+  // Returns the state of a version's files now.
+  KnownFile Look(const PolicyVersion& version) const;
 
   PolicyRegistry(RegistryOptions options, NewObserver new_observer)
       : options_(std::move(options)),
@@ -170,6 +183,9 @@ class PolicyRegistry {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   // Writes the files of promoted versions that this server does not have. Logs what fails.
   void FetchPromoted() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // Reads the files of a promoted version from the shared ones. INVALID_ARGUMENT if they are not
+  // what they should be.
+  absl::StatusOr<VersionFiles> FetchFiles(const std::string& sha256);
 
   // Each is one attempt of the public method of its name.
   absl::StatusOr<ReloadReport> ReloadOnce() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);

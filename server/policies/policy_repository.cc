@@ -14,8 +14,8 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "core/base/file.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/learning/fleet_head.h"
 #include "core/model/policy_file.h"
@@ -173,25 +173,20 @@ std::string Sha256Of(absl::string_view bytes) {
       absl::string_view(reinterpret_cast<const char*>(digest), sizeof(digest)));
 }
 
-absl::StatusOr<std::string> Sha256OfFile(const std::string& path) {
-  const auto bytes = ReadFile(path);
-  if (!bytes.ok()) return bytes.status();
-  return Sha256Of(*bytes);
-}
-
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
-    const std::string& directory, const PolicyVersion& version,
+    const std::string& directory, const PolicyVersion& version, const PolicySignatures* signatures,
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer, bool share_heads,
     HeadLogs* logs) {
   const std::string path = PolicyFilePath(directory, version);
-  auto policy = ReadPolicyFile(path);
-  if (!policy.ok()) return policy.status();
+  // The bytes that are verified are those that are parsed: the file may change at any time.
+  const auto files = ReadVersionFiles(path, signatures);
+  if (!files.ok()) return files.status();
+  auto policy = ParsePolicyFile(files->policy);
+  if (!policy.ok()) return Annotate(policy.status(), path);
   auto served = std::make_shared<ServedPolicy>();
   served->name = version.policy;
   served->version = version.version;
-  auto sha256 = Sha256OfFile(path);
-  if (!sha256.ok()) return sha256.status();
-  served->sha256 = *std::move(sha256);
+  served->sha256 = Sha256Of(files->policy);
   const auto shared = std::make_shared<const Policy>(*std::move(policy));
   served->engine = MakeStreamingEngine(shared);
   served->learning = std::move(learning);

@@ -18,6 +18,7 @@
 #include "absl/status/statusor.h"
 #include "core/session/head_log.h"
 #include "core/session/served_policy.h"
+#include "server/policies/policy_signatures.h"
 
 namespace spikeserve {
 
@@ -70,21 +71,18 @@ std::string PolicyFilePath(const std::string& directory, const PolicyVersion& ve
 // Returns the SHA-256 of bytes in hexadecimal.
 std::string Sha256Of(absl::string_view bytes);
 
-// Returns the SHA-256 of a file in hexadecimal.
-absl::StatusOr<std::string> Sha256OfFile(const std::string& path);
-
 // Makes the observer of one policy version.
 using NewObserver = std::function<std::shared_ptr<SessionObserver>(
     const std::string& name, int64_t version, const Policy& policy)>;
 
 // Reads a version and makes one decision with it, so that all data that a decision touches is in
-// memory. Returns the errors of ReadPolicyFile, and INVALID_ARGUMENT if the decision is not finite;
-// messages start with the path. `learning` pauses this version together with the others that share
-// the switch. `share_heads`: the fleet sessions of all tenants learn one head; otherwise each
-// tenant has its own. `logs` opens the log that changes the heads; null: they are those of this
-// process alone.
+// memory. Returns the errors of ReadVersionFiles and ParsePolicyFile, and INVALID_ARGUMENT if the
+// decision is not finite; messages start with the path. `signatures`: see ReadVersionFiles.
+// `learning` pauses this version together with the others that share the switch. `share_heads`: the
+// fleet sessions of all tenants learn one head; otherwise each tenant has its own. `logs` opens the
+// log that changes the heads; null: they are those of this process alone.
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
-    const std::string& directory, const PolicyVersion& version,
+    const std::string& directory, const PolicyVersion& version, const PolicySignatures* signatures,
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer,
     bool share_heads = false, HeadLogs* logs = nullptr);
 

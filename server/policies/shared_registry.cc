@@ -5,6 +5,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/file.h"
 #include "core/base/status.h"
 #include "server/base/log.h"
 #include "server/policies/policy_registry.h"
@@ -16,6 +17,13 @@ namespace {
 
 // How often a change is tried while other servers change the settings, too.
 constexpr int kMostAttempts = 20;
+
+absl::Status CheckSha256(absl::string_view bytes, absl::string_view expected) {
+  const std::string received = Sha256Of(bytes);
+  if (received == expected) return absl::OkStatus();
+  return absl::FailedPreconditionError(
+      absl::StrCat("expected SHA-256 ", expected, ", received ", received));
+}
 
 }  // namespace
 
@@ -84,15 +92,12 @@ void PolicyRegistry::FetchPromoted() {
     const std::string path = PolicyFilePath(options_.directory, version);
     absl::Status status;
     if (StampOf(path).size >= 0) {
-      const auto found = Sha256OfFile(path);
-      if (found.ok() && *found != sha256) {
-        status = absl::FailedPreconditionError(
-            absl::StrCat(path, ": expected SHA-256 ", sha256, ", received ", *found));
-      }
+      const auto found = ReadFile(path);
+      if (found.ok()) status = Annotate(CheckSha256(*found, sha256), path);
     } else {
-      auto bytes = options_.shared->GetFile(sha256);
-      status = bytes.status();
-      if (status.ok()) status = WriteVersion(options_.directory, version, *bytes, sha256);
+      const auto files = FetchFiles(sha256);
+      status = Annotate(files.status(), path);
+      if (status.ok()) status = WriteVersion(options_.directory, version, *files);
     }
     if (!status.ok()) {
       LogError("promoted version not taken over",
@@ -101,14 +106,33 @@ void PolicyRegistry::FetchPromoted() {
   }
 }
 
+absl::StatusOr<VersionFiles> PolicyRegistry::FetchFiles(const std::string& sha256) {
+  auto policy = options_.shared->GetFile(sha256);
+  if (!policy.ok()) return policy.status();
+  if (auto status = CheckSha256(*policy, sha256); !status.ok()) return status;
+  VersionFiles files = {.policy = *std::move(policy), .signature = {}};
+  auto signature = options_.shared->GetFile(SignaturePath(sha256));
+  if (signature.ok()) {
+    files.signature = *std::move(signature);
+  } else if (!absl::IsNotFound(signature.status())) {
+    return signature.status();
+  }
+  if (options_.signatures == nullptr) return files;
+  auto status = options_.signatures->Verify(files);
+  if (!status.ok()) return Annotate(status, "promoted version in the session store");
+  return files;
+}
+
 absl::StatusOr<PolicyVersion> PolicyRegistry::ShareVersion(const std::string& name,
-                                                           const Policy& policy,
+                                                           const VersionFiles& files,
                                                            bool make_default) {
-  const auto bytes = PolicyFileBytes(options_.directory, name, policy);
-  if (!bytes.ok()) return bytes.status();
-  const std::string sha256 = Sha256Of(*bytes);
+  const std::string sha256 = Sha256Of(files.policy);
   absl::MutexLock change(&change_mutex_);
-  if (auto status = options_.shared->PutFile(sha256, *bytes); !status.ok()) return status;
+  if (!files.signature.empty()) {
+    auto status = options_.shared->PutFile(SignaturePath(sha256), files.signature);
+    if (!status.ok()) return status;
+  }
+  if (auto status = options_.shared->PutFile(sha256, files.policy); !status.ok()) return status;
   absl::StatusOr<PolicyVersion> version;
   auto status = WithLatest([&] {
     change_mutex_.AssertHeld();

@@ -29,10 +29,11 @@ class SharedSettings {
   // if the store has another revision.
   virtual absl::Status Write(const Document& document) = 0;
 
-  // Stores a file under its SHA-256 in hexadecimal.
-  virtual absl::Status PutFile(const std::string& sha256, const std::string& bytes) = 0;
+  // Stores a file under a name: the SHA-256 of a policy file in hexadecimal, and the same with
+  // ".sig" for its signature.
+  virtual absl::Status PutFile(const std::string& name, const std::string& bytes) = 0;
   // Returns NOT_FOUND if the store does not have the file.
-  virtual absl::StatusOr<std::string> GetFile(const std::string& sha256) = 0;
+  virtual absl::StatusOr<std::string> GetFile(const std::string& name) = 0;
 };
 
 }  // namespace spikeserve

@@ -11,13 +11,12 @@
 #include <cstdint>
 #include <filesystem>
 #include <system_error>
-#include <utility>
 #include <vector>
 
+#include "absl/functional/function_ref.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
-#include "core/model/policy_file.h"
 
 namespace spikeserve {
 namespace {
@@ -70,20 +69,31 @@ int64_t NextVersion(const fs::path& policy_folder) {
   return highest + 1;
 }
 
-// Writes the policy into `folder` and renames the folder to the next version.
-absl::StatusOr<int64_t> WriteAndRename(const Policy& policy, const fs::path& folder) {
-  if (auto status = WritePolicyFile(policy, (folder / kPolicyFile).string()); !status.ok()) {
+// Writes the files of a version into a hidden folder of the policy and renames it to the number
+// that `number` returns then.
+absl::Status WriteAndRename(const fs::path& policy_folder, const VersionFiles& files,
+                            absl::FunctionRef<int64_t()> number) {
+  std::string folder = (policy_folder / absl::StrCat(kUnfinished, "XXXXXX")).string();
+  if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
+  const OpenFolder in_use(folder);
+  in_use.Lock();
+  const std::string path = (fs::path(folder) / kPolicyFile).string();
+  auto status = WriteFileAtomically(path, {files.policy});
+  if (status.ok() && !files.signature.empty()) {
+    status = WriteFileAtomically(SignaturePath(path), {files.signature});
+  }
+  std::error_code ignored;
+  fs::permissions(folder, fs::perms(0755), ignored);  // mkdtemp lets only the owner read it
+  const fs::path target = policy_folder / absl::StrCat(number());
+  if (status.ok() && rename(folder.c_str(), target.c_str()) != 0) {
+    status = SystemError(target, "create the folder");
+  }
+  if (!status.ok()) {
+    fs::remove_all(folder, ignored);
     return status;
   }
-  std::error_code error;
-  fs::permissions(folder, fs::perms(0755), error);  // mkdtemp lets only the owner read it
-  const fs::path policy_folder = folder.parent_path();
-  const int64_t version = NextVersion(policy_folder);
-  if (rename(folder.c_str(), (policy_folder / absl::StrCat(version)).c_str()) != 0) {
-    return SystemError(folder, "rename the folder");
-  }
   if (!OpenFolder(policy_folder).Flush()) return SystemError(policy_folder, "flush the directory");
-  return version;
+  return absl::OkStatus();
 }
 
 bool IsOld(const fs::path& path) {
@@ -96,7 +106,8 @@ void SweepVersion(const fs::path& folder) {
   std::error_code ignored;
   for (const fs::directory_entry& file : Entries(folder)) {
     const std::string name = file.path().filename().string();
-    const bool is_temporary = absl::StartsWith(name, absl::StrCat(kPolicyFile, "."));
+    const bool is_temporary = absl::StartsWith(name, absl::StrCat(kPolicyFile, ".")) &&
+                              name != SignaturePath(kPolicyFile);
     if (is_temporary && IsOld(file.path())) fs::remove(file.path(), ignored);
   }
   rmdir(folder.c_str());  // fails unless the folder is empty
@@ -109,51 +120,21 @@ int64_t NextVersion(const std::string& directory, const std::string& name) {
 }
 
 absl::Status WriteVersion(const std::string& directory, const PolicyVersion& version,
-                          const std::string& bytes, const std::string& sha256) {
-  if (const std::string received = Sha256Of(bytes); received != sha256) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("policy file: expected SHA-256 ", sha256, ", received ", received));
-  }
+                          const VersionFiles& files) {
   const fs::path policy_folder = fs::path(directory) / version.policy;
-  std::error_code error;
-  fs::create_directories(policy_folder, error);
-  std::string folder = (policy_folder / absl::StrCat(kUnfinished, "XXXXXX")).string();
-  if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
-  const OpenFolder in_use(folder);
-  in_use.Lock();
-  auto status = WriteFileAtomically((fs::path(folder) / kPolicyFile).string(), {bytes});
-  fs::permissions(folder, fs::perms(0755), error);
-  const fs::path target = policy_folder / absl::StrCat(version.version);
-  if (status.ok() && rename(folder.c_str(), target.c_str()) != 0) {
-    status = SystemError(target, "create the folder");
-  }
-  if (!status.ok()) fs::remove_all(folder, error);
-  return status;
-}
-
-absl::StatusOr<std::string> PolicyFileBytes(const std::string& directory, const std::string& name,
-                                            const Policy& policy) {
-  std::string folder = (fs::path(directory) / name / absl::StrCat(kUnfinished, "XXXXXX")).string();
-  if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
-  const std::string path = (fs::path(folder) / kPolicyFile).string();
-  const auto written = WritePolicyFile(policy, path);
-  auto bytes = written.ok() ? ReadFile(path) : absl::StatusOr<std::string>(written);
   std::error_code ignored;
-  fs::remove_all(folder, ignored);
-  return bytes;
+  fs::create_directories(policy_folder, ignored);
+  return WriteAndRename(policy_folder, files, [&] { return version.version; });
 }
 
 absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
-                                              const Policy& policy) {
-  std::string folder = (fs::path(directory) / name / absl::StrCat(kUnfinished, "XXXXXX")).string();
-  if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
-  const OpenFolder in_use(folder);
-  in_use.Lock();
-  const auto version = WriteAndRename(policy, folder);
-  if (version.ok()) return PolicyVersion{.policy = name, .version = *version};
-  std::error_code ignored;
-  fs::remove_all(folder, ignored);
-  return version.status();
+                                              const VersionFiles& files) {
+  PolicyVersion written = {.policy = name, .version = 0};
+  const auto status = WriteAndRename(fs::path(directory) / name, files, [&] {
+    return written.version = NextVersion(directory, name);
+  });
+  if (!status.ok()) return status;
+  return written;
 }
 
 void SweepUnfinishedVersions(const std::string& directory) {

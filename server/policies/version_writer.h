@@ -10,26 +10,20 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/model/policy.h"
 #include "server/policies/policy_repository.h"
+#include "server/policies/policy_signatures.h"
 
 namespace spikeserve {
 
-// Writes `policy` as a new version of the policy `name` and returns it. Its number is one above
-// every version folder of the policy, also of those without a file. The version is written to a
+// Writes `files` as a new version of the policy `name` and returns it. Its number is one above
+// every version folder of the policy, also of those without a file. The files are written to a
 // hidden folder, flushed to the disk and then renamed. On an error nothing is left behind.
 absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
-                                              const Policy& policy);
+                                              const VersionFiles& files);
 
-// Writes the version with the content `bytes` of its file. INVALID_ARGUMENT if their SHA-256 is not
-// `sha256`, ALREADY_EXISTS if there is such a version.
+// Writes a version in the same way. Returns the error of the system if it exists.
 absl::Status WriteVersion(const std::string& directory, const PolicyVersion& version,
-                          const std::string& bytes, const std::string& sha256);
-
-// Returns the content of the file of `policy`. Uses a temporary file in the folder of the policy
-// `name`.
-absl::StatusOr<std::string> PolicyFileBytes(const std::string& directory, const std::string& name,
-                                            const Policy& policy);
+                          const VersionFiles& files);
 
 // Returns the number one above every version folder of the policy `name`.
 int64_t NextVersion(const std::string& directory, const std::string& name);

@@ -80,9 +80,11 @@ void JournalStore::Write(JournalRecord record) {
   const absl::Duration now = clock_->Now();
   backlog_bytes_.fetch_add(record.bytes.size(), std::memory_order_relaxed);
   absl::MutexLock lock(&mutex_);
+  const bool was_urgent = IsUrgent();
   awaited_ += record.is_awaited ? 1 : 0;
   queue_.records.push_back(std::move(record));
   queue_.queued.push_back(now);
+  if (!was_urgent && IsUrgent()) changed_.NotifyAll();
 }
 
 absl::Status JournalStore::CheckReachable() const {
@@ -104,6 +106,7 @@ void JournalStore::Claim(std::string id, std::string tenant, Claimed claimed) {
   if (auto status = CheckReachable(); !status.ok()) return claimed(status);
   absl::MutexLock lock(&mutex_);
   queue_.claims.push_back({std::move(id), std::move(tenant), std::move(claimed)});
+  changed_.NotifyAll();
 }
 
 void JournalStore::Stop(absl::Duration timeout) {
@@ -112,6 +115,7 @@ void JournalStore::Stop(absl::Duration timeout) {
     absl::MutexLock lock(&mutex_);
     stopping_ = true;
     stop_by_ = clock_->Now() + timeout;
+    changed_.NotifyAll();
   }
   thread_.join();
 }
@@ -128,7 +132,8 @@ bool JournalStore::IsUrgent() const {
 JournalStore::Work JournalStore::Next() {
   absl::MutexLock lock(&mutex_);
   mutex_.Await(absl::Condition(this, &JournalStore::HasWork));
-  mutex_.AwaitWithTimeout(absl::Condition(this, &JournalStore::IsUrgent), kGatherTime);
+  const auto urgent = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return IsUrgent(); };
+  changed_.Wait(&mutex_, kGatherTime, urgent);
   Work work = std::exchange(queue_, {});
   awaited_ = 0;
   return work;
@@ -231,10 +236,10 @@ bool JournalStore::WaitToRetry(Work work) {
   const absl::Status away = CheckReachable();
   for (const auto& journal : journals) journal->OnUnreachable(away);
   absl::MutexLock lock(&mutex_);
-  const auto gave_up = [this]() ABSL_SHARED_LOCKS_REQUIRED(mutex_) {
+  const auto gave_up = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     return stopping_ && clock_->Now() >= stop_by_;
   };
-  mutex_.AwaitWithTimeout(absl::Condition(&gave_up), retry_delay_);
+  changed_.Wait(&mutex_, retry_delay_, gave_up);
   retry_delay_ = std::min(2 * retry_delay_, kLongestRetry);
   return !gave_up();
 }

@@ -23,6 +23,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
+#include "core/base/steady_wait.h"
 #include "core/session/journal_writer.h"
 #include "prometheus/counter.h"
 #include "prometheus/gauge.h"
@@ -113,6 +114,7 @@ class JournalStore final : public JournalWriter {
   absl::Duration retry_delay_;  // of the thread
 
   absl::Mutex mutex_;
+  SteadyCondition changed_;  // IsUrgent() or `stopping_`
   Work queue_ ABSL_GUARDED_BY(mutex_);
   size_t awaited_ ABSL_GUARDED_BY(mutex_) = 0;  // records in the queue that an answer waits for
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;

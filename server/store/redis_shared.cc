@@ -27,7 +27,7 @@ return redis.call('ZRANGE', KEYS[1], 0, -1))";
 
 constexpr char kSettings[] = "cfg";
 
-std::string FileKey(const std::string& sha256) { return absl::StrCat("pf:", sha256); }
+std::string FileKey(const std::string& name) { return absl::StrCat("pf:", name); }
 
 absl::Status Unexpected(absl::string_view expected) {
   return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
@@ -74,15 +74,15 @@ absl::Status RedisShared::Write(const Document& document) {
   return absl::AbortedError("settings: another server has changed them");
 }
 
-absl::Status RedisShared::PutFile(const std::string& sha256, const std::string& bytes) {
-  return Run(/*writes=*/true, {"SET", FileKey(sha256), bytes}).status();
+absl::Status RedisShared::PutFile(const std::string& name, const std::string& bytes) {
+  return Run(/*writes=*/true, {"SET", FileKey(name), bytes}).status();
 }
 
-absl::StatusOr<std::string> RedisShared::GetFile(const std::string& sha256) {
-  const auto reply = Run(/*writes=*/false, {"GET", FileKey(sha256)});
+absl::StatusOr<std::string> RedisShared::GetFile(const std::string& name) {
+  const auto reply = Run(/*writes=*/false, {"GET", FileKey(name)});
   if (!reply.ok()) return reply.status();
   if ((*reply)->type == REDIS_REPLY_STRING) return std::string(TextOf(**reply));
-  return absl::NotFoundError(absl::StrCat("the store has no file with SHA-256 ", sha256));
+  return absl::NotFoundError(absl::StrCat("the store has no file ", name));
 }
 
 absl::StatusOr<std::vector<std::string>> RedisShared::Beat() {

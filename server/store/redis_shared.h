@@ -2,7 +2,7 @@
 // versions, and which servers are alive.
 //
 // - cfg, a hash: revision and settings.
-// - pf:<SHA-256>: the file of a promoted version.
+// - pf:<SHA-256>: the file of a promoted version; pf:<SHA-256>.sig: its signature.
 // - r, a sorted set: the servers, by the time at which they were alive last.
 //
 // Thread-safe. All methods block for at most a few RedisConnection::kTimeout.
@@ -35,8 +35,8 @@ class RedisShared final : public SharedSettings {
 
   absl::StatusOr<Document> Read() override;
   absl::Status Write(const Document& document) override;
-  absl::Status PutFile(const std::string& sha256, const std::string& bytes) override;
-  absl::StatusOr<std::string> GetFile(const std::string& sha256) override;
+  absl::Status PutFile(const std::string& name, const std::string& bytes) override;
+  absl::StatusOr<std::string> GetFile(const std::string& name) override;
 
   // Says that this server is alive, and returns all that are.
   absl::StatusOr<std::vector<std::string>> Beat();

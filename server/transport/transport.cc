@@ -8,8 +8,8 @@
 
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/blocking_counter.h"
-#include "absl/synchronization/notification.h"
 #include "absl/time/clock.h"
+#include "core/base/steady_wait.h"
 #include "server/transport/listener.h"
 
 namespace spikeserve {
@@ -85,7 +85,7 @@ absl::Status Transport::Start() {
 
 bool Transport::RunOnAll(std::function<void(TransportLoop&)> work, absl::Duration timeout) {
   auto shared_work = std::make_shared<std::function<void(TransportLoop&)>>(std::move(work));
-  auto done = std::make_shared<absl::Notification>();
+  auto done = std::make_shared<SteadyNotification>();
   auto waiting = std::make_shared<std::atomic<size_t>>(loops_.size());
   for (const auto& loop : loops_) {
     loop->events().Post([shared_work, done, waiting, target = loop.get()] {
@@ -93,7 +93,7 @@ bool Transport::RunOnAll(std::function<void(TransportLoop&)> work, absl::Duratio
       if (waiting->fetch_sub(1) == 1) done->Notify();
     });
   }
-  return done->WaitForNotificationWithTimeout(timeout);
+  return done->WaitFor(timeout);
 }
 
 void Transport::Drain() {

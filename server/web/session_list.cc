@@ -10,7 +10,6 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/synchronization/mutex.h"
@@ -91,12 +90,16 @@ struct Order {
   KeyOf key;
   bool descending;
 
-  bool IsBefore(const Place& a, const Place& b) const {
-    if (a.key.missing != b.key.missing) return b.key.missing;
-    const auto x = std::tie(a.key.text, a.key.number);
-    const auto y = std::tie(b.key.text, b.key.number);
+  // The order of the store, which lists it without looking into the sessions.
+  bool IsByIdAscending() const { return column == "session_id" && !descending; }
+
+  bool IsBefore(const SortKey& a, absl::string_view a_id, const SortKey& b,
+                absl::string_view b_id) const {
+    if (a.missing != b.missing) return b.missing;
+    const auto x = std::tie(a.text, a.number);
+    const auto y = std::tie(b.text, b.number);
     if (x != y) return descending ? y < x : x < y;
-    return column == "session_id" && descending ? b.id < a.id : a.id < b.id;
+    return column == "session_id" && descending ? b_id < a_id : a_id < b_id;
   }
 };
 
@@ -147,7 +150,7 @@ absl::StatusOr<std::optional<Place>> PlaceOf(const std::string& token, const Ord
 
 // A session in a list.
 struct Row {
-  Place place;
+  SortKey key;
   ListedSession session;
 };
 
@@ -156,27 +159,31 @@ class FirstRows {
  public:
   FirstRows(const Order& order, size_t limit) : order_(order), limit_(limit) {}
 
-  void Add(Row row) {
-    const auto before = [this](const Row& a, const Row& b) {
-      return order_.IsBefore(a.place, b.place);
-    };
+  // Copies the session only if it is one of the first so far.
+  void Add(SortKey key, const ListedSession& session) {
+    const auto before = [this](const Row& a, const Row& b) { return IsBefore(a, b); };
     if (rows_.size() == limit_) {
-      if (!before(row, rows_.front())) return;
+      const Row& last = rows_.front();
+      if (!order_.IsBefore(key, session.id, last.key, last.session.id)) return;
       std::pop_heap(rows_.begin(), rows_.end(), before);
       rows_.pop_back();
     }
-    rows_.push_back(std::move(row));
+    rows_.push_back({.key = std::move(key), .session = session});
     std::push_heap(rows_.begin(), rows_.end(), before);
   }
 
   // Returns the rows in their order.
   std::vector<Row> Take() {
     std::sort(rows_.begin(), rows_.end(),
-              [this](const Row& a, const Row& b) { return order_.IsBefore(a.place, b.place); });
+              [this](const Row& a, const Row& b) { return IsBefore(a, b); });
     return std::move(rows_);
   }
 
  private:
+  bool IsBefore(const Row& a, const Row& b) const {
+    return order_.IsBefore(a.key, a.session.id, b.key, b.session.id);
+  }
+
   const Order& order_;
   const size_t limit_;
   std::vector<Row> rows_;  // a heap, the last row at its front
@@ -187,7 +194,9 @@ class FirstRows {
 bool Matches(const ListedSession& listed, const SessionOptions& options,
              absl::string_view lower_case) {
   const auto holds = [&](absl::string_view text) {
-    return absl::StrContains(absl::AsciiStrToLower(text), lower_case);
+    const auto same = [](char a, char b) { return absl::ascii_tolower(a) == b; };
+    return std::search(text.begin(), text.end(), lower_case.begin(), lower_case.end(), same) !=
+           text.end();
   };
   if (lower_case.empty() || holds(listed.id)) return true;
   if (holds(absl::StrCat(options.policy, "/", options.version))) return true;
@@ -195,6 +204,49 @@ bool Matches(const ListedSession& listed, const SessionOptions& options,
   return std::any_of(options.labels.begin(), options.labels.end(), [&](const auto& label) {
     return holds(absl::StrCat(label.first, "=", label.second));
   });
+}
+
+// What a request for a list selects.
+struct Selection {
+  int64_t open = 0;      // sessions that the caller may read
+  int64_t matching = 0;  // those of them that match the filter
+  std::vector<Row> rows;
+};
+
+// Selects sessions in the order of the store, without taking their locks.
+Selection FirstById(SessionStore& store, const Credential& caller,
+                    const std::optional<Place>& after, size_t limit) {
+  Selection found;
+  const auto wanted = [&](const SessionEntry& entry) {
+    const bool readable = caller.CanRead(entry.tenant);
+    found.open += readable ? 1 : 0;
+    return readable;
+  };
+  auto sessions = store.ListAfter(after.has_value() ? after->id : "", limit, wanted);
+  for (ListedSession& session : sessions) {
+    found.rows.push_back({.key = {}, .session = std::move(session)});
+  }
+  found.matching = found.open;
+  return found;
+}
+
+Selection FirstInOrder(SessionStore& store, const Credential& caller, const std::string& filter,
+                       const Order& order, const std::optional<Place>& after, size_t limit) {
+  Selection found;
+  FirstRows first(order, limit);
+  const auto visit = [&](const ListedSession& listed) {
+    ++found.open;
+    SessionEntry& entry = *listed.entry;
+    absl::MutexLock lock(&entry.mutex);
+    if (!Matches(listed, entry.agent.session().options, filter)) return;
+    ++found.matching;
+    SortKey key = order.key(listed, entry.agent);
+    if (after.has_value() && !order.IsBefore(after->key, after->id, key, listed.id)) return;
+    first.Add(std::move(key), listed);
+  };
+  store.ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); }, visit);
+  found.rows = first.Take();
+  return found;
 }
 
 // Returns a SessionInfo as JSON, with the returns of the ended episodes.
@@ -229,26 +281,15 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
   absl::MutexLock turn(&one_at_a_time);
   const std::string filter = absl::AsciiStrToLower(query.Get("filter"));
   const auto limit = static_cast<size_t>(*page_size);
-  int64_t open = 0;
-  int64_t matching = 0;
-  FirstRows first(*order, limit + 1);  // one more, which tells whether there is another page
-  const auto visit = [&](const ListedSession& listed) {
-    ++open;
-    SessionEntry& entry = *listed.entry;
-    absl::MutexLock lock(&entry.mutex);
-    if (!Matches(listed, entry.agent.session().options, filter)) return;
-    ++matching;
-    Place place = {.key = order->key(listed, entry.agent), .id = listed.id};
-    if (after->has_value() && !order->IsBefore(**after, place)) return;
-    first.Add({.place = std::move(place), .session = listed});
-  };
-  store.ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); }, visit);
-
-  std::vector<Row> rows = first.Take();
+  // One more than the page, which tells whether there is another one.
+  Selection found = filter.empty() && order->IsByIdAscending()
+                        ? FirstById(store, caller, *after, limit + 1)
+                        : FirstInOrder(store, caller, filter, *order, *after, limit + 1);
+  std::vector<Row>& rows = found.rows;
   std::string next;
   if (rows.size() > limit) {
     rows.resize(limit);
-    next = TokenOf(rows.back().place, *order);
+    next = TokenOf({.key = rows.back().key, .id = rows.back().session.id}, *order);
   }
   Json sessions = Json::array();
   for (const Row& row : rows) {
@@ -256,8 +297,8 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
     if (!info.ok()) return info.status();
     sessions.push_back(*std::move(info));
   }
-  return Json{{"open", open},
-              {"matching", matching},
+  return Json{{"open", found.open},
+              {"matching", found.matching},
               {"sessions", std::move(sessions)},
               {"next_page_token", next}}
       .dump();

@@ -35,6 +35,7 @@ PAGES = (
     "status-page.md",
     "watching.md",
     "security.md",
+    "signing.md",
     "fleet.md",
     "training.md",
 )

@@ -1,0 +1,71 @@
+// Signs policy files, and verifies their signatures, so that a server serves only the policies of
+// people whom its operator trusts.
+//
+// A signature is the 64 bytes of Ed25519 (RFC 8032) for the content of a policy file. It lies in a
+// file beside it, whose name ends in ".sig", as OpenSSL writes it:
+//
+//   openssl pkeyutl -sign -rawin -inkey private.pem -in policy.safetensors -out
+//     policy.safetensors.sig
+//
+// Immutable and thread-safe.
+#ifndef SERVER_POLICIES_POLICY_SIGNATURES_H_
+#define SERVER_POLICIES_POLICY_SIGNATURES_H_
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+
+struct evp_pkey_st;
+
+namespace spikeserve {
+
+// The files of a version.
+struct VersionFiles {
+  std::string policy;     // the content of policy.safetensors
+  std::string signature;  // of `policy`; empty: the version is not signed
+};
+
+class PolicySignatures {
+ public:
+  // Reads the file `trusted_keys`, which holds one or more Ed25519 public keys in PEM, and, unless
+  // its path is empty, the file `signing_key`, which holds the private key of one of them. Returns
+  // INVALID_ARGUMENT, which names the flag and the file, for anything else.
+  static absl::StatusOr<std::shared_ptr<const PolicySignatures>> Read(
+      const std::string& trusted_keys, const std::string& signing_key);
+
+  // Returns INVALID_ARGUMENT unless one of the trusted keys has signed `files.policy`.
+  absl::Status Verify(const VersionFiles& files) const;
+
+  // Returns FAILED_PRECONDITION without a signing key.
+  absl::Status CheckCanSign() const;
+
+  // Returns the signature of the content of a policy file, or the error of CheckCanSign().
+  absl::StatusOr<std::string> Sign(absl::string_view policy) const;
+
+ private:
+  using Key = std::shared_ptr<evp_pkey_st>;
+
+  PolicySignatures(std::vector<Key> trusted, Key signing)
+      : trusted_(std::move(trusted)), signing_(std::move(signing)) {}
+
+  const std::vector<Key> trusted_;
+  const Key signing_;  // null: none
+};
+
+// Returns the path of the signature of a policy file.
+std::string SignaturePath(const std::string& policy_path);
+
+// Reads a policy file and its signature, both once. Requires a valid signature unless `signatures`
+// is null; then the signature is empty if there is none. Returns NOT_FOUND if there is no policy
+// file, and INVALID_ARGUMENT otherwise; messages start with the path.
+absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path,
+                                              const PolicySignatures* signatures);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_POLICIES_POLICY_SIGNATURES_H_
