@@ -6,6 +6,7 @@
 #include <set>
 #include <thread>
 
+#include "absl/synchronization/notification.h"
 #include "core/session/session_reaper.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
