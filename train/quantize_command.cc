@@ -86,7 +86,9 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   integer->training = QuantizationRecord(command_line, *sha256, *pair, *parent, integer->config);
   if (absl::Status status = WritePolicyFile(*integer, flags.out); !status.ok()) return status;
   if (!pair->has_value()) return absl::OkStatus();
-  std::fputs((flags.json ? ToJson(**pair).dump(2) + "\n" : ToText(**pair, "before", "after")).c_str(), stdout);
+  std::fputs(
+      (flags.json ? ToJson(**pair).dump(2) + "\n" : ToText(**pair, "before", "after")).c_str(),
+      stdout);
   return absl::OkStatus();
 }
 
