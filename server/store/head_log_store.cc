@@ -84,13 +84,14 @@ std::shared_ptr<HeadLog> HeadLogStore::Open(const ServedPolicy& served) {
     log = std::make_shared<VersionLog>(this, served);
     known = log;
     has_requests_ = true;  // it is to be read
+    changed_.NotifyAll();
   }
   return log;
 }
 
 void HeadLogStore::WaitToJoin(absl::Duration timeout) {
   absl::MutexLock lock(&mutex_);
-  mutex_.AwaitWithTimeout(absl::Condition(this, &HeadLogStore::has_joined), timeout);
+  changed_.Wait(&mutex_, timeout, [this] { return has_joined(); });
 }
 
 void HeadLogStore::Stop(absl::Duration timeout) {
@@ -99,6 +100,7 @@ void HeadLogStore::Stop(absl::Duration timeout) {
     absl::MutexLock lock(&mutex_);
     stopping_ = true;
     stop_by_ = clock_->Now() + timeout;
+    changed_.NotifyAll();
   }
   thread_.join();
   const absl::Status stopped = absl::UnavailableError("session store: stopped; try again");
@@ -116,22 +118,25 @@ void HeadLogStore::Add(VersionLog* log, Request request) {
   absl::MutexLock lock(&mutex_);
   log->requests.push_back(std::move(request));
   has_requests_ = true;
+  changed_.NotifyAll();
 }
 
 bool HeadLogStore::Wait() {
   absl::MutexLock lock(&mutex_);
-  const auto is_due = [this]()
-                          ABSL_SHARED_LOCKS_REQUIRED(mutex_) { return has_requests_ || stopping_; };
-  mutex_.AwaitWithTimeout(absl::Condition(&is_due), kReadInterval);
+  const auto is_due = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    return has_requests_ || stopping_;
+  };
+  changed_.Wait(&mutex_, kReadInterval, is_due);
   has_requests_ = false;
   if (!stopping_) return true;
   const bool waits = std::any_of(logs_.begin(), logs_.end(), [](const auto& item) {
     const auto log = item.second.lock();
     return log != nullptr && !log->requests.empty();
   });
-  const auto is_over = [this]()
-                           ABSL_SHARED_LOCKS_REQUIRED(mutex_) { return clock_->Now() >= stop_by_; };
-  return waits && !mutex_.AwaitWithTimeout(absl::Condition(&is_over), kStopInterval);
+  const auto is_over = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    return clock_->Now() >= stop_by_;
+  };
+  return waits && !changed_.Wait(&mutex_, kStopInterval, is_over);
 }
 
 std::vector<std::shared_ptr<VersionLog>> HeadLogStore::Logs() {
@@ -176,8 +181,9 @@ void HeadLogStore::Run() {
     const bool joined =
         std::all_of(logs.begin(), logs.end(), [](const auto& log) { return log->has_joined; });
     if (joined && !has_joined() && !logs.empty()) {
-      absl::MutexLock lock(&mutex_);  // wakes WaitToJoin()
+      absl::MutexLock lock(&mutex_);
       joined_.store(true, std::memory_order_release);
+      changed_.NotifyAll();  // wakes WaitToJoin()
     }
   }
 }

@@ -25,6 +25,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
+#include "core/base/steady_wait.h"
 #include "core/session/head_log.h"
 #include "core/store/redis_client.h"
 #include "core/store/redis_options.h"
@@ -114,6 +115,7 @@ class HeadLogStore final : public HeadLogs {
   std::unique_ptr<RedisClient> client_;  // of the thread
 
   absl::Mutex mutex_;
+  SteadyCondition changed_;  // requests, `stopping_` or `joined_`
   std::map<std::string, std::weak_ptr<VersionLog>> logs_ ABSL_GUARDED_BY(mutex_);  // by key
   bool has_requests_ ABSL_GUARDED_BY(mutex_) = false;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;

@@ -63,7 +63,7 @@ absl::StatusOr<MergeOutcome> VersionLog::Do(HeadLogStore::Request request) {
   const auto operation = std::make_shared<HeadOperation>();
   request.operation = operation;
   store_->Add(this, std::move(request));
-  if (operation->done.WaitForNotificationWithTimeout(kOperationTimeout)) return operation->outcome;
+  if (operation->done.WaitFor(kOperationTimeout)) return operation->outcome;
   return WithRetryDelay(
       absl::UnavailableError("session store: has not answered about a shared head; try again"),
       kFirstRetry);

@@ -12,8 +12,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/synchronization/notification.h"
 #include "absl/time/time.h"
+#include "core/base/steady_wait.h"
 #include "core/session/head_log.h"
 #include "core/session/served_policy.h"
 #include "server/store/head_entry.h"
@@ -25,7 +25,7 @@ namespace spikeserve {
 
 // What a thread waits for that asks for an entry, or for the log to be read.
 struct HeadOperation {
-  absl::Notification done;
+  SteadyNotification done;
   absl::StatusOr<MergeOutcome> outcome;  // set before `done`
 };
 
