@@ -94,6 +94,8 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& se
   grpc::ChannelArguments arguments;
   // By default gRPC shares one connection between all channels to the same server.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  // The client repeats calls by itself, and knows which ones it may repeat.
+  arguments.SetInt(GRPC_ARG_ENABLE_RETRIES, 0);
   // Reconnects to a restarted server within a second; gRPC's default is up to two minutes.
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 1000);

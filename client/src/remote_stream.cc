@@ -175,6 +175,11 @@ absl::StatusOr<ActReply> RemoteStream::Receive(absl::Duration timeout) {
 std::optional<absl::StatusOr<ActReply>> RemoteStream::TakeResponse(
     v1::ActResponse response, std::chrono::steady_clock::time_point arrived, v1::ActRequest* find) {
   auto request = open_->Take(response.session_id());
+  if (!request.has_value() && response.session_id().empty() && !response.has_error()) {
+    // A server names the session. A proxy that has lost its server ends the stream with a page.
+    Break(absl::UnavailableError("the stream has ended with an empty message"));
+    return std::nullopt;
+  }
   if (!request.has_value()) {
     return absl::InternalError(absl::StrCat(
         "session_id: expected one with a request under way, received ", response.session_id()));

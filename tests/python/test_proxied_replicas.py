@@ -199,6 +199,11 @@ def test_sessions_go_on(address, fleet, root, undisturbed, player):  # noqa: F81
     }
     try:
         answers = play(address, root, player, lambda t: disturbances.get(t, lambda: None)())
+    except BaseException:
+        for replica in fleet.replicas:  # one may have been left killed, and the next test needs both
+            replica.kill()
+            replica.start()
+        raise
     finally:
         player.more = ()
     assert answers == undisturbed
