@@ -60,13 +60,12 @@ def exp(x):
 
 
 class IntegerPolicy:
-    """One episode of an integer policy of mode `full` with rate coders and softmax gates."""
+    """One episode of an integer policy with rate coders and, if it has routing, softmax gates."""
 
     def __init__(self, tensors, metadata):
         self.tensors = tensors
         self.config = json.loads(metadata["config"])
         expected = {
-            "mode": "full",
             "coder": "lif",
             "gate": "softmax",
             "arithmetic": "int8",
@@ -105,6 +104,8 @@ class IntegerPolicy:
 
     def _phase(self):
         """Returns the phase spikes of the timestep, [T][H]."""
+        if self.config["mode"] not in ("pos", "full"):
+            return np.zeros((self.ticks, 0), bool)
         window = self.config["phase_clock"] == "window"
         tau = np.arange(self.ticks) + 1.0 if window else self.timestep + np.arange(self.ticks) / self.ticks
         omega, phi = (self.tensors[f"phase.{name}"].astype(float) for name in ("omega", "phi"))
@@ -192,6 +193,9 @@ class IntegerPolicy:
         return y * (np.float32(1) / total)
 
     def _gates(self, layer, y):
+        if self.config["mode"] not in ("route", "full"):
+            concat = self.config["merge"] == "concat"
+            return np.full(self.heads, 1 if concat else 1 / self.heads, np.float32)
         hidden = np.maximum(self._affine(f"layers.{layer}.routing.hidden", y), np.float32(0))
         scores = self._affine(f"layers.{layer}.routing.gate", hidden)
         gates = exp(scores - scores.max())
