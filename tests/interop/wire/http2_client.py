@@ -113,8 +113,10 @@ class Http2Client:
         return stream
 
     def send(self, stream, data, end=False, **options):
-        """Sends data on a stream, as the server's flow control allows."""
+        """Sends data on a stream, as the server's flow control allows, until the server has answered the call."""
         while len(data) > (room := self._room(stream)):
+            if self.answers[stream].ended:
+                return
             if room > 0:
                 self.h2.send_data(stream, data[:room])
                 data = data[room:]
