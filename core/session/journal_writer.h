@@ -27,7 +27,6 @@ struct JournalRecord {
   std::string bytes;        // empty for kClose
   uint64_t decisions = 0;   // of the session, with this record
   uint64_t position = 0;    // of the record in all that its owner writes, from 1
-  bool is_awaited = false;  // an answer waits for it, so that it should be written at once
   std::shared_ptr<SessionJournal> journal;
   // To append to the log of its head when the record was written; null: none.
   std::shared_ptr<FleetContribution> contribution = nullptr;
@@ -41,6 +40,10 @@ class JournalWriter {
   // Queues a record and returns at once. Records of one journal are written in the order of the
   // calls. Their outcomes go to SessionJournal::OnWritten(), on another thread.
   virtual void Write(JournalRecord record) = 0;
+
+  // Lets the records in the queue be written now, because an answer waits for one of them. Without
+  // it they may wait a few milliseconds for others.
+  virtual void Hurry() = 0;
 
   // Returns UNAVAILABLE while the store cannot be reached.
   virtual absl::Status CheckReachable() const = 0;

@@ -80,7 +80,6 @@ void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, uint64_t
   JournalRecord record = {.kind = kind,
                           .bytes = std::move(bytes),
                           .decisions = decisions,
-                          .is_awaited = is_sync_ || kind == JournalRecord::Kind::kOpen,
                           .journal = shared_from_this(),
                           .contribution = std::move(contribution)};
   // The lock makes the order of the queue that of the positions.
@@ -105,7 +104,7 @@ void SessionJournal::WhenDurable(uint64_t position, Done done) {
       outcome = writer_.CheckReachable();
       if (outcome.ok()) {
         waiters_.push_back({position, std::move(done)});
-        return;
+        return writer_.Hurry();
       }
     }
   }

@@ -13,8 +13,8 @@ namespace spikeserve {
 namespace {
 
 // Records that no answer waits for gather for this time, or up to this number.
-constexpr absl::Duration kGatherTime = absl::Milliseconds(2);
-constexpr size_t kGatherRecords = 64;
+constexpr absl::Duration kGatherTime = absl::Milliseconds(4);
+constexpr size_t kGatherRecords = 256;
 
 // The largest number of records that are written together.
 constexpr size_t kMostRecords = 512;
@@ -81,10 +81,17 @@ void JournalStore::Write(JournalRecord record) {
   backlog_bytes_.fetch_add(record.bytes.size(), std::memory_order_relaxed);
   absl::MutexLock lock(&mutex_);
   const bool was_urgent = IsUrgent();
-  awaited_ += record.is_awaited ? 1 : 0;
   queue_.records.push_back(std::move(record));
   queue_.queued.push_back(now);
   if (!was_urgent && IsUrgent()) changed_.NotifyAll();
+}
+
+void JournalStore::Hurry() {
+  absl::MutexLock lock(&mutex_);
+  if (queue_.records.empty()) return;  // the thread has them
+  const bool was_urgent = IsUrgent();
+  hurried_ = true;
+  if (!was_urgent) changed_.NotifyAll();
 }
 
 absl::Status JournalStore::CheckReachable() const {
@@ -125,17 +132,20 @@ bool JournalStore::HasWork() const {
 }
 
 bool JournalStore::IsUrgent() const {
-  return awaited_ > 0 || queue_.records.size() >= kGatherRecords || !queue_.claims.empty() ||
+  return hurried_ || queue_.records.size() >= kGatherRecords || !queue_.claims.empty() ||
          stopping_;
 }
 
 JournalStore::Work JournalStore::Next() {
   absl::MutexLock lock(&mutex_);
-  mutex_.Await(absl::Condition(this, &JournalStore::HasWork));
+  // While there are records all the time, the thread wakes once for all that gather.
   const auto urgent = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return IsUrgent(); };
-  changed_.Wait(&mutex_, kGatherTime, urgent);
+  if (!changed_.Wait(&mutex_, kGatherTime, urgent) && !HasWork()) {
+    mutex_.Await(absl::Condition(this, &JournalStore::HasWork));
+    changed_.Wait(&mutex_, kGatherTime, urgent);
+  }
   Work work = std::exchange(queue_, {});
-  awaited_ = 0;
+  hurried_ = false;
   return work;
 }
 
@@ -169,6 +179,9 @@ bool JournalStore::WriteRecords(Work* work) {
     if (!failure.ok()) break;
     SetReachable(absl::OkStatus());
     const absl::Duration now = clock_->Now();
+    const auto written = std::ranges::count_if(*outcomes, &absl::Status::ok);
+    written_.Increment(static_cast<double>(written));
+    refused_.Increment(static_cast<double>(batch.size()) - static_cast<double>(written));
     for (size_t i = 0; i < batch.size(); ++i) {
       const JournalRecord& record = batch[i];
       Count(record, (*outcomes)[i], now - work->queued[first + i]);
@@ -188,7 +201,6 @@ bool JournalStore::WriteRecords(Work* work) {
 
 void JournalStore::Count(const JournalRecord& record, const absl::Status& outcome,
                          absl::Duration latency) {
-  (outcome.ok() ? written_ : refused_).Increment();
   acknowledgement_.Observe(absl::ToDoubleSeconds(latency));
   const bool reseeds = record.kind == JournalRecord::Kind::kOpen && record.position > 1;
   if (outcome.ok() && reseeds) reseeds_.Increment();

@@ -7,6 +7,7 @@
 #include <array>
 #include <cerrno>
 #include <limits>
+#include <utility>
 
 namespace spikeserve {
 namespace {
@@ -35,12 +36,16 @@ void EventLoop::Run() {
   int ready = 0;
   int next = 0;  // of `events`, the first one that was not handled
   while (true) {
+    bool sleeps = false;
     {
       absl::MutexLock lock(&mutex_);
       if (stopping_) return;
+      sleeps = next >= ready && posted_.empty();
+      sleeping_ = sleeps;
     }
     if (next >= ready) {
-      ready = epoll_wait(epoll_.get(), events.data(), kEventsPerWait, MillisecondsToWait());
+      const int timeout = sleeps ? MillisecondsToWait() : 0;
+      ready = epoll_wait(epoll_.get(), events.data(), kEventsPerWait, timeout);
       next = 0;
     }
     now_ = clock_->Now();
@@ -69,8 +74,10 @@ void EventLoop::Stop() {
 
 void EventLoop::Post(std::function<void()> work) {
   absl::MutexLock lock(&mutex_);
-  if (posted_.empty()) eventfd_write(wakeup_.get(), 1);
   posted_.push_back(std::move(work));
+  if (!std::exchange(sleeping_, false)) return;  // the loop looks before it waits
+  woken_ = true;
+  eventfd_write(wakeup_.get(), 1);
 }
 
 absl::Status EventLoop::Watch(int fd, uint32_t events, Source* source) {
@@ -112,8 +119,10 @@ void EventLoop::RunPosted() {
   {
     absl::MutexLock lock(&mutex_);
     if (posted_.empty()) return;
-    eventfd_t count = 0;
-    eventfd_read(wakeup_.get(), &count);
+    if (std::exchange(woken_, false)) {
+      eventfd_t count = 0;
+      eventfd_read(wakeup_.get(), &count);
+    }
     posted.swap(posted_);
   }
   for (const auto& work : posted) work();

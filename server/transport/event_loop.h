@@ -86,7 +86,7 @@ class EventLoop {
 
   const Clock* const clock_;
   FileDescriptor epoll_;
-  FileDescriptor wakeup_;  // an eventfd that is readable while work is posted
+  FileDescriptor wakeup_;  // an eventfd that ends the wait for events
   absl::Duration now_;
   uint64_t next_timer_ = 1;
   std::map<Timer, std::function<void()>> timers_;
@@ -95,6 +95,8 @@ class EventLoop {
 
   absl::Mutex mutex_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  bool sleeping_ ABSL_GUARDED_BY(mutex_) = false;  // waits for events, and nothing was posted
+  bool woken_ ABSL_GUARDED_BY(mutex_) = false;     // `wakeup_` is readable
   std::vector<std::function<void()>> posted_ ABSL_GUARDED_BY(mutex_);
 };
 

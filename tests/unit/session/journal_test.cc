@@ -30,6 +30,7 @@ class FakeWriter final : public JournalWriter {
     kinds_.push_back(record.kind);
     waiting_.push_back(std::move(record));
   }
+  void Hurry() override { ++hurries_; }
   absl::Status CheckReachable() const override { return reachable_; }
   absl::Status CheckBacklog() const override { return backlog_; }
 
@@ -44,6 +45,7 @@ class FakeWriter final : public JournalWriter {
   std::vector<std::string> bytes_;  // what a store would hold
   std::vector<Kind> kinds_;
   std::deque<JournalRecord> waiting_;
+  int hurries_ = 0;
   absl::Status reachable_;
   absl::Status backlog_;
 };
@@ -253,6 +255,16 @@ class SessionJournalTest : public DamagedJournalTest {
     return outcome;
   }
 };
+
+TEST_F(SessionJournalTest, AnAnswerThatWaitsHurriesTheWriter) {
+  EXPECT_EQ(writer_.hurries_, 0);
+  const auto outcome = Wait();
+  EXPECT_EQ(writer_.hurries_, 1);
+  writer_.Acknowledge();
+  EXPECT_TRUE(outcome->has_value());
+  Wait();  // for what the store has
+  EXPECT_EQ(writer_.hurries_, 1);
+}
 
 TEST_F(SessionJournalTest, AnswersWaitForTheirRecordAndNoOther) {
   const auto outcome = Wait();

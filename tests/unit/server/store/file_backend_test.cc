@@ -18,6 +18,7 @@ constexpr char kOtherId[] = "0123456789abcdef0123456789abcdf0";
 
 class NoWriter final : public JournalWriter {
   void Write(JournalRecord /*record*/) override {}
+  void Hurry() override {}
   absl::Status CheckReachable() const override { return absl::OkStatus(); }
   absl::Status CheckBacklog() const override { return absl::OkStatus(); }
 };

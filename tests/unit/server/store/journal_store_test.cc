@@ -79,11 +79,10 @@ class JournalStoreTest : public ::testing::Test {
                                                 Durability::kSync, /*decisions=*/0, store_.get());
   }
 
-  void Write(const std::string& bytes, uint64_t position, bool is_awaited = true) {
+  void Write(const std::string& bytes, uint64_t position) {
     store_->Write({.bytes = bytes,
                    .decisions = position,
                    .position = position,
-                   .is_awaited = is_awaited,
                    .journal = journal_});
   }
 
@@ -128,8 +127,9 @@ TEST_F(JournalStoreTest, RecordsAreWrittenInOrderAndAcknowledged) {
 }
 
 TEST_F(JournalStoreTest, RecordsThatNoAnswerWaitsForAreWrittenToo) {
-  Write("a", 1, /*is_awaited=*/false);
-  EXPECT_TRUE(Outcome(1).ok());
+  Write("a", 1);
+  backend_->AwaitTries(1);
+  EXPECT_THAT(backend_->written(), ElementsAre("a"));
 }
 
 TEST_F(JournalStoreTest, ARefusedRecordMakesTheCopyLost) {
@@ -141,7 +141,7 @@ TEST_F(JournalStoreTest, ARefusedRecordMakesTheCopyLost) {
 }
 
 TEST_F(JournalStoreTest, AClaimSeesWhatWasWrittenBefore) {
-  Write("a", 1, /*is_awaited=*/false);
+  Write("a", 1);
   const auto claimed = Claim("known");
   ASSERT_TRUE(claimed.ok()) << claimed.status();
   EXPECT_THAT(claimed->records, ElementsAre("a"));
@@ -176,7 +176,7 @@ TEST_F(JournalStoreTest, TheBacklogIsBounded) {
 }
 
 TEST_F(JournalStoreTest, StoppingWritesWhatWaits) {
-  Write("a", 1, /*is_awaited=*/false);
+  Write("a", 1);
   store_->Stop(kDeadline);
   EXPECT_THAT(backend_->written(), ElementsAre("a"));
 }
