@@ -24,9 +24,9 @@ struct JournalRecord {
   };
 
   Kind kind = Kind::kEntry;
-  std::string bytes;        // empty for kClose
-  uint64_t decisions = 0;   // of the session, with this record
-  uint64_t position = 0;    // of the record in all that its owner writes, from 1
+  std::string bytes;       // empty for kClose
+  uint64_t decisions = 0;  // of the session, with this record
+  uint64_t position = 0;   // of the record in all that its owner writes, from 1
   std::shared_ptr<SessionJournal> journal;
   // To append to the log of its head when the record was written; null: none.
   std::shared_ptr<FleetContribution> contribution = nullptr;

@@ -132,8 +132,7 @@ bool JournalStore::HasWork() const {
 }
 
 bool JournalStore::IsUrgent() const {
-  return hurried_ || queue_.records.size() >= kGatherRecords || !queue_.claims.empty() ||
-         stopping_;
+  return hurried_ || queue_.records.size() >= kGatherRecords || !queue_.claims.empty() || stopping_;
 }
 
 JournalStore::Work JournalStore::Next() {

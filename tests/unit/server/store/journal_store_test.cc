@@ -80,10 +80,8 @@ class JournalStoreTest : public ::testing::Test {
   }
 
   void Write(const std::string& bytes, uint64_t position) {
-    store_->Write({.bytes = bytes,
-                   .decisions = position,
-                   .position = position,
-                   .journal = journal_});
+    store_->Write(
+        {.bytes = bytes, .decisions = position, .position = position, .journal = journal_});
   }
 
   // Waits for the outcome of a position.
