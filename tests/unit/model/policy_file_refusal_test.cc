@@ -1,0 +1,360 @@
+// Invalid policy files are refused with the path, the field, what was expected and what was
+// received.
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <limits>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "core/model/policy_file.h"
+#include "core/model/quantize.h"
+#include "core/model/safetensors.h"
+#include "nlohmann/json.hpp"
+#include "tests/support/files.h"
+#include "tests/support/small_policy.h"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::json;
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+// A change that makes a valid policy file invalid, and the message of the error, without the path.
+struct Refusal {
+  std::function<void(Safetensors&)> change;
+  std::string message;
+};
+
+std::vector<float>& Floats(Safetensors& contents, const std::string& name) {
+  return std::get<Tensor>(contents.tensors.at(name)).values;
+}
+
+class PolicyFileRefusalTest : public DirectoryTest {
+ protected:
+  void ExpectRefused(const std::vector<Refusal>& refusals, const Policy& policy = SmallPolicy()) {
+    ASSERT_TRUE(WritePolicyFile(policy, Path("good")).ok());
+    for (const Refusal& refusal : refusals) {
+      Safetensors contents = *ReadSafetensors(Path("good"));
+      refusal.change(contents);
+      ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
+      const absl::Status status = ReadPolicyFile(Path()).status();
+      EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << refusal.message;
+      EXPECT_EQ(status.message(), Path() + ": " + refusal.message);
+    }
+  }
+};
+
+TEST_F(PolicyFileRefusalTest, Tensors) {
+  ExpectRefused({
+      {[](auto& c) { c.tensors.erase("head.bias"); },
+       "tensor \"head.bias\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("layers.1.routing.gate.weight"); },
+       "tensor \"layers.1.routing.gate.weight\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("observation.mean"); },
+       "tensor \"observation.mean\": expected, but missing"},
+      {[](auto& c) {
+         c.tensors["embed.timestep.weight"] = Tensor::Zeros({4, 16});
+       },
+       "tensor \"embed.timestep.weight\": not expected in a policy of mode full in float32"},
+      {[](auto& c) { c.tensors["layers.2.coder.gain"] = Tensor::Zeros({16}); },
+       "tensor \"layers.2.coder.gain\": not expected in a policy of mode full in float32"},
+      {[](auto& c) {
+         c.tensors["head.weight"] = Tensor::Zeros({2, 17});
+       },
+       "tensor \"head.weight\": expected shape [2, 16], received [2, 17] with 34 values"},
+      {[](auto& c) {
+         c.tensors["head.weight"] = Tensor::Zeros({16, 2});
+       },
+       "tensor \"head.weight\": expected shape [2, 16], received [16, 2] with 32 values"},
+      {[](auto& c) { c.tensors["head.bias"] = Tensor::Zeros({}); },
+       "tensor \"head.bias\": expected shape [2], received [] with 1 values"},
+      {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({0}); },
+       "tensor \"observation.mean\": expected at least one value, received 0"},
+      {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({5}); },
+       "tensor \"embed.state.weight\": expected shape [16, 5], received [16, 4] with 64 values"},
+      {[](auto& c) { Floats(c, "layers.0.attention.query.weight")[7] = kNan; },
+       "tensor \"layers.0.attention.query.weight\": expected finite numbers, received nan at index "
+       "7"},
+      {[](auto& c) { Floats(c, "phase.omega")[1] = kInfinity; },
+       "tensor \"phase.omega\": expected finite numbers, received inf at index 1"},
+      {[](auto& c) { Floats(c, "observation.std")[2] = -1.0f; },
+       "tensor \"observation.std\" at index 2: expected a positive finite number, received -1"},
+  });
+}
+
+TEST_F(PolicyFileRefusalTest, TensorsOfAnotherDtype) {
+  ExpectRefused({
+      {[](auto& c) { c.tensors["head.bias"] = Int8Tensor::Zeros({2}); },
+       "tensor \"head.bias\": expected dtype \"F32\", received \"I8\""},
+      {[](auto& c) { c.tensors["observation.mean"] = Int16Tensor::Zeros({4}); },
+       "tensor \"observation.mean\": expected dtype \"F32\", received \"I16\""},
+      {[](auto& c) {
+         c.tensors["layers.0.ffn.hidden.weight"] = Int8Tensor::Zeros({32, 16});
+       },
+       "tensor \"layers.0.ffn.hidden.weight\": expected dtype \"F32\", received \"I8\""},
+      {[](auto& c) { c.tensors["layers.0.ffn.hidden.scale"] = Tensor::Zeros({32}); },
+       "tensor \"layers.0.ffn.hidden.scale\": not expected in a policy of mode full in float32"},
+  });
+}
+
+TEST_F(PolicyFileRefusalTest, IntegerTensors) {
+  const auto ints8 = [](Safetensors & c, const char* name) -> auto& {
+    return std::get<Int8Tensor>(c.tensors.at(name)).values;
+  };
+  const auto ints16 = [](Safetensors & c, const char* name) -> auto& {
+    return std::get<Int16Tensor>(c.tensors.at(name)).values;
+  };
+  // The largest sum that is allowed, in neuron 2 of 16 coder and 2 phase inputs.
+  const auto fill_neuron = [=](Safetensors& c, int bias) {
+    for (int j = 0; j < 18; ++j) {
+      ints8(c, "layers.1.attention.key.weight")[2 * 18 + j] = j % 2 == 0 ? 127 : -127;
+    }
+    ints16(c, "layers.1.attention.key.bias")[2] = static_cast<int16_t>(bias);
+  };
+  const std::string too_large =
+      "tensor \"layers.1.attention.key.weight\": expected |bias| + sum of |weight| of at most "
+      "32767, received 32768 at index 2";
+  std::vector<Refusal> refusals = {
+      {[](auto& c) { c.tensors.erase("layers.0.attention.value.scale"); },
+       "tensor \"layers.0.attention.value.scale\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("layers.1.ffn.hidden.threshold"); },
+       "tensor \"layers.1.ffn.hidden.threshold\": expected, but missing"},
+      {[](auto& c) { c.tensors.erase("layers.1.ffn.output.scale"); },
+       "tensor \"layers.1.ffn.output.scale\": expected, but missing"},
+      {[](auto& c) { c.tensors["layers.0.ffn.output.threshold"] = Int16Tensor::Zeros({16}); },
+       "tensor \"layers.0.ffn.output.threshold\": not expected in a policy of mode full in int8"},
+      {[](auto& c) { c.tensors["layers.0.ffn.hidden.threshold"] = Int16Tensor::Zeros({31}); },
+       "tensor \"layers.0.ffn.hidden.threshold\": expected shape [32], received [31] with 31 "
+       "values"},
+      {[=](auto& c) { ints8(c, "layers.0.attention.query.weight")[5] = -128; },
+       "tensor \"layers.0.attention.query.weight\": expected -127 to 127, received -128 at index "
+       "5"},
+      {[=](auto& c) { ints8(c, "layers.1.ffn.output.weight")[0] = -128; },
+       "tensor \"layers.1.ffn.output.weight\": expected -127 to 127, received -128 at index 0"},
+      {[=](auto& c) { ints16(c, "layers.0.attention.key.threshold")[3] = 0; },
+       "tensor \"layers.0.attention.key.threshold\": expected 1 to 32767, received 0 at index 3"},
+      {[=](auto& c) { ints16(c, "layers.0.ffn.hidden.threshold")[31] = -5; },
+       "tensor \"layers.0.ffn.hidden.threshold\": expected 1 to 32767, received -5 at index 31"},
+      {[](auto& c) { Floats(c, "layers.0.ffn.output.bias")[4] = kInfinity; },
+       "tensor \"layers.0.ffn.output.bias\": expected finite numbers, received inf at index 4"},
+      {[=](auto& c) { fill_neuron(c, 32767 - 18 * 127 + 1); }, too_large},
+      {[=](auto& c) { fill_neuron(c, -(32767 - 18 * 127 + 1)); }, too_large},
+      {[=](auto& c) {
+         for (int j = 0; j < 18; ++j) ints8(c, "layers.1.attention.key.weight")[2 * 18 + j] = 0;
+         ints16(c, "layers.1.attention.key.bias")[2] = -32768;
+       },
+       too_large},
+  };
+  for (const char* name : {"layers.1.attention.query.scale", "layers.0.ffn.output.scale"}) {
+    const std::string tensor = "tensor \"" + std::string(name) + "\": expected ";
+    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = 0.0f; },
+                        tensor + "positive finite numbers, received 0 at index 1"});
+    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = -0.5f; },
+                        tensor + "positive finite numbers, received -0.5 at index 1"});
+    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = kNan; },
+                        tensor + "finite numbers, received nan at index 1"});
+  }
+  for (const char* name : {"layers.0.attention.query", "layers.0.attention.key",
+                           "layers.0.attention.value", "layers.0.ffn.hidden"}) {
+    const std::string population = name;
+    for (const auto& [part, dtype] : {std::pair("weight", "I8"), std::pair("scale", "F32"),
+                                      std::pair("bias", "I16"), std::pair("threshold", "I16")}) {
+      const std::string tensor = population + "." + part;
+      const bool is_float = std::string(dtype) == "F32";
+      refusals.push_back({[=](auto& c) {
+                            if (is_float) {
+                              c.tensors[tensor] = Int8Tensor::Zeros({16});
+                            } else {
+                              c.tensors[tensor] = Tensor::Zeros({16});
+                            }
+                          },
+                          "tensor \"" + tensor + "\": expected dtype \"" + dtype +
+                              "\", received \"" + (is_float ? "I8" : "F32") + "\""});
+    }
+  }
+  refusals.push_back(
+      {[](auto& c) { c.tensors["layers.0.ffn.output.bias"] = Int16Tensor::Zeros({16}); },
+       "tensor \"layers.0.ffn.output.bias\": expected dtype \"F32\", received \"I16\""});
+  const Policy policy = *Quantize(SmallPolicy());
+  ExpectRefused(refusals, policy);
+
+  Safetensors contents = *ReadSafetensors(Path("good"));
+  fill_neuron(contents, 32767 - 18 * 127);
+  ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
+  EXPECT_TRUE(ReadPolicyFile(Path()).ok()) << ReadPolicyFile(Path()).status();
+}
+
+TEST_F(PolicyFileRefusalTest, IntegerConfig) {
+  const auto set = [](const char* key, const json& value) {
+    return [=](Safetensors& c) {
+      json config = json::parse(c.metadata["config"]);
+      config[key] = value;
+      c.metadata["config"] = config.dump();
+    };
+  };
+  ExpectRefused(
+      {
+          {set("arithmetic", "int4"),
+           "config.arithmetic: expected float32 or int8, received \"int4\""},
+          {set("arithmetic", "float32"),
+           "tensor \"layers.0.attention.query.weight\": expected dtype \"F32\", received \"I8\""},
+          {set("mode", "dense"), "arithmetic: expected float32 in mode dense, received int8"},
+          {set("membrane_decay", 1.0),
+           "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
+           "received 1"},
+          {set("ticks", 257), "ticks: expected 1 to 256, received 257"},
+          {set("ffn_size", 16385), "ffn_size: expected 1 to 16384, received 16385"},
+      },
+      *Quantize(SmallPolicy()));
+  ExpectRefused({{set("arithmetic", "int8"),
+                  "tensor \"layers.0.attention.query.weight\": expected dtype \"I8\", received "
+                  "\"F32\""}});
+}
+
+TEST_F(PolicyFileRefusalTest, ADenseTimestepEmbeddingOfNoRows) {
+  ASSERT_TRUE(WritePolicyFile(SmallPolicy(SmallConfig(Mode::kDense)), Path()).ok());
+  Safetensors contents = *ReadSafetensors(Path());
+  contents.tensors["embed.timestep.weight"] = Tensor::Zeros({0, 16});
+  ASSERT_TRUE(WriteSafetensors(contents, Path()).ok());
+  EXPECT_EQ(ReadPolicyFile(Path()).status().message(),
+            Path() +
+                ": tensor \"embed.timestep.weight\": expected shape [any, 16], received [0, 16] "
+                "with 0 values");
+}
+
+TEST_F(PolicyFileRefusalTest, Metadata) {
+  std::vector<Refusal> refusals;
+  const auto set = [&](const char* key, const std::string& value, const std::string& message) {
+    refusals.push_back({[=](Safetensors& c) { c.metadata[key] = value; }, message});
+  };
+  for (const char* key :
+       {"format", "config", "action_space", "return_offset", "return_scale", "target_return",
+        "modulator_mean", "modulator_std", "environment", "training"}) {
+    refusals.push_back({[key](Safetensors& c) { c.metadata.erase(key); },
+                        "__metadata__: expected key \"" + std::string(key) + "\", received none"});
+  }
+  refusals.push_back({[](Safetensors& c) { c.metadata.clear(); },
+                      "__metadata__: expected key \"format\", received none"});
+  set("format", "pt", "format: expected \"spikeserve.policy.v1\", received \"pt\"");
+  for (const char* text :
+       {"", " 1", "1 ", "1x", "+1", "0x1", "one", "nan", "inf", "-inf", "1e39"}) {
+    set("return_offset", text,
+        "return_offset: expected a finite number that fits float32, received \"" +
+            std::string(text) + "\"");
+  }
+  set("return_scale", "0", "return_scale: expected a positive finite number, received 0");
+  set("return_scale", "-250", "return_scale: expected a positive finite number, received -250");
+  set("target_return", "nan",
+      "target_return: expected a finite number that fits float32, received \"nan\"");
+  set("modulator_mean", "inf",
+      "modulator_mean: expected a finite number that fits float32, received \"inf\"");
+  set("modulator_std", "0", "modulator_std: expected a positive finite number, received 0");
+  set("training", "", "training: expected valid JSON in UTF-8, received an error at byte 1");
+  set("training", "[1, 2]", "training: expected a JSON object, received an array of 2");
+  set("training", R"({"seed": 1, "seed": 1})",
+      "training: expected every key once, received \"seed\" twice");
+  ExpectRefused(refusals);
+}
+
+TEST_F(PolicyFileRefusalTest, ActionSpace) {
+  std::vector<Refusal> refusals;
+  const auto set = [&](const std::string& value, const std::string& message) {
+    refusals.push_back({[=](Safetensors& c) { c.metadata["action_space"] = value; }, message});
+  };
+  set("Discrete(2)", "action_space: expected valid JSON in UTF-8, received an error at byte 1");
+  set("2", "action_space: expected a JSON object, received 2");
+  set("{}", "action_space.type: expected \"Discrete\" or \"Box\", received none");
+  set(R"({"type": "MultiBinary", "n": 2})",
+      "action_space.type: expected \"Discrete\" or \"Box\", received \"MultiBinary\"");
+  set(R"({"type": "Discrete"})", "action_space: expected key \"n\", received none");
+  set(R"({"type": "Discrete", "n": "2"})",
+      "action_space.n: expected an integer from 0 to 2147483647, received \"2\"");
+  set(R"({"type": "Discrete", "n": 2.0})",
+      "action_space.n: expected an integer from 0 to 2147483647, received 2.0");
+  set(R"({"type": "Discrete", "n": -2})",
+      "action_space.n: expected an integer from 0 to 2147483647, received -2");
+  set(R"({"type": "Discrete", "n": 4294967298})",
+      "action_space.n: expected an integer from 0 to 2147483647, received 4294967298");
+  set(R"({"type": "Discrete", "n": 0})", "action_space.n: expected at least 1, received 0");
+  set(R"({"type": "Discrete", "n": 2, "start": 1})",
+      "action_space: expected no other keys, received \"start\"");
+  set(R"({"type": "Discrete", "n": 2147483647})",
+      "tensor \"embed.action.weight\": expected shape [16, 2147483647], received [16, 2] with 32 "
+      "values");
+  set(R"({"type": "Box", "low": [-1]})", "action_space: expected key \"high\", received none");
+  set(R"({"type": "Box", "low": -1, "high": [1]})",
+      "action_space.low: expected an array, received -1");
+  set(R"({"type": "Box", "low": [-1, "x"], "high": [1, 1]})",
+      "action_space.low[1]: expected a number that fits float32, received \"x\"");
+  set(R"({"type": "Box", "low": [-1e39], "high": [1]})",
+      "action_space.low[0]: expected a number that fits float32, received -1e+39");
+  set(R"({"type": "Box", "low": [-1], "high": [1, 1]})",
+      "action_space: expected low and high of one length, received 1 and 2");
+  set(R"({"type": "Box", "low": [1], "high": [-1]})",
+      "action_space: expected finite bounds with low[0] < high[0], received 1 and -1");
+  set(R"({"type": "Box", "low": [], "high": []})",
+      "action_space.n: expected at least 1, received 0");
+  ExpectRefused(refusals);
+}
+
+TEST_F(PolicyFileRefusalTest, Config) {
+  std::vector<Refusal> refusals;
+  const auto set = [&](const char* key, const json& value, const std::string& message) {
+    refusals.push_back({[=](Safetensors& c) {
+                          json config = json::parse(c.metadata["config"]);
+                          config[key] = value;
+                          c.metadata["config"] = config.dump();
+                        },
+                        message});
+  };
+  for (const char* key :
+       {"mode", "hidden_size", "heads", "layers", "ticks", "context", "routing_hidden_size",
+        "ffn_size", "membrane_decay", "threshold", "coder", "phase_clock", "merge", "gate"}) {
+    refusals.push_back({[key](Safetensors& c) {
+                          json config = json::parse(c.metadata["config"]);
+                          config.erase(key);
+                          c.metadata["config"] = config.dump();
+                        },
+                        "config: expected key \"" + std::string(key) + "\", received none"});
+  }
+  refusals.push_back({[](Safetensors& c) { c.metadata["config"] = "[]"; },
+                      "config: expected a JSON object, received an array of 0"});
+  set("dropout", 0.1, "config: expected no other keys, received \"dropout\"");
+  set("mode", "half",
+      "config.mode: expected baseline, pos, route, full or dense, "
+      "received "
+      "\"half\"");
+  set("coder", "poisson", "config.coder: expected lif or bernoulli, received \"poisson\"");
+  set("phase_clock", "tick", "config.phase_clock: expected timestep or window, received \"tick\"");
+  set("merge", "mean", "config.merge: expected sum or concat, received \"mean\"");
+  set("gate", "relu", "config.gate: expected softmax or sigmoid, received \"relu\"");
+  set("gate", 1, "config.gate: expected a string, received 1");
+  set("hidden_size", "8",
+      "config.hidden_size: expected an integer from 0 to 2147483647, received \"8\"");
+  set("heads", 2.5, "config.heads: expected an integer from 0 to 2147483647, received 2.5");
+  set("heads", nullptr, "config.heads: expected an integer from 0 to 2147483647, received null");
+  set("layers", -1, "config.layers: expected an integer from 0 to 2147483647, received -1");
+  set("layers", 1000000000, "layers: expected 1 to 64, received 1000000000");
+  set("hidden_size", 1 << 20, "hidden_size: expected 1 to 4096, received 1048576");
+  set("hidden_size", 9, "hidden_size: expected a multiple of heads = 2, received 9");
+  set("ticks", 0, "ticks: expected 1 to 256, received 0");
+  set("context", 100000, "context: expected 1 to 4096, received 100000");
+  set("membrane_decay", "0.95",
+      "config.membrane_decay: expected a number that fits float32, received \"0.95\"");
+  set("membrane_decay", 1e39,
+      "config.membrane_decay: expected a number that fits float32, received 1e+39");
+  set("membrane_decay", 2, "membrane_decay: expected 0 to 1, received 2");
+  set("threshold", -1.0, "threshold: expected a positive finite number, received -1");
+  set("layers", 3, "tensor \"layers.2.coder.gain\": expected, but missing");
+  set("mode", "baseline",
+      "tensor \"layers.0.routing.gate.bias\": not expected in a policy of "
+      "mode baseline in float32");
+  ExpectRefused(refusals);
+}
+
+}  // namespace
+}  // namespace spikeserve
