@@ -3,6 +3,7 @@
 import asyncio
 import concurrent.futures
 import shutil
+import socket
 
 import pytest
 import spikeserve
@@ -18,6 +19,7 @@ from replicated import (
     reward,
     running_fleet,
 )
+from security import until
 from serving import DEADLINE_SECONDS, running_server
 from spikeserve.replicas import rank
 
@@ -321,6 +323,33 @@ def test_streams_of_sessions_without_a_store(fleet):
         with pytest.raises(ValueError, match="session: expected one that is stored"):
             for session in elsewhere:
                 stream.act(session, observation(0, 0), timeout=30)
+
+
+@pytest.mark.parametrize("durability", ["ASYNC", "SYNC"])
+def test_the_state_of_a_session_whose_episode_ended_elsewhere(fleet, durability):
+    """A former owner has all decisions, but not the end of the episode."""
+    first, second = fleet.replicas[:2]
+    with (
+        spikeserve.Client(first.address, OPTIONS) as former,
+        spikeserve.Client(second.address, OPTIONS) as present,
+    ):
+        session = former.open_session("cartpole", options_of(3, durability))
+        for t in range(3):
+            session.act(observation(3, t), reward(t))
+        until(lambda: store_has(fleet, session, 3))
+        # As if the client had gone to the second replica for the end of the episode, and then back.
+        session._client = present
+        session.end_episode(1.0, terminated=True)
+        expected = comparable_state(session.state(include_head_delta=True))
+        session._client = former
+        assert comparable_state(session.state(include_head_delta=True)) == expected
+
+
+def store_has(fleet, session, decisions):
+    """Returns whether Redis has the decisions of a session: its journal has a snapshot and an entry for each."""
+    with socket.create_connection((fleet.redis.host, fleet.redis.port)) as connection:
+        connection.sendall(f"LLEN ss:{{{session.session_id}}}:1\r\n".encode())
+        return connection.recv(16) == f":{decisions + 1}\r\n".encode()
 
 
 def test_a_replica_that_was_stopped_sends_no_stale_answer(fleet):

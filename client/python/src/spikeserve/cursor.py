@@ -125,7 +125,7 @@ class SessionCursor:
         )
 
         def accept(response: Message) -> SessionState:
-            self._check_is_current("GetSession", response.decisions)
+            self._check_is_current("GetSession", response.decisions, response.episode)
             return SessionState.from_wire(response)
 
         return self._reading("GetSession", request, accept)
@@ -137,7 +137,7 @@ class SessionCursor:
         def accept(response: Message) -> Explanation:
             is_last = response.answer.step == self.step - 1 and response.episode == self.episode
             if self.decision is not None and not is_last:
-                self._check_is_current("Explain", 0)
+                self._check_is_current("Explain", 0, 0)
             return Explanation.from_wire(response)
 
         return self._reading("Explain", request, accept)
@@ -188,10 +188,18 @@ class SessionCursor:
             return []
         return self.missing(error) or self._unacknowledged.last_call(self.route)
 
-    def _check_is_current(self, method: str, decisions: int) -> None:
-        """Raises FailedPreconditionError if the server knows fewer decisions than were made."""
-        if self._unacknowledged and self.decision is not None and decisions < self.decision:
-            message = f"decisions: expected {self.decision}, received {decisions}"
+    def _check_is_current(self, method: str, decisions: int, episode: int) -> None:
+        """Raises FailedPreconditionError if the server knows less than has happened.
+
+        A former owner may have all decisions, but not the end of the last episode.
+        """
+        if not self._unacknowledged or self.decision is None or self.episode is None:
+            return
+        if decisions < self.decision or episode < self.episode:
+            message = (
+                f"decisions: expected {self.decision} in episode {self.episode}, "
+                f"received {decisions} in episode {episode}"
+            )
             code = grpc.StatusCode.FAILED_PRECONDITION
             raise make_error(method, code, message, expected_decision=decisions)
 
