@@ -43,6 +43,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
     std::string id;      // of the session
     std::string tenant;  // owner of the session
     uint64_t epoch = 1;  // 1 for a new session; a claim adds 1
+    // Names the policy file without which a server cannot go on; empty: any server may try.
+    std::string policy_file = "";
   };
 
   // `decisions` are those that the store has. `writer` must outlive the journal. REQUIRES:

@@ -208,9 +208,10 @@ absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string sessio
   }
   if (durability != Durability::kNone) {
     if (auto status = durability_.journals->CheckReachable(); !status.ok()) return status;
-    extras.journal =
-        std::make_shared<SessionJournal>(SessionJournal::Key{.id = *id, .tenant = options->tenant},
-                                         durability, /*decisions=*/0, durability_.journals);
+    extras.journal = std::make_shared<SessionJournal>(
+        SessionJournal::Key{
+            .id = *id, .tenant = options->tenant, .policy_file = PolicyFileOf(served)},
+        durability, /*decisions=*/0, durability_.journals);
     if (commits != nullptr) commits->push_back({.journal = extras.journal, .position = 1});
   }
   ToProto(*id, *options, served, response);
@@ -432,7 +433,13 @@ absl::Status PolicyHandler::CloseSession(const Credential& caller,
   const auto entry = store_->Find(request.session_id(), tenant);
   if (!entry.ok()) return entry.status();
   auto status = store_->Close(request.session_id(), tenant);
-  if (status.ok() && commits != nullptr) AddCommit(**entry, commits);
+  if (!status.ok() || commits == nullptr || (*entry)->journal == nullptr) return status;
+  // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
+  // this, too, unless the store is away: then the end is written when it comes back.
+  SessionJournal& journal = *(*entry)->journal;
+  if (journal.is_sync() || durability_.journals->CheckReachable().ok()) {
+    commits->push_back({.journal = (*entry)->journal, .position = journal.written()});
+  }
   return status;
 }
 

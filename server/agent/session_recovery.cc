@@ -7,6 +7,7 @@
 #include "core/session/journal_entry.h"
 #include "core/session/session_journal.h"
 #include "server/base/log.h"
+#include "server/policies/policy_catalog.h"
 
 namespace spikeserve {
 namespace {
@@ -22,6 +23,15 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindPolicy(const SessionOpti
       served.ok() ? ", whose file is another one here" : ", which is not served here"));
 }
 
+// Returns the files of all versions that are served here.
+std::vector<std::string> PolicyFiles(const PolicyCatalog& catalog) {
+  std::vector<std::string> files;
+  for (const auto& [name, policy] : catalog.policies()) {
+    for (const auto& [version, served] : policy.versions) files.push_back(PolicyFileOf(*served));
+  }
+  return files;
+}
+
 // Returns the contribution that the session has not been told the outcome of, or null.
 std::shared_ptr<FleetContribution> ContributionOf(SessionStore& sessions, const std::string& id) {
   const auto entry = sessions.Peek(id);
@@ -34,6 +44,10 @@ std::shared_ptr<FleetContribution> ContributionOf(SessionStore& sessions, const 
 
 bool IsDrawnSessionId(absl::string_view id) {
   return id.size() == 32 && id.find_first_not_of("0123456789abcdef") == absl::string_view::npos;
+}
+
+std::string PolicyFileOf(const ServedPolicy& served) {
+  return absl::StrCat(served.name, "@", served.version, ":", served.sha256);
 }
 
 void SessionRecovery::Recover(const Credential& caller, const std::string& id, const Post& post,
@@ -53,7 +67,9 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
   if (is_here) return done(absl::OkStatus());
   if (!is_first) return;
   const std::shared_ptr<SessionQuota> quota = caller.tenant();
-  journals_.Claim(id, key.first, [=, this](absl::StatusOr<ClaimedJournal> result) {
+  JournalClaim claim = {
+      .id = id, .tenant = key.first, .policy_files = PolicyFiles(*registry_.catalog())};
+  journals_.Claim(std::move(claim), [=, this](absl::StatusOr<ClaimedJournal> result) {
     const auto claimed = std::make_shared<absl::StatusOr<ClaimedJournal>>(std::move(result));
     post([=, this] {
       const absl::Status status = Restore(key, quota, std::move(*claimed));
@@ -78,15 +94,23 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
   }
   auto served = FindPolicy(options, registry_);
   if (!served.ok()) return served.status();
+  if (claimed->epoch == 0) {
+    return absl::UnavailableError(
+        "session_id: expected a session whose policy this server had when it asked the store; try "
+        "again");
+  }
   journals_.CountReplayed(journal->entries.size());
   auto session = RestoreSession(*std::move(journal), (*served)->policy());
   if (!session.ok()) return session.status();
 
   SessionExtras extras;
   extras.quota = std::move(quota);
-  extras.journal = std::make_shared<SessionJournal>(
-      SessionJournal::Key{.id = key.second, .tenant = key.first, .epoch = claimed->epoch},
-      options.durability, session->decisions, &journals_);
+  extras.journal =
+      std::make_shared<SessionJournal>(SessionJournal::Key{.id = key.second,
+                                                           .tenant = key.first,
+                                                           .epoch = claimed->epoch,
+                                                           .policy_file = PolicyFileOf(**served)},
+                                       options.durability, session->decisions, &journals_);
   if (recordings_ != nullptr && !options.recording.empty()) {
     extras.recorder = recordings_->Record(*served, options.recording);
   }

@@ -28,6 +28,9 @@ namespace spikeserve {
 // lower case. Only such sessions are stored.
 bool IsDrawnSessionId(absl::string_view id);
 
+// Returns the name of a version's file: SessionJournal::Key::policy_file.
+std::string PolicyFileOf(const ServedPolicy& served);
+
 class SessionRecovery {
  public:
   // Runs work on the thread of the caller's event loop.
@@ -42,8 +45,8 @@ class SessionRecovery {
   // Claims session `id` of the caller's tenant, restores it and adds it to the sessions of this
   // server. Calls `done` by `post`: with OK if the server holds the session now, NOT_FOUND if the
   // store has no such session, UNAVAILABLE if the store cannot be reached or this server does not
-  // have the session's policy, DATA_LOSS if its journal is damaged, or an error of
-  // SessionStore::Restore().
+  // have the session's policy, which then stays with its owner, DATA_LOSS if its journal is
+  // damaged, or an error of SessionStore::Restore().
   void Recover(const Credential& caller, const std::string& id, const Post& post, Done done)
       ABSL_LOCKS_EXCLUDED(mutex_);
 

@@ -41,7 +41,7 @@ class FileBackend final : public JournalBackend {
 
   absl::Status Open(absl::Duration retention);
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
-  absl::StatusOr<ClaimedJournal> Claim(const std::string& id, const std::string& tenant) override;
+  absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) override;
 
  private:
   // Returns ABORTED or ALREADY_EXISTS if the record is refused.
@@ -137,13 +137,13 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
   return RemoveBefore(transaction, key.id, record.decisions);
 }
 
-absl::StatusOr<ClaimedJournal> FileBackend::Claim(const std::string& id,
-                                                  const std::string& tenant) {
+absl::StatusOr<ClaimedJournal> FileBackend::Claim(const JournalClaim& claim) {
+  const std::string& id = claim.id;
   auto transaction = LmdbTransaction::Begin(environment_.get());
   if (!transaction.ok()) return transaction.status();
   auto session = Read(*transaction, id);
   if (!session.ok()) return session.status();
-  if (!session->has_value() || (*session)->tenant != tenant) return NoSuchSession(id);
+  if (!session->has_value() || (*session)->tenant != claim.tenant) return NoSuchSession(id);
   ClaimedJournal journal = {.epoch = ++(*session)->epoch, .records = {}};
   (*session)->written_seconds = NowSeconds();
   if (auto status = Put(*transaction, id, **session); !status.ok()) return status;

@@ -13,10 +13,19 @@
 
 namespace spikeserve {
 
+// Names the session that a server claims.
+struct JournalClaim {
+  std::string id;
+  std::string tenant;
+  std::vector<std::string> policy_files;  // that the server has; see SessionJournal::Key
+};
+
 // The journal of a session at the moment at which it was claimed.
 struct ClaimedJournal {
-  uint64_t epoch = 0;                // of the new owner
-  std::vector<std::string> records;  // in the order in which they were written
+  // Of the new owner; 0: the session was left to its owner, because the server lacks its policy.
+  uint64_t epoch = 0;
+  // In the order in which they were written. If the session was left, the first one only.
+  std::vector<std::string> records;
 };
 
 // Called by one thread. The methods may block.
@@ -31,9 +40,9 @@ class JournalBackend {
       absl::Span<const JournalRecord> records) = 0;
 
   // Makes the caller the owner of a session's journal and returns it. Returns NOT_FOUND if the
-  // store has no open session with this id and tenant, and UNAVAILABLE as above.
-  virtual absl::StatusOr<ClaimedJournal> Claim(const std::string& id,
-                                               const std::string& tenant) = 0;
+  // store has no open session with this id and tenant, and UNAVAILABLE as above. A store that
+  // several servers use leaves the session to its owner if the caller lacks its policy file.
+  virtual absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) = 0;
 };
 
 }  // namespace spikeserve

@@ -109,10 +109,10 @@ absl::Status JournalStore::CheckBacklog() const {
                         kLongestRetry);
 }
 
-void JournalStore::Claim(std::string id, std::string tenant, Claimed claimed) {
+void JournalStore::Claim(JournalClaim claim, Claimed claimed) {
   if (auto status = CheckReachable(); !status.ok()) return claimed(status);
   absl::MutexLock lock(&mutex_);
-  queue_.claims.push_back({std::move(id), std::move(tenant), std::move(claimed)});
+  queue_.claims.push_back({std::move(claim), std::move(claimed)});
   changed_.NotifyAll();
 }
 
@@ -209,10 +209,10 @@ void JournalStore::Count(const JournalRecord& record, const absl::Status& outcom
 void JournalStore::RunClaims(std::vector<ClaimRequest> claims) {
   absl::Status reachable = CheckReachable();
   for (ClaimRequest& request : claims) {
-    auto result = reachable.ok() ? backend_->Claim(request.id, request.tenant)
-                                 : absl::StatusOr<ClaimedJournal>(reachable);
+    auto result =
+        reachable.ok() ? backend_->Claim(request.claim) : absl::StatusOr<ClaimedJournal>(reachable);
     if (result.ok()) {
-      claimed_.Increment();
+      (result->epoch > 0 ? claimed_ : claims_failed_).Increment();
     } else if (!absl::IsNotFound(result.status())) {
       claims_failed_.Increment();
       // One timeout is enough for all that wait.

@@ -61,7 +61,7 @@ class JournalStore final : public JournalWriter {
 
   // Claims a session after all records that were written before this call. Calls `claimed` on the
   // thread of the store, with the result of JournalBackend::Claim().
-  void Claim(std::string id, std::string tenant, Claimed claimed);
+  void Claim(JournalClaim claim, Claimed claimed);
 
   // Counts the entries that were folded into a snapshot to restore a session.
   void CountReplayed(size_t entries) { replayed_.Increment(static_cast<double>(entries)); }
@@ -72,8 +72,7 @@ class JournalStore final : public JournalWriter {
 
  private:
   struct ClaimRequest {
-    std::string id;
-    std::string tenant;
+    JournalClaim claim;
     Claimed claimed;
   };
   struct Work {

@@ -6,6 +6,7 @@
 #include "absl/random/random.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
 #include "core/store/redis_client.h"
@@ -17,7 +18,7 @@ namespace {
 // Starts a journal, or writes it again for its owner, which also replaces an older epoch: a store
 // that has lost a claim. Returns 0 if another owner has the session.
 // KEYS: hash, list. ARGV: epoch, owner, tenant, snapshot, retention in milliseconds, prefix of the
-// list's key.
+// list's key, policy file.
 constexpr char kOpen[] = R"(
 local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
 if found[1] then
@@ -25,7 +26,8 @@ if found[1] then
   if not newer and (found[1] ~= ARGV[1] or found[2] ~= ARGV[2]) then return 0 end
   redis.call('DEL', ARGV[6] .. found[1])
 end
-redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[2], 'tenant', ARGV[3], 'state', 'open')
+redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[2], 'tenant', ARGV[3], 'state', 'open',
+           'policy', ARGV[7])
 redis.call('RPUSH', KEYS[2], ARGV[4])
 redis.call('PEXPIRE', KEYS[1], ARGV[5])
 redis.call('PEXPIRE', KEYS[2], ARGV[5])
@@ -53,16 +55,21 @@ redis.call('PEXPIRE', KEYS[2], ARGV[3])
 return 1)";
 
 // Makes the caller the owner. Returns the new epoch and the journal, or nothing if there is no open
-// session of the tenant.
-// KEYS: hash. ARGV: prefix of the list's key, owner, tenant, retention in milliseconds, what to add
-// to the epoch.
+// session of the tenant. If the caller does not have the policy file of the session, changes
+// nothing and returns the epoch 0 and the first record. KEYS: hash. ARGV: prefix of the list's key,
+// owner, tenant, retention in milliseconds, what to add to the epoch, policy files of the caller,
+// each between two line feeds.
 constexpr char kClaim[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'tenant', 'state')
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'tenant', 'state', 'policy')
 if not found[1] or found[2] ~= ARGV[3] or found[3] ~= 'open' then return false end
 local epoch = string.format('%d', found[1] + ARGV[5])
 local from = ARGV[1] .. found[1]
 local to = ARGV[1] .. epoch
 if redis.call('EXISTS', from) == 0 then return false end
+local policy = found[4] or ''
+if policy ~= '' and not string.find(ARGV[6], '\n' .. policy .. '\n', 1, true) then
+  return {'0', redis.call('LRANGE', from, 0, 0)}
+end
 redis.call('RENAME', from, to)
 redis.call('HSET', KEYS[1], 'epoch', epoch, 'owner', ARGV[2])
 redis.call('PEXPIRE', KEYS[1], ARGV[4])
@@ -86,7 +93,7 @@ class RedisBackend final : public JournalBackend {
         owner_(std::move(owner)) {}
 
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
-  absl::StatusOr<ClaimedJournal> Claim(const std::string& id, const std::string& tenant) override;
+  absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) override;
 
  private:
   // Runs `exchange` on a connected client, which is dropped if it fails, and waits for the
@@ -99,7 +106,7 @@ class RedisBackend final : public JournalBackend {
   absl::StatusOr<int64_t> ReadReplies(const JournalRecord& record);
   // Returns why Redis refused a record: ABORTED or NOT_FOUND.
   absl::StatusOr<absl::Status> ReasonOf(const JournalRecord& record);
-  absl::StatusOr<ClaimedJournal> ClaimNow(const std::string& id, const std::string& tenant);
+  absl::StatusOr<ClaimedJournal> ClaimNow(const JournalClaim& claim);
 
   const RedisOptions options_;
   const std::string retention_;  // milliseconds
@@ -154,7 +161,7 @@ void RedisBackend::Append(const JournalRecord& record) {
   switch (record.kind) {
     case JournalRecord::Kind::kOpen:
       return client_->Append({"EVAL", kOpen, "2", hash, list, epoch, owner_, key.tenant,
-                              record.bytes, retention_, RedisListPrefix(key.id)});
+                              record.bytes, retention_, RedisListPrefix(key.id), key.policy_file});
     case JournalRecord::Kind::kEntry:
       return client_->Append({"RPUSHX", list, record.bytes});
     case JournalRecord::Kind::kSnapshot:
@@ -205,19 +212,19 @@ absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const JournalRecord& record)
   return absl::AbortedError("another owner has claimed the session");
 }
 
-absl::StatusOr<ClaimedJournal> RedisBackend::Claim(const std::string& id,
-                                                   const std::string& tenant) {
-  return OnClient<ClaimedJournal>([&] { return ClaimNow(id, tenant); });
+absl::StatusOr<ClaimedJournal> RedisBackend::Claim(const JournalClaim& claim) {
+  return OnClient<ClaimedJournal>([&] { return ClaimNow(claim); });
 }
 
-absl::StatusOr<ClaimedJournal> RedisBackend::ClaimNow(const std::string& id,
-                                                      const std::string& tenant) {
+absl::StatusOr<ClaimedJournal> RedisBackend::ClaimNow(const JournalClaim& claim) {
   const std::string step = absl::StrCat(absl::Uniform(random_, 1U, kMostEpochs));
-  const auto reply = client_->Run({"EVAL", kClaim, "1", RedisHashKey(id), RedisListPrefix(id),
-                                   owner_, tenant, retention_, step});
+  const std::string files = absl::StrCat("\n", absl::StrJoin(claim.policy_files, "\n"), "\n");
+  const auto reply =
+      client_->Run({"EVAL", kClaim, "1", RedisHashKey(claim.id), RedisListPrefix(claim.id), owner_,
+                    claim.tenant, retention_, step, files});
   if (!reply.ok()) return reply.status();
   const redisReply& claimed = **reply;
-  if (claimed.type == REDIS_REPLY_NIL) return NoSuchSession(id);
+  if (claimed.type == REDIS_REPLY_NIL) return NoSuchSession(claim.id);
   ClaimedJournal journal;
   const bool is_pair = claimed.type == REDIS_REPLY_ARRAY && claimed.elements == 2 &&
                        claimed.element[0]->type == REDIS_REPLY_STRING &&

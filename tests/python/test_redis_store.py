@@ -3,6 +3,7 @@
 import json
 import os
 import queue
+import shutil
 import signal
 import subprocess
 import urllib.request
@@ -11,7 +12,7 @@ import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis
 from security import TOKENS, code_of, service_with, until
-from serving import DEADLINE_SECONDS, Service, message_class, running_server
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, message_class, running_server
 from stored_sessions import (
     SESSIONS,
     Restartable,
@@ -195,6 +196,43 @@ def test_a_closed_session_is_closed_for_all(replicas):
     with pytest.raises(grpc.RpcError) as error:
         second.OpenSession(**opening(0))
     assert error.value.code() == grpc.StatusCode.ALREADY_EXISTS
+
+
+def test_a_former_owner_closes_the_session_for_all_or_not_at_all(redis, replicas):
+    first, second = replicas
+    session = {"session_id": opening(0)["session_id"]}
+    first.OpenSession(**opening(0) | {"durability": "ASYNC"})
+    until(lambda: act(first, 0, 0).durable_decision == 1)
+    act(second, 0, 1)
+    assert code_of(first.CloseSession, **session) == grpc.StatusCode.UNAVAILABLE
+    assert second.GetSession(**session).decisions == 2
+    first.CloseSession(**session)  # claims it, as the client library's next try does
+    state = redis.command(f"HGET ss:{{{session['session_id']}}}:o state", database=1)
+    assert state == b"closed"
+    # The owner decides once more in memory, and finds out.
+    until(lambda: code_of_act(second, 0, 2) == grpc.StatusCode.NOT_FOUND)
+
+
+def test_a_replica_with_other_bytes_of_the_policy_leaves_the_session_to_its_owner(redis, tmp_path):
+    redis.command("FLUSHALL")
+    password = tmp_path / "password"
+    password.write_text("secret\n")
+    policies = tmp_path / "policies"
+    shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", policies / "cartpole" / "1")
+    store, flags = f"redis://127.0.0.1:{redis.port}", [f"--store_password_file={password}"]
+    with Restartable(store, flags) as owner, Restartable(store, flags, policies) as other:
+        owner.OpenSession(**opening(0))
+        for step in range(4):
+            with pytest.raises(grpc.RpcError) as error:
+                act(other, 0, step)
+            assert error.value.code() == grpc.StatusCode.UNAVAILABLE
+            assert "whose file is another one here" in error.value.details()
+            assert act(owner, 0, step).step == step
+        assert metric(owner, "spikeserve_store_fences_total") == 0
+        assert metric(other, 'spikeserve_store_claims_total{outcome="failed"}') == 4
+        assert redis.command(f"HGET ss:{{{opening(0)['session_id']}}}:o epoch") == b"1"
+        owner.close()
+        other.close()
 
 
 def test_flags():

@@ -56,8 +56,12 @@ class FileBackendTest : public ::testing::Test {
     return codes;
   }
 
+  absl::StatusOr<ClaimedJournal> Claim(const std::string& id, const std::string& tenant = "t") {
+    return backend_->Claim({.id = id, .tenant = tenant, .policy_files = {}});
+  }
+
   std::vector<std::string> Claimed(const std::string& id = kId) {
-    const auto journal = backend_->Claim(id, "t");
+    const auto journal = Claim(id);
     EXPECT_TRUE(journal.ok()) << journal.status();
     return journal.ok() ? journal->records : std::vector<std::string>();
   }
@@ -91,7 +95,7 @@ TEST_F(FileBackendTest, ASnapshotReplacesEverythingBefore) {
 
 TEST_F(FileBackendTest, AFormerOwnerIsRefused) {
   Write({Record(Kind::kOpen, "open", 0)});
-  const auto claimed = backend_->Claim(kId, "t");
+  const auto claimed = Claim(kId);
   ASSERT_TRUE(claimed.ok()) << claimed.status();
   EXPECT_EQ(claimed->epoch, 2u);
   EXPECT_THAT(Write({Record(Kind::kEntry, "old", 1, 1), Record(Kind::kEntry, "new", 1, 2),
@@ -105,15 +109,15 @@ TEST_F(FileBackendTest, AnIdIsOpenedOnceAndGoneAfterItsClose) {
               ElementsAre(kOk, absl::StatusCode::kAlreadyExists));
   EXPECT_THAT(Write({Record(Kind::kClose, "", 0), Record(Kind::kEntry, "late", 1)}),
               ElementsAre(kOk, kAborted));
-  EXPECT_EQ(backend_->Claim(kId, "t").status().code(), absl::StatusCode::kNotFound);
+  EXPECT_EQ(Claim(kId).status().code(), absl::StatusCode::kNotFound);
   EXPECT_THAT(Write({Record(Kind::kOpen, "c", 0)}), ElementsAre(kOk));
   EXPECT_THAT(Claimed(), ElementsAre("c"));
 }
 
 TEST_F(FileBackendTest, OtherTenantsDoNotSeeTheSession) {
   Write({Record(Kind::kOpen, "open", 0)});
-  EXPECT_EQ(backend_->Claim(kId, "other").status().code(), absl::StatusCode::kNotFound);
-  EXPECT_EQ(backend_->Claim(kId, "t")->epoch, 2u);
+  EXPECT_EQ(Claim(kId, "other").status().code(), absl::StatusCode::kNotFound);
+  EXPECT_EQ(Claim(kId)->epoch, 2u);
 }
 
 TEST_F(FileBackendTest, SessionsThatNothingWasWrittenToAreRemovedAtTheNextStart) {
@@ -122,7 +126,7 @@ TEST_F(FileBackendTest, SessionsThatNothingWasWrittenToAreRemovedAtTheNextStart)
   Write({Record(Kind::kEntry, "1", 1, 1, kOtherId)});
   now_ += absl::Minutes(40);
   Open();
-  EXPECT_EQ(backend_->Claim(kId, "t").status().code(), absl::StatusCode::kNotFound);
+  EXPECT_EQ(Claim(kId).status().code(), absl::StatusCode::kNotFound);
   EXPECT_THAT(Claimed(kOtherId), ElementsAre("used", "1"));
 }
 

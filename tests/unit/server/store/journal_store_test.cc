@@ -34,11 +34,10 @@ class FakeBackend final : public JournalBackend {
     return outcomes;
   }
 
-  absl::StatusOr<ClaimedJournal> Claim(const std::string& id,
-                                       const std::string& /*tenant*/) override {
+  absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) override {
     absl::MutexLock lock(&mutex_);
     if (!status_.ok()) return status_;
-    if (id != "known") return absl::NotFoundError("unknown");
+    if (claim.id != "known") return absl::NotFoundError("unknown");
     return ClaimedJournal{.epoch = 2, .records = written_};
   }
 
@@ -99,10 +98,11 @@ class JournalStoreTest : public ::testing::Test {
   absl::StatusOr<ClaimedJournal> Claim(const std::string& id) {
     absl::Notification done;
     absl::StatusOr<ClaimedJournal> claimed;
-    store_->Claim(id, "", [&](absl::StatusOr<ClaimedJournal> result) {
-      claimed = std::move(result);
-      done.Notify();
-    });
+    store_->Claim({.id = id, .tenant = "", .policy_files = {}},
+                  [&](absl::StatusOr<ClaimedJournal> result) {
+                    claimed = std::move(result);
+                    done.Notify();
+                  });
     EXPECT_TRUE(done.WaitForNotificationWithTimeout(kDeadline));
     return claimed;
   }
