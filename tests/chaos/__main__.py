@@ -1,14 +1,17 @@
 """Plays sessions on three replicas and one Redis while they are killed, stopped and cut off.
 
-usage: python -m tests.chaos [--sessions=N] [--decisions=N] [--rate=N] [--period=SECONDS] [--pause=SECONDS] [--seed=N]
+usage: python -m tests.chaos [--sessions=N] [--learners=N] [--decisions=N] [--rate=N] [--faults=KIND,...]
+  [--period=SECONDS] [--pause=SECONDS] [--seed=N]
 
-Compares every answer, and the learned heads, bit for bit with a run on one server that nothing disturbs. Needs root, for
-network namespaces, and the variable SPIKESERVE_PROGRAM. Exits with status 1 if an answer differs, an error reaches a
-session or a kind of fault was not made, and with 77 if it may not make namespaces.
+Compares every answer, and the learned heads, bit for bit with a run on one server that nothing disturbs. Other sessions
+learn the head of the fleet meanwhile: it must be the same on all replicas in the end, with each contribution once. Needs
+root, for network namespaces, and the variable SPIKESERVE_PROGRAM. Exits with status 1 if an answer or a head differs, an
+error reaches a session or a kind of fault was not made, and with 77 if it may not make namespaces.
 """
 
 import argparse
 import asyncio
+import bisect
 import contextlib
 import os
 import pathlib
@@ -26,6 +29,7 @@ from restartable_server import RestartableServer  # noqa: E402
 from serving import running_server  # noqa: E402
 
 from tests.chaos.faults import FAULTS, Chaos  # noqa: E402
+from tests.chaos.fleet_learners import FleetLearners, entries_in, heads_of  # noqa: E402
 from tests.chaos.network import Host, enter_own_namespace  # noqa: E402
 from tests.chaos.workload import Workload  # noqa: E402
 
@@ -35,12 +39,18 @@ SKIPPED = 77
 def parse_arguments():
     parser = argparse.ArgumentParser(prog="tests.chaos")
     parser.add_argument("--sessions", type=int, default=512)
+    parser.add_argument("--learners", type=int, default=16, help="sessions that learn the head of the fleet")
     parser.add_argument("--decisions", type=int, default=2000, help="of each session")
-    parser.add_argument("--rate", type=float, default=20.0, help="decisions a second, at most")
+    parser.add_argument("--rate", type=float, default=20.0, help="decisions a second of a session, at most")
+    parser.add_argument("--faults", default=",".join(FAULTS), help="kinds, separated by commas")
     parser.add_argument("--period", type=float, default=5.0, help="seconds between faults")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds that a replica is away")
     parser.add_argument("--seed", type=int, default=1)
-    return parser.parse_args()
+    arguments = parser.parse_args()
+    arguments.faults = arguments.faults.split(",")
+    if unknown := set(arguments.faults) - set(FAULTS):
+        parser.error(f"--faults: expected some of {', '.join(FAULTS)}, received {', '.join(unknown)}")
+    return arguments
 
 
 @contextlib.contextmanager
@@ -67,31 +77,88 @@ def running_replicas():
         yield redis, replicas, hosts
 
 
-async def play_disturbed(workload, chaos, servers):
-    """Plays until all sessions have ended, with faults all the time."""
-    faults = asyncio.create_task(chaos.run())
+async def play_disturbed(workload, learners, chaos, replicas):
+    """Plays until all sessions have ended, with faults all the time. Returns the shared head of each replica."""
+    servers = ",".join(replica.address for replica in replicas)
+    others = [asyncio.create_task(chaos.run()), asyncio.create_task(learners.play(servers))]
     playing = asyncio.create_task(workload.play(servers))
-    await asyncio.wait([faults, playing], return_when=asyncio.FIRST_COMPLETED)
-    faults.cancel()
-    if faults.done() and not faults.cancelled():
-        faults.result()  # raises what went wrong
+    await asyncio.wait([playing, *others], return_when=asyncio.FIRST_COMPLETED)
+    for other in others:
+        if other.done():
+            other.result()  # raises what went wrong
     await playing
+    chaos.stop()
+    learners.stop()
+    await asyncio.gather(*others)
+    return await heads_of(replicas)
 
 
-def report(workload, chaos, seconds):
+def pauses_of(fault, period, answers):
+    """Returns the longest wait of each session that was at a replica which the fault met, until the next fault."""
+    pauses = []
+    for of_session in answers.values():
+        first = bisect.bisect_left(of_session, fault.begin, key=lambda answer: answer.at)
+        if first == 0 or of_session[first - 1].server not in fault.victims:
+            continue
+        last = bisect.bisect_right(of_session, fault.end + period, key=lambda answer: answer.at)
+        pauses += [max(answer.seconds for answer in of_session[first:last])] if first < last else []
+    return pauses
+
+
+def report(workload, learners, chaos, period, seconds):
     """Prints what was made and how long sessions waited for their answers then."""
     print(f"{workload.decided} decisions in {seconds:.0f} s, {len(chaos.made)} faults")
-    print(f"{'fault':22} {'times':>5} {'pause p50':>10} {'pause p99':>10}")
+    print(f"{learners.episodes} episodes were learned by the fleet")
+    print(f"{'fault':22} {'times':>5} {'pauses':>7} {'p50':>9} {'p99':>9} {'max':>9}")
     for kind in FAULTS:
         made = [fault for fault in chaos.made if fault.kind == kind]
         pauses = sorted(
-            answer.seconds
-            for answer in workload.answers
-            if any(fault.begin <= answer.at <= fault.end + 1 for fault in made)
+            pause for fault in made for pause in pauses_of(fault, period, workload.answers)
         )
         if pauses:
             p50, p99 = (1000 * pauses[int(len(pauses) * part)] for part in (0.5, 0.99))
-            print(f"{kind:22} {len(made):5} {p50:7.0f} ms {p99:7.0f} ms")
+            print(
+                f"{kind:22} {len(made):5} {len(pauses):7}"
+                f" {p50:6.0f} ms {p99:6.0f} ms {1000 * pauses[-1]:6.0f} ms"
+            )
+
+
+def head_errors(heads, entries, episodes):
+    """Returns what is wrong with the shared heads."""
+    errors = [
+        f"head: replica {i} has another one than replica 0"
+        for i, head in enumerate(heads)
+        if head != heads[0]
+    ]
+    if entries != episodes:
+        errors.append(f"head: expected {episodes} contributions in its log, received {entries}")
+    return errors
+
+
+def play_both(arguments):
+    """Plays undisturbed and disturbed, prints what was made, and returns what is wrong."""
+    size = arguments.sessions, arguments.decisions
+    undisturbed = Workload(*size, stored=False)
+    with running_server() as server:
+        asyncio.run(undisturbed.play(server.grpc))
+    print(f"{undisturbed.decided} decisions without a disturbance", flush=True)
+    disturbed = Workload(*size, stored=True, rate=arguments.rate, expected=undisturbed)
+    learners = FleetLearners(arguments.learners, arguments.rate)
+    begin = time.monotonic()
+    with running_replicas() as (redis, replicas, hosts):
+        times = arguments.period, arguments.pause
+        chaos = Chaos(
+            redis, replicas, hosts, arguments.faults, *times, random.Random(arguments.seed)
+        )
+        heads = asyncio.run(play_disturbed(disturbed, learners, chaos, replicas))
+        entries = entries_in(redis) if learners.episodes else 0
+    report(disturbed, learners, chaos, arguments.period, time.monotonic() - begin)
+    different = [i for i, digest in undisturbed.digests.items() if disturbed.digests[i] != digest]
+    print(f"{len(different)} of {arguments.sessions} sessions differ from the undisturbed run")
+    errors = head_errors(heads, entries, learners.episodes)
+    errors += [f"session {i}: differs" for i in different]
+    made = {fault.kind for fault in chaos.made}
+    return errors + [f"not made: {kind}" for kind in arguments.faults if kind not in made]
 
 
 def main():
@@ -100,27 +167,9 @@ def main():
         print("chaos: skipped, because network namespaces need root")
         return SKIPPED
     enter_own_namespace()
-    size = arguments.sessions, arguments.decisions
-    undisturbed = Workload(*size, stored=False)
-    with running_server() as server:
-        asyncio.run(undisturbed.play(server.grpc))
-    disturbed = Workload(*size, stored=True, rate=arguments.rate)
-    begin = time.monotonic()
-    with running_replicas() as (redis, replicas, hosts):
-        chaos = Chaos(
-            redis, replicas, hosts, arguments.period, arguments.pause, random.Random(arguments.seed)
-        )
-        servers = ",".join(replica.address for replica in replicas)
-        asyncio.run(play_disturbed(disturbed, chaos, servers))
-    report(disturbed, chaos, time.monotonic() - begin)
-    different = [i for i, digest in undisturbed.digests.items() if disturbed.digests[i] != digest]
-    print(f"{len(different)} of {arguments.sessions} sessions differ from the undisturbed run")
-    if different:
-        print("sessions:", *different)
-    missing = sorted(set(FAULTS) - {fault.kind for fault in chaos.made})
-    if missing:
-        print("not made:", *missing)
-    return 1 if different or missing else 0
+    errors = play_both(arguments)
+    print(*errors, sep="\n")
+    return 1 if errors else 0
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 """The sessions of the chaos suite, which play by calls, in batches and on streams at the same time."""
 
 import asyncio
-import dataclasses
+import collections
 import hashlib
 import time
+import typing
 
 import spikeserve
 from replicated import comparable, comparable_state, observation, options_of, policy_of, reward
@@ -15,27 +16,31 @@ LEVELS = ("ASYNC", "SYNC")
 OPTIONS = spikeserve.ClientOptions(timeout=1.0, retry=spikeserve.RetryOptions(max_elapsed=120))
 
 
-@dataclasses.dataclass
-class Answered:
-    """When a session had an answer, and how long it took, in seconds."""
+class Answered(typing.NamedTuple):
+    """When a session had an answer, by time.monotonic(), how long it took in seconds, and from which replica."""
 
     at: float
     seconds: float
+    server: str
 
 
 class Workload:
     """Plays `sessions` sessions for `decisions` decisions each. `digests` says what they answered.
 
-    A session makes at most `rate` decisions a second, so that there is time for faults.
+    A session makes at most `rate` decisions a second, so that there is time for faults. With `expected`, a Workload that
+    has been played, the first difference of each session is printed at the end of its episode.
     """
 
-    def __init__(self, sessions, decisions, stored, rate=None):
+    def __init__(self, sessions, decisions, stored, rate=None, expected=None):
         self._sessions = sessions
         self._decisions = decisions
         self._stored = stored
         self._interval = 1 / rate if rate else 0.0
+        self._expected = expected
+        self._differing = set()
+        self._episodes = collections.defaultdict(list)  # by session: the digest after each episode
         self.digests = {}
-        self.answers = []  # of the sessions that play by calls
+        self.answers = collections.defaultdict(list)  # by session; kept if the sessions are stored
         self.decided = 0
 
     async def play(self, servers):
@@ -50,8 +55,10 @@ class Workload:
                 *(players[n % len(players)](client, group) for n, group in enumerate(groups))
             )
 
-    async def _steps(self):
-        due = time.monotonic()
+    async def _steps(self, first):
+        # Sessions that begin together would wait for each other at every step.
+        due = time.monotonic() + self._interval * first / self._sessions
+        await asyncio.sleep(due - time.monotonic())
         for t in range(self._decisions):
             yield t
             due = max(due + self._interval, time.monotonic() - self._interval)
@@ -71,25 +78,24 @@ class Workload:
     async def _play_one(self, client, i):
         session = (await self._open(client, [i]))[i]
         digest = hashlib.sha256()
-        async for t in self._steps():
+        async for t in self._steps(i):
             begin = time.monotonic()
             decision = await session.act(observation(i, t), reward(t))
-            now = time.monotonic()
-            self.answers.append(Answered(now, now - begin))
-            self._take(digest, decision)
+            self._take(i, digest, decision, begin, session.cursor.route)
             await self._end_if_due(session, i, t, digest)
         await self._finish(session, i, digest)
 
     async def _play_batches(self, client, group):
         sessions = await self._open(client, group)
         digests = {i: hashlib.sha256() for i in group}
-        async for t in self._steps():
+        async for t in self._steps(group[0]):
             observations = [observation(i, t) for i in group]
+            begin = time.monotonic()
             results = await client.act_batch(
                 list(sessions.values()), observations, [reward(t)] * len(group)
             )
             for i, decision in zip(group, results, strict=True):
-                self._take(digests[i], decision)
+                self._take(i, digests[i], decision, begin, sessions[i].cursor.route)
             for i in group:
                 await self._end_if_due(sessions[i], i, t, digests[i])
         for i in group:
@@ -103,25 +109,42 @@ class Workload:
                 for i in group
             )
             sessions = dict(zip(group, await asyncio.gather(*opening), strict=True))
-            async for t in self._steps():
+            of_session = {session: i for i, session in sessions.items()}
+            async for t in self._steps(group[0]):
+                begin = time.monotonic()
                 for i in group:
                     await stream.send(sessions[i], observation(i, t), reward(t))
-                answers = dict([await stream.receive() for _ in group])
+                for _ in group:
+                    session, answer = await stream.receive()
+                    i = of_session[session]
+                    self._take(i, digests[i], answer, begin, stream.route)
                 for i in group:
-                    self._take(digests[i], answers[sessions[i]])
                     await self._end_if_due(sessions[i], i, t, digests[i])
         for i in group:
             await self._finish(sessions[i], i, digests[i])
 
-    def _take(self, digest, decision):
+    def _take(self, i, digest, decision, begin, route):
         if isinstance(decision, spikeserve.SpikeserveError):
             raise decision
         digest.update(comparable(decision).encode())
         self.decided += 1
+        if self._stored:
+            now = time.monotonic()
+            self.answers[i].append(Answered(now, now - begin, route.replica.address))
 
     async def _end_if_due(self, session, i, t, digest):
         if (t + 1) % EPISODE == 0:
             digest.update(repr(await session.end_episode(1.0 + i, terminated=True)).encode())
+            self._compare(i, digest)
+
+    def _compare(self, i, digest):
+        episodes = self._episodes[i]
+        episodes.append(digest.hexdigest())
+        if self._expected is None or i in self._differing:
+            return
+        if self._expected._episodes[i][len(episodes) - 1] != episodes[-1]:
+            self._differing.add(i)
+            print(f"session {i} differs from the undisturbed run in episode {len(episodes) - 1}", flush=True)
 
     async def _finish(self, session, i, digest):
         state, head = comparable_state(await session.state(include_head_delta=True))

@@ -1,0 +1,71 @@
+"""Sessions of the chaos suite that learn the head of the fleet."""
+
+import asyncio
+import subprocess
+
+import spikeserve
+from replicated import observation, reward
+
+from tests.chaos.workload import OPTIONS
+
+STEPS = 10  # decisions of an episode
+POLICY = {"policy": "cartpole", "version": 1}
+SESSION_OPTIONS = spikeserve.SessionOptions(
+    version=POLICY["version"],
+    sample=True,
+    temperature=4.0,
+    learning=spikeserve.Learning(scope="FLEET", learning_rate=0.3),
+)
+
+
+class FleetLearners:
+    """Plays `count` sessions until stop(). What they decide depends on the order of all contributions, so only the heads are
+    compared: those of all replicas, and with the number of `episodes` that have ended.
+    """
+
+    def __init__(self, count, rate):
+        self._count = count
+        self._interval = 1 / rate
+        self._stopping = asyncio.Event()
+        self.episodes = 0
+
+    def stop(self):
+        """Lets play() return when all episodes have ended."""
+        self._stopping.set()
+
+    async def play(self, servers):
+        """Plays until stop()."""
+        async with spikeserve.AsyncClient(servers, OPTIONS) as client:
+            await asyncio.gather(*(self._learn(client, i) for i in range(self._count)))
+
+    async def _learn(self, client, i):
+        async with await client.open_session(POLICY["policy"], SESSION_OPTIONS) as session:
+            while not self._stopping.is_set():
+                for t in range(STEPS):
+                    await session.act(observation(0, t + i), reward(t))
+                    await asyncio.sleep(self._interval)
+                await session.end_episode(1.0, terminated=True)
+                self.episodes += 1
+
+
+async def heads_of(replicas):
+    """Returns the shared head of each replica, with all that replicas must agree on."""
+    heads = []
+    for replica in replicas:
+        async with spikeserve.AsyncAdminClient(replica.address) as admin:
+            head = await admin.get_head(**POLICY, include_weights=True)
+        heads.append((head.delta[:], head.updates, head.rejected_updates, head.rollbacks))
+    return heads
+
+
+def entries_in(redis):
+    """Returns how many entries the log of the head has had: the number of the last one."""
+
+    def command(*words):
+        program = ["redis-cli", "-p", str(redis.port), "--raw", *words]
+        return subprocess.run(program, check=True, capture_output=True, text=True, errors="replace").stdout.splitlines()
+
+    [log] = command("KEYS", "fl:*")
+    identifier, name, number, *_ = command("XREVRANGE", log, "+", "-", "COUNT", "1")
+    assert name == "n", f"log {log}, entry {identifier}: expected n first, received {name}"
+    return int(number)
