@@ -177,6 +177,13 @@ Instances SessionsBounce(const AlertRule& rule, const AlertInput& input) {
   return ServerIf(fences > rule.threshold * records, fences / absl::ToDoubleSeconds(rule.window));
 }
 
+Instances HeadLogCut(const AlertRule& rule, const AlertInput& input) {
+  const double cuts =
+      Increase(input.history.Select("spikeserve_head_log_reloads_total", {{"outcome", "cut"}}),
+               WindowOf(rule, input));
+  return ServerIf(cuts > rule.threshold, cuts);
+}
+
 constexpr absl::Duration kNow = absl::ZeroDuration();
 
 const std::vector<AlertRule>& Rules() {
@@ -215,6 +222,9 @@ const std::vector<AlertRule>& Rules() {
       {"SpikeserveSessionsBounce", "warning",
        "Several servers take sessions from each other, for each record that is stored.", 0.01,
        absl::Minutes(5), absl::Minutes(5), SessionsBounce},
+      {"SpikeserveHeadLogCut", "critical",
+       "Entries of the log of a shared head were lost, and the log was cut before them.", 0.0,
+       absl::Minutes(15), kNow, HeadLogCut},
   };
   return *rules;
 }

@@ -69,7 +69,12 @@ HeadLogStore::HeadLogStore(RedisOptions options, absl::Duration retention, const
       folded_(AddCounter(registry, kEntries, kEntriesHelp, "folded")),
       reloaded_(AddCounter(registry, kReloads, kReloadsHelp, "reloaded")),
       rewritten_(AddCounter(registry, kReloads, kReloadsHelp, "rewritten")),
-      cut_(AddCounter(registry, kReloads, kReloadsHelp, "cut")) {
+      cut_(AddCounter(registry, kReloads, kReloadsHelp, "cut")),
+      positions_(prometheus::BuildGauge()
+                     .Name("spikeserve_head_log_position")
+                     .Help("Number of the last entry of the log of a shared head that this server "
+                           "has taken.")
+                     .Register(*registry)) {
   thread_ = std::thread([this] { Run(); });
 }
 
@@ -273,6 +278,7 @@ absl::StatusOr<bool> HeadLogStore::AppendAndRead(VersionLog& log, Requests& requ
   if (status.ok() && tail->entries.size() == kMostTailEntries) status = ReadOn(log);
   if (absl::IsDataLoss(status)) status = Reload(log, status.message());
   if (!status.ok()) return status;
+  positions_.Add(log.labels).Set(static_cast<double>(log.replica.position().number));
   return !is_stale;
 }
 

@@ -47,6 +47,7 @@ class HeadLogStore final : public HeadLogs {
   // `registry`, which must outlive the store, as must `clock`:
   //   spikeserve_head_log_entries_total{outcome}: appended, known or folded
   //   spikeserve_head_log_reloads_total{outcome}: reloaded, rewritten or cut
+  //   spikeserve_head_log_position{policy, version}
   HeadLogStore(RedisOptions options, absl::Duration retention, const Clock* clock,
                prometheus::Registry* registry);
   ~HeadLogStore() override;
@@ -110,6 +111,7 @@ class HeadLogStore final : public HeadLogs {
   prometheus::Counter& reloaded_;
   prometheus::Counter& rewritten_;
   prometheus::Counter& cut_;
+  prometheus::Family<prometheus::Gauge>& positions_;
   std::atomic<bool> joined_ = false;
   std::atomic<bool> follows_ = false;
   std::unique_ptr<RedisClient> client_;  // of the thread

@@ -16,6 +16,7 @@ constexpr absl::Duration kFirstRetry = absl::Milliseconds(100);
 
 VersionLog::VersionLog(HeadLogStore* store, const ServedPolicy& served)
     : name(absl::StrCat(served.name, "/", served.version)),
+      labels({{"policy", served.name}, {"version", absl::StrCat(served.version)}}),
       keys(served.name, served.version, served.sha256),
       learning(served.learning),
       replica(std::make_shared<TenantHeads>(

@@ -53,7 +53,8 @@ class VersionLog final : public HeadLog {
   static HeadLogStore::Request NewRequest(HeadEntry::Kind kind, const std::string& head = "");
 
   // Of the store's thread:
-  const std::string name;  // of the version, for people
+  const std::string name;           // of the version, for people
+  const prometheus::Labels labels;  // policy and version
   const HeadLogKeys keys;
   const std::shared_ptr<LearningSwitch> learning;
   HeadReplica replica;
