@@ -1,5 +1,9 @@
 #include "core/store/lmdb.h"
 
+#include <cstdint>
+#include <filesystem>
+#include <system_error>
+
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 
@@ -12,6 +16,27 @@ MDB_val ToValue(absl::string_view bytes) {
 
 absl::string_view ToView(const MDB_val& value) {
   return {static_cast<const char*>(value.mv_data), value.mv_size};
+}
+
+// Sizes of the file of an environment, in bytes.
+struct FileSize {
+  std::string path;
+  uint64_t size = 0;
+  uint64_t expected = 0;  // of the pages that LMDB has taken
+};
+
+absl::StatusOr<FileSize> SizeOf(MDB_env* environment, const std::string& directory) {
+  MDB_envinfo info;
+  MDB_stat stat;
+  for (const int error : {mdb_env_info(environment, &info), mdb_env_stat(environment, &stat)}) {
+    if (auto status = LmdbStatus(error); !status.ok()) return status;
+  }
+  FileSize file = {.path = directory + "/data.mdb"};
+  std::error_code error;
+  file.size = std::filesystem::file_size(file.path, error);
+  if (error) return absl::UnavailableError(absl::StrCat(file.path, ": ", error.message()));
+  file.expected = (uint64_t{info.me_last_pgno} + 1) * stat.ms_psize;
+  return file;
 }
 
 struct CursorCloser {
@@ -33,6 +58,16 @@ absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t mo
                           mdb_env_open(raw, directory.c_str(), MDB_NOTLS, 0600)}) {
     if (auto status = LmdbStatus(error); !status.ok()) return status;
   }
+  // LMDB maps the file, and to read behind its end would kill the process. If the end was cut off,
+  // its pages are zeros now, which LMDB reports as MDB_CORRUPTED. The file may be shorter without
+  // harm, too: LMDB does not write pages that one transaction has both taken and given back.
+  const auto file = SizeOf(raw, directory);
+  if (!file.ok()) return file.status();
+  if (file->size < file->expected) {
+    std::error_code error;
+    std::filesystem::resize_file(file->path, file->expected, error);
+    if (error) return absl::UnavailableError(absl::StrCat(file->path, ": ", error.message()));
+  }
   return environment;
 }
 
@@ -43,6 +78,13 @@ absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory) {
   for (const int error : {mdb_env_set_maxdbs(raw, 2),
                           mdb_env_open(raw, directory.c_str(), MDB_NOTLS | MDB_RDONLY, 0600)}) {
     if (auto status = LmdbStatus(error); !status.ok()) return status;
+  }
+  const auto file = SizeOf(raw, directory);
+  if (!file.ok()) return file.status();
+  if (file->size < file->expected) {
+    return absl::DataLossError(absl::StrCat("expected at least ", file->expected, " bytes in ",
+                                            file->path, ", received ", file->size,
+                                            ": its end is missing"));
   }
   return environment;
 }

@@ -30,11 +30,12 @@ using LmdbEnvironment = std::unique_ptr<MDB_env, LmdbCloser>;
 // Returns OK for 0, and otherwise UNAVAILABLE with LMDB's description of the error.
 absl::Status LmdbStatus(int error);
 
-// Opens the environment in `directory`, to read while another process may write to it.
+// Opens the environment in `directory`, to read while another process may write to it. Returns
+// DATA_LOSS if the end of its file is missing.
 absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory);
 
 // Opens the environment in `directory`, which exists. It may grow to `most_bytes` and have two
-// named tables.
+// named tables. If the end of its file is missing, reading the lost pages returns UNAVAILABLE.
 absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes);
 
 // A transaction that is rolled back unless Commit() is called.

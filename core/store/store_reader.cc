@@ -16,6 +16,7 @@
 #include "core/session/journal_entry.h"
 #include "core/store/lmdb.h"
 #include "core/store/redis_client.h"
+#include "core/store/sealed_record.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -192,6 +193,7 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
         reader.Read(*json, "stored session", session);
         status = reader.status();
       }
+      if (status.ok()) status = CutDamagedEnd(&journal);
       if (status.ok()) status = CheckJournal(last, session.tenant, journal, &report.entries);
       if (!status.ok()) report.damaged.push_back({last, std::string(status.message())});
     }
@@ -206,7 +208,7 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
           last = id;
           with_records.insert(id);
         }
-        journal.emplace_back(bytes);
+        journal.push_back(OpenRecord(bytes));
       });
   check();
   if (status.ok()) status = failure;

@@ -6,6 +6,7 @@
 #include "core/session/head_log.h"
 #include "core/session/journal_entry.h"
 #include "core/session/session_journal.h"
+#include "core/store/sealed_record.h"
 #include "server/base/log.h"
 #include "server/policies/policy_catalog.h"
 
@@ -85,6 +86,7 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
 absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
                                       absl::StatusOr<ClaimedJournal> claimed) {
   if (!claimed.ok()) return claimed.status();
+  const absl::Status cut = CutDamagedEnd(&claimed->records);
   auto journal = ParseJournal(claimed->records);
   if (!journal.ok()) return journal.status();
   const SessionOptions options = journal->snapshot.options;
@@ -114,7 +116,10 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
   if (recordings_ != nullptr && !options.recording.empty()) {
     extras.recorder = recordings_->Record(*served, options.recording);
   }
-  return sessions_.Restore(*served, *std::move(session), std::move(extras));
+  auto status = sessions_.Restore(*served, *std::move(session), std::move(extras));
+  if (!status.ok() || cut.ok()) return status;
+  LogError("end of a journal cut off", {{"session", key.second}, {"error", cut.message()}});
+  return absl::OkStatus();
 }
 
 void SessionRecovery::Finish(const Key& key, const absl::Status& status) {

@@ -14,6 +14,7 @@
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
 #include "core/store/lmdb.h"
+#include "core/store/sealed_record.h"
 #include "core/store/stored_session.h"
 #include "server/base/file_descriptor.h"
 
@@ -128,9 +129,8 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
     if (auto status = Put(transaction, key.id, session); !status.ok()) return status;
   }
   const std::string record_key = RecordKey(key.id, record.decisions);
-  if (auto status = transaction.Put(records_, record_key, record.bytes); !status.ok()) {
-    return status;
-  }
+  const std::string sealed = SealRecord(record.bytes);
+  if (auto status = transaction.Put(records_, record_key, sealed); !status.ok()) return status;
   const bool replaces =
       record.kind == JournalRecord::Kind::kSnapshot || record.kind == JournalRecord::Kind::kRelease;
   if (!replaces) return absl::OkStatus();
@@ -148,7 +148,7 @@ absl::StatusOr<ClaimedJournal> FileBackend::Claim(const JournalClaim& claim) {
   (*session)->written_seconds = NowSeconds();
   if (auto status = Put(*transaction, id, **session); !status.ok()) return status;
   auto status = transaction->Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
-    journal.records.emplace_back(bytes);
+    journal.records.push_back(OpenRecord(bytes));
   });
   if (!status.ok()) return status;
   if (status = transaction->Commit(); !status.ok()) return status;

@@ -2,13 +2,15 @@
 
 import json
 import os
+import struct
 import subprocess
 
+import grpc
 import pytest
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
 from security import until
-from serving import DEADLINE_SECONDS
-from stored_sessions import Restartable, acting, opening
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES
+from stored_sessions import Restartable, acting, comparable, expected_decision, opening
 
 SESSIONS = 6
 
@@ -58,6 +60,66 @@ def test_a_file(tmp_path):
         assert names(report["damaged"]) < {each.decode() for each in ids}
         server.restart()
         server.close()
+
+
+def flip(file, part):
+    """Changes one bit of all occurrences of `part` in a file. LMDB leaves older ones in pages that it has freed."""
+    content = file.read_bytes()
+    assert part in content
+    file.write_bytes(content.replace(part, part[:-1] + bytes([part[-1] ^ 1])))
+
+
+def first_number(step):
+    """Returns the first number of an observation as CBOR writes it."""
+    return b"\xfa" + struct.pack(">f", acting(0, 0, step)["observation"][0])
+
+
+def test_the_end_of_a_journal_is_cut_off_where_it_is_damaged(tmp_path):
+    """A bit of the last entry changes, which is still a document. The client sends the decision again."""
+    folder, log = tmp_path / "store", tmp_path / "log"
+    with log.open("w") as file, Restartable(f"file:{folder}", log=file) as server:
+        server.OpenSession(**opening(0))
+        answers = [comparable(server.Act(**acting(0, 0, step))) for step in range(5)]
+        server.kill()
+        flip(folder / "data.mdb", first_number(4))
+        status, report = check(f"file:{folder}")
+        assert (status, names(report["damaged"])) == (1, {opening(0)["session_id"]})
+        assert "expected its checksum" in report["damaged"][0]["reason"]
+
+        server.restart()
+        with pytest.raises(grpc.RpcError) as error:
+            server.Act(**acting(0, 0, 5))
+        assert expected_decision(server.channel, error.value) == 4
+        assert "end of a journal cut off" in log.read_text()
+        assert comparable(server.Act(**acting(0, 0, 4))) == answers[4]
+        server.Act(**acting(0, 0, 5))
+        assert check(f"file:{folder}")[0] == 0
+        server.kill()
+
+        # An entry before others cannot be cut off, and is not served.
+        flip(folder / "data.mdb", first_number(4))
+        server.restart()
+        with pytest.raises(grpc.RpcError) as error:
+            server.GetSession(session_id=opening(0)["session_id"])
+        assert error.value.code() == grpc.StatusCode.DATA_LOSS
+        server.close()
+
+
+def test_a_file_whose_end_is_missing(tmp_path):
+    """Neither the server nor spikectl serves what is left, and both say so."""
+    folder = tmp_path / "store"
+    with Restartable(f"file:{folder}") as server:
+        play(server)
+        server.close()
+    # The first two pages name the others.
+    os.truncate(folder / "data.mdb", 2 * os.sysconf("SC_PAGE_SIZE"))
+    status, error = check(f"file:{folder}")
+    assert status == 1
+    assert "its end is missing" in error
+    program = [os.environ["SPIKESERVE_PROGRAM"], f"--policies={SHIPPED_POLICIES}", f"--session_store=file:{folder}"]
+    run = subprocess.run(program, check=False, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+    assert run.returncode == 1
+    assert "--session_store: session store: MDB_CORRUPTED" in run.stderr
 
 
 def test_no_store(tmp_path):

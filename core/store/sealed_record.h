@@ -1,0 +1,32 @@
+// Records with a checksum, so that bytes which a disk has changed are found.
+//
+//   put(SealRecord(record));
+//   records.push_back(OpenRecord(get()));
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef CORE_STORE_SEALED_RECORD_H_
+#define CORE_STORE_SEALED_RECORD_H_
+
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+
+namespace spikeserve {
+
+// Returns `record` with its checksum behind it.
+std::string SealRecord(absl::string_view record);
+
+// Returns the record without its checksum, or an empty string if the checksum is wrong:
+// ParseJournal refuses an empty record. Returns bytes that have no checksum as they are: earlier
+// releases wrote none, and a record whose checksum has become unrecognizable is no document.
+std::string OpenRecord(absl::string_view bytes);
+
+// Removes empty records from the end of a journal, behind its first record. Their decisions may be
+// sent again. Returns DATA_LOSS, which names the first one, or OK if there is none.
+absl::Status CutDamagedEnd(std::vector<std::string>* journal);
+
+}  // namespace spikeserve
+
+#endif  // CORE_STORE_SEALED_RECORD_H_
