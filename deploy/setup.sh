@@ -20,7 +20,7 @@ packages=(
   libtorch-dev libopenblas-dev libhdf5-dev
   # tests, demo
   libgtest-dev libgmock-dev prometheus redis-server spin iproute2 ca-certificates curl python3 python3-venv chromium chromium-driver
-  mandoc zsh fish user-mode-linux
+  mandoc zsh fish user-mode-linux e2fsprogs
   # tests of exported populations: Debian's PyTorch, which has no CUDA
   python3-torch
   # interop: clients in other languages, and proxies
