@@ -1,7 +1,7 @@
 """Plays sessions on three replicas and one Redis while they are killed, stopped and cut off.
 
-usage: python -m tests.chaos [--sessions=N] [--learners=N] [--decisions=N] [--rate=N] [--faults=KIND,...]
-  [--period=SECONDS] [--pause=SECONDS] [--seed=N]
+usage: python -m tests.chaos [--sessions=N] [--learners=N] [--decisions=N] [--rate=N] [--timeout=SECONDS]
+  [--kinds=KIND,...] [--group=N] [--faults=KIND,...] [--period=SECONDS] [--pause=SECONDS] [--seed=N]
 
 Compares every answer, and the learned heads, bit for bit with a run on one server that nothing disturbs. Other sessions
 learn the head of the fleet meanwhile: it must be the same on all replicas in the end, with each contribution once. Needs
@@ -31,7 +31,7 @@ from serving import running_server  # noqa: E402
 from tests.chaos.faults import FAULTS, Chaos  # noqa: E402
 from tests.chaos.fleet_learners import FleetLearners, entries_in, heads_of  # noqa: E402
 from tests.chaos.network import Host, enter_own_namespace  # noqa: E402
-from tests.chaos.workload import Workload  # noqa: E402
+from tests.chaos.workload import GROUP, KINDS, Workload  # noqa: E402
 
 SKIPPED = 77
 
@@ -43,13 +43,18 @@ def parse_arguments():
     parser.add_argument("--decisions", type=int, default=2000, help="of each session")
     parser.add_argument("--rate", type=float, default=20.0, help="decisions a second of a session, at most")
     parser.add_argument("--faults", default=",".join(FAULTS), help="kinds, separated by commas")
+    parser.add_argument("--timeout", type=float, default=1.0, help="seconds until clients give a silent server up")
+    parser.add_argument("--kinds", default=",".join(KINDS), help="how sessions play, separated by commas")
+    parser.add_argument("--group", type=int, default=GROUP, help="sessions of a batch or a stream")
     parser.add_argument("--period", type=float, default=5.0, help="seconds between faults")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds that a replica is away")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    arguments.faults = arguments.faults.split(",")
-    if unknown := set(arguments.faults) - set(FAULTS):
-        parser.error(f"--faults: expected some of {', '.join(FAULTS)}, received {', '.join(unknown)}")
+    for name, known in (("faults", FAULTS), ("kinds", KINDS)):
+        chosen = getattr(arguments, name).split(",")
+        if unknown := set(chosen) - set(known):
+            parser.error(f"--{name}: expected some of {', '.join(known)}, received {', '.join(unknown)}")
+        setattr(arguments, name, chosen)
     return arguments
 
 
@@ -142,8 +147,10 @@ def play_both(arguments):
     with running_server() as server:
         asyncio.run(undisturbed.play(server.grpc))
     print(f"{undisturbed.decided} decisions without a disturbance", flush=True)
-    disturbed = Workload(*size, stored=True, rate=arguments.rate, expected=undisturbed)
-    learners = FleetLearners(arguments.learners, arguments.rate)
+    pace = arguments.rate, arguments.timeout
+    disturbed = Workload(*size, True, *pace, expected=undisturbed)
+    disturbed.kinds, disturbed.group = arguments.kinds, arguments.group
+    learners = FleetLearners(arguments.learners, *pace)
     begin = time.monotonic()
     with running_replicas() as (redis, replicas, hosts):
         times = arguments.period, arguments.pause

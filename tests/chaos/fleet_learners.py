@@ -6,7 +6,7 @@ import subprocess
 import spikeserve
 from replicated import observation, reward
 
-from tests.chaos.workload import OPTIONS
+from tests.chaos.workload import client_options
 
 STEPS = 10  # decisions of an episode
 POLICY = {"policy": "cartpole", "version": 1}
@@ -23,9 +23,10 @@ class FleetLearners:
     compared: those of all replicas, and with the number of `episodes` that have ended.
     """
 
-    def __init__(self, count, rate):
+    def __init__(self, count, rate, timeout):
         self._count = count
         self._interval = 1 / rate
+        self._options = client_options(timeout)
         self._stopping = asyncio.Event()
         self.episodes = 0
 
@@ -35,7 +36,7 @@ class FleetLearners:
 
     async def play(self, servers):
         """Plays until stop()."""
-        async with spikeserve.AsyncClient(servers, OPTIONS) as client:
+        async with spikeserve.AsyncClient(servers, self._options) as client:
             await asyncio.gather(*(self._learn(client, i) for i in range(self._count)))
 
     async def _learn(self, client, i):

@@ -10,10 +10,21 @@ import spikeserve
 from replicated import comparable, comparable_state, observation, options_of, policy_of, reward
 
 GROUP = 32  # sessions of a batch, or of a stream
+KINDS = ("calls", "batches", "streams")
 EPISODE = 50  # decisions
 LEVELS = ("ASYNC", "SYNC")
 
-OPTIONS = spikeserve.ClientOptions(timeout=1.0, retry=spikeserve.RetryOptions(max_elapsed=120))
+UNDISTURBED_SECONDS = 60.0  # after which a client gives up a server that nothing disturbs
+
+
+def client_options(timeout):
+    """Returns the options of a client that gives up a server after `timeout` seconds of silence."""
+    patience = 120 * timeout
+    return spikeserve.ClientOptions(
+        timeout=timeout,
+        connect_timeout=patience,
+        retry=spikeserve.RetryOptions(max_elapsed=patience),
+    )
 
 
 class Answered(typing.NamedTuple):
@@ -27,18 +38,25 @@ class Answered(typing.NamedTuple):
 class Workload:
     """Plays `sessions` sessions for `decisions` decisions each. `digests` says what they answered.
 
-    A session makes at most `rate` decisions a second, so that there is time for faults. With `expected`, a Workload that
+    A session makes at most `rate` decisions a second, so that there is time for faults. Clients give a server up after
+    `timeout` seconds. With `expected`, a Workload that
     has been played, the first difference of each session is printed at the end of its episode.
     """
 
-    def __init__(self, sessions, decisions, stored, rate=None, expected=None):
+    def __init__(
+        self, sessions, decisions, stored, rate=None, timeout=UNDISTURBED_SECONDS, expected=None
+    ):
+        self.kinds = KINDS  # of which each group of sessions plays by one
+        self.group = GROUP
         self._sessions = sessions
         self._decisions = decisions
         self._stored = stored
         self._interval = 1 / rate if rate else 0.0
+        self._options_of_client = client_options(timeout)
         self._expected = expected
         self._differing = set()
         self._episodes = collections.defaultdict(list)  # by session: the digest after each episode
+        self.steps_allowed = decisions  # of each session; a test that raises it keeps all sessions busy
         self.digests = {}
         self.answers = collections.defaultdict(list)  # by session; kept if the sessions are stored
         self.decided = 0
@@ -46,11 +64,12 @@ class Workload:
     async def play(self, servers):
         """Plays until all sessions have ended."""
         groups = [
-            range(first, min(first + GROUP, self._sessions))
-            for first in range(0, self._sessions, GROUP)
+            range(first, min(first + self.group, self._sessions))
+            for first in range(0, self._sessions, self.group)
         ]
-        players = [self._play_calls, self._play_batches, self._play_stream]
-        async with spikeserve.AsyncClient(servers, OPTIONS) as client:
+        play = {"calls": self._play_calls, "batches": self._play_batches, "streams": self._play_stream}
+        players = [play[kind] for kind in self.kinds]
+        async with spikeserve.AsyncClient(servers, self._options_of_client) as client:
             await asyncio.gather(
                 *(players[n % len(players)](client, group) for n, group in enumerate(groups))
             )
@@ -60,6 +79,8 @@ class Workload:
         due = time.monotonic() + self._interval * first / self._sessions
         await asyncio.sleep(due - time.monotonic())
         for t in range(self._decisions):
+            while t >= self.steps_allowed:
+                await asyncio.sleep(0.05)
             yield t
             due = max(due + self._interval, time.monotonic() - self._interval)
             await asyncio.sleep(due - time.monotonic())

@@ -133,6 +133,15 @@ def primary_port(sentinel):
     return int(reply[1]) if isinstance(reply, list) else None
 
 
+def is_watched(sentinel, replicas, sentinels):
+    """Returns whether a Sentinel knows so many replicas of the primary and so many other Sentinels."""
+    fields = sentinel.command("SENTINEL MASTER mymaster")
+    if not isinstance(fields, list):
+        return False  # it does not answer yet
+    state = dict(zip(fields[::2], fields[1::2], strict=True))
+    return (int(state[b"num-slaves"]), int(state[b"num-other-sentinels"])) == (replicas, sentinels)
+
+
 def start_cluster(servers, nodes=3):
     """Starts the nodes of a Cluster, adds them to `servers`, and divides the slots evenly."""
     for _ in range(nodes):

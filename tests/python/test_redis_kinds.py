@@ -7,6 +7,7 @@ from redis_servers import (
     WITHOUT_REDIS,
     Redis,
     Sentinel,
+    is_watched,
     make_certificates,
     move_slot,
     primary_port,
@@ -147,12 +148,6 @@ def test_sentinels_name_the_new_primary(tmp_path, password, undisturbed):
             assert play_patiently(lambda: server, disturb) == undisturbed
             assert primary_port(sentinels[0]) != primary.port
             server.close()
-
-
-def is_watched(sentinel, replicas, sentinels):
-    fields = sentinel.command("SENTINEL MASTER mymaster")
-    state = dict(zip(fields[::2], fields[1::2], strict=True))
-    return (int(state[b"num-slaves"]), int(state[b"num-other-sentinels"])) == (replicas, sentinels)
 
 
 def test_too_few_replicas(password):
