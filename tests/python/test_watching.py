@@ -15,6 +15,7 @@ import urllib.request
 import grpc
 import pytest
 
+from redis_servers import Redis, stopping
 from security import ADMIN, POLICY
 from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, Service, running_server
 
@@ -155,9 +156,11 @@ def server(tmp_path_factory):
     policies = tmp_path_factory.mktemp("policies") / "policies"
     shutil.copytree(SHIPPED_POLICIES, policies)
     shutil.copytree(policies / "cartpole-dial" / "1", policies / "cartpole" / "3")
-    store = tmp_path_factory.mktemp("store")
-    flags = [f"--session_store=file:{store}"]
-    with running_server(policies, flags=flags) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+    with (
+        stopping([Redis(password="")]) as [redis],
+        running_server(policies, flags=[f"--session_store=redis://127.0.0.1:{redis.port}"]) as addresses,
+        grpc.insecure_channel(addresses.grpc) as channel,
+    ):
         agent, admin = Service(channel, POLICY), Service(channel, ADMIN)
         roll_out_in_vain(agent, admin)
         shadow(agent, admin, addresses.http)
