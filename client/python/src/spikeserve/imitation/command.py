@@ -21,7 +21,9 @@ def add_command(subcommands: Any) -> None:
     )
     parser.add_argument("env_id", help="id of Gymnasium; `module:id` if a module registers it")
     parser.add_argument(
-        "--expert", required=True, help="module:function, ALGORITHM:FILE.zip, or a Minari dataset"
+        "--expert",
+        required=True,
+        help="module:function, ALGORITHM:FILE.zip, SCRIPT:FILE.cleanrl_model, or a Minari dataset",
     )
     parser.add_argument(
         "--out", required=True, help="folder of the run; an interrupted run continues"
@@ -61,6 +63,8 @@ def _add_setting(parser: argparse.ArgumentParser, setting: dataclasses.Field[Any
     shown: Any = setting.default
     if setting.name == "silence":
         shown = ",".join(f"{hidden:g}:{readout:g}" for hidden, readout in ImitationOptions.silence)
+    elif setting.name == "train_flags":
+        shown = shlex.join(ImitationOptions.train_flags)
     suffix = f" [{shown}]" if shown not in (None, ()) else ""
     parser.add_argument(
         "--" + setting.name.replace("_", "-"),
