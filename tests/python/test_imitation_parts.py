@@ -224,15 +224,18 @@ def test_a_dataset_of_minari_is_imitated(tmp_path):
     assert stages == ["1-play.json", "2-silence-3.json"], "a dataset cannot label the policy's states"
 
 
-def test_wrappers_change_the_environment_and_its_name():
+def test_wrappers_change_the_environment_and_its_name(tmp_path):
     factory = EnvironmentFactory("CartPole-v1", [home_made.Backwards], max_episode_steps=7)
-    assert factory.name == "CartPole-v1+Backwards"
+    assert factory.name == "CartPole-v1-Backwards"
     plain, _ = gymnasium.make("CartPole-v1").reset(seed=3)
     environment = factory.make()
     observation, _ = environment.reset(seed=3)
     np.testing.assert_array_equal(observation, plain[::-1])
     (episode,) = play(factory.make, RandomActor(0), iter([3]), 1)
     assert episode.steps == 7 and episode.truncated
+    write_dataset(tmp_path / "backwards-v0", [episode], environment, factory.name)
+    (read,) = read_dataset(tmp_path / "backwards-v0")
+    assert read.actions == episode.actions
 
 
 def test_experts_of_stable_baselines_are_loaded(tmp_path, monkeypatch):

@@ -86,7 +86,7 @@ def imitation(recipe):
     arguments = parser.parse_args([*words[words.index("imitate") :], "--out=."])
     settings = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(ImitationOptions)}
     names = [name.rpartition(":")[2] for name in (arguments.env_id, *arguments.wrapper)]
-    return json.loads(json.dumps({"environment": "+".join(names)} | settings))
+    return json.loads(json.dumps({"environment": "-".join(names)} | settings))
 
 
 def with_settings_for_flags(recorded):

@@ -43,7 +43,7 @@ class EnvironmentFactory:
         # A policy plays only where it was trained, so the name includes the wrappers.
         names = [getattr(wrapper, "__name__", type(wrapper).__name__) for wrapper in self._wrappers]
         # The module that registers the environment is not a part of its id in Gymnasium.
-        self.name = "+".join([env_id.rpartition(":")[2], *names])
+        self.name = "-".join([env_id.rpartition(":")[2], *names])
 
     def make(self) -> FlatEnvironment:
         """Makes one environment."""
