@@ -34,3 +34,13 @@ def test_repeat_first(address, size, version):
     """One policy remembers the first card for 51, 415 and 831 steps."""
     played = evaluate(address, "repeat-first", f"popgym:popgym-RepeatFirst{size}-v0", 3, version)
     assert played.returns == pytest.approx(1.0)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("version", [1, 2])
+def test_minigrid_memory(address, version):
+    from minigrid.wrappers import ImgObsWrapper, OneHotPartialObsWrapper
+
+    wrappers = [OneHotPartialObsWrapper, ImgObsWrapper]
+    played = evaluate(address, "minigrid-memory", "minigrid:MiniGrid-MemoryS11-v0", 20, version, wrappers=wrappers)
+    assert np.mean(played.returns > 0) >= 0.95  # a wrong choice returns 0

@@ -94,12 +94,12 @@ def _run(arguments: argparse.Namespace) -> int:
     except (ValueError, RuntimeError) as error:
         print(f"spikeserve imitate: {error}", file=sys.stderr)
         return 1
-    print(f"expert: {result.expert_figures.mean:.1f} ± {result.expert_figures.std:.1f}")
+    print(f"expert: {result.expert_figures}")
     for path, figures in (
         (result.policy, result.figures),
         (result.quantized, result.quantized_figures),
     ):
         spikes = f"{figures.spikes_per_decision:.0f} spikes a decision"
-        print(f"{path}: return {figures.mean:.1f} ± {figures.std:.1f}, {spikes}")
+        print(f"{path}: return {figures}, {spikes}")
     print(result.report)
     return 0
