@@ -39,7 +39,8 @@ SMALLEST = ImitationOptions(
     tolerance=10.0,
     selection_episodes=3,
     episodes=4,
-    train_flags=("--heads=2", "--context=4"),
+    context=4,
+    train_flags=("--heads=2",),
 )
 
 ACTION_SPACES = [
@@ -188,10 +189,10 @@ def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path, monkeypatch):
     assert digest(tmp_path / "a/data/expert-v0/data/main_data.hdf5") == before
     assert again.quantized_figures == first.quantized_figures
     report = again.report.read_text()
-    assert report.startswith("# home_made:HomeMade-v0, imitating home_made:go_to_corner\n")
+    assert report.startswith("# HomeMade-v0, imitating home_made:go_to_corner\n")
     assert "| `2-round1` |" in report
     engine = spikeserve.engine.Engine(again.quantized)
-    assert (engine.arithmetic, engine.environment) == ("int8", "home_made:HomeMade-v0")
+    assert (engine.arithmetic, engine.environment) == ("int8", "HomeMade-v0")
     assert engine.training_return == pytest.approx(again.quantized_figures.mean)
     record = json.loads(engine.training)
     assert record["imitation"]["steps"] == 400
@@ -223,15 +224,18 @@ def test_a_dataset_of_minari_is_imitated(tmp_path):
     assert stages == ["1-play.json", "2-silence-3.json"], "a dataset cannot label the policy's states"
 
 
-def test_wrappers_change_the_environment_and_its_name():
+def test_wrappers_change_the_environment_and_its_name(tmp_path):
     factory = EnvironmentFactory("CartPole-v1", [home_made.Backwards], max_episode_steps=7)
-    assert factory.name == "CartPole-v1+Backwards"
+    assert factory.name == "CartPole-v1-Backwards"
     plain, _ = gymnasium.make("CartPole-v1").reset(seed=3)
     environment = factory.make()
     observation, _ = environment.reset(seed=3)
     np.testing.assert_array_equal(observation, plain[::-1])
     (episode,) = play(factory.make, RandomActor(0), iter([3]), 1)
     assert episode.steps == 7 and episode.truncated
+    write_dataset(tmp_path / "backwards-v0", [episode], environment, factory.name)
+    (read,) = read_dataset(tmp_path / "backwards-v0")
+    assert read.actions == episode.actions
 
 
 def test_experts_of_stable_baselines_are_loaded(tmp_path, monkeypatch):
@@ -276,3 +280,31 @@ def test_experts_are_refused(expert, reason):
 def test_a_missing_program_is_named(tmp_path):
     with pytest.raises(ValueError, match="spiketrain: expected a program, received /no/spiketrain"):
         spikeserve.imitate("CartPole-v1", home_made.balance, tmp_path, spiketrain="/no/spiketrain")
+
+
+@pytest.mark.parametrize(("script", "network", "activation"), [("ppo", "actor", np.tanh), ("dqn", "network", None)])
+def test_experts_of_cleanrl_are_loaded(tmp_path, monkeypatch, script, network, activation):
+    """Uses a stand-in for PyTorch, which only reads the file. The names of the tensors are those of CleanRL's scripts."""
+    random = np.random.default_rng(0)
+    sizes = [(0, 8, 6), (2, 5, 8), (4, 9, 5)]  # index of the layer, outputs, inputs
+    tensors = {f"{network}.{i}.weight": random.normal(size=(rows, columns)) for i, rows, columns in sizes}
+    tensors |= {f"{network}.{i}.bias": random.normal(size=rows) for i, rows, _ in sizes}
+    tensors["critic.0.weight"] = np.zeros((2, 2))
+    stand_in = types.ModuleType("torch")
+    stand_in.load = lambda path, map_location, weights_only: tensors
+    monkeypatch.setitem(sys.modules, "torch", stand_in)
+    file = tmp_path / "expert.cleanrl_model"
+    file.write_bytes(b"")
+    environment = FlatEnvironment(gymnasium.make("Acrobot-v1"))
+    observation, _ = environment.reset(seed=0)
+    act = load_expert(f"{script}:{file}")
+    hidden = observation
+    for i, _, _ in sizes[:-1]:
+        hidden = tensors[f"{network}.{i}.weight"] @ hidden + tensors[f"{network}.{i}.bias"]
+        hidden = activation(hidden) if activation else np.maximum(hidden, 0)
+    assert act(environment) == np.argmax(tensors[f"{network}.4.weight"] @ hidden + tensors[f"{network}.4.bias"])
+    other = {"ppo": "dqn", "dqn": "ppo"}[script]
+    with pytest.raises(ValueError, match=f"expected a file of {other}.py"):
+        load_expert(f"{other}:{file}")
+    with pytest.raises(ValueError, match="expected ppo or dqn before a file of CleanRL, received ppo_continuous_action"):
+        load_expert(f"ppo_continuous_action:{file}")

@@ -6,13 +6,14 @@
 import functools
 
 import gymnasium
-import mujoco
 import numpy as np
 
 # The weights of the regulator's cost: of position and angles, of their velocities, and of the force.
 STATE_COST = np.diag([1.0, 10.0, 10.0, 0.1, 0.1, 0.1])
 FORCE_COST = 1.0
 DIFFERENCE = 1e-5
+
+NO_ENGINE, LEFT_ENGINE, MAIN_ENGINE, RIGHT_ENGINE = range(4)  # actions of LunarLander-v3
 
 
 def balance_double_pendulum(observation):
@@ -35,6 +36,8 @@ def double_pendulum_gain():
 
 def linear_double_pendulum():
     """Returns A [6, 6] and B [6, 1] of one step x' = A x + B u near the upright rest, by central differences."""
+    import mujoco  # only this expert needs it
+
     environment = gymnasium.make("InvertedDoublePendulum-v5").unwrapped
     model, data = environment.model, environment.data
 
@@ -46,3 +49,23 @@ def linear_double_pendulum():
 
     columns = [(step(row) - step(-row)) / (2 * DIFFERENCE) for row in DIFFERENCE * np.eye(7)]
     return np.array(columns[:6]).T, np.array(columns[6:]).T
+
+
+def land(observation):
+    """The expert of LunarLander-v3: Gymnasium's heuristic with other constants.
+
+    The heuristic reaches the pad too fast and slides off it in one of ten episodes, because the legs
+    have contact and it then stops steering. This one leans against the sideways speed earlier and
+    descends later. The constants are those of a random search on the environment seeds 0 to 59.
+    """
+    x, y, x_speed, y_speed, angle, angular_speed, left_leg, right_leg = observation
+    wanted_angle = np.clip(0.44 * x + 0.75 * x_speed, -0.39, 0.39)
+    turn = 0.5 * (wanted_angle - angle) - 0.96 * angular_speed
+    lift = 0.5 * (0.7 * abs(x) - y) - 0.58 * y_speed
+    if left_leg or right_leg:
+        turn, lift = 0.0, -0.5 * y_speed
+    if lift > max(abs(turn), 0.05):
+        return MAIN_ENGINE
+    if abs(turn) <= 0.05:
+        return NO_ENGINE
+    return RIGHT_ENGINE if turn < 0 else LEFT_ENGINE

@@ -21,7 +21,9 @@ def add_command(subcommands: Any) -> None:
     )
     parser.add_argument("env_id", help="id of Gymnasium; `module:id` if a module registers it")
     parser.add_argument(
-        "--expert", required=True, help="module:function, ALGORITHM:FILE.zip, or a Minari dataset"
+        "--expert",
+        required=True,
+        help="module:function, ALGORITHM:FILE.zip, SCRIPT:FILE.cleanrl_model, or a Minari dataset",
     )
     parser.add_argument(
         "--out", required=True, help="folder of the run; an interrupted run continues"
@@ -61,6 +63,8 @@ def _add_setting(parser: argparse.ArgumentParser, setting: dataclasses.Field[Any
     shown: Any = setting.default
     if setting.name == "silence":
         shown = ",".join(f"{hidden:g}:{readout:g}" for hidden, readout in ImitationOptions.silence)
+    elif setting.name == "train_flags":
+        shown = shlex.join(ImitationOptions.train_flags)
     suffix = f" [{shown}]" if shown not in (None, ()) else ""
     parser.add_argument(
         "--" + setting.name.replace("_", "-"),
@@ -90,12 +94,12 @@ def _run(arguments: argparse.Namespace) -> int:
     except (ValueError, RuntimeError) as error:
         print(f"spikeserve imitate: {error}", file=sys.stderr)
         return 1
-    print(f"expert: {result.expert_figures.mean:.1f} ± {result.expert_figures.std:.1f}")
+    print(f"expert: {result.expert_figures}")
     for path, figures in (
         (result.policy, result.figures),
         (result.quantized, result.quantized_figures),
     ):
         spikes = f"{figures.spikes_per_decision:.0f} spikes a decision"
-        print(f"{path}: return {figures.mean:.1f} ± {figures.std:.1f}, {spikes}")
+        print(f"{path}: return {figures}, {spikes}")
     print(result.report)
     return 0

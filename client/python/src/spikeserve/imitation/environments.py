@@ -42,7 +42,8 @@ class EnvironmentFactory:
         self._max_episode_steps = max_episode_steps
         # A policy plays only where it was trained, so the name includes the wrappers.
         names = [getattr(wrapper, "__name__", type(wrapper).__name__) for wrapper in self._wrappers]
-        self.name = "+".join([env_id, *names])
+        # The module that registers the environment is not a part of its id in Gymnasium.
+        self.name = "-".join([env_id.rpartition(":")[2], *names])
 
     def make(self) -> FlatEnvironment:
         """Makes one environment."""

@@ -1,4 +1,4 @@
-"""Loads experts: callables, policies of Stable-Baselines3, datasets of Minari."""
+"""Loads experts: callables, policies of Stable-Baselines3 and CleanRL, datasets of Minari."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ import numpy as np
 
 from spikeserve.check import check
 from spikeserve.flat_spaces import FlatEnvironment
+from spikeserve.imitation.cleanrl import SUFFIX, load_cleanrl
 from spikeserve.imitation.environments import load_object
 
 # Returns the expert's action, in the environment's own space, for its last observation.
 Expert = Callable[[FlatEnvironment], Any]
 
-_FORMS = "module:function, ALGORITHM:FILE.zip of Stable-Baselines3, or a Minari dataset"
+_FORMS = (
+    "module:function, ALGORITHM:FILE.zip of Stable-Baselines3, "
+    "SCRIPT:FILE.cleanrl_model of CleanRL, or a Minari dataset"
+)
 
 
 def is_dataset(expert: Any) -> bool:
@@ -39,6 +43,8 @@ def load_expert(expert: str | Callable[..., Any]) -> Expert:
     check(bool(separator), "expert", _FORMS, expert)
     if rest.endswith(".zip"):
         return _from_stable_baselines(name, rest)
+    if rest.endswith(SUFFIX):
+        return load_cleanrl(name, rest)
     loaded = load_object(str(expert), "expert")
     check(callable(loaded), "expert", "a callable", loaded)
     return _from_callable(loaded)

@@ -50,6 +50,11 @@ class Figures:
         """Returns the mean spikes of a decision."""
         return self.spikes / self.decisions
 
+    def __str__(self) -> str:
+        """Returns mean ± deviation, with more digits if the returns are small."""
+        digits = 1 if abs(self.mean) >= 10 else 3
+        return f"{self.mean:.{digits}f} ± {self.std:.{digits}f}"
+
     def falls_by(self, reference: Figures) -> tuple[float, float]:
         """Returns the mean fall from the reference on equal starts, and its standard error."""
         falls = np.array(reference.returns) - np.array(self.returns)

@@ -11,7 +11,7 @@ from spikeserve.check import check
 FIRST_SELECTION_SEED = 1_000_000
 FIRST_UNSEEN_SEED = 2_000_000
 
-_SILENCE = ((3.0, 15.0), (1.5, 9.0), (0.7, 5.0), (0.3, 3.0))
+_SILENCE = ((6.0, 25.0), (3.0, 15.0), (1.5, 9.0))
 
 
 def _setting(default: Any, text: str) -> Any:
@@ -31,27 +31,38 @@ class ImitationOptions:
     burst_rate: float = _setting(0.3, "largest probability that a burst begins at a step")
     longest_burst: int = _setting(8, "most steps of a burst")
 
-    hidden_size: int = _setting(128, "hidden size d of the policy")
+    mode: str = _setting("baseline", "attention of the policy: baseline, pos, route, full or dense")
+    hidden_size: int = _setting(64, "hidden size d of the policy")
+    layers: int = _setting(2, "layers of the policy")
+    ticks: int = _setting(8, "ticks of a token")
+    context: int = _setting(5, "timesteps that the policy remembers")
     clip_steps: int = _setting(5, "timesteps of a training clip; 0: the whole context")
     batch: int = _setting(64, "clips of an iteration")
-    learning_rate: float = _setting(2e-3, "peak learning rate")
-    iterations: int = _setting(800, "iterations of the first training")
-    train_flags: tuple[str, ...] = _setting((), "more flags of `spiketrain train`, in one string")
+    action_noise: float = _setting(
+        0.5,
+        "share of the policy's past actions replaced by random ones in training, so that it does "
+        "not learn to repeat them; 0 where past actions are its memory",
+    )
+    learning_rate: float = _setting(3e-3, "peak learning rate")
+    iterations: int = _setting(1500, "iterations of the first training")
+    train_flags: tuple[str, ...] = _setting(
+        ("--slope=4",), "more flags of `spiketrain train`, in one string"
+    )
     threads: int = _setting(1, "threads of a training; the last bits of the weights depend on it")
 
-    rounds: int = _setting(2, "rounds in which the policy plays and the expert labels its states")
-    round_steps: int = _setting(20_000, "steps of a round")
-    round_iterations: int = _setting(400, "iterations of the training after a round")
+    rounds: int = _setting(4, "rounds in which the policy plays and the expert labels its states")
+    round_steps: int = _setting(30_000, "steps of a round")
+    round_iterations: int = _setting(800, "iterations of the training after a round")
 
     silence: tuple[tuple[float, float], ...] = _setting(
         _SILENCE, "target firing rates of the steps to silence, in percent: HIDDEN:READOUT,..."
     )
-    silence_iterations: int = _setting(400, "iterations of a step to silence")
+    silence_iterations: int = _setting(500, "iterations of a step to silence")
     tolerance: float = _setting(
         0.02, "largest loss of return by silence, as a share of the distance from random to expert"
     )
 
-    selection_episodes: int = _setting(50, "episodes of an evaluation between trainings")
+    selection_episodes: int = _setting(100, "episodes of an evaluation between trainings")
     episodes: int = _setting(300, "episodes of the final evaluation, on unseen starts")
 
     def __post_init__(self) -> None:
@@ -60,6 +71,9 @@ class ImitationOptions:
             "steps",
             "longest_burst",
             "hidden_size",
+            "layers",
+            "ticks",
+            "context",
             "batch",
             "iterations",
             "threads",
@@ -74,5 +88,5 @@ class ImitationOptions:
         for name in ("seed", "clip_steps", "rounds", "tolerance"):
             check(getattr(self, name) >= 0, name, "at least 0", getattr(self, name))
         check(self.rounds <= 10, "rounds", "at most 10", self.rounds)
-        for name in ("disturbed", "burst_rate"):
+        for name in ("disturbed", "burst_rate", "action_noise"):
             check(0 <= getattr(self, name) <= 1, name, "a share from 0 to 1", getattr(self, name))

@@ -162,7 +162,8 @@ class _Run:
             f"--clip_steps={options.clip_steps}",
             f"--batch={options.batch}",
             f"--learning_rate={options.learning_rate}",
-            *([] if init else [f"--hidden_size={options.hidden_size}"]),
+            f"--action_noise={options.action_noise}",
+            *([] if init else _shape_flags(options)),
             *flags,
             *options.train_flags,
         ]
@@ -272,6 +273,12 @@ class _Run:
         if not target.is_file():  # a second writing would order the metadata differently
             write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
         return target, figures
+
+
+def _shape_flags(options: ImitationOptions) -> list[str]:
+    """Returns the flags of `spiketrain train` for the shape of a new policy."""
+    names = ("mode", "hidden_size", "layers", "ticks", "context")
+    return [f"--{name}={getattr(options, name)}" for name in names]
 
 
 def _policy_name(environment: str) -> str:

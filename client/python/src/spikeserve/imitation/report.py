@@ -81,7 +81,7 @@ def write_report(
 
 def _row(title: str, figures: Figures) -> tuple[str, str, str]:
     spikes = f"{figures.spikes_per_decision:.0f}" if figures.spikes else ""
-    return title, f"{figures.mean:.1f} ± {figures.std:.1f}", spikes
+    return title, str(figures), spikes
 
 
 def _seconds(journal: Journal, stage: str) -> str:

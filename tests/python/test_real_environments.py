@@ -1,0 +1,46 @@
+"""Shipped policies of `spikeserve imitate` play the environments of other packages on a real server."""
+
+import numpy as np
+import pytest
+import spikeserve
+from serving import SHIPPED_POLICIES
+
+UNSEEN = 2_000_000  # the first seed of the recorded evaluations
+
+
+def evaluate(address, name, environment, episodes, version, **options):
+    return spikeserve.evaluate(
+        environment, name, server=address, episodes=episodes, seed=UNSEEN, version=version, **options
+    )
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_lunar_lander(address, version):
+    played = evaluate(address, "lunar-lander", "LunarLander-v3", 10, version)
+    assert np.median(played.returns) > 230
+    assert played.spikes_per_decision < 1000
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_double_pendulum(address, version):
+    pytest.importorskip("mujoco", reason="gymnasium[mujoco] is not installed: its packages are 30 MB")
+    played = evaluate(address, "double-pendulum", "InvertedDoublePendulum-v5", 2, version)
+    assert played.mean_return > 9300
+
+
+@pytest.mark.parametrize("size", ["Easy", "Medium", "Hard"])
+@pytest.mark.parametrize("version", [1, 2])
+def test_repeat_first(address, size, version):
+    """One policy remembers the first card for 51, 415 and 831 steps."""
+    played = evaluate(address, "repeat-first", f"popgym:popgym-RepeatFirst{size}-v0", 3, version)
+    assert played.returns == pytest.approx(1.0)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("version", [1, 2])
+def test_minigrid_memory(address, version):
+    from minigrid.wrappers import ImgObsWrapper, OneHotPartialObsWrapper
+
+    wrappers = [OneHotPartialObsWrapper, ImgObsWrapper]
+    played = evaluate(address, "minigrid-memory", "minigrid:MiniGrid-MemoryS11-v0", 20, version, wrappers=wrappers)
+    assert np.mean(played.returns > 0) >= 0.95  # a wrong choice returns 0
