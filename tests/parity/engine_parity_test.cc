@@ -13,6 +13,7 @@
 #include "core/engine/spiking/kernels/targets.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
+#include "core/model/policy_file.h"
 #include "core/model/quantize.h"
 #include "tests/support/small_config.h"
 
@@ -244,6 +245,19 @@ TEST_P(EngineParityTest, DecisionsMadeTogetherEqualThoseMadeAlone) {
     engine->AppendActionsTogether(actions);
     for (int i = 0; i < kContexts; ++i) ExpectEqual(outputs[i], expected[i][t], i + t);
   }
+}
+
+TEST_P(EngineParityTest, CompactEngineDecidesAlikeAndRestoresItsPolicy) {
+  const Shape& shape = GetParam();
+  const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 5));
+  const std::unique_ptr<Engine> engine = MakeCompactEngine(*policy);
+  EXPECT_EQ(*FormatPolicyFile(engine->CompletePolicy()), *FormatPolicyFile(*policy));
+  if (!shape.config.is_dense()) {
+    EXPECT_TRUE(engine->policy().weights.embed_state.linear.weight.values.empty());
+  }
+  const std::vector<Engine::Output> expected = Play(*MakeStreamingEngine(policy), shape);
+  const std::vector<Engine::Output> actual = Play(*engine, shape);
+  for (int step = 0; step < shape.steps; ++step) ExpectEqual(actual[step], expected[step], step);
 }
 
 TEST_P(EngineParityTest, PopulationsAreAlive) {
