@@ -57,7 +57,12 @@ class Engine {
 
   virtual ~Engine() = default;
 
+  // Returns the policy. A compact engine (engine_factory.h) has freed the weights, biases and
+  // thresholds of its maps, except those of the action head.
   virtual const Policy& policy() const = 0;
+
+  // Returns a copy of the policy with all of its numbers.
+  virtual Policy CompletePolicy() const { return policy(); }
 
   // Creates an empty context whose first token will belong to timestep `first_timestep`. `seed` is
   // part of the key of the Bernoulli coder; other coders do not use it.

@@ -18,7 +18,7 @@ import fleet_bench
 import programs
 import report
 import server_bench
-from server_bench import BATCH, BENCH, SHIPPED, summarize
+from server_bench import BATCH, BENCH, SHIPPED, SHIPPED_INT8, summarize
 
 
 def parse_arguments():
@@ -91,24 +91,26 @@ def growth_contestants(arguments):
         "context": [20, 50, 100, 1000],
         "hidden_size": [64, 128, 256, 512],
     }
-    commands = {
-        f"{flag}={value}": [engine, f"--{flag}={value}", f"--episode_steps={4 * value if flag == 'context' else 500}"]
-        for flag, values in variants.items()
-        for value in values
-    }
+    commands = {}
+    for flag, values in variants.items():
+        for value in values:
+            command = [engine, f"--{flag}={value}", f"--episode_steps={4 * value if flag == 'context' else 500}"]
+            commands[f"{flag}={value}"] = command
+            if flag != "ticks":
+                commands[f"{flag}={value}, int8"] = [*command, "--arithmetic=int8"]
     for steps in [20, 100, 500, 10_000]:
         commands[f"episode_steps={steps}"] = [engine, f"--policy={SHIPPED}", f"--episode_steps={steps}"]
     return commands
 
 
 def measure_sessions(arguments):
-    """Measures the memory of a session for growing numbers of sessions."""
-    counts = [n for n in (1, 1000, 100_000, 1_000_000) if n <= arguments.max_sessions]
+    """Measures the memory of a policy, and that of a session for growing numbers of sessions."""
+    cases = [(n, SHIPPED) for n in (1, 1000, 100_000, 1_000_000) if n <= arguments.max_sessions]
     results = []
-    for count in counts:
-        command = [arguments.bin / "session_bench", f"--policy={SHIPPED}", f"--sessions={count}"]
+    for count, policy in [*cases, (1000, SHIPPED_INT8)]:
+        command = [arguments.bin / "session_bench", f"--policy={policy}", f"--sessions={count}"]
         output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-        results.append(json.loads(output))
+        results.append({"arithmetic": "int8" if policy == SHIPPED_INT8 else "float32", **json.loads(output)})
     return results
 
 

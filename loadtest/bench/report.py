@@ -102,13 +102,25 @@ def fleet_targets(fleet):
     return rows
 
 
+def growth_targets(growth):
+    rows = []
+    for arithmetic, suffix in (("float32", ""), ("int8", ", int8")):
+        wide = ratio(growth, f"hidden_size=128{suffix}", f"hidden_size=512{suffix}") / (512 / 128) ** 2
+        rows.append([f"cost at d = 512, times d² of d = 128, {arithmetic}", *verdict(wide, 1.3, at_least=False)])
+        long = ratio(growth, f"context=100{suffix}", f"context=1000{suffix}")
+        rows.append([f"cost at N = 1000, times N = 100, {arithmetic}", *verdict(long, 2, at_least=False)])
+    return rows
+
+
 def session_targets(sessions):
+    policy = max(s["policy_bytes"] for s in sessions if s["arithmetic"] == "int8")
     active = max(s.get("active_bytes", 0) for s in sessions if s["sessions"] > 1)
     idle = max(s["idle_bytes"] for s in sessions if s["sessions"] > 1)
     return [
-        ["KiB an active session", *verdict(active / 1024, 48, at_least=False)],
+        ["MB a policy with its engine, int8", *verdict(policy / 1e6, 0.45, at_least=False)],
+        ["KiB an active session", *verdict(active / 1024, 32, at_least=False)],
         ["KiB an idle session", *verdict(idle / 1024, 4, at_least=False)],
-        ["idle sessions open at once", *verdict(sessions[-1]["sessions"], 1_000_000)],
+        ["idle sessions open at once", *verdict(max(s["sessions"] for s in sessions), 1_000_000)],
     ]
 
 
@@ -119,6 +131,7 @@ def targets_section(result):
         "server": server_targets,
         "learning": learning_targets,
         "fleet": fleet_targets,
+        "growth": growth_targets,
         "sessions": session_targets,
     }
     for key, targets in of.items():
@@ -150,18 +163,23 @@ def growth_section(growth):
     text += "500 steps; where the context N varies, 4 N steps. The table of episode lengths uses the shipped policy.\n\n"
     flags = dict.fromkeys(key.split("=")[0] for key in growth)
     for flag in flags:
-        cases = [(key.split("=")[1], r) for key, r in growth.items() if key.split("=")[0] == flag]
-        header = [flag] + [value for value, _ in cases]
-        cost = ["µs a decision"] + [number(1e6 / r["decisions_per_second"]) for _, r in cases]
-        spikes = ["spikes a decision"] + [number(r["spikes_per_decision"]) for _, r in cases]
-        text += table(header, [cost, spikes]) + "\n"
+        values = [key.split("=")[1] for key in growth if key.split("=")[0] == flag and not key.endswith("int8")]
+        rows = []
+        for suffix, name in (("", ""), (", int8", ", 8-bit weights")):
+            cases = [growth[key] for value in values if (key := f"{flag}={value}{suffix}") in growth]
+            if not cases:
+                continue
+            rows.append([f"µs a decision{name}", *(number(1e6 / r["decisions_per_second"]) for r in cases)])
+            rows.append([f"spikes a decision{name}", *(number(r["spikes_per_decision"]) for r in cases)])
+        text += table([flag, *values], rows) + "\n"
     return text.rstrip() + "\n"
 
 
 def sessions_section(sessions):
     rows = [
         [
-            number(s["sessions"]),
+            f"{number(s['sessions'])}, {s['arithmetic']}",
+            number(s["policy_bytes"]),
             number(s["opened_bytes"]),
             number(s["active_bytes"]) if "active_bytes" in s else "-",
             number(s["idle_bytes"]),
@@ -169,8 +187,9 @@ def sessions_section(sessions):
         ]
         for s in sessions
     ]
-    header = ["sessions", "bytes opened", "bytes active", "bytes idle", "process, MiB resident"]
-    text = "## Memory of a session\n\nWith one session, its figure includes the empty shards of the store. An idle session is "
+    header = ["sessions, policy", "bytes of the policy", "bytes opened", "bytes active", "bytes idle", "process, MiB resident"]
+    text = "## Memory of a policy and of a session\n\nThe policy's figure is all memory of the policy and its engine, its training "
+    text += "record included. With one session, the session's figure includes the empty shards of the store. An idle session is "
     return text + "compacted and has a full history.\n\n" + table(header, rows)
 
 

@@ -18,7 +18,8 @@ import programs
 ROOT = pathlib.Path(__file__).parents[2]
 BENCH = pathlib.Path(__file__).parent
 POLICIES = ROOT / "deploy/policies"
-SHIPPED = POLICIES / "cartpole/1/policy.safetensors"  # in float32; version 2 is the same policy in int8
+SHIPPED = POLICIES / "cartpole/1/policy.safetensors"  # in float32
+SHIPPED_INT8 = POLICIES / "cartpole/2/policy.safetensors"  # the same policy in int8
 VERSIONS = {"float32": "1", "int8": "2"}
 
 SESSIONS = [1, 8, 64, 512]

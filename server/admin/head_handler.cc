@@ -46,7 +46,7 @@ Ancestor TrainedAncestor(const Policy& policy) {
 // of the head and, as `parent_training`, the record of the ancestor that was trained, whose
 // evaluation does not apply to the new head.
 Policy Promoted(const ServedPolicy& served, const FleetHead::Snapshot& snapshot) {
-  Policy policy = served.policy();
+  Policy policy = served.engine->CompletePolicy();
   policy.weights.head = snapshot.head;
   Ancestor ancestor = TrainedAncestor(served.policy());
   const json lineage = {{"parent_version", served.version},

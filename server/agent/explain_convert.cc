@@ -87,7 +87,7 @@ absl::Status ExplainSession(SessionEntry& entry, v1::ExplainResponse* response) 
     absl::MutexLock lock(&entry.mutex);
     session = entry.agent.session();
   }
-  const auto explanation = Explain(entry.served->policy(), session);
+  const auto explanation = Explain(entry.served->engine->CompletePolicy(), session);
   if (!explanation.ok()) return explanation.status();
   *response = ToProto(*entry.served, session, *explanation);
   return absl::OkStatus();

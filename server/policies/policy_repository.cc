@@ -187,8 +187,8 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   served->name = version.policy;
   served->version = version.version;
   served->sha256 = Sha256Of(files->policy);
-  const auto shared = std::make_shared<const Policy>(*std::move(policy));
-  served->engine = MakeStreamingEngine(shared);
+  served->engine = MakeCompactEngine(*std::move(policy));
+  const std::shared_ptr<const Policy> shared(served->engine, &served->policy());
   served->learning = std::move(learning);
   if (logs != nullptr) served->log = logs->Open(*served);
   const auto heads = logs != nullptr ? served->log->heads() : std::make_shared<TenantHeads>(shared);

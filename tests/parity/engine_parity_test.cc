@@ -8,9 +8,12 @@
 #include <vector>
 
 #include "core/engine/factory/engine_factory.h"
+#include "core/engine/factory/trace_decision.h"
+#include "core/engine/prefix_engine.h"
 #include "core/engine/spiking/kernels/targets.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
+#include "core/model/policy_file.h"
 #include "core/model/quantize.h"
 #include "tests/support/small_config.h"
 
@@ -244,6 +247,19 @@ TEST_P(EngineParityTest, DecisionsMadeTogetherEqualThoseMadeAlone) {
   }
 }
 
+TEST_P(EngineParityTest, CompactEngineDecidesAlikeAndRestoresItsPolicy) {
+  const Shape& shape = GetParam();
+  const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 5));
+  const std::unique_ptr<Engine> engine = MakeCompactEngine(*policy);
+  EXPECT_EQ(*FormatPolicyFile(engine->CompletePolicy()), *FormatPolicyFile(*policy));
+  if (!shape.config.is_dense()) {
+    EXPECT_TRUE(engine->policy().weights.embed_state.linear.weight.values.empty());
+  }
+  const std::vector<Engine::Output> expected = Play(*MakeStreamingEngine(policy), shape);
+  const std::vector<Engine::Output> actual = Play(*engine, shape);
+  for (int step = 0; step < shape.steps; ++step) ExpectEqual(actual[step], expected[step], step);
+}
+
 TEST_P(EngineParityTest, PopulationsAreAlive) {
   const Shape& shape = GetParam();
   if (shape.config.is_dense()) return;
@@ -273,6 +289,42 @@ TEST_P(EngineParityAtPaperSizeTest, StreamingEqualsReference) {
 INSTANTIATE_TEST_SUITE_P(Arithmetics, EngineParityAtPaperSizeTest,
                          testing::Values(Arithmetic::kFloat32, Arithmetic::kInt8),
                          [](const auto& test) { return std::string(ToString(test.param)); });
+
+// Returns the reference engine's decision at `step` of the episode, from the steps that it depends
+// on.
+Engine::Output ReferenceDecision(const Policy& policy, const Shape& shape, int step) {
+  const Episode episode(policy, shape.spread);
+  const int first = std::max(0, step + 1 - HistorySize(policy.config));
+  PrefixContext prefix(/*seed=*/7, first);
+  for (int t = first; t <= step; ++t) {
+    if (t > first) prefix.AppendAction(episode.EncodedAction(t - 1));
+    prefix.AppendReturnAndState(policy, episode.ReturnToGo(t), episode.Observation(t));
+  }
+  Engine::Output output;
+  Trace trace;
+  TraceDecision(policy, prefix, &output, &trace);
+  return output;
+}
+
+// The ring of a long context stores its keys in rows, clears expired tokens many at a time, and has
+// more slots than the band has tokens. The episode fills it more than once.
+TEST(EngineParityInLongContextTest, StreamingEqualsReferenceOnEveryTarget) {
+  Shape shape = {.name = "LongRing", .config = ConfigOf(16, 2), .steps = 1100};
+  shape.config.layers = 1;
+  shape.config.context = 345;
+  const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
+  const std::unique_ptr<Engine> streaming = MakeStreamingEngine(policy);
+  const std::vector<int> steps = {1, 40, 344, 345, 346, 500, 511, 512, 513, 800, 1023, 1024, 1099};
+  std::vector<Engine::Output> expected;
+  for (const int step : steps) expected.push_back(ReferenceDecision(*policy, shape, step));
+  for (const std::string& target : kernels::SupportedTargets()) {
+    SCOPED_TRACE("target " + target);
+    kernels::ForceTargetForTest(target);
+    const std::vector<Engine::Output> actual = Play(*streaming, shape);
+    for (size_t i = 0; i < steps.size(); ++i) ExpectEqual(actual[steps[i]], expected[i], steps[i]);
+  }
+  kernels::ForceTargetForTest("");
+}
 
 }  // namespace
 }  // namespace spikeserve

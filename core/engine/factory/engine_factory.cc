@@ -19,6 +19,11 @@ std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy
                                    : MakeSpikingStreamingEngine(std::move(policy));
 }
 
+std::unique_ptr<Engine> MakeCompactEngine(Policy policy) {
+  if (!policy.config.is_dense()) return MakeCompactSpikingEngine(std::move(policy));
+  return MakeDenseStreamingEngine(std::make_shared<const Policy>(std::move(policy)));
+}
+
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedStreamingEngine(Policy policy,
                                                                   const std::string& folder) {
   if (policy.config.is_dense()) {

@@ -21,8 +21,12 @@ std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy
 // bit-packed in spiking modes, and computes only the new tokens. REQUIRES: a valid policy.
 std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy);
 
-// Creates the same engine, whose weight matrices are once in memory for all processes of this user
-// that name the same folder; its policy() has none. Decisions are equal bit for bit. Errors: see
+// Creates the same engine, which stores each number of the policy once and not a second time for
+// policy() (see Engine::CompletePolicy). REQUIRES: a valid policy.
+std::unique_ptr<Engine> MakeCompactEngine(Policy policy);
+
+// Creates a compact engine, whose weight matrices are once in memory for all processes of this user
+// that name the same folder. Decisions are equal bit for bit. Errors: see
 // ShareBytes (shared_bytes.h); INVALID_ARGUMENT for a dense policy. REQUIRES: a valid policy.
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedStreamingEngine(Policy policy,
                                                                   const std::string& folder);

@@ -22,7 +22,7 @@ struct Float32Arithmetic {
   using Output = PackedLinear;
   using Activity = float;  // of a hidden neuron over the ticks of a token: spike count / T
 
-  static const LayerWeights& MapsOf(const LayerWeights& layer) { return layer; }
+  static auto& MapsOf(auto& layer) { return layer; }  // a LayerWeights, const or not
   static Neuron NeuronOf(const ModelConfig& config) {
     return {config.membrane_decay, config.threshold};
   }
@@ -40,7 +40,7 @@ struct Int8Arithmetic {
   using Output = PackedIntegerOutput;
   using Activity = int16_t;  // of a hidden neuron over the ticks of a token: spike count
 
-  static const IntegerMaps& MapsOf(const LayerWeights& layer) { return layer.integer; }
+  static auto& MapsOf(auto& layer) { return layer.integer; }
   static Neuron NeuronOf(const ModelConfig& config) {
     return {static_cast<int16_t>(config.integer_decay())};
   }

@@ -30,6 +30,7 @@ struct PackedIntegerPopulation {
 
   // Returns the weights of one input, [width].
   const int8_t* row(int input) const { return rows.data() + static_cast<size_t>(input) * width; }
+  int8_t weight(int input, int lane) const { return row(input)[lane]; }
   // Returns the weights of a phase generator, [width].
   const int16_t* phase_row(int generator) const {
     return phase_rows.data() + static_cast<size_t>(generator) * width;
@@ -48,6 +49,7 @@ struct PackedIntegerOutput {
 
   // Returns the interleaved weights of the inputs 2 pair and 2 pair + 1, [width][2].
   const int8_t* row(int pair) const { return rows.data() + static_cast<size_t>(pair) * width * 2; }
+  int8_t weight(int input, int lane) const { return row(input / 2)[2 * lane + input % 2]; }
 };
 
 // Packs populations of equal inputs side by side. Inputs from `hidden_size` on are phase inputs.

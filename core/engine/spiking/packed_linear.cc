@@ -4,10 +4,10 @@
 
 namespace spikeserve {
 
-PackedLinear Pack(std::initializer_list<const Linear*> linears) {
+PackedLinear Pack(std::initializer_list<const Linear*> linears, int lanes) {
   PackedLinear packed;
   packed.inputs = (*linears.begin())->weight.shape[1];
-  for (const Linear* linear : linears) packed.width += PadToLanes(linear->weight.shape[0]);
+  for (const Linear* linear : linears) packed.width += PadToLanes(linear->weight.shape[0], lanes);
   AlignedVector<float> rows(static_cast<size_t>(packed.inputs) * packed.width);
   packed.bias.assign(packed.width, 0.0f);
   packed.nonzero.assign(packed.inputs, 0);
@@ -23,7 +23,7 @@ PackedLinear Pack(std::initializer_list<const Linear*> linears) {
     const std::vector<uint32_t> nonzero = NonzeroByInput(*linear);
     for (int j = 0; j < packed.inputs; ++j) packed.nonzero[j] += nonzero[j];
     packed.outputs = lane + outputs;
-    lane += PadToLanes(outputs);
+    lane += PadToLanes(outputs, lanes);
   }
   packed.rows = std::move(rows);
   return packed;

@@ -21,7 +21,11 @@ namespace spikeserve {
 // positive.
 inline constexpr int kLanes = 32;
 
-constexpr int PadToLanes(int n) { return (n + kLanes - 1) / kLanes * kLanes; }
+constexpr int PadToLanes(int n, int lanes = kLanes) { return (n + lanes - 1) / lanes * lanes; }
+
+// Outputs of the routing maps, which only AffineTicks reads, are padded to a multiple of the
+// longest vector.
+inline constexpr int kRoutingLanes = 16;
 
 // One or several affine maps in this layout.
 struct PackedLinear {
@@ -34,6 +38,7 @@ struct PackedLinear {
 
   // Returns the weights of one input, [width].
   const float* row(int input) const { return rows.data() + static_cast<size_t>(input) * width; }
+  float weight(int input, int lane) const { return row(input)[lane]; }
 };
 
 // Returns the number of nonzero weights of each input, [in].
@@ -47,8 +52,9 @@ std::vector<uint32_t> NonzeroByInput(const auto& map) {
   return nonzero;
 }
 
-// Packs several affine maps of equal inputs side by side. Pads each of them separately.
-PackedLinear Pack(std::initializer_list<const Linear*> linears);
+// Packs several affine maps of equal inputs side by side. Pads each of them separately, to a
+// multiple of `lanes`.
+PackedLinear Pack(std::initializer_list<const Linear*> linears, int lanes = kLanes);
 
 }  // namespace spikeserve
 

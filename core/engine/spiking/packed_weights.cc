@@ -2,7 +2,9 @@
 
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
+#include <type_traits>
 #include <utility>
 
 #include "absl/status/statusor.h"
@@ -44,10 +46,56 @@ size_t NextCacheLine(size_t offset) {
   return (offset + line - 1) / line * line;
 }
 
+// Calls `visit` with every packed map, its first lane, and the map of `weights` that it was packed
+// from.
+template <class Arithmetic, class Visitor>
+void VisitMaps(const PackedWeights<Arithmetic>& packed, Weights* weights, const Visitor& visit) {
+  visit(packed.embed_return, 0, weights->embed_return.linear);
+  visit(packed.embed_state, 0, weights->embed_state.linear);
+  visit(packed.embed_action, 0, weights->embed_action.linear);
+  for (size_t i = 0; i < packed.layers.size(); ++i) {
+    const PackedLayer<Arithmetic>& from = packed.layers[i];
+    LayerWeights& layer = weights->layers[i];
+    auto& maps = Arithmetic::MapsOf(layer);
+    const int section = from.key_value_query.width / 3;
+    visit(from.key_value_query, 0, maps.key);
+    visit(from.key_value_query, section, maps.value);
+    visit(from.key_value_query, 2 * section, maps.query);
+    if (from.routing_hidden.inputs > 0) {
+      visit(from.routing_hidden, 0, layer.routing_hidden);
+      visit(from.routing_gate, 0, layer.routing_gate);
+    }
+    visit(from.attention_output, 0, layer.attention_output);
+    visit(from.ffn_hidden, 0, maps.ffn_hidden);
+    visit(from.ffn_output, 0, maps.ffn_output);
+  }
+}
+
 // Frees the memory, which clear() would keep.
 template <class Number>
-void Free(BasicTensor<Number>* matrix) {
-  matrix->values = std::vector<Number>();
+void Free(BasicTensor<Number>* tensor) {
+  tensor->values = std::vector<Number>();
+}
+
+// Copies one map, whose outputs are the lanes of `packed` from `lane` on.
+template <class Packed, class Map>
+void Unpack(const Packed& packed, int lane, Map* map) {
+  const int outputs = map->weight.shape[0];
+  const int inputs = map->weight.shape[1];
+  map->weight = std::decay_t<decltype(map->weight)>::Zeros(map->weight.shape);
+  for (int k = 0; k < outputs; ++k) {
+    for (int j = 0; j < inputs; ++j) {
+      map->weight.values[static_cast<size_t>(k) * inputs + j] = packed.weight(j, lane + k);
+    }
+  }
+  map->bias.values.assign(packed.bias.begin() + lane, packed.bias.begin() + lane + outputs);
+  if constexpr (requires { map->threshold; }) {
+    const auto* const silent = packed.silent.data() + lane;
+    map->threshold.values.clear();
+    for (int k = 0; k < outputs; ++k) {
+      map->threshold.values.push_back(static_cast<int16_t>(silent[k] + 1));
+    }
+  }
 }
 
 }  // namespace
@@ -66,8 +114,8 @@ PackedWeights<Arithmetic>::PackedWeights(const Policy& policy)
     layer.key_value_query = Arithmetic::PackPopulations({&maps.key, &maps.value, &maps.query}, d);
     layer.nonzero_query = NonzeroByInput(maps.query);
     if (policy.config.has_routing()) {
-      layer.routing_hidden = Pack({&weights.routing_hidden});
-      layer.routing_gate = Pack({&weights.routing_gate});
+      layer.routing_hidden = Pack({&weights.routing_hidden}, kRoutingLanes);
+      layer.routing_gate = Pack({&weights.routing_gate}, kRoutingLanes);
       for (int j = 0; j < layer.routing_gate.inputs; ++j) {
         if (layer.routing_hidden.bias[j] > 0.0f) {
           layer.silent_gate_products += layer.routing_gate.nonzero[j];
@@ -100,22 +148,19 @@ absl::Status PackedWeights<Arithmetic>::ShareRows(const std::string& folder) {
   return absl::OkStatus();
 }
 
-void DropPackedMatrices(Arithmetic arithmetic, Weights* weights) {
-  Free(&weights->embed_return.linear.weight);
-  Free(&weights->embed_state.linear.weight);
-  Free(&weights->embed_action.linear.weight);
-  for (LayerWeights& layer : weights->layers) {
-    VisitMaps(arithmetic, layer, [](auto& maps) {
-      Free(&maps.query.weight);
-      Free(&maps.key.weight);
-      Free(&maps.value.weight);
-      Free(&maps.ffn_hidden.weight);
-      Free(&maps.ffn_output.weight);
-    });
-    Free(&layer.routing_hidden.weight);
-    Free(&layer.routing_gate.weight);
-    Free(&layer.attention_output.weight);
-  }
+template <class Arithmetic>
+void PackedWeights<Arithmetic>::DropFrom(Weights* weights) const {
+  VisitMaps(*this, weights, [](const auto&, int, auto& map) {
+    Free(&map.weight);
+    Free(&map.bias);
+    if constexpr (requires { map.threshold; }) Free(&map.threshold);
+  });
+}
+
+template <class Arithmetic>
+void PackedWeights<Arithmetic>::RestoreTo(Weights* weights) const {
+  VisitMaps(*this, weights,
+            [](const auto& packed, int lane, auto& map) { Unpack(packed, lane, &map); });
 }
 
 template struct PackedWeights<Float32Arithmetic>;

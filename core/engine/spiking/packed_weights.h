@@ -43,6 +43,12 @@ struct PackedWeights {
   // ShareBytes (shared_bytes.h).
   absl::Status ShareRows(const std::string& folder);
 
+  // Frees those numbers of `weights`, from which these were packed, that are stored here: weights,
+  // biases and thresholds of all maps but the action head. Shapes and all other tensors stay.
+  void DropFrom(Weights* weights) const;
+  // Writes the numbers back that DropFrom() has freed.
+  void RestoreTo(Weights* weights) const;
+
   PackedLinear embed_return;
   PackedLinear embed_state;
   PackedLinear embed_action;
@@ -50,9 +56,6 @@ struct PackedWeights {
   std::vector<uint32_t> head_nonzero;  // [d]: number of nonzero weights of an input
   PeriodTable periods;                 // of the coder neurons
 };
-
-// Frees the matrices of `weights` that are in PackedWeights. The other tensors stay.
-void DropPackedMatrices(Arithmetic arithmetic, Weights* weights);
 
 }  // namespace spikeserve
 

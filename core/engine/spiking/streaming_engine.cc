@@ -253,7 +253,8 @@ class TokenPass {
   // contains only the `ticks` ticks at which a head's output is not zero; the other ticks add
   // nothing, whatever their gates are.
   void Merge(const PackedLayer<Arithmetic>& packed, int ticks) {
-    const int stride = PadToLanes(config_.heads);
+    const int stride =
+        config_.has_routing() ? packed.routing_gate.width : PadToLanes(config_.heads);
     scratch_.gates.resize(static_cast<size_t>(ticks) * stride);
     if (config_.has_routing()) {
       Route(packed, ticks, stride);
@@ -332,6 +333,12 @@ class StreamingEngine final : public Engine {
 
   const Policy& policy() const override { return *policy_; }
 
+  Policy CompletePolicy() const override {
+    Policy policy = *policy_;
+    packed_.RestoreTo(&policy.weights);
+    return policy;
+  }
+
   std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override {
     return std::make_unique<StreamingContext>(policy_->config, seed, first_timestep);
   }
@@ -387,12 +394,23 @@ class StreamingEngine final : public Engine {
 };
 
 template <class Arithmetic>
+std::unique_ptr<Engine> MakeOf(PackedWeights<Arithmetic> packed, Policy policy) {
+  packed.DropFrom(&policy.weights);
+  return std::make_unique<StreamingEngine<Arithmetic>>(
+      std::make_shared<const Policy>(std::move(policy)), std::move(packed));
+}
+
+template <class Arithmetic>
+std::unique_ptr<Engine> MakeCompact(Policy policy) {
+  PackedWeights<Arithmetic> packed(policy);
+  return MakeOf(std::move(packed), std::move(policy));
+}
+
+template <class Arithmetic>
 absl::StatusOr<std::unique_ptr<Engine>> MakeShared(Policy policy, const std::string& folder) {
   PackedWeights<Arithmetic> packed(policy);
   if (absl::Status status = packed.ShareRows(folder); !status.ok()) return status;
-  DropPackedMatrices(policy.config.arithmetic, &policy.weights);
-  return std::make_unique<StreamingEngine<Arithmetic>>(
-      std::make_shared<const Policy>(std::move(policy)), std::move(packed));
+  return MakeOf(std::move(packed), std::move(policy));
 }
 
 }  // namespace
@@ -403,6 +421,13 @@ absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
     return MakeShared<Int8Arithmetic>(std::move(policy), folder);
   }
   return MakeShared<Float32Arithmetic>(std::move(policy), folder);
+}
+
+std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy) {
+  if (policy.config.arithmetic == Arithmetic::kInt8) {
+    return MakeCompact<Int8Arithmetic>(std::move(policy));
+  }
+  return MakeCompact<Float32Arithmetic>(std::move(policy));
 }
 
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {

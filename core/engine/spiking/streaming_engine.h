@@ -16,8 +16,12 @@ namespace spikeserve {
 // REQUIRES: a valid policy of a spiking mode.
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy);
 
-// Creates the same engine, with its weight matrices in a file in `folder` that the processes of
-// this user map, and without those of its policy. Errors: see ShareBytes (shared_bytes.h).
+// Creates the same engine, which stores each number of the policy once: policy() lacks those that
+// CompletePolicy() restores. REQUIRES: a valid policy of a spiking mode.
+std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy);
+
+// Creates a compact engine, with its weight matrices in a file in `folder` that the processes of
+// this user map. Errors: see ShareBytes (shared_bytes.h).
 // REQUIRES: a valid policy of a spiking mode.
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
                                                                 const std::string& folder);

@@ -15,50 +15,41 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-// Sets overlaps[slot] = popcount(q & k) for all slots at one tick and head; keys [W][S].
-HWY_INLINE void Overlaps(const uint32_t* keys, const uint32_t* query, int words, int slots,
-                         uint32_t* overlaps) {
-  const U32 du;
-  for (int slot = 0; slot < slots; slot += kVector) {
-    auto total = hn::Zero(du);
-    for (int w = 0; w < words; ++w) {
-      const auto key = hn::LoadU(du, keys + static_cast<size_t>(w) * slots + slot);
-      total = hn::Add(total, hn::PopulationCount(hn::And(key, hn::Set(du, query[w]))));
-    }
-    hn::StoreU(total, du, overlaps + slot);
-  }
+constexpr int kWordSlots = 32;
+
+// A block of 32 slots, and those of its slots whose values are counted together.
+struct Members {
+  const uint32_t* values;  // [32 W]
+  uint32_t slots;
+};
+
+// Memory of one thread, reused by its calls.
+struct Scratch {
+  std::vector<uint64_t> meeting;      // bit i: number i of [T][H] has query bits and key bits
+  std::vector<const uint32_t*> rows;  // the rows of the keys that a query has bits of
+  std::vector<uint32_t> overlaps;     // see KeyWords and KeyRows
+  std::vector<uint32_t> remaining;    // [S / 32]: valid slots that belong to no group yet
+  std::vector<uint32_t> group;        // [S / 32]: valid slots of equal overlap
+  std::vector<Members> members;       // [S / 32]
+  std::vector<float> sums;            // [32 W]
+};
+
+// Returns the memory of this thread. Not inlined, because the compiler would compute the address
+// again in every loop.
+HWY_NOINLINE Scratch& ThreadScratch() {
+  thread_local Scratch scratch;
+  return scratch;
 }
 
-// Returns the slots of one 32-slot block whose overlap is `overlap`, as bits.
-HWY_INLINE uint32_t SlotsAt(const uint32_t* overlaps, uint32_t overlap) {
-  const U32 du;
-  uint32_t mask = 0;
-  for (int v = 0; v < kVectorsPerWord; ++v) {
-    const auto equal = hn::Eq(hn::LoadU(du, overlaps + v * kVector), hn::Set(du, overlap));
-    mask |= MaskBits(du, equal) << (v * kVector);
+// Returns the number of bits set in words[0, count). `count` is even.
+HWY_INLINE int CountSlots(const uint32_t* words, int count) {
+  int slots = 0;
+  for (int i = 0; i < count; i += 2) {
+    uint64_t both;
+    std::memcpy(&both, words + i, sizeof(both));
+    slots += __builtin_popcountll(both);
   }
-  return mask;
-}
-
-// Returns, for each of the value bits `lane` ... `lane` + kVector - 1, how many of the slots in
-// `members` [blocks] have it; values [blocks][lanes].
-HWY_INLINE VecF CountValues(const uint32_t* values, const uint32_t* members, int blocks, int lanes,
-                            int lane) {
-  const I32 di;
-  const U32 du;
-  auto count = hn::Zero(du);
-  for (int b = 0; b < blocks; ++b) {
-    const auto bits = hn::LoadU(du, values + static_cast<size_t>(b) * lanes + lane);
-    count = hn::Add(count, hn::PopulationCount(hn::And(bits, hn::Set(du, members[b]))));
-  }
-  return hn::ConvertTo(F32(), hn::BitCast(di, count));
-}
-
-// Returns whether any of `count` words has a bit set.
-HWY_INLINE bool AnyBit(const uint32_t* words, int count) {
-  uint32_t any = 0;
-  for (int i = 0; i < count; ++i) any |= words[i];
-  return any != 0;
+  return slots;
 }
 
 HWY_INLINE void Clear(float* values, int size) {
@@ -68,79 +59,344 @@ HWY_INLINE void Clear(float* values, int size) {
   for (; i < size; ++i) values[i] = 0.0f;
 }
 
-// Computes attention at one tick and head at a time. `scratch` has room for S overlaps, followed by
-// S / 32 words of members; `sums` has room for 32 W sums.
-class HeadAttention {
+// Overlaps of a query with keys whose words are dimensions, [W][S]: one population count a slot.
+class KeyWords {
  public:
-  HeadAttention(const AttentionWindow& window, uint32_t* scratch, float* sums)
-      : window_(window),
-        blocks_(window.slots / 32),
-        lanes_(32 * window.words),
-        valid_count_(Count(window.valid)),
-        overlaps_(scratch),
-        members_(scratch + window.slots),
-        sums_(sums) {}
+  static constexpr bool kLongRing = false;
 
-  // Selects the tick and head with number `index` in the window.
-  void MoveTo(int index) {
-    keys_ = window_.keys + static_cast<size_t>(index) * window_.words * window_.slots;
-    values_ = window_.values + static_cast<size_t>(index) * blocks_ * lanes_;
-    occupied_ = window_.occupied + static_cast<size_t>(index) * blocks_;
+  KeyWords(const AttentionWindow& window, Scratch* scratch) : window_(window) {
+    scratch->overlaps.resize(window.slots);
+    scratch->group.resize(window.slots / kWordSlots);
+    overlaps_ = scratch->overlaps.data();
+    group_ = scratch->group.data();
   }
 
-  // Returns whether any valid slot has a value at this tick and head. If none has, y is zero for
-  // every query.
-  bool HasValues() const { return MeetsOccupied(window_.valid); }
-
-  // Computes y for a query without spikes: all overlaps are 0, so all keys have equal weights.
-  void AttendUniformly(float* y) {
-    const F32 d;
-    for (int lane = 0; lane < lanes_; lane += kVector) {
-      hn::StoreU(CountValues(values_, window_.valid, blocks_, lanes_, lane), d, sums_ + lane);
+  // Computes the overlaps of a query with the keys at tick and head number `index`.
+  void SetQuery(int index, const uint32_t* query) {
+    const U32 du;
+    const uint32_t* const keys = window_.plane(window_.keys[index]);
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      auto total = hn::Zero(du);
+      for (int w = 0; w < window_.words; ++w) {
+        const auto key = hn::LoadU(du, keys + static_cast<size_t>(w) * window_.slots + slot);
+        total = hn::Add(total, hn::PopulationCount(hn::And(key, hn::Set(du, query[w]))));
+      }
+      hn::StoreU(total, du, overlaps_ + slot);
     }
+  }
+
+  // Returns the sum of the overlaps of the valid slots.
+  uint64_t Sum() const {
+    const U32 du;
+    auto sum = hn::Zero(du);
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      sum = hn::Add(sum, hn::IfThenElseZero(Valid(slot), At(slot)));
+    }
+    return hn::GetLane(hn::SumOfLanes(du, sum));
+  }
+
+  // Moves before the group of valid slots with the best overlap.
+  void Begin(bool largest_is_best) {
+    step_ = largest_is_best ? -1 : 1;
+    next_ = largest_is_best ? Highest() : Lowest();
+  }
+
+  // Sets `group` of the scratch memory to the next group, and `overlap` to the overlap of its
+  // slots. Returns the number of its slots. REQUIRES: not all valid slots were in a group.
+  int Next(int* overlap) {
+    const int blocks = window_.slots / kWordSlots;
+    int count = 0;
+    while (count == 0) {
+      for (int b = 0; b < blocks; ++b) {
+        const uint32_t slots = window_.valid[b] & SlotsAt(kWordSlots * b, next_);
+        group_[b] = slots;
+        count += __builtin_popcount(slots);
+      }
+      *overlap = next_;
+      next_ += step_;
+    }
+    return count;
+  }
+
+ private:
+  hn::Vec<U32> At(int slot) const { return hn::LoadU(U32(), overlaps_ + slot); }
+
+  hn::Mask<U32> Valid(int slot) const {
+    return MaskFromBits(U32(), window_.valid[slot / kWordSlots] >> (slot % kWordSlots));
+  }
+
+  // Returns the slots of the block at `slot` whose overlap is `overlap`, as bits.
+  uint32_t SlotsAt(int slot, int overlap) const {
+    const U32 du;
+    uint32_t mask = 0;
+    for (int v = 0; v < kVectorsPerWord; ++v) {
+      const auto equal =
+          hn::Eq(At(slot + v * kVector), hn::Set(du, static_cast<uint32_t>(overlap)));
+      mask |= MaskBits(du, equal) << (v * kVector);
+    }
+    return mask;
+  }
+
+  // Returns the smallest overlap of a valid slot.
+  int Lowest() const {
+    const U32 du;
+    auto low = hn::Set(du, ~0u);
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      low = hn::Min(low, hn::IfThenElse(Valid(slot), At(slot), hn::Set(du, ~0u)));
+    }
+    return static_cast<int>(hn::GetLane(hn::MinOfLanes(du, low)));
+  }
+
+  // Returns the largest overlap of a valid slot.
+  int Highest() const {
+    const U32 du;
+    auto high = hn::Zero(du);
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      high = hn::Max(high, hn::IfThenElseZero(Valid(slot), At(slot)));
+    }
+    return static_cast<int>(hn::GetLane(hn::MaxOfLanes(du, high)));
+  }
+
+  const AttentionWindow& window_;
+  uint32_t* overlaps_;  // [S]
+  uint32_t* group_;
+  int next_ = 0;  // overlap
+  int step_ = 0;
+};
+
+// Overlaps of a query with keys whose words are slots, [32 W][S / 32]. Reads only the rows of the
+// query's bits and adds them bit by bit, for a whole vector of slots at once.
+class KeyRows {
+ public:
+  static constexpr bool kLongRing = true;
+
+  KeyRows(const AttentionWindow& window, Scratch* scratch)
+      : window_(window), blocks_(window.slots / kWordSlots), scratch_(*scratch) {
+    scratch_.remaining.resize(blocks_);
+    scratch_.group.resize(blocks_);
+    remaining_ = scratch_.remaining.data();
+    group_ = scratch_.group.data();
+  }
+
+  // Selects the rows of the bits of `query` at tick and head number `index`. REQUIRES: it has one.
+  void SetQuery(int index, const uint32_t* query) {
+    const uint32_t* const keys = window_.plane(window_.keys[index]);
+    scratch_.rows.clear();
+    for (int w = 0; w < window_.words; ++w) {
+      for (uint32_t bits = query[w]; bits != 0; bits &= bits - 1) {
+        const int bit = kWordSlots * w + __builtin_ctz(bits);
+        scratch_.rows.push_back(keys + static_cast<size_t>(bit) * blocks_);
+      }
+    }
+  }
+
+  // The methods below are those of KeyWords.
+  uint64_t Sum() const {
+    const D d;
+    auto sum = hn::Zero(d);
+    for (const uint32_t* row : scratch_.rows) {
+      for (int b = 0; b < blocks_; b += kStep) {
+        const auto slots = hn::And(hn::LoadU(d, row + b), hn::LoadU(d, window_.valid + b));
+        sum = hn::Add(sum, hn::PopulationCount(slots));
+      }
+    }
+    return hn::GetLane(hn::SumOfLanes(d, sum));
+  }
+
+  void Begin(bool largest_is_best) {
+    largest_is_best_ = largest_is_best;
+    std::memcpy(remaining_, window_.valid, blocks_ * sizeof(uint32_t));
+    const auto rows = static_cast<unsigned>(scratch_.rows.size());
+    overlap_bits_ = 32 - __builtin_clz(rows);
+    const size_t size = static_cast<size_t>(overlap_bits_) * blocks_;
+    if (scratch_.overlaps.size() < size) scratch_.overlaps.resize(size);
+    overlaps_ = scratch_.overlaps.data();
+    if (rows == 1) return AddRows<1>();
+    if (rows <= 3) return AddRows<2>();
+    if (rows <= 7) return AddRows<3>();
+    if (rows <= 15) return AddRows<4>();
+    if (rows <= 31) return AddRows<5>();
+    AddRows<kMostBits>();
+  }
+
+  int Next(int* overlap) {
+    const D d;
+    *overlap = 0;
+    std::memcpy(group_, remaining_, blocks_ * sizeof(uint32_t));
+    for (int k = overlap_bits_ - 1; k >= 0; --k) {
+      // Of the slots that are left, those with the better value of this bit stay, if there are any.
+      const auto worse = largest_is_best_ ? hn::Zero(d) : hn::Set(d, ~0u);
+      const uint32_t* const bits = Overlaps(k);
+      auto any = hn::Zero(d);
+      for (int b = 0; b < blocks_; b += kStep) {
+        any =
+            hn::Or(any, hn::And(hn::LoadU(d, group_ + b), hn::Xor(hn::LoadU(d, bits + b), worse)));
+      }
+      const bool exists = !hn::AllTrue(d, hn::Eq(any, hn::Zero(d)));
+      *overlap |= static_cast<int>(exists == largest_is_best_) << k;
+      if (!exists) continue;
+      for (int b = 0; b < blocks_; b += kStep) {
+        const auto better = hn::Xor(hn::LoadU(d, bits + b), worse);
+        hn::StoreU(hn::And(hn::LoadU(d, group_ + b), better), d, group_ + b);
+      }
+    }
+    for (int b = 0; b < blocks_; b += kStep) {
+      const auto left = hn::AndNot(hn::LoadU(d, group_ + b), hn::LoadU(d, remaining_ + b));
+      hn::StoreU(left, d, remaining_ + b);
+    }
+    return CountSlots(group_, blocks_);
+  }
+
+ private:
+  using D = U32;  // of vectors of slots
+  static constexpr int kStep = kVector;
+  static constexpr int kMostBits = 24;  // of an overlap, which is at most d_h
+
+  // Counts the rows that have each slot in kBits bits, of which it stores overlap_bits_.
+  template <int kBits>
+  HWY_INLINE void AddRows() {
+    const D d;
+    for (int b = 0; b < blocks_; b += kStep) {
+      hn::Vec<D> sum[kBits];
+      for (auto& bit : sum) bit = hn::Zero(d);
+      for (const uint32_t* row : scratch_.rows) {
+        auto carry = hn::LoadU(d, row + b);
+        for (auto& bit : sum) {
+          const auto next = hn::And(bit, carry);
+          bit = hn::Xor(bit, carry);
+          carry = next;
+        }
+      }
+      for (int k = 0; k < overlap_bits_; ++k) hn::StoreU(sum[k], d, Overlaps(k) + b);
+    }
+  }
+
+  uint32_t* Overlaps(int bit) { return overlaps_ + static_cast<size_t>(bit) * blocks_; }
+
+  const AttentionWindow& window_;
+  const int blocks_;
+  Scratch& scratch_;
+  uint32_t* overlaps_ = nullptr;  // [bits][S / 32]: bit k of the overlaps of the slots
+  uint32_t* remaining_;
+  uint32_t* group_;
+  int overlap_bits_ = 0;
+  bool largest_is_best_ = true;
+};
+
+// Computes attention at one tick and head at a time. `Keys` is KeyWords or KeyRows.
+template <class Keys>
+class HeadAttention {
+ public:
+  HeadAttention(const AttentionWindow& window, Scratch* scratch)
+      : window_(window),
+        blocks_(window.slots / kWordSlots),
+        lanes_(kWordSlots * window.words),
+        valid_count_(CountSlots(window.valid, blocks_)),
+        keys_(window, scratch),
+        group_(scratch->group.data()) {
+    scratch->members.resize(blocks_);
+    scratch->sums.resize(lanes_);
+    members_ = scratch->members.data();
+    sums_ = scratch->sums.data();
+  }
+
+  Keys& keys() { return keys_; }
+
+  // Returns whether any valid slot has a value at tick and head number `index`. If none has, y is
+  // zero for every query.
+  bool HasValues(int index) const {
+    const uint32_t* const occupied = Occupied(index);
+    uint32_t any = 0;
+    for (int b = 0; b < blocks_; ++b) any |= window_.valid[b] & occupied[b];
+    return any != 0;
+  }
+
+  // Computes y if all overlaps are 0, so that all keys have equal weights.
+  void AttendUniformly(int index, float* y) {
+    Clear(sums_, lanes_);
+    AddValues(index, window_.valid, 1.0f);
     Scale(1.0f / static_cast<float>(valid_count_), y);
   }
 
   // Computes y: for each distance from the best overlap to the worst, adds the value counts of the
-  // slots at that distance times its weight. Returns the sum of the overlaps.
-  uint64_t Attend(const uint32_t* query, const float* weight, bool largest_is_best, float* y) {
-    const F32 d;
-    Overlaps(keys_, query, window_.words, window_.slots, overlaps_);
+  // slots at that distance times its weight. Returns the sum of the overlaps. REQUIRES: keys() has
+  // the query.
+  uint64_t Attend(int index, const float* weight, bool largest_is_best, float* y) {
     Clear(sums_, lanes_);
-    const uint32_t best = largest_is_best ? HighestOverlap() : LowestOverlap();
+    keys_.Begin(largest_is_best);
     uint64_t products = 0;
     float total = 0.0f;
-    int remaining = valid_count_;
-    for (uint32_t distance = 0; remaining > 0; ++distance) {
-      const uint32_t overlap = largest_is_best ? best - distance : best + distance;
-      const int count = FindMembers(overlap);
-      if (count == 0) continue;
+    int best = -1;
+    for (int remaining = valid_count_; remaining > 0;) {
+      int overlap = 0;
+      const int count = keys_.Next(&overlap);
+      if (best < 0) best = overlap;
+      const float share = weight[largest_is_best ? best - overlap : overlap - best];
       remaining -= count;
       products += static_cast<uint64_t>(overlap) * count;
-      total += weight[distance] * static_cast<float>(count);
-      if (!MeetsOccupied(members_)) continue;
-      for (int lane = 0; lane < lanes_; lane += kVector) {
-        const auto share = hn::Mul(hn::Set(d, weight[distance]),
-                                   CountValues(values_, members_, blocks_, lanes_, lane));
-        hn::StoreU(hn::Add(hn::LoadU(d, sums_ + lane), share), d, sums_ + lane);
-      }
+      total += share * static_cast<float>(count);
+      AddValues(index, group_, share);
     }
     Scale(1.0f / total, y);
     return products;
   }
 
-  // Returns the sum of the overlaps of the valid slots.
-  uint64_t SumOverlaps(const uint32_t* query) {
-    Overlaps(keys_, query, window_.words, window_.slots, overlaps_);
-    const U32 du;
-    auto sum = hn::Zero(du);
-    for (int slot = 0; slot < window_.slots; slot += kVector) {
-      sum = hn::Add(sum, hn::IfThenElseZero(Valid(slot), hn::LoadU(du, overlaps_ + slot)));
-    }
-    return hn::GetLane(hn::SumOfLanes(du, sum));
+ private:
+  const uint32_t* Occupied(int index) const {
+    return window_.occupied + static_cast<size_t>(index) * blocks_;
   }
 
- private:
+  // Adds to each sum `weight` times the number of `slots` that have its value bit.
+  void AddValues(int index, const uint32_t* slots, float weight) {
+    const F32 d;
+    const uint32_t* const plane = window_.plane(window_.values[index]);
+    const uint32_t* const occupied = Occupied(index);
+    const auto add = [&](int lane, hn::Vec<U32> counts) HWY_ATTR {
+      const auto share = hn::Mul(hn::Set(d, weight), hn::ConvertTo(d, hn::BitCast(I32(), counts)));
+      hn::StoreU(hn::Add(hn::LoadU(d, sums_ + lane), share), d, sums_ + lane);
+    };
+    if constexpr (Keys::kLongRing) {
+      // Skips the blocks without a value.
+      int count = 0;
+      for (int b = 0; b < blocks_; ++b) {
+        members_[count] = {plane + static_cast<size_t>(b) * lanes_, slots[b]};
+        count += (slots[b] & occupied[b]) != 0;
+      }
+      if (count == 0) return;
+      for (int lane = 0; lane < lanes_; lane += kWordSlots) {
+        hn::Vec<U32> counts[kVectorsPerWord];
+        for (auto& each : counts) each = hn::Zero(U32());
+        for (int i = 0; i < count; ++i) {
+          const uint32_t* const values = members_[i].values + lane;
+          const auto own = hn::Set(U32(), members_[i].slots);
+          for (int v = 0; v < kVectorsPerWord; ++v) {
+            const auto bits = hn::And(hn::LoadU(U32(), values + v * kVector), own);
+            counts[v] = hn::Add(counts[v], hn::PopulationCount(bits));
+          }
+        }
+        for (int v = 0; v < kVectorsPerWord; ++v) add(lane + v * kVector, counts[v]);
+      }
+    } else {
+      uint32_t any = 0;
+      for (int b = 0; b < blocks_; ++b) any |= slots[b] & occupied[b];
+      if (any == 0) return;
+      for (int lane = 0; lane < lanes_; lane += kVector) {
+        add(lane, CountValues(blocks_, [&](int b) HWY_ATTR {
+              const uint32_t* const values = plane + static_cast<size_t>(b) * lanes_ + lane;
+              return hn::And(hn::LoadU(U32(), values), hn::Set(U32(), slots[b]));
+            }));
+      }
+    }
+  }
+
+  // Returns the sum of the numbers of bits in the lanes of bits(0) ... bits(count - 1).
+  template <class Bits>
+  static HWY_INLINE hn::Vec<U32> CountValues(int count, Bits bits) {
+    auto sum = hn::Zero(U32());
+    for (int i = 0; i < count; ++i) sum = hn::Add(sum, hn::PopulationCount(bits(i)));
+    return sum;
+  }
+
   void Scale(float factor, float* y) const {
     const F32 d;
     int k = 0;
@@ -150,90 +406,72 @@ class HeadAttention {
     for (; k < window_.head_size; ++k) y[k] = sums_[k] * factor;
   }
 
-  int Count(const uint32_t* slots) const {
-    int count = 0;
-    for (int b = 0; b < blocks_; ++b) count += __builtin_popcount(slots[b]);
-    return count;
-  }
-
-  bool MeetsOccupied(const uint32_t* slots) const {
-    uint32_t any = 0;
-    for (int b = 0; b < blocks_; ++b) any |= slots[b] & occupied_[b];
-    return any != 0;
-  }
-
-  // Writes the valid slots whose overlap is `overlap` to members_. Returns their number.
-  int FindMembers(uint32_t overlap) {
-    for (int b = 0; b < blocks_; ++b) {
-      members_[b] = window_.valid[b] & SlotsAt(overlaps_ + 32 * b, overlap);
-    }
-    return Count(members_);
-  }
-
-  hn::Mask<U32> Valid(int slot) const {
-    return MaskFromBits(U32(), window_.valid[slot / 32] >> (slot % 32));
-  }
-
-  // Returns the smallest overlap of a valid slot.
-  uint32_t LowestOverlap() const {
-    const U32 du;
-    auto low = hn::Set(du, ~0u);
-    for (int slot = 0; slot < window_.slots; slot += kVector) {
-      const auto overlap = hn::LoadU(du, overlaps_ + slot);
-      low = hn::Min(low, hn::IfThenElse(Valid(slot), overlap, hn::Set(du, ~0u)));
-    }
-    return hn::GetLane(hn::MinOfLanes(du, low));
-  }
-
-  // Returns the largest overlap of a valid slot.
-  uint32_t HighestOverlap() const {
-    const U32 du;
-    auto high = hn::Zero(du);
-    for (int slot = 0; slot < window_.slots; slot += kVector) {
-      high = hn::Max(high, hn::IfThenElseZero(Valid(slot), hn::LoadU(du, overlaps_ + slot)));
-    }
-    return hn::GetLane(hn::MaxOfLanes(du, high));
-  }
-
   const AttentionWindow& window_;
   const int blocks_;
   const int lanes_;
   const int valid_count_;
-  const uint32_t* keys_ = nullptr;      // of the selected tick and head
-  const uint32_t* values_ = nullptr;    // of the selected tick and head
-  const uint32_t* occupied_ = nullptr;  // of the selected tick and head
-  uint32_t* overlaps_;
-  uint32_t* members_;
+  Keys keys_;
+  const uint32_t* const group_;
+  Members* members_;
   float* sums_;
 };
 
-Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const float* weight,
+HWY_INLINE bool HasBit(const uint64_t* bits, int i) { return (bits[i / 64] >> (i % 64) & 1u) != 0; }
+
+// Calls visit(i) for every bit i that is set, ascending.
+template <class Visit>
+HWY_INLINE void ForEachBit(const uint64_t* bits, int size, Visit visit) {
+  for (int first = 0; first < size; first += 64) {
+    for (uint64_t word = bits[first / 64]; word != 0; word &= word - 1) {
+      visit(first + __builtin_ctzll(word));
+    }
+  }
+}
+
+void FindNonzeroImpl(const uint32_t* bits, int ticks_and_heads, int words, uint64_t* nonzero) {
+  const U32 du;
+  for (int i = 0; i < ticks_and_heads; i += 64) nonzero[i / 64] = 0;
+  int i = 0;
+  for (; words == 1 && i + kVector <= ticks_and_heads; i += kVector) {
+    const auto fires = hn::Ne(hn::LoadU(du, bits + i), hn::Zero(du));
+    nonzero[i / 64] |= uint64_t{MaskBits(du, fires)} << (i % 64);
+  }
+  for (; i < ticks_and_heads; ++i) {
+    uint32_t any = 0;
+    for (int w = 0; w < words; ++w) any |= bits[static_cast<size_t>(i) * words + w];
+    nonzero[i / 64] |= uint64_t{any != 0} << (i % 64);
+  }
+}
+
+template <class Keys>
+Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const float* weight,
                     const float* scale, float* y) {
-  thread_local std::vector<uint32_t> scratch;
-  thread_local std::vector<float> sums;
-  scratch.resize(window.slots + window.slots / 32);
-  sums.resize(32 * window.words);
-  HeadAttention attention(window, scratch.data(), sums.data());
+  Scratch& scratch = ThreadScratch();
+  HeadAttention<Keys> attention(window, &scratch);
+  const int size = window.ticks * window.heads;
+  scratch.meeting.resize((size + 63) / 64);
+  FindNonzeroImpl(query, size, window.words, scratch.meeting.data());
+  for (size_t i = 0; i < scratch.meeting.size(); ++i) scratch.meeting[i] &= window.has_keys[i];
   Attended attended;
-  for (int tick = 0; tick < window.ticks; ++tick) {
+  for (int first = 0; first < size; first += window.heads) {  // the heads of a tick
     bool any_has_values = false;
     for (int head = 0; head < window.heads; ++head) {
-      attention.MoveTo(tick * window.heads + head);
+      const int i = first + head;
       float* const head_y = y + static_cast<size_t>(head) * window.head_size;
-      const bool has_values = attention.HasValues();
-      const bool query_fires = AnyBit(query, window.words);
+      const bool has_values = HasBit(window.has_values, i) && attention.HasValues(i);
+      const bool has_overlaps = HasBit(scratch.meeting.data(), i);
+      if (has_overlaps) attention.keys().SetQuery(i, query + static_cast<size_t>(i) * window.words);
       if (!has_values) {
         Clear(head_y, window.head_size);
-        if (query_fires) attended.products += attention.SumOverlaps(query);
-      } else if (!query_fires) {
-        attention.AttendUniformly(head_y);
+        if (has_overlaps) attended.products += attention.keys().Sum();
+      } else if (!has_overlaps) {
+        attention.AttendUniformly(i, head_y);
       } else {
         attended.products +=
-            attention.Attend(query, weight + static_cast<size_t>(head) * (window.head_size + 1),
+            attention.Attend(i, weight + static_cast<size_t>(head) * (window.head_size + 1),
                              scale[head] >= 0.0f, head_y);
       }
       any_has_values |= has_values;
-      query += window.words;
     }
     if (!any_has_values) continue;
     y += static_cast<size_t>(window.heads) * window.head_size;
@@ -242,30 +480,36 @@ Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const 
   return attended;
 }
 
+Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const float* weight,
+                    const float* scale, float* y) {
+  return window.HasKeyRows() ? AttendWith<KeyRows>(window, query, weight, scale, y)
+                             : AttendWith<KeyWords>(window, query, weight, scale, y);
+}
+
 void StoreValuesImpl(const uint32_t* bits, int slot, const AttentionWindow& window,
-                     uint32_t* values, uint32_t* occupied) {
+                     const uint64_t* changed, const int32_t* numbers, uint32_t* planes,
+                     uint32_t* occupied) {
   const U32 du;
-  const int blocks = window.slots / 32;
-  const int lanes = 32 * window.words;
-  const uint32_t slot_bit = 1u << (slot % 32);
+  const int blocks = window.slots / kWordSlots;
+  const int lanes = kWordSlots * window.words;
+  const uint32_t slot_bit = 1u << (slot % kWordSlots);
   const auto bit = hn::Set(du, slot_bit);
-  occupied += slot / 32;
-  values += static_cast<size_t>(slot / 32) * lanes;
-  for (int i = 0; i < window.ticks * window.heads; ++i) {
-    const bool occupies = AnyBit(bits, window.words);
-    // Otherwise the slot has no value bit before and after.
-    if (occupies || (*occupied & slot_bit) != 0) {
-      *occupied = occupies ? *occupied | slot_bit : *occupied & ~slot_bit;
-      for (int lane = 0; lane < lanes; lane += kVector) {
-        const auto others = hn::AndNot(bit, hn::LoadU(du, values + lane));
-        const auto own = hn::IfThenElseZero(MaskFromBits(du, bits[lane / 32] >> (lane % 32)), bit);
-        hn::StoreU(hn::Or(others, own), du, values + lane);
-      }
+  occupied += slot / kWordSlots;
+  planes += static_cast<size_t>(slot / kWordSlots) * lanes;
+  ForEachBit(changed, window.ticks * window.heads, [&](int i) HWY_ATTR {
+    const uint32_t* const own = bits + static_cast<size_t>(i) * window.words;
+    uint32_t* const plane = planes + static_cast<size_t>(numbers[i]) * blocks * lanes;
+    uint32_t any = 0;
+    for (int lane = 0; lane < lanes; lane += kVector) {
+      const uint32_t word = own[lane / kWordSlots];
+      any |= word;
+      const auto others = hn::AndNot(bit, hn::LoadU(du, plane + lane));
+      const auto mine = hn::IfThenElseZero(MaskFromBits(du, word >> (lane % kWordSlots)), bit);
+      hn::StoreU(hn::Or(others, mine), du, plane + lane);
     }
-    bits += window.words;
-    occupied += blocks;
-    values += static_cast<size_t>(blocks) * lanes;
-  }
+    uint32_t& block = occupied[static_cast<size_t>(i) * blocks];
+    block = any != 0 ? block | slot_bit : block & ~slot_bit;
+  });
 }
 
 }  // namespace
@@ -276,6 +520,7 @@ HWY_AFTER_NAMESPACE();
 namespace spikeserve::kernels {
 
 HWY_EXPORT(AttendImpl);
+HWY_EXPORT(FindNonzeroImpl);
 HWY_EXPORT(StoreValuesImpl);
 
 Attended Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
@@ -283,9 +528,14 @@ Attended Attend(const AttentionWindow& window, const uint32_t* query, const floa
   return HWY_DYNAMIC_DISPATCH(AttendImpl)(window, query, weight, scale, y);
 }
 
-void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window, uint32_t* values,
+void FindNonzero(const uint32_t* bits, int ticks_and_heads, int words, uint64_t* nonzero) {
+  HWY_DYNAMIC_DISPATCH(FindNonzeroImpl)(bits, ticks_and_heads, words, nonzero);
+}
+
+void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window,
+                 const uint64_t* changed, const int32_t* numbers, uint32_t* planes,
                  uint32_t* occupied) {
-  HWY_DYNAMIC_DISPATCH(StoreValuesImpl)(bits, slot, window, values, occupied);
+  HWY_DYNAMIC_DISPATCH(StoreValuesImpl)(bits, slot, window, changed, numbers, planes, occupied);
 }
 
 }  // namespace spikeserve::kernels

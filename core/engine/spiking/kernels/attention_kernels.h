@@ -8,24 +8,42 @@
 #ifndef CORE_ENGINE_SPIKING_KERNELS_ATTENTION_KERNELS_H_
 #define CORE_ENGINE_SPIKING_KERNELS_ATTENTION_KERNELS_H_
 
+#include <cstddef>
 #include <cstdint>
 
 #include "core/engine/spiking/packed_linear.h"
 
 namespace spikeserve::kernels {
 
-// The keys and values of a window of tokens as bits. In arrays whose bits are slots, the token in
-// slot s is bit s % 32 of word s / 32.
+// The keys and values of a window of tokens as bits, in planes of one tick and head each. In all
+// bit arrays over the slots, the token in slot s is bit s % 32 of word s / 32.
 struct AttentionWindow {
+  static constexpr int32_t kNoPlane = -1;  // the number of a plane whose bits are all 0
+  static constexpr int kRowSlots = 512;    // HasKeyRows(): S is a multiple of it
+
   int ticks = 0;
   int heads = 0;
-  int head_size = 0;                   // d_h
-  int words = 0;                       // W
-  int slots = 0;                       // S, a multiple of 32
-  const uint32_t* keys = nullptr;      // [T][H][W][S]: bits are dimensions
-  const uint32_t* values = nullptr;    // [T][H][S / 32][32 W]: bits are slots
+  int head_size = 0;                // d_h
+  int words = 0;                    // W
+  int slots = 0;                    // S, a multiple of 64
+  const uint32_t* bits = nullptr;   // [planes][32 W S / 32]
+  const int32_t* keys = nullptr;    // [T][H]: number of the plane of the keys
+  const int32_t* values = nullptr;  // [T][H]: number of the plane of the values
+  // Bit i: the plane number i of [T][H] exists.
+  const uint64_t* has_keys = nullptr;
+  const uint64_t* has_values = nullptr;
   const uint32_t* occupied = nullptr;  // [T][H][S / 32]: the slots with at least one value bit
   const uint32_t* valid = nullptr;     // [S / 32]: slots that the query may attend to, at least one
+
+  // Returns whether the planes of the keys are [32 W][S / 32], with slots as bits, so that a query
+  // reads only the rows of its own bits. Planes of a short ring are [W][S], with dimensions as
+  // bits. Planes of values are always [S / 32][32 W], with slots as bits.
+  bool HasKeyRows() const { return slots % kRowSlots == 0; }
+
+  // Returns a plane, or null if all of its bits are 0.
+  const uint32_t* plane(int32_t number) const {
+    return number == kNoPlane ? nullptr : bits + static_cast<size_t>(number) * words * slots;
+  }
 };
 
 // The values that Attend returns in addition to y.
@@ -42,9 +60,15 @@ struct Attended {
 Attended Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
                 const float* scale, float* y);
 
-// Writes one token's value bits [T][H][W] into slot `slot` of `values` and `occupied`, which have
-// the layout of AttentionWindow.
-void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window, uint32_t* values,
+// Sets bit i of `nonzero` [ceil(T H / 64)] if any of the W words number i of `bits` [T][H][W] is
+// not 0, and clears it otherwise.
+void FindNonzero(const uint32_t* bits, int ticks_and_heads, int words, uint64_t* nonzero);
+
+// Writes one token's value bits [T][H][W] into slot `slot` of planes, and sets or
+// clears the slot in `occupied` [T][H][S / 32]. Bit i of `changed` [ceil(T H / 64)] tells whether
+// the bits number i of [T][H] are written. REQUIRES: where they are, there is a plane.
+void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window,
+                 const uint64_t* changed, const int32_t* numbers, uint32_t* planes,
                  uint32_t* occupied);
 
 }  // namespace spikeserve::kernels
