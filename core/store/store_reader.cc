@@ -173,7 +173,6 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
   std::map<std::string, std::vector<std::string>> journals;
   std::string last;  // the session whose journal is gathered
   std::vector<std::string> journal;
-  std::optional<absl::string_view> description;
   absl::Status failure;
   const auto check = [&] {
     if (last.empty()) return;

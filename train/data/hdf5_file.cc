@@ -2,6 +2,8 @@
 
 #include <hdf5.h>
 
+#include <algorithm>
+#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -53,16 +55,32 @@ hid_t MemoryType<uint8_t>() {
   return MakeBoolType();
 }
 
-Hdf5Shape ShapeOf(hid_t space) {
+// Returns the shape of an array, or nothing if it has more numbers than a file can hold.
+std::optional<Hdf5Shape> ShapeOf(hid_t space) {
+  constexpr hsize_t kMost = hsize_t{1} << 40;
   const int dimensions = H5Sget_simple_extent_ndims(space);
-  if (dimensions < 1) return {.rows = 0, .columns = {}};
+  if (dimensions < 1) return Hdf5Shape{.rows = 0, .columns = {}};
   std::vector<hsize_t> sizes(dimensions);
   H5Sget_simple_extent_dims(space, sizes.data(), nullptr);
+  hsize_t all = 1;
+  for (const hsize_t size : sizes) {
+    if (size > kMost || __builtin_mul_overflow(all, std::max<hsize_t>(size, 1), &all) ||
+        all > kMost) {
+      return std::nullopt;
+    }
+  }
   Hdf5Shape shape = {.rows = static_cast<int64_t>(sizes[0]), .columns = {}};
   for (int i = 1; i < dimensions; ++i) {
     shape.columns = shape.columns.value_or(1) * static_cast<int64_t>(sizes[i]);
   }
   return shape;
+}
+
+// Returns true if an attribute has one value. Others would be written behind the variable that
+// receives the value.
+bool IsSingle(hid_t attribute) {
+  const Handle space(H5Aget_space(attribute), H5Sclose);
+  return space >= 0 && H5Sget_simple_extent_npoints(space) == 1;
 }
 
 // Turns off the library's error reports on standard error. Errors are returned as statuses, and the
@@ -157,7 +175,7 @@ absl::Status Hdf5File::ReadNumber(const std::string& object, const std::string& 
   if (attribute < 0) {
     return absl::NotFoundError(absl::StrCat(path_, ": no attribute ", object, "@", name));
   }
-  if (H5Aread(attribute, type, value) >= 0) return absl::OkStatus();
+  if (IsSingle(attribute) && H5Aread(attribute, type, value) >= 0) return absl::OkStatus();
   return Failed("read", absl::StrCat(object, "@", name));
 }
 
@@ -185,7 +203,7 @@ absl::StatusOr<std::string> Hdf5File::ReadString(const std::string& object,
   }
   const Handle type(MakeStringType(), H5Tclose);
   char* text = nullptr;
-  if (H5Aread(attribute, type, &text) < 0 || text == nullptr) {
+  if (!IsSingle(attribute) || H5Aread(attribute, type, &text) < 0 || text == nullptr) {
     return Failed("read", absl::StrCat(object, "@", name));
   }
   std::string value = text;
@@ -213,7 +231,9 @@ absl::StatusOr<Hdf5Array<T>> Hdf5File::Read(const std::string& name) const {
   if (data < 0) return absl::NotFoundError(absl::StrCat(path_, ": no array ", name));
   const Handle space(H5Dget_space(data), H5Sclose);
   const Handle type(MemoryType<T>(), H5Tclose);
-  Hdf5Array<T> array = {.shape = ShapeOf(space), .values = {}};
+  const auto shape = ShapeOf(space);
+  if (!shape.has_value()) return Failed("read", name);
+  Hdf5Array<T> array = {.shape = *shape, .values = {}};
   array.values.resize(array.shape.size());
   if (H5Dread(data, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, array.values.data()) >= 0) return array;
   return Failed("read", name);

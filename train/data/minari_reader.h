@@ -15,6 +15,8 @@ bool IsMinariDataset(const std::string& path);
 // Reads a Minari dataset, written by this project or by any other program. INVALID_ARGUMENT names
 // what minari_layout.h does not support. The environment of a foreign dataset is the id in its
 // env_spec, or the dataset's id if it has none; its actor is "unknown". Errors start with the path.
+// Reads in a child process, so that a damaged or hostile file that makes the HDF5 library crash,
+// run without end or take all memory is an error, too.
 absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory);
 
 }  // namespace spikeserve

@@ -2,12 +2,19 @@
 // itself reads and writes the same files.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <hdf5.h>
+#include <unistd.h>
 
+#include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <functional>
+#include <new>
 #include <sstream>
+#include <stdexcept>
 
 #include "absl/strings/str_replace.h"
+#include "train/data/child_reader.h"
 #include "train/data/hdf5_file.h"
 #include "train/data/minari_reader.h"
 #include "train/data/minari_writer.h"
@@ -215,12 +222,75 @@ TEST(MinariTest, WhatCannotBeReadIsRefusedWithPathAndReason) {
   expect_refusal(R"(\"type\": \"Box\")", R"(\"type\": \"Dict\")",
                  "observation_space: expected Box, received Dict");
   expect_refusal(R"(\"shape\": [4])", R"(\"shape\": [5])", "episode_0: observations: expected");
+  expect_refusal(R"(\"shape\": [4])", R"(\"shape\": [2000000000, 2000000000])",
+                 "observation_space: expected dimensions of at least 1 and at most 1048576");
+  expect_refusal(R"(\"shape\": [4])", R"(\"shape\": [-4])", "received a dimension of -4");
+  expect_refusal(R"(\"start\":0)", R"(\"start\":-9223372036854775808)",
+                 "action_space.start: expected");
   expect_refusal("dataset_id", "id", "metadata: expected key \"dataset_id\", received none");
   std::filesystem::remove(directory + "/data/main_data.hdf5");
   ASSERT_TRUE(WriteMinariDataset(dataset, directory).ok());
   std::ofstream(directory + "/data/main_data.hdf5") << "not HDF5";
   EXPECT_THAT(std::string(ReadMinariDataset(directory).status().message()),
               HasSubstr("cannot read as HDF5"));
+}
+
+// Values at positions of the file that an attacker chooses: the HDF5 library may crash, take memory
+// or run without end, but not in this process.
+TEST(MinariTest, DamagedFilesAreErrors) {
+  const Dataset dataset = *RecordDataset({.steps = 50});
+  const std::string directory = TemporaryDirectory("damaged-v0");
+  ASSERT_TRUE(WriteMinariDataset(dataset, directory).ok());
+  const std::string path = directory + "/data/main_data.hdf5";
+  std::stringstream whole;
+  whole << std::ifstream(path, std::ios::binary).rdbuf();
+  int refused = 0;
+  for (int i = 0; i < 200; ++i) {
+    std::string bytes = whole.str();
+    const size_t position = 8 + i * 37 % 4000;
+    bytes[position] = static_cast<char>(0xff - i % 3);
+    std::ofstream(path, std::ios::binary) << bytes;
+    const absl::Status status = ReadMinariDataset(directory).status();
+    if (status.ok()) continue;
+    ++refused;
+    EXPECT_THAT(std::string(status.message()), HasSubstr(directory));
+  }
+  EXPECT_GT(refused, 0);
+}
+
+TEST(MinariTest, AttributesAndArraysThatClaimTooMuchAreErrors) {
+  const std::string path = TemporaryDirectory("large.hdf5");
+  const hid_t file = H5Fcreate(path.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
+  const hsize_t many = 1000;
+  const hid_t row = H5Screate_simple(1, &many, nullptr);
+  H5Aclose(H5Acreate2(file, "seed", H5T_NATIVE_INT64, row, H5P_DEFAULT, H5P_DEFAULT));
+  const hsize_t huge[] = {hsize_t{1} << 31, hsize_t{1} << 31};
+  const hid_t square = H5Screate_simple(2, huge, nullptr);
+  const hid_t properties = H5Pcreate(H5P_DATASET_CREATE);
+  const hsize_t chunk[] = {1, 1};
+  H5Pset_chunk(properties, 2, chunk);
+  H5Dclose(H5Dcreate2(file, "x", H5T_NATIVE_FLOAT, square, H5P_DEFAULT, properties, H5P_DEFAULT));
+  H5Fclose(file);
+  const auto opened = Hdf5File::Open(path);
+  ASSERT_TRUE(opened.ok()) << opened.status();
+  EXPECT_EQ(opened->ReadInteger(".", "seed").status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(opened->Read<float>("x").status().code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(ChildReaderTest, TheEndOfTheChildIsAnError) {
+  const auto crash = [](const std::function<void()>& end) {
+    return ReadInChild([&]() -> absl::StatusOr<Dataset> {
+             end();
+             return Dataset();
+           })
+        .status();
+  };
+  EXPECT_THAT(std::string(crash([] { raise(SIGKILL); }).message()), HasSubstr("signal 9"));
+  EXPECT_THAT(std::string(crash([] { _exit(3); }).message()), HasSubstr("exit status 3"));
+  const absl::Status memory = crash([] { throw std::bad_alloc(); });
+  EXPECT_EQ(memory.code(), absl::StatusCode::kResourceExhausted);
+  const absl::Status thrown = crash([] { throw std::length_error("too long"); });
+  EXPECT_EQ(thrown, absl::InvalidArgumentError("too long"));
 }
 
 }  // namespace

@@ -1,0 +1,194 @@
+#include "core/dataset/dataset_cbor.h"
+
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/cbor.h"
+#include "core/base/json.h"
+#include "core/base/json_object.h"
+#include "core/base/status.h"
+
+namespace spikeserve {
+
+using Json = nlohmann::json;
+
+// Reads an index of a Discrete space or the values of a Box.
+absl::Status ReadJson(absl::string_view field, const Json& json, Action* action) {
+  return json.is_array() ? ReadJson(field, json, &action->continuous)
+                         : ReadJson(field, json, &action->discrete);
+}
+
+absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* served) {
+  JsonObject object(field, json);
+  object.Required("policy", &served->policy);
+  object.Required("version", &served->version);
+  object.Required("episode", &served->episode);
+  object.Required("target_return", &served->target_return);
+  object.Required("seed", &served->seed);
+  object.Required("learning", &served->learning);
+  object.Required("labels", &served->labels);
+  object.Required("returns_to_go", &served->returns_to_go);
+  object.Required("probabilities", &served->probabilities);
+  object.Required("spikes", &served->spikes);
+  object.Optional("temperature", &served->temperature);
+  object.Optional("answered_actions", &served->answered_actions);
+  return object.Finish();
+}
+
+absl::Status ReadJson(absl::string_view field, const Json& json, ActionSpace* space) {
+  JsonObject object(field, json);
+  if (json.contains("n")) {
+    object.Required("n", &space->n);
+  } else {
+    object.Required("low", &space->low);
+    object.Required("high", &space->high);
+  }
+  const auto status = object.Finish();
+  return status.ok() ? space->Validate() : status;
+}
+
+namespace {
+
+constexpr char kFormat[] = "spikeserve.dataset.v1";
+
+Json ActionsToJson(const std::vector<Action>& actions, bool discrete) {
+  Json list = Json::array();
+  for (const Action& action : actions) {
+    list.push_back(discrete ? Json(action.discrete) : Json(action.continuous));
+  }
+  return list;
+}
+
+Json ServedToJson(const ServedEpisode& served, bool discrete) {
+  Json json = {{"policy", served.policy},
+               {"version", served.version},
+               {"episode", served.episode},
+               {"target_return", served.target_return},
+               {"seed", served.seed},
+               {"learning", served.learning},
+               {"labels", served.labels},
+               {"returns_to_go", served.returns_to_go},
+               {"probabilities", served.probabilities},
+               {"spikes", served.spikes}};
+  if (served.temperature.has_value()) json["temperature"] = *served.temperature;
+  if (!served.answered_actions.empty()) {
+    json["answered_actions"] = ActionsToJson(served.answered_actions, discrete);
+  }
+  return json;
+}
+
+Json EpisodeToJson(const Episode& episode, bool discrete) {
+  Json json = {{"actor", episode.actor},
+               {"seed", episode.seed},
+               {"observations", episode.observations},
+               {"actions", ActionsToJson(episode.actions, discrete)},
+               {"rewards", episode.rewards},
+               {"terminated", episode.terminated},
+               {"truncated", episode.truncated}};
+  if (!episode.labels.empty()) json["labels"] = ActionsToJson(episode.labels, discrete);
+  if (!episode.weights.empty()) json["weights"] = episode.weights;
+  if (episode.target_return.has_value()) json["asked_return"] = *episode.target_return;
+  if (episode.served.has_value()) json["served"] = ServedToJson(*episode.served, discrete);
+  return json;
+}
+
+// Reads the member `key`, a list of indices or of vectors, as actions.
+void ReadActions(const char* key, bool discrete, bool required, JsonObject* object,
+                 std::vector<Action>* actions) {
+  const auto read = [&](auto* values) {
+    if (required) {
+      object->Required(key, values);
+    } else {
+      object->Optional(key, values);
+    }
+  };
+  if (discrete) {
+    std::vector<int> indices;
+    read(&indices);
+    for (const int index : indices) actions->push_back({.discrete = index, .continuous = {}});
+  } else {
+    std::vector<std::vector<float>> vectors;
+    read(&vectors);
+    for (auto& vector : vectors) {
+      actions->push_back({.discrete = 0, .continuous = std::move(vector)});
+    }
+  }
+}
+
+absl::Status ReadEpisode(absl::string_view field, const Json& json, bool discrete,
+                         Episode* episode) {
+  JsonObject object(field, json);
+  object.Required("actor", &episode->actor);
+  object.Required("seed", &episode->seed);
+  object.Required("observations", &episode->observations);
+  ReadActions("actions", discrete, /*required=*/true, &object, &episode->actions);
+  ReadActions("labels", discrete, /*required=*/false, &object, &episode->labels);
+  object.Optional("weights", &episode->weights);
+  object.Optional("asked_return", &episode->target_return);
+  object.Optional("served", &episode->served);
+  object.Required("rewards", &episode->rewards);
+  object.Required("terminated", &episode->terminated);
+  object.Required("truncated", &episode->truncated);
+  return object.Finish();
+}
+
+absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
+  JsonObject object("dataset", json);
+  std::string format;
+  Dataset dataset;
+  std::vector<Json> episodes;
+  object.Required("format", &format);
+  object.Required("environment", &dataset.environment);
+  object.Required("observation_size", &dataset.observation_size, 1);
+  object.Required("recipe", &dataset.recipe);
+  object.Required("action_space", &dataset.action_space);
+  object.Required("episodes", &episodes);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  if (format != kFormat) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("format: expected ", kFormat, ", received ", Quoted(format)));
+  }
+  for (const Json& item : episodes) {
+    const std::string field = absl::StrCat("episode ", dataset.episodes.size());
+    Episode& episode = dataset.episodes.emplace_back();
+    auto status = ReadEpisode(field, item, dataset.action_space.is_discrete(), &episode);
+    if (!status.ok()) return status;
+    if (status = CheckEpisode(dataset, episode); !status.ok()) return Annotate(status, field);
+  }
+  if (dataset.episodes.empty()) {
+    return absl::InvalidArgumentError("episodes: expected at least one, received none");
+  }
+  return dataset;
+}
+
+}  // namespace
+
+std::string SerializeDataset(const Dataset& dataset) {
+  const bool discrete = dataset.action_space.is_discrete();
+  Json space = discrete
+                   ? Json{{"n", dataset.action_space.n}}
+                   : Json{{"low", dataset.action_space.low}, {"high", dataset.action_space.high}};
+  Json json = {{"format", kFormat},
+               {"environment", dataset.environment},
+               {"observation_size", dataset.observation_size},
+               {"action_space", std::move(space)},
+               {"recipe", dataset.recipe},
+               {"episodes", Json::array()}};
+  for (const Episode& episode : dataset.episodes) {
+    json["episodes"].push_back(EpisodeToJson(episode, discrete));
+  }
+  std::string bytes;
+  Json::to_cbor(json, bytes);
+  return bytes;
+}
+
+absl::StatusOr<Dataset> ParseDataset(absl::string_view bytes) {
+  const std::optional<Json> json = ParseCbor(bytes);
+  if (!json.has_value())
+    return absl::InvalidArgumentError("expected a dataset in CBOR with texts in UTF-8");
+  return DatasetFromJson(*json);
+}
+
+}  // namespace spikeserve

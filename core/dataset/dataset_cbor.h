@@ -1,0 +1,22 @@
+// Converts recorded episodes to CBOR (RFC 8949) and back: one object with the fields of dataset.h.
+//
+// Pure functions; safe to call from many threads.
+#ifndef CORE_DATASET_DATASET_CBOR_H_
+#define CORE_DATASET_DATASET_CBOR_H_
+
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "core/dataset/dataset.h"
+
+namespace spikeserve {
+
+std::string SerializeDataset(const Dataset& dataset);
+
+// Returns INVALID_ARGUMENT if `bytes` is not a valid dataset.
+absl::StatusOr<Dataset> ParseDataset(absl::string_view bytes);
+
+}  // namespace spikeserve
+
+#endif  // CORE_DATASET_DATASET_CBOR_H_

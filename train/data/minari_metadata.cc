@@ -1,0 +1,231 @@
+#include "train/data/minari_metadata.h"
+
+#include <cmath>
+#include <limits>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "core/base/json.h"
+#include "core/base/json_object.h"
+#include "core/base/status.h"
+#include "train/data/minari_layout.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int64_t kLargestJointSpace = 4096;  // the outputs of an action head
+constexpr int64_t kLargestBox = 1 << 20;      // numbers
+constexpr int64_t kLargestStart = 1 << 30;    // of the indices
+
+// Parses Python's dialect of JSON. Infinities, which standard JSON lacks, become +-1e300, which is
+// beyond the range of float.
+absl::StatusOr<nlohmann::json> ParsePython(absl::string_view field, absl::string_view text) {
+  return ParseJsonObject(field, absl::StrReplaceAll(text, {{"Infinity", "1e300"}}));
+}
+
+float ToFloat(double x) {
+  const bool finite = std::abs(x) <= static_cast<double>(std::numeric_limits<float>::max());
+  return finite ? static_cast<float>(x) : std::copysign(std::numeric_limits<float>::infinity(), x);
+}
+
+// Appends `json`, a number or a nested list of numbers, to `bounds`.
+absl::Status AppendBounds(absl::string_view field, const nlohmann::json& json,
+                          std::vector<float>* bounds) {
+  if (json.is_array()) {
+    for (const nlohmann::json& item : json) {
+      if (auto status = AppendBounds(field, item, bounds); !status.ok()) return status;
+    }
+    return absl::OkStatus();
+  }
+  double bound = 0.0;
+  auto status = ReadJson(field, json, &bound);
+  bounds->push_back(ToFloat(bound));
+  return status;
+}
+
+// Appends `json`, an integer or a nested list of integers, to `values`.
+absl::Status AppendIntegers(absl::string_view field, const nlohmann::json& json,
+                            std::vector<int64_t>* values) {
+  if (json.is_array()) {
+    for (const nlohmann::json& item : json) {
+      if (auto status = AppendIntegers(field, item, values); !status.ok()) return status;
+    }
+    return absl::OkStatus();
+  }
+  int64_t value = 0;
+  auto status = ReadJson(field, json, &value);
+  values->push_back(value);
+  return status;
+}
+
+// A space as described by Minari's serialisation of Gymnasium spaces.
+struct SpaceDescription {
+  std::string type;
+  int size = 1;        // Box: numbers
+  nlohmann::json low;  // Box: a number, or a nested list of numbers
+  nlohmann::json high;
+  IndexLayout indices;  // Discrete and MultiDiscrete
+
+  // Returns one bound per entry of a Box; repeats a single number for all entries.
+  absl::StatusOr<std::vector<float>> Bounds(absl::string_view field,
+                                            const nlohmann::json& json) const {
+    std::vector<float> bounds;
+    if (auto status = AppendBounds(field, json, &bounds); !status.ok()) return status;
+    if (bounds.size() == 1) bounds.resize(size, bounds[0]);
+    return bounds;
+  }
+};
+
+// Returns the number of numbers in a Box.
+absl::StatusOr<int> SizeOf(absl::string_view field, const std::vector<int>& shape) {
+  int64_t size = 1;
+  for (const int dimension : shape) {
+    if (dimension < 1 || dimension > kLargestBox / size) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(field, ": expected dimensions of at least 1 and at most ", kLargestBox,
+                       " numbers, received a dimension of ", dimension));
+    }
+    size *= dimension;
+  }
+  return static_cast<int>(size);
+}
+
+absl::StatusOr<IndexLayout> ReadIndexLayout(absl::string_view field, const nlohmann::json& counts,
+                                            const nlohmann::json& starts) {
+  IndexLayout layout;
+  if (auto status = AppendIntegers(field, counts, &layout.counts); !status.ok()) return status;
+  if (!starts.is_null()) {
+    if (auto status = AppendIntegers(field, starts, &layout.starts); !status.ok()) return status;
+  }
+  for (const int64_t start : layout.starts) {
+    if (start < -kLargestStart || start > kLargestStart) {
+      return absl::InvalidArgumentError(absl::StrCat(field, ".start: expected ", -kLargestStart,
+                                                     " to ", kLargestStart, ", received ", start));
+    }
+  }
+  layout.starts.resize(layout.counts.size());
+  return layout;
+}
+
+absl::StatusOr<SpaceDescription> ParseSpace(absl::string_view field, absl::string_view text) {
+  const auto parsed = ParsePython(field, text);
+  if (!parsed.ok()) return parsed.status();
+  SpaceDescription space;
+  nlohmann::json counts, starts;
+  std::vector<int> shape;
+  JsonObject object(field, *parsed);
+  object.AllowOtherKeys();
+  object.Required("type", &space.type);
+  if (space.type == "Box") {
+    object.Required("shape", &shape);
+    object.Required("low", &space.low);
+    object.Required("high", &space.high);
+  } else if (space.type == "Discrete") {
+    object.Required("n", &counts);
+    object.Optional("start", &starts);
+  } else if (space.type == "MultiDiscrete") {
+    object.Required("nvec", &counts);
+    object.Optional("start", &starts);
+  }
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const auto size = SizeOf(field, shape);
+  if (!size.ok()) return size.status();
+  space.size = *size;
+  if (counts.is_null()) return space;
+  auto indices = ReadIndexLayout(field, counts, starts);
+  if (!indices.ok()) return indices.status();
+  space.indices = *std::move(indices);
+  return space;
+}
+
+// Returns the Discrete space of all combinations of the elements.
+absl::StatusOr<ActionSpace> JointSpace(const IndexLayout& indices) {
+  int64_t joint = 1;
+  for (const int64_t count : indices.counts) {
+    if (count < 1 || count > kLargestJointSpace) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "action_space: expected 1 to ", kLargestJointSpace, " indices, received ", count));
+    }
+    joint *= count;
+    if (joint > kLargestJointSpace) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "action_space: expected at most ", kLargestJointSpace, " combinations, received more"));
+    }
+  }
+  return ActionSpace::Discrete(static_cast<int>(joint));
+}
+
+absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
+  ActionSpace space;
+  if (!description.indices.counts.empty()) {
+    auto joint = JointSpace(description.indices);
+    if (!joint.ok()) return joint;
+    space = *std::move(joint);
+  } else if (description.type == "Box") {
+    auto low = description.Bounds("action_space.low", description.low);
+    if (!low.ok()) return low.status();
+    auto high = description.Bounds("action_space.high", description.high);
+    if (!high.ok()) return high.status();
+    space = ActionSpace::Box(*std::move(low), *std::move(high));
+  } else {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "action_space: expected Discrete, MultiDiscrete or Box, received ", description.type));
+  }
+  if (auto status = space.Validate(); !status.ok()) return Annotate(status, "action_space");
+  return space;
+}
+
+}  // namespace
+
+absl::StatusOr<MinariMetadata> ParseMinariMetadata(absl::string_view text) {
+  const auto metadata = ParseJsonObject("metadata", text);
+  if (!metadata.ok()) return metadata.status();
+  MinariMetadata description;
+  std::string id, observation_space, action_space;
+  nlohmann::json own, environment;
+  JsonObject object("metadata", *metadata);
+  object.AllowOtherKeys();
+  object.Required("dataset_id", &id);
+  object.Required("observation_space", &observation_space);
+  object.Required("action_space", &action_space);
+  object.Required("total_episodes", &description.episodes, 0);
+  object.Optional("env_spec", &environment);
+  object.Optional(kMinariExtension, &own);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const auto observations = ParseSpace("observation_space", observation_space);
+  if (!observations.ok()) return observations.status();
+  if (observations->type != "Box") {
+    return absl::InvalidArgumentError(absl::StrCat("observation_space: expected Box, received ",
+                                                   observations->type,
+                                                   "; record with Gymnasium's FlattenObservation"));
+  }
+  const auto actions = ParseSpace("action_space", action_space);
+  if (!actions.ok()) return actions.status();
+  auto space = ToActionSpace(*actions);
+  if (!space.ok()) return space.status();
+  Dataset& dataset = description.dataset;
+  dataset = {.environment = id,
+             .observation_size = observations->size,
+             .action_space = *std::move(space),
+             .recipe = {{"minari", id}},
+             .episodes = {}};
+  description.indices = actions->indices;
+  if (!own.is_null()) {
+    JsonObject ours(kMinariExtension, own);
+    ours.Required("environment", &dataset.environment);
+    ours.Required("recipe", &dataset.recipe);
+    if (auto status = ours.Finish(); !status.ok()) return status;
+  } else if (environment.is_string()) {
+    const auto spec = ParsePython("env_spec", environment.get_ref<const std::string&>());
+    if (!spec.ok()) return spec.status();
+    JsonObject of_gymnasium("env_spec", *spec);
+    of_gymnasium.AllowOtherKeys();
+    of_gymnasium.Required("id", &dataset.environment);
+    if (auto status = of_gymnasium.Finish(); !status.ok()) return status;
+  }
+  return description;
+}
+
+}  // namespace spikeserve
