@@ -23,6 +23,7 @@ from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import play
 from spikeserve.imitation.experts import load_expert
 from spikeserve.imitation.options import ImitationOptions
+from spikeserve.imitation.pipeline import has_stalled
 
 SPIKETRAIN = os.environ["SPIKETRAIN"]
 SMALLEST = ImitationOptions(
@@ -222,6 +223,25 @@ def test_a_dataset_of_minari_is_imitated(tmp_path):
     assert len(result.expert_figures.returns) == 4
     stages = sorted(path.name for path in (tmp_path / "run/stages").glob("*.json"))
     assert stages == ["1-play.json", "2-silence-3.json"], "a dataset cannot label the policy's states"
+
+
+@pytest.mark.parametrize(
+    ("returns", "patience", "stalled"),
+    [([3, 2], 1, True), ([3, 4], 1, False), ([3, 2], 2, False), ([3, 2, 4], 2, False), ([3, 2, 3], 2, True), ([3, 2, 1], 0, False)],
+)
+def test_rounds_end_after_returns_that_are_no_better(returns, patience, stalled):
+    assert has_stalled(returns, patience) == stalled
+
+
+def test_patience_ends_a_run_early(tmp_path):
+    many = ImitationOptions(**(vars(SMALLEST) | {"rounds": 5, "patience": 1, "silence": (), "episodes": 2}))
+    arguments = ("home_made:HomeMade-v0", home_made.go_to_corner)
+    spikeserve.imitate(*arguments, tmp_path, options=many, spiketrain=SPIKETRAIN)
+    stages = ["1-play", *(f"{i + 1}-round{i}" for i in range(1, 6))]
+    figures = [tmp_path / f"evaluations/{stage}.json" for stage in stages]
+    returns = [json.loads(path.read_text())["mean_return"] for path in figures if path.is_file()]
+    assert not any(has_stalled(returns[:count], 1) for count in range(1, len(returns)))
+    assert has_stalled(returns, 1) or len(returns) == 6
 
 
 def test_wrappers_change_the_environment_and_its_name(tmp_path):

@@ -53,6 +53,9 @@ class ImitationOptions:
     rounds: int = _setting(4, "rounds in which the policy plays and the expert labels its states")
     round_steps: int = _setting(30_000, "steps of a round")
     round_iterations: int = _setting(800, "iterations of the training after a round")
+    patience: int = _setting(
+        0, "rounds without a better return after which the rounds end; 0: never"
+    )
 
     silence: tuple[tuple[float, float], ...] = _setting(
         _SILENCE, "target firing rates of the steps to silence, in percent: HIDDEN:READOUT,..."
@@ -85,7 +88,7 @@ class ImitationOptions:
         )
         for name in at_least_one:
             check(getattr(self, name) >= 1, name, "at least 1", getattr(self, name))
-        for name in ("seed", "clip_steps", "rounds", "tolerance"):
+        for name in ("seed", "clip_steps", "rounds", "patience", "tolerance"):
             check(getattr(self, name) >= 0, name, "at least 0", getattr(self, name))
         check(self.rounds <= 10, "rounds", "at most 10", self.rounds)
         for name in ("disturbed", "burst_rate", "action_noise"):

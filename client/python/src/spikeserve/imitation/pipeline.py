@@ -192,6 +192,8 @@ class _Run:
         for number in range(1, rounds + 1):
             self._record_round(number, candidate.policy)
             candidate = self._train(f"round{number}", self._options.round_iterations, candidate)
+            if has_stalled([stage.figures.mean for stage in self._stages], self._options.patience):
+                break
         return max(self._stages, key=lambda stage: stage.figures.mean)
 
     def _silence(self, loud: _Candidate) -> _Candidate:
@@ -273,6 +275,14 @@ class _Run:
         if not target.is_file():  # a second writing would order the metadata differently
             write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
         return target, figures
+
+
+def has_stalled(returns: Sequence[float], patience: int) -> bool:
+    """Returns whether the last `patience` returns are no better than the best before them.
+
+    A patience of 0 never ends.
+    """
+    return 0 < patience < len(returns) and max(returns[-patience:]) <= max(returns[:-patience])
 
 
 def _shape_flags(options: ImitationOptions) -> list[str]:
