@@ -44,3 +44,9 @@ def test_minigrid_memory(address, version):
     wrappers = [OneHotPartialObsWrapper, ImgObsWrapper]
     played = evaluate(address, "minigrid-memory", "minigrid:MiniGrid-MemoryS11-v0", 20, version, wrappers=wrappers)
     assert np.mean(played.returns > 0) >= 0.95  # a wrong choice returns 0
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_repeat_previous(address, version):
+    played = evaluate(address, "repeat-previous", "popgym:popgym-RepeatPreviousEasy-v0", 20, version)
+    assert played.mean_return > 0.9
