@@ -8,12 +8,15 @@
 #include <utility>
 #include <vector>
 
+#include "absl/container/flat_hash_map.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "core/base/cbor.h"
 #include "core/base/json.h"
 #include "nlohmann/json.hpp"
 #include "proto/json.h"
@@ -34,15 +37,15 @@ struct SortKey {
   bool missing = false;  // true: the session is listed last in both orders
 };
 
-using KeyOf = SortKey (*)(const ListedSession&, const AgentSession&);
+using KeyOf = SortKey (*)(absl::Duration idle, const AgentSession&);
 
 template <auto Field>
-SortKey Number(const ListedSession& /*listed*/, const AgentSession& agent) {
+SortKey Number(absl::Duration /*idle*/, const AgentSession& agent) {
   return {.number = static_cast<double>(agent.session().*Field)};
 }
 
 template <auto Return>
-SortKey OfEpisodes(const ListedSession& /*listed*/, const AgentSession& agent) {
+SortKey OfEpisodes(absl::Duration /*idle*/, const AgentSession& agent) {
   const SessionLife& life = agent.life();
   return {.number = (life.*Return)(), .missing = life.ended_episodes() == 0};
 }
@@ -53,12 +56,12 @@ double SpikesPerDecision(const Session& session) {
 }
 
 const std::map<std::string, KeyOf>& Columns() {
-  using Listed = const ListedSession&;
+  using Idle = absl::Duration;
   using Agent = const AgentSession&;
   static const auto* const columns = new std::map<std::string, KeyOf>{
-      {"session_id", [](Listed, Agent) { return SortKey{}; }},  // equal keys are sorted by id
+      {"session_id", [](Idle, Agent) { return SortKey{}; }},  // equal keys are sorted by id
       {"policy",
-       [](Listed, Agent agent) {
+       [](Idle, Agent agent) {
          const SessionOptions& options = agent.session().options;
          return SortKey{.text = options.policy, .number = static_cast<double>(options.version)};
        }},
@@ -69,11 +72,11 @@ const std::map<std::string, KeyOf>& Columns() {
       {"last_return", OfEpisodes<&SessionLife::last_return>},
       {"decisions", Number<&Session::decisions>},
       {"spikes_per_decision",
-       [](Listed, Agent agent) { return SortKey{.number = SpikesPerDecision(agent.session())}; }},
+       [](Idle, Agent agent) { return SortKey{.number = SpikesPerDecision(agent.session())}; }},
       {"energy_joules", Number<&Session::energy_joules>},
-      {"head_drift", [](Listed, Agent agent) { return SortKey{.number = agent.HeadDrift()}; }},
+      {"head_drift", [](Idle, Agent agent) { return SortKey{.number = agent.HeadDrift()}; }},
       {"idle_seconds",
-       [](Listed listed, Agent) { return SortKey{.number = absl::ToDoubleSeconds(listed.idle)}; }},
+       [](Idle idle, Agent) { return SortKey{.number = absl::ToDoubleSeconds(idle)}; }},
   };
   return *columns;
 }
@@ -89,9 +92,10 @@ struct Order {
   std::string column;
   KeyOf key;
   bool descending;
+  bool by_id;  // the column is "session_id"
 
   // The order of the store, which lists it without looking into the sessions.
-  bool IsByIdAscending() const { return column == "session_id" && !descending; }
+  bool IsByIdAscending() const { return by_id && !descending; }
 
   bool IsBefore(const SortKey& a, absl::string_view a_id, const SortKey& b,
                 absl::string_view b_id) const {
@@ -99,7 +103,7 @@ struct Order {
     const auto x = std::tie(a.text, a.number);
     const auto y = std::tie(b.text, b.number);
     if (x != y) return descending ? y < x : x < y;
-    return column == "session_id" && descending ? b_id < a_id : a_id < b_id;
+    return by_id && descending ? b_id < a_id : a_id < b_id;
   }
 };
 
@@ -115,7 +119,10 @@ absl::StatusOr<Order> OrderOf(const HttpQuery& query) {
   }
   const std::string order = query.Get("order", "ascending");
   if (order == "ascending" || order == "descending") {
-    return Order{.column = sort, .key = column->second, .descending = order == "descending"};
+    return Order{.column = sort,
+                 .key = column->second,
+                 .descending = order == "descending",
+                 .by_id = sort == "session_id"};
   }
   return absl::InvalidArgumentError(
       absl::StrCat("order: expected ascending or descending, received ", Quoted(order)));
@@ -133,9 +140,7 @@ absl::StatusOr<std::optional<Place>> PlaceOf(const std::string& token, const Ord
   if (token.empty()) return std::optional<Place>();
   std::string cbor;
   Json parts;
-  if (absl::WebSafeBase64Unescape(token, &cbor)) {
-    parts = Json::from_cbor(cbor, /*strict=*/true, /*allow_exceptions=*/false);
-  }
+  if (absl::WebSafeBase64Unescape(token, &cbor)) parts = ParseCbor(cbor).value_or(Json());
   const bool valid = parts.is_array() && parts.size() == 6 && parts[0] == order.column &&
                      parts[1] == order.descending && parts[2].is_string() && parts[3].is_number() &&
                      parts[4].is_boolean() && parts[5].is_string();
@@ -189,22 +194,44 @@ class FirstRows {
   std::vector<Row> rows_;  // a heap, the last row at its front
 };
 
-// Returns true if the id, "policy/version", "tenant=name" or a "key=value" label of the session
-// contains the text, ignoring case.
-bool Matches(const ListedSession& listed, const SessionOptions& options,
-             absl::string_view lower_case) {
-  const auto holds = [&](absl::string_view text) {
-    const auto same = [](char a, char b) { return absl::ascii_tolower(a) == b; };
-    return std::search(text.begin(), text.end(), lower_case.begin(), lower_case.end(), same) !=
-           text.end();
-  };
-  if (lower_case.empty() || holds(listed.id)) return true;
-  if (holds(absl::StrCat(options.policy, "/", options.version))) return true;
-  if (holds(absl::StrCat("tenant=", options.tenant))) return true;
-  return std::any_of(options.labels.begin(), options.labels.end(), [&](const auto& label) {
-    return holds(absl::StrCat(label.first, "=", label.second));
-  });
-}
+// Selects the sessions of which the id, "policy/version", "tenant=name" or a "key=value" label
+// contains a text, ignoring case. Many sessions have the same policy and tenant, so their texts are
+// searched once. Not thread-safe.
+class Filter {
+ public:
+  explicit Filter(absl::string_view text) : lower_case_(absl::AsciiStrToLower(text)) {}
+
+  // REQUIRES: the caller holds the lock of `entry`; `session` is its session.
+  bool Matches(const SessionEntry& entry, const Session& session) {
+    if (lower_case_.empty() || Holds(session.id)) return true;
+    const auto [policy, new_policy] = policies_.try_emplace(entry.served);
+    if (new_policy) {
+      policy->second = Holds(entry.served->name, "/", entry.served->version);
+    }
+    if (policy->second) return true;
+    const auto [tenant, new_tenant] = tenants_.try_emplace(entry.tenant);
+    if (new_tenant) tenant->second = Holds("tenant=", entry.tenant);
+    if (tenant->second) return true;
+    const auto& labels = session.options.labels;
+    return std::any_of(labels.begin(), labels.end(),
+                       [this](const auto& label) { return Holds(label.first, "=", label.second); });
+  }
+
+ private:
+  // Returns whether the pieces together contain the text.
+  template <typename... Pieces>
+  bool Holds(const Pieces&... pieces) {
+    text_.clear();
+    absl::StrAppend(&text_, pieces...);
+    absl::AsciiStrToLower(&text_);
+    return absl::StrContains(text_, lower_case_);
+  }
+
+  const std::string lower_case_;
+  std::string text_;  // reused, so that it is allocated once
+  absl::flat_hash_map<std::shared_ptr<const ServedPolicy>, bool> policies_;
+  absl::flat_hash_map<std::string, bool> tenants_;
+};
 
 // What a request for a list selects.
 struct Selection {
@@ -230,17 +257,18 @@ Selection FirstById(SessionStore& store, const Credential& caller,
   return found;
 }
 
-Selection FirstInOrder(SessionStore& store, const Credential& caller, const std::string& filter,
+Selection FirstInOrder(SessionStore& store, const Credential& caller, const std::string& text,
                        const Order& order, const std::optional<Place>& after, size_t limit) {
   Selection found;
   FirstRows first(order, limit);
+  Filter filter(text);
   const auto visit = [&](const ListedSession& listed) {
     ++found.open;
     SessionEntry& entry = *listed.entry;
     absl::MutexLock lock(&entry.mutex);
-    if (!Matches(listed, entry.agent.session().options, filter)) return;
+    if (!filter.Matches(entry, entry.agent.session())) return;
     ++found.matching;
-    SortKey key = order.key(listed, entry.agent);
+    SortKey key = order.key(listed.idle, entry.agent);
     if (after.has_value() && !order.IsBefore(after->key, after->id, key, listed.id)) return;
     first.Add(std::move(key), listed);
   };
@@ -276,10 +304,7 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
   const auto after = PlaceOf(query.Get("page_token"), *order);
   if (!after.ok()) return after.status();
 
-  // One list at a time, so that many readers together take no more memory and time than one.
-  static absl::Mutex one_at_a_time(absl::kConstInit);
-  absl::MutexLock turn(&one_at_a_time);
-  const std::string filter = absl::AsciiStrToLower(query.Get("filter"));
+  const std::string filter = query.Get("filter");
   const auto limit = static_cast<size_t>(*page_size);
   // One more than the page, which tells whether there is another one.
   Selection found = filter.empty() && order->IsByIdAscending()

@@ -84,11 +84,14 @@ void StatusPages::Answer(const HttpRequest& request, const HttpServer::Done& don
   const absl::Status accepted =
       request.path == "/healthz"
           ? health_.Submit([this, done] { done(Health()); })
-          : pages_.Submit(request.client, [this, request, done] { AnswerPage(request, done); });
+          : pages_.Submit(request.client, [this, request, arrived = parts_.clock->Now(), done] {
+              AnswerPage(request, arrived, done);
+            });
   if (!accepted.ok()) done({.code = 503, .body = absl::StrCat(accepted.message(), "\n")});
 }
 
-void StatusPages::AnswerPage(const HttpRequest& request, const HttpServer::Done& done) const {
+void StatusPages::AnswerPage(const HttpRequest& request, absl::Duration arrived,
+                             const HttpServer::Done& done) {
   const absl::string_view path = request.path;
   const auto caller = AdmitToPages(*parts_.authenticator, request.authorization);
   if (!caller.ok()) {
@@ -102,7 +105,7 @@ void StatusPages::AnswerPage(const HttpRequest& request, const HttpServer::Done&
   }
   if (path == "/status.json") return done(JsonResponse(Status(request)));
   if (path == "/history.json") return done(JsonResponse(History(request)));
-  if (path == "/sessions.json") return done(JsonResponse(Sessions(**caller, request)));
+  if (path == "/sessions.json") return done(JsonResponse(Sessions(*caller, request, arrived)));
   if (path == "/session.json") return done(JsonResponse(Session(**caller, request)));
   if (path == "/explain.json") return Explain(*caller, request, done);
   done(FileResponse(path));
@@ -153,12 +156,22 @@ absl::StatusOr<std::string> StatusPages::Session(const Credential& caller,
   return SessionJson(*parts_.store, caller, query->Get("session"));
 }
 
-absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,
-                                                  const HttpRequest& request) const {
+absl::StatusOr<std::string> StatusPages::Sessions(const std::shared_ptr<const Credential>& caller,
+                                                  const HttpRequest& request,
+                                                  absl::Duration arrived) {
   const auto query =
       HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "page_size", "page_token"});
   if (!query.ok()) return query.status();
-  return SessionsJson(*parts_.store, caller, *query);
+  absl::MutexLock lock(&list_mutex_);
+  if (arrived < last_list_.began && caller == last_list_.caller &&
+      request.parameters == last_list_.parameters) {
+    return last_list_.json;
+  }
+  const absl::Duration began = parts_.clock->Now();
+  auto json = SessionsJson(*parts_.store, *caller, *query);
+  if (!json.ok()) return json;
+  last_list_ = {caller, request.parameters, began, *json};
+  return json;
 }
 
 void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,

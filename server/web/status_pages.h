@@ -3,10 +3,15 @@
 #define SERVER_WEB_STATUS_PAGES_H_
 
 #include <functional>
+#include <map>
+#include <memory>
 #include <string>
 #include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
 #include "core/base/clock.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
@@ -46,17 +51,31 @@ class StatusPages {
   void Answer(const HttpRequest& request, const HttpServer::Done& done);
 
  private:
-  void AnswerPage(const HttpRequest& request, const HttpServer::Done& done) const;
+  // A list of sessions, to answer equal requests with.
+  struct SessionList {
+    std::shared_ptr<const Credential> caller;
+    std::multimap<std::string, std::string> parameters;
+    absl::Duration began = -absl::InfiniteDuration();  // time of the clock
+    std::string json;
+  };
+
+  // `arrived` is the time of the clock at which the server received the request.
+  void AnswerPage(const HttpRequest& request, absl::Duration arrived, const HttpServer::Done& done);
   HttpResponse Health() const;
   absl::StatusOr<std::string> Status(const HttpRequest& request) const;
   absl::StatusOr<std::string> History(const HttpRequest& request) const;
   absl::StatusOr<std::string> Session(const Credential& caller, const HttpRequest& request) const;
-  absl::StatusOr<std::string> Sessions(const Credential& caller, const HttpRequest& request) const;
+  // A request that waited while the list for an equal one was made gets that list. Therefore many
+  // readers of one list wait for two passes over the sessions at most.
+  absl::StatusOr<std::string> Sessions(const std::shared_ptr<const Credential>& caller,
+                                       const HttpRequest& request, absl::Duration arrived);
   // Calls `done` when the background worker has explained the decision.
   void Explain(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
                const HttpServer::Done& done) const;
 
   const Parts parts_;
+  absl::Mutex list_mutex_;
+  SessionList last_list_ ABSL_GUARDED_BY(list_mutex_);
   BackgroundWorker health_;
   BackgroundWorker pages_;  // clients take turns
 };

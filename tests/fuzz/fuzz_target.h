@@ -23,6 +23,12 @@ void FuzzOne(absl::string_view input);
 // Returns valid inputs.
 std::vector<std::string> Seeds();
 
+// Ends the process; see FUZZ_CHECK.
+[[noreturn]] inline void FuzzCheckFailed(const char* file, int line, const char* condition) {
+  std::fprintf(stderr, "%s:%d: expected %s\n", file, line, condition);
+  std::abort();
+}
+
 // Reads numbers from an input, and zeros after its end.
 class InputReader {
  public:
@@ -50,12 +56,7 @@ class InputReader {
 
 }  // namespace spikeserve
 
-#define FUZZ_CHECK(condition)                                                       \
-  do {                                                                              \
-    if (!(condition)) {                                                             \
-      std::fprintf(stderr, "%s:%d: expected %s\n", __FILE__, __LINE__, #condition); \
-      std::abort();                                                                 \
-    }                                                                               \
-  } while (false)
+#define FUZZ_CHECK(condition) \
+  ((condition) ? void() : spikeserve::FuzzCheckFailed(__FILE__, __LINE__, #condition))
 
 #endif  // TESTS_FUZZ_FUZZ_TARGET_H_

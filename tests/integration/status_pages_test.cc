@@ -222,7 +222,11 @@ TEST_F(StatusPagesTest, MistakesAreNamed) {
   expect_error("/explain.json?session=" + client_->Open(), 409, "FAILED_PRECONDITION", "step 0");
   expect_error("/sessions.json?page_size=0", 400, "INVALID_ARGUMENT", "page_size: expected");
   expect_error("/sessions.json?page_size=1001", 400, "INVALID_ARGUMENT", "page_size: expected");
-  for (const std::string token : {"x", "AAAA", "%FF", "hPWA"}) {
+  std::string deep;  // CBOR: arrays in arrays
+  for (int i = 0; i < 3000; ++i) deep += "gYGB";
+  // The last two: an array and a map that claim 2^61 elements.
+  for (const std::string token :
+       {"x", "AAAA", "%FF", "hPWA", deep.c_str(), "myAAAAAAAAAA", "uyAAAAAAAAAA"}) {
     expect_error("/sessions.json?page_token=" + token, 400, "INVALID_ARGUMENT", "page_token: ");
   }
   Play("discrete", 1);

@@ -1,5 +1,6 @@
 """What one caller sends is bounded: its memory, and how long other callers wait for it."""
 
+import concurrent.futures
 import json
 import os
 import threading
@@ -12,6 +13,8 @@ from serving import DEADLINE_SECONDS, message_class, running_server
 from tests.attacks.process import MEGABYTE, Process
 
 ITEMS_MOST = 1024
+REFUSED = 1000
+REFUSED_CALLERS = 20
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +65,32 @@ def test_long_requests_with_a_wrong_token_occupy_no_memory(addresses):
     # gRPC's client reports what it notices first: the answer, or that the server reads no further.
     assert set(codes) <= {grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.UNAVAILABLE}
     assert peak < 40 * MEGABYTE
+
+
+def test_a_thousand_refused_requests_occupy_no_memory(addresses):
+    body = os.urandom(MEGABYTE // 2)  # all of them together are 500 MB
+    process = Process(addresses.process.pid)
+    idle = process.memory()
+    process.reset_peak()
+
+    def refused(_):
+        with grpc.insecure_channel(addresses.grpc, [("grpc.use_local_subchannel_pool", 1)]) as channel:
+            call = channel.unary_unary(f"/{POLICY}/OpenSession")
+            metadata = [("authorization", "Bearer wrong")]
+            # All callers of a channel wait for their refusals at once.
+            calls = [
+                call.future(body, metadata=metadata, timeout=10 * DEADLINE_SECONDS)
+                for _ in range(REFUSED // REFUSED_CALLERS)
+            ]
+            return [each.code() for each in calls]
+
+    with concurrent.futures.ThreadPoolExecutor(REFUSED_CALLERS) as callers:
+        codes = sum(callers.map(refused, range(REFUSED_CALLERS)), [])
+    assert len(codes) == REFUSED
+    assert set(codes) <= {grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.UNAVAILABLE}
+    growth = process.peak() - idle
+    print(f"{REFUSED} refused requests of 512 KiB: at most {growth / MEGABYTE:.1f} MB")
+    assert growth < 400 * MEGABYTE
 
 
 @pytest.mark.parametrize(

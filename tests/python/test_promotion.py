@@ -15,7 +15,7 @@ from random_policy import export_random
 from security import until
 from serving import Service, running_server
 
-PROMOTIONS = 200
+PROMOTIONS = 1000
 LONGEST_FILE = 4096  # bytes; shorter than a policy
 OLD_SECONDS = 3600
 

@@ -3,8 +3,10 @@
 import concurrent.futures
 import contextlib
 import json
+import os
 import shutil
 import signal
+import statistics
 import time
 
 import grpc
@@ -24,7 +26,7 @@ from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, message_class, running_s
 
 from tests.attacks.process import MEGABYTE, Process
 
-LISTED_SESSIONS = 20_000
+LISTED_SESSIONS = int(os.environ.get("SPIKESERVE_LISTED_SESSIONS", 20_000))
 TOKENS_IN_FILE = 20_000
 RELOADS = 12
 VERSIONS = 225
@@ -102,11 +104,15 @@ def test_lists_of_sessions_need_memory_for_one_page(tmp_path):
         idle = process.memory()
         process.reset_peak()
 
+        seconds = []
+
         def read_pages(_):
             token = ""
             for _ in range(5):
                 query = f"sort=energy_joules&order=descending&filter=robot&page_size=50&page_token={token}"
+                start = time.perf_counter()
                 page = json.loads(http_body(addresses.http, f"/sessions.json?{query}", "Bearer viewer"))
+                seconds.append(time.perf_counter() - start)
                 token = page["next_page_token"]
                 yield page
 
@@ -121,7 +127,13 @@ def test_lists_of_sessions_need_memory_for_one_page(tmp_path):
             seen += [session.session_id for session in listed.sessions]
             token = listed.next_page_token
         assert len(set(seen)) == 5000 and seen == sorted(seen)
-        assert process.peak() - idle < 20 * MEGABYTE
+        growth = process.peak() - idle
+        print(
+            f"8 readers of {LISTED_SESSIONS} sessions, sorted and filtered: median "
+            f"{1000 * statistics.median(seconds):.1f} ms, at most {1000 * max(seconds):.1f} ms, "
+            f"{growth / MEGABYTE:.1f} MB"
+        )
+        assert growth < 20 * MEGABYTE
 
 
 def test_tokens_that_were_removed_occupy_no_memory(tmp_path):

@@ -1,0 +1,49 @@
+// The parts of a server that fuzz targets send requests to: a policy "small" and its sessions,
+// without a network.
+#ifndef TESTS_FUZZ_FUZZED_SERVER_H_
+#define TESTS_FUZZ_FUZZED_SERVER_H_
+
+#include <memory>
+
+#include "server/access/authenticator.h"
+#include "server/agent/policy_handler.h"
+#include "server/agent/shadow_runner.h"
+#include "tests/fuzz/fuzz_target.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/small_registry.h"
+
+namespace spikeserve {
+
+// Not thread-safe.
+class FuzzedServer {
+ public:
+  static constexpr int64_t kMaxSessions = 6;
+
+  const Credential& caller() const { return *caller_; }
+  const std::shared_ptr<const Credential>& shared_caller() const { return caller_; }
+  PolicyRegistry* registry() { return Shared().registry.get(); }
+  SessionStore& store() { return store_; }
+  FakeClock& clock() { return clock_; }
+  const PolicyHandler& handler() const { return handler_; }
+
+ private:
+  // Parts that keep nothing of a session, and take long to make.
+  struct Parts {
+    SmallRegistry registry{"small"};
+    ShadowRunner shadows{registry.metrics().registry()};
+    std::unique_ptr<Authenticator> authenticator = *Authenticator::Create("");
+  };
+  static Parts& Shared() {
+    static auto* const parts = new Parts;  // lives as long as the process
+    return *parts;
+  }
+
+  FakeClock clock_;
+  const std::shared_ptr<const Credential> caller_ = *Shared().authenticator->Authenticate("");
+  SessionStore store_{kMaxSessions, &clock_};
+  PolicyHandler handler_{Shared().registry.get(), &store_, &Shared().shadows, &clock_};
+};
+
+}  // namespace spikeserve
+
+#endif  // TESTS_FUZZ_FUZZED_SERVER_H_

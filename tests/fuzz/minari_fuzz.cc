@@ -1,0 +1,94 @@
+// Datasets in Minari's layout: every file is refused with a reason, or gives valid episodes.
+//
+// The first byte of an input selects what the others are: 0 the metadata, which is parsed in this
+// process, 1 the HDF5 file, which is read in a child process, because the HDF5 library crashes for
+// some files.
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/file.h"
+#include "tests/fuzz/fuzz_target.h"
+#include "train/data/minari_layout.h"
+#include "train/data/minari_metadata.h"
+#include "train/data/minari_reader.h"
+#include "train/data/minari_writer.h"
+
+namespace spikeserve {
+namespace {
+
+Dataset Small() {
+  Episode episode = {
+      .actor = "expert",
+      .seed = 3,
+      .observations = {0.1f, 0.2f, 0.3f, 0.4f, 0.5f, 0.6f},
+      .actions = {{.discrete = 1, .continuous = {}}, {.discrete = 0, .continuous = {}}},
+      .weights = {0.5f, 1.0f},
+      .rewards = {1.0, 0.5},
+      .terminated = true};
+  return {.environment = "CartPole-v1",
+          .observation_size = 2,
+          .action_space = ActionSpace::Discrete(2),
+          .episodes = {episode}};
+}
+
+// A dataset on disk, of which inputs replace the HDF5 file. Lives as long as the process.
+struct Folder {
+  Folder()
+      : path((std::filesystem::temp_directory_path() / absl::StrCat("fuzz-", getpid()) / "fuzz-v0")
+                 .string()) {
+    FUZZ_CHECK(WriteMinariDataset(Small(), path).ok());
+    metadata = *ReadFile(path + kMinariMetadata);
+    data = *ReadFile(path + kMinariData);
+  }
+  ~Folder() { std::filesystem::remove_all(std::filesystem::path(path).parent_path()); }
+
+  const std::string path;
+  std::string metadata;
+  std::string data;
+};
+
+const Folder& SmallFolder() {
+  static const Folder folder;
+  return folder;
+}
+
+void CheckDataset(const absl::StatusOr<Dataset>& dataset) {
+  if (!dataset.ok()) return FUZZ_CHECK(!dataset.status().message().empty());
+  for (const Episode& episode : dataset->episodes) FUZZ_CHECK(CheckEpisode(*dataset, episode).ok());
+}
+
+}  // namespace
+
+void FuzzOne(absl::string_view input) {
+  InputReader reader(input);
+  const bool is_data = reader.Byte() % 2 == 1;
+  if (!is_data) {
+    const auto metadata = ParseMinariMetadata(reader.rest());
+    if (!metadata.ok()) return FUZZ_CHECK(!metadata.status().message().empty());
+    FUZZ_CHECK(metadata->dataset.observation_size > 0);
+    FUZZ_CHECK(metadata->dataset.action_space.Validate().ok());
+    FUZZ_CHECK(metadata->indices.counts.size() == metadata->indices.starts.size());
+    return;
+  }
+  const Folder& folder = SmallFolder();
+  std::ofstream(folder.path + kMinariData, std::ios::binary) << reader.rest();
+  CheckDataset(ReadMinariDataset(folder.path));
+}
+
+std::vector<std::string> Seeds() {
+  const Folder& folder = SmallFolder();
+  return {
+      absl::StrCat(std::string(1, '\0'), folder.metadata),
+      absl::StrCat(
+          std::string(1, '\0'),
+          R"({"dataset_id": "a/b-v0", "total_episodes": 1, "env_spec": "{\"id\": \"E-v1\"}",
+ "observation_space": "{\"type\": \"Box\", \"shape\": [2, 3], \"low\": -Infinity, \"high\": 1}",
+ "action_space": "{\"type\": \"MultiDiscrete\", \"nvec\": [2, 3], \"start\": [0, -1]}"})"),
+      absl::StrCat("\x01", folder.data),
+  };
+}
+
+}  // namespace spikeserve
