@@ -173,9 +173,8 @@ absl::StatusOr<v1::GetSessionResponse> RemoteSession::State(bool include_head_de
       [&]() -> absl::StatusOr<v1::GetSessionResponse> {
         auto state = client_->GetSession(session_id_, include_head_delta, route_);
         // A former owner may have all decisions, but not the end of the last episode.
-        const bool is_outdated =
-            state.ok() && unacknowledged_.has_value() &&
-            (state->decisions() < *decision_ || state->episode() < *episode_);
+        const bool is_outdated = state.ok() && unacknowledged_.has_value() &&
+                                 (state->decisions() < *decision_ || state->episode() < *episode_);
         if (is_outdated) return OutdatedError(*decision_, state->decisions());
         return state;
       },
