@@ -89,7 +89,7 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& serve
   auto client = Create(servers, std::move(options));
   if (!client.ok()) return client.status();
   Replicas& replicas = *(*client)->replicas_;
-  if (replicas.AwaitConnection(absl::Now() + patience)) return client;
+  if (replicas.AwaitConnection(patience)) return client;
   std::string causes;
   replicas.ForEach([&](Replica& replica) {
     // The status of a call has gRPC's own words for the cause.

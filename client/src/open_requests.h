@@ -1,4 +1,4 @@
-// The requests of a stream that have no answer.
+// The requests of a stream that have no answer. Times are those of SteadyNow().
 //
 // Not thread-safe.
 #ifndef CLIENT_SRC_OPEN_REQUESTS_H_
@@ -12,8 +12,8 @@
 #include <unordered_map>
 #include <utility>
 
-#include "absl/time/clock.h"
 #include "absl/time/time.h"
+#include "client/src/steady_time.h"
 #include "spikeserve/remote_session.h"
 #include "spikeserve/retry.h"
 #include "spikeserve/v1/policy_service.pb.h"
@@ -34,7 +34,7 @@ class OpenRequests {
 
   // Adds a request that is sent now.
   void Add(OpenRequest request) {
-    if (open_.empty()) waits_since_ = absl::Now();
+    if (open_.empty()) waits_since_ = SteadyNow();
     const std::string& id = request.request.session_id();
     open_[id].push_back(std::move(request));
   }
@@ -43,7 +43,7 @@ class OpenRequests {
   std::optional<OpenRequest> Take(const std::string& session_id) {
     const auto found = open_.find(session_id);
     if (found == open_.end()) return std::nullopt;
-    waits_since_ = absl::Now();
+    waits_since_ = SteadyNow();
     std::optional<OpenRequest> request(std::move(found->second.front()));
     found->second.pop_front();
     if (found->second.empty()) open_.erase(found);
@@ -51,14 +51,14 @@ class OpenRequests {
   }
 
   // Adds a request that will be sent again at `due`. REQUIRES: it is the only one of its session.
-  void Postpone(OpenRequest request, absl::Time due) {
+  void Postpone(OpenRequest request, absl::Duration due) {
     due_.emplace(due, request.request.session_id());
     Add(std::move(request));
   }
 
   // Calls `send` with each postponed request that is due, which counts as under way again.
   template <typename Send>
-  void SendDue(absl::Time now, Send send) {
+  void SendDue(absl::Duration now, Send send) {
     while (!due_.empty() && due_.begin()->first <= now) {
       send(open_.at(due_.begin()->second).front().request);
       due_.erase(due_.begin());
@@ -70,19 +70,19 @@ class OpenRequests {
   template <typename Send>
   void SendAll(Send send) {
     due_.clear();
-    waits_since_ = absl::Now();
+    waits_since_ = SteadyNow();
     for (const auto& [id, requests] : open_) {
       for (const OpenRequest& request : requests) send(request.request);
     }
   }
 
   // Returns the time of the next postponed request.
-  absl::Time next_due() const {
-    return due_.empty() ? absl::InfiniteFuture() : due_.begin()->first;
+  absl::Duration next_due() const {
+    return due_.empty() ? absl::InfiniteDuration() : due_.begin()->first;
   }
-  // Returns since when requests are under way without any reply; InfiniteFuture if none is.
-  absl::Time waits_since() const {
-    return open_.size() == due_.size() ? absl::InfiniteFuture() : waits_since_;
+  // Returns since when requests are under way without any reply; InfiniteDuration if none is.
+  absl::Duration waits_since() const {
+    return open_.size() == due_.size() ? absl::InfiniteDuration() : waits_since_;
   }
 
   void Clear() {
@@ -92,8 +92,8 @@ class OpenRequests {
 
  private:
   std::unordered_map<std::string, std::deque<OpenRequest>> open_;  // by session id
-  std::multimap<absl::Time, std::string> due_;                     // postponed ones: session ids
-  absl::Time waits_since_;
+  std::multimap<absl::Duration, std::string> due_;                 // postponed ones: session ids
+  absl::Duration waits_since_;
 };
 
 }  // namespace spikeserve

@@ -8,6 +8,7 @@
 #include "client/src/item_status.h"
 #include "client/src/open_requests.h"
 #include "client/src/replicas.h"
+#include "client/src/steady_time.h"
 #include "client/src/stream_call.h"
 #include "spikeserve/client.h"
 #include "spikeserve/remote_session.h"
@@ -87,7 +88,7 @@ void RemoteStream::Break(const absl::Status& error) {
   if (!schedule_.has_value()) schedule_.emplace(client_->options().retry, route_->key);
   const auto delay = open_->empty() ? std::nullopt : schedule_->DelayAfter(error);
   if (delay.has_value()) {
-    reopens_at_ = absl::Now() + *delay;
+    reopens_at_ = SteadyNow() + *delay;
     return;
   }
   broken_ = error;
@@ -95,15 +96,15 @@ void RemoteStream::Break(const absl::Status& error) {
   open_->Clear();
 }
 
-absl::Time RemoteStream::Advance(absl::Time deadline) {
-  const absl::Time now = absl::Now();
+absl::Duration RemoteStream::Advance(absl::Duration deadline) {
+  const absl::Duration now = SteadyNow();
   if (reopens_at_.has_value()) {
     if (now < *reopens_at_) return std::min(deadline, *reopens_at_);
     Start();
   }
   StreamCall& call = *call_;
   open_->SendDue(now, [&call](const v1::ActRequest& request) { (void)call.Send(request); });
-  const absl::Time until = std::min(deadline, open_->next_due());
+  const absl::Duration until = std::min(deadline, open_->next_due());
   if (!client_->replicas_->MayMove(*route_)) return until;
   return std::min(until, open_->waits_since() + client_->options().call_timeout);
 }
@@ -125,16 +126,16 @@ bool RemoteStream::Postpone(const absl::Status& error, OpenRequest* request) {
   if (!delay.has_value()) return false;
   const bool is_elsewhere =
       IsRetryable(error) && ++request->failures > 1 && client_->replicas_->MayMove(*route_);
-  open_->Postpone(std::move(*request), absl::Now() + *delay);
+  open_->Postpone(std::move(*request), SteadyNow() + *delay);
   if (is_elsewhere) Break(error);
   return true;
 }
 
 absl::StatusOr<ActReply> RemoteStream::Receive(absl::Duration timeout) {
-  const absl::Time deadline = absl::Now() + timeout;
+  const absl::Duration deadline = SteadyNow() + timeout;
   while (true) {
     std::shared_ptr<StreamCall> call;
-    absl::Time until;
+    absl::Duration until;
     {
       absl::MutexLock lock(&mutex_);
       if (broken_.has_value()) return *broken_;
@@ -145,12 +146,12 @@ absl::StatusOr<ActReply> RemoteStream::Receive(absl::Duration timeout) {
     if (call != nullptr) {
       incoming = call->Receive(until);
     } else {
-      absl::SleepFor(until - absl::Now());
+      absl::SleepFor(until - SteadyNow());
     }
     absl::ReleasableMutexLock lock(&mutex_);
     if (incoming.has_value() && call != call_) continue;  // of a call that was given up meanwhile
     if (!incoming.has_value()) {
-      const absl::Time now = absl::Now();
+      const absl::Duration now = SteadyNow();
       const bool is_silent = call != nullptr && call == call_ &&
                              client_->replicas_->MayMove(*route_) &&
                              now >= open_->waits_since() + client_->options().call_timeout;

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "absl/time/clock.h"
+#include "client/src/steady_time.h"
 #include "spikeserve/retry.h"
 #include "spikeserve/status.h"
 
@@ -73,11 +74,12 @@ Replicas::~Replicas() {
       +[](int* probes) { return *probes == 0; }, &probes_));
 }
 
-bool Replicas::AwaitConnection(absl::Time deadline) {
+bool Replicas::AwaitConnection(absl::Duration timeout) {
+  // gRPC takes times of day, which it converts at once.
   if (all_.size() == 1) {
-    return all_.front()->channel->WaitForConnected(absl::ToChronoTime(deadline));
+    return all_.front()->channel->WaitForConnected(absl::ToChronoTime(absl::Now() + timeout));
   }
-  absl::Time until = deadline;
+  absl::Duration until = SteadyNow() + timeout;
   while (true) {
     bool is_connected = false;
     std::optional<std::pair<Replica*, grpc_connectivity_state>> pending;
@@ -86,14 +88,15 @@ bool Replicas::AwaitConnection(absl::Time deadline) {
       is_connected = is_connected || state == GRPC_CHANNEL_READY;
       if (IsPending(state)) pending = {replica.get(), state};
     }
-    const absl::Time now = absl::Now();
+    const absl::Duration now = SteadyNow();
     if (is_connected) until = std::min(until, now + kGrace);
     if (now >= until || (is_connected && !pending.has_value())) break;
-    const absl::Time next = std::min(until, now + absl::Milliseconds(10));
+    const absl::Duration pause = std::min(until - now, absl::Milliseconds(10));
     if (pending.has_value()) {
-      pending->first->channel->WaitForStateChange(pending->second, absl::ToChronoTime(next));
+      pending->first->channel->WaitForStateChange(pending->second,
+                                                  absl::ToChronoTime(absl::Now() + pause));
     } else {
-      absl::SleepFor(next - now);
+      absl::SleepFor(pause);
     }
   }
   absl::MutexLock lock(&mutex_);
@@ -167,14 +170,14 @@ void Replicas::Answered(Route& route, Replica& replica) {
 void Replicas::SetAway(Replica& replica) {
   replica.is_away = true;
   replica.pause = std::min(std::max(2 * replica.pause, first_pause_), longest_pause_);
-  replica.probe_at = absl::Now() + replica.pause;
+  replica.probe_at = SteadyNow() + replica.pause;
 }
 
 void Replicas::ProbeThoseDue() {
   const bool any_away =
       std::any_of(all_.begin(), all_.end(), [](const auto& replica) { return replica->is_away; });
   if (!any_away) return;
-  const absl::Time now = absl::Now();
+  const absl::Duration now = SteadyNow();
   for (const auto& replica : all_) {
     if (replica->is_away && now >= replica->probe_at) StartProbe(*replica);
   }

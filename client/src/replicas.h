@@ -51,8 +51,8 @@ struct Replica {
 
   // The rest is guarded by the mutex of Replicas.
   bool is_away = false;
-  std::unique_ptr<Probe> probe;  // null: none is under way
-  absl::Time probe_at = absl::InfinitePast();
+  std::unique_ptr<Probe> probe;                         // null: none is under way
+  absl::Duration probe_at = -absl::InfiniteDuration();  // of SteadyNow()
   absl::Duration pause;  // between the last failure and the next probe
 };
 
@@ -96,7 +96,7 @@ class Replicas {
 
   // Waits until a server is connected and the others are, too, or have failed, or some time has
   // passed. Servers that are not connected then count as away. Returns whether one is connected.
-  bool AwaitConnection(absl::Time deadline) ABSL_LOCKS_EXCLUDED(mutex_);
+  bool AwaitConnection(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Calls `visit` with each replica, in the order of the addresses.
   template <typename Visit>

@@ -4,6 +4,7 @@
 #include <random>
 
 #include "absl/strings/str_cat.h"
+#include "client/src/steady_time.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
@@ -45,6 +46,7 @@ bool IsRefusedForNow(const absl::Status& status) {
 RetrySchedule::RetrySchedule(const RetryOptions& options, const std::string& key)
     : options_(options),
       random_(std::hash<std::string>()(key)),
+      start_(SteadyNow()),
       backoff_(options.initial_backoff) {}
 
 std::optional<absl::Duration> RetrySchedule::DelayAfter(const absl::Status& status) {
@@ -63,7 +65,7 @@ std::optional<absl::Duration> RetrySchedule::NextDelay(std::optional<absl::Durat
     backoff_ = std::min(backoff_ * options_.multiplier, options_.max_backoff);
   }
   // The sum counts in place of the clock if `sleep` does not sleep.
-  const absl::Duration elapsed = std::max(absl::Now() - start_, delayed_);
+  const absl::Duration elapsed = std::max(SteadyNow() - start_, delayed_);
   if (elapsed + delay > options_.max_elapsed) return std::nullopt;
   delayed_ += delay;
   return delay;

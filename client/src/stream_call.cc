@@ -1,10 +1,30 @@
 #include "client/src/stream_call.h"
 
+#include <algorithm>
 #include <utility>
 
+#include "client/src/steady_time.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
+namespace {
+
+// Lets std::condition_variable_any unlock and lock a mutex of Abseil.
+class Lockable {
+ public:
+  explicit Lockable(absl::Mutex* mutex) : mutex_(*mutex) {}
+
+  void lock() ABSL_NO_THREAD_SAFETY_ANALYSIS { mutex_.Lock(); }      // NOLINT: name of the library
+  void unlock() ABSL_NO_THREAD_SAFETY_ANALYSIS { mutex_.Unlock(); }  // NOLINT: name of the library
+
+ private:
+  absl::Mutex& mutex_;
+};
+
+// The clock counts nanoseconds, so that a later time would overflow it.
+constexpr absl::Duration kLongestWait = absl::Hours(24 * 365);
+
+}  // namespace
 
 StreamCall::StreamCall(v1::PolicyService::Stub& stub, const Route& route) {
   context_.AddMetadata(kAffinityKey, route.key);
@@ -18,7 +38,8 @@ StreamCall::StreamCall(v1::PolicyService::Stub& stub, const Route& route) {
 StreamCall::~StreamCall() {
   context_.TryCancel();
   absl::MutexLock lock(&mutex_);
-  while (!final_status_.has_value()) changed_.Wait(&mutex_);
+  Lockable lockable(&mutex_);
+  while (!final_status_.has_value()) changed_.wait(lockable);
 }
 
 absl::Status StreamCall::Send(const v1::ActRequest& request) {
@@ -30,13 +51,14 @@ absl::Status StreamCall::Send(const v1::ActRequest& request) {
   return absl::OkStatus();
 }
 
-std::optional<absl::StatusOr<StreamCall::Incoming>> StreamCall::Receive(absl::Time deadline) {
+std::optional<absl::StatusOr<StreamCall::Incoming>> StreamCall::Receive(absl::Duration deadline) {
   absl::MutexLock lock(&mutex_);
+  Lockable lockable(&mutex_);
+  const absl::Duration wait = std::min(deadline - SteadyNow(), kLongestWait);
+  const auto end = std::chrono::steady_clock::now() + absl::ToChronoNanoseconds(wait);
   while (responses_.empty() && !final_status_.has_value()) {
-    if (changed_.WaitWithDeadline(&mutex_, deadline) && responses_.empty() &&
-        !final_status_.has_value()) {
-      return std::nullopt;
-    }
+    if (std::chrono::steady_clock::now() >= end) return std::nullopt;
+    changed_.wait_until(lockable, end);
   }
   if (responses_.empty()) {
     return final_status_->ok() ? absl::OutOfRangeError("the stream has ended") : *final_status_;
@@ -62,7 +84,7 @@ void StreamCall::OnReadDone(bool ok) {
   }
   responses_.push_back({std::move(incoming_), std::chrono::steady_clock::now()});
   incoming_.Clear();
-  changed_.Signal();
+  changed_.notify_one();
   StartRead(&incoming_);
 }
 
@@ -80,7 +102,7 @@ void StreamCall::OnWriteDone(bool ok) {
 void StreamCall::OnDone(const grpc::Status& status) {
   absl::MutexLock lock(&mutex_);
   final_status_ = StatusFromGrpc(status);
-  changed_.SignalAll();
+  changed_.notify_all();
 }
 
 }  // namespace spikeserve

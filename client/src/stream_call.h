@@ -8,6 +8,7 @@
 #include <grpcpp/support/client_callback.h>
 
 #include <chrono>
+#include <condition_variable>
 #include <deque>
 #include <optional>
 
@@ -36,9 +37,10 @@ class StreamCall : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespons
   // Queues one request. Returns the status of the call if it has ended.
   absl::Status Send(const v1::ActRequest& request) ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Returns the next response, or nothing if none arrives until `deadline`. After the call has
-  // ended and all responses were returned: its status, or OUT_OF_RANGE if that is OK.
-  std::optional<absl::StatusOr<Incoming>> Receive(absl::Time deadline) ABSL_LOCKS_EXCLUDED(mutex_);
+  // Returns the next response, or nothing if none arrives until `deadline` of SteadyNow(). After
+  // the call has ended and all responses were returned: its status, or OUT_OF_RANGE if that is OK.
+  std::optional<absl::StatusOr<Incoming>> Receive(absl::Duration deadline)
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Declares that no more requests follow.
   void CloseSend() ABSL_LOCKS_EXCLUDED(mutex_);
@@ -52,7 +54,9 @@ class StreamCall : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespons
   v1::ActResponse incoming_;  // written by gRPC between StartRead and OnReadDone
 
   absl::Mutex mutex_;
-  absl::CondVar changed_;  // signalled when a response arrives or the call ends
+  // Notified when a response arrives or the call ends. A CondVar of Abseil would measure its
+  // timeouts by the time of day.
+  std::condition_variable_any changed_;
   std::deque<v1::ActRequest> outgoing_ ABSL_GUARDED_BY(mutex_);  // the front is being written
   std::deque<Incoming> responses_ ABSL_GUARDED_BY(mutex_);
   bool send_closed_ ABSL_GUARDED_BY(mutex_) = false;

@@ -95,8 +95,8 @@ class RemoteStream {
   bool MayReopen() const;
   // Plans another call after `error`, or declares the stream broken.
   void Break(const absl::Status& error) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  // Does what is due. Returns the time until which to wait for a reply.
-  absl::Time Advance(absl::Time deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Does what is due. Returns the time until which to wait for a reply, by the monotonic clock.
+  absl::Duration Advance(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Handles the end of the call, or a silence that is too long. Returns a status if the stream has
   // ended, else OK.
   absl::Status TakeEnd(const absl::Status& end) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
@@ -116,7 +116,8 @@ class RemoteStream {
   Replica* replica_ ABSL_GUARDED_BY(mutex_) = nullptr;  // the server of the call
   const std::unique_ptr<OpenRequests> open_ ABSL_PT_GUARDED_BY(mutex_);
   std::optional<RetrySchedule> schedule_ ABSL_GUARDED_BY(mutex_);  // absent: the stream is whole
-  std::optional<absl::Time> reopens_at_ ABSL_GUARDED_BY(mutex_);   // absent: the call is open
+  // By the monotonic clock; absent: the call is open.
+  std::optional<absl::Duration> reopens_at_ ABSL_GUARDED_BY(mutex_);
   std::optional<absl::Status> broken_ ABSL_GUARDED_BY(mutex_);
   bool send_closed_ ABSL_GUARDED_BY(mutex_) = false;
 };

@@ -57,7 +57,7 @@ class RetrySchedule {
  private:
   const RetryOptions& options_;
   std::minstd_rand random_;
-  const absl::Time start_ = absl::Now();
+  const absl::Duration start_;  // by the monotonic clock
   int attempts_ = 0;
   absl::Duration backoff_;
   absl::Duration delayed_;  // the sum of the delays
