@@ -26,7 +26,8 @@ struct Shape {
   int observation_size = 4;
   ActionSpace action_space = ActionSpace::Discrete(2);
   int steps = 40;
-  float spread = 1.0f;  // scales the observations
+  float spread = 1.0f;          // scales the observations
+  float first_ffn_bias = 0.2f;  // of the FFN's coder in the first layer
 };
 
 void PrintTo(const Shape& shape, std::ostream* out) { *out << shape.name; }
@@ -139,6 +140,7 @@ std::vector<Shape> Float32Shapes() {
   long_context.steps = 60;
   add("Box", ConfigOf(32, 4)).action_space = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
   add("LoudInputs", ConfigOf(32, 4)).spread = 8.0f;
+  add("OftenSilentFfn", ConfigOf(16, 2)).first_ffn_bias = -0.8f;
   add("SigmoidGate", ConfigOf(32, 4)).config.gate = Gate::kSigmoid;
   ModelConfig& sigmoid_concat = add("SigmoidGateConcat", ConfigOf(32, 4)).config;
   sigmoid_concat.gate = Gate::kSigmoid;
@@ -177,6 +179,8 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
     for (size_t h = 1; h < layer.scale.values.size(); h += 2) layer.scale.values[h] *= -1.5f;
     layer.ffn_hidden.weight.values[3] = 0.0f;  // a zero weight does not count as a synapse
   }
+  std::vector<float>& ffn_bias = policy.weights.layers[0].ffn_coder.bias.values;
+  ffn_bias.assign(ffn_bias.size(), shape.first_ffn_bias);
   return shape.config.arithmetic == Arithmetic::kInt8 ? *Quantize(policy) : policy;
 }
 

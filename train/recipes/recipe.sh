@@ -1,9 +1,11 @@
 # Functions for the recipes, which source this file. A recipe is called with SPIKETRAIN and OUT_DIR and sets
-# `environment`. A recipe that was interrupted continues when it is run again.
+# `environment`. A recipe that was interrupted continues when it is run again. With a third argument, a number from 1 on,
+# it draws other random numbers: seed 3 of run 2 is 203.
 set -euo pipefail
-usage="usage: $0 SPIKETRAIN OUT_DIR"
+usage="usage: $0 SPIKETRAIN OUT_DIR [RUN]"
 spiketrain=${1:?$usage}
 out=${2:?$usage}
+run=${3:+${3}0}
 # The number of threads determines the order of sums, and thereby the last bits of the weights.
 export OMP_NUM_THREADS=1
 mkdir -p "$out"
@@ -13,7 +15,7 @@ data() {
   local name=$1
   shift
   if [[ ! -f $out/$name.cbor ]]; then
-    "$spiketrain" dataset --env="$environment" --seed=0 --out="$out/$name.cbor" "$@"
+    "$spiketrain" dataset --env="$environment" --seed="${run}0" --out="$out/$name.cbor" "${@/#--seed=/--seed=$run}"
   fi
 }
 
@@ -23,7 +25,8 @@ stage() {
   local name=$1 data=$out/${2//,/.cbor,$out/}.cbor
   shift 2
   if [[ ! -f $out/$name/policy.safetensors ]]; then
-    "$spiketrain" train --data="$data" --out="$out/$name" --resume ${policy:+--init="$policy"} "$@"
+    "$spiketrain" train --data="$data" --out="$out/$name" --resume ${policy:+--init="$policy"} \
+      "${@/#--seed=/--seed=$run}"
   fi
   policy=$out/$name/policy.safetensors
 }

@@ -9,6 +9,10 @@
 
 #include "absl/status/statusor.h"
 #include "core/base/shared_bytes.h"
+#include "core/engine/spiking/kernels/drive.h"
+#include "core/engine/spiking/kernels/integer_kernels.h"
+#include "core/engine/spiking/kernels/lif_kernels.h"
+#include "core/engine/spiking/kernels/linear_kernels.h"
 #include "core/math/exp.h"
 
 namespace spikeserve {
@@ -23,6 +27,20 @@ std::vector<float> AttentionWeights(const ModelConfig& config, const Tensor& sca
     }
   }
   return weights;
+}
+
+template <class Arithmetic>
+SilentFeedForward RunSilently(const ModelConfig& config, const PackedLayer<Arithmetic>& layer) {
+  kernels::Drive<typename Arithmetic::Current> drive;
+  drive.ticks = config.ticks;
+  drive.offsets.assign(static_cast<size_t>(config.ticks) + 1, 0);
+  AlignedVector<typename Arithmetic::Activity> hidden(layer.ffn_hidden.width);
+  SilentFeedForward silent;
+  silent.spikes =
+      kernels::LifActivity(Arithmetic::NeuronOf(config), layer.ffn_hidden, drive, hidden.data());
+  silent.update.resize(layer.ffn_output.width);
+  silent.products = kernels::Affine(layer.ffn_output, hidden.data(), silent.update.data());
+  return silent;
 }
 
 // Calls `visit` with the rows of every map.
@@ -125,6 +143,7 @@ PackedWeights<Arithmetic>::PackedWeights(const Policy& policy)
     layer.attention_output = Pack({&weights.attention_output});
     layer.ffn_hidden = Arithmetic::PackPopulations({&maps.ffn_hidden}, d);
     layer.ffn_output = Arithmetic::PackOutput(maps.ffn_output, policy.config.ticks);
+    layer.silent_ffn = RunSilently(policy.config, layer);
     layer.attention_weight = AttentionWeights(policy.config, weights.scale);
     layers.push_back(std::move(layer));
   }

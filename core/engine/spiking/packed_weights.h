@@ -9,12 +9,20 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/engine/spiking/aligned_vector.h"
 #include "core/engine/spiking/arithmetic.h"
 #include "core/engine/spiking/packed_linear.h"
 #include "core/model/policy.h"
 #include "core/neuron/period_table.h"
 
 namespace spikeserve {
+
+// The outcome of a feed-forward block whose neurons receive no spike: only their biases act.
+struct SilentFeedForward {
+  uint64_t spikes = 0;          // of the hidden neurons
+  uint64_t products = 0;        // of ffn_output
+  AlignedVector<float> update;  // [pad(d)]: of ffn_output
+};
 
 // The packed weights of one layer.
 template <class Arithmetic>
@@ -30,6 +38,7 @@ struct PackedLayer {
   PackedLinear attention_output;
   typename Arithmetic::Population ffn_hidden;
   typename Arithmetic::Output ffn_output;
+  SilentFeedForward silent_ffn;
   // [H][d_h + 1]: exp(-|c_h| distance), where the distance is that of an overlap from the best one.
   std::vector<float> attention_weight;
 };

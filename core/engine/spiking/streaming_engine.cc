@@ -149,13 +149,9 @@ class TokenPass {
                                                : packed_.embed_action;
   }
 
-  // `input` is an array of float, or of spike counts for an integer map. Returns the number of
-  // multiply-accumulates, which it also counts.
-  uint64_t Affine(const auto& map, const auto* input, AlignedVector<float>& output) {
+  void Affine(const PackedLinear& map, const float* input, AlignedVector<float>& output) {
     output.resize(map.width);
-    const uint64_t products = kernels::Affine(map, input, output.data());
-    counts().multiply_accumulates += products;
-    return products;
+    counts().multiply_accumulates += kernels::Affine(map, input, output.data());
   }
 
   void Normalize(const Norm& norm) {
@@ -295,6 +291,17 @@ class TokenPass {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
     Code(weights.ffn_coder, 2 * layer + 1, Stage::kFfnIn);
+    const uint64_t products =
+        scratch_.spikes.groups().empty() ? SilentUpdate(packed.silent_ffn) : HiddenUpdate(packed);
+    counts().multiply_accumulates += products;
+    if (config_.arithmetic == spikeserve::Arithmetic::kInt8) {
+      counts().integer_multiply_accumulates += products;
+    }
+    AddResidual(weights.ffn_norm);
+  }
+
+  // Computes W2 (spike count / T) + b2 from the coder's spikes. Returns the number of products.
+  uint64_t HiddenUpdate(const PackedLayer<Arithmetic>& packed) {
     const Population& population = packed.ffn_hidden;
     scratch_.hidden.resize(population.width);
     const Drive& drive =
@@ -302,11 +309,15 @@ class TokenPass {
     counts().spikes(Stage::kFfnHidden) +=
         kernels::LifActivity(lif_, population, drive, scratch_.hidden.data());
     counts().accumulates += scratch_.spikes.Products(population.nonzero, nullptr);
-    const uint64_t products = Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update);
-    if (config_.arithmetic == spikeserve::Arithmetic::kInt8) {
-      counts().integer_multiply_accumulates += products;
-    }
-    AddResidual(weights.ffn_norm);
+    scratch_.update.resize(packed.ffn_output.width);
+    return kernels::Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update.data());
+  }
+
+  // The same if the coder is silent.
+  uint64_t SilentUpdate(const SilentFeedForward& silent) {
+    counts().spikes(Stage::kFfnHidden) += silent.spikes;
+    scratch_.update = silent.update;
+    return silent.products;
   }
 
   void AddResidual(const Norm& norm) {

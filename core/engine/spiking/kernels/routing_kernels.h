@@ -12,7 +12,8 @@
 namespace spikeserve::kernels {
 
 // Replaces the first `size` entries of each of `count` rows [stride] by their softmax. Overwrites
-// the other entries of a row with unspecified values. REQUIRES: `stride` is a multiple of kRoutingLanes.
+// the other entries of a row with unspecified values. REQUIRES: `stride` is a multiple of
+// kRoutingLanes.
 void Softmax(float* rows, int count, int stride, int size);
 
 // The outputs of the heads for one token, at the ticks at which at least one of them can be
