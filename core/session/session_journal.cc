@@ -21,12 +21,13 @@ absl::Status MissingError() {
 }  // namespace
 
 SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decisions,
-                               JournalWriter* writer)
+                               JournalWriter* writer, int entries)
     : key_(std::move(key)),
       is_sync_(durability == Durability::kSync),
       writer_(*writer),
       durable_decisions_(decisions),
-      decisions_(decisions) {}
+      decisions_(decisions),
+      entries_(entries) {}
 
 absl::Status SessionJournal::CheckWritable() const {
   if (is_sync_) {

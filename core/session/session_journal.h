@@ -47,9 +47,10 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
     std::string policy_file = "";
   };
 
-  // `decisions` are those that the store has. `writer` must outlive the journal. REQUIRES:
-  // `durability` is not kNone.
-  SessionJournal(Key key, Durability durability, uint64_t decisions, JournalWriter* writer);
+  // `decisions` are those that the store has, `entries` of them since its last snapshot. `writer`
+  // must outlive the journal. REQUIRES: `durability` is not kNone.
+  SessionJournal(Key key, Durability durability, uint64_t decisions, JournalWriter* writer,
+                 int entries = 0);
 
   const Key& key() const { return key_; }
   bool is_sync() const { return is_sync_; }
@@ -113,7 +114,7 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   std::atomic<bool> lost_ = false;
   std::atomic<bool> missing_ = false;  // the store has lost the journal
   std::atomic<uint64_t> decisions_;    // with those that are not stored yet
-  int entries_ = 0;                    // since the last snapshot; of the session's lock
+  int entries_;                        // since the last snapshot; of the session's lock
 
   mutable absl::Mutex mutex_;
   uint64_t written_ ABSL_GUARDED_BY(mutex_) = 0;

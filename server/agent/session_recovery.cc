@@ -101,18 +101,19 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
         "session_id: expected a session whose policy this server had when it asked the store; try "
         "again");
   }
-  journals_.CountReplayed(journal->entries.size());
+  const size_t entries = journal->entries.size();
+  journals_.CountReplayed(entries);
   auto session = RestoreSession(*std::move(journal), (*served)->policy());
   if (!session.ok()) return session.status();
 
   SessionExtras extras;
   extras.quota = std::move(quota);
-  extras.journal =
-      std::make_shared<SessionJournal>(SessionJournal::Key{.id = key.second,
-                                                           .tenant = key.first,
-                                                           .epoch = claimed->epoch,
-                                                           .policy_file = PolicyFileOf(**served)},
-                                       options.durability, session->decisions, &journals_);
+  extras.journal = std::make_shared<SessionJournal>(
+      SessionJournal::Key{.id = key.second,
+                          .tenant = key.first,
+                          .epoch = claimed->epoch,
+                          .policy_file = PolicyFileOf(**served)},
+      options.durability, session->decisions, &journals_, static_cast<int>(entries));
   if (recordings_ != nullptr && !options.recording.empty()) {
     extras.recorder = recordings_->Record(*served, options.recording);
   }

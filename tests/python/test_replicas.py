@@ -345,6 +345,29 @@ def test_the_state_of_a_session_whose_episode_ended_elsewhere(fleet, durability)
         assert comparable_state(session.state(include_head_delta=True)) == expected
 
 
+def test_the_journal_of_a_session_that_moves_all_the_time_stays_short(fleet):
+    """Each owner writes one entry, and still a snapshot follows after sixteen of them."""
+    with (
+        spikeserve.Client(fleet.replicas[0].address, OPTIONS) as first,
+        spikeserve.Client(fleet.replicas[1].address, OPTIONS) as second,
+    ):
+        session_id = first.open_session("cartpole", options_of(0, "SYNC")).session_id
+        lengths = []
+        for t in range(40):
+            session = spikeserve.Session((first, second)[t % 2], session_id, step=t)
+            session.act(observation(0, t), reward(t))
+            lengths.append(journal_length(fleet, session_id))
+        assert max(lengths) == 16, lengths
+
+
+def journal_length(fleet, session_id):
+    """Returns how many records Redis has of a session, whose list has the name of its last epoch."""
+    script = f"local names = redis.call('KEYS', 'ss:{{{session_id}}}:[0-9]*') return redis.call('LLEN', names[1])"
+    with socket.create_connection((fleet.redis.host, fleet.redis.port)) as connection:
+        connection.sendall(f'EVAL "{script}" 0\r\n'.encode())
+        return int(connection.recv(16)[1:])
+
+
 def store_has(fleet, session, decisions):
     """Returns whether Redis has the decisions of a session: its journal has a snapshot and an entry for each."""
     with socket.create_connection((fleet.redis.host, fleet.redis.port)) as connection:
