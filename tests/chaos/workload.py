@@ -2,6 +2,7 @@
 
 import asyncio
 import collections
+import contextlib
 import hashlib
 import time
 import typing
@@ -10,6 +11,7 @@ import spikeserve
 from replicated import comparable, comparable_state, observation, options_of, policy_of, reward
 
 GROUP = 32  # sessions of a batch, or of a stream
+GROUPS_OF_A_CLIENT = 64  # a server allows 100 streams a connection, and a client has one to each server
 KINDS = ("calls", "batches", "streams")
 EPISODE = 50  # decisions
 LEVELS = ("ASYNC", "SYNC")
@@ -69,9 +71,16 @@ class Workload:
         ]
         play = {"calls": self._play_calls, "batches": self._play_batches, "streams": self._play_stream}
         players = [play[kind] for kind in self.kinds]
-        async with spikeserve.AsyncClient(servers, self._options_of_client) as client:
+        async with contextlib.AsyncExitStack() as stack:
+            clients = [
+                await stack.enter_async_context(spikeserve.AsyncClient(servers, self._options_of_client))
+                for _ in range(0, len(groups), GROUPS_OF_A_CLIENT)
+            ]
             await asyncio.gather(
-                *(players[n % len(players)](client, group) for n, group in enumerate(groups))
+                *(
+                    players[n % len(players)](clients[n // GROUPS_OF_A_CLIENT], group)
+                    for n, group in enumerate(groups)
+                )
             )
 
     async def _steps(self, first):
