@@ -62,6 +62,7 @@ AttentionCache::AttentionCache(const ModelConfig& config, int slots)
       occupied_(static_cast<size_t>(ticks_) * heads_ * slots / kWordSlots, 0u),
       changed_(sets_),
       spikes_(slots) {
+  free_.reserve(2 * static_cast<size_t>(ticks_) * heads_);  // all planes
   for (Planes* planes : {&keys_, &values_}) {
     planes->number.assign(static_cast<size_t>(ticks_) * heads_, kNoPlane);
     planes->exist.assign(sets_, 0u);
