@@ -117,7 +117,7 @@ class JournalStore final : public JournalWriter {
   absl::Mutex mutex_;
   SteadyCondition changed_;  // IsUrgent() or `stopping_`
   Work queue_ ABSL_GUARDED_BY(mutex_);
-  bool hurried_ ABSL_GUARDED_BY(mutex_) = false;
+  bool hurried_ ABSL_GUARDED_BY(mutex_) = false;  // an answer waits for a record in the queue
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   absl::Duration stop_by_ ABSL_GUARDED_BY(mutex_);
   std::thread thread_;  // declared last, because it uses the members above

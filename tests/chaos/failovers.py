@@ -21,7 +21,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
 
 from redis_servers import PASSWORD, Redis, Sentinel, is_watched, primary_port, stopping
 from restartable_server import RestartableServer
-from security import until as until_now
+from security import until
 from serving import running_server
 
 from tests.chaos.workload import Workload
@@ -29,11 +29,6 @@ from tests.chaos.workload import Workload
 RATE = 10.0  # decisions a second of a session, at most
 SECONDS = 5.0  # until clients give up a server that says nothing
 SERVERS = 2
-
-
-def until(condition):
-    """Waits until `condition()` is true, with pauses for the sessions that play."""
-    until_now(lambda: condition() or time.sleep(0.05))
 
 
 class WatchedRedis:

@@ -99,6 +99,7 @@ def until(condition, seconds=120):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"the condition was false for {seconds} s"
+        time.sleep(0.01)  # leaves the processor to those who make it true
 
 
 def openssl(*arguments, cwd):
