@@ -176,8 +176,9 @@ class ForwardPass {
 
 }  // namespace
 
-TorchModel::TorchModel(Policy policy, const Surrogate& surrogate)
-    : policy_(std::move(policy)), surrogate_(surrogate), parameters_(policy_) {}
+TorchModel::TorchModel(Policy policy, const Surrogate& surrogate, const PatchShape& patches,
+                       uint64_t seed)
+    : policy_(std::move(policy)), surrogate_(surrogate), parameters_(policy_, patches, seed) {}
 
 ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
   return ForwardPass(policy_, parameters_, surrogate_, clips).Run();

@@ -46,8 +46,11 @@ struct ModelOutput {
 
 class TorchModel {
  public:
-  // Copies the policy's weights as initial parameters. REQUIRES: a valid policy.
-  TorchModel(Policy policy, const Surrogate& surrogate);
+  // Copies the policy's weights as initial parameters. With patches, the state embedding starts
+  // from random patch maps that are drawn from `seed`. REQUIRES: a valid policy, and patches that
+  // are not used or valid for it.
+  TorchModel(Policy policy, const Surrogate& surrogate, const PatchShape& patches = {},
+             uint64_t seed = 0);
 
   // Runs the model on all clips; records the autograd graph unless gradients are disabled.
   ModelOutput Forward(const ClipTensors& clips) const;
