@@ -14,7 +14,9 @@ namespace {
 constexpr double kPi = std::numbers::pi;
 constexpr float kCurrent = 1.5f;   // of a neuron that fires, in thresholds
 constexpr float kSilence = -0.2f;  // of a neuron that does not, against the current of the coder
-constexpr float kScale = 1.0f;     // of the attention scores
+// Attention score at the right timestep less the mean score at all others. The softmax gives such a
+// timestep most of the weight in a window of thousands.
+constexpr float kMargin = 10.0f;
 
 // Returns the share of time for which two square waves with this phase shift are equal.
 double Agreement(double shift) {
@@ -85,7 +87,9 @@ absl::Status LookBack(int delay, Policy* policy) {
     FireWith(config, row, k, between, &layer.query);
     FireWith(config, row, k, !between, &layer.key);
   }
-  std::fill(layer.scale.values.begin(), layer.scale.values.end(), kScale);
+  // Half of a head's neurons fire together at the right timestep, and a quarter at all others.
+  const float scale = kMargin / (static_cast<float>(config.head_size()) / 4.0f);
+  std::fill(layer.scale.values.begin(), layer.scale.values.end(), scale);
   return absl::OkStatus();
 }
 

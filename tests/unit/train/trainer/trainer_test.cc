@@ -221,7 +221,10 @@ Dataset RecallDataset(int delay) {
                      .episodes = {}};
   constexpr int kSteps = 40;
   for (uint64_t seed = 0; seed < 60; ++seed) {
-    Episode episode = {.actor = "expert", .seed = seed, .observations = {}, .terminated = true};
+    Episode episode;
+    episode.actor = "expert";
+    episode.seed = seed;
+    episode.terminated = true;
     std::vector<int> seen;
     for (uint64_t t = 0; t <= kSteps; ++t) {
       seen.push_back(static_cast<int>(RandomBits({seed, t}) % 2));
@@ -246,7 +249,9 @@ double RecallLoss(const EpisodeSource& source, std::optional<int> lookback) {
   config.layers = 1;
   config.context = 21;
   Policy initial = InitialPolicy(config, source, /*seed=*/1);
-  if (lookback.has_value()) EXPECT_TRUE(LookBack(*lookback, &initial).ok());
+  if (lookback.has_value()) {
+    EXPECT_TRUE(LookBack(*lookback, &initial).ok());
+  }
   Trainer trainer(initial, source, With([](TrainOptions& o) {
                     o.iterations = 120;
                     o.batch = 4;
