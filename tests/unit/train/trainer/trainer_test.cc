@@ -6,14 +6,12 @@
 #include <filesystem>
 #include <fstream>
 #include <functional>
-#include <optional>
 #include <utility>
 
-#include "core/math/counter_random.h"
+#include "core/neuron/phase.h"
 #include "tests/support/small_policy.h"
 #include "train/data/minari_writer.h"
 #include "train/data/record.h"
-#include "train/trainer/initial_policy.h"
 #include "train/trainer/lookback.h"
 
 namespace spikeserve {
@@ -212,63 +210,51 @@ INSTANTIATE_TEST_SUITE_P(Modes, TrainerModeTest,
                                          Mode::kDense),
                          [](const auto& test) { return std::string(ToString(test.param)); });
 
-// Returns episodes in which the action is what was observed `delay` steps before, or 0 at first.
-Dataset RecallDataset(int delay) {
-  Dataset dataset = {.environment = "Recall-v0",
-                     .observation_size = 2,
-                     .action_space = ActionSpace::Discrete(2),
-                     .recipe = {},
-                     .episodes = {}};
-  constexpr int kSteps = 40;
-  for (uint64_t seed = 0; seed < 60; ++seed) {
-    Episode episode;
-    episode.actor = "expert";
-    episode.seed = seed;
-    episode.terminated = true;
-    std::vector<int> seen;
-    for (uint64_t t = 0; t <= kSteps; ++t) {
-      seen.push_back(static_cast<int>(RandomBits({seed, t}) % 2));
-      episode.observations.push_back(static_cast<float>(seen.back()));
-      episode.observations.push_back(static_cast<float>(1 - seen.back()));
-    }
-    for (int t = 0; t < kSteps; ++t) {
-      episode.actions.push_back({.discrete = t < delay ? 0 : seen[t - delay], .continuous = {}});
-      episode.rewards.push_back(0.0);
-    }
-    dataset.episodes.push_back(std::move(episode));
+// Returns the share of the generators whose spikes at `timestep` and `distance` steps before are
+// those of a neuron that fires with a generator and one that fires between its spikes.
+double Match(const Policy& policy, int timestep, int distance) {
+  const Weights& weights = policy.weights;
+  int matches = 0;
+  for (int k = 0; k < policy.config.heads; ++k) {
+    const float omega = weights.phase_omega.values[k], phi = weights.phase_phi.values[k];
+    matches += PhaseSpike(omega, phi, timestep) != PhaseSpike(omega, phi, timestep - distance);
   }
-  return dataset;
+  return static_cast<double>(matches) / policy.config.heads;
 }
 
-// Trains a small policy to recall, and returns its validation loss: 0.5 ln 2 if it cannot.
-double RecallLoss(const EpisodeSource& source, std::optional<int> lookback) {
+TEST(LookBackTest, QueriesMatchTheKeysOfOneTimestepAlone) {
   ModelConfig config = SmallConfig(Mode::kPos);
   config.hidden_size = 64;
-  config.ffn_size = 64;
-  config.heads = 4;
-  config.layers = 1;
-  config.context = 21;
-  Policy initial = InitialPolicy(config, source, /*seed=*/1);
-  if (lookback.has_value()) {
-    EXPECT_TRUE(LookBack(*lookback, &initial).ok());
+  config.heads = 8;
+  config.context = 64;
+  for (const int delay : {31, 63}) {
+    Policy policy = SmallPolicy(config);
+    ASSERT_TRUE(LookBack(delay, &policy).ok());
+    EXPECT_TRUE(policy.Validate().ok());
+    std::vector<double> mean(config.context);
+    for (int t = config.context; t < 264; ++t) {
+      for (int distance = 0; distance < config.context; ++distance) {
+        mean[distance] += Match(policy, t, distance) / 200;
+      }
+    }
+    for (int distance = 0; distance < config.context; ++distance) {
+      if (distance == delay) {
+        EXPECT_GT(mean[distance], 0.99);
+      } else if (distance < delay) {
+        EXPECT_LT(mean[distance], 0.75) << delay << " " << distance;
+      }
+    }
+    const LayerWeights& layer = policy.weights.layers[0];
+    const int inputs = config.attention_inputs();
+    for (int row = 0; row < config.hidden_size; ++row) {
+      for (int k = config.hidden_size; k < inputs; ++k) {
+        const size_t i = static_cast<size_t>(row) * inputs + k;
+        const float weight = layer.query.weight.values[i];
+        EXPECT_EQ(weight, -layer.key.weight.values[i]);
+        EXPECT_EQ(weight != 0.0f, k - config.hidden_size == row % config.heads);
+      }
+    }
   }
-  Trainer trainer(initial, source, With([](TrainOptions& o) {
-                    o.iterations = 120;
-                    o.batch = 4;
-                    o.clip_steps = 40;
-                    o.learning_rate = 3e-3;
-                    o.warmup = 10;
-                    o.surrogate.slope = 4.0f;
-                  }));
-  while (!trainer.done()) trainer.Step();
-  return trainer.ValidationLoss();
-}
-
-TEST(LookBackTest, ADistantStepIsFoundOnlyWhereAttentionLooksAtFirst) {
-  constexpr int kDelay = 20;
-  const EpisodeSource source(RecallDataset(kDelay));
-  EXPECT_LT(RecallLoss(source, kDelay), 0.1);
-  EXPECT_GT(RecallLoss(source, std::nullopt), 0.3);
 }
 
 TEST(PatchTest, TheExportedEmbeddingIsTheProductOfTheTrainedMaps) {
