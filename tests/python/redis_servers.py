@@ -12,6 +12,7 @@ import pytest
 from security import make_authority, make_certificate, until
 
 PASSWORD = "secret"
+DURABLE = ("--appendonly", "yes", "--appendfsync", "everysec")  # keeps its keys when it is killed and started again
 SLOTS = 16384
 WITHOUT_REDIS = pytest.mark.skipif(shutil.which("redis-server") is None, reason="without redis-server")
 
@@ -33,9 +34,12 @@ def read_reply(lines):
 
 
 class Redis:
-    """A Redis server without files. `certificates`: the folder of make_certificates(), for TLS."""
+    """A Redis server. `certificates`: the folder of make_certificates(), for TLS.
 
-    def __init__(self, *flags, password=PASSWORD, certificates=None):
+    It forgets everything when it is killed, unless `flags` has DURABLE.
+    """
+
+    def __init__(self, *flags, password=PASSWORD, certificates=None, host="127.0.0.1"):
         self.port = free_port()
         self.password = password
         self.certificates = certificates
@@ -49,7 +53,7 @@ class Redis:
         self.folder = tempfile.TemporaryDirectory()  # a replica writes what it gets from its primary
         secret = ["--requirepass", password, "--masterauth", password] if password else []
         self.program = [
-            *("redis-server", "--bind", "127.0.0.1", *port),
+            *("redis-server", "--bind", host, "--protected-mode", "no", *port),
             *("--save", "", "--appendonly", "no", "--dir", self.folder.name, *secret, *flags),
         ]
         self.start()

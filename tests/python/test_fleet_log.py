@@ -156,9 +156,8 @@ def test_contributions_arrive_once_while_replicas_are_killed():
             with grpc.insecure_channel(replica.address) as channel:
                 head = Service(channel, ADMIN).GetHead(policy="cartpole", version=1, include_weights=True)
             heads.append((head.delta[:], head.updates, head.rejected_updates, head.rollbacks, head.watched_return))
-        markers = command(fleet.redis.port, "KEYS fc:*")
-        [log] = command(fleet.redis.port, "KEYS fl:{cartpole@1}:*")
-        entries = command(fleet.redis.port, f"XLEN {log.decode()}")
+        markers = fleet.redis.command("KEYS fc:*")
+        entries = entries_of(fleet.redis)
     expected = {f"fc:{{cartpole@1}}:{session}:{episode}" for session in sessions for episode in range(EPISODES)}
     assert {marker.decode() for marker in markers} == expected
     assert entries == len(expected) == LEARNERS * EPISODES
@@ -166,12 +165,6 @@ def test_contributions_arrive_once_while_replicas_are_killed():
     assert rollbacks == 0 and updates > 0 and updates + rejected == LEARNERS * EPISODES
     assert any(delta)
     assert heads[1] == heads[0] and heads[2] == heads[0]
-
-
-def command(port, words):
-    redis = Redis.__new__(Redis)
-    redis.port, redis.password, redis.certificates = port, "", None
-    return redis.command(words)
 
 
 def test_what_one_replica_does_all_see(start):
