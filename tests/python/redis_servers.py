@@ -110,16 +110,16 @@ def make_certificates(path):
 
 
 class Sentinel:
-    """Watches a primary, whose failure it decides with `quorum` others after half a second."""
+    """Watches a primary, whose failure it decides with `quorum` others when it was silent for `silence` milliseconds."""
 
-    def __init__(self, folder, primary, quorum):
+    def __init__(self, folder, primary, quorum, silence=500):
         self.port = free_port()
         file = folder / f"sentinel-{self.port}.conf"
         file.write_text(
             f"bind 127.0.0.1\nport {self.port}\ndir {folder}\n"
             f"sentinel monitor mymaster 127.0.0.1 {primary.port} {quorum}\n"
             f"sentinel auth-pass mymaster {PASSWORD}\n"
-            "sentinel down-after-milliseconds mymaster 500\nsentinel failover-timeout mymaster 2000\n"
+            f"sentinel down-after-milliseconds mymaster {silence}\nsentinel failover-timeout mymaster 2000\n"
         )
         self.process = subprocess.Popen(["redis-server", str(file), "--sentinel"], stdout=subprocess.DEVNULL)
 
