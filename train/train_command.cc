@@ -10,8 +10,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
+#include "core/model/quantize.h"
 #include "train/commands.h"
 #include "train/data/minari_layout.h"
 #include "train/data/minari_reader.h"
@@ -62,10 +64,13 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
   double shown_loss = -1.0;
   double validation = -1.0;
   while (!trainer->done()) {
-    const Trainer::StepReport step = trainer->Step();
-    shown_loss = shown_loss < 0.0 ? step.loss : shown_loss + kForget * (step.loss - shown_loss);
+    const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
     const int iteration = trainer->iteration();
-    if (!std::isfinite(step.loss)) {
+    if (!step.ok()) {
+      return Annotate(step.status(), absl::StrCat("--arithmetic=int8: iteration ", iteration));
+    }
+    shown_loss = shown_loss < 0.0 ? step->loss : shown_loss + kForget * (step->loss - shown_loss);
+    if (!std::isfinite(step->loss)) {
       return absl::InternalError(absl::StrCat("the loss is not finite at iteration ", iteration,
                                               "; try a lower --learning_rate"));
     }
@@ -79,7 +84,7 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     const std::string held_out =
         validation < 0.0 ? "" : absl::StrFormat(", validation %.4f", validation);
     progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
-                                               held_out, step.hinge));
+                                               held_out, step->hinge));
   }
   // A run that was resumed after its last iteration has not validated yet.
   if (validation < 0.0 && trainer->has_validation()) validation = trainer->ValidationLoss();
@@ -214,8 +219,13 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const Dataset&
   }
   absl::StatusOr<Policy> policy =
       flags.init.empty() ? NewPolicy(flags, dataset) : GivenPolicy(flags, dataset);
-  if (policy.ok() && flags.target_return.has_value()) {
+  if (!policy.ok()) return policy;
+  if (flags.target_return.has_value()) {
     policy->target_return = static_cast<float>(*flags.target_return);
+  }
+  if (flags.trainer.options.arithmetic == Arithmetic::kInt8) {
+    const absl::Status rounded = Quantize(*policy).status();
+    if (!rounded.ok()) return Annotate(rounded, "--arithmetic=int8");
   }
   return policy;
 }
@@ -293,6 +303,8 @@ void AddFlags(Command command, TrainFlags* flags) {
   AddModeFlag(shape, &flags->shape);
   AddShapeFlags(shape, &flags->shape);
   shape
+      .Add("arithmetic", EnumKind<Arithmetic>(), &flags->trainer.options.arithmetic,
+           "Numbers of the spike-driven parts")
       .Add("return_offset", "RETURN", &flags->return_offset,
            "Offset of the return token; default: by environment")
       .Add("return_scale", "RETURN", &flags->return_scale,

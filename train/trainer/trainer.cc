@@ -81,7 +81,7 @@ absl::Status TrainOptions::Validate() const {
 
 std::string TrainOptions::ToFlags() const {
   const std::string surrogate_name(ToString(surrogate.kind));
-  return absl::StrFormat(
+  std::string flags = absl::StrFormat(
       "--seed=%d --iterations=%d --batch=%d --clip_steps=%d --learning_rate=%g --weight_decay=%g "
       "--warmup=%d --clip_norm=%g --action_noise=%g --validation=%g --target_rate=%g "
       "--readout_rate=%g --spike_penalty=%g --operation_penalty=%g --surrogate=%s "
@@ -89,6 +89,11 @@ std::string TrainOptions::ToFlags() const {
       seed, iterations, batch, clip_steps, learning_rate, weight_decay, warmup, clip_norm,
       action_noise, validation, 100.0 * rate_targets.hidden, 100.0 * rate_targets.readout,
       spike_penalty, operation_penalty, surrogate_name, surrogate.slope);
+  // Runs of programs without this flag stay the same runs.
+  if (arithmetic != Arithmetic::kFloat32) {
+    absl::StrAppend(&flags, " --arithmetic=", std::string(ToString(arithmetic)));
+  }
+  return flags;
 }
 
 // AdamW with two parameter groups: the phase generators, with a learning rate of their own and no
@@ -128,7 +133,7 @@ Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& opt
       config_(initial.config),
       action_space_(dataset.action_space),
       observation_size_(dataset.observation_size),
-      model_(initial, options.surrogate),
+      model_(initial, options.surrogate, options.arithmetic),
       training_(dataset, SplitEpisodes(dataset, options.validation).training,
                 ClipSteps(options, initial.config)),
       validation_(ValidationSampler(dataset, SplitEpisodes(dataset, options.validation),
@@ -171,7 +176,7 @@ void Trainer::SetLearningRate() {
   if (groups.size() > 1) groups[1].options().set_lr(kPhaseRateFactor * rate);
 }
 
-Trainer::StepReport Trainer::Step() {
+absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   const uint64_t key =
       RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
   const Batch batch = MakeBatch(training_, key, options_.action_noise);
@@ -194,6 +199,7 @@ Trainer::StepReport Trainer::Step() {
   SetLearningRate();
   optimizer_->adamw.step();
   ++iteration_;
+  if (absl::Status status = model_.Round(); !status.ok()) return status;
   return report;
 }
 
@@ -253,10 +259,10 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
     const torch::NoGradGuard no_gradient;
     for (const auto& [name, tensor] : loaded) model_.parameters()[name].copy_(tensor);
     iteration_ = static_cast<int>(iteration.toInt());
+    return model_.Round();
   } catch (const c10::Error&) {
     return absl::FailedPreconditionError(absl::StrCat(path, ": not a checkpoint of this model"));
   }
-  return absl::OkStatus();
 }
 
 }  // namespace spikeserve

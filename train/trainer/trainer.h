@@ -15,6 +15,7 @@
 #include <string>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "core/model/policy.h"
 #include "train/data/clip_sampler.h"
 #include "train/data/dataset.h"
@@ -39,18 +40,20 @@ struct TrainOptions {
   double spike_penalty = 1.0;   // weight of the penalty on firing rates
   double operation_penalty = 0.0;  // weight of the penalty on synaptic operations; grows alike
   Surrogate surrogate;
+  Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
 
   // Returns INVALID_ARGUMENT with the option, the expected and the received value.
   absl::Status Validate() const;
 
-  // Returns the flags of `spiketrain train` for these options, including defaults.
+  // Returns the flags of `spiketrain train` for these options, including defaults except that of
+  // `arithmetic`.
   std::string ToFlags() const;
 };
 
 class Trainer {
  public:
-  // Keeps a reference to `dataset`. REQUIRES: valid options, and a valid policy for the dataset's
-  // environment.
+  // Keeps a reference to `dataset`. REQUIRES: valid options, and a valid policy in float32 for the
+  // dataset's environment; with Arithmetic::kInt8 one that Quantize() accepts.
   Trainer(Policy initial, const Dataset& dataset, const TrainOptions& options);
   ~Trainer();
 
@@ -58,8 +61,10 @@ class Trainer {
     double loss = 0.0;   // imitation loss
     double hinge = 0.0;  // sum of the excess of firing rates over their targets
   };
-  // Runs one iteration: draws a batch of clips and updates the weights. REQUIRES: !done().
-  StepReport Step();
+  // Runs one iteration: draws a batch of clips and updates the weights. Returns INVALID_ARGUMENT,
+  // which names the tensor, if 16 bits cannot hold the new weights with Arithmetic::kInt8.
+  // REQUIRES: !done().
+  absl::StatusOr<StepReport> Step();
 
   // Returns whether any episodes are held out.
   bool has_validation() const { return validation_ != nullptr; }
@@ -69,6 +74,7 @@ class Trainer {
 
   int iteration() const { return iteration_; }
   bool done() const { return iteration_ >= options_.iterations; }
+  // Returns the policy with the current weights, in the arithmetic of the options.
   Policy CurrentPolicy() const { return model_.CurrentPolicy(); }
 
   // Writes weights, optimiser state and iteration; there is no other state, because random draws
