@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import grpc
 import pytest
 import spikeserve
+from fleet_roles import new_session_id
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
 from replicated import running_fleet
 from security import ADMIN, HEALTH, SERVING, code_of, until
@@ -94,8 +95,9 @@ def logged(replica):
         return log.read()
 
 
-def open_learner(replica, seed=1):
-    return replica.OpenSession(policy="cartpole", version=1, seed=seed, learning=FLEET, **SAMPLING).session_id
+def open_learner(replica, seed=1, session_id=""):
+    fields = SAMPLING | {"learning": FLEET, "seed": seed, "session_id": session_id}
+    return replica.OpenSession(policy="cartpole", version=1, **fields).session_id
 
 
 def act(replica, session, steps=STEPS, reward=1.0):
@@ -374,7 +376,9 @@ def test_a_contribution_that_was_not_appended_is_repaired_once(redis, start):
 def test_the_summary_has_the_outcome_of_the_merge(redis, start):
     """Over its budget, a contribution is refused, as on one server."""
     first, second = start(), start()
-    sessions = [open_learner(replica, seed) for seed, replica in enumerate([first, second] * 3)]
+    # None of them is held out.
+    ids = [new_session_id() for _ in range(6)]
+    sessions = [open_learner(replica, session_id=each) for each, replica in zip(ids, [first, second] * 3, strict=True)]
     # Six contributors on two replicas: the head is protected, and one of them may give four episodes of a window.
     until(lambda: redis.command("KEYS fm:*") and redis.command(f"ZCARD {key_of(redis, 'fm')}") == 6)
     updates = []
