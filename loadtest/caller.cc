@@ -42,7 +42,7 @@ LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
   for (const auto& agent : agents_) Send(*agent, steady_clock::now());
   while (!in_flight_.empty() || (!stalled_.empty() && steady_clock::now() < end)) {
     if (!stalled_.empty() && steady_clock::now() < end) {
-      for (SimulatedAgent* agent : ResumeStalled()) Send(*agent, steady_clock::now());
+      ResumeStalled();
     }
     if (in_flight_.empty()) continue;
     const auto reply = exchange_->Receive(stalled_.empty() ? patience_ : pause_after_error_);
@@ -51,12 +51,11 @@ LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
       if (!is_pause || steady_clock::now() >= end) FailRequestsInFlight(reply.status());
       continue;
     }
-    SimulatedAgent* agent = TakeReply(*reply);
+    SimulatedAgent* agent = TakeReply(*reply, end);
     const Time now = steady_clock::now();
     if (agent != nullptr && now < end) Send(*agent, now);
   }
-  report_.seconds = Seconds(steady_clock::now() - start);
-  return report_;
+  return FinishReport(start);
 }
 
 LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration duration) {
@@ -66,9 +65,7 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
   for (const auto& agent : agents_) free.push_back(agent.get());
   Time next = start + schedule.offset;  // due time of the next request to send
   while (!in_flight_.empty() || (next < end && !(free.empty() && stalled_.empty()))) {
-    if (!stalled_.empty() && next < end) {
-      for (SimulatedAgent* agent : ResumeStalled()) free.push_back(agent);
-    }
+    if (!stalled_.empty() && next < end) ResumeStalled();
     while (next < end && next <= steady_clock::now() && !free.empty()) {
       Send(*free.front(), next);
       free.pop_front();
@@ -83,13 +80,12 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
     }
     const auto reply = exchange_->Receive(pause);
     if (reply.ok()) {
-      if (SimulatedAgent* agent = TakeReply(*reply)) free.push_back(agent);
+      if (SimulatedAgent* agent = TakeReply(*reply, end)) free.push_back(agent);
     } else if (!waits_for_time || !absl::IsDeadlineExceeded(reply.status())) {
       FailRequestsInFlight(reply.status());
     }
   }
-  report_.seconds = Seconds(steady_clock::now() - start);
-  return report_;
+  return FinishReport(start);
 }
 
 void Caller::Send(SimulatedAgent& agent, Time due) {
@@ -101,7 +97,7 @@ void Caller::Send(SimulatedAgent& agent, Time due) {
   in_flight_.insert(&agent);
 }
 
-SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
+SimulatedAgent* Caller::TakeReply(const ActReply& reply, Time end) {
   SimulatedAgent& agent = *by_session_.at(reply.session_id);
   in_flight_.erase(&agent);
   if (!reply.response.ok()) {
@@ -112,9 +108,12 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
     }
     report_.CountError(status);
     if (pause_after_error_ > absl::ZeroDuration()) absl::SleepFor(pause_after_error_);
-    return &agent;
+    if (steady_clock::now() < end) Send(agent, agent.due);
+    return nullptr;
   }
-  report_.latency.Add(Seconds(reply.arrived - agent.due));
+  const double waited = Seconds(reply.arrived - agent.due);
+  report_.latency.Add(waited);
+  agent.longest_wait = std::max(agent.longest_wait, waited);
   ++report_.decisions;
   if (absl::Status status = agent.Accept(*reply.response); !status.ok()) {
     Fail(agent, status);
@@ -124,7 +123,7 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply) {
 }
 
 void Caller::Fail(SimulatedAgent& agent, const absl::Status& error) {
-  report_.CountError(error);
+  if (!IsBehind(error)) report_.CountError(error);
   const bool lost = IsSessionLost(error) && agent.reopens();
   if (lost || IsBehind(error) || IsTransient(error)) stalled_.push_back({&agent, error});
 }
@@ -133,17 +132,16 @@ void Caller::FailRequestsInFlight(const absl::Status& status) {
   for (SimulatedAgent* agent : std::exchange(in_flight_, {})) Fail(*agent, status);
 }
 
-std::vector<SimulatedAgent*> Caller::ResumeStalled() {
+void Caller::ResumeStalled() {
   absl::SleepFor(pause_after_error_);
   if (in_flight_.empty()) exchange_->Reset();
-  std::vector<SimulatedAgent*> resumed;
   for (const auto& [agent, error] : std::exchange(stalled_, {})) {
     const std::string before = agent->session_id();
     const absl::Status status = agent->Resume(error);
     by_session_.erase(before);
     by_session_[agent->session_id()] = agent;
     if (status.ok()) {
-      resumed.push_back(agent);
+      Send(*agent, agent->due);
       continue;
     }
     report_.CountError(status);
@@ -151,7 +149,12 @@ std::vector<SimulatedAgent*> Caller::ResumeStalled() {
     if (IsTransient(status)) stalled_.push_back({agent, IsSessionLost(error) ? error : status});
     if (IsBehind(status) || IsSessionLost(status)) stalled_.push_back({agent, status});
   }
-  return resumed;
+}
+
+LoadReport Caller::FinishReport(Time start) {
+  report_.seconds = Seconds(steady_clock::now() - start);
+  for (const auto& agent : agents_) report_.longest.Add(agent->longest_wait);
+  return report_;
 }
 
 absl::Status Caller::CloseSessions() {

@@ -7,9 +7,10 @@
 // for all requests that had to wait, not only for those in flight (this avoids "coordinated
 // omission").
 //
-// After a transient error an agent pauses and repeats the request. If the connection breaks, the
-// caller connects again; agents whose session was lost open a new one. After any other error an
-// agent sends no more requests.
+// After a transient error an agent pauses and repeats the request, whose latency still counts from
+// the time it was first due. If the connection breaks, the caller connects again; agents whose
+// session was lost open a new one. A server that misses decisions of a session gets them again,
+// which is no error. After any other error an agent sends no more requests.
 //
 // Not thread-safe; each caller runs on its own thread.
 #ifndef LOADTEST_CALLER_H_
@@ -63,14 +64,16 @@ class Caller {
   };
 
   // Records an answer. Returns the agent that may send its next request, or null if it may not send
-  // yet, or not any more.
-  SimulatedAgent* TakeReply(const ActReply& reply);
-  // Counts `error`. Stalls `agent` if it can be resumed.
+  // yet, or not any more. A request that failed is repeated before `end`.
+  SimulatedAgent* TakeReply(const ActReply& reply, Time end);
+  // Counts `error`, unless the server misses decisions. Stalls `agent` if it can be resumed.
   void Fail(SimulatedAgent& agent, const absl::Status& error);
   // Counts every request in flight as failed with `status`.
   void FailRequestsInFlight(const absl::Status& status);
-  // Resumes the stalled agents after a pause. Returns those that may send.
-  std::vector<SimulatedAgent*> ResumeStalled();
+  // Resumes the stalled agents after a pause and repeats their requests.
+  void ResumeStalled();
+  // Returns the measurements of a run that began at `start`.
+  LoadReport FinishReport(Time start);
 
   std::unique_ptr<Exchange> exchange_;
   absl::Duration pause_after_error_;

@@ -8,7 +8,8 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
-#include "absl/time/clock.h"
+#include "absl/time/time.h"
+#include "core/base/steady_wait.h"
 
 namespace spikeserve {
 namespace {
@@ -40,16 +41,15 @@ class UnaryExchange : public Exchange {
     void Push(ActReply reply) ABSL_LOCKS_EXCLUDED(mutex_) {
       absl::MutexLock lock(&mutex_);
       queue_.push_back(std::move(reply));
-      pushed_.Signal();
+      pushed_.NotifyAll();
     }
 
     absl::StatusOr<ActReply> Pop(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mutex_) {
       absl::MutexLock lock(&mutex_);
-      const absl::Time deadline = absl::Now() + timeout;
-      while (queue_.empty()) {
-        if (pushed_.WaitWithDeadline(&mutex_, deadline) && queue_.empty()) {
-          return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
-        }
+      const auto has_reply = [this]()
+                                 ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return !queue_.empty(); };
+      if (!pushed_.Wait(&mutex_, timeout, has_reply)) {
+        return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
       }
       ActReply reply = std::move(queue_.front());
       queue_.pop_front();
@@ -58,7 +58,7 @@ class UnaryExchange : public Exchange {
 
    private:
     absl::Mutex mutex_;
-    absl::CondVar pushed_;
+    SteadyCondition pushed_;
     std::deque<ActReply> queue_ ABSL_GUARDED_BY(mutex_);
   };
 

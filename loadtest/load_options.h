@@ -45,6 +45,7 @@ struct LoadOptions {
   int batch_size = 0;       // largest number of requests in a batch; 0: all agents of a caller
   // The pause of a caller after an error; 0: none, so a server that refuses requests is flooded.
   absl::Duration pause_after_error = absl::Milliseconds(10);
+  bool retry = false;              // the client repeats failed calls and reopens broken streams
   double rate = 0.0;               // requests per second of all callers; 0: closed loop
   double observation_bound = 1.0;  // largest absolute value of the random observations
   uint64_t seed = 0;               // of the observations

@@ -17,6 +17,7 @@ void LoadReport::Merge(const LoadReport& other) {
   errors += other.errors;
   seconds = std::max(seconds, other.seconds);
   latency.Merge(other.latency);
+  longest.Merge(other.longest);
 }
 
 double LoadReport::DecisionsPerSecond() const {
@@ -26,9 +27,11 @@ double LoadReport::DecisionsPerSecond() const {
 std::string LoadReport::ToText() const {
   constexpr double kMilli = 1e3;
   return absl::StrFormat(
-      "%d decisions in %.1f s, %.1f decisions/s\nlatency p50 %.3f ms, p99 %.3f ms\n%d errors\n",
+      "%d decisions in %.1f s, %.1f decisions/s\nlatency p50 %.3f ms, p99 %.3f ms\n"
+      "longest wait of a session p50 %.3f ms, p99 %.3f ms\n%d errors\n",
       decisions, seconds, DecisionsPerSecond(), latency.Quantile(0.5) * kMilli,
-      latency.Quantile(0.99) * kMilli, errors);
+      latency.Quantile(0.99) * kMilli, longest.Quantile(0.5) * kMilli,
+      longest.Quantile(0.99) * kMilli, errors);
 }
 
 nlohmann::ordered_json LoadReport::ToJson() const {
@@ -36,6 +39,8 @@ nlohmann::ordered_json LoadReport::ToJson() const {
           {"decisions_per_second", DecisionsPerSecond()},
           {"p50_seconds", latency.Quantile(0.5)},
           {"p99_seconds", latency.Quantile(0.99)},
+          {"longest_wait_p50_seconds", longest.Quantile(0.5)},
+          {"longest_wait_p99_seconds", longest.Quantile(0.99)},
           {"errors", errors}};
 }
 

@@ -18,6 +18,7 @@ struct LoadReport {
   int64_t errors = 0;        // failed attempts; a repeated request counts once per failure
   double seconds = 0.0;      // from the first request to the last answer
   LatencyHistogram latency;  // seconds from the time a request was due to the arrival of its answer
+  LatencyHistogram longest;  // the longest of these seconds of each session
   absl::Status first_error;  // OK if errors == 0
 
   void CountError(const absl::Status& error);
@@ -26,8 +27,8 @@ struct LoadReport {
   double DecisionsPerSecond() const;
 
   std::string ToText() const;
-  // Returns an object with `decisions`, `decisions_per_second`, `p50_seconds`, `p99_seconds` and
-  // `errors`.
+  // Returns an object with `decisions`, `decisions_per_second`, `p50_seconds`, `p99_seconds`,
+  // `longest_wait_p50_seconds`, `longest_wait_p99_seconds` and `errors`.
   nlohmann::ordered_json ToJson() const;
 };
 

@@ -77,9 +77,8 @@ LoadReport RunCallers(const LoadOptions& options, std::vector<Caller>& callers) 
 
 absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
   if (absl::Status status = options.Validate(); !status.ok()) return status;
-  // The client does not retry, so that every failure is counted.
   ClientOptions client_options;
-  client_options.retry.max_attempts = 1;
+  if (!options.retry) client_options.retry.max_attempts = 1;  // every failure is counted
   client_options.call_timeout = options.call_timeout;
   client_options.security = options.security;
   std::vector<std::unique_ptr<Client>> clients;

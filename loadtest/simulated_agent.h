@@ -45,6 +45,7 @@ class SimulatedAgent {
 
   // The time at which the request was due.
   std::chrono::steady_clock::time_point due;
+  double longest_wait = 0.0;  // seconds from the time a request was due to its decision
 
  private:
   absl::Status EndEpisode();

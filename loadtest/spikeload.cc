@@ -59,7 +59,9 @@ void AddLoadFlags(FlagGroup load, LoadOptions* options) {
       .Add("call_timeout", "DURATION", &options->call_timeout,
            "Time until a call fails; a stream has four times this")
       .Add("pause_after_error", "DURATION", &options->pause_after_error,
-           "Pause of a caller after a failure; 0: none");
+           "Pause of a caller after a failure; 0: none")
+      .AddSwitch("retry", &options->retry,
+                 "Repeat failed calls, as the client library does by default");
 }
 
 void AddAgentFlags(FlagGroup agents, LoadOptions* options) {

@@ -11,6 +11,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "core/base/status.h"
+#include "server/admin/head_metrics.h"
 #include "server/base/log.h"
 #include "server/rollouts/traffic_metrics.h"
 #include "server/services/service_name.h"
@@ -134,6 +135,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     recordings = *std::move(created);
   }
   metrics->AddSource([served = registry->get()] { return CollectTraffic(*served->catalog()); });
+  metrics->AddSource([served = registry->get()] { return CollectHeads(*served->catalog()); });
   auto server = std::unique_ptr<Server>(
       new Server(options, *std::move(authenticator), *std::move(registry), *std::move(audit_log),
                  std::move(metrics), std::move(recordings), *std::move(store)));

@@ -66,6 +66,8 @@ void AddFlags(Command command, TrainFlags* flags) {
   AddModeFlag(shape, &flags->shape);
   AddShapeFlags(shape, &flags->shape);
   shape
+      .Add("arithmetic", EnumKind<Arithmetic>(), &flags->trainer.options.arithmetic,
+           "Numbers of the spike-driven parts")
       .Add("lookback", "K", &flags->lookback,
            "Attention starts at the timestep K steps back; default: undirected")
       .AddList("image_shape", "H,W,C", &flags->image_shape, "Shape of observations that are images")

@@ -9,8 +9,10 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
+#include "core/model/quantize.h"
 #include "train/data/minari_layout.h"
 #include "train/data/minari_reader.h"
 #include "train/evaluation/evaluation.h"
@@ -41,10 +43,13 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
   double validation = -1.0;
   while (!trainer->done()) {
     if (auto status = trainer->ReadEpisodes(); !status.ok()) return status;
-    const Trainer::StepReport step = trainer->Step();
-    shown_loss = shown_loss < 0.0 ? step.loss : shown_loss + kForget * (step.loss - shown_loss);
+    const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
     const int iteration = trainer->iteration();
-    if (!std::isfinite(step.loss)) {
+    if (!step.ok()) {
+      return Annotate(step.status(), absl::StrCat("--arithmetic=int8: iteration ", iteration));
+    }
+    shown_loss = shown_loss < 0.0 ? step->loss : shown_loss + kForget * (step->loss - shown_loss);
+    if (!std::isfinite(step->loss)) {
       return absl::InternalError(absl::StrCat("the loss is not finite at iteration ", iteration,
                                               "; try a lower --learning_rate"));
     }
@@ -58,7 +63,7 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     const std::string held_out =
         validation < 0.0 ? "" : absl::StrFormat(", validation %.4f", validation);
     progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
-                                               held_out, step.hinge));
+                                               held_out, step->hinge));
   }
   // A run that was resumed after its last iteration has not validated yet.
   if (validation < 0.0 && trainer->has_validation()) {
@@ -169,8 +174,13 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeS
   absl::StatusOr<Policy> policy = flags.init.empty()
                                       ? NewPolicy(flags, source, patches)
                                       : GivenPolicy(flags, source.dataset().environment);
-  if (policy.ok() && flags.target_return.has_value()) {
+  if (!policy.ok()) return policy;
+  if (flags.target_return.has_value()) {
     policy->target_return = static_cast<float>(*flags.target_return);
+  }
+  if (flags.trainer.options.arithmetic == Arithmetic::kInt8) {
+    const absl::Status rounded = Quantize(*policy).status();
+    if (!rounded.ok()) return Annotate(rounded, "--arithmetic=int8");
   }
   return policy;
 }

@@ -31,11 +31,13 @@ std::string Why(TargetSource source, const Policy& policy) {
 std::string ShapeText(const Policy& policy) {
   const ModelConfig& config = policy.config;
   const ActionSpace& space = policy.action_space;
-  return absl::StrFormat(
+  const std::string shape = absl::StrFormat(
       "%d observations, %d %s; mode %s, hidden size %d, %d heads, %d layers, context %d, %d ticks",
       policy.observation_size(), space.size(), space.is_discrete() ? "actions" : "action elements",
       ToString(config.mode), config.hidden_size, config.heads, config.layers, config.context,
       config.ticks);
+  if (config.arithmetic == Arithmetic::kFloat32) return shape;
+  return absl::StrCat(shape, ", arithmetic ", std::string(ToString(config.arithmetic)));
 }
 
 // Returns how to play a policy in closed loop whose environment is not one of this program.

@@ -25,14 +25,19 @@ bool ContributionBudget::Take(const std::string& contributor, absl::Duration now
   }
   Account& account = accounts_[contributor];
   const int per_window = is_protected() ? kPerWindow : kTotalPerMinute;
-  if (account.suspended_windows > 0 || account.in_window >= per_window ||
-      account.in_minute >= kPerMinute || total_in_minute_ >= kTotalPerMinute) {
+  if (account.in_window >= per_window || account.in_minute >= kPerMinute ||
+      total_in_minute_ >= kTotalPerMinute) {
     return false;
   }
   ++account.in_window;
   ++account.in_minute;
   ++total_in_minute_;
   return true;
+}
+
+bool ContributionBudget::IsSuspended(const std::string& contributor) const {
+  const auto account = accounts_.find(contributor);
+  return account != accounts_.end() && account->second.suspended_windows > 0;
 }
 
 void ContributionBudget::OnWindowEnd(bool bad) {

@@ -2,15 +2,19 @@
 // the others nor flood the head.
 //
 //   budget.Join("a");
-//   if (budget.Take("a", now)) merge();
+//   if (budget.Take("a", now)) {
+//     if (!budget.IsSuspended("a")) merge();
+//     judge();
+//   }
 //   budget.OnWindowEnd(/*bad=*/false);  // when the guard has judged a window
 //
 // A contributor is a session, or, for a head that several tenants share, a tenant. Every
 // contributor may contribute kPerMinute times a minute, and all of them together kTotalPerMinute
 // times. A head with at least kProtectedMembers members is protected: of the ReturnGuard::kWindow
 // episodes of a window, one contributor may give kPerWindow, fewer than the quarter that the
-// interquartile mean leaves out. A contributor that has given as many in a window that was bad
-// contributes nothing to the next kSuspendedWindows windows.
+// interquartile mean leaves out. A contributor that has given as many in a window that was bad is
+// suspended for the next kSuspendedWindows windows: it contributes nothing, but its returns still
+// count. Otherwise no window would end while all contributors are suspended.
 //
 // Equal calls of Take() and OnWindowEnd() leave equal accounts, whichever process counts them: what
 // Join() and Leave() count matters only until CountMembers() is called.
@@ -51,9 +55,12 @@ class ContributionBudget {
   // Returns true if the head has enough members to be protected.
   bool is_protected() const { return counted_.value_or(members_.size()) >= kProtectedMembers; }
 
-  // Counts a contribution and returns true if it is within the budget. `now` is the time of a
+  // Counts an episode and returns true if it is within the budget. `now` is the time of a
   // monotonic clock, the same clock in every call.
   bool Take(const std::string& contributor, absl::Duration now);
+
+  // Returns true if the contributor has spoiled a window and must not contribute yet.
+  bool IsSuspended(const std::string& contributor) const;
 
   // Starts a new window. `bad`: the guard has restored an earlier head.
   void OnWindowEnd(bool bad);

@@ -4,12 +4,16 @@
 // episode itself and hands over their sum when the episode ends. A decision therefore copies one
 // pointer and does not wait for a merge, and a merge is one addition:
 //   W <- W + dW,   |dW| <= FleetOptions::clip,   |W - W_base| <= max_drift |W_base|
-// The order of the contributions changes each weight by at most kMergeTolerance, as long as neither
-// the limit of the drift nor the guard intervenes.
+// The order of the contributions changes each weight by at most kMergeTolerance, as long as none of
+// them is shortened and neither the limit of the drift nor a guard intervenes.
 //
-// A ContributionBudget bounds what one contributor can do. While a head with enough members to be
-// protected has no reference, its contributions are gathered and added at the end of the first
-// window, so that the reference is that of the policy's own head.
+// A ContributionBudget bounds what one contributor can do. A head with enough members is protected:
+// - A contribution that is much longer than those of the others is shortened (PeerNorms).
+// - While the head has no reference, contributions are gathered and added at the end of the first
+//   window, so that the reference is that of the policy's own head.
+// - Sessions that are held out contribute nothing (held_out.h). A second guard judges by their
+//   returns alone, which those who contribute cannot invent. The first guard judges by all returns
+//   and therefore decides sooner. After a rollback by one of them both start a new window.
 //
 // Equal sequences of Merge() and Rollback() leave heads that are equal bit for bit, in whichever
 // processes they run, if all of them pass the number of members.
@@ -30,6 +34,7 @@
 #include "absl/time/time.h"
 #include "core/learning/contribution_budget.h"
 #include "core/learning/head_update.h"
+#include "core/learning/peer_norms.h"
 #include "core/learning/return_guard.h"
 #include "core/model/policy.h"
 #include "core/model/weights.h"
@@ -56,8 +61,9 @@ class FleetHead {
     double drift = 0.0;     // |W - W_base| / |W_base|
     int64_t updates = 0;    // contributions merged since the last rollback
     int64_t rejected = 0;   // contributions refused since the head was created, for any reason
-    int64_t rollbacks = 0;  // by the guard or an operator, since the head was created
-    WindowLevel level;      // of the last window of episodes; see return_guard.h
+    int64_t trimmed = 0;    // contributions shortened since the head was created
+    int64_t rollbacks = 0;  // by a guard or an operator, since the head was created
+    WindowLevel level;      // of the last window of all returns; see return_guard.h
   };
 
   // Starts as the head of `policy`, which is shared and not copied.
@@ -66,30 +72,51 @@ class FleetHead {
   // Returns the current snapshot. Does not wait for a merge.
   std::shared_ptr<const Snapshot> Read() const;
 
+  // Where an episode comes from.
+  struct Source {
+    std::string contributor = "";               // empty: no client; no budget applies
+    bool held_out = false;                      // of the session, see held_out.h
+    absl::Duration now = absl::ZeroDuration();  // of a monotonic clock, the same in every call
+    // Contributors with a session in all processes that share the head; absent: the Members of this
+    // one.
+    std::optional<size_t> members = std::nullopt;
+  };
+
   struct Merged {
     UpdateOutcome outcome = UpdateOutcome::kApplied;
-    bool rolled_back = false;                  // the guard restored an earlier head
+    bool rolled_back = false;                  // a guard restored an earlier head
     std::shared_ptr<const Snapshot> snapshot;  // after the merge
   };
   // Adds the contribution [act * d] of one episode and passes the return of that episode to the
-  // guard, unless `contributor` has used up its budget. `now` is the time of a monotonic clock, the
-  // same clock in every call. `members` is the number of contributors with a session in all
-  // processes that share the head; absent: that of the Members of this one.
-  Merged Merge(const Eigen::VectorXf& contribution, double episode_return,
-               const std::string& contributor = "", absl::Duration now = absl::ZeroDuration(),
-               std::optional<size_t> members = std::nullopt);
+  // guards, unless the contributor has used up its budget.
+  Merged Merge(const Eigen::VectorXf& contribution, double episode_return, const Source& source);
+  Merged Merge(const Eigen::VectorXf& contribution, double episode_return) {
+    return Merge(contribution, episode_return, Source());
+  }
 
   // Returns contributors with a Member; see ContributionBudget::Members().
   std::vector<std::string> Members() const;
+  // Returns how many sessions of this process are held out: 0 while the head is not protected.
+  int64_t HeldOutSessions() const;
+
+  // A contribution that waits for the end of the first window.
+  struct Gathered {
+    std::string contributor;
+    Eigen::VectorXf delta;  // [act * d]
+  };
 
   // All that decides about the head and its later changes.
   struct State {
-    Eigen::VectorXf delta;     // [act * d]
-    Eigen::VectorXf gathered;  // [act * d]
-    ReturnGuard guard;
+    Eigen::VectorXf delta;  // [act * d]
+    std::vector<Gathered> gathered;
+    ReturnGuard guard;           // of all returns
+    ReturnGuard held_out_guard;  // of the returns of sessions that are held out
     ContributionBudget::State budget;
+    ContributionBudget::State held_out_budget;
+    PeerNorms::State norms;
     int64_t updates = 0;
     int64_t rejected = 0;
+    int64_t trimmed = 0;
     int64_t rollbacks = 0;
   };
   State state() const;
@@ -101,28 +128,36 @@ class FleetHead {
   // A session that decides with the head; protects the others by its presence (ContributionBudget).
   class Member {
    public:
-    Member(std::shared_ptr<FleetHead> head, std::string contributor);
+    Member(std::shared_ptr<FleetHead> head, std::string contributor, bool held_out);
     ~Member();
     Member(const Member&) = delete;
     Member& operator=(const Member&) = delete;
 
     FleetHead& head() const { return *head_; }
     const std::string& contributor() const { return contributor_; }
+    bool held_out() const { return held_out_; }
 
    private:
     const std::shared_ptr<FleetHead> head_;
     const std::string contributor_;
+    const bool held_out_;
   };
 
-  // Restores the head of the policy bit for bit and starts a new guard. Returns the snapshot before
+  // Restores the head of the policy bit for bit and starts new guards. Returns the snapshot before
   // the rollback.
   std::shared_ptr<const Snapshot> Rollback();
 
  private:
-  // Returns how a contribution that is within the budget was added.
-  UpdateOutcome Add(const Eigen::VectorXf& contribution) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-
-  // Starts a new window of the budget and adds what was gathered. `bad`: the guard has restored an
+  // Takes a contribution that is within the budget. Returns what became of it.
+  UpdateOutcome Take(const Eigen::VectorXf& contribution, const Source& source, bool held_out)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Adds a contribution to the head, shortened if the head is protected.
+  UpdateOutcome Add(const Eigen::VectorXf& contribution, const std::string& contributor)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Passes a return to the guards. Returns true if one of them restored an earlier head.
+  bool Judge(double episode_return, const Source& source, bool held_out)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Starts a new window of the budget and adds what was gathered. `bad`: a guard has restored an
   // earlier head.
   void EndWindow(bool bad) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
@@ -134,11 +169,16 @@ class FleetHead {
 
   mutable absl::Mutex mutex_;  // held for a whole merge
   Eigen::VectorXf delta_ ABSL_GUARDED_BY(mutex_);
-  Eigen::VectorXf gathered_ ABSL_GUARDED_BY(mutex_);  // [act * d]: to add after the first window
-  ReturnGuard guard_ ABSL_GUARDED_BY(mutex_);
+  std::vector<Gathered> gathered_ ABSL_GUARDED_BY(mutex_);
+  ReturnGuard guard_ ABSL_GUARDED_BY(mutex_);           // of all returns
+  ReturnGuard held_out_guard_ ABSL_GUARDED_BY(mutex_);  // of the sessions that are held out
   ContributionBudget budget_ ABSL_GUARDED_BY(mutex_);
+  ContributionBudget held_out_budget_ ABSL_GUARDED_BY(mutex_);  // always protected
+  PeerNorms norms_ ABSL_GUARDED_BY(mutex_);
+  int64_t held_out_sessions_ ABSL_GUARDED_BY(mutex_) = 0;  // Members
   int64_t updates_ ABSL_GUARDED_BY(mutex_) = 0;
   int64_t rejected_ ABSL_GUARDED_BY(mutex_) = 0;
+  int64_t trimmed_ ABSL_GUARDED_BY(mutex_) = 0;
   int64_t rollbacks_ ABSL_GUARDED_BY(mutex_) = 0;
 
   mutable absl::Mutex snapshot_mutex_ ABSL_ACQUIRED_AFTER(mutex_);  // held only to copy a pointer

@@ -15,12 +15,20 @@ enum class UpdateOutcome {
   kApplied,
   kNonFinite,   // refused: the step, or the head after it, holds NaN or infinity
   kOverBudget,  // refused: the contributor exceeds its share of a shared head
+  kHeldOut,     // refused: the session judges a shared head and contributes nothing to it
 };
 
-constexpr std::array<EnumName<UpdateOutcome>, 3> EnumNames(UpdateOutcome) {
+constexpr std::array<EnumName<UpdateOutcome>, 4> EnumNames(UpdateOutcome) {
   return {{{UpdateOutcome::kApplied, "applied"},
            {UpdateOutcome::kNonFinite, "non_finite"},
-           {UpdateOutcome::kOverBudget, "over_budget"}}};
+           {UpdateOutcome::kOverBudget, "over_budget"},
+           {UpdateOutcome::kHeldOut, "held_out"}}};
+}
+
+// Returns true if a shared head has refused all updates of an episode because of where they come
+// from.
+constexpr bool IsRefusedByFleet(UpdateOutcome outcome) {
+  return outcome == UpdateOutcome::kOverBudget || outcome == UpdateOutcome::kHeldOut;
 }
 
 struct UpdateBounds {

@@ -55,6 +55,12 @@ bool ReturnGuard::OnEpisode(double episode_return, double margin, Eigen::VectorX
   return bad;
 }
 
+void ReturnGuard::OnRestored(const Eigen::VectorXf& delta) {
+  returns.clear();
+  beginning = delta;
+  good = delta;
+}
+
 void ReturnGuard::RollBack(Eigen::VectorXf* delta) {
   if (on_probation) {
     good.setZero();

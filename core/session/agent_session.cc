@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
 #include "core/learning/frobenius_norm.h"
+#include "core/learning/held_out.h"
 #include "core/math/counter_random.h"
 #include "core/math/vector_view.h"
 #include "core/session/session_value.h"
@@ -44,8 +45,8 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
   if (session_.options.learning.has_value() && session_.options.learning->scope == Scope::kFleet) {
     const std::string& tenant = session_.options.tenant;
     const bool by_tenant = served_->SharesHead(tenant) && !tenant.empty();
-    member_ = std::make_unique<FleetHead::Member>(served_->HeadOf(tenant),
-                                                  by_tenant ? tenant : session_.id);
+    member_ = std::make_unique<FleetHead::Member>(
+        served_->HeadOf(tenant), by_tenant ? tenant : session_.id, IsHeldOut(session_.id));
     if (served_->log == nullptr) session_.pending = nullptr;
     if (session_.pending != nullptr) contribution_ = NewContribution();
     return;
@@ -396,11 +397,11 @@ void AgentSession::MergeIntoFleet(double episode_return, LearningSummary* summar
   const bool is_logged = served_->log != nullptr;
   const auto merge = [&] {
     FleetHead::Merged merged = fleet.Merge(session_.learner->head_delta, episode_return,
-                                           member_->contributor(), clock_->Now());
+                                           {.contributor = member_->contributor(),
+                                            .held_out = member_->held_out(),
+                                            .now = clock_->Now()});
     served_->observer->OnHeadUpdate(merged.outcome);
-    if (merged.outcome == UpdateOutcome::kOverBudget) {
-      summary->rejected += std::exchange(summary->updates, 0);
-    }
+    if (IsRefusedByFleet(merged.outcome)) summary->rejected += std::exchange(summary->updates, 0);
     summary->rolled_back = merged.rolled_back;
     snapshot = std::move(merged.snapshot);
   };

@@ -30,8 +30,8 @@ struct EpisodeEnd {
 // The learning of a session in one episode.
 struct LearningSummary {
   Scope scope = Scope::kSession;
-  int64_t updates = 0;   // applied to the head; scope fleet: to the contribution
-  int64_t rejected = 0;  // updates that were refused: not finite, or over the budget of the fleet
+  int64_t updates = 0;          // applied to the head; scope fleet: to the contribution
+  int64_t rejected = 0;         // updates that were refused: not finite, or by the fleet's head
   double head_drift = 0.0;      // of the head that the session uses
   ReturnStatistics returns;     // mu and sigma^2, with this episode included
   bool rolled_back = false;     // the guard restored the last good head

@@ -39,7 +39,7 @@ void FleetContribution::WhenMerged(Done done) {
 
 void FleetContribution::OnMerged(const MergeOutcome& outcome, bool is_new) {
   LearningSummary summary = pending_->summary;
-  if (!outcome.paused && outcome.update == UpdateOutcome::kOverBudget) {
+  if (!outcome.paused && IsRefusedByFleet(outcome.update)) {
     summary.rejected += std::exchange(summary.updates, 0);
   }
   summary.rolled_back = outcome.rolled_back;

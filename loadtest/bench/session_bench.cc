@@ -2,8 +2,9 @@
 // Prints one JSON object.
 //
 // The figures are bytes allocated on the heap, of sessions divided by their number. They include
-// the store's table and the list of ids that this program keeps. `resident_bytes` is the resident
-// memory of the whole process at the end.
+// the store's table and the list of ids that this program keeps, and freed memory that the
+// allocator keeps for the thread, unless GLIBC_TUNABLES=glibc.malloc.tcache_count=0 is set.
+// `resident_bytes` is the resident memory of the whole process at the end.
 //
 // Active sessions use the engine of the policy. An idle session keeps no state of its engine. With
 // more than --active sessions, only idle ones are measured, and an engine that does not compute

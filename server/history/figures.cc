@@ -66,6 +66,8 @@ FigureSource::FigureSource(const MetricHistory& history, const MetricLabels& lab
       unusual_(history.Select("spikeserve_unusual_observations_total", labels)),
       drift_(history.Select("spikeserve_head_drift_ratio", labels)),
       updates_(history.Select("spikeserve_learning_updates_total", labels)),
+      held_out_(history.Select("spikeserve_head_held_out_sessions", labels)),
+      trimmed_(history.Select("spikeserve_head_trimmed_contributions", labels)),
       spikes_by_stage_(By("stage", spikes_)),
       energy_by_model_(
           By("energy_model", history.Select("spikeserve_energy_joules_total", labels))) {
@@ -130,6 +132,8 @@ Json FigureSource::Figures(TimeSpan span) const {
   if (!is_server_) {
     figures["head_drift"] = Gauge(drift_);
     figures["head_updates_per_second"] = Ratio(Increase(updates_, span), seconds);
+    figures["held_out_sessions"] = Gauge(held_out_);
+    figures["trimmed_contributions"] = Gauge(trimmed_);
   } else {
     figures["calls_per_second"] = Ratio(Observed(calls_, span).count, seconds);
     figures["sessions_limit"] = Gauge(history_.Select("spikeserve_sessions_limit"));

@@ -52,7 +52,7 @@ class FigureSource {
   const MetricHistory& history_;
   const bool is_server_;
   Selection decisions_, spikes_, durations_, returns_, sessions_, errors_, unusual_, drift_,
-      updates_;
+      updates_, held_out_, trimmed_;
   std::map<std::string, Selection> spikes_by_stage_;
   std::map<std::string, Selection> energy_by_model_;
   // Of the server only.

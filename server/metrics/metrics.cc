@@ -203,12 +203,13 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
     handles.unusual.push_back(add(unusual_, with("element", element)));
   }
   handles.learning_updates = add(learning_updates_, labels);
-  const absl::string_view reason = ToString(UpdateOutcome::kNonFinite);
-  handles.learning_rejected_non_finite =
-      add(learning_rejected_, with("reason", {reason.data(), reason.size()}));
-  const absl::string_view over = ToString(UpdateOutcome::kOverBudget);
-  handles.learning_rejected_over_budget =
-      add(learning_rejected_, with("reason", {over.data(), over.size()}));
+  const auto rejected = [&](UpdateOutcome outcome) {
+    const absl::string_view reason = ToString(outcome);
+    return add(learning_rejected_, with("reason", {reason.data(), reason.size()}));
+  };
+  handles.learning_rejected_non_finite = rejected(UpdateOutcome::kNonFinite);
+  handles.learning_rejected_over_budget = rejected(UpdateOutcome::kOverBudget);
+  handles.learning_rejected_held_out = rejected(UpdateOutcome::kHeldOut);
   for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
     const absl::string_view word = ToString(scope);
     const prometheus::Labels of = with("scope", {word.data(), word.size()});

@@ -76,6 +76,8 @@ void PolicyMetrics::OnHeadUpdate(UpdateOutcome outcome) {
       return handles_.learning_rejected_non_finite->Increment();
     case UpdateOutcome::kOverBudget:
       return handles_.learning_rejected_over_budget->Increment();
+    case UpdateOutcome::kHeldOut:
+      return handles_.learning_rejected_held_out->Increment();
   }
 }
 

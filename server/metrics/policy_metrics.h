@@ -71,6 +71,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Counter* learning_updates;
     prometheus::Counter* learning_rejected_non_finite;
     prometheus::Counter* learning_rejected_over_budget;
+    prometheus::Counter* learning_rejected_held_out;
     std::array<LearningHandles, 2> learning;  // indexed by Scope
   };
 

@@ -42,9 +42,10 @@ class FileBackend final : public JournalBackend {
 
   absl::Status Open(absl::Duration retention);
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
-  absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) override;
+  std::vector<absl::StatusOr<ClaimedJournal>> Claim(absl::Span<const JournalClaim> claims) override;
 
  private:
+  absl::StatusOr<ClaimedJournal> ClaimOne(LmdbTransaction& transaction, const JournalClaim& claim);
   // Returns ABORTED or ALREADY_EXISTS if the record is refused.
   absl::Status WriteRecord(LmdbTransaction& transaction, const JournalRecord& record);
   absl::StatusOr<std::optional<StoredSession>> Read(LmdbTransaction& transaction,
@@ -137,21 +138,33 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
   return RemoveBefore(transaction, key.id, record.decisions);
 }
 
-absl::StatusOr<ClaimedJournal> FileBackend::Claim(const JournalClaim& claim) {
-  const std::string& id = claim.id;
+std::vector<absl::StatusOr<ClaimedJournal>> FileBackend::Claim(
+    absl::Span<const JournalClaim> claims) {
+  const auto all_failed = [&](const absl::Status& status) {
+    return std::vector<absl::StatusOr<ClaimedJournal>>(claims.size(), status);
+  };
   auto transaction = LmdbTransaction::Begin(environment_.get());
-  if (!transaction.ok()) return transaction.status();
-  auto session = Read(*transaction, id);
+  if (!transaction.ok()) return all_failed(transaction.status());
+  std::vector<absl::StatusOr<ClaimedJournal>> journals;
+  for (const JournalClaim& claim : claims) journals.push_back(ClaimOne(*transaction, claim));
+  if (auto status = transaction->Commit(); !status.ok()) return all_failed(status);
+  return journals;
+}
+
+absl::StatusOr<ClaimedJournal> FileBackend::ClaimOne(LmdbTransaction& transaction,
+                                                     const JournalClaim& claim) {
+  const std::string& id = claim.id;
+  auto session = Read(transaction, id);
   if (!session.ok()) return session.status();
   if (!session->has_value() || (*session)->tenant != claim.tenant) return NoSuchSession(id);
   ClaimedJournal journal = {.epoch = ++(*session)->epoch, .records = {}};
   (*session)->written_seconds = NowSeconds();
-  if (auto status = Put(*transaction, id, **session); !status.ok()) return status;
-  auto status = transaction->Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
-    journal.records.push_back(OpenRecord(bytes));
-  });
+  if (auto status = Put(transaction, id, **session); !status.ok()) return status;
+  const auto status =
+      transaction.Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
+        journal.records.push_back(OpenRecord(bytes));
+      });
   if (!status.ok()) return status;
-  if (status = transaction->Commit(); !status.ok()) return status;
   return journal;
 }
 

@@ -11,6 +11,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "core/learning/fleet_head.h"
+#include "core/learning/held_out.h"
 #include "core/session/field_codec.h"
 #include "core/session/session_fields.h"
 
@@ -55,14 +56,30 @@ void VisitFields(T& budget, Visitor&& visit) {
   visit("total_in_minute", budget.total_in_minute);
 }
 
+template <Is<PeerNorms::State> T, typename Visitor>
+void VisitFields(T& norms, Visitor&& visit) {
+  visit("contributors", norms.contributors);
+  visit("norms", norms.norms);
+}
+
+template <Is<FleetHead::Gathered> T, typename Visitor>
+void VisitFields(T& gathered, Visitor&& visit) {
+  visit("contributor", gathered.contributor);
+  visit("delta", gathered.delta);
+}
+
 template <Is<FleetHead::State> T, typename Visitor>
 void VisitFields(T& state, Visitor&& visit) {
   visit("delta", state.delta);
   visit("gathered", state.gathered);
   visit("guard", state.guard);
+  visit("held_out_guard", state.held_out_guard);
   visit("budget", state.budget);
+  visit("held_out_budget", state.held_out_budget);
+  visit("norms", state.norms);
   visit("updates", state.updates);
   visit("rejected", state.rejected);
+  visit("trimmed", state.trimmed);
   visit("rollbacks", state.rollbacks);
 }
 
@@ -147,8 +164,11 @@ MergeOutcome HeadReplica::Apply(const HeadEntry& entry, const LoggedEntry& logge
   outcome.paused = paused_;
   if (!paused_) {
     const auto merged =
-        head->Merge(entry.delta, entry.episode_return, entry.contributor, TimeOf(logged.position),
-                    static_cast<size_t>(std::max<int64_t>(logged.members, 0)));
+        head->Merge(entry.delta, entry.episode_return,
+                    {.contributor = entry.contributor,
+                     .held_out = IsHeldOut(entry.session),
+                     .now = TimeOf(logged.position),
+                     .members = static_cast<size_t>(std::max<int64_t>(logged.members, 0))});
     outcome.update = merged.outcome;
     outcome.rolled_back = merged.rolled_back;
   }

@@ -39,10 +39,12 @@ class JournalBackend {
   virtual absl::StatusOr<std::vector<absl::Status>> Write(
       absl::Span<const JournalRecord> records) = 0;
 
-  // Makes the caller the owner of a session's journal and returns it. Returns NOT_FOUND if the
-  // store has no open session with this id and tenant, and UNAVAILABLE as above. A store that
-  // several servers use leaves the session to its owner if the caller lacks its policy file.
-  virtual absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) = 0;
+  // Makes the caller the owner of the journals of sessions and returns them, in the order of
+  // `claims`. NOT_FOUND: the store has no open session with this id and tenant. UNAVAILABLE, for
+  // all claims: the store cannot be reached. A store that several servers use leaves a session to
+  // its owner if the caller lacks its policy file.
+  virtual std::vector<absl::StatusOr<ClaimedJournal>> Claim(
+      absl::Span<const JournalClaim> claims) = 0;
 };
 
 }  // namespace spikeserve

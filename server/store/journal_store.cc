@@ -206,19 +206,21 @@ void JournalStore::Count(const JournalRecord& record, const absl::Status& outcom
   if (absl::IsAborted(outcome) && !record.journal->lost()) fences_.Increment();
 }
 
-void JournalStore::RunClaims(std::vector<ClaimRequest> claims) {
-  absl::Status reachable = CheckReachable();
-  for (ClaimRequest& request : claims) {
-    auto result =
-        reachable.ok() ? backend_->Claim(request.claim) : absl::StatusOr<ClaimedJournal>(reachable);
+void JournalStore::RunClaims(std::vector<ClaimRequest> requests) {
+  if (requests.empty()) return;
+  std::vector<JournalClaim> claims;
+  for (ClaimRequest& request : requests) claims.push_back(std::move(request.claim));
+  const absl::Status reachable = CheckReachable();
+  using Results = std::vector<absl::StatusOr<ClaimedJournal>>;
+  auto results = reachable.ok() ? backend_->Claim(claims) : Results(claims.size(), reachable);
+  for (size_t i = 0; i < requests.size(); ++i) {
+    auto& result = results[i];
     if (result.ok()) {
       (result->epoch > 0 ? claimed_ : claims_failed_).Increment();
     } else if (!absl::IsNotFound(result.status())) {
       claims_failed_.Increment();
-      // One timeout is enough for all that wait.
-      if (absl::IsUnavailable(result.status())) reachable = result.status();
     }
-    request.claimed(std::move(result));
+    requests[i].claimed(std::move(result));
   }
 }
 

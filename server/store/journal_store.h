@@ -89,7 +89,7 @@ class JournalStore final : public JournalWriter {
   // Returns true if all records were written.
   bool WriteRecords(Work* work);
   void Count(const JournalRecord& record, const absl::Status& outcome, absl::Duration latency);
-  void RunClaims(std::vector<ClaimRequest> claims);
+  void RunClaims(std::vector<ClaimRequest> requests);
   // Refuses what waits when the store gives up.
   void DropClaims() ABSL_LOCKS_EXCLUDED(mutex_);
   void SetReachable(const absl::Status& status);

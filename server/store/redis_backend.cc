@@ -85,6 +85,24 @@ std::string ListKey(const SessionJournal::Key& key) {
   return absl::StrCat(RedisListPrefix(key.id), key.epoch);
 }
 
+// Reads what kClaim returned for session `id`.
+absl::StatusOr<ClaimedJournal> ReadJournal(const redisReply& claimed, const std::string& id) {
+  if (claimed.type == REDIS_REPLY_NIL) return NoSuchSession(id);
+  ClaimedJournal journal;
+  const bool is_pair = claimed.type == REDIS_REPLY_ARRAY && claimed.elements == 2 &&
+                       claimed.element[0]->type == REDIS_REPLY_STRING &&
+                       claimed.element[1]->type == REDIS_REPLY_ARRAY;
+  if (!is_pair || !absl::SimpleAtoi(claimed.element[0]->str, &journal.epoch)) {
+    return absl::UnavailableError("session store: expected an epoch and a journal");
+  }
+  const redisReply& records = *claimed.element[1];
+  for (size_t i = 0; i < records.elements; ++i) {
+    const redisReply& record = *records.element[i];
+    if (record.type == REDIS_REPLY_STRING) journal.records.emplace_back(record.str, record.len);
+  }
+  return journal;
+}
+
 class RedisBackend final : public JournalBackend {
  public:
   RedisBackend(RedisOptions options, absl::Duration retention, std::string owner)
@@ -93,9 +111,11 @@ class RedisBackend final : public JournalBackend {
         owner_(std::move(owner)) {}
 
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
-  absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) override;
+  std::vector<absl::StatusOr<ClaimedJournal>> Claim(absl::Span<const JournalClaim> claims) override;
 
  private:
+  using Claimed = std::vector<absl::StatusOr<ClaimedJournal>>;  // in the order of the claims
+
   // Runs `exchange` on a connected client, which is dropped if it fails, and waits for the
   // replicas.
   template <typename Result, typename Exchange>
@@ -106,7 +126,7 @@ class RedisBackend final : public JournalBackend {
   absl::StatusOr<int64_t> ReadReplies(const JournalRecord& record);
   // Returns why Redis refused a record: ABORTED or NOT_FOUND.
   absl::StatusOr<absl::Status> ReasonOf(const JournalRecord& record);
-  absl::StatusOr<ClaimedJournal> ClaimNow(const JournalClaim& claim);
+  absl::StatusOr<Claimed> ClaimAll(absl::Span<const JournalClaim> claims);
 
   const RedisOptions options_;
   const std::string retention_;  // milliseconds
@@ -212,34 +232,27 @@ absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const JournalRecord& record)
   return absl::AbortedError("another owner has claimed the session");
 }
 
-absl::StatusOr<ClaimedJournal> RedisBackend::Claim(const JournalClaim& claim) {
-  return OnClient<ClaimedJournal>([&] { return ClaimNow(claim); });
+RedisBackend::Claimed RedisBackend::Claim(absl::Span<const JournalClaim> claims) {
+  auto claimed = OnClient<Claimed>([&] { return ClaimAll(claims); });
+  return claimed.ok() ? *std::move(claimed) : Claimed(claims.size(), claimed.status());
 }
 
-absl::StatusOr<ClaimedJournal> RedisBackend::ClaimNow(const JournalClaim& claim) {
-  const std::string step = absl::StrCat(absl::Uniform(random_, 1U, kMostEpochs));
-  const std::string files = absl::StrCat("\n", absl::StrJoin(claim.policy_files, "\n"), "\n");
-  const auto reply =
-      client_->Run({"EVAL", kClaim, "1", RedisHashKey(claim.id), RedisListPrefix(claim.id), owner_,
-                    claim.tenant, retention_, step, files});
-  if (!reply.ok()) return reply.status();
-  const redisReply& claimed = **reply;
-  if (claimed.type == REDIS_REPLY_NIL) return NoSuchSession(claim.id);
-  ClaimedJournal journal;
-  const bool is_pair = claimed.type == REDIS_REPLY_ARRAY && claimed.elements == 2 &&
-                       claimed.element[0]->type == REDIS_REPLY_STRING &&
-                       claimed.element[1]->type == REDIS_REPLY_ARRAY;
-  if (!is_pair || !absl::SimpleAtoi(claimed.element[0]->str, &journal.epoch)) {
-    return absl::UnavailableError("session store: expected an epoch and a journal");
+absl::StatusOr<RedisBackend::Claimed> RedisBackend::ClaimAll(
+    absl::Span<const JournalClaim> claims) {
+  for (const JournalClaim& claim : claims) {
+    const std::string step = absl::StrCat(absl::Uniform(random_, 1U, kMostEpochs));
+    const std::string files = absl::StrCat("\n", absl::StrJoin(claim.policy_files, "\n"), "\n");
+    client_->Append({"EVAL", kClaim, "1", RedisHashKey(claim.id), RedisListPrefix(claim.id), owner_,
+                     claim.tenant, retention_, step, files});
   }
-  const redisReply& records = *claimed.element[1];
-  for (size_t i = 0; i < records.elements; ++i) {
-    const redisReply& record = *records.element[i];
-    if (record.type == REDIS_REPLY_STRING) journal.records.emplace_back(record.str, record.len);
+  Claimed claimed;
+  for (const JournalClaim& claim : claims) {
+    const auto reply = client_->Read();
+    if (!reply.ok()) return reply.status();
+    claimed.push_back(ReadJournal(**reply, claim.id));
   }
-  return journal;
+  return claimed;
 }
-
 }  // namespace
 
 std::unique_ptr<JournalBackend> NewRedisBackend(RedisOptions options, absl::Duration retention,

@@ -18,13 +18,13 @@ import pathlib
 import random
 import subprocess
 import sys
-import tempfile
 import time
 
 ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
 
-from replicated import REPLICAS, Redis  # noqa: E402
+from redis_servers import DURABLE, Redis, stopping  # noqa: E402
+from replicated import REPLICAS  # noqa: E402
 from restartable_server import RestartableServer  # noqa: E402
 from serving import running_server  # noqa: E402
 
@@ -61,10 +61,7 @@ def parse_arguments():
 @contextlib.contextmanager
 def running_replicas():
     """Starts Redis and the replicas, each in a namespace of its own, and yields all of them."""
-    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        redis = Redis(pathlib.Path(folder), host="0.0.0.0")
-        stack.callback(redis.kill)
-        redis.start()
+    with stopping([Redis(*DURABLE, password="", host="0.0.0.0")]) as [redis], contextlib.ExitStack() as stack:
         replicas, hosts = [], []
         for number in range(1, REPLICAS + 1):
             host = Host(number)

@@ -29,6 +29,7 @@ from tests.chaos.workload import Workload
 RATE = 10.0  # decisions a second of a session, at most
 SECONDS = 5.0  # until clients give up a server that says nothing
 SERVERS = 2
+SILENCE = 3000  # milliseconds; a primary that waits for a busy processor is not given up
 
 
 class WatchedRedis:
@@ -41,7 +42,7 @@ class WatchedRedis:
         servers.append(self._replica)
         self._program = {each: each.program[:] for each in servers}
         self._wait_for_replica()
-        self._sentinels = [Sentinel(folder, self._primary, quorum=2) for _ in range(3)]
+        self._sentinels = [Sentinel(folder, self._primary, quorum=2, silence=SILENCE) for _ in range(3)]
         servers += self._sentinels
         for sentinel in self._sentinels:
             until(lambda sentinel=sentinel: is_watched(sentinel, replicas=1, sentinels=2))
@@ -55,6 +56,8 @@ class WatchedRedis:
     def fail_over(self):
         """Kills the primary, waits for the new one, and starts the old one as its replica."""
         old, new = self._primary, self._replica
+        chosen = {primary_port(each) for each in self._sentinels}
+        assert chosen == {old.port}, f"expected no failover by itself of {old.port}, received {chosen}"
         old.kill()
         until(lambda: all(primary_port(each) == new.port for each in self._sentinels))
         until(lambda: b"role:master" in (new.command("INFO replication") or b""))

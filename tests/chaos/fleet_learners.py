@@ -1,7 +1,6 @@
 """Sessions of the chaos suite that learn the head of the fleet."""
 
 import asyncio
-import subprocess
 
 import spikeserve
 from replicated import observation, reward
@@ -61,12 +60,7 @@ async def heads_of(replicas):
 
 def entries_in(redis):
     """Returns how many entries the log of the head has had: the number of the last one."""
-
-    def command(*words):
-        program = ["redis-cli", "-p", str(redis.port), "--raw", *words]
-        return subprocess.run(program, check=True, capture_output=True, text=True, errors="replace").stdout.splitlines()
-
-    [log] = command("KEYS", "fl:*")
-    identifier, name, number, *_ = command("XREVRANGE", log, "+", "-", "COUNT", "1")
-    assert name == "n", f"log {log}, entry {identifier}: expected n first, received {name}"
+    [log] = redis.command("KEYS fl:*")
+    [[identifier, [name, number, *_]]] = redis.command(f"XREVRANGE {log.decode()} + - COUNT 1")
+    assert name == b"n", f"log {log}, entry {identifier}: expected n first, received {name}"
     return int(number)

@@ -16,12 +16,14 @@ TEST_F(SpikeloadTest, EveryModeRunsWithoutErrors) {
     const nlohmann::json load =
         ParseOutput(Spikeload({"--mode=" + mode, "--sessions=20", "--streams=4", "--duration=500ms",
                                "--episode_steps=10", "--policy=cartpole-v1", "--json"}));
-    EXPECT_EQ(load.size(), 5u);
+    EXPECT_EQ(load.size(), 7u);
     EXPECT_EQ(load["errors"], 0);
     EXPECT_GE(load["decisions"].get<int64_t>(), 20);
     EXPECT_GT(load["decisions_per_second"].get<double>(), 0.0);
     EXPECT_GT(load["p50_seconds"].get<double>(), 0.0);
     EXPECT_GE(load["p99_seconds"].get<double>(), load["p50_seconds"].get<double>());
+    // Most sessions have a longest wait above the median of all waits.
+    EXPECT_GE(load["longest_wait_p50_seconds"].get<double>(), load["p50_seconds"].get<double>());
     total += load["decisions"].get<double>();
     EXPECT_EQ(Metric("spikeserve_decisions_total"), total);
     EXPECT_EQ(Metric("spikeserve_sessions"), 0.0);

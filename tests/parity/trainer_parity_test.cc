@@ -4,7 +4,8 @@
 // Torch adds float32 numbers in another order than the engines. A membrane that is within rounding
 // of the threshold may therefore fire on one side only, and all later results of that episode may
 // differ. The test allows only this difference: at the first decision whose spikes differ, a
-// membrane must be within kRounding of the threshold. Comparison of an episode ends there, and in
+// membrane must be within kRounding of the threshold. Integer neurons add exactly, so with
+// Arithmetic::kInt8 it must be a membrane of a coder. Comparison of an episode ends there, and in
 // total at least kLeastCompared of all decisions must have been compared.
 
 #include <gtest/gtest.h>
@@ -37,6 +38,7 @@ struct Shape {
   ModelConfig config;
   ActionSpace action_space = ActionSpace::Discrete(3);
   uint64_t policies = 3;
+  Arithmetic arithmetic = Arithmetic::kFloat32;
 };
 
 void PrintTo(const Shape& shape, std::ostream* out) { *out << shape.name; }
@@ -87,6 +89,19 @@ std::vector<Shape> Shapes() {
     s.config = ModelConfig{};
     s.policies = 1;
   });
+  // The sums of ffn.output exceed the integers of float32.
+  add("many_ticks", [](Shape& s) {
+    s.config.ticks = 256;
+    s.config.ffn_size = 600;
+    s.policies = 1;
+  });
+  const std::vector<Shape> floats = shapes;
+  for (Shape shape : floats) {
+    if (shape.config.is_dense()) continue;
+    shape.name += "_int8";
+    shape.arithmetic = Arithmetic::kInt8;
+    shapes.push_back(shape);
+  }
   return shapes;
 }
 
@@ -220,9 +235,12 @@ TEST_P(TrainerParityTest, TorchAgreesWithBothEngines) {
     const auto policy = std::make_shared<const Policy>(MakePolicy(GetParam(), seed));
     ASSERT_TRUE(policy->Validate().ok()) << policy->Validate();
     const ClipTensors clip = MakeEpisode(*policy, seed);
-    const ModelOutput output = TorchModel(*policy, Surrogate{}).Forward(clip);
-    compared += CompareWithEngine(*MakeReferenceEngine(policy), clip, output);
-    compared += CompareWithEngine(*MakeStreamingEngine(policy), clip, output);
+    const TorchModel model(*policy, Surrogate{}, GetParam().arithmetic);
+    const ModelOutput output = model.Forward(clip);
+    const auto trained = std::make_shared<const Policy>(model.CurrentPolicy());
+    ASSERT_EQ(trained->config.arithmetic, GetParam().arithmetic);
+    compared += CompareWithEngine(*MakeReferenceEngine(trained), clip, output);
+    compared += CompareWithEngine(*MakeStreamingEngine(trained), clip, output);
   }
   EXPECT_GE(compared, kLeastCompared * 2.0 * static_cast<double>(GetParam().policies) * kSteps);
 }

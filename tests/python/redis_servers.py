@@ -12,6 +12,7 @@ import pytest
 from security import make_authority, make_certificate, until
 
 PASSWORD = "secret"
+DURABLE = ("--appendonly", "yes", "--appendfsync", "everysec")  # keeps its keys when it is killed and started again
 SLOTS = 16384
 WITHOUT_REDIS = pytest.mark.skipif(shutil.which("redis-server") is None, reason="without redis-server")
 
@@ -33,9 +34,12 @@ def read_reply(lines):
 
 
 class Redis:
-    """A Redis server without files. `certificates`: the folder of make_certificates(), for TLS."""
+    """A Redis server. `certificates`: the folder of make_certificates(), for TLS.
 
-    def __init__(self, *flags, password=PASSWORD, certificates=None):
+    It forgets everything when it is killed, unless `flags` has DURABLE.
+    """
+
+    def __init__(self, *flags, password=PASSWORD, certificates=None, host="127.0.0.1"):
         self.port = free_port()
         self.password = password
         self.certificates = certificates
@@ -49,7 +53,7 @@ class Redis:
         self.folder = tempfile.TemporaryDirectory()  # a replica writes what it gets from its primary
         secret = ["--requirepass", password, "--masterauth", password] if password else []
         self.program = [
-            *("redis-server", "--bind", "127.0.0.1", *port),
+            *("redis-server", "--bind", host, "--protected-mode", "no", *port),
             *("--save", "", "--appendonly", "no", "--dir", self.folder.name, *secret, *flags),
         ]
         self.start()
@@ -106,16 +110,16 @@ def make_certificates(path):
 
 
 class Sentinel:
-    """Watches a primary, whose failure it decides with `quorum` others after half a second."""
+    """Watches a primary, whose failure it decides with `quorum` others when it was silent for `silence` milliseconds."""
 
-    def __init__(self, folder, primary, quorum):
+    def __init__(self, folder, primary, quorum, silence=500):
         self.port = free_port()
         file = folder / f"sentinel-{self.port}.conf"
         file.write_text(
             f"bind 127.0.0.1\nport {self.port}\ndir {folder}\n"
             f"sentinel monitor mymaster 127.0.0.1 {primary.port} {quorum}\n"
             f"sentinel auth-pass mymaster {PASSWORD}\n"
-            "sentinel down-after-milliseconds mymaster 500\nsentinel failover-timeout mymaster 2000\n"
+            f"sentinel down-after-milliseconds mymaster {silence}\nsentinel failover-timeout mymaster 2000\n"
         )
         self.process = subprocess.Popen(["redis-server", str(file), "--sentinel"], stdout=subprocess.DEVNULL)
 

@@ -7,7 +7,8 @@ import grpc
 import gymnasium
 import numpy as np
 import pytest
-from security import ADMIN, TOKENS, code_of, entry, service_with
+from fleet_roles import new_session_id
+from security import ADMIN, TOKENS, code_of, entry, http_body, service_with, until
 from serving import running_server
 
 INVENTED_EPISODES = 200
@@ -38,6 +39,7 @@ def attack(agent):
         learning=FLEET | {"learning_rate": 1e3},
         action_selection="SAMPLE",
         temperature=4.0,
+        session_id=new_session_id(),
     ).session_id
     random = np.random.default_rng(1)
     for _ in range(INVENTED_EPISODES):
@@ -107,15 +109,17 @@ def test_learning_is_a_permission(tokens):
 
 
 class Fleet:
-    """Sessions that play CartPole with the shared head, all at once."""
+    """Sessions that play CartPole with the shared head, all at once. The first one is held out."""
 
     def __init__(self, service):
         self._service = service
         self._sessions = [
             service.OpenSession(
-                policy="cartpole", learning=FLEET | {"learning_rate": 1e-6}
+                policy="cartpole",
+                learning=FLEET | {"learning_rate": 1e-6},
+                session_id=new_session_id(held_out=i == 0),
             ).session_id
-            for _ in range(HONEST_SESSIONS)
+            for i in range(HONEST_SESSIONS)
         ]
         self._seed = 0
 
@@ -169,7 +173,49 @@ def test_the_own_tenants_head_comes_back(tokens):
         assert head.updates <= 4  # fewer than a quarter of the window that the guard judges
         assert head.rejected_updates >= INVENTED_EPISODES - 4
         rounds = [min(fleet.play()) for _ in range(4)]  # these complete the first window
+        # What the attacker gave to it was shortened to what the others gave.
+        until(lambda: figure(addresses, "trimmed_contributions") == head.updates)
+        assert owner.GetHead(policy="cartpole").drift < 1e-3
         while len(rounds) < 4 + MOST_BAD_ROUNDS and rounds[-1] < GOOD_RETURN:
             rounds.append(min(fleet.play()))
         rounds.append(min(fleet.play()))
         assert all(value >= GOOD_RETURN for value in rounds[-2:]), rounds
+
+
+def figure(addresses, name):
+    """Returns what the status page says of the policy."""
+    status = json.loads(http_body(addresses.http, "/status.json", "Bearer machine"))
+    return sum(each[name] for each in status["versions"] if each["policy"] == "cartpole")
+
+
+def test_a_held_out_session_judges_and_contributes_nothing(tokens):
+    def end_episode(session):
+        for step in range(3):
+            agent.Act(session_id=session, step=step, observation=[0.1 * step] * 4, reward=step)
+        return agent.EndEpisode(session_id=session, reward=1.0, terminated=True).learning
+
+    with (
+        served(tokens) as addresses,
+        service_with(addresses, "agent") as agent,
+        service_with(addresses, "operator", ADMIN) as owner,
+    ):
+        held_out = new_session_id(held_out=True)
+        others = [new_session_id() for _ in range(4)]
+        for session in (held_out, *others[:3]):
+            agent.OpenSession(policy="cartpole", learning=FLEET, session_id=session)
+        # Four contributors are too few for a head to be protected.
+        assert end_episode(held_out).updates == 1
+        assert figure(addresses, "held_out_sessions") == 0
+        drift = owner.GetHead(policy="cartpole").drift
+        agent.OpenSession(policy="cartpole", learning=FLEET, session_id=others[3])
+        for _ in range(3):
+            learning = end_episode(held_out)
+            assert (learning.updates, learning.rejected_updates) == (0, 1)
+        assert owner.GetHead(policy="cartpole").drift == drift > 0
+        until(lambda: figure(addresses, "held_out_sessions") == 1)
+        metrics = http_body(addresses.http, "/metrics", "Bearer machine").decode().splitlines()
+        assert any('reason="held_out"' in line and line.endswith("} 3") for line in metrics)
+        # Those who contribute fill the window. After it their contributions are in the head.
+        for i in range(16):
+            assert end_episode(others[i % 4]).updates == 1
+        assert owner.GetHead(policy="cartpole").drift != drift

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import grpc
 import pytest
 import spikeserve
+from fleet_roles import new_session_id
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
 from replicated import running_fleet
 from security import ADMIN, HEALTH, SERVING, code_of, until
@@ -94,8 +95,9 @@ def logged(replica):
         return log.read()
 
 
-def open_learner(replica, seed=1):
-    return replica.OpenSession(policy="cartpole", version=1, seed=seed, learning=FLEET, **SAMPLING).session_id
+def open_learner(replica, seed=1, session_id=""):
+    fields = SAMPLING | {"learning": FLEET, "seed": seed, "session_id": session_id}
+    return replica.OpenSession(policy="cartpole", version=1, **fields).session_id
 
 
 def act(replica, session, steps=STEPS, reward=1.0):
@@ -156,9 +158,8 @@ def test_contributions_arrive_once_while_replicas_are_killed():
             with grpc.insecure_channel(replica.address) as channel:
                 head = Service(channel, ADMIN).GetHead(policy="cartpole", version=1, include_weights=True)
             heads.append((head.delta[:], head.updates, head.rejected_updates, head.rollbacks, head.watched_return))
-        markers = command(fleet.redis.port, "KEYS fc:*")
-        [log] = command(fleet.redis.port, "KEYS fl:{cartpole@1}:*")
-        entries = command(fleet.redis.port, f"XLEN {log.decode()}")
+        markers = fleet.redis.command("KEYS fc:*")
+        entries = entries_of(fleet.redis)
     expected = {f"fc:{{cartpole@1}}:{session}:{episode}" for session in sessions for episode in range(EPISODES)}
     assert {marker.decode() for marker in markers} == expected
     assert entries == len(expected) == LEARNERS * EPISODES
@@ -166,12 +167,6 @@ def test_contributions_arrive_once_while_replicas_are_killed():
     assert rollbacks == 0 and updates > 0 and updates + rejected == LEARNERS * EPISODES
     assert any(delta)
     assert heads[1] == heads[0] and heads[2] == heads[0]
-
-
-def command(port, words):
-    redis = Redis.__new__(Redis)
-    redis.port, redis.password, redis.certificates = port, "", None
-    return redis.command(words)
 
 
 def test_what_one_replica_does_all_see(start):
@@ -381,7 +376,9 @@ def test_a_contribution_that_was_not_appended_is_repaired_once(redis, start):
 def test_the_summary_has_the_outcome_of_the_merge(redis, start):
     """Over its budget, a contribution is refused, as on one server."""
     first, second = start(), start()
-    sessions = [open_learner(replica, seed) for seed, replica in enumerate([first, second] * 3)]
+    # None of them is held out.
+    ids = [new_session_id() for _ in range(6)]
+    sessions = [open_learner(replica, session_id=each) for each, replica in zip(ids, [first, second] * 3, strict=True)]
     # Six contributors on two replicas: the head is protected, and one of them may give four episodes of a window.
     until(lambda: redis.command("KEYS fm:*") and redis.command(f"ZCARD {key_of(redis, 'fm')}") == 6)
     updates = []

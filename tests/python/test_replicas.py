@@ -3,7 +3,6 @@
 import asyncio
 import concurrent.futures
 import shutil
-import socket
 
 import pytest
 import spikeserve
@@ -363,16 +362,12 @@ def test_the_journal_of_a_session_that_moves_all_the_time_stays_short(fleet):
 def journal_length(fleet, session_id):
     """Returns how many records Redis has of a session, whose list has the name of its last epoch."""
     script = f"local names = redis.call('KEYS', 'ss:{{{session_id}}}:[0-9]*') return redis.call('LLEN', names[1])"
-    with socket.create_connection((fleet.redis.host, fleet.redis.port)) as connection:
-        connection.sendall(f'EVAL "{script}" 0\r\n'.encode())
-        return int(connection.recv(16)[1:])
+    return fleet.redis.command(f'EVAL "{script}" 0')
 
 
 def store_has(fleet, session, decisions):
     """Returns whether Redis has the decisions of a session: its journal has a snapshot and an entry for each."""
-    with socket.create_connection((fleet.redis.host, fleet.redis.port)) as connection:
-        connection.sendall(f"LLEN ss:{{{session.session_id}}}:1\r\n".encode())
-        return connection.recv(16) == f":{decisions + 1}\r\n".encode()
+    return fleet.redis.command(f"LLEN ss:{{{session.session_id}}}:1") == decisions + 1
 
 
 def test_a_replica_that_was_stopped_sends_no_stale_answer(fleet):

@@ -1,6 +1,6 @@
 """Plays months of service in hours, and looks whether the server grows.
 
-usage: python -m tests.soak [--seconds=N] [--round=N] [--json=FILE]
+usage: python -m tests.soak [--seconds=N] [--round=N] [--rate=N] [--pause=SECONDS] [--json=FILE]
 
 In each round agents stream, call, send batches and learn, sessions are recorded and explained, operators swap, promote,
 replace and unload versions, tokens are replaced, pages are read, and clients are killed, all at the same time. After
@@ -37,6 +37,8 @@ def parse_arguments():
     parser = argparse.ArgumentParser(prog="tests.soak")
     parser.add_argument("--seconds", type=float, default=4 * 3600, help="of all rounds together")
     parser.add_argument("--round", type=int, default=60, help="seconds of work in a round")
+    parser.add_argument("--rate", type=float, default=0, help="requests a second of each load; 0: without a pause")
+    parser.add_argument("--pause", type=float, default=0.05, help="seconds between two rounds of an activity")
     parser.add_argument("--json", type=pathlib.Path, help="file for the figures")
     return parser.parse_args()
 
@@ -84,7 +86,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder, SoakedServer(folder) as server:
         fill_memory_of_actions(server)
         while len(rows) < WARM_ROUNDS + 1 or time.monotonic() < end:
-            counts, failed = soak(server, arguments.round)
+            counts, failed = soak(server, arguments.round, arguments.rate, arguments.pause)
             rows.append(server.held())
             failed_of_all += failed
             print_row(rows[-1], baseline(rows), counts, failed)

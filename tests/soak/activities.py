@@ -60,10 +60,11 @@ def play(service, steps=STEPS, **options):
 
 
 class Activities:
-    """Runs the activities, each in a thread, until stop()."""
+    """Runs the activities, each in a thread that pauses for some seconds after each round, until stop()."""
 
-    def __init__(self, server):
+    def __init__(self, server, pause):
         self._server = server
+        self._pause = pause
         self._stop = threading.Event()
         self._errors = []
         self.counts = {}
@@ -101,7 +102,7 @@ class Activities:
                         if error.code() not in EXPECTED:
                             raise
                     self.counts[name] = self.counts.get(name, 0) + 1
-                    self._stop.wait(0.05)
+                    self._stop.wait(self._pause)
         except Exception as error:  # stop() raises it
             self._errors.append(error)
 
@@ -176,10 +177,10 @@ def fill_memory_of_actions(server):
             operator.SetDefaultVersion(policy="cartpole", version=1 + i % 2)
 
 
-def soak(server, seconds):
+def soak(server, seconds, rate, pause):
     """Does everything at the same time for `seconds`. Returns how often each activity was done, and failed requests."""
-    loads = [spikeload(server, seconds, flags) for flags in LOADS]
-    activities = Activities(server)
+    loads = [spikeload(server, seconds, [*flags, f"--rate={rate}"]) for flags in LOADS]
+    activities = Activities(server, pause)
     failed = 0
     try:
         for load in loads:

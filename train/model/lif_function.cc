@@ -25,6 +25,17 @@ bool SameAtEveryTick(const torch::Tensor& gradient) {
   return gradient.stride(0) == 0 && gradient.select(0, 0).is_contiguous();
 }
 
+void SaveSurrogate(const Surrogate& surrogate, AutogradContext* context) {
+  context->saved_data["kind"] = static_cast<int64_t>(surrogate.kind);
+  context->saved_data["slope"] = static_cast<double>(surrogate.slope);
+}
+
+Surrogate SavedSurrogate(AutogradContext* context) {
+  auto& saved = context->saved_data;
+  return {.kind = static_cast<SurrogateKind>(saved["kind"].toInt()),
+          .slope = static_cast<float>(saved["slope"].toDouble())};
+}
+
 struct LifFunction : torch::autograd::Function<LifFunction> {
   static torch::Tensor forward(AutogradContext* context, const torch::Tensor& input, bool per_tick,
                                const LifOptions& options) {
@@ -43,8 +54,7 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
     context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
     context->saved_data["decay"] = static_cast<double>(options.neuron.decay);
     context->saved_data["threshold"] = static_cast<double>(options.neuron.threshold);
-    context->saved_data["kind"] = static_cast<int64_t>(options.surrogate.kind);
-    context->saved_data["slope"] = static_cast<double>(options.surrogate.slope);
+    SaveSurrogate(options.surrogate, context);
     return spikes;
   }
 
@@ -55,8 +65,7 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
     const int ticks = static_cast<int>(saved["ticks"].toInt());
     const Lif neuron = {.decay = static_cast<float>(saved["decay"].toDouble()),
                         .threshold = static_cast<float>(saved["threshold"].toDouble())};
-    const Surrogate surrogate = {.kind = static_cast<SurrogateKind>(saved["kind"].toInt()),
-                                 .slope = static_cast<float>(saved["slope"].toDouble())};
+    const Surrogate surrogate = SavedSurrogate(context);
     const int64_t neurons = per_tick ? current.numel() / ticks : current.numel();
     const bool same = SameAtEveryTick(gradients[0]);
     const torch::Tensor spike_gradient = same ? gradients[0] : gradients[0].contiguous();
@@ -70,6 +79,63 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
   }
 };
 
+struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
+  static IntegerLifRange Range(const torch::Tensor& threshold, const torch::Tensor& scale,
+                               IntegerLif neuron, int ticks) {
+    return {.neuron = neuron,
+            .ticks = ticks,
+            .begin = 0,
+            .end = 0,
+            .threshold = threshold.data_ptr<float>(),
+            .scale = scale.data_ptr<float>(),
+            .width = threshold.numel()};
+  }
+
+  static torch::Tensor forward(AutogradContext* context, const torch::Tensor& input,
+                               const IntegerLifOptions& options) {
+    const torch::Tensor current = input.contiguous();
+    const int64_t neurons = current.numel() / options.ticks;
+    torch::Tensor spikes = torch::empty_like(current);
+    float* out = spikes.data_ptr<float>();
+    const IntegerLifRange all =
+        Range(options.threshold, options.scale, options.neuron, options.ticks);
+    at::parallel_for(0, neurons, kNeuronsPerTask, [&](int64_t begin, int64_t end) {
+      IntegerLifRange range = all;
+      range.begin = begin;
+      range.end = end;
+      IntegerLifForward(range, Rows(current, true, neurons), out, neurons);
+    });
+    context->save_for_backward({current, options.threshold, options.scale});
+    context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
+    context->saved_data["decay"] = static_cast<int64_t>(options.neuron.decay);
+    SaveSurrogate(options.surrogate, context);
+    return spikes;
+  }
+
+  static tensor_list backward(AutogradContext* context, tensor_list gradients) {
+    auto& saved = context->saved_data;
+    const auto tensors = context->get_saved_variables();
+    const torch::Tensor& current = tensors[0];
+    const auto ticks = static_cast<int>(saved["ticks"].toInt());
+    const IntegerLif neuron = {.decay = static_cast<int16_t>(saved["decay"].toInt())};
+    const Surrogate surrogate = SavedSurrogate(context);
+    const IntegerLifRange all = Range(tensors[1], tensors[2], neuron, ticks);
+    const int64_t neurons = current.numel() / ticks;
+    const bool same = SameAtEveryTick(gradients[0]);
+    const torch::Tensor spike_gradient = same ? gradients[0] : gradients[0].contiguous();
+    torch::Tensor result = torch::empty_like(current);
+    float* out = result.data_ptr<float>();
+    at::parallel_for(0, neurons, kNeuronsPerTask, [&](int64_t begin, int64_t end) {
+      IntegerLifRange range = all;
+      range.begin = begin;
+      range.end = end;
+      IntegerLifBackward(range, surrogate, Rows(current, true, neurons),
+                         Rows(spike_gradient, !same, neurons), out);
+    });
+    return {result, torch::Tensor()};
+  }
+};
+
 }  // namespace
 
 torch::Tensor LifConstant(const torch::Tensor& current, const LifOptions& options) {
@@ -78,6 +144,10 @@ torch::Tensor LifConstant(const torch::Tensor& current, const LifOptions& option
 
 torch::Tensor LifPerTick(const torch::Tensor& current, const LifOptions& options) {
   return LifFunction::apply(current, true, options);
+}
+
+torch::Tensor IntegerLifPerTick(const torch::Tensor& current, const IntegerLifOptions& options) {
+  return IntegerLifFunction::apply(current, options);
 }
 
 }  // namespace spikeserve

@@ -7,6 +7,7 @@
 
 #include <torch/types.h>
 
+#include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
 #include "train/model/surrogate.h"
 
@@ -23,6 +24,20 @@ torch::Tensor LifConstant(const torch::Tensor& current, const LifOptions& option
 
 // Returns the spikes [T, ...] of neurons with an input current per tick [T, ...].
 torch::Tensor LifPerTick(const torch::Tensor& current, const LifOptions& options);
+
+// Integer neurons. The last dimension of their currents is a population, whose neurons have a
+// threshold and a scale each: float32 tensors of its size, the thresholds integers.
+struct IntegerLifOptions {
+  IntegerLif neuron;
+  torch::Tensor threshold;  // in units of scale
+  torch::Tensor scale;
+  int ticks = 10;  // T
+  Surrogate surrogate;
+};
+
+// As LifPerTick, for integer neurons and currents in units of the scale: integers of 16 bits,
+// stored as float32. The backward pass takes the rounding of the membrane for the identity.
+torch::Tensor IntegerLifPerTick(const torch::Tensor& current, const IntegerLifOptions& options);
 
 }  // namespace spikeserve
 

@@ -1,6 +1,8 @@
 #include "train/model/lif_kernels.h"
 
 #include <algorithm>
+#include <cstdint>
+#include <limits>
 #include <vector>
 
 // Compiles one clone per vector extension; the dynamic loader selects one.
@@ -12,43 +14,93 @@ namespace {
 // Number of neurons processed at a time, so that their state over all ticks stays in the L1 cache.
 constexpr int64_t kBlock = 512;
 
-// Computes the membranes before the reset, membranes[tick * kBlock + i], of `size` neurons from
-// `begin` on.
-inline __attribute__((always_inline)) void Membranes(const LifRange& range, int64_t begin,
+// Computes the distances u = V - V_th of the membranes before the reset, distances[tick * kBlock +
+// i], of `size` neurons from `begin` on. The neuron fires where u >= 0.
+inline __attribute__((always_inline)) void Distances(const LifRange& range, int64_t begin,
                                                      int64_t size, TickRows current,
-                                                     float* membranes) {
+                                                     float* distances) {
   const float decay = range.neuron.decay;
   const float threshold = range.neuron.threshold;
   float kept[kBlock] = {};  // membranes after the reset
   for (int tick = 0; tick < range.ticks; ++tick) {
     const float* input = current.data + tick * current.tick_stride + begin;
-    float* row = membranes + tick * kBlock;
+    float* row = distances + tick * kBlock;
     for (int64_t i = 0; i < size; ++i) {
       const float v = decay * kept[i] + input[i];
-      row[i] = v;
+      row[i] = v - threshold;
       kept[i] = v >= threshold ? 0.0f : v;
     }
   }
 }
 
+// The thresholds and scales of the neurons of a block.
+struct IntegerBlock {
+  int32_t threshold[kBlock];
+  float scale[kBlock];
+
+  IntegerBlock(const IntegerLifRange& range, int64_t begin, int64_t size) {
+    int64_t k = begin % range.width;
+    for (int64_t i = 0; i < size; ++i) {
+      threshold[i] = static_cast<int32_t>(range.threshold[k]);
+      scale[i] = range.scale[k];
+      if (++k == range.width) k = 0;
+    }
+  }
+};
+
+// As IntegerLif::Step(), but returns the membrane before the reset.
+inline __attribute__((always_inline)) int32_t Charge(int32_t decay, int32_t kept, float current) {
+  const int32_t leaked = (decay * kept + (1 << 14)) >> 15;
+  using Limits = std::numeric_limits<int16_t>;
+  return std::clamp<int32_t>(leaked + static_cast<int32_t>(current), Limits::min(), Limits::max());
+}
+
+// As Distances, in units of the float32 policy: the integer distances times the scale.
+inline __attribute__((always_inline)) void IntegerDistances(const IntegerLifRange& range,
+                                                            const IntegerBlock& block,
+                                                            int64_t begin, int64_t size,
+                                                            TickRows current, float* distances) {
+  const int32_t decay = range.neuron.decay;
+  int32_t kept[kBlock] = {};
+  for (int tick = 0; tick < range.ticks; ++tick) {
+    const float* input = current.data + tick * current.tick_stride + begin;
+    float* row = distances + tick * kBlock;
+    for (int64_t i = 0; i < size; ++i) {
+      const int32_t v = Charge(decay, kept[i], input[i]);
+      row[i] = block.scale[i] * static_cast<float>(v - block.threshold[i]);
+      kept[i] = v >= block.threshold[i] ? 0 : v;
+    }
+  }
+}
+
+// The rows of a backward pass over `size` neurons from `begin` on.
+struct BackwardBlock {
+  float decay;
+  int ticks;
+  int64_t begin;
+  int64_t size;
+  TickRows current;
+  TickRows spike_gradient;
+  const float* distances;
+};
+
 template <typename Derivative>
-inline __attribute__((always_inline)) void BackwardBlock(
-    const LifRange& range, int64_t begin, int64_t size, TickRows current, TickRows spike_gradient,
-    const float* membranes, Derivative derivative, float* current_gradient) {
-  const float decay = range.neuron.decay;
-  const float threshold = range.neuron.threshold;
+inline __attribute__((always_inline)) void Backward(const BackwardBlock& block,
+                                                    Derivative derivative,
+                                                    float* current_gradient) {
   float later[kBlock] = {};  // decay dL/dV of the following tick
   float sum[kBlock] = {};
-  for (int tick = range.ticks - 1; tick >= 0; --tick) {
-    const float* gradient = spike_gradient.data + tick * spike_gradient.tick_stride + begin;
-    const float* row = membranes + tick * kBlock;
-    for (int64_t i = 0; i < size; ++i) {
-      const float u = row[i] - threshold;
+  for (int tick = block.ticks - 1; tick >= 0; --tick) {
+    const float* gradient =
+        block.spike_gradient.data + tick * block.spike_gradient.tick_stride + block.begin;
+    const float* row = block.distances + tick * kBlock;
+    for (int64_t i = 0; i < block.size; ++i) {
+      const float u = row[i];
       const float g = gradient[i] * derivative(u) + (u >= 0.0f ? 0.0f : later[i]);
-      later[i] = decay * g;
-      sum[i] = g + (current.tick_stride == 0 ? sum[i] : 0.0f);
+      later[i] = block.decay * g;
+      sum[i] = g + (block.current.tick_stride == 0 ? sum[i] : 0.0f);
     }
-    std::copy_n(sum, size, current_gradient + tick * current.tick_stride + begin);
+    std::copy_n(sum, block.size, current_gradient + tick * block.current.tick_stride + block.begin);
   }
 }
 
@@ -76,15 +128,59 @@ void LifForward(const LifRange& range, TickRows current, float* spikes, int64_t 
 SPIKESERVE_VECTOR_CLONES
 void LifBackward(const LifRange& range, const Surrogate& surrogate, TickRows current,
                  TickRows spike_gradient, float* current_gradient) {
-  std::vector<float> membranes(range.ticks * kBlock);
+  std::vector<float> distances(range.ticks * kBlock);
   for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
     const int64_t size = std::min(kBlock, range.end - begin);
-    Membranes(range, begin, size, current, membranes.data());
+    Distances(range, begin, size, current, distances.data());
+    const BackwardBlock block = {range.neuron.decay, range.ticks,     begin, size, current,
+                                 spike_gradient,     distances.data()};
     WithDerivative(
         surrogate, [&](auto derivative) __attribute__((always_inline)) {
-          BackwardBlock(range, begin, size, current, spike_gradient, membranes.data(), derivative,
-                        current_gradient);
+          Backward(block, derivative, current_gradient);
         });
+  }
+}
+
+SPIKESERVE_VECTOR_CLONES
+void IntegerLifForward(const IntegerLifRange& range, TickRows current, float* spikes,
+                       int64_t spike_stride) {
+  const int32_t decay = range.neuron.decay;
+  for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
+    const int64_t size = std::min(kBlock, range.end - begin);
+    const IntegerBlock block(range, begin, size);
+    int32_t kept[kBlock] = {};
+    for (int tick = 0; tick < range.ticks; ++tick) {
+      const float* input = current.data + tick * current.tick_stride + begin;
+      float* output = spikes + tick * spike_stride + begin;
+      for (int64_t i = 0; i < size; ++i) {
+        const int32_t v = Charge(decay, kept[i], input[i]);
+        output[i] = v >= block.threshold[i] ? 1.0f : 0.0f;
+        kept[i] = v >= block.threshold[i] ? 0 : v;
+      }
+    }
+  }
+}
+
+SPIKESERVE_VECTOR_CLONES
+void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate, TickRows current,
+                        TickRows spike_gradient, float* current_gradient) {
+  std::vector<float> distances(range.ticks * kBlock);
+  const float decay = static_cast<float>(range.neuron.decay) / 32768.0f;
+  for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
+    const int64_t size = std::min(kBlock, range.end - begin);
+    const IntegerBlock integers(range, begin, size);
+    IntegerDistances(range, integers, begin, size, current, distances.data());
+    const BackwardBlock block = {decay,   range.ticks,    begin,           size,
+                                 current, spike_gradient, distances.data()};
+    WithDerivative(
+        surrogate, [&](auto derivative) __attribute__((always_inline)) {
+          Backward(block, derivative, current_gradient);
+        });
+    // The derivative with respect to a current in units of the scale.
+    for (int tick = 0; tick < range.ticks; ++tick) {
+      float* gradient = current_gradient + tick * current.tick_stride + begin;
+      for (int64_t i = 0; i < size; ++i) gradient[i] *= integers.scale[i];
+    }
   }
 }
 

@@ -8,6 +8,7 @@
 
 #include <cstdint>
 
+#include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
 #include "train/model/surrogate.h"
 
@@ -39,6 +40,29 @@ void LifForward(const LifRange& range, TickRows current, float* spikes, int64_t 
 // writes one row with the sum over the ticks.
 void LifBackward(const LifRange& range, const Surrogate& surrogate, TickRows current,
                  TickRows spike_gradient, float* current_gradient);
+
+// Integer neurons in a tensor whose last dimension is a population of `width` neurons: the one at
+// index i has the threshold and the scale of element i % width. Thresholds and currents are
+// integers of 16 bits, stored as float32.
+struct IntegerLifRange {
+  IntegerLif neuron;
+  int ticks;
+  int64_t begin;
+  int64_t end;
+  const float* threshold;  // [width], in units of scale
+  const float* scale;      // [width]
+  int64_t width;
+};
+
+// As LifForward, exactly as IntegerLif::Step() computes it. REQUIRES, here and below: a current per
+// tick, so a tick_stride above 0.
+void IntegerLifForward(const IntegerLifRange& range, TickRows current, float* spikes,
+                       int64_t spike_stride);
+
+// As LifBackward, for currents in units of the scale: treats the rounding of the membrane as the
+// identity and its saturation as absent, and evaluates the surrogate at scale (V - V_th).
+void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate, TickRows current,
+                        TickRows spike_gradient, float* current_gradient);
 
 }  // namespace spikeserve
 

@@ -4,6 +4,8 @@
 #include <ATen/ops/linear.h>
 
 #include <algorithm>
+#include <variant>
+#include <vector>
 
 #include "absl/strings/match.h"
 #include "core/math/layer_norm.h"
@@ -20,16 +22,28 @@ std::vector<TensorSlot> Slots(Policy* policy) {
                      &policy->weights);
 }
 
+template <class Number>
+torch::Tensor Copy(BasicTensor<Number>& tensor) {
+  const std::vector<int64_t> shape(tensor.shape.begin(), tensor.shape.end());
+  return torch::from_blob(tensor.values.data(), shape, torch::CppTypeToScalarType<Number>::value)
+      .to(torch::kFloat, /*non_blocking=*/false, /*copy=*/true);
+}
+
 }  // namespace
 
-Parameters::Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed)
-    : patches_(patches) {
+std::map<std::string, torch::Tensor> CopyTensors(const Policy& policy) {
   Policy copy = policy;
+  std::map<std::string, torch::Tensor> tensors;
   for (const TensorSlot& slot : Slots(&copy)) {
-    const std::vector<int64_t> shape(slot.floats()->shape.begin(), slot.floats()->shape.end());
-    torch::Tensor tensor = torch::from_blob(slot.floats()->values.data(), shape).clone();
-    tensor.set_requires_grad(!absl::StartsWith(slot.name, "observation."));
-    tensors_.emplace(slot.name, tensor);
+    tensors.emplace(slot.name, std::visit([](auto* tensor) { return Copy(*tensor); }, slot.tensor));
+  }
+  return tensors;
+}
+
+Parameters::Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed)
+    : patches_(patches), tensors_(CopyTensors(policy)) {
+  for (auto& [name, tensor] : tensors_) {
+    tensor.set_requires_grad(!absl::StartsWith(name, "observation."));
   }
   if (!patches.used()) return;
   tensors_.erase(kStateWeight);

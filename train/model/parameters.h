@@ -13,6 +13,9 @@
 
 namespace spikeserve {
 
+// Returns copies of all tensors of a policy as float32, by name. Integers keep their values.
+std::map<std::string, torch::Tensor> CopyTensors(const Policy& policy);
+
 // Not thread-safe while the tensors are modified.
 class Parameters {
  public:

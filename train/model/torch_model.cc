@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/model/quantize.h"
 #include "train/model/attention.h"
 #include "train/model/bernoulli_function.h"
 #include "train/model/lif_function.h"
@@ -29,11 +30,13 @@ torch::Tensor StateTokens(const torch::Tensor& x, int64_t dimension) {
 // One forward pass over a batch of clips.
 class ForwardPass {
  public:
-  ForwardPass(const Policy& policy, const Parameters& parameters, const Surrogate& surrogate,
-              const ClipTensors& clips)
+  // Computes in integers if `rounded` is not null.
+  ForwardPass(const Policy& policy, const Parameters& parameters, const RoundedMaps* rounded,
+              const Surrogate& surrogate, const ClipTensors& clips)
       : policy_(policy),
         config_(policy.config),
         p_(parameters),
+        rounded_(rounded),
         surrogate_(surrogate),
         lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
         clips_(clips),
@@ -109,10 +112,28 @@ class ForwardPass {
     return output_.populations.back().spikes;
   }
 
-  // Returns the spikes [T, B, tokens, neurons] of LIF neurons with this current, of the same shape.
-  torch::Tensor Fire(const torch::Tensor& current, Stage stage, int layer) {
-    output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
+  // Returns the spikes [T, B, tokens, neurons] of the population `name` for input spikes [T, B,
+  // tokens, in].
+  torch::Tensor Fire(const torch::Tensor& input, const std::string& name, Stage stage, int layer) {
+    if (rounded_ == nullptr) {
+      const torch::Tensor current = p_.Linear(input, name);
+      output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
+    } else {
+      const IntegerLifOptions options = {.neuron = {static_cast<int16_t>(config_.integer_decay())},
+                                         .threshold = rounded_->threshold(name),
+                                         .scale = rounded_->scale(name),
+                                         .ticks = config_.ticks,
+                                         .surrogate = surrogate_};
+      const torch::Tensor current = rounded_->Current(p_, name, input);
+      output_.populations.push_back({stage, layer, IntegerLifPerTick(current, options), {}});
+    }
     return output_.populations.back().spikes;
+  }
+
+  // Returns W (spike count / T) + b of the map `name` for hidden spikes [T, B, tokens, F].
+  torch::Tensor MapCounts(const torch::Tensor& hidden, const std::string& name) const {
+    return rounded_ == nullptr ? p_.Linear(hidden.mean(0), name)
+                               : rounded_->MapCounts(p_, name, hidden);
   }
 
   // Returns the layer's output, [B, 3n, d]. The last layer computes queries and outputs only for
@@ -123,9 +144,9 @@ class ForwardPass {
     if (config_.has_phase()) coded = torch::cat({coded, phase_}, -1);
     const torch::Tensor asking = IsLast(layer) ? StateTokens(coded, 2) : coded;
     const std::string attention = name + ".attention";
-    const torch::Tensor q = Fire(p_.Linear(asking, attention + ".query"), Stage::kQuery, layer);
-    const torch::Tensor k = Fire(p_.Linear(coded, attention + ".key"), Stage::kKey, layer);
-    const torch::Tensor v = Fire(p_.Linear(coded, attention + ".value"), Stage::kValue, layer);
+    const torch::Tensor q = Fire(asking, attention + ".query", Stage::kQuery, layer);
+    const torch::Tensor k = Fire(coded, attention + ".key", Stage::kKey, layer);
+    const torch::Tensor v = Fire(coded, attention + ".value", Stage::kValue, layer);
     const torch::Tensor y = Attend(q, k, v, p_[attention + ".scale"], Mask(layer), config_.heads);
     return SpikingFeedForward(AddAttention(x, RouteHeads(p_, name, config_, y), attention, layer),
                               name, layer);
@@ -133,9 +154,8 @@ class ForwardPass {
 
   torch::Tensor SpikingFeedForward(const torch::Tensor& x, const std::string& name, int layer) {
     const torch::Tensor coded = Code(x, name + ".ffn.coder", Stage::kFfnIn, layer, 2 * layer + 1);
-    const torch::Tensor hidden =
-        Fire(p_.Linear(coded, name + ".ffn.hidden"), Stage::kFfnHidden, layer);
-    return p_.Norm(x + p_.Linear(hidden.mean(0), name + ".ffn.output"), name + ".ffn.norm");
+    const torch::Tensor hidden = Fire(coded, name + ".ffn.hidden", Stage::kFfnHidden, layer);
+    return p_.Norm(x + MapCounts(hidden, name + ".ffn.output"), name + ".ffn.norm");
   }
 
   // As SpikingLayer, for a layer of an ordinary decision transformer with the same residual
@@ -165,6 +185,7 @@ class ForwardPass {
   const Policy& policy_;
   const ModelConfig& config_;
   const Parameters& p_;
+  const RoundedMaps* const rounded_;
   const Surrogate surrogate_;
   const LifOptions lif_;
   const ClipTensors& clips_;
@@ -176,18 +197,41 @@ class ForwardPass {
 
 }  // namespace
 
-TorchModel::TorchModel(Policy policy, const Surrogate& surrogate, const PatchShape& patches,
-                       uint64_t seed)
-    : policy_(std::move(policy)), surrogate_(surrogate), parameters_(policy_, patches, seed) {}
-
-ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
-  return ForwardPass(policy_, parameters_, surrogate_, clips).Run();
+TorchModel::TorchModel(Policy policy, const Surrogate& surrogate, Arithmetic arithmetic,
+                       const PatchShape& patches, uint64_t seed)
+    : policy_(std::move(policy)),
+      surrogate_(surrogate),
+      parameters_(policy_, patches, seed),
+      arithmetic_(arithmetic) {
+  if (arithmetic_ == Arithmetic::kInt8) SetRounded(*Quantize(policy_));
 }
 
-Policy TorchModel::CurrentPolicy() const {
+void TorchModel::SetRounded(Policy policy) {
+  RoundedMaps maps(policy);
+  rounded_.emplace(Rounded{std::move(policy), std::move(maps)});
+}
+
+ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
+  const RoundedMaps* maps = rounded_.has_value() ? &rounded_->maps : nullptr;
+  return ForwardPass(policy_, parameters_, maps, surrogate_, clips).Run();
+}
+
+absl::Status TorchModel::Round() {
+  if (arithmetic_ == Arithmetic::kFloat32) return absl::OkStatus();
+  absl::StatusOr<Policy> policy = Quantize(FloatPolicy());
+  if (!policy.ok()) return policy.status();
+  SetRounded(*std::move(policy));
+  return absl::OkStatus();
+}
+
+Policy TorchModel::FloatPolicy() const {
   Policy policy = policy_;
   parameters_.Store(&policy);
   return policy;
+}
+
+Policy TorchModel::CurrentPolicy() const {
+  return rounded_.has_value() ? rounded_->policy : FloatPolicy();
 }
 
 }  // namespace spikeserve

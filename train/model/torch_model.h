@@ -8,11 +8,14 @@
 
 #include <torch/types.h>
 
+#include <optional>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "core/engine/counts.h"
 #include "core/model/policy.h"
 #include "train/model/parameters.h"
+#include "train/model/rounded_maps.h"
 #include "train/model/surrogate.h"
 
 namespace spikeserve {
@@ -33,8 +36,8 @@ struct Population {
   Stage stage;
   int layer;             // -1 for readout and phase, which belong to no layer
   torch::Tensor spikes;  // [T, B, tokens, neurons]; of phase: [T, B, n, H]
-  // Input current of LIF neurons: the shape of `spikes`, or [B, tokens, neurons] if it is constant
-  // over the ticks. Undefined for other neurons.
+  // Input current of float32 LIF neurons: the shape of `spikes`, or [B, tokens, neurons] if it is
+  // constant over the ticks. Undefined for other neurons.
   torch::Tensor current;
 };
 
@@ -46,24 +49,42 @@ struct ModelOutput {
 
 class TorchModel {
  public:
-  // Copies the policy's weights as initial parameters. With patches, the state embedding starts
-  // from random patch maps that are drawn from `seed`. REQUIRES: a valid policy, and patches that
-  // are not used or valid for it.
-  TorchModel(Policy policy, const Surrogate& surrogate, const PatchShape& patches = {},
+  // Copies the policy's weights as initial parameters. With kInt8, runs the policy as Quantize()
+  // rounds it. With patches, the state embedding starts from random patch maps that are drawn from
+  // `seed`. REQUIRES: a valid policy in float32, and with kInt8 one that Quantize() accepts;
+  // patches that are not used or valid for it.
+  TorchModel(Policy policy, const Surrogate& surrogate,
+             Arithmetic arithmetic = Arithmetic::kFloat32, const PatchShape& patches = {},
              uint64_t seed = 0);
 
-  // Runs the model on all clips; records the autograd graph unless gradients are disabled.
+  // Runs the model on all clips; records the autograd graph unless gradients are disabled. With
+  // kInt8, computes with the weights of the last Round(), or else of the initial policy.
   ModelOutput Forward(const ClipTensors& clips) const;
 
   const Parameters& parameters() const { return parameters_; }
 
-  // Returns the policy with the current weights.
+  // Rounds the current parameters; call it after every change of them. Returns INVALID_ARGUMENT,
+  // which names the tensor, if 16 bits cannot hold a bias or a current. Does nothing with kFloat32.
+  absl::Status Round();
+
+  // Returns the policy with the current weights; with kInt8, with the integers of the last Round().
   Policy CurrentPolicy() const;
 
  private:
+  // The integer policy, and its maps as tensors.
+  struct Rounded {
+    Policy policy;
+    RoundedMaps maps;
+  };
+
+  Policy FloatPolicy() const;
+  void SetRounded(Policy policy);
+
   const Policy policy_;
   const Surrogate surrogate_;
   const Parameters parameters_;
+  const Arithmetic arithmetic_;
+  std::optional<Rounded> rounded_;  // with kInt8
 };
 
 }  // namespace spikeserve

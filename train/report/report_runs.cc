@@ -150,7 +150,7 @@ class Runner {
     }
     const int interval = std::max(1, options.iterations / kValidations);
     while (!trainer.done()) {
-      trainer.Step();
+      if (const auto step = trainer.Step(); !step.ok()) return step.status();
       if (!trainer.done() && trainer.iteration() % interval != 0) continue;
       if (trainer.has_validation()) {
         losses->push_back({trainer.iteration(), trainer.ValidationLoss()});

@@ -84,20 +84,24 @@ absl::Status TrainOptions::Validate() const {
 
 std::string TrainOptions::ToFlags() const {
   const std::string surrogate_name(ToString(surrogate.kind));
-  const std::string patch_flags =
-      patches.used()
-          ? absl::StrFormat(" --image_shape=%d,%d,%d --patch_size=%d --patch_features=%d",
-                            patches.height, patches.width, patches.channels, patches.size,
-                            patches.features)
-          : "";
-  return absl::StrFormat(
+  std::string flags = absl::StrFormat(
       "--seed=%d --iterations=%d --batch=%d --clip_steps=%d --learning_rate=%g --weight_decay=%g "
       "--warmup=%d --clip_norm=%g --action_noise=%g --validation=%g --target_rate=%g "
       "--readout_rate=%g --spike_penalty=%g --operation_penalty=%g --surrogate=%s "
-      "--slope=%g%s",
+      "--slope=%g",
       seed, iterations, batch, clip_steps, learning_rate, weight_decay, warmup, clip_norm,
       action_noise, validation, 100.0 * rate_targets.hidden, 100.0 * rate_targets.readout,
-      spike_penalty, operation_penalty, surrogate_name, surrogate.slope, patch_flags);
+      spike_penalty, operation_penalty, surrogate_name, surrogate.slope);
+  // Runs of programs without this flag stay the same runs.
+  if (arithmetic != Arithmetic::kFloat32) {
+    absl::StrAppend(&flags, " --arithmetic=", std::string(ToString(arithmetic)));
+  }
+  if (patches.used()) {
+    absl::StrAppendFormat(&flags, " --image_shape=%d,%d,%d --patch_size=%d --patch_features=%d",
+                          patches.height, patches.width, patches.channels, patches.size,
+                          patches.features);
+  }
+  return flags;
 }
 
 // AdamW with two parameter groups: the phase generators, with a learning rate of their own and no
@@ -140,7 +144,7 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
       observation_size_(source.dataset().observation_size),
       clip_steps_(ClipSteps(options, initial.config)),
       split_(SplitEpisodes(source.entries(), options.validation)),
-      model_(initial, options.surrogate, options.patches, options.seed),
+      model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
   if (source.resident()) {
     clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_steps_);
@@ -227,7 +231,7 @@ void Trainer::SetLearningRate() {
   if (groups.size() > 1) groups[1].options().set_lr(kPhaseRateFactor * rate);
 }
 
-Trainer::StepReport Trainer::Step() {
+absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   const uint64_t key =
       RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
   const Batch batch = MakeBatch(clips_->Sample(key, options_.batch, options_.action_noise), key);
@@ -250,6 +254,7 @@ Trainer::StepReport Trainer::Step() {
   SetLearningRate();
   optimizer_->adamw.step();
   ++iteration_;
+  if (absl::Status status = model_.Round(); !status.ok()) return status;
   return report;
 }
 
@@ -308,10 +313,10 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
     const torch::NoGradGuard no_gradient;
     for (const auto& [name, tensor] : loaded) model_.parameters()[name].copy_(tensor);
     iteration_ = static_cast<int>(iteration.toInt());
+    return model_.Round();
   } catch (const c10::Error&) {
     return absl::FailedPreconditionError(absl::StrCat(path, ": not a checkpoint of this model"));
   }
-  return absl::OkStatus();
 }
 
 }  // namespace spikeserve

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "core/model/policy.h"
 #include "train/data/chunk_plan.h"
 #include "train/data/clip_sampler.h"
@@ -43,19 +44,21 @@ struct TrainOptions {
   double spike_penalty = 1.0;   // weight of the penalty on firing rates
   double operation_penalty = 0.0;  // weight of the penalty on synaptic operations; grows alike
   Surrogate surrogate;
-  PatchShape patches;  // of image observations; only for new policies
+  PatchShape patches;                            // of image observations; only for new policies
+  Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
 
   // Returns INVALID_ARGUMENT with the option, the expected and the received value.
   absl::Status Validate() const;
 
-  // Returns the flags of `spiketrain train` for these options, including defaults.
+  // Returns the flags of `spiketrain train` for these options, including defaults except those of
+  // `arithmetic` and `patches`.
   std::string ToFlags() const;
 };
 
 class Trainer {
  public:
-  // Keeps a reference to `source`. REQUIRES: valid options, and a valid policy for the source's
-  // environment.
+  // Keeps a reference to `source`. REQUIRES: valid options, and a valid policy in float32 for the
+  // source's environment; with Arithmetic::kInt8 one that Quantize() accepts.
   Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
 
@@ -68,8 +71,10 @@ class Trainer {
   // the source is not resident.
   absl::Status ReadEpisodes();
 
-  // Runs one iteration: draws a batch of clips and updates the weights. REQUIRES: !done().
-  StepReport Step();
+  // Runs one iteration: draws a batch of clips and updates the weights. Returns INVALID_ARGUMENT,
+  // which names the tensor, if 16 bits cannot hold the new weights with Arithmetic::kInt8.
+  // REQUIRES: !done().
+  absl::StatusOr<StepReport> Step();
 
   // Returns whether any episodes are held out.
   bool has_validation() const { return !split_.validation.empty(); }
@@ -79,6 +84,7 @@ class Trainer {
 
   int iteration() const { return iteration_; }
   bool done() const { return iteration_ >= options_.iterations; }
+  // Returns the policy with the current weights, in the arithmetic of the options.
   Policy CurrentPolicy() const { return model_.CurrentPolicy(); }
 
   // Writes weights, optimiser state and iteration; there is no other state, because random draws

@@ -141,7 +141,8 @@ function versionTiles(figures, lines, model, status, route) {
     {label: 'Sessions', value: count(figures.sessions), note: '', line: lines.sessions},
     energy,
     {label: 'Head drift', value: fixed(figures.head_drift, 4),
-     note: `${fixed(figures.head_updates_per_second)} updates / s`,
+     note: `${fixed(figures.head_updates_per_second)} updates / s, ${count(figures.held_out_sessions)} held out, ` +
+       `${count(figures.trimmed_contributions)} trimmed`,
      bad: fires(status, route, 'SpikeserveLearningRolledBack')},
   ];
 }

@@ -6,10 +6,12 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <string>
 #include <thread>
 #include <vector>
 
 #include "core/learning/frobenius_norm.h"
+#include "core/learning/held_out.h"
 
 namespace spikeserve {
 namespace {
@@ -127,6 +129,124 @@ TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {
   EXPECT_EQ(fleet.Read()->delta, good);
   EXPECT_EQ(fleet.Read()->rollbacks, 1);
   EXPECT_EQ(fleet.Read()->level.mean, 100.0);
+}
+
+// A protected head and what its contributors do, with names that tell them apart.
+class ProtectedHead {
+ public:
+  FleetHead::Merged Merge(const std::string& contributor, double length, double episode_return,
+                          bool held_out = false) {
+    Eigen::VectorXf contribution = Eigen::VectorXf::Zero(kSize);
+    contribution[0] = static_cast<float>(length);
+    now_ += absl::Seconds(1);
+    return head_.Merge(contribution, episode_return,
+                       {.contributor = contributor,
+                        .held_out = held_out,
+                        .now = now_,
+                        .members = ContributionBudget::kProtectedMembers});
+  }
+
+  // Ends `episodes` episodes of five contributors in turn. Returns true if the head was rolled
+  // back.
+  bool Play(size_t episodes, double length, double episode_return) {
+    bool rolled_back = false;
+    for (size_t i = 0; i < episodes; ++i) {
+      rolled_back |= Merge(std::to_string(i % 5), length, episode_return).rolled_back;
+    }
+    return rolled_back;
+  }
+
+  FleetHead& head() { return head_; }
+  double moved() const { return head_.Read()->delta[0]; }
+
+ private:
+  FleetHead head_ = FleetHead(TestPolicy());
+  absl::Duration now_;
+};
+
+constexpr double kLength = 0.01;
+
+TEST(FleetHeadTest, ALongContributionIsShortenedToThoseOfTheOthers) {
+  ProtectedHead fleet;
+  fleet.Play(ReturnGuard::kWindow, kLength, 10.0);
+  const double before = fleet.moved();
+  EXPECT_EQ(fleet.Merge("attacker", 0.4, 10.0).outcome, UpdateOutcome::kApplied);
+  EXPECT_NEAR(fleet.moved() - before, PeerNorms::kFactor * kLength, 1e-6);
+  EXPECT_EQ(fleet.head().Read()->trimmed, 1);
+}
+
+TEST(FleetHeadTest, WhatWasGatheredBeforeTheReferenceIsShortened) {
+  ProtectedHead fleet;
+  for (int i = 0; i < ContributionBudget::kPerWindow; ++i) fleet.Merge("attacker", 0.4, 10.0);
+  fleet.Play(ReturnGuard::kWindow - ContributionBudget::kPerWindow - 1, kLength, 10.0);
+  EXPECT_EQ(fleet.moved(), 0.0);
+  fleet.Merge("4", kLength, 10.0);
+  const double attacks = ContributionBudget::kPerWindow * PeerNorms::kFactor * kLength;
+  const double others = (ReturnGuard::kWindow - ContributionBudget::kPerWindow) * kLength;
+  EXPECT_NEAR(fleet.moved(), attacks + others, 1e-6);
+  EXPECT_EQ(fleet.head().Read()->trimmed, ContributionBudget::kPerWindow);
+}
+
+TEST(FleetHeadTest, AHeldOutSessionContributesOnlyToAHeadThatIsNotProtected) {
+  ProtectedHead fleet;
+  fleet.Play(ReturnGuard::kWindow, kLength, 10.0);
+  const double before = fleet.moved();
+  EXPECT_EQ(fleet.Merge("judge", kLength, 10.0, /*held_out=*/true).outcome,
+            UpdateOutcome::kHeldOut);
+  EXPECT_EQ(fleet.moved(), before);
+  EXPECT_EQ(fleet.head().Read()->rejected, 1);
+  FleetHead small(TestPolicy());
+  const auto merged = small.Merge(Contribution(1), 10.0, {.contributor = "a", .held_out = true});
+  EXPECT_EQ(merged.outcome, UpdateOutcome::kApplied);
+}
+
+// Contributors that invent good returns hide from the first guard that the head becomes worse.
+TEST(FleetHeadTest, ReturnsOfHeldOutSessionsCannotBeInventedByThoseWhoContribute) {
+  ProtectedHead fleet;
+  const auto judges = [&](double episode_return) {
+    bool rolled_back = false;
+    for (size_t i = 0; i < ReturnGuard::kWindow; ++i) {
+      const std::string judge = "judge" + std::to_string(i % 5);
+      // Five contributors end most of the episodes of every window of the first guard.
+      rolled_back |= fleet.Play(4, kLength, 10.0);
+      rolled_back |= fleet.Merge(judge, kLength, episode_return, /*held_out=*/true).rolled_back;
+    }
+    return rolled_back;
+  };
+  EXPECT_FALSE(judges(10.0));
+  EXPECT_GT(fleet.moved(), 0.0);
+  EXPECT_TRUE(judges(1.0));
+  EXPECT_EQ(fleet.head().Read()->rollbacks, 1);
+}
+
+TEST(FleetHeadTest, AFleetWhoseSessionsAreAllSuspendedGoesOn) {
+  ProtectedHead fleet;
+  EXPECT_FALSE(fleet.Play(ReturnGuard::kWindow, kLength, 10.0));
+  EXPECT_TRUE(fleet.Play(ReturnGuard::kWindow, kLength, 1.0));
+  EXPECT_EQ(fleet.Merge("0", kLength, 10.0).outcome, UpdateOutcome::kOverBudget);
+  fleet.Play(ReturnGuard::kWindow * ContributionBudget::kSuspendedWindows, kLength, 10.0);
+  EXPECT_EQ(fleet.Merge("0", kLength, 10.0).outcome, UpdateOutcome::kApplied);
+}
+
+TEST(FleetHeadTest, AboutOneSessionInFiveIsHeldOut) {
+  constexpr int kSessions = 10000;
+  int held_out = 0;
+  for (int i = 0; i < kSessions; ++i) {
+    held_out += IsHeldOut("session" + std::to_string(i)) ? 1 : 0;
+  }
+  EXPECT_NEAR(held_out, kSessions / static_cast<int>(kHeldOutShare), 200);
+}
+
+TEST(FleetHeadTest, OpenSessionsThatAreHeldOutAreCounted) {
+  const auto head = std::make_shared<FleetHead>(TestPolicy());
+  std::vector<std::unique_ptr<FleetHead::Member>> members;
+  for (size_t i = 0; i < ContributionBudget::kProtectedMembers; ++i) {
+    EXPECT_EQ(head->HeldOutSessions(), 0);
+    members.push_back(std::make_unique<FleetHead::Member>(head, std::to_string(i), i == 0));
+  }
+  EXPECT_EQ(head->HeldOutSessions(), 1);
+  members.erase(members.begin());
+  EXPECT_EQ(head->HeldOutSessions(), 0);
 }
 
 }  // namespace

@@ -153,9 +153,11 @@ TEST(LoadReportTest, MergeAddsCallersThatRanSideBySide) {
   first.decisions = 30;
   first.seconds = 2.0;
   first.latency.Add(0.01);
+  first.longest.Add(0.02);
   second.decisions = 10;
   second.seconds = 1.0;
   second.latency.Add(0.01);
+  second.longest.Add(0.02);
   second.CountError(absl::UnavailableError("first"));
   second.CountError(absl::NotFoundError("second"));
   LoadReport sum;
@@ -163,11 +165,13 @@ TEST(LoadReportTest, MergeAddsCallersThatRanSideBySide) {
   sum.Merge(second);
   EXPECT_EQ(sum.first_error, absl::UnavailableError("first"));
   const nlohmann::json json = sum.ToJson();
-  EXPECT_EQ(json.size(), 5u);
+  EXPECT_EQ(json.size(), 7u);
   EXPECT_EQ(json["decisions"], 40);
   EXPECT_EQ(json["decisions_per_second"], 20.0);
   EXPECT_EQ(json["p50_seconds"], 0.01);
   EXPECT_EQ(json["p99_seconds"], 0.01);
+  EXPECT_EQ(json["longest_wait_p50_seconds"], 0.02);
+  EXPECT_EQ(json["longest_wait_p99_seconds"], 0.02);
   EXPECT_EQ(json["errors"], 2);
   EXPECT_THAT(sum.ToText(), HasSubstr("40 decisions in 2.0 s, 20.0 decisions/s"));
 }

@@ -122,6 +122,33 @@ refuses '--episodes: expected at least 1, received 0' quantize --policy=whole/po
 refuses '--init: expected a policy in float32, received one in int8' \
   train --data=data.cbor --init=new/2/policy.safetensors --out=x
 
+# Trains in integers, from nothing and from a float32 policy. The policy is an integer policy, and its record says so.
+integers() { "$spiketrain" train --data=data.cbor --arithmetic=int8 --batch=4 --episodes=2 "$@"; }
+integers --out=integers "${tiny[@]}" --iterations=4 >integers.txt 2>/dev/null
+grep -q '^shape: .*, arithmetic int8$' integers.txt || fail "the shape: $(cat integers.txt)"
+says integers/policy.safetensors '\"arithmetic\":\"int8\"'
+says integers/policy.safetensors ' --arithmetic=int8 '
+says integers/policy.safetensors '"dtype":"I8"'
+cp -r integers integers2
+rm integers2/policy.safetensors
+integers --out=integers2 "${tiny[@]}" --iterations=4 --resume 2>/dev/null >integers2.txt
+cmp <(grep -v '^policy:' integers.txt) <(grep -v '^policy:' integers2.txt)
+if "$spiketrain" train --data=data.cbor --out=integers "${tiny[@]}" --iterations=4 --resume 2>message; then
+  fail "accepted: a checkpoint of another arithmetic"
+fi
+grep -q 'made with .* --arithmetic=int8 .*, not ' message || fail "the arithmetic of a checkpoint: $(cat message)"
+integers --out=tuned-integers --init=whole/policy.safetensors --iterations=2 --json 2>/dev/null |
+  grep -q '"horowitz_45nm_int8"' || fail "the energy of an integer policy"
+says tuned-integers/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
+grep -aq 'lineage.*--out=whole' tuned-integers/policy.safetensors || fail "lineage of integers"
+# Without an iteration that changes weights, training in integers gives what rounding gives.
+integers --out=rounded --init=whole/policy.safetensors --iterations=1 --learning_rate=1e-30 --validation=0 >/dev/null 2>&1
+tensors() { tail -c +"$((9 + $(od -An -t u8 -N8 "$1")))" "$1"; }
+cmp <(tensors rounded/policy.safetensors) <(tensors new/2/policy.safetensors) || fail "trained and rounded tensors"
+refuses '--arithmetic=int8: arithmetic: expected float32 in mode dense, received int8' \
+  train --data=data.cbor --out=x --mode=dense --arithmetic=int8
+refuses '--arithmetic: expected float32 or int8, received "int4"' train --data=data.cbor --out=x --arithmetic=int4
+
 # Records episodes of a student, labelled by the expert.
 "$spiketrain" dataset --steps=100 --expert_fraction=0 --student=whole/policy.safetensors --weigh --out=student-v0 |
   grep -q '"student_steps":'

@@ -291,8 +291,11 @@ class AsyncConnection(_Channels):
     ) -> None:
         super().__init__(server, options, credentials)
         self._probes: set[asyncio.Task[None]] = set()
+        self._is_closed = False
 
     def _probe(self, replica: Replica) -> None:
+        if self._is_closed:  # calls that were under way fail then
+            return
         task = asyncio.create_task(self._check_health(replica))
         self._probes.add(task)
         task.add_done_callback(self._probes.discard)
@@ -314,6 +317,7 @@ class AsyncConnection(_Channels):
 
     async def close(self) -> None:
         """Asyncio form of Connection.close."""
+        self._is_closed = True
         for probe in self._probes:
             probe.cancel()
         for replica in self.replicas:

@@ -34,11 +34,19 @@ class FakeBackend final : public JournalBackend {
     return outcomes;
   }
 
-  absl::StatusOr<ClaimedJournal> Claim(const JournalClaim& claim) override {
+  std::vector<absl::StatusOr<ClaimedJournal>> Claim(
+      absl::Span<const JournalClaim> claims) override {
     absl::MutexLock lock(&mutex_);
-    if (!status_.ok()) return status_;
-    if (claim.id != "known") return absl::NotFoundError("unknown");
-    return ClaimedJournal{.epoch = 2, .records = written_};
+    if (!status_.ok()) return {claims.size(), status_};
+    std::vector<absl::StatusOr<ClaimedJournal>> claimed(claims.size());
+    for (size_t i = 0; i < claims.size(); ++i) {
+      if (claims[i].id == "known") {
+        claimed[i] = ClaimedJournal{.epoch = 2, .records = written_};
+      } else {
+        claimed[i] = absl::NotFoundError("unknown");
+      }
+    }
+    return claimed;
   }
 
   void SetStatus(const absl::Status& status) {

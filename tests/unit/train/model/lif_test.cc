@@ -145,6 +145,92 @@ TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
   }
 }
 
+// Integer currents of 16 bits for `kNeurons` neurons, many of which saturate the membrane.
+torch::Tensor RandomIntegerCurrent(std::vector<int64_t> shape) {
+  torch::manual_seed(4);
+  return torch::randint(-32767, 32768, shape).to(torch::kFloat) *
+         torch::randint(0, 2, shape).to(torch::kFloat);
+}
+
+constexpr int64_t kWidth = 26;  // of the population; kNeurons is a multiple of it
+
+IntegerLifOptions IntegerOptions(const Surrogate& surrogate) {
+  torch::manual_seed(5);
+  return {.neuron = {.decay = 29491},
+          .threshold = torch::randint(1, 16385, {kWidth}).to(torch::kFloat),
+          .scale = torch::rand({kWidth}) * 1e-4 + 1e-5,
+          .ticks = kTicks,
+          .surrogate = surrogate};
+}
+
+// Large numbers saturate membranes; with small ones the rounding of a membrane decides on spikes.
+TEST(IntegerLifFunctionTest, SpikesEqualTheNeuronSteppedAlone) {
+  for (const double size : {1.0, 1e-3}) {
+    IntegerLifOptions options = IntegerOptions({});
+    options.threshold = torch::ceil(options.threshold * size);
+    const torch::Tensor current =
+        torch::floor(RandomIntegerCurrent({kTicks, kNeurons / kWidth, kWidth}) * size);
+    const torch::Tensor spikes = IntegerLifPerTick(current, options);
+    ASSERT_EQ(spikes.sizes(), current.sizes());
+    const torch::Tensor flat = current.flatten(1), trains = spikes.flatten(1);
+    int fired = 0;
+    for (int64_t i = 0; i < kNeurons; ++i) {
+      const auto threshold = static_cast<int16_t>(options.threshold[i % kWidth].item<float>());
+      int16_t membrane = 0;
+      for (int tick = 0; tick < kTicks; ++tick) {
+        const auto input = static_cast<int16_t>(flat[tick][i].item<float>());
+        const bool spike = options.neuron.Step(input, threshold, membrane);
+        ASSERT_EQ(trains[tick][i].item<float>(), spike ? 1.0f : 0.0f) << "neuron " << i;
+        fired += spike;
+      }
+    }
+    EXPECT_GT(fired, kNeurons);
+  }
+}
+
+// As NaiveLif, for integer neurons: the values are those of integer arithmetic, the gradients those
+// without rounding and saturation.
+torch::Tensor NaiveIntegerLif(const torch::Tensor& current, const IntegerLifOptions& options) {
+  std::vector<torch::Tensor> spikes;
+  const double decay = static_cast<double>(options.neuron.decay) / 32768.0;
+  torch::Tensor membrane = torch::zeros_like(current[0]);
+  for (int tick = 0; tick < options.ticks; ++tick) {
+    const torch::Tensor smooth_membrane = decay * membrane + current[tick];
+    const torch::Tensor leaked = torch::floor(
+        (membrane.detach().to(torch::kDouble) * options.neuron.decay + 16384.0) / 32768.0);
+    const torch::Tensor exact =
+        (leaked + current[tick].detach()).clamp(-32768.0, 32767.0).to(torch::kFloat);
+    membrane = smooth_membrane + (exact - smooth_membrane.detach());
+    const torch::Tensor u = options.scale * (exact - options.threshold);
+    const torch::Tensor through = u + options.scale * (smooth_membrane - smooth_membrane.detach());
+    const torch::Tensor smooth = Antiderivative(options.surrogate, through);
+    const torch::Tensor step = (exact >= options.threshold).to(torch::kFloat);
+    spikes.push_back(step + (smooth - smooth.detach()));
+    membrane = exact * (1.0 - step) + (membrane - membrane.detach()) * (1.0 - step);
+  }
+  return torch::stack(spikes);
+}
+
+TEST_P(LifGradientTest, OfIntegerNeuronsEqualsTheGraphOverTicks) {
+  const IntegerLifOptions options = IntegerOptions({GetParam(), 4.0f});
+  const torch::Tensor weight = torch::randn({kTicks, kNeurons / kWidth, kWidth});
+  for (const bool same_at_every_tick : {false, true}) {
+    torch::Tensor fused = RandomIntegerCurrent({kTicks, kNeurons / kWidth, kWidth});
+    torch::Tensor naive = fused.clone();
+    fused.requires_grad_();
+    naive.requires_grad_();
+    const torch::Tensor spikes = IntegerLifPerTick(fused, options);
+    const torch::Tensor expected = NaiveIntegerLif(naive, options);
+    ASSERT_TRUE(torch::equal(spikes, torch::round(expected)));
+    for (const torch::Tensor& output : {spikes, expected}) {
+      (same_at_every_tick ? (output.sum(0) * weight[0]).sum() : (output * weight).sum()).backward();
+    }
+    EXPECT_GT(naive.grad().abs().sum().item<float>(), 1e-2f);
+    EXPECT_TRUE(torch::allclose(fused.grad(), naive.grad(), 1e-3, 1e-9))
+        << "same at every tick " << same_at_every_tick;
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Surrogates, LifGradientTest,
                          testing::Values(SurrogateKind::kFastSigmoid, SurrogateKind::kSigmoid,
                                          SurrogateKind::kPiecewiseLinear),

@@ -7,6 +7,7 @@
 #include <fstream>
 #include <functional>
 #include <utility>
+#include <variant>
 
 #include "core/neuron/phase.h"
 #include "tests/support/small_policy.h"
@@ -50,7 +51,8 @@ std::vector<float> AllWeights(const Trainer& trainer) {
   Policy policy = trainer.CurrentPolicy();
   std::vector<float> all;
   for (const TensorSlot& slot : TensorSlots(policy.config, 4, 2, &policy.weights)) {
-    all.insert(all.end(), slot.floats()->values.begin(), slot.floats()->values.end());
+    std::visit([&](auto* t) { all.insert(all.end(), t->values.begin(), t->values.end()); },
+               slot.tensor);
   }
   return all;
 }
@@ -58,15 +60,15 @@ std::vector<float> AllWeights(const Trainer& trainer) {
 TEST_F(TrainerTest, ResumedRunEqualsTheUninterruptedOne) {
   const std::string path = testing::TempDir() + "/resume.pt";
   Trainer whole(Initial(), source_, options_);
-  while (!whole.done()) whole.Step();
+  while (!whole.done()) ASSERT_TRUE(whole.Step().ok());
 
   Trainer first(Initial(), source_, options_);
-  for (int i = 0; i < 3; ++i) first.Step();
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(first.Step().ok());
   ASSERT_TRUE(first.SaveCheckpoint(path).ok());
   Trainer second(Initial(), source_, options_);
   ASSERT_TRUE(second.LoadCheckpoint(path).ok());
   EXPECT_EQ(second.iteration(), 3);
-  while (!second.done()) second.Step();
+  while (!second.done()) ASSERT_TRUE(second.Step().ok());
   EXPECT_EQ(AllWeights(second), AllWeights(whole));
   EXPECT_NE(AllWeights(second), AllWeights(first));
 }
@@ -114,7 +116,7 @@ class LargeDataTest : public TrainerTest {
   static void TrainToEnd(Trainer* trainer) {
     while (!trainer->done()) {
       ASSERT_TRUE(trainer->ReadEpisodes().ok());
-      trainer->Step();
+      ASSERT_TRUE(trainer->Step().ok());
     }
     ASSERT_TRUE(trainer->ReadEpisodes().ok());
   }
@@ -129,7 +131,7 @@ TEST_F(LargeDataTest, DataThatFitTrainAsTheyDoInMemory) {
   Trainer from_files(Initial(), opened, options_);
   TrainToEnd(&from_files);
   Trainer from_memory(Initial(), source_, options_);
-  while (!from_memory.done()) from_memory.Step();
+  while (!from_memory.done()) ASSERT_TRUE(from_memory.Step().ok());
   EXPECT_EQ(AllWeights(from_files), AllWeights(from_memory));
   EXPECT_EQ(from_files.ValidationLoss(), from_memory.ValidationLoss());
 }
@@ -165,7 +167,7 @@ TEST_F(LargeDataTest, TrainingInChunksIsReproducibleAndCanBeResumed) {
   Trainer first(Initial(), source, options);
   for (int i = 0; i < 23; ++i) {
     ASSERT_TRUE(first.ReadEpisodes().ok());
-    first.Step();
+    ASSERT_TRUE(first.Step().ok());
   }
   ASSERT_TRUE(first.SaveCheckpoint(path).ok());
   Trainer second(Initial(), source, options);
@@ -187,22 +189,57 @@ TEST_F(LargeDataTest, FilesThatCannotBeReadInPartsAreRefused) {
               HasSubstr(whole + ": expected datasets of Minari"));
 }
 
+TEST_F(TrainerTest, IntegerTrainingGivesTheRoundedPolicyOfItsFloats) {
+  TrainOptions options = options_;
+  options.arithmetic = Arithmetic::kInt8;
+  const std::string path = testing::TempDir() + "/integer.pt";
+  Trainer whole(Initial(), source_, options);
+  EXPECT_EQ(whole.CurrentPolicy().config.arithmetic, Arithmetic::kInt8);
+  while (!whole.done()) ASSERT_TRUE(whole.Step().ok());
+  EXPECT_TRUE(whole.CurrentPolicy().Validate().ok());
+
+  Trainer first(Initial(), source_, options);
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(first.Step().ok());
+  ASSERT_TRUE(first.SaveCheckpoint(path).ok());
+  Trainer second(Initial(), source_, options);
+  ASSERT_TRUE(second.LoadCheckpoint(path).ok());
+  EXPECT_EQ(AllWeights(second), AllWeights(first));
+  while (!second.done()) ASSERT_TRUE(second.Step().ok());
+  EXPECT_EQ(AllWeights(second), AllWeights(whole));
+  EXPECT_NE(AllWeights(second), AllWeights(first));
+}
+
+TEST_F(TrainerTest, IntegerTrainingReportsWeightsThatCannotBeRounded) {
+  TrainOptions options = options_;
+  options.arithmetic = Arithmetic::kInt8;
+  options.learning_rate = 1e36;  // after one step, sums leave the numbers of float32
+  Trainer trainer(Initial(), source_, options);
+  absl::Status status;
+  while (status.ok() && !trainer.done()) status = trainer.Step().status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(status.message()), HasSubstr("tensor \""));
+}
+
 class TrainerModeTest : public TrainerTest, public testing::WithParamInterface<Mode> {};
 
 TEST_P(TrainerModeTest, LearnsToImitate) {
   const EpisodeSource experts(*RecordDataset({.seed = 0, .steps = 2000, .expert_fraction = 1.0}));
-  const TrainOptions options = With([](TrainOptions& o) {
+  TrainOptions options = With([](TrainOptions& o) {
     o.iterations = 100;
     o.batch = 8;
     o.learning_rate = 5e-3;
     o.warmup = 10;
   });
-  Trainer trainer(Initial(SmallConfig(GetParam())), experts, options);
-  ASSERT_TRUE(trainer.has_validation());
-  const double before = trainer.ValidationLoss();
-  while (!trainer.done()) trainer.Step();
-  EXPECT_LT(trainer.ValidationLoss(), 0.75 * before);
-  EXPECT_TRUE(trainer.CurrentPolicy().Validate().ok());
+  for (const Arithmetic arithmetic : {Arithmetic::kFloat32, Arithmetic::kInt8}) {
+    if (GetParam() == Mode::kDense && arithmetic == Arithmetic::kInt8) continue;
+    options.arithmetic = arithmetic;
+    Trainer trainer(Initial(SmallConfig(GetParam())), experts, options);
+    ASSERT_TRUE(trainer.has_validation());
+    const double before = trainer.ValidationLoss();
+    while (!trainer.done()) ASSERT_TRUE(trainer.Step().ok());
+    EXPECT_LT(trainer.ValidationLoss(), 0.75 * before) << ToString(arithmetic);
+    EXPECT_TRUE(trainer.CurrentPolicy().Validate().ok());
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Modes, TrainerModeTest,
