@@ -52,12 +52,19 @@ std::string HowToPlay(const Policy& policy) {
 
 }  // namespace
 
-double SpikesOnData(const Policy& policy, const Dataset& dataset) {
+absl::StatusOr<double> SpikesOnData(const Policy& policy, const EpisodeSource& source) {
+  std::vector<int> first;
+  for (int i = 0, steps = 0; steps < kSteps && i < static_cast<int>(source.entries().size()); ++i) {
+    steps += source.entries()[i].steps;
+    first.push_back(i);
+  }
+  const absl::StatusOr<std::vector<Episode>> episodes = source.Read(first);
+  if (!episodes.ok()) return episodes.status();
   const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
-  const auto size = static_cast<size_t>(dataset.observation_size);
+  const auto size = static_cast<size_t>(policy.observation_size());
   double spikes = 0.0;
   int steps = 0;
-  for (const Episode& episode : dataset.episodes) {
+  for (const Episode& episode : *episodes) {
     PolicyPlayer player(*engine, episode.seed, static_cast<double>(policy.target_return));
     for (int step = 0; step < episode.steps() && steps < kSteps; ++step, ++steps) {
       const size_t begin = static_cast<size_t>(step) * size;

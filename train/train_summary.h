@@ -8,10 +8,11 @@
 #include <optional>
 #include <string>
 
+#include "absl/status/statusor.h"
 #include "core/base/enum_names.h"
-#include "core/dataset/dataset.h"
 #include "core/model/policy.h"
 #include "nlohmann/json.hpp"
+#include "train/data/episode_source.h"
 #include "train/evaluation/evaluation.h"
 
 namespace spikeserve {
@@ -35,8 +36,8 @@ struct TrainSummary {
 };
 
 // Returns the spikes per decision of a policy that is shown the observations and rewards of the
-// first 1000 steps of `dataset`, whatever actions it takes.
-double SpikesOnData(const Policy& policy, const Dataset& dataset);
+// first 1000 steps of `source`, whatever actions it takes. Fails if they can no longer be read.
+absl::StatusOr<double> SpikesOnData(const Policy& policy, const EpisodeSource& source);
 
 std::string ToText(const TrainSummary& summary, const Policy& policy);
 

@@ -79,6 +79,12 @@ absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
       return absl::InvalidArgumentError(absl::StrCat("data: expected all of ", all.environment,
                                                      ", received one of ", dataset.environment));
     }
+    if (dataset.observation_size != all.observation_size ||
+        dataset.action_space != all.action_space) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("data: expected equal spaces in all datasets of ", all.environment,
+                       ", received other ones in dataset ", recipes.size() + 1));
+    }
     recipes.push_back(std::move(dataset.recipe));
     std::move(dataset.episodes.begin(), dataset.episodes.end(), std::back_inserter(all.episodes));
   }

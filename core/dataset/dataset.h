@@ -77,7 +77,7 @@ struct Dataset {
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode);
 
 // Returns one dataset with the episodes of all `datasets`, in order. INVALID_ARGUMENT if their
-// environments differ. REQUIRES: at least one dataset.
+// environments or spaces differ. REQUIRES: at least one dataset.
 absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets);
 
 // Writes `dataset` as a CBOR file, one object with the fields above. Error messages start with the

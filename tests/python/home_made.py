@@ -40,6 +40,44 @@ class HomeMade(gymnasium.Env):
 gymnasium.register("HomeMade-v0", entry_point="home_made:HomeMade", max_episode_steps=20)
 
 
+class Picture(gymnasium.Env):
+    """A red dot in a picture of 16 x 16 pixels moves to a green one. The reward is minus the distance."""
+
+    SIDE, STRIDE = 16, 2
+    MOVES = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+
+    def __init__(self):
+        self.observation_space = spaces.Box(0, 255, (self.SIDE, self.SIDE, 3), np.uint8)
+        self.action_space = spaces.Discrete(len(self.MOVES))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.dot, self.goal = self.STRIDE * self.np_random.integers(self.SIDE // self.STRIDE, size=(2, 2))
+        return self._picture(), {}
+
+    def step(self, action):
+        self.dot = np.clip(self.dot + self.STRIDE * np.array(self.MOVES[action]), 0, self.SIDE - self.STRIDE)
+        return self._picture(), -float(np.abs(self.goal - self.dot).sum()) / self.SIDE, False, False, {}
+
+    def _picture(self):
+        picture = np.full(self.observation_space.shape, 40, np.uint8)
+        for channel, (row, column) in enumerate((self.dot, self.goal)):
+            picture[row : row + self.STRIDE, column : column + self.STRIDE, channel] = 255
+        return picture
+
+
+gymnasium.register("Picture-v0", entry_point="home_made:Picture", max_episode_steps=16)
+
+
+def go_to_dot(environment, observation):
+    """The expert of Picture-v0: moves along the axis on which the goal is farther away."""
+    away = environment.goal - environment.dot
+    if not away.any():
+        return 0
+    axis = int(np.argmax(np.abs(away)))
+    return 1 + 2 * axis + int(away[axis] > 0)
+
+
 def go_to_corner(observation):
     """The expert of HomeMade-v0."""
     away = CORNERS[observation["corner"] - FIRST_CORNER] - observation["place"]

@@ -5,7 +5,9 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+import safetensors
 import spikeserve
 from serving import running_server
 
@@ -55,3 +57,22 @@ def test_an_environment_with_dict_observations_and_multidiscrete_actions(tmp_pat
     assert policy > expert - 0.1 * (expert - chance)
     served = served_return(tmp_path, "home_made:HomeMade-v0", "homemade", 40)
     assert served == pytest.approx(mean_return(figures, "homemade/2"), abs=1e-9)
+
+
+def test_an_environment_with_small_images(tmp_path):
+    """The images are embedded in patches that share their weights; the policy file holds the product."""
+    flags = ["--steps=12000", "--iterations=400", "--rounds=1", "--round-steps=4000", "--round-iterations=150"]
+    silence = ["--silence=3:15", "--silence-iterations=100"]
+    figures = imitate(tmp_path, "home_made:Picture-v0", "home_made:go_to_dot", *flags, *silence)["figures"]
+    with safetensors.safe_open(tmp_path / "stages/1-play/policy.safetensors", framework="np") as file:
+        weight, mean = file.get_tensor("embed.state.weight"), file.get_tensor("observation.mean")
+        assert "--image_shape=16,16,3 --patch_size=4" in json.loads(file.metadata()["training"])["command"]
+    assert weight.shape == (32, 16 * 16 * 3)
+    patches = weight.reshape(32, 4, 4, 4, 4, 3).transpose(0, 1, 3, 2, 4, 5).reshape(32 * 16, 48)
+    assert np.linalg.matrix_rank(patches, tol=1e-4) == 8, "8 features describe every patch"
+    assert len(set(mean.tolist())) <= 3, "the pixels of a channel are standardised alike"
+    chance = json.loads((tmp_path / "evaluations/chance.json").read_text())["mean_return"]
+    expert = mean_return(figures, "expert")
+    assert mean_return(figures, "picture/1") > expert - 0.2 * (expert - chance)
+    served = served_return(tmp_path, "home_made:Picture-v0", "picture", 40)
+    assert served == pytest.approx(mean_return(figures, "picture/2"), abs=1e-9)

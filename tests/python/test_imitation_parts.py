@@ -22,6 +22,7 @@ from spikeserve.imitation.datasets import read_dataset, write_dataset
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import play
 from spikeserve.imitation.experts import load_expert
+from spikeserve.imitation.images import image_flags
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import has_stalled
 
@@ -102,6 +103,11 @@ def test_observations_are_flattened_as_gymnasium_does(space, size):
     [
         (ObservationMap, spaces.Graph(spaces.Discrete(2), None), "observation_space: expected Box, Discrete"),
         (ObservationMap, spaces.Sequence(spaces.Discrete(2)), "observation_space: expected Box, Discrete"),
+        (
+            ObservationMap,
+            spaces.Box(0, 255, (1024, 1024, 3), np.uint8),
+            "observation_space: expected at most 1048576 numbers, received 3145728",
+        ),
         (ActionMap, spaces.Dict({"a": spaces.Discrete(2)}), "action_space: expected Discrete, MultiDiscrete"),
         (ActionMap, spaces.Box(-np.inf, np.inf, (2,)), "action_space: expected finite bounds"),
         (ActionMap, spaces.MultiDiscrete([100, 100]), "expected at most 4096 combinations, received 10000"),
@@ -242,6 +248,55 @@ def test_patience_ends_a_run_early(tmp_path):
     returns = [json.loads(path.read_text())["mean_return"] for path in figures if path.is_file()]
     assert not any(has_stalled(returns[:count], 1) for count in range(1, len(returns)))
     assert has_stalled(returns, 1) or len(returns) == 6
+
+
+def test_the_best_of_several_first_trainings_is_continued(tmp_path):
+    several = ImitationOptions(**(vars(SMALLEST) | {"seeds": 3, "silence": (), "episodes": 2}))
+    arguments = ("home_made:HomeMade-v0", home_made.go_to_corner)
+    spikeserve.imitate(*arguments, tmp_path, options=several, spiketrain=SPIKETRAIN)
+    first = ["1-play", "2-play", "3-play"]
+    returns = [json.loads((tmp_path / f"evaluations/{stage}.json").read_text())["mean_return"] for stage in first]
+    assert len(set(returns)) > 1, "each has other random weights"
+    record = json.loads(spikeserve.engine.Engine(tmp_path / "stages/4-round1/policy.safetensors").training)
+    best = tmp_path / "stages" / first[int(np.argmax(returns))] / "policy.safetensors"
+    assert record["parent_sha256"] == digest(best)
+    spread = f"{np.mean(returns):.3f} ± {np.std(returns, ddof=1):.3f}"
+    assert f"3 first trainings differ only in their seeds. Mean and standard deviation of their returns: {spread}" in (
+        (tmp_path / "report.md").read_text()
+    )
+
+
+IMAGE = spaces.Box(0, 255, (28, 20, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("space", "patch_size", "expected"),
+    [
+        (IMAGE, None, ["--image_shape=28,20,3", "--patch_size=4"]),
+        (IMAGE, 2, ["--image_shape=28,20,3", "--patch_size=2"]),
+        (IMAGE, 0, []),
+        (spaces.Box(0, 255, (21, 14, 3), np.uint8), None, ["--image_shape=21,14,3", "--patch_size=7"]),
+        (spaces.Box(0, 255, (11, 13, 3), np.uint8), None, []),
+        (spaces.Box(0, 10, (7, 7, 3), np.uint8), None, []),
+        (spaces.Box(0, 1, (16, 16, 3), np.float32), None, []),
+        (spaces.Discrete(3), None, []),
+    ],
+    ids=str,
+)
+def test_images_are_embedded_in_patches_that_fill_them(space, patch_size, expected):
+    assert image_flags(space, patch_size) == expected
+
+
+def test_patches_that_do_not_fit_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="patch_size: expected a divisor of 28 and 20, received 3"):
+        image_flags(IMAGE, 3)
+    with pytest.raises(ValueError, match="patch_size: expected an image of uint8"):
+        image_flags(spaces.Discrete(3), 4)
+    with pytest.raises(ValueError, match="patch_size: expected a divisor of 16 and 16, received 5"):
+        options = ImitationOptions(patch_size=5)
+        arguments = ("home_made:Picture-v0", home_made.go_to_dot)
+        spikeserve.imitate(*arguments, tmp_path, options=options, spiketrain=SPIKETRAIN)
+    assert not list(tmp_path.iterdir()), "before anything is recorded"
 
 
 def test_wrappers_change_the_environment_and_its_name(tmp_path):

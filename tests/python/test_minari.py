@@ -144,3 +144,56 @@ def test_spaces_that_cannot_be_mapped_are_refused_by_name(observation_space, act
     with pytest.raises(subprocess.CalledProcessError) as refused:
         spiketrain("train", f"--data={directory}", f"--out={tmp_path}/run", *TINY)
     assert reason in refused.value.stderr
+
+
+LARGE_EPISODES, LARGE_STEPS, LARGE_OBSERVATION = 240, 100, 1024  # 98 MB of observations
+MIB = 1 << 20
+
+
+def write_large_dataset(directory: pathlib.Path, episodes: int) -> None:
+    (directory / "data").mkdir(parents=True)
+    storage = MinariStorage.new(
+        directory / "data",
+        observation_space=spaces.Box(-1, 1, (LARGE_OBSERVATION,), np.float32),
+        action_space=spaces.Discrete(2),
+        env_spec=gymnasium.envs.registration.EnvSpec("Large-v0"),
+    )
+    random = np.random.default_rng(len(directory.name))
+    for seed in range(episodes):
+        observations = random.uniform(-1, 1, (LARGE_STEPS + 1, LARGE_OBSERVATION)).astype(np.float32)
+        actions = random.integers(0, 2, LARGE_STEPS)
+        ends = [False] * (LARGE_STEPS - 1) + [True]
+        rewards = [1.0] * LARGE_STEPS
+        storage.update_episodes(
+            [EpisodeBuffer(seed, seed, None, observations, actions, rewards, ends, [False] * LARGE_STEPS)]
+        )
+    storage.update_metadata({"dataset_id": directory.name, "minari_version": minari.__version__})
+
+
+def peak_memory(data: list[pathlib.Path], out: pathlib.Path, data_memory: int) -> int:
+    """Trains and returns the most memory, in bytes, that spiketrain or a child process of it had."""
+    flags = [f"--data={','.join(map(str, data))}", f"--out={out}", f"--data_memory={data_memory}"]
+    # 30,000 steps: a pass over all chunks, and the beginning of another.
+    size = ["--hidden_size=16", "--heads=2", "--context=20", "--batch=50", "--iterations=30", "--mode=baseline"]
+    with open(out.with_suffix(".log"), "wb") as log:
+        process = subprocess.Popen([SPIKETRAIN, "train", *flags, *size], stdout=log, stderr=log)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, out.with_suffix(".log").read_text()
+    return usage.ru_maxrss * 1024
+
+
+def test_data_larger_than_the_memory_are_read_in_chunks(tmp_path):
+    """Resident memory, measured: two files of 98 MB together, with 16 MiB and with enough memory for all."""
+    small, first, second = (tmp_path / name for name in ("small-v0", "first-v0", "second-v0"))
+    write_large_dataset(small, 4)
+    write_large_dataset(first, LARGE_EPISODES // 2)
+    write_large_dataset(second, LARGE_EPISODES // 2)
+    data_bytes = LARGE_EPISODES * LARGE_STEPS * LARGE_OBSERVATION * 4
+    alone = peak_memory([small], tmp_path / "alone", 4096)
+    whole = peak_memory([first, second], tmp_path / "whole", 4096)
+    chunked = peak_memory([first, second], tmp_path / "chunked", 16)
+    print(f"peak memory: {alone / MIB:.0f} MiB alone, {whole / MIB:.0f} whole, {chunked / MIB:.0f} in chunks")
+    assert whole > alone + 0.8 * data_bytes
+    # Beside its 16 MiB it holds what is being transferred from the process that reads.
+    assert chunked < alone + (16 + 64) * MIB

@@ -46,7 +46,12 @@ def test_minigrid_memory(address, version):
     assert np.mean(played.returns > 0) >= 0.95  # a wrong choice returns 0
 
 
+@pytest.mark.parametrize(
+    ("name", "size", "episodes"),
+    [("repeat-previous", "Easy", 20), ("repeat-previous-medium", "Medium", 5), ("repeat-previous-hard", "Hard", 5)],
+)
 @pytest.mark.parametrize("version", [1, 2])
-def test_repeat_previous(address, version):
-    played = evaluate(address, "repeat-previous", "popgym:popgym-RepeatPreviousEasy-v0", 20, version)
+def test_repeat_previous(address, name, size, episodes, version):
+    """What was observed 3, 31 and 63 steps ago decides."""
+    played = evaluate(address, name, f"popgym:popgym-RepeatPrevious{size}-v0", episodes, version)
     assert played.mean_return > 0.9

@@ -15,67 +15,87 @@ enum DrawKind : uint64_t { kStep = 1, kOffset = 2, kNoise = 3, kNoiseAction = 4 
 
 uint64_t Below(uint64_t bits, uint64_t bound) { return bits % bound; }
 
-}  // namespace
-
-ClipSampler::ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps)
-    : dataset_(dataset), episodes_(std::move(episodes)), timesteps_(timesteps) {
-  int64_t steps = 0;
-  for (const int index : episodes_) {
-    steps_before_.push_back(steps);
-    steps += dataset_.episodes[index].steps();
-    returns_to_go_.push_back(ReturnsToGo(dataset_.episodes[index]));
-  }
-  steps_before_.push_back(steps);
+std::vector<int> LengthsOf(const Dataset& dataset, const std::vector<int>& episodes) {
+  std::vector<int> lengths;
+  for (const int index : episodes) lengths.push_back(dataset.episodes[index].steps());
+  return lengths;
 }
 
-Clips ClipSampler::Sample(uint64_t key, int count, double action_noise) const {
-  const size_t slots = static_cast<size_t>(count) * timesteps_;
-  Clips clips = {.count = count,
-                 .timesteps_per_clip = timesteps_,
-                 .return_to_go = std::vector<float>(slots),
-                 .observations = std::vector<float>(slots * dataset_.observation_size),
-                 .actions = std::vector<float>(slots * dataset_.action_space.size()),
-                 .targets = std::vector<float>(slots * dataset_.action_space.size()),
-                 .timesteps = std::vector<int64_t>(slots),
-                 .mask = std::vector<float>(slots),
-                 .weights = std::vector<float>(slots)};
-  for (int clip = 0; clip < count; ++clip) {
-    Fill(Draw(RandomBits({key, static_cast<uint64_t>(clip)})), clip, &clips);
-  }
-  if (action_noise > 0.0) AddActionNoise(key, action_noise, &clips);
-  return clips;
+Clips EmptyClips(const Dataset& dataset, int count, int timesteps) {
+  const size_t slots = static_cast<size_t>(count) * timesteps;
+  return {.count = count,
+          .timesteps_per_clip = timesteps,
+          .return_to_go = std::vector<float>(slots),
+          .observations = std::vector<float>(slots * dataset.observation_size),
+          .actions = std::vector<float>(slots * dataset.action_space.size()),
+          .targets = std::vector<float>(slots * dataset.action_space.size()),
+          .timesteps = std::vector<int64_t>(slots),
+          .mask = std::vector<float>(slots),
+          .weights = std::vector<float>(slots)};
 }
 
-ClipSampler::Place ClipSampler::Draw(uint64_t key) const {
-  const auto step = static_cast<int64_t>(
-      Below(RandomBits({key, kStep}), static_cast<uint64_t>(steps_before_.back())));
-  const auto after = std::upper_bound(steps_before_.begin(), steps_before_.end(), step);
-  const auto episode = static_cast<int>(after - steps_before_.begin()) - 1;
-  const auto offset =
-      static_cast<int64_t>(Below(RandomBits({key, kOffset}), static_cast<uint64_t>(timesteps_)));
-  const int64_t begin = std::max<int64_t>(0, step - steps_before_[episode] - offset);
-  return {.episode = episode, .begin = static_cast<int>(begin)};
-}
-
-void ClipSampler::Fill(const Place& place, int clip, Clips* clips) const {
-  const Episode& episode = dataset_.episodes[episodes_[place.episode]];
-  const size_t obs = dataset_.observation_size;
-  const size_t act = dataset_.action_space.size();
-  for (int i = 0; i < timesteps_; ++i) {
-    const size_t slot = static_cast<size_t>(clip) * timesteps_ + i;
-    const int step = place.begin + i;
+// Fills clip number `clip` with the steps of `episode` from `begin` on. `returns_to_go` is
+// [steps].
+void FillClip(const Dataset& dataset, const Episode& episode,
+              const std::vector<float>& returns_to_go, int begin, int clip, Clips* clips) {
+  const size_t obs = dataset.observation_size;
+  const size_t act = dataset.action_space.size();
+  for (int i = 0; i < clips->timesteps_per_clip; ++i) {
+    const size_t slot = static_cast<size_t>(clip) * clips->timesteps_per_clip + i;
+    const int step = begin + i;
     clips->timesteps[slot] = step;
     if (step >= episode.steps()) continue;
     clips->mask[slot] = 1.0f;
     clips->weights[slot] = episode.weight(step);
-    clips->return_to_go[slot] = returns_to_go_[place.episode][step];
+    clips->return_to_go[slot] = returns_to_go[step];
     std::copy_n(episode.observations.begin() + static_cast<int64_t>(step * obs), obs,
                 clips->observations.begin() + static_cast<int64_t>(slot * obs));
     const absl::Span<float> target = absl::MakeSpan(clips->targets).subspan(slot * act, act);
-    dataset_.action_space.Encode(episode.label(step), target);
-    dataset_.action_space.Encode(episode.actions[step],
-                                 absl::MakeSpan(clips->actions).subspan(slot * act, act));
+    dataset.action_space.Encode(episode.label(step), target);
+    dataset.action_space.Encode(episode.actions[step],
+                                absl::MakeSpan(clips->actions).subspan(slot * act, act));
   }
+}
+
+}  // namespace
+
+ClipPlaces::ClipPlaces(const std::vector<int>& lengths, int timesteps) : timesteps_(timesteps) {
+  int64_t steps = 0;
+  for (const int length : lengths) {
+    steps_before_.push_back(steps);
+    steps += length;
+  }
+  steps_before_.push_back(steps);
+}
+
+ClipPlaces::Place ClipPlaces::Draw(uint64_t key, int clip) const {
+  const uint64_t of_clip = RandomBits({key, static_cast<uint64_t>(clip)});
+  const auto step = static_cast<int64_t>(
+      Below(RandomBits({of_clip, kStep}), static_cast<uint64_t>(steps_before_.back())));
+  const auto after = std::upper_bound(steps_before_.begin(), steps_before_.end(), step);
+  const auto episode = static_cast<int>(after - steps_before_.begin()) - 1;
+  const auto offset = static_cast<int64_t>(
+      Below(RandomBits({of_clip, kOffset}), static_cast<uint64_t>(timesteps_)));
+  const int64_t begin = std::max<int64_t>(0, step - steps_before_[episode] - offset);
+  return {.episode = episode, .begin = static_cast<int>(begin)};
+}
+
+ClipSampler::ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps)
+    : dataset_(dataset),
+      episodes_(std::move(episodes)),
+      places_(LengthsOf(dataset, episodes_), timesteps) {
+  for (const int index : episodes_) returns_to_go_.push_back(ReturnsToGo(dataset.episodes[index]));
+}
+
+Clips ClipSampler::Sample(uint64_t key, int count, double action_noise) const {
+  Clips clips = EmptyClips(dataset_, count, places_.timesteps());
+  for (int clip = 0; clip < count; ++clip) {
+    const ClipPlaces::Place place = places_.Draw(key, clip);
+    FillClip(dataset_, dataset_.episodes[episodes_[place.episode]], returns_to_go_[place.episode],
+             place.begin, clip, &clips);
+  }
+  if (action_noise > 0.0) AddActionNoise(key, action_noise, &clips);
+  return clips;
 }
 
 void ClipSampler::AddActionNoise(uint64_t key, double action_noise, Clips* clips) const {
@@ -98,10 +118,26 @@ void ClipSampler::AddActionNoise(uint64_t key, double action_noise, Clips* clips
   }
 }
 
-Split SplitEpisodes(const Dataset& dataset, double fraction) {
+absl::StatusOr<Clips> ReadClips(const EpisodeSource& source, const std::vector<int>& episodes,
+                                int timesteps, uint64_t key, int count) {
+  std::vector<int> lengths;
+  for (const int index : episodes) lengths.push_back(source.entries()[index].steps);
+  const ClipPlaces places(lengths, timesteps);
+  Clips clips = EmptyClips(source.dataset(), count, timesteps);
+  for (int clip = 0; clip < count; ++clip) {
+    const ClipPlaces::Place place = places.Draw(key, clip);
+    const absl::StatusOr<std::vector<Episode>> read = source.Read({episodes[place.episode]});
+    if (!read.ok()) return read.status();
+    const Episode& episode = read->front();
+    FillClip(source.dataset(), episode, ReturnsToGo(episode), place.begin, clip, &clips);
+  }
+  return clips;
+}
+
+Split SplitEpisodes(const std::vector<EpisodeEntry>& entries, double fraction) {
   std::map<std::string, std::vector<int>> by_actor;
-  for (size_t i = 0; i < dataset.episodes.size(); ++i) {
-    by_actor[dataset.episodes[i].actor].push_back(static_cast<int>(i));
+  for (size_t i = 0; i < entries.size(); ++i) {
+    by_actor[entries[i].actor].push_back(static_cast<int>(i));
   }
   Split split;
   for (const auto& [actor, indices] : by_actor) {

@@ -8,7 +8,9 @@
 #include <cstdint>
 #include <vector>
 
+#include "absl/status/statusor.h"
 #include "train/data/dataset.h"
+#include "train/data/episode_source.h"
 
 namespace spikeserve {
 
@@ -26,36 +28,57 @@ struct Clips {
   std::vector<float> weights;      // [B, n], weights of the targets in the loss; 0 after the end
 };
 
-// Immutable after construction; const members are safe to call from many threads.
+// The classes are immutable after construction; const members are safe to call from many threads.
 
+// Draws where clips are, in episodes of which only the lengths are known.
+class ClipPlaces {
+ public:
+  struct Place {
+    int episode;  // index into the lengths
+    int begin;    // first step of the clip
+  };
+
+  // Draws clips of `timesteps` timesteps. REQUIRES: at least one episode.
+  ClipPlaces(const std::vector<int>& lengths, int timesteps);
+
+  // Draws clip number `clip` of those with this key. Draws one step uniformly from all steps of the
+  // episodes, then the clip's first step uniformly from the n positions at which the clip contains
+  // that step, clamped to the start of the episode.
+  Place Draw(uint64_t key, int clip) const;
+
+  int timesteps() const { return timesteps_; }
+
+ private:
+  const int timesteps_;
+  std::vector<int64_t> steps_before_;  // per episode: steps in those before it; last: total
+};
+
+// Draws clips from episodes that are in memory.
 class ClipSampler {
  public:
   // Draws clips of `timesteps` timesteps from the episodes of `dataset` with these indices. Keeps a
   // reference to `dataset`. REQUIRES: at least one episode.
   ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps);
 
-  // Draws `count` clips; a pure function of `key` and the other arguments. For each clip draws one
-  // step uniformly from all steps of the episodes, then the clip's first step uniformly from the n
-  // positions at which the clip contains that step, clamped to the start of the episode. Replaces
-  // each action token by a random action with probability `action_noise`; the targets are not
-  // changed.
+  // Draws `count` clips at the places of ClipPlaces; a pure function of `key` and the other
+  // arguments. Replaces each action token by a random action with probability `action_noise`; the
+  // targets are not changed.
   Clips Sample(uint64_t key, int count, double action_noise) const;
 
  private:
-  struct Place {
-    int episode;
-    int begin;
-  };
-  Place Draw(uint64_t key) const;
-  void Fill(const Place& place, int clip, Clips* clips) const;
   void AddActionNoise(uint64_t key, double action_noise, Clips* clips) const;
 
   const Dataset& dataset_;
   const std::vector<int> episodes_;
-  const int timesteps_;
-  std::vector<int64_t> steps_before_;  // per episode: steps in those before it; last: total
+  const ClipPlaces places_;
   std::vector<std::vector<float>> returns_to_go_;  // per episode
 };
+
+// Returns what ClipSampler::Sample() returns without action noise for the episodes of `source` with
+// these indices. Reads only the episodes in which the clips are, one at a time, if `source` is not
+// resident. REQUIRES: at least one episode.
+absl::StatusOr<Clips> ReadClips(const EpisodeSource& source, const std::vector<int>& episodes,
+                                int timesteps, uint64_t key, int count);
 
 // Indices of the episodes for training and for validation.
 struct Split {
@@ -64,7 +87,7 @@ struct Split {
 };
 // Holds out the last `fraction` of each actor's episodes for validation, rounded up but never all
 // of them.
-Split SplitEpisodes(const Dataset& dataset, double fraction);
+Split SplitEpisodes(const std::vector<EpisodeEntry>& entries, double fraction);
 
 }  // namespace spikeserve
 

@@ -1,10 +1,21 @@
 #include "train/data/dataset.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
+namespace {
+
+int64_t MemoryOf(const std::vector<Action>& actions) {
+  size_t bytes = actions.size() * sizeof(Action);
+  for (const Action& action : actions) bytes += action.continuous.size() * sizeof(float);
+  return static_cast<int64_t>(bytes);
+}
+
+}  // namespace
 
 std::vector<float> ReturnsToGo(const Episode& episode) {
   const std::vector<double>& rewards = episode.rewards;
@@ -21,27 +32,58 @@ std::vector<float> ReturnsToGo(const Episode& episode) {
   return returns;
 }
 
-Moments ObservationMoments(const Dataset& dataset) {
-  constexpr double kSmallestDeviation = 1e-6;
-  const auto size = static_cast<size_t>(dataset.observation_size);
-  Eigen::ArrayXd sum = Eigen::ArrayXd::Zero(dataset.observation_size);
-  Eigen::ArrayXd squares = sum;
-  double steps = 0.0;
-  for (const Episode& episode : dataset.episodes) {
-    const auto observations = AsMatrix(episode.observations, episode.steps() + 1);
-    for (int step = 0; step < episode.steps(); ++step) {
-      const auto x = observations.row(step).transpose().array().cast<double>();
-      sum += x;
-      squares += x.square();
-    }
-    steps += episode.steps();
+int64_t MemoryOf(const Episode& episode) {
+  const size_t steps = episode.actions.size();
+  const size_t arrays = episode.observations.size() * sizeof(float) +
+                        episode.weights.size() * sizeof(float) +
+                        steps * (sizeof(double) + sizeof(float));  // rewards and returns-to-go
+  return static_cast<int64_t>(sizeof(Episode) + arrays) + MemoryOf(episode.actions) +
+         MemoryOf(episode.labels);
+}
+
+DataStatistics::DataStatistics(int observation_size)
+    : sum_(Eigen::ArrayXd::Zero(observation_size)), squares_(sum_) {}
+
+void DataStatistics::Add(const Episode& episode) {
+  const auto observations = AsMatrix(episode.observations, episode.steps() + 1);
+  for (int step = 0; step < episode.steps(); ++step) {
+    const auto x = observations.row(step).transpose().array().cast<double>();
+    sum_ += x;
+    squares_ += x.square();
   }
-  const Eigen::ArrayXd mean = sum / steps;
-  const Eigen::ArrayXd deviation = (squares / steps - mean.square()).max(0.0).sqrt();
-  Moments moments = {.mean = std::vector<float>(size), .std = std::vector<float>(size)};
-  AsVector(moments.mean).array() = mean.cast<float>();
-  AsVector(moments.std).array() = (deviation + kSmallestDeviation).cast<float>();
+  const std::vector<float> returns_to_go = ReturnsToGo(episode);
+  const Eigen::VectorXd returns = AsVector(returns_to_go).cast<double>();
+  return_sum_ += returns.sum();
+  return_squares_ += returns.squaredNorm();
+  best_return_ = steps_ == 0.0 ? returns_to_go[0] : std::max(best_return_, returns_to_go[0]);
+  steps_ += episode.steps();
+}
+
+Moments DataStatistics::PooledMoments(int groups) const {
+  constexpr double kSmallestDeviation = 1e-6;
+  const Eigen::Index in_group = sum_.size() / groups;
+  // Entry i of group g is at [g, i] of a column-major matrix.
+  const auto pool = [&](const Eigen::ArrayXd& sums) -> Eigen::ArrayXd {
+    return Eigen::ArrayXXd::Map(sums.data(), groups, in_group).rowwise().sum() /
+           (steps_ * static_cast<double>(in_group));
+  };
+  const Eigen::ArrayXd mean = pool(sum_);
+  const Eigen::ArrayXd deviation = (pool(squares_) - mean.square()).max(0.0).sqrt();
+  const Eigen::ArrayXf means = mean.cast<float>();
+  const Eigen::ArrayXf deviations = (deviation + kSmallestDeviation).cast<float>();
+  Moments moments;
+  for (Eigen::Index i = 0; i < sum_.size(); ++i) {
+    moments.mean.push_back(means[i % groups]);
+    moments.std.push_back(deviations[i % groups]);
+  }
   return moments;
+}
+
+float DataStatistics::return_mean() const { return static_cast<float>(return_sum_ / steps_); }
+
+float DataStatistics::return_std() const {
+  const double mean = return_sum_ / steps_;
+  return static_cast<float>(std::sqrt(std::max(1e-6, return_squares_ / steps_ - mean * mean)));
 }
 
 }  // namespace spikeserve

@@ -1,11 +1,13 @@
 // Quantities that training computes from recorded episodes.
 //
-// Pure functions; safe to call from many threads.
+// Functions are pure and safe to call from many threads; DataStatistics is a plain value.
 #ifndef TRAIN_DATA_DATASET_H_
 #define TRAIN_DATA_DATASET_H_
 
+#include <cstdint>
 #include <vector>
 
+#include "Eigen/Core"
 #include "core/dataset/dataset.h"
 
 namespace spikeserve {
@@ -14,12 +16,42 @@ namespace spikeserve {
 // episode. If the episode has a target_return R, G_t = R - (r_0 + ... + r_{t-1}) instead.
 std::vector<float> ReturnsToGo(const Episode& episode);
 
+// Returns the bytes of memory that an episode takes while a ClipSampler draws from it.
+int64_t MemoryOf(const Episode& episode);
+
 // Mean and standard deviation of each observation entry over all steps, both [obs].
 struct Moments {
   std::vector<float> mean;
   std::vector<float> std;  // > 0
 };
-Moments ObservationMoments(const Dataset& dataset);
+
+// What a new policy needs to know about the data. Adds up one episode at a time, so that not all
+// episodes have to be in memory.
+class DataStatistics {
+ public:
+  explicit DataStatistics(int observation_size);
+
+  void Add(const Episode& episode);
+
+  // The functions below describe the episodes added so far. REQUIRES: at least one episode.
+
+  // Returns the moments of each entry of the observation.
+  Moments observations() const { return PooledMoments(static_cast<int>(sum_.size())); }
+  // Returns for every entry the moments of all entries of its group: those with the same index
+  // modulo `groups`. The pixels of an image [height, width, channels] are in `channels` groups.
+  // REQUIRES: `groups` divides the size of an observation.
+  Moments PooledMoments(int groups) const;
+  // Mean and standard deviation of the returns-to-go of all steps: mu and sigma of eq. 4.2.
+  float return_mean() const;
+  float return_std() const;
+  float best_return() const { return best_return_; }
+
+ private:
+  Eigen::ArrayXd sum_, squares_;  // of the observations, [obs]
+  double steps_ = 0.0;
+  double return_sum_ = 0.0, return_squares_ = 0.0;
+  float best_return_ = 0.0f;
+};
 
 }  // namespace spikeserve
 

@@ -21,15 +21,9 @@ class Reader {
   Reader(const Hdf5File& file, const IndexLayout& indices, Dataset* dataset)
       : file_(file), space_(indices), dataset_(*dataset) {}
 
-  absl::Status Read(int episodes) {
-    for (int i = 0; i < episodes; ++i) {
-      if (auto status = ReadEpisode(absl::StrCat("episode_", i)); !status.ok()) return status;
-    }
-    return absl::OkStatus();
-  }
-
- private:
-  absl::Status ReadEpisode(const std::string& group) {
+  // Appends the episode with this index to the dataset.
+  absl::Status Read(int index) {
+    const std::string group = absl::StrCat("episode_", index);
     Episode episode;
     const auto observations = file_.Read<float>(group + "/observations");
     if (!observations.ok()) return observations.status();
@@ -59,6 +53,7 @@ class Reader {
     return absl::OkStatus();
   }
 
+ private:
   absl::Status ReadActions(const std::string& name, std::vector<Action>* actions) {
     if (dataset_.action_space.is_discrete()) return ReadIndices(name, actions);
     const auto values = file_.Read<float>(name);
@@ -140,20 +135,38 @@ class Reader {
   Dataset& dataset_;
 };
 
-absl::StatusOr<Dataset> Read(const std::string& directory) {
+absl::StatusOr<MinariMetadata> ReadMetadata(const std::string& directory) {
   const auto text = ReadFile(directory + kMinariMetadata);
   if (!text.ok()) return text.status();
   absl::StatusOr<MinariMetadata> metadata = ParseMinariMetadata(*text);
-  if (!metadata.ok()) return metadata.status();
-  const absl::StatusOr<Hdf5File> file = Hdf5File::Open(directory + kMinariData);
-  if (!file.ok()) return file.status();
-  Dataset& dataset = metadata->dataset;
-  Reader reader(*file, metadata->indices, &dataset);
-  if (auto status = reader.Read(metadata->episodes); !status.ok()) return status;
-  if (dataset.episodes.empty()) {
+  if (metadata.ok() && metadata->episodes == 0) {
     return absl::InvalidArgumentError("total_episodes: expected at least 1, received 0");
   }
-  return std::move(dataset);
+  return metadata;
+}
+
+// Returns the index of the next episode to read after those in `read`, or -1 after the last one.
+using NextIndex = absl::FunctionRef<int(const std::vector<Episode>& read)>;
+
+absl::StatusOr<Dataset> ReadEpisodes(const std::string& directory, const MinariMetadata& metadata,
+                                     NextIndex next) {
+  const absl::StatusOr<Hdf5File> file = Hdf5File::Open(directory + kMinariData);
+  if (!file.ok()) return file.status();
+  Dataset dataset = metadata.dataset;
+  Reader reader(*file, metadata.indices, &dataset);
+  for (int i = next(dataset.episodes); i >= 0; i = next(dataset.episodes)) {
+    if (auto status = reader.Read(i); !status.ok()) return status;
+  }
+  return dataset;
+}
+
+absl::StatusOr<Dataset> ReadAll(const std::string& directory) {
+  const absl::StatusOr<MinariMetadata> metadata = ReadMetadata(directory);
+  if (!metadata.ok()) return metadata.status();
+  return ReadEpisodes(directory, *metadata, [&](const std::vector<Episode>& read) {
+    const auto next = static_cast<int>(read.size());
+    return next < metadata->episodes ? next : -1;
+  });
 }
 
 }  // namespace
@@ -164,8 +177,36 @@ bool IsMinariDataset(const std::string& path) {
 }
 
 absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory) {
-  absl::StatusOr<Dataset> dataset = ReadInChild([&] { return Read(directory); });
+  absl::StatusOr<Dataset> dataset = ReadInChild([&] { return ReadAll(directory); });
   return dataset.ok() ? std::move(dataset) : Annotate(dataset.status(), directory);
+}
+
+absl::StatusOr<MinariEpisodes> MinariEpisodes::Open(const std::string& directory) {
+  absl::StatusOr<MinariMetadata> metadata = ReadMetadata(directory);
+  if (!metadata.ok()) return Annotate(metadata.status(), directory);
+  return MinariEpisodes(directory, *std::move(metadata));
+}
+
+absl::StatusOr<std::vector<Episode>> MinariEpisodes::ReadFrom(int first, int64_t bytes) const {
+  int64_t taken = 0;
+  return ReadWhile([&, first](const std::vector<Episode>& read) {
+    if (!read.empty()) taken += MemoryOf(read.back());
+    const int next = first + static_cast<int>(read.size());
+    return next < count() && (read.empty() || taken < bytes) ? next : -1;
+  });
+}
+
+absl::StatusOr<std::vector<Episode>> MinariEpisodes::Read(absl::Span<const int> indices) const {
+  return ReadWhile([&](const std::vector<Episode>& read) {
+    return read.size() < indices.size() ? indices[read.size()] : -1;
+  });
+}
+
+absl::StatusOr<std::vector<Episode>> MinariEpisodes::ReadWhile(NextIndex next) const {
+  absl::StatusOr<Dataset> dataset =
+      ReadInChild([&] { return ReadEpisodes(directory_, metadata_, next); });
+  if (!dataset.ok()) return Annotate(dataset.status(), directory_);
+  return std::move(dataset->episodes);
 }
 
 }  // namespace spikeserve

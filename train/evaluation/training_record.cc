@@ -3,12 +3,20 @@
 #include <openssl/evp.h>
 
 #include <array>
+#include <fstream>
+#include <memory>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/escaping.h"
-#include "core/base/file.h"
+#include "absl/strings/str_cat.h"
 
 namespace spikeserve {
+namespace {
+
+constexpr std::streamsize kBlockBytes = 1 << 20;
+
+}  // namespace
 
 void AddLineage(const std::string& earlier, nlohmann::ordered_json* record) {
   auto before = nlohmann::ordered_json::parse(earlier, nullptr, /*allow_exceptions=*/false);
@@ -19,15 +27,22 @@ void AddLineage(const std::string& earlier, nlohmann::ordered_json* record) {
 }
 
 absl::StatusOr<std::string> FileSha256(const std::string& path) {
-  const absl::StatusOr<std::string> bytes = ReadFile(path);
-  if (!bytes.ok()) return bytes.status();
-  std::array<char, EVP_MAX_MD_SIZE> digest;
+  std::ifstream file(path, std::ios::binary);
+  const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(),
+                                                                        EVP_MD_CTX_free);
+  bool hashed = EVP_DigestInit_ex(context.get(), EVP_sha256(), nullptr) == 1;
+  std::vector<char> block(kBlockBytes);  // the file may be larger than the memory
+  while (hashed && file.read(block.data(), kBlockBytes).gcount() > 0) {
+    hashed = EVP_DigestUpdate(context.get(), block.data(), file.gcount()) == 1;
+  }
+  if (hashed && !file.eof()) return absl::NotFoundError(absl::StrCat(path, ": no such file"));
+  std::array<unsigned char, EVP_MAX_MD_SIZE> digest;
   unsigned int size = 0;
-  if (EVP_Digest(bytes->data(), bytes->size(), reinterpret_cast<unsigned char*>(digest.data()),
-                 &size, EVP_sha256(), nullptr) != 1) {
+  if (!hashed || EVP_DigestFinal_ex(context.get(), digest.data(), &size) != 1) {
     return absl::InternalError("SHA-256 is not available");
   }
-  return absl::BytesToHexString(absl::string_view(digest.data(), size));
+  return absl::BytesToHexString(
+      absl::string_view(reinterpret_cast<const char*>(digest.data()), size));
 }
 
 }  // namespace spikeserve

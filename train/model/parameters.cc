@@ -13,6 +13,10 @@
 namespace spikeserve {
 namespace {
 
+constexpr char kStateWeight[] = "embed.state.weight";
+constexpr char kPatchEmbedding[] = "patch.embedding";
+constexpr char kPatchMix[] = "patch.mix";
+
 std::vector<TensorSlot> Slots(Policy* policy) {
   return TensorSlots(policy->config, policy->observation_size(), policy->action_space.size(),
                      &policy->weights);
@@ -36,14 +40,20 @@ std::map<std::string, torch::Tensor> CopyTensors(const Policy& policy) {
   return tensors;
 }
 
-Parameters::Parameters(const Policy& policy) : tensors_(CopyTensors(policy)) {
+Parameters::Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed)
+    : patches_(patches), tensors_(CopyTensors(policy)) {
   for (auto& [name, tensor] : tensors_) {
     tensor.set_requires_grad(!absl::StartsWith(name, "observation."));
   }
+  if (!patches.used()) return;
+  tensors_.erase(kStateWeight);
+  const PatchMaps maps = RandomPatchMaps(patches, policy.config.hidden_size, seed);
+  tensors_.emplace(kPatchEmbedding, maps.embedding.set_requires_grad(true));
+  tensors_.emplace(kPatchMix, maps.mix.set_requires_grad(true));
 }
 
 torch::Tensor Parameters::Linear(const torch::Tensor& x, const std::string& name) const {
-  return at::linear(x, tensors_.at(name + ".weight"), tensors_.at(name + ".bias"));
+  return at::linear(x, Exported(name + ".weight"), tensors_.at(name + ".bias"));
 }
 
 torch::Tensor Parameters::Norm(const torch::Tensor& x, const std::string& name) const {
@@ -51,9 +61,14 @@ torch::Tensor Parameters::Norm(const torch::Tensor& x, const std::string& name) 
                         kLayerNormEpsilon);
 }
 
+torch::Tensor Parameters::Exported(const std::string& name) const {
+  if (!patches_.used() || name != kStateWeight) return tensors_.at(name);
+  return FoldPatches(patches_, {tensors_.at(kPatchEmbedding), tensors_.at(kPatchMix)});
+}
+
 void Parameters::Store(Policy* policy) const {
   for (const TensorSlot& slot : Slots(policy)) {
-    const torch::Tensor tensor = tensors_.at(slot.name).detach().contiguous();
+    const torch::Tensor tensor = Exported(slot.name).detach().contiguous();
     std::copy_n(tensor.data_ptr<float>(), tensor.numel(), slot.floats()->values.begin());
   }
 }

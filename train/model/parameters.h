@@ -4,10 +4,12 @@
 
 #include <torch/types.h>
 
+#include <cstdint>
 #include <map>
 #include <string>
 
 #include "core/model/policy.h"
+#include "train/model/patch_embedding.h"
 
 namespace spikeserve {
 
@@ -18,8 +20,10 @@ std::map<std::string, torch::Tensor> CopyTensors(const Policy& policy);
 class Parameters {
  public:
   // Copies the policy's weights. All tensors require a gradient except `observation.*`, which are
-  // computed from the data and not trained. REQUIRES: the policy is float32.
-  explicit Parameters(const Policy& policy);
+  // computed from the data and not trained. With patches, random maps `patch.embedding` and
+  // `patch.mix` replace `embed.state.weight`, which is their product. REQUIRES: the policy is
+  // float32, and `patches` are not used or valid for it.
+  Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed);
 
   // REQUIRES: a tensor of that name exists.
   const torch::Tensor& operator[](const std::string& name) const { return tensors_.at(name); }
@@ -31,14 +35,18 @@ class Parameters {
   // the epsilon of core (kLayerNormEpsilon).
   torch::Tensor Norm(const torch::Tensor& x, const std::string& name) const;
 
-  // Returns all tensors by name, in alphabetical order.
+  // Returns all trained tensors by name, in alphabetical order.
   const std::map<std::string, torch::Tensor>& tensors() const { return tensors_; }
 
-  // Writes the current values into `policy`. REQUIRES: `policy` has the shapes of the policy that
-  // this object was created from.
+  // Writes the current values into `policy`, with the product of the patch maps. REQUIRES: `policy`
+  // has the shapes of the policy that this object was created from.
   void Store(Policy* policy) const;
 
  private:
+  // Returns a tensor of the policy file, which may be a function of trained tensors.
+  torch::Tensor Exported(const std::string& name) const;
+
+  const PatchShape patches_;
   std::map<std::string, torch::Tensor> tensors_;
 };
 

@@ -197,10 +197,11 @@ class ForwardPass {
 
 }  // namespace
 
-TorchModel::TorchModel(Policy policy, const Surrogate& surrogate, Arithmetic arithmetic)
+TorchModel::TorchModel(Policy policy, const Surrogate& surrogate, Arithmetic arithmetic,
+                       const PatchShape& patches, uint64_t seed)
     : policy_(std::move(policy)),
       surrogate_(surrogate),
-      parameters_(policy_),
+      parameters_(policy_, patches, seed),
       arithmetic_(arithmetic) {
   if (arithmetic_ == Arithmetic::kInt8) SetRounded(*Quantize(policy_));
 }

@@ -50,9 +50,12 @@ struct ModelOutput {
 class TorchModel {
  public:
   // Copies the policy's weights as initial parameters. With kInt8, runs the policy as Quantize()
-  // rounds it. REQUIRES: a valid policy in float32, and with kInt8 one that Quantize() accepts.
+  // rounds it. With patches, the state embedding starts from random patch maps that are drawn from
+  // `seed`. REQUIRES: a valid policy in float32, and with kInt8 one that Quantize() accepts;
+  // patches that are not used or valid for it.
   TorchModel(Policy policy, const Surrogate& surrogate,
-             Arithmetic arithmetic = Arithmetic::kFloat32);
+             Arithmetic arithmetic = Arithmetic::kFloat32, const PatchShape& patches = {},
+             uint64_t seed = 0);
 
   // Runs the model on all clips; records the autograd graph unless gradients are disabled. With
   // kInt8, computes with the weights of the last Round(), or else of the initial policy.

@@ -125,19 +125,19 @@ class Runner {
 
  private:
   // Returns the run's dataset. Records it once for all runs of the same environment and seed.
-  absl::StatusOr<const Dataset*> Data(const ReportRun& run) {
+  absl::StatusOr<const EpisodeSource*> Data(const ReportRun& run) {
     auto& dataset = datasets_[{run.environment, run.seed}];
     if (dataset == nullptr) {
       absl::StatusOr<Dataset> recorded = RecordDataset(DataOptions(options_, run));
       if (!recorded.ok()) return recorded.status();
-      dataset = std::make_unique<const Dataset>(*std::move(recorded));
+      dataset = std::make_unique<const EpisodeSource>(*std::move(recorded));
     }
     return dataset.get();
   }
 
   absl::StatusOr<Policy> Train(const ReportRun& run, const std::string& directory,
                                std::vector<LossPoint>* losses) {
-    const absl::StatusOr<const Dataset*> dataset = Data(run);
+    const absl::StatusOr<const EpisodeSource*> dataset = Data(run);
     if (!dataset.ok()) return dataset.status();
     const TrainOptions options = TrainingOptions(options_, run);
     if (auto status = options.Validate(); !status.ok()) return status;
@@ -193,7 +193,7 @@ class Runner {
   }
 
   const ReportOptions& options_;
-  std::map<std::pair<std::string, uint64_t>, std::unique_ptr<const Dataset>> datasets_;
+  std::map<std::pair<std::string, uint64_t>, std::unique_ptr<const EpisodeSource>> datasets_;
 };
 
 }  // namespace

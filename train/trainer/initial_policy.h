@@ -5,14 +5,17 @@
 #include <cstdint>
 
 #include "core/model/policy.h"
-#include "train/data/dataset.h"
+#include "train/data/episode_source.h"
+#include "train/model/patch_embedding.h"
 
 namespace spikeserve {
 
 // Returns a policy with random weights, drawn from `seed`. Observations are standardised by the
-// moments of the data. Returns are scaled by ReturnScalingOf(), or by the moments of the data for
-// an environment that it does not know. REQUIRES: a valid config and at least one episode.
-Policy InitialPolicy(const ModelConfig& config, const Dataset& dataset, uint64_t seed);
+// moments of the data: of each entry, or with patches of each channel of an image. Returns are
+// scaled by ReturnScalingOf(), or by the moments of the data for an environment that it does not
+// know. REQUIRES: a valid config.
+Policy InitialPolicy(const ModelConfig& config, const EpisodeSource& source, uint64_t seed,
+                     const PatchShape& patches = {});
 
 }  // namespace spikeserve
 

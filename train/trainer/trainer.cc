@@ -7,6 +7,7 @@
 #include <cmath>
 #include <filesystem>
 #include <numbers>
+#include <numeric>
 #include <utility>
 
 #include "absl/strings/match.h"
@@ -46,10 +47,12 @@ int ClipSteps(const TrainOptions& options, const ModelConfig& config) {
   return options.clip_steps == 0 ? config.context : options.clip_steps;
 }
 
-std::unique_ptr<ClipSampler> ValidationSampler(const Dataset& dataset, const Split& split,
-                                               int timesteps) {
-  if (split.validation.empty()) return nullptr;
-  return std::make_unique<ClipSampler>(dataset, split.validation, timesteps);
+// Returns the text that identifies a run in its checkpoints.
+std::string RunText(const TrainOptions& options, const EpisodeSource& source) {
+  const std::string text =
+      absl::StrCat(options.ToFlags(), " data=", source.dataset().recipe.dump());
+  // The chunks of other runs hold other episodes.
+  return source.resident() ? text : absl::StrCat(text, " data_memory=", source.memory());
 }
 
 }  // namespace
@@ -93,6 +96,11 @@ std::string TrainOptions::ToFlags() const {
   if (arithmetic != Arithmetic::kFloat32) {
     absl::StrAppend(&flags, " --arithmetic=", std::string(ToString(arithmetic)));
   }
+  if (patches.used()) {
+    absl::StrAppendFormat(&flags, " --image_shape=%d,%d,%d --patch_size=%d --patch_features=%d",
+                          patches.height, patches.width, patches.channels, patches.size,
+                          patches.features);
+  }
   return flags;
 }
 
@@ -127,24 +135,71 @@ struct Trainer::Optimizer {
   std::vector<torch::Tensor> parameters;
 };
 
-Trainer::Trainer(Policy initial, const Dataset& dataset, const TrainOptions& options)
-    : options_(options),
-      run_(absl::StrCat(options.ToFlags(), " data=", dataset.recipe.dump())),
+Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options)
+    : source_(source),
+      options_(options),
+      run_(RunText(options, source)),
       config_(initial.config),
-      action_space_(dataset.action_space),
-      observation_size_(dataset.observation_size),
-      model_(initial, options.surrogate, options.arithmetic),
-      training_(dataset, SplitEpisodes(dataset, options.validation).training,
-                ClipSteps(options, initial.config)),
-      validation_(ValidationSampler(dataset, SplitEpisodes(dataset, options.validation),
-                                    ClipSteps(options, initial.config))),
-      optimizer_(Optimizer::Make(model_.parameters(), options)) {}
+      action_space_(source.dataset().action_space),
+      observation_size_(source.dataset().observation_size),
+      clip_steps_(ClipSteps(options, initial.config)),
+      split_(SplitEpisodes(source.entries(), options.validation)),
+      model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed),
+      optimizer_(Optimizer::Make(model_.parameters(), options)) {
+  if (source.resident()) {
+    clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_steps_);
+    if (!has_validation()) return;
+    const ClipSampler validation(source.dataset(), split_.validation, clip_steps_);
+    for (uint64_t i = 0; i < kValidationBatches; ++i) {
+      validation_.push_back(validation.Sample(ValidationKey(i), options.batch, 0.0));
+    }
+    return;
+  }
+  plan_ = std::make_unique<ChunkPlan>(
+      source.entries(), split_.training,
+      ChunkPlan::Options{.memory = source.memory(),
+                         .steps_per_iteration = int64_t{options.batch} * clip_steps_,
+                         .seed = options.seed});
+}
 
 Trainer::~Trainer() = default;
 
-Trainer::Batch Trainer::MakeBatch(const ClipSampler& sampler, uint64_t key,
-                                  double action_noise) const {
-  const Clips clips = sampler.Sample(key, options_.batch, action_noise);
+absl::Status Trainer::ReadEpisodes() {
+  if (source_.resident()) return absl::OkStatus();
+  if (auto status = ReadValidation(); !status.ok()) return status;
+  const bool held = clips_ != nullptr && iteration_ >= chunk_.begin && iteration_ < chunk_.end;
+  if (held || done()) return absl::OkStatus();
+  // Releases the last chunk before it reads the next one.
+  clips_ = nullptr;
+  resident_ = source_.dataset();
+  chunk_ = plan_->At(iteration_);
+  absl::StatusOr<std::vector<Episode>> episodes = source_.Read(chunk_.episodes);
+  if (!episodes.ok()) return episodes.status();
+  resident_.episodes = *std::move(episodes);
+  std::vector<int> all(resident_.episodes.size());
+  std::iota(all.begin(), all.end(), 0);
+  clips_ = std::make_unique<ClipSampler>(resident_, std::move(all), clip_steps_);
+  return absl::OkStatus();
+}
+
+absl::Status Trainer::ReadValidation() {
+  if (!has_validation() || !validation_.empty()) return absl::OkStatus();
+  std::vector<Clips> read;
+  for (uint64_t i = 0; i < kValidationBatches; ++i) {
+    absl::StatusOr<Clips> clips =
+        ReadClips(source_, split_.validation, clip_steps_, ValidationKey(i), options_.batch);
+    if (!clips.ok()) return clips.status();
+    read.push_back(*std::move(clips));
+  }
+  validation_ = std::move(read);
+  return absl::OkStatus();
+}
+
+uint64_t Trainer::ValidationKey(uint64_t batch) const {
+  return RandomBits({kValidationClips, options_.seed, batch});
+}
+
+Trainer::Batch Trainer::MakeBatch(const Clips& clips, uint64_t key) const {
   const int64_t count = clips.count, n = clips.timesteps_per_clip, act = action_space_.size();
   std::vector<int64_t> seeds(count);
   for (int64_t i = 0; i < count; ++i) {
@@ -179,7 +234,7 @@ void Trainer::SetLearningRate() {
 absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   const uint64_t key =
       RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
-  const Batch batch = MakeBatch(training_, key, options_.action_noise);
+  const Batch batch = MakeBatch(clips_->Sample(key, options_.batch, options_.action_noise), key);
   const ModelOutput output = model_.Forward(batch.clips);
   torch::Tensor loss = Loss(batch, output);
   StepReport report = {.loss = loss.item<double>(), .hinge = 0.0};
@@ -207,8 +262,7 @@ double Trainer::ValidationLoss() const {
   const torch::NoGradGuard no_gradient;
   double sum = 0.0;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
-    const Batch batch =
-        MakeBatch(*validation_, RandomBits({kValidationClips, options_.seed, i}), 0.0);
+    const Batch batch = MakeBatch(validation_[i], ValidationKey(i));
     sum += Loss(batch, model_.Forward(batch.clips)).item<double>();
   }
   return sum / kValidationBatches;

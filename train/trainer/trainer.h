@@ -4,7 +4,8 @@
 // determined by its options, the data and the number of threads. A run resumed from a checkpoint
 // computes exactly the same weights as an uninterrupted one. Example:
 //
-//   Trainer trainer(InitialPolicy(config, dataset, seed), dataset, options);
+//   EpisodeSource source(dataset);
+//   Trainer trainer(InitialPolicy(config, source, seed), source, options);
 //   while (!trainer.done()) trainer.Step();
 //   WritePolicyFile(trainer.CurrentPolicy(), path);
 #ifndef TRAIN_TRAINER_TRAINER_H_
@@ -13,13 +14,16 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/model/policy.h"
+#include "train/data/chunk_plan.h"
 #include "train/data/clip_sampler.h"
-#include "train/data/dataset.h"
+#include "train/data/episode_source.h"
 #include "train/model/loss.h"
+#include "train/model/patch_embedding.h"
 #include "train/model/surrogate.h"
 #include "train/model/torch_model.h"
 
@@ -40,34 +44,40 @@ struct TrainOptions {
   double spike_penalty = 1.0;   // weight of the penalty on firing rates
   double operation_penalty = 0.0;  // weight of the penalty on synaptic operations; grows alike
   Surrogate surrogate;
+  PatchShape patches;                            // of image observations; only for new policies
   Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
 
   // Returns INVALID_ARGUMENT with the option, the expected and the received value.
   absl::Status Validate() const;
 
-  // Returns the flags of `spiketrain train` for these options, including defaults except that of
-  // `arithmetic`.
+  // Returns the flags of `spiketrain train` for these options, including defaults except those of
+  // `arithmetic` and `patches`.
   std::string ToFlags() const;
 };
 
 class Trainer {
  public:
-  // Keeps a reference to `dataset`. REQUIRES: valid options, and a valid policy in float32 for the
-  // dataset's environment; with Arithmetic::kInt8 one that Quantize() accepts.
-  Trainer(Policy initial, const Dataset& dataset, const TrainOptions& options);
+  // Keeps a reference to `source`. REQUIRES: valid options, and a valid policy in float32 for the
+  // source's environment; with Arithmetic::kInt8 one that Quantize() accepts.
+  Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
 
   struct StepReport {
     double loss = 0.0;   // imitation loss
     double hinge = 0.0;  // sum of the excess of firing rates over their targets
   };
+  // Reads the episodes that the next Step() and ValidationLoss() need, if the source is not
+  // resident. Fails if a file can no longer be read. Needs to be called before each of them only if
+  // the source is not resident.
+  absl::Status ReadEpisodes();
+
   // Runs one iteration: draws a batch of clips and updates the weights. Returns INVALID_ARGUMENT,
   // which names the tensor, if 16 bits cannot hold the new weights with Arithmetic::kInt8.
   // REQUIRES: !done().
   absl::StatusOr<StepReport> Step();
 
   // Returns whether any episodes are held out.
-  bool has_validation() const { return validation_ != nullptr; }
+  bool has_validation() const { return !split_.validation.empty(); }
   // Returns the imitation loss on clips of held-out episodes; uses the same clips in every call.
   // REQUIRES: has_validation().
   double ValidationLoss() const;
@@ -96,18 +106,27 @@ class Trainer {
     torch::Tensor mask;     // [B, n]
     torch::Tensor weights;  // [B, n]
   };
-  Batch MakeBatch(const ClipSampler& sampler, uint64_t key, double action_noise) const;
+  Batch MakeBatch(const Clips& clips, uint64_t key) const;
+  uint64_t ValidationKey(uint64_t batch) const;
+  // Reads the clips of ValidationLoss().
+  absl::Status ReadValidation();
   torch::Tensor Loss(const Batch& batch, const ModelOutput& output) const;
   void SetLearningRate();
 
+  const EpisodeSource& source_;
   const TrainOptions options_;
   const std::string run_;  // options and data; identifies the run in its checkpoints
   const ModelConfig config_;
   const ActionSpace action_space_;
   const int observation_size_;
+  const int clip_steps_;
+  const Split split_;
   TorchModel model_;
-  ClipSampler training_;
-  std::unique_ptr<ClipSampler> validation_;  // null if no episodes are held out
+  std::vector<Clips> validation_;       // the clips of ValidationLoss(); empty until they are read
+  std::unique_ptr<ChunkPlan> plan_;     // null if the source is resident
+  ChunkPlan::Chunk chunk_;              // what `resident_` holds
+  Dataset resident_;                    // empty if the source is resident
+  std::unique_ptr<ClipSampler> clips_;  // draws from the episodes in memory
   std::unique_ptr<Optimizer> optimizer_;
   int iteration_ = 0;
 };

@@ -79,6 +79,33 @@ refuses '--target_return: expected a finite number, received inf' train --data=d
 grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=1 --seed=2000000 --json | grep -q '"first_seed": 2000000'
 
+# Trains with several seeds: each is equal to a training with this seed alone, and the best one is kept.
+"$spiketrain" train --data=data.cbor --out=seeds "${tiny[@]}" --iterations=2 --seeds=4,5 >seeds.txt 2>/dev/null
+grep -qE '^2 seeds: mean return [0-9.]+, standard deviation [0-9.]+; best: [45]$' seeds.txt || fail "$(cat seeds.txt)"
+best=$(sed -nE 's/^2 seeds: .*best: //p' seeds.txt)
+cmp seeds/policy.safetensors "seeds/seed-$best/policy.safetensors"
+other=$((9 - best))
+return_of() { sed -nE "s/^seed $1: return ([0-9.]+),.*/\1/p" seeds.txt; }
+awk "BEGIN { exit !($(return_of "$best") >= $(return_of "$other")) }" || fail "the best seed: $(cat seeds.txt)"
+"$spiketrain" train --data=data.cbor --out=seed5 "${tiny[@]}" --iterations=2 --seed=5 --json 2>/dev/null >seed5.json
+grep -q "\"mean_return\": $(return_of 5 | sed -E 's/\.?0+$//')" seed5.json || fail "seed 5: $(cat seeds.txt seed5.json)"
+"$spiketrain" train --data=data.cbor --out=seeds "${tiny[@]}" --iterations=2 --seeds=4,5 --resume --json 2>/dev/null |
+  grep -q "\"best_seed\": $best" || fail "--seeds with --resume"
+refuses '--seeds: expected different integers of at least 0, received 4' \
+  train --data=data.cbor --out=x "${tiny[@]}" --seeds=4,4
+refuses '--seed: expected no such flag beside --seeds, received 3' train --data=data.cbor --out=x --seeds=4 --seed=3
+refuses '--seeds: expected an environment that spiketrain plays, received MyRobot1-v1; `python -m spikeserve imitate --seeds` plays those of Gymnasium' \
+  train --data=other.cbor --out=x --seeds=1,2
+
+# Attention that starts at a given timestep.
+"$spiketrain" train --data=data.cbor --out=back "${tiny[@]}" --iterations=1 --lookback=4 >/dev/null 2>&1
+refuses '--lookback: expected 1 to 4, below --context, received 5' \
+  train --data=data.cbor --out=x "${tiny[@]}" --lookback=5
+refuses '--lookback: expected --mode=pos or full with --phase_clock=timestep, received route with timestep' \
+  train --data=data.cbor --out=x "${tiny[@]}" --mode=route --lookback=2
+refuses '--lookback: expected no such flag beside --init, received 2' \
+  train --data=data.cbor --out=x --init=whole/policy.safetensors --lookback=2
+
 # Rounds a policy to integers; equal starts give a small difference, and a policy is rounded once.
 "$spiketrain" quantize --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 --json |
   grep -q '"difference_95_percent"'
@@ -150,5 +177,6 @@ refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
 refuses '--env: expected CartPole-v1 as in --data, received Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x
 refuses 'none.safetensors: no such file' eval --policy=none.safetensors
 refuses '--steps: expected no such flag beside --data, received 5' train --data=data.cbor --out=x --steps=5
+refuses '--data_memory: expected at least 1, received 0' train --data=data.cbor --out=x --data_memory=0
 refuses '--batch: expected at least 1, received 0' train --data=data.cbor --out=x --batch=0
 echo ok

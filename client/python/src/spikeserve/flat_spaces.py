@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from spikeserve.check import check
 
 LARGEST_JOINT_SPACE = 4096  # the outputs of an action head
+LARGEST_OBSERVATION = 1 << 20  # numbers; as in `spiketrain train --data`
 _OBSERVATIONS = "Box, Discrete, MultiDiscrete, MultiBinary, or Dict or Tuple of these"
 _ACTIONS = "Discrete, MultiDiscrete, MultiBinary or Box"
 
@@ -24,7 +25,8 @@ _ACTIONS = "Discrete, MultiDiscrete, MultiBinary or Box"
 class ObservationMap:
     """Flattens observations by `gymnasium.spaces.flatten`, as FlattenObservation does.
 
-    ValueError for a space that has no fixed number of elements, such as Sequence or Text.
+    ValueError for a space that has no fixed number of elements, such as Sequence or Text, and for
+    one that is too large.
     """
 
     def __init__(self, space: spaces.Space[Any]) -> None:
@@ -32,6 +34,8 @@ class ObservationMap:
         self._space = space
         self.size = spaces.flatdim(space)
         check(self.size >= 1, "observation_space", "at least one element", space)
+        at_most = f"at most {LARGEST_OBSERVATION} numbers"
+        check(self.size <= LARGEST_OBSERVATION, "observation_space", at_most, self.size)
 
     def flatten(self, observation: Any) -> NDArray[np.float32]:
         """Returns the observation as float32 [size]."""
@@ -116,10 +120,14 @@ def _index_ranges(native: spaces.Space[Any]) -> tuple[NDArray[np.int64], NDArray
 
 
 class FlatEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Gives an environment the spaces of a policy. `native_observation` is the last observation."""
+    """Gives an environment the spaces of a policy.
+
+    `native_space` is its own observation space, and `native_observation` the last observation.
+    """
 
     def __init__(self, environment: Any) -> None:
         super().__init__(environment)
+        self.native_space: spaces.Space[Any] = environment.observation_space
         self.observations = ObservationMap(environment.observation_space)
         self.actions = ActionMap(environment.action_space)
         self.observation_space = spaces.Box(-np.inf, np.inf, (self.observations.size,), np.float32)

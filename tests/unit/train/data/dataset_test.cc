@@ -5,11 +5,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <numeric>
 #include <set>
 
 #include "tests/support/small_policy.h"
+#include "train/data/chunk_plan.h"
 #include "train/data/clip_sampler.h"
 #include "train/data/record.h"
 
@@ -19,6 +22,7 @@ namespace {
 using testing::Each;
 using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::UnorderedElementsAreArray;
 
 // Returns an episode of `steps` steps whose observation at step t is {t} and whose rewards are 1.
 Episode Counting(int steps) {
@@ -57,9 +61,25 @@ TEST(DatasetTest, ReturnsToGoAreSumsOfTheRewardsAhead) {
 }
 
 TEST(DatasetTest, MomentsAreOfTheStepsAlone) {
-  const Moments moments = ObservationMoments(DatasetOf({Counting(3)}));  // 0, 1, 2
+  DataStatistics statistics(1);
+  statistics.Add(Counting(3));  // 0, 1, 2
+  const Moments moments = statistics.observations();
   EXPECT_FLOAT_EQ(moments.mean[0], 1.0f);
   EXPECT_NEAR(moments.std[0], 0.8165, 1e-4);
+}
+
+TEST(DatasetTest, PooledMomentsAreOfAllPixelsOfAChannel) {
+  Episode episode = Counting(2);
+  // Two pixels of two channels, at three times; the last observation is not a step.
+  episode.observations = {1, 10, 3, 10, 5, 20, 7, 20, 100, 100, 100, 100};
+  DataStatistics statistics(4);
+  statistics.Add(episode);
+  const Moments moments = statistics.PooledMoments(2);
+  EXPECT_THAT(moments.mean, ElementsAre(4.0f, 15.0f, 4.0f, 15.0f));
+  EXPECT_NEAR(moments.std[0], std::sqrt(5.0), 1e-4);
+  EXPECT_NEAR(moments.std[1], 5.0, 1e-4);
+  EXPECT_EQ(moments.std[0], moments.std[2]);
+  EXPECT_THAT(statistics.observations().mean, ElementsAre(3.0f, 15.0f, 5.0f, 15.0f));
 }
 
 TEST(DatasetTest, FileRoundTrips) {
@@ -251,13 +271,69 @@ TEST(ClipSamplerTest, ActionNoiseChangesTokensAndNotTargets) {
   EXPECT_NEAR(static_cast<double>(changed) / steps, 0.4 / 2.0, 0.05);
 }
 
+// Returns entries of 1 to `count` steps, each of which takes a kilobyte for each step.
+std::vector<EpisodeEntry> Entries(int count) {
+  std::vector<EpisodeEntry> entries;
+  for (int i = 0; i < count; ++i) {
+    entries.push_back({.index = i, .steps = i + 1, .memory = 1024 * (i + 1), .actor = "expert"});
+  }
+  return entries;
+}
+
+std::vector<int> UpTo(int count) {
+  std::vector<int> numbers(count);
+  std::iota(numbers.begin(), numbers.end(), 0);
+  return numbers;
+}
+
+TEST(ChunkPlanTest, EveryPassUsesEveryEpisodeOnceWithinTheMemory) {
+  const std::vector<EpisodeEntry> entries = Entries(20);  // 210 steps
+  ChunkPlan plan(entries, UpTo(20), {.memory = 50 * 1024, .steps_per_iteration = 10, .seed = 1});
+  std::vector<std::vector<int>> passes;
+  int64_t iteration = 0;
+  for (int pass = 0; pass < 3; ++pass) {
+    std::vector<int>& used = passes.emplace_back();
+    while (used.size() < entries.size()) {
+      const ChunkPlan::Chunk chunk = plan.At(iteration);
+      int steps = 0;
+      for (const int i : chunk.episodes) steps += entries[i].steps;
+      EXPECT_LE(steps, 50);
+      EXPECT_EQ(chunk.begin, iteration);
+      EXPECT_EQ(chunk.end, iteration + (steps + 9) / 10);
+      used.insert(used.end(), chunk.episodes.begin(), chunk.episodes.end());
+      iteration = chunk.end;
+    }
+    EXPECT_THAT(used, UnorderedElementsAreArray(UpTo(20)));
+  }
+  EXPECT_NE(passes[0], passes[1]);
+  EXPECT_NE(passes[1], passes[2]);
+}
+
+TEST(ChunkPlanTest, ThePlanOfAnIterationDoesNotDependOnTheOneBefore) {
+  const std::vector<EpisodeEntry> entries = Entries(20);
+  const ChunkPlan::Options options = {.memory = 30 * 1024, .steps_per_iteration = 7, .seed = 2};
+  ChunkPlan forward(entries, UpTo(20), options);
+  std::vector<std::vector<int>> chunks;
+  for (int i = 0; i < 100; ++i) chunks.push_back(forward.At(i).episodes);
+  for (const int i : {99, 3, 50, 0}) {
+    EXPECT_EQ(ChunkPlan(entries, UpTo(20), options).At(i).episodes, chunks[i]) << i;
+    EXPECT_EQ(forward.At(i).episodes, chunks[i]) << i;
+  }
+}
+
+TEST(ChunkPlanTest, AnEpisodeLargerThanTheMemoryIsAChunkAlone) {
+  const std::vector<EpisodeEntry> entries = Entries(3);
+  ChunkPlan plan(entries, UpTo(3), {.memory = 1, .steps_per_iteration = 100, .seed = 3});
+  for (int i = 0; i < 6; ++i) EXPECT_EQ(plan.At(i).episodes.size(), 1u);
+}
+
 TEST(SplitTest, HoldsOutTheLastEpisodesOfEveryActor) {
-  Dataset dataset = DatasetOf({Counting(3), Counting(3), Counting(3), Counting(3), Counting(3)});
-  dataset.episodes[0].actor = dataset.episodes[3].actor = "random";
-  const Split split = SplitEpisodes(dataset, 0.1);
+  std::vector<EpisodeEntry> entries(5, {.steps = 3, .actor = "expert"});
+  entries[0].actor = entries[3].actor = "random";
+  const Split split = SplitEpisodes(entries, 0.1);
   EXPECT_THAT(split.training, ElementsAre(1, 2, 0));
   EXPECT_THAT(split.validation, ElementsAre(4, 3));
-  EXPECT_TRUE(SplitEpisodes(DatasetOf({Counting(3)}), 0.5).validation.empty());
+  EXPECT_TRUE(SplitEpisodes({entries[0]}, 0.5).validation.empty());
 }
 
 }  // namespace

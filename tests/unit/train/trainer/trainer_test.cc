@@ -6,10 +6,14 @@
 #include <filesystem>
 #include <fstream>
 #include <functional>
+#include <utility>
 #include <variant>
 
+#include "core/neuron/phase.h"
 #include "tests/support/small_policy.h"
+#include "train/data/minari_writer.h"
 #include "train/data/record.h"
+#include "train/trainer/lookback.h"
 
 namespace spikeserve {
 namespace {
@@ -26,14 +30,14 @@ class TrainerTest : public testing::Test {
  protected:
   Policy Initial(const ModelConfig& config = SmallConfig()) const {
     Policy policy = SmallPolicy(config);
-    const Moments moments = ObservationMoments(dataset_);
+    const Moments moments = source_.statistics().observations();
     policy.weights.observation_mean.values = moments.mean;
     policy.weights.observation_std.values = moments.std;
     policy.return_offset = policy.return_scale = 250.0f;
     return policy;
   }
 
-  const Dataset dataset_ = *RecordDataset({.steps = 2000});
+  const EpisodeSource source_{*RecordDataset({.steps = 2000})};
   const TrainOptions options_ = With([](TrainOptions& options) {
     options.iterations = 8;
     options.batch = 4;
@@ -55,13 +59,13 @@ std::vector<float> AllWeights(const Trainer& trainer) {
 
 TEST_F(TrainerTest, ResumedRunEqualsTheUninterruptedOne) {
   const std::string path = testing::TempDir() + "/resume.pt";
-  Trainer whole(Initial(), dataset_, options_);
+  Trainer whole(Initial(), source_, options_);
   while (!whole.done()) ASSERT_TRUE(whole.Step().ok());
 
-  Trainer first(Initial(), dataset_, options_);
+  Trainer first(Initial(), source_, options_);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(first.Step().ok());
   ASSERT_TRUE(first.SaveCheckpoint(path).ok());
-  Trainer second(Initial(), dataset_, options_);
+  Trainer second(Initial(), source_, options_);
   ASSERT_TRUE(second.LoadCheckpoint(path).ok());
   EXPECT_EQ(second.iteration(), 3);
   while (!second.done()) ASSERT_TRUE(second.Step().ok());
@@ -71,34 +75,133 @@ TEST_F(TrainerTest, ResumedRunEqualsTheUninterruptedOne) {
 
 TEST_F(TrainerTest, CheckpointsOfAnotherRunAreRefused) {
   const std::string path = testing::TempDir() + "/other.pt";
-  ASSERT_TRUE(Trainer(Initial(), dataset_, options_).SaveCheckpoint(path).ok());
+  ASSERT_TRUE(Trainer(Initial(), source_, options_).SaveCheckpoint(path).ok());
   TrainOptions other = options_;
   other.batch = 5;
-  EXPECT_THAT(std::string(Trainer(Initial(), dataset_, other).LoadCheckpoint(path).message()),
+  EXPECT_THAT(std::string(Trainer(Initial(), source_, other).LoadCheckpoint(path).message()),
               testing::AllOf(HasSubstr(path), HasSubstr("batch=4"), HasSubstr("batch=5")));
   ModelConfig wide = SmallConfig();
   wide.ffn_size = 40;
-  EXPECT_THAT(
-      std::string(Trainer(Initial(wide), dataset_, options_).LoadCheckpoint(path).message()),
-      HasSubstr("has another shape"));
+  EXPECT_THAT(std::string(Trainer(Initial(wide), source_, options_).LoadCheckpoint(path).message()),
+              HasSubstr("has another shape"));
   std::ofstream(path) << "not a checkpoint";
-  EXPECT_EQ(Trainer(Initial(), dataset_, options_).LoadCheckpoint(path).code(),
+  EXPECT_EQ(Trainer(Initial(), source_, options_).LoadCheckpoint(path).code(),
             absl::StatusCode::kFailedPrecondition);
+}
+
+// Trains on two datasets of Minari that take about 300 kB of memory.
+class LargeDataTest : public TrainerTest {
+ protected:
+  static constexpr int64_t kSmallMemory = 64 * 1024;
+
+  LargeDataTest() {
+    const Dataset all = source_.dataset();
+    Dataset first = all, second = all;
+    const auto middle = static_cast<int64_t>(all.episodes.size() / 2);
+    first.episodes.assign(all.episodes.begin(), all.episodes.begin() + middle);
+    second.episodes.assign(all.episodes.begin() + middle, all.episodes.end());
+    for (const auto& [dataset, path] :
+         {std::pair(&first, paths_[0]), std::pair(&second, paths_[1])}) {
+      std::filesystem::remove_all(path);
+      EXPECT_TRUE(WriteMinariDataset(*dataset, path).ok());
+    }
+  }
+
+  EpisodeSource Open(int64_t memory) const {
+    absl::StatusOr<EpisodeSource> source = EpisodeSource::Open(paths_, memory);
+    EXPECT_TRUE(source.ok()) << source.status();
+    return *std::move(source);
+  }
+
+  static void TrainToEnd(Trainer* trainer) {
+    while (!trainer->done()) {
+      ASSERT_TRUE(trainer->ReadEpisodes().ok());
+      ASSERT_TRUE(trainer->Step().ok());
+    }
+    ASSERT_TRUE(trainer->ReadEpisodes().ok());
+  }
+
+  const std::vector<std::string> paths_ = {testing::TempDir() + "/large-one-v0",
+                                           testing::TempDir() + "/large-two-v0"};
+};
+
+TEST_F(LargeDataTest, DataThatFitTrainAsTheyDoInMemory) {
+  const EpisodeSource opened = Open(int64_t{1} << 30);
+  ASSERT_TRUE(opened.resident());
+  Trainer from_files(Initial(), opened, options_);
+  TrainToEnd(&from_files);
+  Trainer from_memory(Initial(), source_, options_);
+  while (!from_memory.done()) ASSERT_TRUE(from_memory.Step().ok());
+  EXPECT_EQ(AllWeights(from_files), AllWeights(from_memory));
+  EXPECT_EQ(from_files.ValidationLoss(), from_memory.ValidationLoss());
+}
+
+TEST_F(LargeDataTest, ChunksHoldTheEpisodesAndStatisticsOfTheFiles) {
+  const EpisodeSource chunked = Open(kSmallMemory);
+  ASSERT_FALSE(chunked.resident());
+  EXPECT_TRUE(chunked.dataset().episodes.empty());
+  EXPECT_EQ(chunked.statistics().observations().std, source_.statistics().observations().std);
+  EXPECT_EQ(chunked.statistics().best_return(), source_.statistics().best_return());
+  const std::vector<Episode>& all = source_.dataset().episodes;
+  ASSERT_EQ(chunked.entries().size(), all.size());
+  const auto last = static_cast<int>(all.size()) - 1;
+  const absl::StatusOr<std::vector<Episode>> read = chunked.Read({last, 0, 1});
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ((*read)[0].observations, all[last].observations);
+  EXPECT_EQ((*read)[1].observations, all[0].observations);
+  EXPECT_EQ((*read)[2].actions, all[1].actions);
+  Trainer in_chunks(Initial(), chunked, options_), in_memory(Initial(), source_, options_);
+  ASSERT_TRUE(in_chunks.ReadEpisodes().ok());
+  EXPECT_EQ(in_chunks.ValidationLoss(), in_memory.ValidationLoss());
+}
+
+TEST_F(LargeDataTest, TrainingInChunksIsReproducibleAndCanBeResumed) {
+  const std::string path = testing::TempDir() + "/chunks.pt";
+  const EpisodeSource source = Open(kSmallMemory);
+  TrainOptions options = options_;
+  options.iterations = 40;  // more than one pass
+  options.clip_steps = 20;
+  Trainer whole(Initial(), source, options);
+  TrainToEnd(&whole);
+
+  Trainer first(Initial(), source, options);
+  for (int i = 0; i < 23; ++i) {
+    ASSERT_TRUE(first.ReadEpisodes().ok());
+    ASSERT_TRUE(first.Step().ok());
+  }
+  ASSERT_TRUE(first.SaveCheckpoint(path).ok());
+  Trainer second(Initial(), source, options);
+  ASSERT_TRUE(second.LoadCheckpoint(path).ok());
+  TrainToEnd(&second);
+  EXPECT_EQ(AllWeights(second), AllWeights(whole));
+
+  const EpisodeSource more_memory = Open(2 * kSmallMemory);
+  EXPECT_THAT(std::string(Trainer(Initial(), more_memory, options).LoadCheckpoint(path).message()),
+              testing::AllOf(HasSubstr("data_memory=65536"), HasSubstr("data_memory=131072")));
+}
+
+TEST_F(LargeDataTest, FilesThatCannotBeReadInPartsAreRefused) {
+  const std::string whole = testing::TempDir() + "/large.cbor";
+  ASSERT_TRUE(WriteDataset(source_.dataset(), whole).ok());
+  EXPECT_TRUE(EpisodeSource::Open({whole}, int64_t{1} << 30).ok());
+  const auto refused = EpisodeSource::Open({paths_[0], whole}, kSmallMemory);
+  EXPECT_THAT(std::string(refused.status().message()),
+              HasSubstr(whole + ": expected datasets of Minari"));
 }
 
 TEST_F(TrainerTest, IntegerTrainingGivesTheRoundedPolicyOfItsFloats) {
   TrainOptions options = options_;
   options.arithmetic = Arithmetic::kInt8;
   const std::string path = testing::TempDir() + "/integer.pt";
-  Trainer whole(Initial(), dataset_, options);
+  Trainer whole(Initial(), source_, options);
   EXPECT_EQ(whole.CurrentPolicy().config.arithmetic, Arithmetic::kInt8);
   while (!whole.done()) ASSERT_TRUE(whole.Step().ok());
   EXPECT_TRUE(whole.CurrentPolicy().Validate().ok());
 
-  Trainer first(Initial(), dataset_, options);
+  Trainer first(Initial(), source_, options);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(first.Step().ok());
   ASSERT_TRUE(first.SaveCheckpoint(path).ok());
-  Trainer second(Initial(), dataset_, options);
+  Trainer second(Initial(), source_, options);
   ASSERT_TRUE(second.LoadCheckpoint(path).ok());
   EXPECT_EQ(AllWeights(second), AllWeights(first));
   while (!second.done()) ASSERT_TRUE(second.Step().ok());
@@ -110,7 +213,7 @@ TEST_F(TrainerTest, IntegerTrainingReportsWeightsThatCannotBeRounded) {
   TrainOptions options = options_;
   options.arithmetic = Arithmetic::kInt8;
   options.learning_rate = 1e36;  // after one step, sums leave the numbers of float32
-  Trainer trainer(Initial(), dataset_, options);
+  Trainer trainer(Initial(), source_, options);
   absl::Status status;
   while (status.ok() && !trainer.done()) status = trainer.Step().status();
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
@@ -120,7 +223,7 @@ TEST_F(TrainerTest, IntegerTrainingReportsWeightsThatCannotBeRounded) {
 class TrainerModeTest : public TrainerTest, public testing::WithParamInterface<Mode> {};
 
 TEST_P(TrainerModeTest, LearnsToImitate) {
-  const Dataset experts = *RecordDataset({.seed = 0, .steps = 2000, .expert_fraction = 1.0});
+  const EpisodeSource experts(*RecordDataset({.seed = 0, .steps = 2000, .expert_fraction = 1.0}));
   TrainOptions options = With([](TrainOptions& o) {
     o.iterations = 100;
     o.batch = 8;
@@ -143,6 +246,82 @@ INSTANTIATE_TEST_SUITE_P(Modes, TrainerModeTest,
                          testing::Values(Mode::kFull, Mode::kPos, Mode::kRoute, Mode::kBaseline,
                                          Mode::kDense),
                          [](const auto& test) { return std::string(ToString(test.param)); });
+
+// Returns the share of the generators whose spikes at `timestep` and `distance` steps before are
+// those of a neuron that fires with a generator and one that fires between its spikes.
+double Match(const Policy& policy, int timestep, int distance) {
+  const Weights& weights = policy.weights;
+  int matches = 0;
+  for (int k = 0; k < policy.config.heads; ++k) {
+    const float omega = weights.phase_omega.values[k], phi = weights.phase_phi.values[k];
+    matches += PhaseSpike(omega, phi, timestep) != PhaseSpike(omega, phi, timestep - distance);
+  }
+  return static_cast<double>(matches) / policy.config.heads;
+}
+
+TEST(LookBackTest, QueriesMatchTheKeysOfOneTimestepAlone) {
+  ModelConfig config = SmallConfig(Mode::kPos);
+  config.hidden_size = 64;
+  config.heads = 8;
+  config.context = 64;
+  for (const int delay : {31, 63}) {
+    Policy policy = SmallPolicy(config);
+    ASSERT_TRUE(LookBack(delay, &policy).ok());
+    EXPECT_TRUE(policy.Validate().ok());
+    std::vector<double> mean(config.context);
+    for (int t = config.context; t < 264; ++t) {
+      for (int distance = 0; distance < config.context; ++distance) {
+        mean[distance] += Match(policy, t, distance) / 200;
+      }
+    }
+    for (int distance = 0; distance < config.context; ++distance) {
+      if (distance == delay) {
+        EXPECT_GT(mean[distance], 0.99);
+      } else if (distance < delay) {
+        EXPECT_LT(mean[distance], 0.75) << delay << " " << distance;
+      }
+    }
+    const LayerWeights& layer = policy.weights.layers[0];
+    const int inputs = config.attention_inputs();
+    for (int row = 0; row < config.hidden_size; ++row) {
+      for (int k = config.hidden_size; k < inputs; ++k) {
+        const size_t i = static_cast<size_t>(row) * inputs + k;
+        const float weight = layer.query.weight.values[i];
+        EXPECT_EQ(weight, -layer.key.weight.values[i]);
+        EXPECT_EQ(weight != 0.0f, k - config.hidden_size == row % config.heads);
+      }
+    }
+  }
+}
+
+TEST(PatchTest, TheExportedEmbeddingIsTheProductOfTheTrainedMaps) {
+  const PatchShape shape = {.height = 4, .width = 6, .channels = 2, .size = 2, .features = 3};
+  const PatchMaps maps = RandomPatchMaps(shape, /*hidden_size=*/5, /*seed=*/1);
+  const torch::Tensor image = torch::arange(48, torch::kFloat).view({4, 6, 2});
+  std::vector<torch::Tensor> features;
+  for (int row = 0; row < 4; row += 2) {
+    for (int column = 0; column < 6; column += 2) {
+      const torch::Tensor patch = image.slice(0, row, row + 2).slice(1, column, column + 2);
+      features.push_back(torch::mv(maps.embedding, patch.flatten()));
+    }
+  }
+  const torch::Tensor expected = torch::mv(maps.mix, torch::cat(features));
+  const torch::Tensor folded = FoldPatches(shape, maps);
+  ASSERT_EQ(folded.sizes(), (std::vector<int64_t>{5, 48}));
+  EXPECT_TRUE(torch::allclose(torch::mv(folded, image.flatten()), expected, 1e-4, 1e-4));
+}
+
+TEST(PatchTest, ShapesThatDoNotFitAreNamed) {
+  const PatchShape shape = {.height = 16, .width = 12, .channels = 3, .size = 4, .features = 8};
+  EXPECT_TRUE(shape.Validate(16 * 12 * 3).ok());
+  EXPECT_EQ(shape.Validate(100).message(),
+            "--image_shape: expected HEIGHT,WIDTH,CHANNELS of the 100 numbers of an observation, "
+            "received 16,12,3");
+  PatchShape other = shape;
+  other.size = 8;
+  EXPECT_EQ(other.Validate(16 * 12 * 3).message(),
+            "--patch_size: expected a divisor of height 16 and width 12, received 8");
+}
 
 TEST(TrainOptionsTest, BadOptionsAreNamed) {
   EXPECT_TRUE(TrainOptions{}.Validate().ok());

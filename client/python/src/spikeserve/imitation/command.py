@@ -54,6 +54,8 @@ def _words(text: str) -> tuple[str, ...]:
 # How the settings that are not plain numbers are written on the command line.
 _PARSERS: dict[str, Callable[[str], Any]] = {
     "max_episode_steps": int,
+    "lookback": int,
+    "patch_size": int,
     "silence": _pairs,
     "train_flags": _words,
 }

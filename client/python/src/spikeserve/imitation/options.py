@@ -36,6 +36,11 @@ class ImitationOptions:
     layers: int = _setting(2, "layers of the policy")
     ticks: int = _setting(8, "ticks of a token")
     context: int = _setting(5, "timesteps that the policy remembers")
+    lookback: int | None = _setting(
+        None,
+        "timesteps back at which attention looks first, if the action depends on that observation; "
+        "needs --mode=pos or full",
+    )
     clip_steps: int = _setting(5, "timesteps of a training clip; 0: the whole context")
     batch: int = _setting(64, "clips of an iteration")
     action_noise: float = _setting(
@@ -45,6 +50,14 @@ class ImitationOptions:
     )
     learning_rate: float = _setting(3e-3, "peak learning rate")
     iterations: int = _setting(1500, "iterations of the first training")
+    seeds: int = _setting(
+        1, "first trainings, from other random weights each; the one with the best return is kept"
+    )
+    patch_size: int | None = _setting(
+        None,
+        "side in pixels of the patches of an image, which share an embedding; 0: none; default: by "
+        "the image",
+    )
     train_flags: tuple[str, ...] = _setting(
         ("--slope=4",), "more flags of `spiketrain train`, in one string"
     )
@@ -79,6 +92,7 @@ class ImitationOptions:
             "context",
             "batch",
             "iterations",
+            "seeds",
             "threads",
             "round_steps",
             "round_iterations",
@@ -90,6 +104,12 @@ class ImitationOptions:
             check(getattr(self, name) >= 1, name, "at least 1", getattr(self, name))
         for name in ("seed", "clip_steps", "rounds", "patience", "tolerance"):
             check(getattr(self, name) >= 0, name, "at least 0", getattr(self, name))
+        if self.patch_size is not None:
+            check(self.patch_size >= 0, "patch_size", "at least 0", self.patch_size)
+        if self.lookback is not None:
+            below = f"1 to {self.context - 1}, below the context"
+            check(1 <= self.lookback < self.context, "lookback", below, self.lookback)
+            check(self.mode in ("pos", "full"), "mode", "pos or full beside lookback", self.mode)
         check(self.rounds <= 10, "rounds", "at most 10", self.rounds)
         for name in ("disturbed", "burst_rate", "action_noise"):
             check(0 <= getattr(self, name) <= 1, name, "a share from 0 to 1", getattr(self, name))

@@ -15,6 +15,7 @@ from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Actor, Budget, Episode, play
 from spikeserve.imitation.experts import Expert, is_dataset, load_expert
 from spikeserve.imitation.figures import Evaluator, Figures
+from spikeserve.imitation.images import image_flags
 from spikeserve.imitation.journal import Journal
 from spikeserve.imitation.options import FIRST_SELECTION_SEED, FIRST_UNSEEN_SEED, ImitationOptions
 from spikeserve.imitation.policy_record import write_with_record
@@ -64,7 +65,9 @@ def imitate(
     # Minari joins a relative folder to itself.
     folder = pathlib.Path(out).resolve()
     trainer = Spiketrain(find_spiketrain(spiketrain), options.threads, folder)
-    factory.make().close()  # refuses an environment that cannot be used
+    environment = factory.make()  # refuses an environment that cannot be used
+    image_flags(environment.native_space, options.patch_size)  # refuses patches that do not fit
+    environment.close()
     source = str(expert) if is_dataset(expert) else load_expert(expert)
     settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
     journal = Journal(folder, settings)
@@ -163,7 +166,7 @@ class _Run:
             f"--batch={options.batch}",
             f"--learning_rate={options.learning_rate}",
             f"--action_noise={options.action_noise}",
-            *([] if init else _shape_flags(options)),
+            *([] if init else [*_shape_flags(options), *self._image_flags()]),
             *flags,
             *options.train_flags,
         ]
@@ -185,14 +188,24 @@ class _Run:
         self._stages.append(candidate)
         return candidate
 
+    def _image_flags(self) -> list[str]:
+        environment = self._factory.make()
+        environment.close()
+        return image_flags(environment.native_space, self._options.patch_size)
+
     def _learn_to_play(self) -> _Candidate:
         """Trains on the expert's data, then on the policy's own states. Returns the best policy."""
-        candidate = self._train("play", self._options.iterations, None)
+        # Every stage has another seed.
+        for _ in range(self._options.seeds):
+            self._train("play", self._options.iterations, None)
+        candidate = max(self._stages, key=lambda stage: stage.figures.mean)
+        returns = [candidate.figures.mean]
         rounds = 0 if self._expert is None else self._options.rounds
         for number in range(1, rounds + 1):
             self._record_round(number, candidate.policy)
             candidate = self._train(f"round{number}", self._options.round_iterations, candidate)
-            if has_stalled([stage.figures.mean for stage in self._stages], self._options.patience):
+            returns.append(candidate.figures.mean)
+            if has_stalled(returns, self._options.patience):
                 break
         return max(self._stages, key=lambda stage: stage.figures.mean)
 
@@ -288,7 +301,8 @@ def has_stalled(returns: Sequence[float], patience: int) -> bool:
 def _shape_flags(options: ImitationOptions) -> list[str]:
     """Returns the flags of `spiketrain train` for the shape of a new policy."""
     names = ("mode", "hidden_size", "layers", "ticks", "context")
-    return [f"--{name}={getattr(options, name)}" for name in names]
+    flags = [f"--{name}={getattr(options, name)}" for name in names]
+    return flags if options.lookback is None else [*flags, f"--lookback={options.lookback}"]
 
 
 def _policy_name(environment: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import statistics
 from typing import Any, Protocol
 
 from spikeserve.imitation.figures import Figures
@@ -63,6 +64,7 @@ def write_report(
                 for stage, value in stages.items()
             ],
         ),
+        *_seeds(stages),
         "",
         "## Serve it",
         "",
@@ -77,6 +79,19 @@ def write_report(
         ),
     ]
     path.write_text("\n".join(lines) + "\n")
+
+
+def _seeds(stages: dict[str, Figures]) -> list[str]:
+    """Returns a sentence about the first trainings, if there are several."""
+    means = [value.mean for stage, value in stages.items() if stage.endswith("-play")]
+    if len(means) < 2:
+        return []
+    spread = statistics.stdev(means)
+    return [
+        "",
+        f"{len(means)} first trainings differ only in their seeds. Mean and standard deviation of "
+        f"their returns: {statistics.fmean(means):.3f} ± {spread:.3f}. The best one was continued.",
+    ]
 
 
 def _row(title: str, figures: Figures) -> tuple[str, str, str]:

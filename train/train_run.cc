@@ -1,0 +1,279 @@
+#include "train/train_run.h"
+
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <system_error>
+#include <utility>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "core/base/status.h"
+#include "core/environment/environment.h"
+#include "core/model/policy_file.h"
+#include "core/model/quantize.h"
+#include "train/data/minari_layout.h"
+#include "train/data/minari_reader.h"
+#include "train/evaluation/evaluation.h"
+#include "train/evaluation/training_record.h"
+#include "train/progress_bar.h"
+#include "train/trainer/initial_policy.h"
+#include "train/trainer/lookback.h"
+#include "train/trainer/return_scaling.h"
+#include "train/trainer/trainer.h"
+
+namespace spikeserve {
+namespace {
+
+absl::Status MakeDirectory(const std::string& path) {
+  std::error_code error;
+  std::filesystem::create_directories(path, error);
+  if (!error) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--out: cannot make the directory ", path, ": ", error.message()));
+}
+
+// Trains to the end. Returns the last validation loss, or -1 without validation data.
+absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
+                                  Trainer* trainer) {
+  constexpr double kForget = 0.05;  // weight of the newest loss in the running mean that is shown
+  ProgressBar progress(flags.trainer.options.iterations, trainer->iteration());
+  double shown_loss = -1.0;
+  double validation = -1.0;
+  while (!trainer->done()) {
+    if (auto status = trainer->ReadEpisodes(); !status.ok()) return status;
+    const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
+    const int iteration = trainer->iteration();
+    if (!step.ok()) {
+      return Annotate(step.status(), absl::StrCat("--arithmetic=int8: iteration ", iteration));
+    }
+    shown_loss = shown_loss < 0.0 ? step->loss : shown_loss + kForget * (step->loss - shown_loss);
+    if (!std::isfinite(step->loss)) {
+      return absl::InternalError(absl::StrCat("the loss is not finite at iteration ", iteration,
+                                              "; try a lower --learning_rate"));
+    }
+    const bool last = trainer->done();
+    if (trainer->has_validation() && (last || iteration % flags.validate_every == 0)) {
+      validation = trainer->ValidationLoss();
+    }
+    if (last || iteration % flags.checkpoint_every == 0) {
+      if (auto status = trainer->SaveCheckpoint(checkpoint); !status.ok()) return status;
+    }
+    const std::string held_out =
+        validation < 0.0 ? "" : absl::StrFormat(", validation %.4f", validation);
+    progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
+                                               held_out, step->hinge));
+  }
+  // A run that was resumed after its last iteration has not validated yet.
+  if (validation < 0.0 && trainer->has_validation()) {
+    if (auto status = trainer->ReadEpisodes(); !status.ok()) return status;
+    validation = trainer->ValidationLoss();
+  }
+  return validation;
+}
+
+// Evaluates the policy, or returns nothing if its environment is not one of this program.
+absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& policy,
+                                                             const EvaluationOptions& options) {
+  if (!MakeEnvironment(policy.environment).ok()) return std::optional<Evaluation>();
+  absl::StatusOr<Evaluation> evaluation = Evaluate(std::make_shared<const Policy>(policy), options);
+  if (!evaluation.ok()) return evaluation.status();
+  return std::optional<Evaluation>(*std::move(evaluation));
+}
+
+// Identifies the program and the files of --init and --data. Called before training, which may take
+// long enough for the files to change.
+absl::StatusOr<nlohmann::ordered_json> IdentifySources(const TrainFlags& flags) {
+  nlohmann::ordered_json sources = {{"commit", BuildCommit()}};
+  if (!flags.init.empty()) {
+    const absl::StatusOr<std::string> sha256 = FileSha256(flags.init);
+    if (!sha256.ok()) return sha256.status();
+    sources["parent_sha256"] = *sha256;
+  }
+  for (const std::string& path : flags.data) {
+    const absl::StatusOr<std::string> sha256 =
+        FileSha256(IsMinariDataset(path) ? path + kMinariData : path);
+    if (!sha256.ok()) return sha256.status();
+    sources["data_sha256"][path] = *sha256;
+  }
+  return sources;
+}
+
+// Returns the record of a policy's training. `sources` is the result of IdentifySources(),
+// `earlier` the record of the initial policy, or "{}" if there is none.
+std::string TrainingRecord(const std::string& command_line, const nlohmann::ordered_json& sources,
+                           const TrainOptions& options, const Dataset& dataset, double validation,
+                           const std::optional<Evaluation>& evaluation, const ModelConfig& config,
+                           const std::string& earlier) {
+  nlohmann::ordered_json record = {{"command", command_line}};
+  record.update(sources);
+  record["seed"] = options.seed;
+  record["data"] = dataset.recipe;
+  if (evaluation.has_value()) record["evaluation"] = ToJson(*evaluation, config);
+  if (validation >= 0.0) record["validation_loss"] = validation;
+  AddLineage(earlier, &record);
+  return record.dump();
+}
+
+absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& source,
+                                 const PatchShape& patches) {
+  ModelConfig config;
+  if (auto status = SetShape(flags.shape, &config); !status.ok()) return status;
+  Policy policy = InitialPolicy(config, source, flags.trainer.options.seed, patches);
+  if (flags.return_offset.has_value()) {
+    policy.return_offset = static_cast<float>(*flags.return_offset);
+  }
+  if (const auto scale = flags.return_scale; scale.has_value()) {
+    if (!(*scale > 0.0) || !std::isfinite(*scale)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--return_scale: expected a number above 0, received ", *scale));
+    }
+    policy.return_scale = static_cast<float>(*scale);
+  }
+  if (flags.lookback.has_value()) {
+    if (auto status = LookBack(*flags.lookback, &policy); !status.ok()) return status;
+  }
+  return policy;
+}
+
+absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& environment) {
+  absl::StatusOr<Policy> policy = ReadPolicyFile(flags.init);
+  if (!policy.ok()) return policy.status();
+  if (policy->config.arithmetic != Arithmetic::kFloat32) {
+    return absl::InvalidArgumentError("--init: expected a policy in float32, received one in int8");
+  }
+  if (auto status = CheckShape(flags.shape, policy->config); !status.ok()) return status;
+  if (flags.lookback.has_value()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--lookback: expected no such flag beside --init, received ", *flags.lookback));
+  }
+  if (policy->environment != environment) {
+    return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ", environment,
+                                                   ", received one for \"", policy->environment,
+                                                   "\""));
+  }
+  return policy;
+}
+
+// Returns where the target return of the initial policy comes from.
+TargetSource TargetSourceOf(const TrainFlags& flags, const Policy& initial) {
+  if (flags.target_return.has_value()) return TargetSource::kFlag;
+  if (!flags.init.empty()) return TargetSource::kInitialPolicy;
+  return ReturnScalingOf(initial.environment).ok() ? TargetSource::kEnvironment
+                                                   : TargetSource::kData;
+}
+
+// Returns the policy of --init, or a new one, with the target return of the flag.
+absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeSource& source,
+                                         const PatchShape& patches) {
+  if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
+  }
+  absl::StatusOr<Policy> policy = flags.init.empty()
+                                      ? NewPolicy(flags, source, patches)
+                                      : GivenPolicy(flags, source.dataset().environment);
+  if (!policy.ok()) return policy;
+  if (flags.target_return.has_value()) {
+    policy->target_return = static_cast<float>(*flags.target_return);
+  }
+  if (flags.trainer.options.arithmetic == Arithmetic::kInt8) {
+    const absl::Status rounded = Quantize(*policy).status();
+    if (!rounded.ok()) return Annotate(rounded, "--arithmetic=int8");
+  }
+  return policy;
+}
+
+// Returns the patches of the flags for images.
+absl::StatusOr<PatchShape> PatchesOf(const TrainFlags& flags, int observation_size) {
+  PatchShape shape;
+  if (flags.patch_size == 0 && flags.image_shape.empty()) return shape;
+  if (!flags.init.empty()) {
+    return absl::InvalidArgumentError(
+        "--image_shape, --patch_size: expected no such flags beside --init, whose embedding is a "
+        "matrix over all pixels");
+  }
+  shape.size = flags.patch_size;
+  shape.features = flags.patch_features;
+  int* const fields[] = {&shape.height, &shape.width, &shape.channels};
+  for (size_t i = 0; i < 3 && flags.image_shape.size() == 3; ++i) {
+    if (!absl::SimpleAtoi(flags.image_shape[i], fields[i])) *fields[i] = 0;
+  }
+  if (auto status = shape.Validate(observation_size); !status.ok()) return status;
+  return shape;
+}
+
+// Evaluates the policy and writes it to --out.
+absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string& command_line,
+                                     const nlohmann::ordered_json& sources,
+                                     const TrainOptions& options, const EpisodeSource& source,
+                                     const Policy& initial, double validation, Policy policy) {
+  const absl::StatusOr<std::optional<Evaluation>> evaluation =
+      EvaluateIfPossible(policy, {.episodes = flags.episodes});
+  if (!evaluation.ok()) return evaluation.status();
+  policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
+                                   *evaluation, policy.config, initial.training);
+  const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
+  if (auto status = WritePolicyFile(policy, path); !status.ok()) return status;
+  const absl::StatusOr<double> spikes_on_data =
+      evaluation->has_value() ? 0.0 : SpikesOnData(policy, source);
+  if (!spikes_on_data.ok()) return spikes_on_data.status();
+  TrainSummary summary = {.path = path,
+                          .target_source = TargetSourceOf(flags, initial),
+                          .validation_loss = validation,
+                          .evaluation = *evaluation,
+                          .spikes_on_data = *spikes_on_data};
+  return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
+}
+
+}  // namespace
+
+// Reads the files of --data, or without that flag records data with the default recipe.
+absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags) {
+  if (flags.data.empty()) {
+    if (auto status = MakeDirectory(flags.out); !status.ok()) return status;
+    RecordFlags record = flags.record;
+    record.options.seed = flags.trainer.options.seed;
+    record.options.expert.environment = flags.env.value_or(record.options.expert.environment);
+    absl::StatusOr<Dataset> recorded = RecordFromFlags(record, flags.out);
+    if (!recorded.ok()) return recorded.status();
+    return EpisodeSource(*std::move(recorded));
+  }
+  absl::StatusOr<EpisodeSource> source =
+      EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20);
+  if (!source.ok()) return source;
+  const std::string expected = source->dataset().environment;
+  const std::string environment = flags.env.value_or(expected);
+  if (environment != expected) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--env: expected ", expected, " as in --data, received ", environment));
+  }
+  return source;
+}
+
+absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const EpisodeSource& source,
+                                          const std::string& command_line) {
+  absl::StatusOr<TrainOptions> options = MakeTrainOptions(flags.trainer);
+  if (!options.ok()) return options.status();
+  const absl::StatusOr<PatchShape> patches = PatchesOf(flags, source.dataset().observation_size);
+  if (!patches.ok()) return patches.status();
+  options->patches = *patches;
+  if (auto status = MakeDirectory(flags.out); !status.ok()) return status;
+  const absl::StatusOr<Policy> initial = MakeInitialPolicy(flags, source, options->patches);
+  if (!initial.ok()) return initial.status();
+  const absl::StatusOr<nlohmann::ordered_json> sources = IdentifySources(flags);
+  if (!sources.ok()) return sources.status();
+
+  Trainer trainer(*initial, source, *options);
+  const std::string checkpoint = absl::StrCat(flags.out, "/checkpoint.pt");
+  if (flags.resume && std::filesystem::exists(checkpoint)) {
+    if (auto status = trainer.LoadCheckpoint(checkpoint); !status.ok()) return status;
+  }
+  const absl::StatusOr<double> validation = TrainToEnd(flags, checkpoint, &trainer);
+  if (!validation.ok()) return validation.status();
+  return Finish(flags, command_line, *sources, *options, source, *initial, *validation,
+                trainer.CurrentPolicy());
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,61 @@
+// One training: from data and an initial policy to a policy file, as `spiketrain train` does it.
+//
+// Free functions without shared state. Errors name the flag or the file.
+#ifndef TRAIN_TRAIN_RUN_H_
+#define TRAIN_TRAIN_RUN_H_
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/model/policy.h"
+#include "train/data/episode_source.h"
+#include "train/record_flags.h"
+#include "train/train_flags.h"
+#include "train/train_summary.h"
+
+namespace spikeserve {
+
+// The flags of `spiketrain train`.
+struct TrainFlags {
+  std::string out;
+  std::vector<std::string> data;   // none: record as `spiketrain dataset` would
+  int data_memory = 4096;          // MiB
+  std::string init;                // initial policy file; empty: random weights
+  std::optional<std::string> env;  // absent: that of the data, or CartPole-v1
+  ShapeFlags shape;
+  std::optional<int> lookback;           // absent: random phase generators
+  std::vector<std::string> image_shape;  // height, width, channels; none: not an image
+  int patch_size = 0;                    // 0: no patches
+  int patch_features = 8;
+  std::optional<double> target_return;  // absent: that of --init, the environment or the data
+  std::optional<double> return_offset;  // absent: the default of the environment
+  std::optional<double> return_scale;
+  TrainerFlags trainer;
+  std::vector<std::string> seeds;  // of several trainings; none: one training
+  RecordFlags record;
+  int episodes = 100;  // of the evaluation at the end
+  bool resume = false;
+  int checkpoint_every = 100;
+  int validate_every = 50;
+  bool json = false;
+};
+
+// Reads the files of --data, or without that flag records data with the default recipe into --out.
+absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags);
+
+// The outcome of a training.
+struct TrainedPolicy {
+  Policy policy;
+  TrainSummary summary;
+};
+
+// Trains a policy on `source`, evaluates it, and writes policy.safetensors and checkpoint.pt to
+// --out, a directory that it makes. `command_line` becomes a part of the policy's record.
+absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const EpisodeSource& source,
+                                          const std::string& command_line);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_TRAIN_RUN_H_
