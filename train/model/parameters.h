@@ -24,6 +24,8 @@ class Parameters {
   // `patch.mix` replace `embed.state.weight`, which is their product. REQUIRES: the policy is
   // float32, and `patches` are not used or valid for it.
   Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed);
+  // As above, without patches.
+  explicit Parameters(const Policy& policy) : Parameters(policy, PatchShape(), /*seed=*/0) {}
 
   // REQUIRES: a tensor of that name exists.
   const torch::Tensor& operator[](const std::string& name) const { return tensors_.at(name); }
