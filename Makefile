@@ -18,8 +18,7 @@ demo: configure
 test: build
 	ctest --preset $(PRESET)
 
-# The tests that `make test` excludes because they take more than an hour: clang-tidy for the whole tree, and the
-# experts with every seed of their tables.
+# The tests that `make test` excludes because they take hours; CONTRIBUTING.md lists them.
 test-slow: build
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 
