@@ -55,8 +55,9 @@ class RestartableServer:
             self._process = None
 
     def stop(self):
-        """Keeps the server from running until `resume`."""
+        """Keeps the server from running until `resume`. Returns when all of its threads have stopped."""
         self._process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, self._process.pid, os.WSTOPPED)
 
     def resume(self):
         """Lets a stopped server run again."""
