@@ -49,12 +49,12 @@ void AddFlags(Command command, TrainFlags* flags) {
       .Add("out", "DIR", &flags->out, "Directory of the policy and the checkpoint")
       .AddList("data", "FILE,...", &flags->data, "Datasets; default: record one")
       .Add("data_memory", "MIB", &flags->data_memory,
-           "Memory for the episodes of --data; if they take more, they are read in chunks")
+           "Memory for the episodes of --data; more are read in chunks")
       .Add("init", "FILE", &flags->init, "Initial policy; default: random weights")
       .Add("env", "ID", &flags->env, "Environment; default: that of --data")
       .Add("seed", "N", &flags->trainer.options.seed, "Seed of every random draw")
       .AddList("seeds", "N,...", &flags->seeds,
-               "Train with each of these seeds, and keep the policy with the best return")
+               "Train with each of these seeds; keep the best policy")
       .AddSwitch("resume", &flags->resume, "Continue from the checkpoint in --out, if there is one")
       .Add("checkpoint_every", "N", &flags->checkpoint_every, "Iterations between checkpoints")
       .Add("validate_every", "N", &flags->validate_every, "Iterations between validations")
@@ -72,7 +72,7 @@ void AddFlags(Command command, TrainFlags* flags) {
            "Attention starts at the timestep K steps back; default: undirected")
       .AddList("image_shape", "H,W,C", &flags->image_shape, "Shape of observations that are images")
       .Add("patch_size", "N", &flags->patch_size,
-           "Side in pixels of the patches that the embedding of an image shares; 0: none")
+           "Side in pixels of patches that share an embedding; 0: none")
       .Add("patch_features", "N", &flags->patch_features,
            "Numbers that the embedding gives a patch")
       .Add("return_offset", "RETURN", &flags->return_offset,
