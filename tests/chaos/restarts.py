@@ -2,8 +2,9 @@
 
 usage: python -m tests.chaos.restarts [--streams=N] [--rate=N] [--seconds=N] [--durability=LEVEL]
 
-`spikeload` plays one session on each stream. It measures, for each session, the longest time from when a request was due to
-its decision. Needs the variables SPIKESERVE_PROGRAM and SPIKELOAD_PROGRAM. Exits with status 1 if an error reached a session.
+`spikeload` plays one session on each stream. It measures, for each session, the longest time from when a request was
+due to its decision. Needs the variables SPIKESERVE_PROGRAM and SPIKELOAD_PROGRAM. Exits with status 1 if an error reached
+a session.
 """
 
 import argparse

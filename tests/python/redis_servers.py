@@ -110,7 +110,7 @@ def make_certificates(path):
 
 
 class Sentinel:
-    """Watches a primary, whose failure it decides with `quorum` others when it was silent for `silence` milliseconds."""
+    """Watches a primary. With `quorum` others it decides that one is away which is silent for `silence` milliseconds."""
 
     def __init__(self, folder, primary, quorum, silence=500):
         self.port = free_port()
