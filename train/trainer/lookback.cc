@@ -27,8 +27,8 @@ double Agreement(double shift) {
 // Returns the frequencies of `count` generators. Adds one at a time: the one after which the
 // largest agreement at a wrong timestep is least.
 std::vector<double> Frequencies(int delay, int count) {
-  std::vector<double> chosen,
-      agreement(delay, 0.0);  // at distances 1 to `delay` from the right one
+  std::vector<double> chosen;
+  std::vector<double> agreement(delay, 0.0);  // at distances 1 to `delay` from the right timestep
   const auto add = [&](double omega) {
     std::vector<double> sum = agreement;
     for (int i = 0; i < delay; ++i) sum[i] += Agreement(omega * (i + 1));

@@ -17,12 +17,12 @@ namespace spikeserve {
 // Sets the phase generators, and the weights of query and key in the first layer that read them, so
 // that the attention of every head is largest at the timestep `delay` steps back:
 //
-//   omega_k = (2 m_k + 1) pi / delay   so each generator is in antiphase to itself `delay` steps
-//   ago query    fires at the phase spikes of generator k, or between them key      fires where the
-//   query `delay` steps later does
+//   omega_k = (2 m_k + 1) pi / delay
 //
-// so q & k has the most common spikes at that timestep. The odd multiples of pi / delay are chosen
-// so that the generators agree as little as possible at all other timesteps. All other weights stay
+// A generator is then in antiphase to itself `delay` steps ago. A query fires at the phase spikes
+// of generator k, or between them, and a key fires where the query `delay` steps later does, so
+// that the two have the most common spikes at that timestep. The odd multiples are chosen so that
+// the generators agree as little as possible at all other timesteps. All other weights stay
 // as they are, and training changes these weights, too.
 //
 // Returns INVALID_ARGUMENT, for the flag --lookback, unless the policy has phase spikes with the
