@@ -162,6 +162,17 @@ def test_spikeload_uses_all_servers(fleet, mode, durability):  # noqa: F811
     assert loaded.returncode == 0 and "\n0 errors\n" in loaded.stdout, loaded
 
 
+def test_spikeload_with_retries_sees_only_waits(fleet):  # noqa: F811
+    """Every replica is restarted while it plays."""
+    command = [os.environ["SPIKELOAD_PROGRAM"], f"--server={fleet.addresses}", "--mode=stream", "--retry"]
+    flags = ["--sessions=16", "--streams=8", "--duration=5s", "--episode_steps=50"]
+    load = subprocess.Popen([*command, *flags], stdout=subprocess.PIPE, text=True)
+    for replica in fleet.replicas:
+        replica.restart()
+    printed, _ = load.communicate(timeout=DEADLINE_SECONDS)
+    assert load.returncode == 0 and "\n0 errors\n" in printed, printed
+
+
 def test_unix_sockets(tmp_path, undisturbed):  # noqa: F811
     """An address of a client may be a socket of the file system, and one of several."""
     path = f"unix:{tmp_path}/server.sock"
