@@ -2,6 +2,7 @@
 #ifndef CORE_SESSION_JOURNAL_WRITER_H_
 #define CORE_SESSION_JOURNAL_WRITER_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -26,6 +27,7 @@ struct JournalRecord {
   Kind kind = Kind::kEntry;
   std::string bytes;       // empty for kClose
   uint64_t decisions = 0;  // of the session, with this record
+  size_t records = 0;      // of the journal in the store, with this one
   uint64_t position = 0;   // of the record in all that its owner writes, from 1
   std::shared_ptr<SessionJournal> journal;
   // To append to the log of its head when the record was written; null: none.

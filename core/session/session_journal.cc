@@ -21,13 +21,14 @@ absl::Status MissingError() {
 }  // namespace
 
 SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decisions,
-                               JournalWriter* writer, int entries)
+                               JournalWriter* writer, size_t records)
     : key_(std::move(key)),
       is_sync_(durability == Durability::kSync),
       writer_(*writer),
       durable_decisions_(decisions),
       decisions_(decisions),
-      entries_(entries) {}
+      epoch_(key_.epoch),
+      records_(records) {}
 
 absl::Status SessionJournal::CheckWritable() const {
   if (is_sync_) {
@@ -45,17 +46,15 @@ void SessionJournal::OnOpen(const Session& session) {
 }
 
 void SessionJournal::OnDecision(const Session& session, const JournalEntryView& entry) {
-  if (++entries_ < kEntriesPerSnapshot) {
+  if (records_ < kDecisionsPerSnapshot) {
     Write(JournalRecord::Kind::kEntry, SerializeEntry(entry), session.decisions);
   } else {
-    entries_ = 0;
     Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions);
   }
 }
 
 void SessionJournal::OnEpisodeEnd(const Session& session,
                                   std::shared_ptr<FleetContribution> contribution) {
-  entries_ = 0;
   Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions,
         std::move(contribution));
 }
@@ -71,16 +70,18 @@ void SessionJournal::OnClose() {
 
 void SessionJournal::WriteAgainIfMissing(const Session& session) {
   if (!missing_.exchange(false, std::memory_order_acq_rel)) return;
-  entries_ = 0;
   OnOpen(session);
 }
 
 void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions,
                            std::shared_ptr<FleetContribution> contribution) {
   decisions_.store(decisions, std::memory_order_relaxed);
+  // All others are snapshots, which replace what was there.
+  records_ = kind == JournalRecord::Kind::kEntry ? records_ + 1 : 1;
   JournalRecord record = {.kind = kind,
                           .bytes = std::move(bytes),
                           .decisions = decisions,
+                          .records = records_,
                           .journal = shared_from_this(),
                           .contribution = std::move(contribution)};
   // The lock makes the order of the queue that of the positions.
@@ -125,8 +126,7 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
       if (record.contribution != nullptr) kept_ = record.contribution;
     } else {
       stored_ = record.position;
-      const bool is_taken =
-          absl::IsAlreadyExists(status) && key_.epoch == 1 && record.position == 1;
+      const bool is_taken = absl::IsAlreadyExists(status) && is_new() && record.position == 1;
       if (!status.ok() && loss_.ok()) loss_ = is_taken ? status : ReplacedError();
       outcome = loss_;
       if (!loss_.ok()) lost_ = true;

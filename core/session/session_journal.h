@@ -4,7 +4,9 @@
 //
 // A journal belongs to its owner: the process that opened the session or claimed it last, which the
 // epoch identifies. If another process claims the session, the store refuses the writes of the
-// former owner, whose copy is then lost.
+// former owner, whose copy is then lost. An owner whose connection to the store breaks moves its
+// journals to new epochs in the same way, so that writes which are still under way on the old
+// connection come too late.
 //
 // Thread-safe. The writing methods are called in the order of the session's changes, under the
 // session's lock.
@@ -12,6 +14,7 @@
 #define CORE_SESSION_SESSION_JOURNAL_H_
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -32,7 +35,7 @@ namespace spikeserve {
 class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
  public:
   // A snapshot is written after this many decisions, so that a reader folds fewer entries.
-  static constexpr int kEntriesPerSnapshot = 16;
+  static constexpr size_t kDecisionsPerSnapshot = 16;
   // The largest number of decisions that are answered before they are stored (ASYNC).
   static constexpr uint64_t kMostUnwritten = 256;
 
@@ -42,17 +45,20 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   struct Key {
     std::string id;      // of the session
     std::string tenant;  // owner of the session
-    uint64_t epoch = 1;  // 1 for a new session; a claim adds 1
+    uint64_t epoch = 1;  // when this owner began: 1 for a new session; a claim adds to it
     // Names the policy file without which a server cannot go on; empty: any server may try.
     std::string policy_file = "";
   };
 
-  // `decisions` are those that the store has, `entries` of them since its last snapshot. `writer`
-  // must outlive the journal. REQUIRES: `durability` is not kNone.
+  // The store has `decisions` of the session, in a journal of `records` records. `writer` must
+  // outlive the journal. REQUIRES: `durability` is not kNone.
   SessionJournal(Key key, Durability durability, uint64_t decisions, JournalWriter* writer,
-                 int entries = 0);
+                 size_t records = 0);
 
   const Key& key() const { return key_; }
+  uint64_t epoch() const { return epoch_.load(std::memory_order_acquire); }
+  // Returns true if this owner opened the session, and false if it claimed it.
+  bool is_new() const { return key_.epoch == 1; }
   bool is_sync() const { return is_sync_; }
 
   // Returns UNAVAILABLE if the session must not decide now: while the store cannot be reached
@@ -89,6 +95,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   void WhenDurable(uint64_t position, Done done) ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Called by the writer.
+  // The journal has another epoch in the store now.
+  void OnMoved(uint64_t epoch) { epoch_.store(epoch, std::memory_order_release); }
   // The record was written, or refused with ABORTED (this owner has been replaced), ALREADY_EXISTS,
   // or NOT_FOUND (the store has lost the journal).
   void OnWritten(const JournalRecord& record, const absl::Status& status)
@@ -114,7 +122,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   std::atomic<bool> lost_ = false;
   std::atomic<bool> missing_ = false;  // the store has lost the journal
   std::atomic<uint64_t> decisions_;    // with those that are not stored yet
-  int entries_;                        // since the last snapshot; of the session's lock
+  std::atomic<uint64_t> epoch_;
+  size_t records_;  // in the store, with those that wait; of the session's lock
 
   mutable absl::Mutex mutex_;
   uint64_t written_ ABSL_GUARDED_BY(mutex_) = 0;

@@ -24,7 +24,7 @@ void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
   info->set_head_drift(listed.entry->agent.HeadDrift());
   info->set_durability(ToProto(session.options.durability));
   if (const auto& journal = listed.entry->journal; journal != nullptr) {
-    info->set_epoch(journal->key().epoch);
+    info->set_epoch(journal->epoch());
     info->set_durable_decision(journal->durable_decisions());
   }
   info->mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());

@@ -101,8 +101,7 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
         "session_id: expected a session whose policy this server had when it asked the store; try "
         "again");
   }
-  const size_t entries = journal->entries.size();
-  journals_.CountReplayed(entries);
+  journals_.CountReplayed(journal->entries.size());
   auto session = RestoreSession(*std::move(journal), (*served)->policy());
   if (!session.ok()) return session.status();
 
@@ -113,7 +112,7 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
                           .tenant = key.first,
                           .epoch = claimed->epoch,
                           .policy_file = PolicyFileOf(**served)},
-      options.durability, session->decisions, &journals_, static_cast<int>(entries));
+      options.durability, session->decisions, &journals_, claimed->records.size());
   if (recordings_ != nullptr && !options.recording.empty()) {
     extras.recorder = recordings_->Record(*served, options.recording);
   }

@@ -1,5 +1,7 @@
 #include "server/store/redis_backend.h"
 
+#include <map>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -15,15 +17,17 @@
 namespace spikeserve {
 namespace {
 
-// Starts a journal, or writes it again for its owner, which also replaces an older epoch: a store
-// that has lost a claim. Returns 0 if another owner has the session.
+// Starts a journal, or writes it again for its owner, which also replaces an older epoch: of this
+// owner, or of a store that has lost a claim. Returns 0 if another owner has the session.
 // KEYS: hash, list. ARGV: epoch, owner, tenant, snapshot, retention in milliseconds, prefix of the
-// list's key, policy file.
+// list's key, policy file, 1 if the owner has claimed the session.
 constexpr char kOpen[] = R"(
 local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
 if found[1] then
-  local newer = tonumber(found[1]) < tonumber(ARGV[1]) and found[3] == 'open'
-  if not newer and (found[1] ~= ARGV[1] or found[2] ~= ARGV[2]) then return 0 end
+  local mine = found[2] == ARGV[2]
+  local older = tonumber(found[1]) < tonumber(ARGV[1]) and found[3] == 'open' and
+                (mine or ARGV[8] == '1')
+  if not older and not (mine and found[1] == ARGV[1]) then return 0 end
   redis.call('DEL', ARGV[6] .. found[1])
 end
 redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[2], 'tenant', ARGV[3], 'state', 'open',
@@ -76,13 +80,30 @@ redis.call('PEXPIRE', KEYS[1], ARGV[4])
 redis.call('PEXPIRE', to, ARGV[4])
 return {epoch, redis.call('LRANGE', to, 0, -1)})";
 
+// Moves the journal of the caller to another epoch, without the records after the first ones, which
+// were sent and not acknowledged. Returns 1 if that was done, now or before, or if the store does
+// not have the journal, and 0 if another owner has the session.
+// KEYS: hash. ARGV: prefix of the list's key, owner, epoch, new epoch, number of records to keep or
+// 0 for all.
+constexpr char kMove[] = R"(
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
+if not found[1] or found[1] == ARGV[4] then return 1 end
+if tonumber(found[1]) < tonumber(ARGV[3]) then return 1 end
+if found[1] ~= ARGV[3] or found[2] ~= ARGV[2] or found[3] ~= 'open' then return 0 end
+local from = ARGV[1] .. found[1]
+if redis.call('EXISTS', from) == 0 then return 1 end
+if ARGV[5] ~= '0' then redis.call('LTRIM', from, 0, ARGV[5] - 1) end
+redis.call('RENAME', from, ARGV[1] .. ARGV[4])
+redis.call('HSET', KEYS[1], 'epoch', ARGV[4])
+return 1)";
+
 // A claim adds a random number up to this to the epoch. If a primary fails and its replica did not
 // have the last claim yet, the next claim then gets another epoch, and the two owners do not append
-// to one list.
+// to one list. A journal that is moved gets its new epoch in the same way.
 constexpr uint32_t kMostEpochs = 1 << 20;
 
-std::string ListKey(const SessionJournal::Key& key) {
-  return absl::StrCat(RedisListPrefix(key.id), key.epoch);
+std::string ListKey(const SessionJournal& journal) {
+  return absl::StrCat(RedisListPrefix(journal.key().id), journal.epoch());
 }
 
 // Reads what kClaim returned for session `id`.
@@ -115,14 +136,26 @@ class RedisBackend final : public JournalBackend {
 
  private:
   using Claimed = std::vector<absl::StatusOr<ClaimedJournal>>;  // in the order of the claims
+  using Journals = std::set<std::shared_ptr<SessionJournal>>;
+
+  // A journal some of whose records were sent and not acknowledged.
+  struct Move {
+    uint64_t epoch = 0;  // new
+    size_t kept = 0;     // records that were acknowledged; 0: a snapshot follows, keep all
+  };
 
   // Runs `exchange` on a connected client, which is dropped if it fails, and waits for the
   // replicas.
   template <typename Result, typename Exchange>
   absl::StatusOr<Result> OnClient(Exchange exchange);
   absl::StatusOr<std::vector<absl::Status>> WriteAll(absl::Span<const JournalRecord> records);
+  // Notes that some of `records` may have been written, or may be written later.
+  void OnUncertain(absl::Span<const JournalRecord> records);
+  // Moves the journals whose records are uncertain. Returns those of unknown length.
+  absl::StatusOr<Journals> MoveUncertain();
   void Append(const JournalRecord& record);
-  // Reads the replies to Append(). Returns 0 if the record was refused.
+  // Reads the replies to Append(). Returns 0 if the record was refused, and for an entry the
+  // length of the journal with it.
   absl::StatusOr<int64_t> ReadReplies(const JournalRecord& record);
   // Returns why Redis refused a record: ABORTED or NOT_FOUND.
   absl::StatusOr<absl::Status> ReasonOf(const JournalRecord& record);
@@ -133,6 +166,7 @@ class RedisBackend final : public JournalBackend {
   const std::string owner_;
   std::unique_ptr<RedisClient> client_;
   absl::BitGen random_;
+  std::map<std::shared_ptr<SessionJournal>, Move> uncertain_;
 };
 
 template <typename Result, typename Exchange>
@@ -152,19 +186,71 @@ absl::StatusOr<Result> RedisBackend::OnClient(Exchange exchange) {
 
 absl::StatusOr<std::vector<absl::Status>> RedisBackend::Write(
     absl::Span<const JournalRecord> records) {
-  return OnClient<std::vector<absl::Status>>([&] { return WriteAll(records); });
+  auto outcomes = OnClient<std::vector<absl::Status>>([&] { return WriteAll(records); });
+  if (!outcomes.ok()) OnUncertain(records);
+  return outcomes;
+}
+
+void RedisBackend::OnUncertain(absl::Span<const JournalRecord> records) {
+  for (const JournalRecord& record : records) {
+    const auto [found, is_first] = uncertain_.try_emplace(record.journal);
+    Move& move = found->second;
+    if (is_first) {
+      move.epoch = record.journal->epoch() + absl::Uniform(random_, 1U, kMostEpochs);
+      move.kept = record.records - 1;
+    }
+    if (record.kind != JournalRecord::Kind::kEntry) move.kept = 0;
+  }
+}
+
+// Redis may run what the old connection has sent at any time, also after what is sent now. At the
+// new epoch it finds nothing: a late snapshot would discard the records after it.
+absl::StatusOr<RedisBackend::Journals> RedisBackend::MoveUncertain() {
+  for (const auto& [journal, move] : uncertain_) {
+    const std::string& id = journal->key().id;
+    client_->Append({"EVAL", kMove, "1", RedisHashKey(id), RedisListPrefix(id), owner_,
+                     absl::StrCat(journal->epoch()), absl::StrCat(move.epoch),
+                     absl::StrCat(move.kept)});
+  }
+  Journals moved;
+  for (const auto& [journal, move] : uncertain_) {
+    const auto reply = client_->Read();
+    if (!reply.ok()) return reply.status();
+    if ((*reply)->integer == 1) moved.insert(journal);
+  }
+  // An owner whose move is lost would take its own former epoch for one that the store has lost.
+  if (options_.replicas > 0 && !moved.empty()) {
+    if (auto status = client_->WaitForReplicas(); !status.ok()) return status;
+  }
+  Journals of_unknown_length;
+  for (const auto& [journal, move] : uncertain_) {
+    if (moved.contains(journal)) journal->OnMoved(move.epoch);
+    if (move.kept == 0) of_unknown_length.insert(journal);
+  }
+  uncertain_.clear();
+  return of_unknown_length;
 }
 
 absl::StatusOr<std::vector<absl::Status>> RedisBackend::WriteAll(
     absl::Span<const JournalRecord> records) {
+  auto of_unknown_length = MoveUncertain();
+  if (!of_unknown_length.ok()) return of_unknown_length.status();
   for (const JournalRecord& record : records) Append(record);
+  std::vector<absl::Status> outcomes(records.size());
   std::vector<size_t> refused;
   for (size_t i = 0; i < records.size(); ++i) {
-    const auto reply = ReadReplies(records[i]);
+    const JournalRecord& record = records[i];
+    const auto reply = ReadReplies(record);
     if (!reply.ok()) return reply.status();
-    if (*reply == 0) refused.push_back(i);
+    if (*reply == 0) {
+      refused.push_back(i);
+    } else if (record.kind != JournalRecord::Kind::kEntry) {
+      of_unknown_length->erase(record.journal);
+    } else if (*reply != static_cast<int64_t>(record.records) &&
+               !of_unknown_length->contains(record.journal)) {
+      outcomes[i] = absl::NotFoundError("the store has lost records of the session");
+    }
   }
-  std::vector<absl::Status> outcomes(records.size());
   for (const size_t i : refused) {
     auto reason = ReasonOf(records[i]);
     if (!reason.ok()) return reason.status();
@@ -176,12 +262,13 @@ absl::StatusOr<std::vector<absl::Status>> RedisBackend::WriteAll(
 void RedisBackend::Append(const JournalRecord& record) {
   const SessionJournal::Key& key = record.journal->key();
   const std::string hash = RedisHashKey(key.id);
-  const std::string list = ListKey(key);
-  const std::string epoch = absl::StrCat(key.epoch);
+  const std::string list = ListKey(*record.journal);
+  const std::string epoch = absl::StrCat(record.journal->epoch());
   switch (record.kind) {
     case JournalRecord::Kind::kOpen:
       return client_->Append({"EVAL", kOpen, "2", hash, list, epoch, owner_, key.tenant,
-                              record.bytes, retention_, RedisListPrefix(key.id), key.policy_file});
+                              record.bytes, retention_, RedisListPrefix(key.id), key.policy_file,
+                              record.journal->is_new() ? "0" : "1"});
     case JournalRecord::Kind::kEntry:
       return client_->Append({"RPUSHX", list, record.bytes});
     case JournalRecord::Kind::kSnapshot:
@@ -223,10 +310,11 @@ absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const JournalRecord& record)
   };
   // Redis has lost the session, or what it has is older than its owner's copy.
   uint64_t epoch = 0;
-  if (!absl::SimpleAtoi(text(0), &epoch) || epoch < key.epoch) {
+  const uint64_t expected = record.journal->epoch();
+  if (!absl::SimpleAtoi(text(0), &epoch) || epoch < expected) {
     return absl::NotFoundError("the store does not have the session");
   }
-  if (epoch == key.epoch && text(1) == owner_ && text(2) == "open") {
+  if (epoch == expected && text(1) == owner_ && text(2) == "open") {
     return absl::NotFoundError("the store does not have the journal of the session");
   }
   return absl::AbortedError("another owner has claimed the session");
