@@ -60,7 +60,7 @@ void DataStatistics::Add(const Episode& episode) {
 }
 
 Moments DataStatistics::PooledMoments(int groups) const {
-  constexpr double kSmallestDeviation = 1e-6;
+  constexpr double kAddedDeviation = 1e-6;
   const Eigen::Index in_group = sum_.size() / groups;
   // Entry i of group g is at [g, i] of a column-major matrix.
   const auto pool = [&](const Eigen::ArrayXd& sums) -> Eigen::ArrayXd {
@@ -70,7 +70,12 @@ Moments DataStatistics::PooledMoments(int groups) const {
   const Eigen::ArrayXd mean = pool(sum_);
   const Eigen::ArrayXd deviation = (pool(squares_) - mean.square()).max(0.0).sqrt();
   const Eigen::ArrayXf means = mean.cast<float>();
-  const Eigen::ArrayXf deviations = (deviation + kSmallestDeviation).cast<float>();
+  // The deviation of a constant is what rounding leaves of it. To divide by that would make the
+  // entry huge as soon as it changes.
+  const Eigen::Array<bool, Eigen::Dynamic, 1> is_constant =
+      deviation <= kAddedDeviation * mean.abs().max(1.0);
+  const Eigen::ArrayXf deviations =
+      is_constant.select(1.0, deviation + kAddedDeviation).cast<float>();
   Moments moments;
   for (Eigen::Index i = 0; i < sum_.size(); ++i) {
     moments.mean.push_back(means[i % groups]);

@@ -35,7 +35,8 @@ class DataStatistics {
 
   // The functions below describe the episodes added so far. REQUIRES: at least one episode.
 
-  // Returns the moments of each entry of the observation.
+  // Returns the moments of each entry of the observation. The deviation of an entry that is
+  // constant in the data is 1.
   Moments observations() const { return PooledMoments(static_cast<int>(sum_.size())); }
   // Returns for every entry the moments of all entries of its group: those with the same index
   // modulo `groups`. The pixels of an image [height, width, channels] are in `channels` groups.

@@ -68,6 +68,21 @@ TEST(DatasetTest, MomentsAreOfTheStepsAlone) {
   EXPECT_NEAR(moments.std[0], 0.8165, 1e-4);
 }
 
+TEST(DatasetTest, TheDeviationOfAConstantIsOne) {
+  Episode episode = Counting(3);
+  episode.observations.clear();
+  // A large constant, whose variance is not 0 in floating-point numbers, and a small change.
+  for (const float x : {0.0F, 1e-3F, 0.0F, 1e-3F}) {
+    episode.observations.push_back(12345.678F);
+    episode.observations.push_back(x);
+  }
+  DataStatistics statistics(2);
+  statistics.Add(episode);
+  const Moments moments = statistics.observations();
+  EXPECT_EQ(moments.std[0], 1.0F);
+  EXPECT_NEAR(moments.std[1], 4.7e-4F, 1e-5F);
+}
+
 TEST(DatasetTest, PooledMomentsAreOfAllPixelsOfAChannel) {
   Episode episode = Counting(2);
   // Two pixels of two channels, at three times; the last observation is not a step.
