@@ -5,23 +5,13 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/learning/fleet_head.h"
+#include "server/metrics/gauge_family.h"
 
 namespace spikeserve {
 namespace {
 
 using prometheus::ClientMetric;
 using prometheus::MetricFamily;
-
-MetricFamily Gauge(const char* name, const char* help) {
-  return {.name = name, .help = help, .type = prometheus::MetricType::Gauge, .metric = {}};
-}
-
-void Add(MetricFamily& family, const ServedPolicy& served, int64_t value) {
-  ClientMetric metric;
-  metric.label = {{"policy", served.name}, {"version", absl::StrCat(served.version)}};
-  metric.gauge.value = static_cast<double>(value);
-  family.metric.push_back(std::move(metric));
-}
 
 // Returns all shared heads of a version.
 std::vector<std::shared_ptr<FleetHead>> HeadsOf(const ServedPolicy& served) {
@@ -37,14 +27,14 @@ std::vector<std::shared_ptr<FleetHead>> HeadsOf(const ServedPolicy& served) {
 }  // namespace
 
 std::vector<MetricFamily> CollectHeads(const PolicyCatalog& catalog) {
-  MetricFamily held_out =
-      Gauge("spikeserve_head_held_out_sessions",
-            "Open sessions of this server that contribute nothing to their shared head, because "
-            "their returns judge it.");
-  MetricFamily trimmed =
-      Gauge("spikeserve_head_trimmed_contributions",
-            "Contributions that the shared heads have shortened, because they were much longer "
-            "than those of other contributors. Equal on all servers that share the heads.");
+  MetricFamily held_out = GaugeFamily(
+      "spikeserve_head_held_out_sessions",
+      "Open sessions of this server that contribute nothing to their shared head, because "
+      "their returns judge it.");
+  MetricFamily trimmed = GaugeFamily(
+      "spikeserve_head_trimmed_contributions",
+      "Contributions that the shared heads have shortened, because they were much longer "
+      "than those of other contributors. Equal on all servers that share the heads.");
   for (const auto& [name, policy] : catalog.policies()) {
     for (const auto& [version, served] : policy.versions) {
       int64_t sessions = 0, contributions = 0;
@@ -52,8 +42,10 @@ std::vector<MetricFamily> CollectHeads(const PolicyCatalog& catalog) {
         sessions += head->HeldOutSessions();
         contributions += head->Read()->trimmed;
       }
-      Add(held_out, *served, sessions);
-      Add(trimmed, *served, contributions);
+      const std::vector<ClientMetric::Label> labels = {{"policy", served->name},
+                                                       {"version", absl::StrCat(served->version)}};
+      AddGauge(held_out, labels, static_cast<double>(sessions));
+      AddGauge(trimmed, labels, static_cast<double>(contributions));
     }
   }
   return {std::move(held_out), std::move(trimmed)};
