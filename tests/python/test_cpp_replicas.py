@@ -20,6 +20,7 @@ from test_replicas import (  # noqa: F401
     test_every_replica_is_killed,
     test_every_replica_is_stopped,
     test_redis_is_killed,
+    test_the_state_of_a_session_whose_episode_ended_elsewhere,
     test_what_the_store_misses_is_sent_again,
     test_without_a_disturbance,
     undisturbed,
@@ -35,6 +36,7 @@ class CppCalls(Calls):
     def __init__(self, client):
         super().__init__(client)
         self.closed = set()
+        self.ids = {}
         self.player = subprocess.Popen(
             [os.environ["CLIENT_PLAYER_PROGRAM"], client.server, self.mode, *self.more],
             stdin=subprocess.PIPE,
@@ -53,6 +55,7 @@ class CppCalls(Calls):
         request = options_of(i, durability).to_wire(policy_of(i))
         opened = self.ask("OpenSessionResponse", "open", request.SerializeToString().hex())
         assert opened.durability > 0
+        self.ids[i] = opened.session_id
         return i
 
     async def act_all(self, sessions, t):
@@ -76,6 +79,9 @@ class CppCalls(Calls):
             assert self.player.stdout.readline() == "ok\n"
             self.closed.add(session)
 
+    def id_of(self, session):
+        return self.ids[session]
+
     def leave(self):
         self.player.stdin.close()
         self.player.stdout.close()
@@ -97,6 +103,11 @@ class CppStreams(CppCalls):
 @pytest.fixture(params=[CppCalls, CppBatches, CppStreams], ids=lambda player: player.__name__)
 def disturbed(fleet, undisturbed, request):  # noqa: F811
     yield from disturbing(fleet, undisturbed, request.param)
+
+
+@pytest.fixture
+def calls():
+    return CppCalls
 
 
 def spikectl(server, *flags):

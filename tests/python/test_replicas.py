@@ -2,6 +2,7 @@
 
 import asyncio
 import concurrent.futures
+import itertools
 import shutil
 
 import pytest
@@ -54,6 +55,9 @@ class Calls:
 
     async def close(self, session):
         session.close()
+
+    def id_of(self, session):
+        return session.session_id
 
     def leave(self):
         """Ends what the player has started."""
@@ -324,50 +328,50 @@ def test_streams_of_sessions_without_a_store(fleet):
                 stream.act(session, observation(0, 0), timeout=30)
 
 
+@pytest.fixture
+def calls():
+    return Calls
+
+
 @pytest.mark.parametrize("durability", ["ASYNC", "SYNC"])
-def test_the_state_of_a_session_whose_episode_ended_elsewhere(fleet, durability):
+def test_the_state_of_a_session_whose_episode_ended_elsewhere(fleet, calls, durability):
     """A former owner has all decisions, but not the end of the episode."""
-    first, second = fleet.replicas[:2]
-    with (
-        spikeserve.Client(first.address, OPTIONS) as former,
-        spikeserve.Client(second.address, OPTIONS) as present,
-    ):
-        session = former.open_session("cartpole", options_of(3, durability))
-        for t in range(3):
-            session.act(observation(3, t), reward(t))
-        until(lambda: store_has(fleet, session, 3))
-        # As if the client had gone to the second replica for the end of the episode, and then back.
-        session._client = present
-        session.end_episode(1.0, terminated=True)
-        expected = comparable_state(session.state(include_head_delta=True))
-        session._client = former
-        assert comparable_state(session.state(include_head_delta=True)) == expected
+    two = fleet.replicas[:2]
+    with spikeserve.Client(",".join(replica.address for replica in two), OPTIONS) as client:
+        player = calls(client)
+        asyncio.run(end_elsewhere(fleet, two, player, durability))
+        player.leave()
 
 
-def test_the_journal_of_a_session_that_moves_all_the_time_stays_short(fleet):
-    """Each owner writes one entry, and still a snapshot follows after sixteen of them."""
-    with (
-        spikeserve.Client(fleet.replicas[0].address, OPTIONS) as first,
-        spikeserve.Client(fleet.replicas[1].address, OPTIONS) as second,
-    ):
-        session_id = first.open_session("cartpole", options_of(0, "SYNC")).session_id
-        lengths = []
-        for t in range(40):
-            session = spikeserve.Session((first, second)[t % 2], session_id, step=t)
-            session.act(observation(0, t), reward(t))
-            lengths.append(journal_length(fleet, session_id))
-        assert max(lengths) == 16, lengths
+async def end_elsewhere(fleet, replicas, player, durability):
+    def owner_of(session):
+        return max(replicas, key=lambda replica: rank(player.id_of(session), replica.address))
+
+    sessions = [await player.open(i, durability) for i in range(3)]
+    for t in range(3):
+        await player.act_all(sessions, t)
+    until(lambda: all(store_has(fleet, player.id_of(session), 3) for session in sessions))
+    # Two replicas own three sessions, so one of them owns two.
+    session, another = next(
+        (a, b) for a, b in itertools.combinations(sessions, 2) if owner_of(a) is owner_of(b)
+    )
+    owner = owner_of(session)
+    [other] = [replica for replica in replicas if replica is not owner]
+    owner.stop()
+    await player.close(another)  # the client finds the owner away, and does not ask it for the next call
+    await player.end(session, 0)
+    expected = comparable_state(await player.state(session))
+    owner.resume()
+    other.stop()
+    try:
+        assert comparable_state(await player.state(session)) == expected
+    finally:
+        other.resume()
 
 
-def journal_length(fleet, session_id):
-    """Returns how many records Redis has of a session, whose list has the name of its last epoch."""
-    script = f"local names = redis.call('KEYS', 'ss:{{{session_id}}}:[0-9]*') return redis.call('LLEN', names[1])"
-    return fleet.redis.command(f'EVAL "{script}" 0')
-
-
-def store_has(fleet, session, decisions):
+def store_has(fleet, session_id, decisions):
     """Returns whether Redis has the decisions of a session: its journal has a snapshot and an entry for each."""
-    return fleet.redis.command(f"LLEN ss:{{{session.session_id}}}:1") == decisions + 1
+    return fleet.redis.command(f"LLEN ss:{{{session_id}}}:1") == decisions + 1
 
 
 def test_a_replica_that_was_stopped_sends_no_stale_answer(fleet):
