@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import pathlib
+import subprocess
 import sys
 import types
 
@@ -297,6 +298,33 @@ def test_patches_that_do_not_fit_are_refused(tmp_path):
         arguments = ("home_made:Picture-v0", home_made.go_to_dot)
         spikeserve.imitate(*arguments, tmp_path, options=options, spiketrain=SPIKETRAIN)
     assert not list(tmp_path.iterdir()), "before anything is recorded"
+
+
+@pytest.mark.parametrize(
+    ("flags", "reason"),
+    [
+        (("--slope=4", "--arithmetic=int8"), "expected no --arithmetic, because stages continue from float32 weights"),
+        (("--arithmetic", "int8"), "expected no --arithmetic"),
+        (("--lookback=3",), "expected no --lookback; lookback and patch_size are settings of imitate"),
+        (("--image_shape=16,16,3",), "expected no --image_shape"),
+        (("--init=policy.safetensors",), "expected no --init, which each stage sets"),
+        (("--target_rate=5",), "expected no --target_rate, which each stage sets"),
+    ],
+)
+def test_train_flags_that_a_later_stage_would_refuse_are_refused(flags, reason):
+    with pytest.raises(ValueError, match=f"train_flags: {reason}.*received --"):
+        ImitationOptions(train_flags=flags)
+
+
+def test_the_command_refuses_train_flags_before_it_records(tmp_path):
+    command = [sys.executable, "-m", "spikeserve", "imitate", "CartPole-v1", "--expert=home_made:balance"]
+    flags = [f"--out={tmp_path}/run", "--train-flags=--arithmetic=int8"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    finished = subprocess.run([*command, *flags], capture_output=True, text=True, env=environment, check=False)
+    assert finished.returncode == 1
+    assert "train_flags: expected no --arithmetic" in finished.stderr
+    assert "received --arithmetic=int8" in finished.stderr
+    assert not (tmp_path / "run").exists()
 
 
 def test_wrappers_change_the_environment_and_its_name(tmp_path):

@@ -26,7 +26,9 @@ def add_command(subcommands: Any) -> None:
         help="module:function, ALGORITHM:FILE.zip, SCRIPT:FILE.cleanrl_model, or a Minari dataset",
     )
     parser.add_argument(
-        "--out", required=True, help="folder of the run; an interrupted run continues"
+        "--out",
+        help="folder of the run, in which an interrupted run continues; default: the name of the "
+        "policy, such as lunarlander for LunarLander-v3",
     )
     parser.add_argument(
         "--wrapper", action="append", default=[], help="module:class of a wrapper; may be repeated"
@@ -78,19 +80,20 @@ def _add_setting(parser: argparse.ArgumentParser, setting: dataclasses.Field[Any
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from spikeserve.imitation.environments import load_object
+    from spikeserve.imitation.environments import EnvironmentFactory, load_object
     from spikeserve.imitation.pipeline import imitate
 
     settings = {
         field.name: getattr(arguments, field.name) for field in dataclasses.fields(ImitationOptions)
     }
     try:
+        wrappers = [load_object(wrapper, "wrapper") for wrapper in arguments.wrapper]
         result = imitate(
             arguments.env_id,
             arguments.expert,
-            arguments.out,
+            arguments.out or EnvironmentFactory(arguments.env_id, wrappers).policy_name,
             options=ImitationOptions(**settings),
-            wrappers=[load_object(wrapper, "wrapper") for wrapper in arguments.wrapper],
+            wrappers=wrappers,
             spiketrain=arguments.spiketrain,
         )
     except (ValueError, RuntimeError) as error:

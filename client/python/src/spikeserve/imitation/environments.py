@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -44,6 +45,12 @@ class EnvironmentFactory:
         names = [getattr(wrapper, "__name__", type(wrapper).__name__) for wrapper in self._wrappers]
         # The module that registers the environment is not a part of its id in Gymnasium.
         self.name = "-".join([env_id.rpartition(":")[2], *names])
+
+    @property
+    def policy_name(self) -> str:
+        """Returns a name for a folder of policies: lunarlander for LunarLander-v3."""
+        plain = re.sub(r"-v\d+", "", self.name).lower()
+        return re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
 
     def make(self) -> FlatEnvironment:
         """Makes one environment."""

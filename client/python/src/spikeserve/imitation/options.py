@@ -13,6 +13,13 @@ FIRST_UNSEEN_SEED = 2_000_000
 
 _SILENCE = ((6.0, 25.0), (3.0, 15.0), (1.5, 9.0))
 
+# Flags of `spiketrain train` that cannot be in train_flags, which every stage receives.
+_SET_BY_STAGES = (
+    *("data", "out", "init", "resume", "seed", "seeds", "iterations"),
+    *("target_rate", "readout_rate"),
+)
+_OWN_SETTINGS = ("lookback", "image_shape", "patch_size")  # only for a policy without --init
+
 
 def _setting(default: Any, text: str) -> Any:
     return field(default=default, metadata={"help": text})
@@ -113,3 +120,24 @@ class ImitationOptions:
         check(self.rounds <= 10, "rounds", "at most 10", self.rounds)
         for name in ("disturbed", "burst_rate", "action_noise"):
             check(0 <= getattr(self, name) <= 1, name, "a share from 0 to 1", getattr(self, name))
+        for flag in self.train_flags:
+            _check_train_flag(flag)
+
+
+def _check_train_flag(flag: str) -> None:
+    """ValueError for a flag with which a later stage would fail, or the stages would be alike."""
+    name = flag.removeprefix("--").partition("=")[0] if flag.startswith("--") else ""
+    check(
+        name != "arithmetic",
+        "train_flags",
+        "no --arithmetic, because stages continue from float32 weights, and version 2 of the "
+        "policy has 8-bit weights",
+        flag,
+    )
+    check(name not in _SET_BY_STAGES, "train_flags", f"no --{name}, which each stage sets", flag)
+    check(
+        name not in _OWN_SETTINGS,
+        "train_flags",
+        f"no --{name}; lookback and patch_size are settings of imitate",
+        flag,
+    )

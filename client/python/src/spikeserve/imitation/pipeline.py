@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -266,7 +265,7 @@ class _Run:
             ),
         )
         stages = {stage.name: stage.figures for stage in self._stages}
-        name = _policy_name(self._factory.name)
+        name = self._factory.policy_name
         write_report(result.report, self._journal, name, chosen.name, stages, result)
         return result
 
@@ -280,7 +279,7 @@ class _Run:
                 source, FIRST_UNSEEN_SEED, options.episodes, title
             ),
         )
-        name = _policy_name(self._factory.name)
+        name = self._factory.policy_name
         folder = self._journal.folder / "policies" / name / str(version)
         evaluation = {key: value for key, value in figures.to_json().items() if key != "returns"}
         settings = {"environment": self._factory.name, **asdict(options)}
@@ -303,9 +302,3 @@ def _shape_flags(options: ImitationOptions) -> list[str]:
     names = ("mode", "hidden_size", "layers", "ticks", "context")
     flags = [f"--{name}={getattr(options, name)}" for name in names]
     return flags if options.lookback is None else [*flags, f"--lookback={options.lookback}"]
-
-
-def _policy_name(environment: str) -> str:
-    """Returns a name for a folder of policies: lunarlander for LunarLander-v3."""
-    plain = re.sub(r"-v\d+", "", environment.rpartition(":")[2]).lower()
-    return re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
