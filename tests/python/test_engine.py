@@ -144,6 +144,22 @@ def test_a_batch_decides_as_its_sessions_alone(settings):
     assert summaries == [s.end_episode(1.0, terminated=True).spikes for s in alone]
 
 
+@pytest.mark.parametrize("name", ["cartpole", "pendulum"])
+def test_the_rows_of_a_batch_are_decisions(name):
+    """Of a Discrete and a Box space, for all fields of a decision."""
+    engine = spikeserve_engine.Engine(SHIPPED_POLICIES / name / "2/policy.safetensors")
+    observations = np.random.default_rng(0).normal(0, 0.1, (3, engine.observation_size))
+    batch = engine.act_batch([engine.session() for _ in range(3)], observations)
+    decisions = [engine.session().act(observation) for observation in observations]
+    np.testing.assert_array_equal(batch.actions, [decision.action for decision in decisions])
+    for index, alone in enumerate(decisions):
+        row = batch[index]
+        for field in ("action", "action_probabilities", "logits", "return_to_go", "step"):
+            np.testing.assert_array_equal(getattr(row, field), getattr(alone, field), err_msg=field)
+        assert row.stats.spikes_by_stage == alone.stats.spikes_by_stage
+        assert row.stats.compute_seconds > 0
+
+
 def test_a_batch_that_fails_changes_no_session():
     engine = spikeserve_engine.Engine(CARTPOLE)
     sessions = [engine.session(), engine.session()]
@@ -153,6 +169,11 @@ def test_a_batch_that_fails_changes_no_session():
         engine.act_batch(sessions, observations)
     with pytest.raises(ValueError, match="sessions: expected different sessions, received one session twice"):
         engine.act_batch([sessions[0], sessions[0]], np.zeros((2, 4)))
+    for other in (3, None):
+        with pytest.raises(TypeError, match=f"sessions: expected sessions, received .*{type(other).__name__}"):
+            engine.act_batch([sessions[0], other], np.zeros((2, 4)))
+    with pytest.raises(TypeError):
+        engine.act_batch(sessions[0], np.zeros((1, 4)))
     with pytest.raises(ValueError, match="observations: expected 2 rows, received 3"):
         engine.act_batch(sessions, np.zeros((3, 4)))
     with pytest.raises(ValueError, match="received another engine's"):

@@ -1,7 +1,6 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
-#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <memory>
@@ -96,9 +95,26 @@ void CheckRows(const char* field, size_t expected, size_t received) {
       absl::StrCat(field, ": expected ", expected, " rows, received ", received).c_str());
 }
 
-BoundBatch ActBatch(const std::shared_ptr<PlayedPolicy>& played,
-                    const std::vector<std::shared_ptr<LocalSession>>& sessions,
-                    nb::handle observations, nb::handle rewards) {
+// Returns the C++ objects of `sessions`, which live as long as their Python objects.
+std::vector<LocalSession*> SessionsOf(const nb::tuple& sessions) {
+  std::vector<LocalSession*> rows;
+  rows.reserve(sessions.size());
+  for (const nb::handle item : sessions) {
+    LocalSession* session = nullptr;
+    if (!nb::try_cast(item, session, /*convert=*/false) || session == nullptr) {
+      const std::string type = nb::cast<std::string>(nb::str(item.type()));
+      throw nb::type_error(absl::StrCat("sessions: expected sessions, received ", type).c_str());
+    }
+    rows.push_back(session);
+  }
+  return rows;
+}
+
+BoundBatch ActBatch(const PlayedPolicy& played,
+                    const nb::typed<nb::sequence, LocalSession>& sequence, nb::handle observations,
+                    nb::handle rewards) {
+  const nb::tuple held(sequence);  // a thread may remove sessions from a list meanwhile
+  const std::vector<LocalSession*> sessions = SessionsOf(held);
   const auto inputs = ToArray<float>("observations", observations, 2);
   CheckRows("observations", sessions.size(), inputs.shape(0));
   std::vector<double> earned(sessions.size());
@@ -107,20 +123,20 @@ BoundBatch ActBatch(const std::shared_ptr<PlayedPolicy>& played,
     CheckRows("rewards", sessions.size(), given.shape(0));
     std::copy_n(given.data(), given.size(), earned.begin());
   }
-  const bool ours = std::all_of(sessions.begin(), sessions.end(), [&](const auto& session) {
-    return &session->played() == played.get();
+  const bool ours = std::all_of(sessions.begin(), sessions.end(), [&](const LocalSession* session) {
+    return &session->played() == &played;
   });
   if (!ours) {
     throw nb::value_error("sessions: expected sessions of this engine, received another engine's");
   }
-  absl::StatusOr<std::vector<Answer>> answers = std::vector<Answer>();
+  absl::StatusOr<BatchAnswers> answers = BatchAnswers();
   {
     const nb::gil_scoped_release release;
     answers = LocalSession::ActTogether(sessions, View(inputs), earned);
   }
   return {.answers = ValueOrRaise(std::move(answers)),
-          .discrete = played->policy().action_space.is_discrete(),
-          .config = played->policy().config};
+          .discrete = played.policy().action_space.is_discrete(),
+          .config = played.policy().config};
 }
 
 void BindSession(nb::module_& module) {

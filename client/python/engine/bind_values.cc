@@ -134,22 +134,16 @@ void BindDecision(nb::module_& module) {
 template <typename Number, typename Get>
 nb::object Column(const BoundBatch& batch, Get get) {
   std::vector<Number> column;
-  column.reserve(batch.answers.size());
-  for (const Answer& answer : batch.answers) column.push_back(get(answer));
+  column.reserve(batch.answers.rows().size());
+  for (const BatchAnswers::Row& row : batch.answers.rows()) column.push_back(get(row));
   return ToNumpy(std::move(column));
 }
 
-// Returns one row per decision of a batch.
-template <typename Get>
-nb::object Rows(const BoundBatch& batch, Get get) {
-  std::vector<float> rows;
-  for (const Answer& answer : batch.answers) {
-    const std::vector<float>& row = get(answer);
-    rows.insert(rows.end(), row.begin(), row.end());
-  }
-  const size_t count = batch.answers.size();
-  const size_t width = count == 0 ? 0 : rows.size() / count;
-  return ToNumpy(std::move(rows), {count, width});
+// Returns `values` as one row per decision of a batch.
+nb::object Rows(const BoundBatch& batch, const std::vector<float>& values) {
+  const size_t count = batch.answers.rows().size();
+  const size_t width = count == 0 ? 0 : values.size() / count;
+  return ToNumpy(values, {count, width});
 }
 
 void BindBatch(nb::module_& module) {
@@ -157,36 +151,32 @@ void BindBatch(nb::module_& module) {
       .def_prop_ro(
           "actions",
           [](const BoundBatch& batch) -> nb::object {
-            if (!batch.discrete) {
-              return Rows(
-                  batch, [](const Answer& a) -> auto& { return a.action.continuous; });
-            }
-            return Column<int64_t>(batch, [](const Answer& a) { return a.action.discrete; });
+            if (!batch.discrete) return Rows(batch, batch.answers.continuous());
+            return Column<int64_t>(batch, [](const auto& row) { return row.discrete; });
           },
           "int64 [rows] for a Discrete space, float32 [rows, n] for a Box.")
       .def_prop_ro(
           "action_probabilities",
           [](const BoundBatch& batch) -> nb::object {
             if (!batch.discrete) return nb::none();
-            return Rows(
-                batch, [](const Answer& a) -> auto& { return a.probabilities; });
+            return Rows(batch, batch.answers.probabilities());
           },
           "float32 [rows, n]; None for a Box.")
       .def_prop_ro("returns_to_go",
                    [](const BoundBatch& batch) {
-                     return Column<float>(batch, [](const Answer& a) { return a.return_to_go; });
+                     return Column<float>(batch, [](const auto& row) { return row.return_to_go; });
                    })
       .def_prop_ro("spikes",
                    [](const BoundBatch& batch) {
                      return Column<uint64_t>(
-                         batch, [](const Answer& a) { return a.counts.total_spikes(); });
+                         batch, [](const auto& row) { return row.counts.total_spikes(); });
                    })
-      .def("__len__", [](const BoundBatch& batch) { return batch.answers.size(); })
+      .def("__len__", [](const BoundBatch& batch) { return batch.answers.rows().size(); })
       .def("__getitem__", [](const BoundBatch& batch, int64_t row) {
-        const auto size = static_cast<int64_t>(batch.answers.size());
+        const auto size = static_cast<int64_t>(batch.answers.rows().size());
         const int64_t index = row < 0 ? row + size : row;
         if (index < 0 || index >= size) throw nb::index_error("row: expected a row of the batch");
-        return BoundDecision{batch.answers[static_cast<size_t>(index)], batch.discrete,
+        return BoundDecision{batch.answers.At(static_cast<size_t>(index)), batch.discrete,
                              batch.config};
       });
 }

@@ -4,8 +4,7 @@
 
 #include <nanobind/nanobind.h>
 
-#include <vector>
-
+#include "client/python/engine/batch_answers.h"
 #include "client/python/engine/played_policy.h"
 #include "core/model/policy.h"
 #include "core/session/session.h"
@@ -21,7 +20,7 @@ struct BoundDecision {
 
 // The decisions of one act_batch.
 struct BoundBatch {
-  std::vector<Answer> answers;
+  BatchAnswers answers;
   bool discrete = false;
   ModelConfig config;
 };

@@ -6,10 +6,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "absl/synchronization/mutex.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
-#include "core/session/session_locks.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -26,15 +24,6 @@ std::shared_ptr<const ServedPolicy> Serve(std::shared_ptr<const Engine> engine) 
   served->fleet = std::make_shared<FleetHead>(policy);
   served->observer = std::make_shared<SessionObserver>();
   return served;
-}
-
-absl::Status CheckDifferent(absl::Span<const std::shared_ptr<LocalSession>> sessions) {
-  std::vector<const LocalSession*> sorted;
-  for (const auto& session : sessions) sorted.push_back(session.get());
-  std::sort(sorted.begin(), sorted.end());
-  if (std::adjacent_find(sorted.begin(), sorted.end()) == sorted.end()) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      "sessions: expected different sessions, received one session twice");
 }
 
 }  // namespace
@@ -80,20 +69,38 @@ absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Open(
 
 LocalSession::LocalSession(std::shared_ptr<const PlayedPolicy> played, Session session)
     : played_(std::move(played)),
-      entry_(std::make_shared<SessionEntry>(played_->served(), std::move(session),
-                                            &played_->clock())) {}
+      agent_(played_->served(), std::move(session), &played_->clock()) {}
+
+// Clang's thread-safety analysis cannot follow locks in a container, so the user of a session
+// asserts its lock.
+class LocalSession::Locks {
+ public:
+  // REQUIRES: the sessions are different, and sorted by address.
+  explicit Locks(absl::Span<LocalSession* const> sorted) ABSL_NO_THREAD_SAFETY_ANALYSIS
+      : sorted_(sorted) {
+    for (LocalSession* session : sorted_) session->mutex_.Lock();
+  }
+  ~Locks() ABSL_NO_THREAD_SAFETY_ANALYSIS {
+    for (LocalSession* session : sorted_) session->mutex_.Unlock();
+  }
+  Locks(const Locks&) = delete;
+  Locks& operator=(const Locks&) = delete;
+
+ private:
+  const absl::Span<LocalSession* const> sorted_;
+};
 
 absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward) {
-  const absl::MutexLock lock(&entry_->mutex);
-  AgentSession& agent = entry_->agent;
-  const absl::StatusOr<const Answer*> answer = agent.Act(agent.session().step, observation, reward);
+  const absl::MutexLock lock(&mutex_);
+  const absl::StatusOr<const Answer*> answer =
+      agent_.Act(agent_.session().step, observation, reward);
   if (!answer.ok()) return answer.status();
   return **answer;
 }
 
 absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(const EpisodeEnd& end) {
-  const absl::MutexLock lock(&entry_->mutex);
-  return entry_->agent.EndEpisode(end);
+  const absl::MutexLock lock(&mutex_);
+  return agent_.EndEpisode(end);
 }
 
 absl::StatusOr<LocalSession::Explained> LocalSession::Explain() {
@@ -105,32 +112,36 @@ absl::StatusOr<LocalSession::Explained> LocalSession::Explain() {
   return explained;
 }
 
-absl::StatusOr<std::vector<Answer>> LocalSession::ActTogether(
-    absl::Span<const std::shared_ptr<LocalSession>> sessions, absl::Span<const float> observations,
-    absl::Span<const double> rewards) {
-  std::vector<Answer> answers;
+absl::StatusOr<BatchAnswers> LocalSession::ActTogether(absl::Span<LocalSession* const> sessions,
+                                                       absl::Span<const float> observations,
+                                                       absl::Span<const double> rewards) {
+  BatchAnswers answers;
   if (sessions.empty()) return answers;
-  if (auto status = CheckDifferent(sessions); !status.ok()) return status;
-  std::vector<std::shared_ptr<SessionEntry>> entries;
-  for (const auto& session : sessions) entries.push_back(session->entry_);
-  const SessionLocks locks(entries);
-  std::vector<AgentSession::ActCall> calls;
+  std::vector<LocalSession*> sorted(sessions.begin(), sessions.end());
+  std::sort(sorted.begin(), sorted.end());
+  if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) {
+    return absl::InvalidArgumentError(
+        "sessions: expected different sessions, received one session twice");
+  }
+  const Locks locks(sorted);
+  std::vector<AgentSession::ActCall> calls(sessions.size());
   const size_t width = observations.size() / sessions.size();
   for (size_t i = 0; i < sessions.size(); ++i) {
-    entries[i]->mutex.AssertHeld();
-    AgentSession& agent = entries[i]->agent;
-    calls.push_back({.session = &agent,
-                     .step = agent.session().step,
-                     .observation = observations.subspan(i * width, width),
-                     .reward = rewards[i]});
-    if (auto status = agent.CheckNewDecision(calls.back()); !status.ok()) {
+    sessions[i]->mutex_.AssertHeld();
+    AgentSession& agent = sessions[i]->agent_;
+    calls[i].session = &agent;
+    calls[i].step = agent.session().step;
+    calls[i].observation = observations.subspan(i * width, width);
+    calls[i].reward = rewards[i];
+    if (auto status = agent.CheckNewDecision(calls[i]); !status.ok()) {
       return absl::Status(status.code(), absl::StrCat("row ", i, ": ", status.message()));
     }
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
+  answers.Reserve(calls.size());
   for (const AgentSession::ActCall& call : calls) {
     if (!call.answer.ok()) return call.answer.status();
-    answers.push_back(**call.answer);
+    answers.Append(**call.answer);
   }
   return answers;
 }

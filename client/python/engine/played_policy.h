@@ -13,14 +13,18 @@
 #include <string>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
+#include "client/python/engine/batch_answers.h"
 #include "client/python/engine/policy_source.h"
 #include "core/base/clock.h"
+#include "core/session/agent_session.h"
 #include "core/session/explanation.h"
+#include "core/session/served_policy.h"
 #include "core/session/session_request.h"
-#include "core/session/session_store.h"
 
 namespace spikeserve {
 
@@ -76,19 +80,23 @@ class LocalSession {
   // Calls `read` with the session while no other call changes it.
   template <typename Read>
   auto With(Read read) {
-    const absl::MutexLock lock(&entry_->mutex);
-    return read(static_cast<const AgentSession&>(entry_->agent));
+    const absl::MutexLock lock(&mutex_);
+    return read(static_cast<const AgentSession&>(agent_));
   }
 
   // Decides for several different sessions of one policy at once; row i of `observations` [rows *
   // obs] and `rewards`[i] belong to sessions[i]. On an error, no session changes.
-  static absl::StatusOr<std::vector<Answer>> ActTogether(
-      absl::Span<const std::shared_ptr<LocalSession>> sessions,
-      absl::Span<const float> observations, absl::Span<const double> rewards);
+  static absl::StatusOr<BatchAnswers> ActTogether(absl::Span<LocalSession* const> sessions,
+                                                  absl::Span<const float> observations,
+                                                  absl::Span<const double> rewards);
 
  private:
+  // Locks several sessions in one order for all threads.
+  class Locks;
+
   const std::shared_ptr<const PlayedPolicy> played_;
-  const std::shared_ptr<SessionEntry> entry_;
+  absl::Mutex mutex_;
+  AgentSession agent_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace spikeserve

@@ -152,11 +152,18 @@ struct ActivePairs {
   uint64_t products = 0;
 };
 
+// Returns the memory of this thread. Not inlined, because in a shared library the compiler would
+// call a function for its address again at every access.
+HWY_NOINLINE ActivePairs& ThreadActive() {
+  thread_local ActivePairs active;
+  return active;
+}
+
 // Finds the active pairs. The result is valid until the next call on this thread.
 HWY_INLINE const ActivePairs& FindActive(const PackedIntegerOutput& output, const int16_t* counts) {
   const I16 d;
   const I32 di;
-  thread_local ActivePairs active;
+  ActivePairs& active = ThreadActive();
   active.pairs.clear();
   const auto one = hn::Set(d, int16_t{1});
   auto products = hn::Zero(di);

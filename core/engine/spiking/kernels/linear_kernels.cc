@@ -30,13 +30,20 @@ struct ActiveInputs {
   uint64_t products = 0;
 };
 
+// Returns the memory of this thread. Not inlined, because in a shared library the compiler would
+// call a function for its address again at every access.
+HWY_NOINLINE ActiveInputs& ThreadActive() {
+  thread_local ActiveInputs active;
+  return active;
+}
+
 // Finds the active inputs of `ticks` rows [stride]. The result is valid until the next call on this
 // thread.
 HWY_INLINE const ActiveInputs& FindActive(const PackedLinear& linear, const float* input,
                                           int stride, int ticks) {
   const F32 d;
   const U32 du;
-  thread_local ActiveInputs active;
+  ActiveInputs& active = ThreadActive();
   active.inputs.clear();
   auto products = hn::Zero(du);
   int j = 0;
