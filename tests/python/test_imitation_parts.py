@@ -9,6 +9,7 @@ import sys
 import types
 
 import gymnasium
+import h5py
 import home_made
 import minari
 import numpy as np
@@ -147,6 +148,18 @@ def test_a_dataset_is_read_as_it_was_written(tmp_path):
         np.testing.assert_array_equal(mine.observations, theirs.observations)
         np.testing.assert_allclose(mine.rewards, theirs.rewards)
         assert (theirs.terminated, theirs.truncated) == (False, True)
+
+
+def test_images_are_recorded_in_bytes(tmp_path):
+    make = EnvironmentFactory("home_made:Picture-v0").make
+    written = list(play(make, ExpertActor(load_expert("home_made:go_to_dot")), iter(range(3)), environments=2))
+    write_dataset(tmp_path / "picture-v0", written, make(), "Picture-v0")
+    with h5py.File(tmp_path / "picture-v0/data/main_data.hdf5") as file:
+        stored = file["episode_0/observations"]
+        assert (stored.dtype, stored.shape) == (np.uint8, (17, 16 * 16 * 3))
+    for mine, theirs in zip(written, read_dataset(tmp_path / "picture-v0"), strict=True):
+        np.testing.assert_array_equal(mine.observations, theirs.observations)
+        assert theirs.observations[0].dtype == np.uint8
 
 
 def record_with_minari(folder):

@@ -36,6 +36,8 @@ class ObservationMap:
         check(self.size >= 1, "observation_space", "at least one element", space)
         at_most = f"at most {LARGEST_OBSERVATION} numbers"
         check(self.size <= LARGEST_OBSERVATION, "observation_space", at_most, self.size)
+        # The type in which observations are recorded: images take a quarter of float32.
+        self.stored_dtype = np.dtype(np.uint8 if space.dtype == np.uint8 else np.float32)
 
     def flatten(self, observation: Any) -> NDArray[np.float32]:
         """Returns the observation as float32 [size]."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 import importlib.util
 import pathlib
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import gymnasium
 import minari
 import numpy as np
+from gymnasium import spaces
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
+from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.flat_spaces import ActionMap, FlatEnvironment, ObservationMap
@@ -27,7 +29,7 @@ def check_packages() -> None:
 
 
 def write_dataset(
-    folder: pathlib.Path, episodes: Iterable[Episode], environment: FlatEnvironment, name: str
+    folder: pathlib.Path, episodes: Sequence[Episode], environment: FlatEnvironment, name: str
 ) -> None:
     """Writes a dataset in the spaces of a policy. `name` is the environment of the policy.
 
@@ -39,13 +41,18 @@ def write_dataset(
     (partial / "data").mkdir(parents=True)
     storage = MinariStorage.new(
         partial / "data",
-        observation_space=environment.observation_space,
+        observation_space=_space_of(episodes[0].observations[0]),
         action_space=environment.action_space,
         env_spec=gymnasium.envs.registration.EnvSpec(name),
     )
     storage.update_episodes([_buffer(index, episode) for index, episode in enumerate(episodes)])
     storage.update_metadata({"dataset_id": folder.name, "minari_version": minari.__version__})
     partial.rename(folder)
+
+
+def _space_of(observation: NDArray[Any]) -> spaces.Box:
+    low, high = (0, 255) if observation.dtype == np.uint8 else (-np.inf, np.inf)
+    return spaces.Box(low, high, observation.shape, observation.dtype.type)
 
 
 def _buffer(index: int, episode: Episode) -> EpisodeBuffer:
@@ -87,7 +94,8 @@ def read_dataset(source: str | pathlib.Path) -> Iterator[Episode]:
         yield Episode(
             seed=int(stored.id),
             observations=[
-                observations.flatten(_at(stored.observations, t)) for t in range(steps + 1)
+                observations.flatten(_at(stored.observations, t)).astype(observations.stored_dtype)
+                for t in range(steps + 1)
             ],
             actions=[actions.to_flat(stored.actions[t]) for t in range(steps)],
             labels=[actions.to_flat(label) for label in infos.get("label", [])[:steps]],

@@ -19,7 +19,7 @@ class Episode:
     """One episode in the spaces of a policy. `labels` are the actions to imitate."""
 
     seed: int
-    observations: list[NDArray[np.float32]]  # [steps + 1]
+    observations: list[NDArray[Any]]  # [steps + 1], of float32, or of uint8 for images
     actions: list[FlatAction] = field(default_factory=list)  # [steps], as executed
     labels: list[FlatAction] = field(default_factory=list)  # [steps], or empty: the actions
     weights: list[float] = field(default_factory=list)  # [steps], or empty: all 1
@@ -111,7 +111,11 @@ def play(
 
 def _start(index: int, environment: FlatEnvironment, seed: int) -> Row:
     observation, _ = environment.reset(seed=seed)
-    return Row(index, environment, Episode(seed, [observation]))
+    return Row(index, environment, Episode(seed, [_stored(environment, observation)]))
+
+
+def _stored(environment: FlatEnvironment, observation: NDArray[np.float32]) -> NDArray[Any]:
+    return observation.astype(environment.observations.stored_dtype, copy=False)
 
 
 def _step(row: Row, choice: Choice) -> bool:
@@ -121,7 +125,7 @@ def _step(row: Row, choice: Choice) -> bool:
     episode.actions.append(choice.action)
     if choice.label is not None:
         episode.labels.append(choice.label)
-    episode.observations.append(observation)
+    episode.observations.append(_stored(row.environment, observation))
     episode.rewards.append(reward)
     episode.spikes += choice.spikes
     episode.terminated, episode.truncated = terminated, truncated
