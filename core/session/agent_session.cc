@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/base/attributes.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
 #include "core/learning/frobenius_norm.h"
@@ -20,11 +21,28 @@ namespace {
 // version.
 template <typename T, typename VersionOf, typename Visit>
 void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
-  std::ranges::sort(all, std::less<>(), version_of);
+  if (!std::ranges::is_sorted(all, std::less<>(), version_of)) {
+    std::ranges::sort(all, std::less<>(), version_of);
+  }
   for (size_t first = 0, last = 0; first < all.size(); first = last) {
     while (last < all.size() && version_of(all[last]) == version_of(all[first])) ++last;
     visit(absl::MakeConstSpan(all).subspan(first, last - first));
   }
+}
+
+// Memory of a thread, which its decisions reuse, so that a warm decision allocates none.
+struct DecisionScratch {
+  std::vector<AgentSession*> sessions;
+  std::vector<Engine::Decision> decisions;
+  std::vector<Engine::Output> outputs;
+  ActionChoice choice;
+};
+
+// Not inlined, because in a shared library the compiler would call a function for the address again
+// at every access.
+ABSL_ATTRIBUTE_NOINLINE DecisionScratch& ThreadScratch() {
+  thread_local DecisionScratch scratch;
+  return scratch;
 }
 
 }  // namespace
@@ -97,11 +115,7 @@ bool AgentSession::IsNewDecision(ActCall& call) {
 }
 
 void AgentSession::Decide(absl::Span<ActCall* const> calls) {
-  // Reused by the decisions of a thread, so that a warm decision allocates no memory.
-  thread_local std::vector<AgentSession*> sessions;
-  thread_local std::vector<Engine::Decision> decisions;
-  thread_local std::vector<Engine::Output> outputs;
-  thread_local ActionChoice choice;
+  auto& [sessions, decisions, outputs, choice] = ThreadScratch();
   const ServedPolicy& served = *calls[0]->session->served_;
   const Clock& clock = *calls[0]->session->clock_;
   absl::Duration last = clock.Now();
