@@ -9,6 +9,7 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -31,16 +32,24 @@
 
 namespace spikeserve {
 
+// Ends a label in a LabelText. Labels are UTF-8, which does not contain this byte.
+inline constexpr char kLabelEnd = '\xff';
+
+// Returns the labels as "key=value" in lower case, each followed by kLabelEnd.
+std::string LabelText(const std::map<std::string, std::string>& labels);
+
 // A session, and the lock that admits one request at a time. Outlives its place in the store as
 // long as a request holds a reference.
 struct SessionEntry {
   SessionEntry(std::shared_ptr<const ServedPolicy> policy, Session session, const Clock* clock)
       : served(policy),
         tenant(session.options.tenant),
+        label_text(LabelText(session.options.labels)),
         agent(std::move(policy), std::move(session), clock) {}
 
   const std::shared_ptr<const ServedPolicy> served;
-  const std::string tenant;  // owner of the session
+  const std::string tenant;      // owner of the session
+  const std::string label_text;  // what filters search for labels, without the lock
   // Null: none. Set before the entry is shared.
   std::shared_ptr<ShadowSession> shadow;
   std::shared_ptr<SessionQuota> quota;

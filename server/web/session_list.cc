@@ -37,7 +37,7 @@ struct SortKey {
   bool missing = false;  // true: the session is listed last in both orders
 };
 
-using KeyOf = SortKey (*)(absl::Duration idle, const AgentSession&);
+using ColumnKey = SortKey (*)(absl::Duration idle, const AgentSession&);
 
 template <auto Field>
 SortKey Number(absl::Duration /*idle*/, const AgentSession& agent) {
@@ -55,10 +55,10 @@ double SpikesPerDecision(const Session& session) {
   return static_cast<double>(session.spikes) / decisions;
 }
 
-const std::map<std::string, KeyOf>& Columns() {
+const std::map<std::string, ColumnKey>& Columns() {
   using Idle = absl::Duration;
   using Agent = const AgentSession&;
-  static const auto* const columns = new std::map<std::string, KeyOf>{
+  static const auto* const columns = new std::map<std::string, ColumnKey>{
       {"session_id", [](Idle, Agent) { return SortKey{}; }},  // equal keys are sorted by id
       {"policy",
        [](Idle, Agent agent) {
@@ -90,9 +90,16 @@ struct Place {
 // The order of a list of sessions.
 struct Order {
   std::string column;
-  KeyOf key;
+  ColumnKey column_key;
   bool descending;
   bool by_id;  // the column is "session_id"
+
+  // Takes the lock of the session, except for its id.
+  SortKey KeyOf(const ListedSession& listed) const {
+    if (by_id) return {};
+    absl::MutexLock lock(&listed.entry->mutex);
+    return column_key(listed.idle, listed.entry->agent);
+  }
 
   // The order of the store, which lists it without looking into the sessions.
   bool IsByIdAscending() const { return by_id && !descending; }
@@ -120,7 +127,7 @@ absl::StatusOr<Order> OrderOf(const HttpQuery& query) {
   const std::string order = query.Get("order", "ascending");
   if (order == "ascending" || order == "descending") {
     return Order{.column = sort,
-                 .key = column->second,
+                 .column_key = column->second,
                  .descending = order == "descending",
                  .by_id = sort == "session_id"};
   }
@@ -196,14 +203,17 @@ class FirstRows {
 
 // Selects the sessions of which the id, "policy/version", "tenant=name" or a "key=value" label
 // contains a text, ignoring case. Many sessions have the same policy and tenant, so their texts are
-// searched once. Not thread-safe.
+// searched once. Takes no lock of a session. Not thread-safe.
 class Filter {
  public:
-  explicit Filter(absl::string_view text) : lower_case_(absl::AsciiStrToLower(text)) {}
+  explicit Filter(absl::string_view text)
+      : lower_case_(absl::AsciiStrToLower(text)),
+        may_be_in_label_(!absl::StrContains(text, kLabelEnd)) {}
 
-  // REQUIRES: the caller holds the lock of `entry`; `session` is its session.
-  bool Matches(const SessionEntry& entry, const Session& session) {
-    if (lower_case_.empty() || Holds(session.id)) return true;
+  bool Matches(const ListedSession& listed) {
+    const SessionEntry& entry = *listed.entry;
+    if (lower_case_.empty() || Holds(listed.id)) return true;
+    if (may_be_in_label_ && absl::StrContains(entry.label_text, lower_case_)) return true;
     const auto [policy, new_policy] = policies_.try_emplace(entry.served);
     if (new_policy) {
       policy->second = Holds(entry.served->name, "/", entry.served->version);
@@ -211,10 +221,7 @@ class Filter {
     if (policy->second) return true;
     const auto [tenant, new_tenant] = tenants_.try_emplace(entry.tenant);
     if (new_tenant) tenant->second = Holds("tenant=", entry.tenant);
-    if (tenant->second) return true;
-    const auto& labels = session.options.labels;
-    return std::any_of(labels.begin(), labels.end(),
-                       [this](const auto& label) { return Holds(label.first, "=", label.second); });
+    return tenant->second;
   }
 
  private:
@@ -228,6 +235,7 @@ class Filter {
   }
 
   const std::string lower_case_;
+  const bool may_be_in_label_;
   std::string text_;  // reused, so that it is allocated once
   absl::flat_hash_map<std::shared_ptr<const ServedPolicy>, bool> policies_;
   absl::flat_hash_map<std::string, bool> tenants_;
@@ -264,11 +272,9 @@ Selection FirstInOrder(SessionStore& store, const Credential& caller, const std:
   Filter filter(text);
   const auto visit = [&](const ListedSession& listed) {
     ++found.open;
-    SessionEntry& entry = *listed.entry;
-    absl::MutexLock lock(&entry.mutex);
-    if (!filter.Matches(entry, entry.agent.session())) return;
+    if (!filter.Matches(listed)) return;
     ++found.matching;
-    SortKey key = order.key(listed.idle, entry.agent);
+    SortKey key = order.KeyOf(listed);
     if (after.has_value() && !order.IsBefore(after->key, after->id, key, listed.id)) return;
     first.Add(std::move(key), listed);
   };

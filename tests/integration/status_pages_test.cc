@@ -13,6 +13,7 @@ namespace {
 using nlohmann::json;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 
 class StatusPagesTest : public ServerTest {
  protected:
@@ -100,14 +101,19 @@ TEST_F(StatusPagesTest, StatusHoldsPoliciesAndTheFiguresOfMetrics) {
 }
 
 TEST_F(StatusPagesTest, SessionsAreFilteredSortedAndPaged) {
-  const std::string busy = Play("discrete", 9, {{"robot", "Marvin"}});
+  const std::string busy = Play("discrete", 9, {{"robot", "Marvin"}, {"Site", "Ulm"}});
   const std::string idle = Play("box", 1, {{"robot", "C-3PO"}});
   const std::string middling = Play("discrete", 4);
   EXPECT_THAT(SessionIds("?sort=decisions&order=descending"), ElementsAre(busy, middling, idle));
   EXPECT_THAT(SessionIds("?sort=decisions"), ElementsAre(idle, middling, busy));
   EXPECT_THAT(SessionIds("?filter=discrete%2F2&sort=step"), ElementsAre(middling, busy));
   EXPECT_THAT(SessionIds("?filter=robot=marvin"), ElementsAre(busy));
+  EXPECT_THAT(SessionIds("?filter=site%3DULM"), ElementsAre(busy));
   EXPECT_THAT(SessionIds("?filter=" + idle), ElementsAre(idle));
+  // A match lies within one label.
+  for (const char* both : {"ulmrobot", "ulm%FFrobot", "%FF"}) {
+    EXPECT_THAT(SessionIds(std::string("?filter=") + both), IsEmpty()) << both;
+  }
 
   const json page = GetJson("/sessions.json?filter=box&page_size=5");
   EXPECT_EQ(page["open"], 3);
