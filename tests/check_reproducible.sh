@@ -30,7 +30,7 @@ done
 build() {
   local folder=$1 jobs=$2 target
   shift 2
-  git clone --quiet "$root" "$folder"
+  (umask 022 && git clone --quiet "$root" "$folder")  # the wheel of the engine keeps the modes of its sources
   mkdir "$folder/built"
   if ((${#compiled[@]})); then
     env -C "$folder" "$@" cmake --preset release --log-level=WARNING \
