@@ -34,8 +34,9 @@ class JournalBackend {
   virtual ~JournalBackend() = default;
 
   // Writes `records` in their order. Returns their outcomes: OK, ABORTED if the writer does not own
-  // the journal any more, or ALREADY_EXISTS. Returns UNAVAILABLE if the store cannot be reached.
-  // Then some of the records may have been written, and all are to be written again later.
+  // the journal any more, ALREADY_EXISTS, or NOT_FOUND if the store has lost the journal or a part
+  // of it. Returns UNAVAILABLE if the store cannot be reached. Then some of the records may have
+  // been written, or may be written later, and all are to be passed to the next call again.
   virtual absl::StatusOr<std::vector<absl::Status>> Write(
       absl::Span<const JournalRecord> records) = 0;
 
