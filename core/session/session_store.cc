@@ -25,7 +25,13 @@ constexpr size_t kPrefetched = 4;  // sessions
 // it.
 void PrefetchHead(const SessionEntry& entry) {
   __builtin_prefetch(&entry);
+  __builtin_prefetch(&entry.label_text);
   __builtin_prefetch(&entry.mutex);
+}
+
+// Loads the counters of a session's life into the caches. Reads nothing, and so needs no lock.
+void PrefetchCounters(const SessionEntry& entry) ABSL_NO_THREAD_SAFETY_ANALYSIS {
+  __builtin_prefetch(&entry.agent.session().energy_joules);
 }
 
 // Tells the observer, the quota and the journal that a session has left the store.
@@ -241,6 +247,7 @@ void SessionStore::ForEach(absl::FunctionRef<bool(const SessionEntry&)> wanted,
     for (size_t i = 0; i < sessions.size(); ++i) {
       if (i + kPrefetched < sessions.size()) {
         __builtin_prefetch(sessions[i + kPrefetched].entry->label_text.data());
+        PrefetchCounters(*sessions[i + kPrefetched].entry);
       }
       listed.id.assign(ids, id_begin, sessions[i].id_end - id_begin);
       listed.entry = std::move(sessions[i].entry);

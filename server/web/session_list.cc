@@ -19,7 +19,6 @@
 #include "core/base/cbor.h"
 #include "core/base/json.h"
 #include "nlohmann/json.hpp"
-#include "proto/json.h"
 #include "server/admin/session_info.h"
 
 namespace spikeserve {
@@ -283,13 +282,40 @@ Selection FirstInOrder(SessionStore& store, const Credential& caller, const std:
   return found;
 }
 
-// Returns a SessionInfo as JSON, with the returns of the ended episodes.
-absl::StatusOr<Json> InfoJson(const ListedSession& listed) {
+// Does not throw for texts that are not UTF-8.
+std::string TextOf(const Json& json) {
+  return json.dump(/*indent=*/-1, /*indent_char=*/' ', /*ensure_ascii=*/false,
+                   Json::error_handler_t::replace);
+}
+
+// The JSON mapping of proto3 writes 64-bit integers as strings.
+Json Integer(uint64_t value) { return absl::StrCat(value); }
+Json Integer(int64_t value) { return absl::StrCat(value); }
+
+// Returns a SessionInfo as JSON, with the returns of the ended episodes. Writes each field itself,
+// because protobuf's conversion takes five times as long.
+Json InfoJson(const ListedSession& listed) {
   v1::SessionInfo info;
   ToProto(listed, &info);
-  const auto text = MessageToJson(info);
-  if (!text.ok()) return text.status();
-  Json json = Json::parse(*text);
+  Json json;
+  json["session_id"] = info.session_id();
+  json["policy"] = info.policy();
+  json["version"] = Integer(info.version());
+  json["tenant"] = info.tenant();
+  json["episode"] = Integer(info.episode());
+  json["step"] = Integer(info.step());
+  json["episode_return"] = info.episode_return();
+  json["decisions"] = Integer(info.decisions());
+  json["spikes"] = Integer(info.spikes());
+  json["energy_joules"] = info.energy_joules();
+  json["idle_seconds"] = info.idle_seconds();
+  json["learning"] = info.learning();
+  json["head_drift"] = info.head_drift();
+  json["durability"] = v1::Durability_Name(info.durability());
+  json["epoch"] = Integer(info.epoch());
+  json["durable_decision"] = Integer(info.durable_decision());
+  Json& labels = json["labels"] = Json::object();
+  for (const auto& [key, value] : info.labels()) labels[key] = value;
   absl::MutexLock lock(&listed.entry->mutex);
   const SessionLife& life = listed.entry->agent.life();
   const bool ended = life.ended_episodes() > 0;
@@ -323,32 +349,26 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
     next = TokenOf({.key = rows.back().key, .id = rows.back().session.id}, *order);
   }
   Json sessions = Json::array();
-  for (const Row& row : rows) {
-    auto info = InfoJson(row.session);
-    if (!info.ok()) return info.status();
-    sessions.push_back(*std::move(info));
-  }
-  return Json{{"open", found.open},
-              {"matching", found.matching},
-              {"sessions", std::move(sessions)},
-              {"next_page_token", next}}
-      .dump();
+  for (const Row& row : rows) sessions.push_back(InfoJson(row.session));
+  return TextOf({{"open", found.open},
+                 {"matching", found.matching},
+                 {"sessions", std::move(sessions)},
+                 {"next_page_token", next}});
 }
 
 absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& caller,
                                         const std::string& id) {
   const std::optional<ListedSession> found = store.PeekListed(id);
   if (!found.has_value() || !caller.CanRead(found->entry->tenant)) return NoSuchSession(id);
-  auto json = InfoJson(*found);
-  if (!json.ok()) return json.status();
+  Json json = InfoJson(*found);
 
   SessionEntry& entry = *found->entry;
   absl::MutexLock lock(&entry.mutex);
   const Session& session = entry.agent.session();
-  (*json)["target_return"] = session.target_return;
-  (*json)["return_to_go"] = session.return_to_go;
-  (*json)["age_seconds"] = absl::ToDoubleSeconds(entry.agent.Age());
-  Json& decisions = (*json)["history"]["decisions"] = Json::array();
+  json["target_return"] = session.target_return;
+  json["return_to_go"] = session.return_to_go;
+  json["age_seconds"] = absl::ToDoubleSeconds(entry.agent.Age());
+  Json& decisions = json["history"]["decisions"] = Json::array();
   for (const auto& [first, count, sum] : entry.agent.life().decisions()) {
     const auto n = static_cast<double>(count);
     decisions.push_back({{"first", first},
@@ -357,13 +377,13 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
                          {"spikes_per_decision", sum.spikes / n},
                          {"mean_seconds", sum.seconds / n}});
   }
-  Json& episodes = (*json)["history"]["episodes"] = Json::array();
+  Json& episodes = json["history"]["episodes"] = Json::array();
   for (const auto& [first, count, sum] : entry.agent.life().episodes()) {
     episodes.push_back({{"first", first},
                         {"count", count},
                         {"mean_return", sum.episode_return / static_cast<double>(count)}});
   }
-  return json->dump();
+  return TextOf(json);
 }
 
 }  // namespace spikeserve

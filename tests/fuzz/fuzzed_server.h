@@ -5,6 +5,7 @@
 
 #include <memory>
 
+#include "core/learning/fleet_head.h"
 #include "server/access/authenticator.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/shadow_runner.h"
@@ -19,6 +20,13 @@ class FuzzedServer {
  public:
   static constexpr int64_t kMaxSessions = 6;
 
+  FuzzedServer() = default;
+  // Makes the shared head forget what its sessions have taught it, so that an input does not depend
+  // on those before it.
+  ~FuzzedServer() { Shared().fleet().Restore(Shared().untaught); }
+  FuzzedServer(const FuzzedServer&) = delete;
+  FuzzedServer& operator=(const FuzzedServer&) = delete;
+
   const Credential& caller() const { return *caller_; }
   const std::shared_ptr<const Credential>& shared_caller() const { return caller_; }
   PolicyRegistry* registry() { return Shared().registry.get(); }
@@ -27,11 +35,14 @@ class FuzzedServer {
   const PolicyHandler& handler() const { return handler_; }
 
  private:
-  // Parts that keep nothing of a session, and take long to make.
+  // Parts that keep nothing of a session but the shared head, and take long to make.
   struct Parts {
     SmallRegistry registry{"small"};
     ShadowRunner shadows{registry.metrics().registry()};
     std::unique_ptr<Authenticator> authenticator = *Authenticator::Create("");
+    const FleetHead::State untaught = fleet().state();
+
+    FleetHead& fleet() { return *(*registry.get()->catalog()->Find("small", 1))->fleet; }
   };
   static Parts& Shared() {
     static auto* const parts = new Parts;  // lives as long as the process

@@ -1,0 +1,93 @@
+#include "server/web/session_list.h"
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <memory>
+#include <string>
+
+#include "nlohmann/json.hpp"
+#include "proto/json.h"
+#include "server/admin/session_info.h"
+#include "server/agent/policy_handler.h"
+#include "server/agent/shadow_runner.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/small_registry.h"
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+
+class SessionListTest : public ::testing::Test {
+ protected:
+  // Opens a session that learns, and returns its id.
+  std::string OpenOne() {
+    v1::OpenSessionRequest request;
+    request.set_policy("small");
+    request.mutable_learning()->set_scope(v1::LearningConfig::SESSION);
+    (*request.mutable_labels())["robot"] = "R2 \"D2\"";
+    (*request.mutable_labels())["Straße"] = "7\n";
+    v1::OpenSessionResponse response;
+    const auto status = handler_.OpenSession(*caller_, request, &response);
+    EXPECT_TRUE(status.ok()) << status;
+    return response.session_id();
+  }
+
+  void Act(const std::string& id, int64_t step, double reward) {
+    v1::ActRequest request;
+    request.set_session_id(id);
+    request.set_step(step);
+    request.set_reward(reward);
+    for (const float value : ObservationAt(step)) request.add_observation(value);
+    v1::ActResponse response;
+    DeferredWork deferred;
+    const auto status = handler_.Act(*caller_, request, &response, &deferred);
+    ASSERT_TRUE(status.ok()) << status;
+    deferred.Run();
+  }
+
+  Json List(const std::multimap<std::string, std::string>& parameters) {
+    const auto query = HttpQuery::Parse(parameters, {"filter", "sort", "order", "page_size"});
+    EXPECT_TRUE(query.ok()) << query.status();
+    const auto list = SessionsJson(store_, *caller_, *query);
+    EXPECT_TRUE(list.ok()) << list.status();
+    return Json::parse(*list);
+  }
+
+  // Expects that the row has every field of SessionInfo, as protobuf writes it in JSON.
+  void ExpectEveryField(const Json& row, const std::string& id) {
+    v1::SessionInfo info;
+    ToProto(*store_.PeekListed(id), &info);
+    const Json expected = Json::parse(*MessageToJson(info));
+    EXPECT_EQ(expected.size(), v1::SessionInfo::descriptor()->field_count());
+    for (const auto& [field, value] : expected.items()) {
+      EXPECT_EQ(row.value(field, Json("absent")), value) << field;
+    }
+  }
+
+  FakeClock clock_;
+  std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
+  const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
+  SmallRegistry registry_{"small"};
+  ShadowRunner shadows_{registry_.metrics().registry()};
+  SessionStore store_{100, &clock_};
+  PolicyHandler handler_{registry_.get(), &store_, &shadows_, &clock_};
+};
+
+TEST_F(SessionListTest, ARowHasEveryFieldOfSessionInfo) {
+  const std::string id = OpenOne();
+  ExpectEveryField(List({})["sessions"][0], id);
+  for (int64_t step = 0; step < 5; ++step) Act(id, step, /*reward=*/0.1);
+  clock_.Advance(absl::Milliseconds(1234));
+  const Json row = List({{"sort", "energy_joules"}, {"filter", "straße=7"}})["sessions"][0];
+  ExpectEveryField(row, id);
+  EXPECT_EQ(row["decisions"], "5");
+  EXPECT_EQ(row["idle_seconds"], 1.234);
+  EXPECT_EQ(row["ended_episodes"], 0);
+  EXPECT_EQ(row["mean_return"], Json());
+  EXPECT_EQ(Json::parse(*SessionJson(store_, *caller_, id))["labels"], row["labels"]);
+}
+
+}  // namespace
+}  // namespace spikeserve
