@@ -12,8 +12,8 @@ import pytest
 from security import make_authority, make_certificate, until
 
 PASSWORD = "secret"
-# Keeps its keys when it is killed and started again. With "everysec" it would acknowledge writes that it holds back for up to
-# two seconds while its disk is slow.
+# Keeps its keys when it is killed and started again. With "everysec" it would acknowledge writes that it holds back for
+# up to two seconds while its disk is slow.
 DURABLE = ("--appendonly", "yes", "--appendfsync", "always")
 SLOTS = 16384
 WITHOUT_REDIS = pytest.mark.skipif(shutil.which("redis-server") is None, reason="without redis-server")
