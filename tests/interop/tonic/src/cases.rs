@@ -139,7 +139,7 @@ async fn metadata(mut client: Client) -> Outcome {
 }
 
 async fn status_message(channel: Channel) -> Outcome {
-    let request = LoadPolicyRequest { policy: "cartpole".into(), version: 9 };
+    let request = LoadPolicyRequest { policy: "cartpole".into(), version: 9, ..Default::default() };
     let refused = PolicyAdminClient::new(channel).load_policy(request).await.unwrap_err();
     assert_eq!(refused.code(), Code::NotFound);
     let expected = std::env::var("EXPECTED_MESSAGE")?;

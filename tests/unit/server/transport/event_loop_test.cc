@@ -20,7 +20,7 @@ class EventLoopTest : public ::testing::Test {
  protected:
   void Log(const std::string& event) { log_.push_back(event); }
 
-  const SteadyClock clock_;
+  SteadyClock clock_;
   std::unique_ptr<EventLoop> loop_ = *EventLoop::Create(&clock_);
   std::vector<std::string> log_;
 };
