@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
@@ -11,6 +11,9 @@ from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
 from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 
 class AsyncSession(SessionHandle[AsyncConnection]):

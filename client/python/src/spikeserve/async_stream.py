@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import grpc
 from numpy.typing import ArrayLike
@@ -22,6 +22,9 @@ from spikeserve.open_requests import (
 from spikeserve.replicas import Route
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 # What grpc.aio reports with INTERNAL if a stream is opened while the server cannot be reached.
 _CORE_ERROR = "Internal error from Core"

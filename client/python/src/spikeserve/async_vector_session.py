@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -14,6 +14,9 @@ from spikeserve.calls import Call
 from spikeserve.errors import SessionLostError
 from spikeserve.values import EpisodeSummary, SessionOptions
 from spikeserve.vector_rows import Actions, VectorRows
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 
 class AsyncVectorSession(VectorRows[AsyncSession]):

@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import grpc
 import grpc.aio
@@ -38,6 +38,9 @@ from spikeserve.replicas import (
 )
 from spikeserve.retry import Attempts, Patience, RetryOptions
 from spikeserve.wire import ACT_STREAM, METHODS, Message, Method
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 T = TypeVar("T")
 

@@ -6,11 +6,14 @@ The message comes from the server. It names the field, the expected value and th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import grpc
 
 from spikeserve.status_details import details_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 
 class SpikeserveError(Exception):

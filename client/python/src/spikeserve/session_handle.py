@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from spikeserve.calls import Call, Opened
 from spikeserve.check import check
 from spikeserve.cursor import SessionCursor
 from spikeserve.values import Opening
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 AnyConnection = TypeVar("AnyConnection")
 

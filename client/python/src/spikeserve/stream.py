@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import grpc
 from numpy.typing import ArrayLike
@@ -24,6 +24,9 @@ from spikeserve.replicas import Route
 from spikeserve.session import Session
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 
 class _Call:

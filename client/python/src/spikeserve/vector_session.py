@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -12,6 +12,9 @@ from spikeserve.errors import SessionLostError
 from spikeserve.session import Session
 from spikeserve.values import SessionOptions
 from spikeserve.vector_rows import Actions, VectorRows
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
 
 
 class VectorSession(VectorRows[Session]):
