@@ -223,9 +223,12 @@ Answer AgentSession::Choose(const Engine::Output& output, double return_to_go, d
 }
 
 void AgentSession::ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const {
+  const ActionSelection& selection = session_.options.action_selection;
+  // A greedy choice reads no random number.
+  const uint64_t random =
+      selection.sample ? RandomBits({session_.options.seed, session_.decisions}) : 0;
   const auto choose = [&](const Linear& head) {
-    ChooseAction(head, served_->policy().action_space, readout, session_.options.action_selection,
-                 RandomBits({session_.options.seed, session_.decisions}), choice);
+    ChooseAction(head, served_->policy().action_space, readout, selection, random, choice);
   };
   if (InFleet()) return choose(member_->head().Read()->head);
   choose(head_ ? *head_ : served_->policy().weights.head);

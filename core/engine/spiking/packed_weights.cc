@@ -39,7 +39,8 @@ SilentFeedForward RunSilently(const ModelConfig& config, const PackedLayer<Arith
   silent.spikes =
       kernels::LifActivity(Arithmetic::NeuronOf(config), layer.ffn_hidden, drive, hidden.data());
   silent.update.resize(layer.ffn_output.width);
-  silent.products = kernels::Affine(layer.ffn_output, hidden.data(), silent.update.data());
+  kernels::ActiveInputs active;
+  silent.products = kernels::Affine(layer.ffn_output, hidden.data(), &active, silent.update.data());
   return silent;
 }
 

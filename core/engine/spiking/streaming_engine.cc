@@ -63,6 +63,7 @@ struct Scratch {
   AlignedVector<float> merged;                          // [d_h] or [d]
   AlignedVector<float> update;                          // [pad(d)]
   AlignedVector<typename Arithmetic::Activity> hidden;  // [pad(F)]
+  kernels::ActiveInputs active;                         // of the current linear map
 };
 
 template <class Arithmetic>
@@ -151,7 +152,7 @@ class TokenPass {
 
   void Affine(const PackedLinear& map, const float* input, AlignedVector<float>& output) {
     output.resize(map.width);
-    counts().multiply_accumulates += kernels::Affine(map, input, output.data());
+    counts().multiply_accumulates += kernels::Affine(map, input, &scratch_.active, output.data());
   }
 
   void Normalize(const Norm& norm) {
@@ -270,11 +271,13 @@ class TokenPass {
   void Route(const PackedLayer<Arithmetic>& packed, int ticks, int stride) {
     const PackedLinear& hidden = packed.routing_hidden;
     scratch_.routing.resize(static_cast<size_t>(ticks) * hidden.width);
-    counts().multiply_accumulates += kernels::AffineTicks(
-        hidden, scratch_.y.data(), config_.hidden_size, ticks, scratch_.routing.data());
+    counts().multiply_accumulates +=
+        kernels::AffineTicks(hidden, scratch_.y.data(), config_.hidden_size, ticks,
+                             &scratch_.active, scratch_.routing.data());
     for (float& h : scratch_.routing) h = h > 0.0f ? h : 0.0f;
-    counts().multiply_accumulates += kernels::AffineTicks(
-        packed.routing_gate, scratch_.routing.data(), hidden.width, ticks, scratch_.gates.data());
+    counts().multiply_accumulates +=
+        kernels::AffineTicks(packed.routing_gate, scratch_.routing.data(), hidden.width, ticks,
+                             &scratch_.active, scratch_.gates.data());
     counts().multiply_accumulates += packed.silent_gate_products * (config_.ticks - ticks);
     if (config_.gate == Gate::kSigmoid) {
       for (float& gate : scratch_.gates) gate = Sigmoid(gate);
@@ -310,7 +313,8 @@ class TokenPass {
         kernels::LifActivity(lif_, population, drive, scratch_.hidden.data());
     counts().accumulates += scratch_.spikes.Products(population.nonzero, nullptr);
     scratch_.update.resize(packed.ffn_output.width);
-    return kernels::Affine(packed.ffn_output, scratch_.hidden.data(), scratch_.update.data());
+    return kernels::Affine(packed.ffn_output, scratch_.hidden.data(), &scratch_.active,
+                           scratch_.update.data());
   }
 
   // The same if the coder is silent.

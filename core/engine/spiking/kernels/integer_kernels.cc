@@ -113,7 +113,8 @@ uint64_t SumCounts(const int16_t* counts, int size) {
   return sum;
 }
 
-uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, float* update) {
+uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts,
+                    ActiveInputs* /*active*/, float* update) {
   for (int k = 0; k < output.width; ++k) {
     int32_t sum = 0;
     for (int j = 0; j < output.inputs; ++j) sum += counts[j] * output.row(j / 2)[2 * k + j % 2];
@@ -145,26 +146,13 @@ HWY_INLINE uint64_t SumCounts(const int16_t* counts, int size) {
   return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, sum)));
 }
 
-// The pairs of inputs of which at least one has spikes, ascending, and the number of nonzero
-// products of all inputs.
-struct ActivePairs {
-  std::vector<int32_t> pairs;
-  uint64_t products = 0;
-};
-
-// Returns the memory of this thread. Not inlined, because in a shared library the compiler would
-// call a function for its address again at every access.
-HWY_NOINLINE ActivePairs& ThreadActive() {
-  thread_local ActivePairs active;
-  return active;
-}
-
-// Finds the active pairs. The result is valid until the next call on this thread.
-HWY_INLINE const ActivePairs& FindActive(const PackedIntegerOutput& output, const int16_t* counts) {
+// Sets `pairs` to the pairs of inputs of which at least one has spikes, ascending. Returns the
+// number of nonzero products of all inputs.
+HWY_INLINE uint64_t FindActive(const PackedIntegerOutput& output, const int16_t* counts,
+                               ActiveInputs& pairs) {
   const I16 d;
   const I32 di;
-  ActivePairs& active = ThreadActive();
-  active.pairs.clear();
+  pairs.clear();
   const auto one = hn::Set(d, int16_t{1});
   auto products = hn::Zero(di);
   for (int j = 0; j < output.inputs; j += kVector16) {
@@ -172,24 +160,24 @@ HWY_INLINE const ActivePairs& FindActive(const PackedIntegerOutput& output, cons
     const auto pair_fires = hn::Ne(hn::BitCast(di, count), hn::Zero(di));
     uint32_t bits = MaskBits(di, pair_fires);
     if (bits == 0) continue;
-    for (; bits != 0; bits &= bits - 1) active.pairs.push_back(j / 2 + __builtin_ctz(bits));
+    for (; bits != 0; bits &= bits - 1) pairs.push_back(j / 2 + __builtin_ctz(bits));
     const auto nonzero = hn::LoadU(d, output.nonzero.data() + j);
     const auto silent = hn::Eq(count, hn::Zero(d));
     products = AddPairs(hn::IfThenZeroElse(silent, nonzero), one, products);
   }
-  active.products = static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, products)));
-  return active;
+  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, products)));
 }
 
-uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, float* update) {
+uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, ActiveInputs* active,
+                    float* update) {
   const F32 d;
   const I32 di;
   const I16 d16;
-  const ActivePairs& active = FindActive(output, counts);
+  const uint64_t products = FindActive(output, counts, *active);
   ForEachBlock<8>(0, output.width, [&](int lane, auto vectors) HWY_ATTR {
     VecI32 total[vectors];
     for (int v = 0; v < vectors; ++v) total[v] = hn::Zero(di);
-    for (const int32_t pair : active.pairs) {
+    for (const int32_t pair : *active) {
       int32_t both;
       std::memcpy(&both, counts + 2 * pair, sizeof(both));
       const auto count = hn::BitCast(d16, hn::Set(di, both));
@@ -205,7 +193,7 @@ uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, fl
       hn::StoreU(hn::Add(scaled, hn::LoadU(d, output.bias.data() + k)), d, update + k);
     }
   });
-  return active.products;
+  return products;
 }
 
 #endif  // HWY_TARGET == HWY_SCALAR
@@ -252,8 +240,9 @@ uint64_t LifActivity(const IntegerLif& lif, const PackedIntegerPopulation& popul
   return HWY_DYNAMIC_DISPATCH(LifActivityImpl)(lif, population, drive, counts);
 }
 
-uint64_t Affine(const PackedIntegerOutput& output, const int16_t* counts, float* update) {
-  return HWY_DYNAMIC_DISPATCH(AffineImpl)(output, counts, update);
+uint64_t Affine(const PackedIntegerOutput& output, const int16_t* counts, ActiveInputs* active,
+                float* update) {
+  return HWY_DYNAMIC_DISPATCH(AffineImpl)(output, counts, active, update);
 }
 
 }  // namespace spikeserve::kernels

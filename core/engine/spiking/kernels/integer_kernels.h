@@ -7,6 +7,7 @@
 
 #include <cstdint>
 
+#include "core/engine/spiking/kernels/active_inputs.h"
 #include "core/engine/spiking/kernels/drive.h"
 #include "core/engine/spiking/packed_integers.h"
 #include "core/neuron/integer_lif.h"
@@ -30,8 +31,9 @@ uint64_t LifActivity(const IntegerLif& lif, const PackedIntegerPopulation& popul
 
 // Sets update[lane] = factor * float(sum over j of counts[j] * weight) + bias for all lanes.
 // `counts` is [pad(F)], and 0 from F on. Returns the number of products of a nonzero count and a
-// nonzero weight.
-uint64_t Affine(const PackedIntegerOutput& output, const int16_t* counts, float* update);
+// nonzero weight. `active` is memory for the call.
+uint64_t Affine(const PackedIntegerOutput& output, const int16_t* counts, ActiveInputs* active,
+                float* update);
 
 }  // namespace spikeserve::kernels
 

@@ -23,28 +23,13 @@ HWY_INLINE void AppendLanes(uint32_t bits, int first, std::vector<int32_t>& lane
   for (; bits != 0; bits &= bits - 1) lanes.push_back(first + __builtin_ctz(bits));
 }
 
-// The inputs that are nonzero at one tick or more, ascending, and the number of their nonzero
-// products.
-struct ActiveInputs {
-  std::vector<int32_t> inputs;
-  uint64_t products = 0;
-};
-
-// Returns the memory of this thread. Not inlined, because in a shared library the compiler would
-// call a function for its address again at every access.
-HWY_NOINLINE ActiveInputs& ThreadActive() {
-  thread_local ActiveInputs active;
-  return active;
-}
-
-// Finds the active inputs of `ticks` rows [stride]. The result is valid until the next call on this
-// thread.
-HWY_INLINE const ActiveInputs& FindActive(const PackedLinear& linear, const float* input,
-                                          int stride, int ticks) {
+// Sets `active` to the inputs that are nonzero in one of `ticks` rows [stride] or more, ascending.
+// Returns the number of their nonzero products.
+HWY_INLINE uint64_t FindActive(const PackedLinear& linear, const float* input, int stride,
+                               int ticks, ActiveInputs& active) {
   const F32 d;
   const U32 du;
-  ActiveInputs& active = ThreadActive();
-  active.inputs.clear();
+  active.clear();
   auto products = hn::Zero(du);
   int j = 0;
   for (; j + kVector <= linear.inputs; j += kVector) {
@@ -56,30 +41,31 @@ HWY_INLINE const ActiveInputs& FindActive(const PackedLinear& linear, const floa
       products = hn::Add(products, hn::IfThenElseZero(mask, nonzero));
       any = hn::Or(any, hn::VecFromMask(du, mask));
     }
-    AppendLanes(MaskBits(du, hn::Ne(any, hn::Zero(du))), j, active.inputs);
+    AppendLanes(MaskBits(du, hn::Ne(any, hn::Zero(du))), j, active);
   }
-  active.products = hn::GetLane(hn::SumOfLanes(du, products));
+  uint64_t total = hn::GetLane(hn::SumOfLanes(du, products));
   for (; j < linear.inputs; ++j) {
     bool any = false;
     for (int t = 0; t < ticks; ++t) {
       if (input[static_cast<size_t>(t) * stride + j] == 0.0f) continue;
-      active.products += linear.nonzero[j];
+      total += linear.nonzero[j];
       any = true;
     }
-    if (any) active.inputs.push_back(j);
+    if (any) active.push_back(j);
   }
-  return active;
+  return total;
 }
 
-uint64_t AffineImpl(const PackedLinear& linear, const float* input, float* output) {
+uint64_t AffineImpl(const PackedLinear& linear, const float* input, ActiveInputs* active,
+                    float* output) {
   const F32 d;
-  const ActiveInputs& active = FindActive(linear, input, /*stride=*/0, /*ticks=*/1);
+  const uint64_t products = FindActive(linear, input, /*stride=*/0, /*ticks=*/1, *active);
   ForEachBlock<8>(0, linear.width, [&](int lane, auto vectors) HWY_ATTR {
     VecF total[vectors];
     for (int v = 0; v < vectors; ++v) {
       total[v] = hn::LoadU(d, linear.bias.data() + lane + v * kVector);
     }
-    for (const int32_t j : active.inputs) {
+    for (const int32_t j : *active) {
       const auto x = hn::Set(d, input[j]);
       const float* row = Opaque(linear.row(j) + lane);
       for (int v = 0; v < vectors; ++v) {
@@ -88,12 +74,12 @@ uint64_t AffineImpl(const PackedLinear& linear, const float* input, float* outpu
     }
     for (int v = 0; v < vectors; ++v) hn::StoreU(total[v], d, output + lane + v * kVector);
   });
-  return active.products;
+  return products;
 }
 
 // Computes kTicks rows at once, so that a weight is loaded once for all of them.
 template <int kTicks>
-HWY_INLINE void AffineBlock(const PackedLinear& linear, const std::vector<int32_t>& active,
+HWY_INLINE void AffineBlock(const PackedLinear& linear, const ActiveInputs& active,
                             const float* input, int stride, float* output) {
   const F32 d;
   for (int lane = 0; lane < linear.outputs; lane += kVector) {
@@ -113,15 +99,15 @@ HWY_INLINE void AffineBlock(const PackedLinear& linear, const std::vector<int32_
 }
 
 uint64_t AffineTicksImpl(const PackedLinear& linear, const float* input, int stride, int ticks,
-                         float* output) {
-  const ActiveInputs& active = FindActive(linear, input, stride, ticks);
+                         ActiveInputs* active, float* output) {
+  const uint64_t products = FindActive(linear, input, stride, ticks, *active);
   int t = 0;
   const auto in = [&] { return input + static_cast<size_t>(t) * stride; };
   const auto out = [&] { return output + static_cast<size_t>(t) * linear.width; };
-  for (; t + 5 <= ticks; t += 5) AffineBlock<5>(linear, active.inputs, in(), stride, out());
-  for (; t + 2 <= ticks; t += 2) AffineBlock<2>(linear, active.inputs, in(), stride, out());
-  for (; t < ticks; ++t) AffineBlock<1>(linear, active.inputs, in(), stride, out());
-  return active.products;
+  for (; t + 5 <= ticks; t += 5) AffineBlock<5>(linear, *active, in(), stride, out());
+  for (; t + 2 <= ticks; t += 2) AffineBlock<2>(linear, *active, in(), stride, out());
+  for (; t < ticks; ++t) AffineBlock<1>(linear, *active, in(), stride, out());
+  return products;
 }
 
 // Returns the sum of term(i) over kSumLanes interleaved partial sums, folded as in
@@ -172,13 +158,14 @@ HWY_EXPORT(AffineImpl);
 HWY_EXPORT(AffineTicksImpl);
 HWY_EXPORT(LayerNormImpl);
 
-uint64_t Affine(const PackedLinear& linear, const float* input, float* output) {
-  return HWY_DYNAMIC_DISPATCH(AffineImpl)(linear, input, output);
+uint64_t Affine(const PackedLinear& linear, const float* input, ActiveInputs* active,
+                float* output) {
+  return HWY_DYNAMIC_DISPATCH(AffineImpl)(linear, input, active, output);
 }
 
 uint64_t AffineTicks(const PackedLinear& linear, const float* input, int stride, int ticks,
-                     float* output) {
-  return HWY_DYNAMIC_DISPATCH(AffineTicksImpl)(linear, input, stride, ticks, output);
+                     ActiveInputs* active, float* output) {
+  return HWY_DYNAMIC_DISPATCH(AffineTicksImpl)(linear, input, stride, ticks, active, output);
 }
 
 void LayerNorm(const float* weight, const float* bias, float* x, int size) {

@@ -7,19 +7,21 @@
 
 #include <cstdint>
 
+#include "core/engine/spiking/kernels/active_inputs.h"
 #include "core/engine/spiking/packed_linear.h"
 
 namespace spikeserve::kernels {
 
 // Sets output[lane] to the bias plus the products with the nonzero inputs, in ascending order of
 // the inputs, for lane < linear.width. Returns the number of products of a nonzero input and a
-// nonzero weight.
-uint64_t Affine(const PackedLinear& linear, const float* input, float* output);
+// nonzero weight. `active` is memory for the call.
+uint64_t Affine(const PackedLinear& linear, const float* input, ActiveInputs* active,
+                float* output);
 
 // As Affine, for `ticks` inputs at once. `input` is [ticks][stride]; `output` is
 // [ticks][linear.width], in which the lanes from linear.outputs on may stay unchanged.
 uint64_t AffineTicks(const PackedLinear& linear, const float* input, int stride, int ticks,
-                     float* output);
+                     ActiveInputs* active, float* output);
 
 // Equals the LayerNorm of core/math bit for bit.
 void LayerNorm(const float* weight, const float* bias, float* x, int size);

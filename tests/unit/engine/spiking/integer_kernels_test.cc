@@ -136,7 +136,8 @@ TEST_P(IntegerKernelsTest, TheLargestCountsMapExactly) {
   const PackedIntegerOutput packed = Pack(output, ModelLimits::kTicks);
   const std::vector<int16_t> counts(kInputs, ModelLimits::kTicks);
   std::vector<float> update(packed.width);
-  const uint64_t products = kernels::Affine(packed, counts.data(), update.data());
+  kernels::ActiveInputs active;
+  const uint64_t products = kernels::Affine(packed, counts.data(), &active, update.data());
   int32_t sum = 0;
   uint64_t nonzero = 2 * kInputs;
   for (int j = 0; j < kInputs; ++j) {
@@ -163,13 +164,14 @@ TEST_P(IntegerKernelsTest, CountsOfAnySparsityMapExactly) {
     output.bias.values[k] = static_cast<float>(Draw(9, 7, k));
   }
   const PackedIntegerOutput packed = Pack(output, 10);
+  kernels::ActiveInputs active;
   for (const int one_in : {1, 2, 7, 40, 100}) {
     std::vector<int16_t> counts(PadToLanes(kInputs), 0);
     for (int j = 0; j < kInputs; ++j) {
       if (Draw(one_in, 8, j) == 0) counts[j] = static_cast<int16_t>(1 + Draw(10, 9, j));
     }
     std::vector<float> update(packed.width);
-    kernels::Affine(packed, counts.data(), update.data());
+    kernels::Affine(packed, counts.data(), &active, update.data());
     for (int k = 0; k < kOutputs; ++k) {
       int32_t sum = 0;
       for (int j = 0; j < kInputs; ++j) sum += counts[j] * output.weight.at(k, j);

@@ -1,0 +1,18 @@
+// Memory in which a linear map lists its inputs that are not zero.
+//
+// The caller keeps it between calls: a thread-local variable of the kernels would cost a function
+// call at every access in a shared library.
+#ifndef CORE_ENGINE_SPIKING_KERNELS_ACTIVE_INPUTS_H_
+#define CORE_ENGINE_SPIKING_KERNELS_ACTIVE_INPUTS_H_
+
+#include <cstdint>
+#include <vector>
+
+namespace spikeserve::kernels {
+
+// Indices of inputs, or of pairs of inputs, ascending.
+using ActiveInputs = std::vector<int32_t>;
+
+}  // namespace spikeserve::kernels
+
+#endif  // CORE_ENGINE_SPIKING_KERNELS_ACTIVE_INPUTS_H_
