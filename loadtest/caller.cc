@@ -28,8 +28,11 @@ double Seconds(steady_clock::duration duration) {
 }  // namespace
 
 Caller::Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents,
-               absl::Duration pause_after_error, absl::Duration patience)
-    : exchange_(std::move(exchange)), pause_after_error_(pause_after_error), patience_(patience) {
+               const RetryOptions& retry, absl::Duration pause_after_error, absl::Duration patience)
+    : exchange_(std::move(exchange)),
+      retry_(&retry),
+      pause_after_error_(pause_after_error),
+      patience_(patience) {
   for (SimulatedAgent& agent : agents) {
     agents_.push_back(std::make_unique<SimulatedAgent>(std::move(agent)));
     by_session_.emplace(agents_.back()->session_id(), agents_.back().get());
@@ -106,11 +109,11 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply, Time end) {
       Fail(agent, status);
       return nullptr;
     }
-    report_.CountError(status);
-    if (pause_after_error_ > absl::ZeroDuration()) absl::SleepFor(pause_after_error_);
+    if (auto pause = PauseAfter(status, agent); pause > absl::ZeroDuration()) absl::SleepFor(pause);
     if (steady_clock::now() < end) Send(agent, agent.due);
     return nullptr;
   }
+  agent.retries.reset();
   const double waited = Seconds(reply.arrived - agent.due);
   report_.latency.Add(waited);
   agent.longest_wait = std::max(agent.longest_wait, waited);
@@ -120,6 +123,14 @@ SimulatedAgent* Caller::TakeReply(const ActReply& reply, Time end) {
     return nullptr;
   }
   return &agent;
+}
+
+absl::Duration Caller::PauseAfter(const absl::Status& error, SimulatedAgent& agent) {
+  if (!agent.retries.has_value()) agent.retries.emplace(*retry_, agent.session_id());
+  if (const auto delay = agent.retries->DelayAfter(error)) return *delay;
+  agent.retries.reset();
+  report_.CountError(error);
+  return pause_after_error_;
 }
 
 void Caller::Fail(SimulatedAgent& agent, const absl::Status& error) {

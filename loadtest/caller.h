@@ -8,9 +8,10 @@
 // omission").
 //
 // After a transient error an agent pauses and repeats the request, whose latency still counts from
-// the time it was first due. If the connection breaks, the caller connects again; agents whose
-// session was lost open a new one. A server that misses decisions of a session gets them again,
-// which is no error. After any other error an agent sends no more requests.
+// the time it was first due. Such an error counts if the client library would not repeat the call.
+// If the connection breaks, the caller connects again; agents whose session was lost open a new
+// one. A server that misses decisions of a session gets them again, which is no error. After any
+// other error an agent sends no more requests.
 //
 // Not thread-safe; each caller runs on its own thread.
 #ifndef LOADTEST_CALLER_H_
@@ -28,6 +29,7 @@
 #include "loadtest/exchange.h"
 #include "loadtest/load_report.h"
 #include "loadtest/simulated_agent.h"
+#include "spikeserve/retry.h"
 
 namespace spikeserve {
 
@@ -39,11 +41,11 @@ struct Schedule {
 
 class Caller {
  public:
-  // `pause_after_error` protects a server that refuses every request from being flooded. `patience`
-  // limits the wait for an answer; it must exceed the timeout of a call, so that it expires only if
-  // the server no longer answers at all.
+  // `retry` must outlive the caller. `pause_after_error` protects a server that refuses every
+  // request from being flooded. `patience` limits the wait for an answer; it must exceed the
+  // timeout of a call, so that it expires only if the server no longer answers at all.
   Caller(std::unique_ptr<Exchange> exchange, std::vector<SimulatedAgent> agents,
-         absl::Duration pause_after_error, absl::Duration patience);
+         const RetryOptions& retry, absl::Duration pause_after_error, absl::Duration patience);
 
   // Each of these sends requests for `duration`, waits for the outstanding answers and returns the
   // measurements.
@@ -66,6 +68,9 @@ class Caller {
   // Records an answer. Returns the agent that may send its next request, or null if it may not send
   // yet, or not any more. A request that failed is repeated before `end`.
   SimulatedAgent* TakeReply(const ActReply& reply, Time end);
+  // Returns the pause before the request of `agent`, which failed with `error`, is repeated. Counts
+  // an error that the client library would not repeat.
+  absl::Duration PauseAfter(const absl::Status& error, SimulatedAgent& agent);
   // Counts `error`, unless the server misses decisions. Stalls `agent` if it can be resumed.
   void Fail(SimulatedAgent& agent, const absl::Status& error);
   // Counts every request in flight as failed with `status`.
@@ -76,6 +81,7 @@ class Caller {
   LoadReport FinishReport(Time start);
 
   std::unique_ptr<Exchange> exchange_;
+  const RetryOptions* retry_;
   absl::Duration pause_after_error_;
   absl::Duration patience_;
   std::vector<std::unique_ptr<SimulatedAgent>> agents_;

@@ -95,7 +95,8 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
     if (!agents.ok()) return agents.status();
     callers.emplace_back(
         MakeExchange(options.mode, options.batch_size, clients.back().get(), route),
-        *std::move(agents), options.pause_after_error, 4 * options.call_timeout);
+        *std::move(agents), clients.back()->options().retry, options.pause_after_error,
+        4 * options.call_timeout);
   }
   LoadReport report = RunCallers(options, callers);
   absl::Status closed;

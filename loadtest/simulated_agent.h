@@ -7,11 +7,13 @@
 
 #include <chrono>
 #include <cstdint>
+#include <optional>
 #include <random>
 #include <string>
 
 #include "absl/status/status.h"
 #include "spikeserve/remote_session.h"
+#include "spikeserve/retry.h"
 
 namespace spikeserve {
 
@@ -45,7 +47,8 @@ class SimulatedAgent {
 
   // The time at which the request was due.
   std::chrono::steady_clock::time_point due;
-  double longest_wait = 0.0;  // seconds from the time a request was due to its decision
+  std::optional<RetrySchedule> retries;  // of a request that has failed
+  double longest_wait = 0.0;             // seconds from the time a request was due to its decision
 
  private:
   absl::Status EndEpisode();

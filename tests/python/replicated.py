@@ -28,9 +28,9 @@ class Fleet:
 
 
 @contextlib.contextmanager
-def running_fleet(*flags, replicas=REPLICAS, http=False):
+def running_fleet(*flags, replicas=REPLICAS, http=False, redis_flags=DURABLE):
     """Starts Redis and the replicas, which have HTTP ports if `http`, and yields the Fleet."""
-    with stopping([Redis(*DURABLE, password="")]) as [redis], contextlib.ExitStack() as stack:
+    with stopping([Redis(*redis_flags, password="")]) as [redis], contextlib.ExitStack() as stack:
         store = f"--session_store=redis://127.0.0.1:{redis.port}"
         started = []
         for _ in range(replicas):

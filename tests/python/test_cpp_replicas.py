@@ -2,10 +2,13 @@
 
 import asyncio
 import os
+import signal
 import subprocess
+import urllib.request
 
 import pytest
-from replicated import observation, options_of, policy_of, reward
+from replicated import observation, options_of, policy_of, reward, running_fleet
+from security import until
 from serving import DEADLINE_SECONDS, running_server
 from spikeserve.values import Decision, EpisodeSummary, SessionState
 from spikeserve.wire import message_class
@@ -164,10 +167,17 @@ def test_operators_reach_any_server(fleet):  # noqa: F811
         replica.start()
 
 
+@pytest.fixture(scope="module")
+def quick_fleet():
+    """Its Redis does not wait for a disk, so it keeps pace with spikeload."""
+    with running_fleet(redis_flags=()) as started:
+        yield started
+
+
 @pytest.mark.parametrize("mode", ["unary", "stream", "batch"])
 @pytest.mark.parametrize("durability", ["none", "async", "sync"])
-def test_spikeload_uses_all_servers(fleet, mode, durability):  # noqa: F811
-    command = [os.environ["SPIKELOAD_PROGRAM"], f"--server={fleet.addresses}", f"--mode={mode}"]
+def test_spikeload_uses_all_servers(quick_fleet, mode, durability):
+    command = [os.environ["SPIKELOAD_PROGRAM"], f"--server={quick_fleet.addresses}", f"--mode={mode}"]
     flags = [f"--durability={durability}", "--sessions=32", "--duration=1s", "--episode_steps=10"]
     loaded = subprocess.run([*command, *flags], capture_output=True, text=True)
     assert loaded.returncode == 0 and "\n0 errors\n" in loaded.stdout, loaded
@@ -182,6 +192,27 @@ def test_spikeload_with_retries_sees_only_waits(fleet):  # noqa: F811
         replica.restart()
     printed, _ = load.communicate(timeout=DEADLINE_SECONDS)
     assert load.returncode == 0 and "\n0 errors\n" in printed, printed
+
+
+@pytest.mark.parametrize("mode, method", [("unary", "Act"), ("stream", "ActStream")])
+def test_spikeload_with_retries_waits_for_the_store(mode, method):
+    """Redis stands still until the server refuses decisions that it cannot store."""
+
+    def answered(code):
+        with urllib.request.urlopen(f"http://{replica.http_address}/metrics") as page:
+            return f'_count{{code="{code}",method="{method}"}}' in page.read().decode()
+
+    with running_fleet(replicas=1, http=True, redis_flags=()) as fleet:
+        [replica] = fleet.replicas
+        command = [os.environ["SPIKELOAD_PROGRAM"], f"--server={fleet.addresses}", f"--mode={mode}", "--retry"]
+        flags = ["--sessions=4", "--streams=2", "--duration=5s"]
+        load = subprocess.Popen([*command, *flags], stdout=subprocess.PIPE, text=True)
+        until(lambda: answered("OK"))
+        fleet.redis.process.send_signal(signal.SIGSTOP)
+        until(lambda: answered("UNAVAILABLE"))
+        fleet.redis.process.send_signal(signal.SIGCONT)
+        printed, _ = load.communicate(timeout=DEADLINE_SECONDS)
+        assert load.returncode == 0 and "\n0 errors\n" in printed, printed
 
 
 def test_unix_sockets(tmp_path, undisturbed):  # noqa: F811

@@ -22,7 +22,8 @@ class CallerTest : public ::testing::TestWithParam<LoadMode> {
     client_ = *Client::Create(fake_.channel(), options);
   }
 
-  Caller MakeCaller() {
+  Caller MakeCaller() { return MakeCaller(client_->options().retry); }
+  Caller MakeCaller(const RetryOptions& retry) {
     std::vector<SimulatedAgent> agents;
     for (int i = 0; i < kAgents; ++i) {
       RemoteSession session(client_.get(), client_->OpenSession({})->session_id(), 0);
@@ -30,6 +31,7 @@ class CallerTest : public ::testing::TestWithParam<LoadMode> {
                           kEpisodeSteps, /*seed=*/i);
     }
     return Caller(MakeExchange(GetParam(), /*batch_size=*/2, client_.get()), std::move(agents),
+                  retry,
                   /*pause_after_error=*/absl::Milliseconds(1), /*patience=*/absl::Seconds(20));
   }
 
@@ -107,6 +109,27 @@ TEST_P(CallTest, AFailureThatPassesIsCountedAndRepeated) {
   const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
   EXPECT_GE(report.errors, 1);
   EXPECT_EQ(report.first_error, absl::UnavailableError("overloaded"));
+  EXPECT_GE(report.decisions, 1);
+}
+
+TEST_P(CallTest, AFailureThatPassesIsNotCountedIfItsCallIsRepeated) {
+  RetryOptions retry;
+  retry.initial_backoff = absl::Milliseconds(1);
+  Caller caller = MakeCaller(retry);
+  fake_.RefuseNext(kAgents, {grpc::StatusCode::UNAVAILABLE, "overloaded"});
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
+  EXPECT_EQ(report.errors, 0) << report.first_error;
+  EXPECT_GE(report.decisions, 1);
+}
+
+TEST_P(CallTest, AFailureIsCountedAfterTheLastTry) {
+  RetryOptions retry;
+  retry.max_attempts = 2;
+  retry.initial_backoff = absl::Milliseconds(1);
+  Caller caller = MakeCaller(retry);
+  fake_.RefuseNext(2 * kAgents, {grpc::StatusCode::UNAVAILABLE, "overloaded"});
+  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
+  EXPECT_GE(report.errors, 1);
   EXPECT_GE(report.decisions, 1);
 }
 
