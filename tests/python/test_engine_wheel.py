@@ -1,43 +1,98 @@
-"""A wheel of the engine is made from the checkout, needs no library of the build machine, and plays."""
+"""Wheels of every CPython that the engine supports are made from the checkout, and play as the build tree and a server.
 
+The wheel of the engine needs no library of the build machine. The interpreter that runs the tests has the build tools and
+the dependencies, so it needs no network; pip fetches those of the other interpreters.
+"""
+
+import json
 import os
 import pathlib
 import re
 import subprocess
 import sys
+import sysconfig
 import zipfile
 
+import pytest
 from serving import SHIPPED_POLICIES
 
-PACKAGE = pathlib.Path(__file__).parents[2] / "client/python/engine"
-POLICY = SHIPPED_POLICIES / "cartpole/2/policy.safetensors"
-PLAY = f"""
-import spikeserve_engine
-session = spikeserve_engine.Engine({str(POLICY)!r}).session(learning=spikeserve_engine.Learning(rule="hebbian"))
-print([session.act([0.01, 0.0, 0.02, 0.0], 1.0).stats.spikes for _ in range(30)], spikeserve_engine.__file__)
+CLIENT = pathlib.Path(__file__).parents[2] / "client/python"
+PLAYER = pathlib.Path(__file__).with_name("wheel_player.py")
+OWN_VERSION = "{}.{}".format(*sys.version_info)
+# Fails where it is not CPython, or cannot make virtual environments or compile extensions.
+IS_COMPLETE = """
+import ensurepip, pathlib, sys, sysconfig, venv
+sys.exit(sys.implementation.name != "cpython" or not pathlib.Path(sysconfig.get_path("include"), "Python.h").is_file())
 """
+# Makes pip use the packages of the tests instead of an index.
+OFFLINE = {
+    "PIP_NO_BUILD_ISOLATION": "0",  # 0 turns isolation off
+    "PIP_NO_DEPS": "1",
+    "PIP_NO_INDEX": "1",
+    "PYTHONPATH": sysconfig.get_path("purelib"),
+}
 
 
-def run(*arguments, **options):
-    command = [sys.executable, *map(str, arguments)]
-    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, **options).stdout
+def run(*command, env):
+    return subprocess.run([*map(str, command)], check=True, stdout=subprocess.PIPE, text=True, env=env).stdout
 
 
-def test_a_wheel_is_enough_to_play(tmp_path):
-    # The requirements of the tests include the build tools, so pip needs no network.
-    pip = ["-m", "pip", "--disable-pip-version-check"]
-    build = f"--config-settings=build-dir={tmp_path}/build"
-    run(*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", build, f"--wheel-dir={tmp_path}/raw", PACKAGE)
-    (raw,) = (tmp_path / "raw").glob("*.whl")
-    tools = f"{pathlib.Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    run("-m", "auditwheel", "repair", f"--wheel-dir={tmp_path}", raw, env=os.environ | {"PATH": tools})
-    (wheel,) = tmp_path.glob("*.whl")
-    assert re.search(rf"^spikeserve_engine-{os.environ['SPIKESERVE_VERSION']}-cp.*-manylinux_2_\d+_x86_64", wheel.name)
+def pyenv_interpreters(version):
+    """Returns the interpreters of a version, such as 3.12, that pyenv has installed, the newest first."""
+    root = pathlib.Path(os.environ.get("PYENV_ROOT", pathlib.Path.home() / ".pyenv"))
+    releases = [path for path in root.glob(f"versions/{version}.*") if path.name.rpartition(".")[2].isdecimal()]
+    releases.sort(key=lambda path: int(path.name.rpartition(".")[2]), reverse=True)
+    return [release / f"bin/python{version}" for release in releases]
+
+
+def find_interpreter(version):
+    """Returns a complete CPython of a version, or None."""
+    if version == OWN_VERSION:
+        return sys.executable
+    in_path = [pathlib.Path(folder, f"python{version}") for folder in os.environ["PATH"].split(os.pathsep)]
+    for python in [*in_path, *pyenv_interpreters(version)]:
+        # A shim of pyenv exists, but fails unless its version is active.
+        if python.is_file() and not subprocess.run([python, "-c", IS_COMPLETE], capture_output=True).returncode:
+            return python
+    return None
+
+
+@pytest.fixture(scope="module")
+def expected(address):
+    """The decisions of the build tree's engine."""
+    played = json.loads(run(sys.executable, PLAYER, SHIPPED_POLICIES, address, env=os.environ))
+    assert played["engine"] == played["server"]
+    return played["engine"]
+
+
+def check_engine_wheel(wheel, version):
+    tag = f"cp{version.replace('.', '')}"
+    release = os.environ["SPIKESERVE_VERSION"]
+    assert re.match(rf"spikeserve_engine-{release}-{tag}-{tag}-manylinux_2_\d+_x86_64", wheel.name)
     names = zipfile.ZipFile(wheel).namelist()
     assert "spikeserve_engine/_engine.pyi" in names
     assert not [name for name in names if re.search(r"grpc|protobuf|torch", name)]
-    run(*pip, "install", "--quiet", "--no-deps", f"--target={tmp_path}/installed", wheel)
-    spikes, file = run("-c", PLAY, env=os.environ | {"PYTHONPATH": f"{tmp_path}/installed"}).rsplit(" ", 1)
-    assert pathlib.Path(file.strip()).is_relative_to(tmp_path / "installed")
-    in_build_tree, _ = run("-c", PLAY).rsplit(" ", 1)
-    assert spikes == in_build_tree
+
+
+@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
+def test_wheels_are_enough_to_play(tmp_path, version, address, expected):
+    python = find_interpreter(version)
+    if python is None:
+        pytest.skip(f"CPython {version}: expected one with headers and venv in PATH or pyenv, found none")
+    inherited = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    env = inherited | (OFFLINE if version == OWN_VERSION else {})
+    run(python, "-m", "venv", tmp_path / "venv", env=env)
+    python = tmp_path / "venv/bin/python"
+    # With one name of the compiler, the sources that do not include Python are compiled once for all versions.
+    build = {"SKBUILD_BUILD_DIR": f"{tmp_path}/build", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache", "CXX": "g++"}
+    run(CLIENT / "engine/build_wheels.sh", tmp_path / "wheels", sys.executable, python, env=env | build)
+    (engine_wheel,) = (tmp_path / "wheels").glob("*.whl")
+    check_engine_wheel(engine_wheel, version)
+    pip = [python, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    run(*pip, "wheel", "--no-deps", f"--wheel-dir={tmp_path}/wheels", CLIENT, env=env)
+    run(*pip, "install", *(tmp_path / "wheels").glob("*.whl"), env=env)
+    played = json.loads(run(python, PLAYER, SHIPPED_POLICIES, address, env=env))
+    assert played["version"] == version
+    assert all(pathlib.Path(module).is_relative_to(tmp_path / "venv") for module in played["modules"])
+    assert played["engine"] == expected
+    assert played["server"] == expected
