@@ -55,9 +55,10 @@ soak: build
 	SPIKESERVE_PROGRAM=$(BIN)/spikeserve SPIKELOAD_PROGRAM=$(BIN)/spikeload \
 	  build/venv/bin/python -m tests.soak --seconds=$(SOAK_SECONDS)
 
-# Runs load tests with the address sanitizer, then with the thread sanitizer: 60 seconds with 1,000 sessions on 8
-# streams, 10 seconds with 64 sessions that learn a shared head, and 10 seconds with 64 sessions that learn their own
-# heads. Another process reads the status page and the metrics at the same time.
+# Runs a server with the address sanitizer, then with the thread sanitizer. Each serves over plain text and over TLS 60
+# seconds with 1,000 sessions on 8 streams, 10 seconds with 64 sessions that learn a shared head, and 10 seconds with 64
+# sessions that learn their own heads, while another process reads the HTTP pages. Then come the Python tests of what
+# threads share. Fails on any report.
 sanitize: setup
 	tests/sanitizers/run.sh asan
 	tests/sanitizers/run.sh tsan

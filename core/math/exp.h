@@ -13,13 +13,15 @@
 namespace spikeserve {
 
 // Returns e^x to within 2 units in the last place. Clamps x to [-87, 88], so the result is finite
-// and positive. Reduces the range by powers of two, then evaluates the polynomial of Cephes' expf
-// (S. L. Moshier, Methods and Programs for Mathematical Functions, 1989).
+// and positive; returns NaN if x is NaN. Reduces the range by powers of two, then evaluates the
+// polynomial of Cephes' expf (S. L. Moshier, Methods and Programs for Mathematical Functions,
+// 1989).
 inline float Exp(float x) {
   x = x < -87.0f ? -87.0f : x;
   x = x > 88.0f ? 88.0f : x;
   constexpr float kRoundToInteger = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer
-  const float n = (x * 1.44269504088896341f + kRoundToInteger) - kRoundToInteger;
+  const float rounded = x * 1.44269504088896341f + kRoundToInteger;
+  const float n = rounded - kRoundToInteger;
   x = x - n * 0.693359375f;
   x = x - n * -2.12194440e-4f;
   float y = 1.9875691500e-4f;
@@ -29,8 +31,10 @@ inline float Exp(float x) {
   y = y * x + 1.6666665459e-1f;
   y = y * x + 5.0000001201e-1f;
   y = y * (x * x) + x + 1.0f;
-  const auto exponent = static_cast<uint32_t>(static_cast<int32_t>(n) + 127) << 23;
-  return y * std::bit_cast<float>(exponent);
+  // The low bits of `rounded` count from kRoundToInteger. A cast of n would be undefined for NaN.
+  const uint32_t power =
+      std::bit_cast<uint32_t>(rounded) - std::bit_cast<uint32_t>(kRoundToInteger);
+  return y * std::bit_cast<float>((power + 127) << 23);
 }
 
 inline float Sigmoid(float x) { return 1.0f / (1.0f + Exp(-x)); }

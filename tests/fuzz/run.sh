@@ -20,9 +20,10 @@ for target in "${@:-$(basename --multiple --suffix=_fuzz "$programs"/*_fuzz)}"; 
     "$programs/${name}_replay" --write_seeds="$corpus"
     mkdir -p "$found"
     echo "fuzz: $name, $seconds s"
-    "$programs/${name}_fuzz" -max_total_time="$seconds" -rss_limit_mb=2048 -timeout=30 -print_final_stats=1 \
+    TIMEFORMAT="processor time: %U s"
+    time "$programs/${name}_fuzz" -max_total_time="$seconds" -rss_limit_mb=2048 -timeout=30 -print_final_stats=1 \
       -artifact_prefix="$found/" "$corpus" "$found" 2>"build/fuzz/$name.log" || failed+=" $name"
-    grep -E '^stat::(number_of_executed_units|average_exec|peak_rss)|SUMMARY|^==.*ERROR|expected' "build/fuzz/$name.log" || true
+    grep -E '^stat::(number_of_executed_units|average_exec|peak_rss)|DONE|SUMMARY|^==.*ERROR|expected' "build/fuzz/$name.log" || true
     rmdir --ignore-fail-on-non-empty "$found"
   done
 done

@@ -1,27 +1,42 @@
 #!/usr/bin/env bash
-# Runs load tests of a sanitized server with a sanitized client, while another process reads the server's HTTP pages.
-# Fails on any report of the sanitizer. Over plain text and then over TLS, the load is 1,000 sessions on 8 streams for
-# DURATION, 64 sessions that learn a shared fleet head by unary calls, and 64 sessions that learn their own heads in
-# batches, ten seconds each.
+# Runs load tests and Python tests of a sanitized server. Fails on any report of the sanitizer, of any process: a report is
+# a file in build/PRESET/reports, so it is noticed even if a test kills the process or ignores its output.
 #
-# usage: tests/sanitizers/run.sh asan|tsan [DURATION]
+# The load tests run a sanitized client, while another process reads the server's HTTP pages. Over plain text and then over
+# TLS, the load is 1,000 sessions on 8 streams for DURATION, 64 sessions that learn a shared fleet head by unary calls, and
+# 64 sessions that learn their own heads in batches, ten seconds each. The Python tests are those named below.
+#
+# usage: tests/sanitizers/run.sh asan|tsan [DURATION [TESTS]]   TESTS: a regular expression of names of Python tests
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-preset=${1:?usage: tests/sanitizers/run.sh asan|tsan [DURATION]}
+preset=${1:?usage: tests/sanitizers/run.sh asan|tsan [DURATION [TESTS]]}
 duration=${2:-60s}
 
+# What threads of the server share: the HTTP pages, budgets, recordings, roll-outs, stores, and the log of shared heads.
+# Tests that measure the memory or the speed of the server are not here.
+python_tests=(
+  test_budgets test_explain_turns test_fleet_attack test_fleet_learning test_fleet_log test_http_attacks test_late_writes
+  test_learning test_limits test_operator test_promotion test_recording_queue test_redis_kinds test_redis_store
+  test_session_store test_shared_settings test_status_json test_tenants test_tls test_tokens
+)
+tests=${3:-^($(IFS='|'; echo "${python_tests[*]}"))\$}
+
 cmake --preset "$preset" --log-level=WARNING
-cmake --build "build/$preset" --target spikeserve spikeload
+cmake --build "build/$preset" --target spikeserve spikeload spikectl client_player
 bin=build/$preset/bin
-log=build/$preset/sanitizer-report.txt
+log=build/$preset/sanitized-server.txt
+reports=$PWD/build/$preset/reports
 tls=build/$preset/tls
 : >"$log"
+rm -rf "$reports"
+mkdir -p "$reports"
 
-# A report ends the process with status 66 and is written to the log. gRPC and protobuf are built without the sanitizer,
-# so their own memory accesses are not checked.
-export TSAN_OPTIONS="ignore_noninstrumented_modules=1:exitcode=66"
-export ASAN_OPTIONS="detect_leaks=1:exitcode=66"
-export UBSAN_OPTIONS="halt_on_error=1:exitcode=66:print_stacktrace=1"
+# A report ends the process with status 66. gRPC and protobuf are built without the sanitizer, so their own memory accesses
+# are not checked.
+report=exitcode=66:log_path=$reports/report
+export TSAN_OPTIONS="ignore_noninstrumented_modules=1:$report"
+export ASAN_OPTIONS="detect_leaks=1:$report"
+export UBSAN_OPTIONS="halt_on_error=1:print_stacktrace=1:$report"
 
 failed=''
 server='' reader=''
@@ -78,9 +93,16 @@ start_server "--tls_certificate=$tls/certificate.pem" "--tls_key=$tls/key.pem"
 load_server https
 server='' reader=''
 
-if [[ -n $failed ]] || grep -qE 'Sanitizer|runtime error' "$log"; then
+ctest --test-dir "build/$preset" --output-on-failure --no-tests=error --tests-regex "$tests" || failed+=' a Python test;'
+
+for file in "$reports"/*; do
+  [[ -e $file ]] || continue
+  failed+=" ${file#"$PWD/"};"
+  cat "$file" >&2
+done
+if [[ -n $failed ]]; then
   cat "$log" >&2
-  echo "sanitize: $preset:${failed:- a report}" >&2
+  echo "sanitize: $preset:$failed" >&2
   exit 1
 fi
 echo "sanitize: $preset: no report"

@@ -26,6 +26,8 @@ TEST(ExpTest, IsExactAtZeroAndFiniteAtTheEnds) {
   EXPECT_TRUE(std::isfinite(Exp(1e30f)));
 }
 
+TEST(ExpTest, OfNanIsNan) { EXPECT_TRUE(std::isnan(Exp(NAN))); }
+
 TEST(ExpTest, SigmoidAndTanhFollow) {
   for (float x = -20.0f; x < 20.0f; x += 0.01f) {
     EXPECT_NEAR(Sigmoid(x), 1.0 / (1.0 + std::exp(-static_cast<double>(x))), 1e-6) << x;

@@ -3,38 +3,18 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <memory>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
-#include "server/access/authenticator.h"
-#include "tests/support/fake_clock.h"
-#include "tests/support/small_registry.h"
+#include "tests/support/policy_handler_fixture.h"
 
 namespace spikeserve {
 namespace {
 
-class PolicyHandlerTest : public ::testing::Test {
+class PolicyHandlerTest : public PolicyHandlerFixture {
  protected:
-  std::string MustOpen() {
-    v1::OpenSessionRequest request;
-    request.set_policy("small");
-    v1::OpenSessionResponse response;
-    const auto status = handler_.OpenSession(*caller_, request, &response);
-    EXPECT_TRUE(status.ok()) << status;
-    return response.session_id();
-  }
-
-  static v1::ActRequest MakeRequest(const std::string& session, int64_t step) {
-    v1::ActRequest request;
-    request.set_session_id(session);
-    request.set_step(step);
-    for (const float value : ObservationAt(step)) request.add_observation(value);
-    return request;
-  }
-
   // Answers a batch in groups, as a call of ActBatch does.
   void ActBatch(const v1::ActBatchRequest& batch, v1::ActBatchResponse* answers,
                 DeferredWork* deferred) {
@@ -44,14 +24,6 @@ class PolicyHandlerTest : public ::testing::Test {
       next = handler_.ActBatchGroup(*caller_, batch, next, answers, deferred, &commits);
     }
   }
-
-  FakeClock clock_;
-  std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
-  const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
-  SmallRegistry registry_{"small"};
-  ShadowRunner shadows_{registry_.metrics().registry()};
-  SessionStore store_{100, &clock_};
-  PolicyHandler handler_{registry_.get(), &store_, &shadows_, &clock_};
 };
 
 TEST_F(PolicyHandlerTest, AnswersDoNotDependOnDeferredWork) {

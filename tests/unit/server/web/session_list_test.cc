@@ -3,43 +3,33 @@
 #include <gtest/gtest.h>
 
 #include <map>
-#include <memory>
 #include <string>
+#include <utility>
 
 #include "nlohmann/json.hpp"
 #include "proto/json.h"
 #include "server/admin/session_info.h"
-#include "server/agent/policy_handler.h"
-#include "server/agent/shadow_runner.h"
-#include "tests/support/fake_clock.h"
-#include "tests/support/small_registry.h"
+#include "tests/support/policy_handler_fixture.h"
 
 namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
 
-class SessionListTest : public ::testing::Test {
+class SessionListTest : public PolicyHandlerFixture {
  protected:
   // Opens a session that learns, and returns its id.
   std::string OpenOne() {
     v1::OpenSessionRequest request;
-    request.set_policy("small");
     request.mutable_learning()->set_scope(v1::LearningConfig::SESSION);
     (*request.mutable_labels())["robot"] = "R2 \"D2\"";
     (*request.mutable_labels())["Straße"] = "7\n";
-    v1::OpenSessionResponse response;
-    const auto status = handler_.OpenSession(*caller_, request, &response);
-    EXPECT_TRUE(status.ok()) << status;
-    return response.session_id();
+    return MustOpen(std::move(request));
   }
 
   void Act(const std::string& id, int64_t step, double reward) {
-    v1::ActRequest request;
-    request.set_session_id(id);
-    request.set_step(step);
+    v1::ActRequest request = MakeRequest(id, step);
     request.set_reward(reward);
-    for (const float value : ObservationAt(step)) request.add_observation(value);
     v1::ActResponse response;
     DeferredWork deferred;
     const auto status = handler_.Act(*caller_, request, &response, &deferred);
@@ -65,14 +55,6 @@ class SessionListTest : public ::testing::Test {
       EXPECT_EQ(row.value(field, Json("absent")), value) << field;
     }
   }
-
-  FakeClock clock_;
-  std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
-  const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
-  SmallRegistry registry_{"small"};
-  ShadowRunner shadows_{registry_.metrics().registry()};
-  SessionStore store_{100, &clock_};
-  PolicyHandler handler_{registry_.get(), &store_, &shadows_, &clock_};
 };
 
 TEST_F(SessionListTest, ARowHasEveryFieldOfSessionInfo) {
