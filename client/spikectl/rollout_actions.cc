@@ -29,7 +29,7 @@ absl::StatusOr<v1::RolloutCondition> ParseCondition(absl::string_view text) {
   const std::pair<absl::string_view, absl::string_view> parts =
       absl::StrSplit(text, absl::MaxSplits(':', 1));
   v1::RolloutCondition condition;
-  v1::RolloutCondition::Measure measure;
+  v1::RolloutCondition::Measure measure = v1::RolloutCondition::MEASURE_UNSPECIFIED;
   if (!v1::RolloutCondition::Measure_Parse(
           absl::StrCat("MEASURE_", absl::AsciiStrToUpper(parts.first)), &measure) ||
       measure == v1::RolloutCondition::MEASURE_UNSPECIFIED) {

@@ -162,6 +162,9 @@ absl::StatusOr<Settings> ParseSettings(absl::string_view text) {
   object.Optional("unloaded", &unloaded);
   object.Optional("promoted", &promoted);
   if (auto status = object.Finish(); !status.ok()) return status;
+  // As ToJson() does, so that equal settings compare equal.
+  std::erase_if(settings.policies,
+                [](const auto& policy) { return policy.second == PolicySettings(); });
   for (const auto& [name, versions] : unloaded) {
     for (const int64_t version : versions) {
       const auto status = CheckVersion(absl::StrCat("unloaded.", name), version);

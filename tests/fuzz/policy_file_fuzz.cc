@@ -55,7 +55,9 @@ std::vector<std::string> Seeds() {
     seeds.push_back(BytesOf(policy));
     if (mode == Mode::kDense) {
       // Finite weights whose products are not: the softmax of the attention is NaN.
-      for (float& weight : policy.weights.layers[0].query.weight.values) weight = 1e38f;
+      LayerWeights& layer = policy.weights.layers[0];
+      for (float& weight : layer.query.weight.values) weight *= 1e30f;
+      for (float& weight : layer.key.weight.values) weight *= 1e30f;
       seeds.push_back(BytesOf(policy));
       continue;
     }

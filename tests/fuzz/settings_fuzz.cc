@@ -26,7 +26,7 @@ std::vector<std::string> Seeds() {
   Settings settings;
   settings.policies["cartpole"] = policy;
   settings.unloaded = {{.policy = "cartpole", .version = 4}};
-  return {ToJson(settings), ToJson({})};
+  return {ToJson(settings), ToJson({}), R"({"policies": {"cartpole": {}}})"};
 }
 
 }  // namespace spikeserve

@@ -58,6 +58,12 @@ TEST(PolicySettings, WhatIsWrittenIsRead) {
   EXPECT_EQ(read->unloaded, written.unloaded);
 }
 
+TEST(PolicySettings, APolicyWithoutSettingsIsNotKept) {
+  const auto settings = ParseSettings(R"({"policies": {"cartpole": {}}})");
+  ASSERT_TRUE(settings.ok()) << settings.status();
+  EXPECT_THAT(settings->policies, IsEmpty());
+}
+
 TEST(PolicySettings, AFileThatDoesNotExistHoldsNoSettings) {
   const TemporaryDirectory directory;
   const auto read = ReadSettings((directory.path() / "none.json").string());
