@@ -25,7 +25,7 @@ for target in "${@:-$(basename --multiple --suffix=_fuzz "$programs"/*_fuzz)}"; 
     TIMEFORMAT="processor time: %U s"
     time "$programs/${name}_fuzz" -entropic=0 -max_total_time="$seconds" -rss_limit_mb=2048 -timeout=30 \
       -print_final_stats=1 -artifact_prefix="$found/" "$corpus" "$found" 2>"build/fuzz/$name.log" || failed+=" $name"
-    grep -E '^stat::(number_of_executed_units|average_exec|peak_rss)|DONE|SUMMARY|^==.*ERROR|expected' "build/fuzz/$name.log" || true
+    grep -E '^stat::(number_of_executed_units|average_exec|peak_rss)|DONE|SUMMARY|^==.*ERROR|: expected ' "build/fuzz/$name.log" || true
     rmdir --ignore-fail-on-non-empty "$found"
   done
 done
