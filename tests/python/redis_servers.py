@@ -1,6 +1,7 @@
 """Starts real Redis servers: alone, over TLS, with Sentinels, and as a Cluster."""
 
 import contextlib
+import re
 import shutil
 import signal
 import socket
@@ -172,8 +173,18 @@ def node_id(server):
     return server.command("CLUSTER MYID").decode()
 
 
+def epoch_of(server):
+    """Returns the newest configuration of the cluster that a node knows of."""
+    return re.search(rb"cluster_current_epoch:(\d+)", server.command("CLUSTER INFO"))[1]
+
+
 def move_slot(slot, source, target, servers, finish=True):
-    """Moves the keys of a slot, and then the slot if `finish`, as redis-cli --cluster reshard does."""
+    """Moves the keys of a slot, and then the slot if `finish`, as redis-cli --cluster reshard does.
+
+    A target that has not heard of the last move takes no newer epoch than the source, and gives the slot back to it when
+    they talk next. Then each says for ever that the other one has the slot.
+    """
+    until(lambda: len({epoch_of(server) for server in servers}) == 1)
     target.command(f"CLUSTER SETSLOT {slot} IMPORTING {node_id(source)}")
     source.command(f"CLUSTER SETSLOT {slot} MIGRATING {node_id(target)}")
     while keys := source.command(f"CLUSTER GETKEYSINSLOT {slot} 100"):
