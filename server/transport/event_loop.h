@@ -73,6 +73,8 @@ class EventLoop {
 
   // Destroys `source` at the end of the turn, when no event of it can be pending any more.
   void DeleteLater(std::unique_ptr<Source> source) { garbage_.push_back(std::move(source)); }
+  // Destroys what DeleteLater() was given since the last turn. REQUIRES: the loop does not run.
+  void DeleteRest() { garbage_.clear(); }
 
   // Returns the time at which the turn started, of the clock.
   absl::Duration now() const { return now_; }

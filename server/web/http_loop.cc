@@ -53,6 +53,8 @@ void HttpLoop::Stop(absl::Duration timeout) {
   events_->Stop();
   thread_.join();
   while (!connections_.empty()) connections_.begin()->second->Close();
+  // A page that is still being made keeps the loop of events, but the connections need `table_`.
+  events_->DeleteRest();
 }
 
 void HttpLoop::Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) {
