@@ -1,26 +1,67 @@
-# Targets for users and developers. `make demo` and `make test` need only a bare Debian 12 and root.
-# PRESET selects the CMake preset: `make test PRESET=clang`.
+# Targets for users and developers. Each installs what it needs by itself, on a bare Debian 12 as root with make and git.
+# README.md lists what each costs. PRESET selects the CMake preset: `make test PRESET=clang`.
 PRESET := release
 BUILD := build/$(PRESET)
 BIN := $(BUILD)/bin
+SETUP := deploy/setup.sh build
+EMPTY :=
 # With these, clones in different folders share the compiler cache.
 export CCACHE_BASEDIR := $(CURDIR)
 export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow build train bench attacks chaos soak sanitize fuzz format clean setup configure
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site train bench attacks chaos soak sanitize fuzz format clean \
+  setup configure
 
-demo: configure
-	cmake --build $(BUILD) --target spikeserve spikectl
-	deploy/demo.sh $(BIN)
+# Installs and builds only the server and spikectl. A build folder that is configured already keeps its other targets.
+demo: export NINJA_STATUS = demo: 2/3 compiling, %f of %t files after %e s: $(EMPTY)
+demo:
+	@echo "demo: 1/3 installing the packages of the server, 1 to 2 minutes the first time"
+	@$(SETUP) server
+	@echo "demo: 2/3 compiling the server and spikectl, 3 to 4 minutes on two cores the first time"
+	@test -e $(BUILD)/build.ninja || cmake --preset $(PRESET) --log-level=WARNING -DSPIKESERVE_BUILD_TESTS=OFF \
+	  -DSPIKESERVE_BUILD_TRAIN=OFF -DSPIKESERVE_BUILD_PYTHON=OFF
+	@cmake --build $(BUILD) --target spikeserve spikectl
+	@echo "demo: 3/3 playing 20 episodes, a few seconds"
+	@deploy/demo.sh $(BIN)
 
-test: build
+test: build setup
 	ctest --preset $(PRESET)
 
 # The tests that `make test` excludes because they take hours; CONTRIBUTING.md lists them.
-test-slow: build
+test-slow: build setup
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
+
+# Cross-builds everything for arm64 and runs the tests with qemu. The short form, which continuous integration runs,
+# builds and runs what must not differ on arm64.
+test-arm64: setup
+	deploy/arm64_root.sh
+	cmake --preset arm64 $(if $(VERBOSE),,--log-level=WARNING)
+	cmake --build build/arm64
+	tests/arm64/emulate.sh ctest --preset arm64
+
+test-arm64-short:
+	$(SETUP) server build
+	deploy/arm64_root.sh --without-training
+	cmake --preset arm64 -DSPIKESERVE_BUILD_TRAIN=OFF $(if $(VERBOSE),,--log-level=WARNING)
+	cmake --build build/arm64 --target $$(python3 tests/arm64/short.py --targets)
+	python3 tests/arm64/short.py
+
+# Rewrites the hashes of the shipped policies' answers in tests/golden/answers.txt and prints which changed.
+golden: configure
+	cmake --build $(BUILD) --target rewrite_golden
+	$(BUILD)/tests/rewrite_golden deploy/policies tests/golden/answers.txt
+
+# Fills dist/ with everything that a release publishes: packages, wheels, sources, notes, an SBOM and checksums.
+dist: configure
+	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain spikeserve_client spikeserve_manuals
+	deploy/release/make.sh dist $(BUILD)
+
+# Makes a site of docs/ in build/site.
+site:
+	$(SETUP) release
+	build/release-tools/venv/bin/mkdocs build --strict --quiet
 
 build: configure
 	cmake --build $(BUILD)
@@ -31,19 +72,19 @@ train: build
 
 # Runs all benchmarks, which takes about eight minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
 # longer, "--sections engine" selects a part.
-bench: build
+bench: build setup
 	loadtest/bench/setup.sh $(BUILD)/bench_venv
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
 	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
 
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
-attacks: build
+attacks: build setup
 	build/interop/venv/bin/python -m tests.attacks --program=$(BIN)/spikeserve $(ATTACKS_FLAGS)
 
 # Plays 512 sessions on three replicas and one Redis that are killed, stopped and cut off all the time, and compares every
 # answer with an undisturbed run. Needs root. CHAOS_FLAGS="--decisions=200" makes it shorter.
-chaos: build
+chaos: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
 	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
 	  build/venv/bin/python -m tests.chaos $(CHAOS_FLAGS)
@@ -51,7 +92,7 @@ chaos: build
 # Does all kinds of work for hours and prints what the server holds after each minute of it. Fails if memory grows by more
 # than 1 MB a million decisions, or descriptors or threads grow. SOAK_SECONDS=1800 makes it shorter.
 SOAK_SECONDS := 14400
-soak: build
+soak: build setup
 	SPIKESERVE_PROGRAM=$(BIN)/spikeserve SPIKELOAD_PROGRAM=$(BIN)/spikeload \
 	  build/venv/bin/python -m tests.soak --seconds=$(SOAK_SECONDS)
 
@@ -65,17 +106,21 @@ sanitize: setup
 
 # Searches with libFuzzer for inputs that break a parser or the server's invariants: FUZZ_SECONDS for each target.
 FUZZ_SECONDS := 60
-fuzz: setup
+fuzz:
+	$(SETUP) server build clang
 	tests/fuzz/run.sh $(FUZZ_SECONDS)
 
 format:
+	$(SETUP) clang
 	clang-format -i $(SOURCES)
 
 clean:
 	rm -rf build
 
+# Everything that `make test` needs.
 setup:
-	deploy/setup.sh build
+	$(SETUP)
 
-configure: setup
+configure:
+	$(SETUP) server build $(if $(filter clang,$(PRESET)),clang)
 	cmake --preset $(PRESET) $(if $(VERBOSE),,--log-level=WARNING)

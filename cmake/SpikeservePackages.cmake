@@ -52,19 +52,34 @@ file(RELATIVE_PATH SPIKESERVE_PC_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
 configure_file(cmake/package/spikeserve.pc.in ${CMAKE_BINARY_DIR}/spikeserve.pc @ONLY)
 install(FILES ${CMAKE_BINARY_DIR}/spikeserve.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT client)
 
+# Installs Debian's changelog of a package, compressed. Its time is that of the packages, SOURCE_DATE_EPOCH if it is set.
+function(spikeserve_install_changelog component package)
+  install(CODE "
+    set(package ${package})
+    set(version ${PROJECT_VERSION})
+    string(TIMESTAMP date \"%a, %d %b %Y %H:%M:%S +0000\" UTC)
+    set(changelog ${CMAKE_BINARY_DIR}/debian/${package}/changelog)
+    configure_file(${PROJECT_SOURCE_DIR}/deploy/debian/changelog.in \${changelog} @ONLY)
+    execute_process(COMMAND gzip -9nf \${changelog} COMMAND_ERROR_IS_FATAL ANY)
+    file(INSTALL \${changelog}.gz
+         DESTINATION \${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_DATADIR}/doc/${package})"
+    COMPONENT ${component})
+endfunction()
+
 set(package_server spikeserve)
 set(package_client libspikeserve-dev)
 set(package_tools spikeserve-tools)
 set(package_train spikeserve-train)
 foreach(component ${components})
   string(TOUPPER ${component} upper)
-  install(FILES LICENSE NOTICE DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package_${component}} COMPONENT ${component})
+  spikeserve_install_changelog(${component} ${package_${component}})
+  install(FILES LICENSE NOTICE deploy/debian/copyright DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package_${component}} COMPONENT ${component})
   set(CPACK_DEBIAN_${upper}_PACKAGE_NAME ${package_${component}})
 endforeach()
 
 set(CPACK_GENERATOR DEB)
 set(CPACK_PACKAGE_NAME spikeserve)
-set(CPACK_PACKAGE_CONTACT "the spikeserve maintainers <maintainers@spikeserve.invalid>")
+set(CPACK_PACKAGE_CONTACT "spikeserve maintainers <maintainers@spikeserve.invalid>")
 set(CPACK_PACKAGE_DIRECTORY ${CMAKE_BINARY_DIR}/packages)
 set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
@@ -73,10 +88,18 @@ set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_PACKAGE_SECTION net)
-set(CPACK_COMPONENT_SERVER_DESCRIPTION "Inference service for Spiking Decision Transformers")
-set(CPACK_COMPONENT_CLIENT_DESCRIPTION "C++ client library of spikeserve")
-set(CPACK_COMPONENT_TOOLS_DESCRIPTION "Command-line client and load generator of spikeserve")
-set(CPACK_COMPONENT_TRAIN_DESCRIPTION "Trains policies for spikeserve")
+set(CPACK_COMPONENT_SERVER_DESCRIPTION "inference service for Spiking Decision Transformers
+Answers the observations of robots and simulators with actions, over gRPC.
+It keeps a session for each agent, in files or in Redis, and serves the
+policies in /usr/share/spikeserve/policies.")
+set(CPACK_COMPONENT_CLIENT_DESCRIPTION "C++ client library of spikeserve
+Contains headers, static libraries, a CMake package and a file for pkg-config.")
+set(CPACK_COMPONENT_TOOLS_DESCRIPTION "command-line client and load generator of spikeserve
+The program spikectl plays, watches and administers policies of a server. The
+program spikeload measures a server under the load of many sessions.")
+set(CPACK_COMPONENT_TRAIN_DESCRIPTION "trainer of policies for spikeserve
+The program spiketrain makes datasets, trains Spiking Decision Transformers on
+them, and evaluates policies.")
 set(CPACK_DEBIAN_CLIENT_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_CLIENT_PACKAGE_DEPENDS "libgrpc++-dev, libprotobuf-dev, libabsl-dev")
 set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS adduser)
@@ -84,4 +107,11 @@ set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
   ${PROJECT_SOURCE_DIR}/deploy/debian/postinst ${PROJECT_SOURCE_DIR}/deploy/debian/prerm
   ${PROJECT_SOURCE_DIR}/deploy/debian/postrm)
 set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_STRICT_PERMISSION ON)
+# Cross-built packages: CPack would name them after this machine, and look for the libraries' packages in its data.
+if(CMAKE_CROSSCOMPILING)
+  set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE ${SPIKESERVE_DEBIAN_ARCHITECTURE})
+  configure_file(cmake/package/shlibdeps.sh.in ${CMAKE_BINARY_DIR}/shlibdeps.sh @ONLY)
+  file(WRITE ${CMAKE_BINARY_DIR}/CPackCross.cmake "set(SHLIBDEPS_EXECUTABLE ${CMAKE_BINARY_DIR}/shlibdeps.sh)\n")
+  set(CPACK_PROJECT_CONFIG_FILE ${CMAKE_BINARY_DIR}/CPackCross.cmake)
+endif()
 include(CPack)

@@ -7,3 +7,11 @@ foreach(library address_sorting gpr grpc grpc++ upb)
   set_target_properties(gRPC::${library} PROPERTIES
     IMPORTED_LOCATION_${configuration} ${SPIKESERVE_STATIC_${library}})
 endforeach()
+
+# Cross-built trees have the plugin of the other architecture. The build runs this machine's.
+if(CMAKE_CROSSCOMPILING)
+  find_program(SPIKESERVE_GRPC_PLUGIN grpc_cpp_plugin REQUIRED)
+  mark_as_advanced(SPIKESERVE_GRPC_PLUGIN)
+  get_target_property(configuration gRPC::grpc_cpp_plugin IMPORTED_CONFIGURATIONS)
+  set_target_properties(gRPC::grpc_cpp_plugin PROPERTIES IMPORTED_LOCATION_${configuration} ${SPIKESERVE_GRPC_PLUGIN})
+endif()

@@ -1,63 +1,94 @@
 #!/usr/bin/env bash
-# Installs the packages that building, testing and training need on a bare Debian 12, and creates the Python environment
-# of the tests. Run it as root. Does nothing if everything is installed.
+# Installs on a bare Debian 12 or 13 what a target of the Makefile needs, and nothing that is there already. Run it as root.
 #
-# usage: deploy/setup.sh [BUILD_DIR]
+# usage: deploy/setup.sh [BUILD_DIR [PART...]]   default: build and all parts
+#
+# | part    | what it installs                                                                                    |
+# | server  | compiler and libraries of spikeserve, spikectl and spikeload                                        |
+# | build   | libraries of the tests and the training, and the Python environment of the tests, BUILD_DIR/venv    |
+# | clang   | clang and its tools, for the presets clang and fuzz, and for `make format`                          |
+# | tests   | programs that tests run: Redis, Prometheus, proxies, a browser, shells, Node.js, Go, PyTorch        |
+# | chips   | snnTorch, NeuroBench and NIR, in BUILD_DIR/chips                                                    |
+# | interop | clients of gRPC in other languages, in BUILD_DIR/interop                                            |
+# | release | checks of packages, images, charts and pages: lintian, buildah, and BUILD_DIR/release-tools/venv    |
 set -euo pipefail
 cd "$(dirname "$0")/.."
 build_dir=${1:-build}
+shift || true
+all_parts=(server build clang tests chips interop release)
 
-packages=(
-  # toolchain
-  g++ make cmake ninja-build ccache git clang libclang-rt-14-dev clang-format clang-tidy pkg-config
-  # server, client, core
+packages_server=(
+  g++ make cmake ninja-build ccache git pkg-config ca-certificates
   libgrpc++-dev protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libabsl-dev
-  prometheus-cpp-dev libboost1.74-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
-  libeigen3-dev libnghttp2-dev liblmdb-dev libhiredis-dev dpkg-dev file
-  # the Python engine
-  python3-dev
-  # training only
-  libtorch-dev libopenblas-dev libhdf5-dev
-  # tests, demo
-  libgtest-dev libgmock-dev prometheus redis-server spin iproute2 ca-certificates curl python3 python3-venv chromium chromium-driver
-  mandoc zsh fish user-mode-linux e2fsprogs
-  # tests of exported populations: Debian's PyTorch, which has no CUDA
-  python3-torch
-  # interop: clients in other languages, and proxies
-  golang-go haproxy nghttp2-client nginx
+  prometheus-cpp-dev libboost-dev libspdlog-dev libhwy-dev nlohmann-json3-dev zlib1g-dev libcli11-dev
+  libeigen3-dev libnghttp2-dev liblmdb-dev libhiredis-dev
+  curl  # deploy/demo.sh reads the metrics
 )
+packages_build=(
+  libgtest-dev libgmock-dev python3 python3-dev python3-venv
+  libtorch-dev libopenblas-dev libhdf5-dev  # training
+  dpkg-dev file  # packages
+)
+packages_clang=(clang libclang-rt-dev clang-format clang-tidy)
+packages_tests=(
+  prometheus redis-server haproxy nghttp2-client nginx chromium chromium-driver golang-go
+  mandoc zsh fish lmdb-utils user-mode-linux e2fsprogs iproute2 spin
+)
+packages_chips=(python3-torch)  # Debian's PyTorch, which has no CUDA
+packages_interop=(golang-go)
+packages_release=(lintian debootstrap buildah uidmap qemu-user-static etcd-server golang-go)
 # Other sources of Node.js bring npm along, and conflict with Debian's.
-command -v npm >/dev/null || packages+=(nodejs npm)
+command -v npm >/dev/null || packages_interop+=(nodejs npm)
 
-missing=()
-for package in "${packages[@]}"; do
-  dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q '^install ok installed$' || missing+=("$package")
-done
-if ((${#missing[@]})); then
+# Installs the Debian packages "$@" that are missing.
+install_packages() {
+  local package missing=()
+  for package in "$@"; do
+    dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q '^install ok installed$' || missing+=("$package")
+  done
+  ((${#missing[@]})) || return 0
   echo "setup: installing ${missing[*]}"
   export DEBIAN_FRONTEND=noninteractive
   apt-get update -qq
   # The tests need the programs prometheus, redis-server, haproxy and nginx. This policy keeps the packages from
   # starting services.
-  printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
   if [[ ! -e /usr/sbin/policy-rc.d ]]; then
+    printf '#!/bin/sh\nexit 101\n' >/tmp/policy-rc.d.$$
     install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d
+    rm -f /tmp/policy-rc.d.$$
     trap 'rm -f /usr/sbin/policy-rc.d' EXIT
   fi
-  rm -f /tmp/policy-rc.d.$$
   apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
-fi
+}
 
-requirements=tests/python/requirements.txt
-venv=$build_dir/venv
-if ! cmp -s "$requirements" "$venv/requirements.txt"; then
-  echo "setup: creating the Python environment of the tests in $venv"
+# Creates the Python environment $1 from the requirements $2.
+install_venv() {
+  local venv=$1 requirements=$2
+  cmp -s "$requirements" "$venv/requirements.txt" && return 0
+  echo "setup: creating the Python environment $venv"
   rm -rf "$venv"
-  mkdir -p "$build_dir"
+  mkdir -p "$(dirname "$venv")"
   /usr/bin/python3 -m venv "$venv"
   "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"
   cp "$requirements" "$venv/requirements.txt"
-fi
+}
 
-tests/chips/install.sh "$build_dir"
-tests/interop/install.sh "$build_dir"
+(($#)) || set -- "${all_parts[@]}"
+packages=()
+for part in "$@"; do
+  declare -p "packages_$part" >/dev/null 2>&1 || {
+    echo "setup: part: expected ${all_parts[*]}, received $part" >&2
+    exit 1
+  }
+  declare -n of_part=packages_$part
+  packages+=("${of_part[@]}")
+done
+install_packages "${packages[@]}"
+for part in "$@"; do
+  case $part in
+    build) install_venv "$build_dir/venv" tests/python/requirements.txt ;;
+    chips) tests/chips/install.sh "$build_dir" ;;
+    release) install_venv "$build_dir/release-tools/venv" deploy/release/requirements.txt ;;
+    interop) tests/interop/install.sh "$build_dir" ;;
+  esac
+done

@@ -5,13 +5,18 @@
 #include <google/protobuf/stubs/logging.h>
 #include <malloc.h>
 #include <pthread.h>
+#include <unistd.h>
 
 #include <csignal>
+#include <cstdlib>
 #include <iostream>
+#include <thread>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "core/cli/program.h"
+#include "server/base/log.h"
 #include "server/options.h"
 #include "server/server.h"
 
@@ -33,9 +38,13 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
       .Add("max_bytes_in_flight", "BYTES", &limits->max_bytes_in_flight, "As above, of all")
       .Add("max_connections", "N", &limits->max_connections, "Connections at a time")
       .Add("max_connections_per_address", "N", &limits->max_connections_per_address,
-           "Connections of one client address")
+           "Connections of one IPv4 address or IPv6 /64")
+      .Add("max_connections_per_network", "N", &limits->max_connections_per_network,
+           "Connections of one IPv4 /24 or IPv6 /48")
       .Add("max_idle_strangers", "N", &limits->max_idle_strangers,
            "Connections that have made no call yet")
+      .Add("max_stranger_bytes", "BYTES", &limits->max_stranger_bytes,
+           "Memory of connections and calls without a valid token")
       .Add("first_request_timeout", "DURATION", &limits->first_request_timeout,
            "Time to the first call of a connection")
       .Add("request_timeout", "DURATION", &limits->request_timeout,
@@ -75,6 +84,8 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("session_store", "STORE", &options->store.address,
            "Where sessions survive: memory, file:DIR or redis://HOST");
   program.Flags("Advanced: policies and sessions")
+      .AddSwitch("allow_unrecorded_changes", &options->allow_unrecorded_changes,
+                 "Let operators change things while --audit_log cannot be written")
       .AddSwitch("allow_no_policies", &options->allow_no_policies,
                  "Start although no policy can be served")
       .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,
@@ -93,7 +104,11 @@ void AddFlags(Command program, ServerOptions* options) {
            "Distance from the training data that counts as unusual; 0: none")
       .Add("durability", EnumKind<Durability>(), &options->durability,
            "Durability of stored sessions that name none")
+      .Add("store_user", "NAME", &options->store.user,
+           "User of Redis; empty: as the address says, or the default user")
       .Add("store_password_file", "FILE", &options->store.password_file, "Password of Redis")
+      .Add("store_timeout", "DURATION", &options->store.timeout,
+           "Time that Redis may take to answer")
       .Add("store_ca", "FILE", &options->store.tls_files.ca,
            "PEM authorities of Redis over TLS; empty: those of the system")
       .Add("store_certificate", "FILE", &options->store.tls_files.certificate,
@@ -101,6 +116,8 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("store_key", "FILE", &options->store.tls_files.key, "PEM private key of the former")
       .Add("store_replicas", "N", &options->store.replicas,
            "Replicas of Redis that must have a record before it counts")
+      .AddSwitch("store_may_evict", &options->store.may_evict,
+                 "Allow SYNC although Redis removes sessions when its memory is full")
       .Add("store_retention", "DURATION", &options->store.retention,
            "Time that the store keeps an unused session");
   program.Flags("Security")
@@ -113,6 +130,49 @@ void AddFlags(Command program, ServerOptions* options) {
       .AddSwitch("insecure_network", &options->insecure_network,
                  "Serve a network without TLS or without tokens");
 }
+
+// Receives SIGTERM and SIGINT on a thread of its own. Before Started(), when nothing is served yet
+// and the start may wait for a store that says nothing, they end the process at once.
+class StopSignals {
+ public:
+  // Blocks the signals. Call it before there are other threads, which inherit this.
+  StopSignals() {
+    sigemptyset(&signals_);
+    sigaddset(&signals_, SIGTERM);
+    sigaddset(&signals_, SIGINT);
+    pthread_sigmask(SIG_BLOCK, &signals_, nullptr);
+    std::thread([this] {
+      Receive();
+    }).detach();  // a thread that waits for a signal cannot be ended
+  }
+
+  void Started() {
+    absl::MutexLock lock(&mutex_);
+    started_ = true;
+  }
+  // Returns after a signal.
+  void Wait() {
+    absl::MutexLock lock(&mutex_);
+    mutex_.Await(absl::Condition(&received_));
+  }
+
+ private:
+  void Receive() {
+    int signal = 0;
+    sigwait(&signals_, &signal);
+    absl::MutexLock lock(&mutex_);
+    if (!started_) {
+      LogInfo("stopped before it served");
+      _exit(EXIT_SUCCESS);
+    }
+    received_ = true;
+  }
+
+  sigset_t signals_;
+  absl::Mutex mutex_;
+  bool started_ ABSL_GUARDED_BY(mutex_) = false;
+  bool received_ ABSL_GUARDED_BY(mutex_) = false;
+};
 
 // Serves until SIGTERM or SIGINT.
 absl::Status Serve(const ServerOptions& options) {
@@ -130,12 +190,7 @@ absl::Status Serve(const ServerOptions& options) {
   // OpenSSL writes to sockets without MSG_NOSIGNAL; a client that left must not end the server.
   std::signal(SIGPIPE, SIG_IGN);
 
-  // Blocks the signals before there are threads, which inherit this; only sigwait receives them.
-  sigset_t stop_signals;
-  sigemptyset(&stop_signals);
-  sigaddset(&stop_signals, SIGTERM);
-  sigaddset(&stop_signals, SIGINT);
-  pthread_sigmask(SIG_BLOCK, &stop_signals, nullptr);
+  static StopSignals& stop_signals = *new StopSignals;  // its thread uses it until the process ends
 
   // A file that exceeds the limit of the process is an error of the call that wrote it.
   signal(SIGXFSZ, SIG_IGN);
@@ -143,12 +198,12 @@ absl::Status Serve(const ServerOptions& options) {
   SetLogFormat(options.log_format);
   const auto server = Server::Start(options);
   if (!server.ok()) return server.status();
+  stop_signals.Started();
   std::cout << "spikeserve: serving gRPC on " << (*server)->grpc_address() << std::endl;
   if (!options.http_listen.empty()) {
     std::cout << "spikeserve: serving HTTP on " << (*server)->http_address() << std::endl;
   }
-  int signal = 0;
-  sigwait(&stop_signals, &signal);
+  stop_signals.Wait();
   (*server)->Stop();
   return absl::OkStatus();
 }
@@ -161,6 +216,9 @@ int main(int argc, char** argv) {
   spikeserve::Program program("spikeserve",
                               "Serves Spiking Decision Transformers to agents over gRPC");
   spikeserve::AddFlags(program.root(), &options);
+  for (const char* of_clients : {"SPIKESERVE_TOKEN", "SPIKESERVE_SERVER"}) {
+    program.AllowVariable(of_clients);
+  }
   program.root().SetAction([&options] { return spikeserve::Serve(options); });
   return program.Run(argc, argv);
 }

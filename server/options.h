@@ -30,10 +30,11 @@ struct ServerOptions {
   absl::Duration poll_policies;  // interval of looking for changed policies; 0: on request only
   DefaultRule default_version = DefaultRule::kStay;  // unless an operator sets it
   bool allow_no_policies = false;                    // start although nothing can be served
-  std::string policy_settings;  // file that keeps what operators set; empty: not kept
-  std::string audit_log;        // file that keeps what operators did; empty: not kept
-  std::string trusted_keys;     // file of public keys, see PolicySignatures; empty: none is needed
-  std::string signing_key;      // file of the private key of promoted versions; empty: none
+  std::string policy_settings;            // file that keeps what operators set; empty: not kept
+  std::string audit_log;                  // file that keeps what operators did; empty: not kept
+  bool allow_unrecorded_changes = false;  // of operators, if audit_log cannot be written
+  std::string trusted_keys;  // file of public keys, see PolicySignatures; empty: none is needed
+  std::string signing_key;   // file of the private key of promoted versions; empty: none
 
   absl::Duration session_ttl = absl::Minutes(10);    // idle time that ends a session
   absl::Duration compact_after = absl::Seconds(10);  // idle time that shrinks one to its history

@@ -13,9 +13,11 @@
 #include "core/base/status.h"
 #include "server/admin/head_metrics.h"
 #include "server/base/log.h"
+#include "server/certificate_metrics.h"
 #include "server/rollouts/traffic_metrics.h"
 #include "server/services/service_name.h"
 #include "server/store/open_store.h"
+#include "server/transport/connection_metrics.h"
 
 namespace spikeserve {
 namespace {
@@ -25,9 +27,12 @@ namespace {
 // a call can end it with a code that they do not retry.
 constexpr absl::Duration kDrainNotice = absl::Milliseconds(250);
 
-// Calls that take long, such as Explain, run one at a time on one worker; the calls of operators,
-// some of which read and write files, on another. This many calls may wait for each worker.
+// Explanations, the lists of agents, and the calls of operators, some of which read and write
+// files, run one at a time on a worker each. So many calls of a tenant may wait for it: few that
+// take long, and many lists, which are short and come in bursts.
 constexpr size_t kLongCallsWaiting = 16;
+constexpr size_t kListsWaiting = 4096;
+constexpr size_t kOperatorCallsWaiting = 16;
 
 // The interval at which the tokens file is read again.
 constexpr absl::Duration kTokensInterval = absl::Seconds(1);
@@ -139,12 +144,14 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   auto server = std::unique_ptr<Server>(
       new Server(options, *std::move(authenticator), *std::move(registry), *std::move(audit_log),
                  std::move(metrics), std::move(recordings), *std::move(store)));
+  if (server->journals_ != nullptr) server->journals_->Keep(&server->store_);
   if (server->shared_ != nullptr) {
     server->FollowReplicas();
     if (server->registry_->has_joined()) server->heads_->WaitToJoin(kJoinTimeout);
   }
   if (auto status = server->StartTransport(); !status.ok()) return status;
   if (auto status = server->StartHttp(); !status.ok()) return status;
+  if (server->certificates_.is_used()) server->certificates_.Start();
   if (options.poll_policies > absl::ZeroDuration()) {
     server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
                                                      report.refused);
@@ -187,7 +194,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                                                         recordings_.get())),
       handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get(),
                {.journals = journals_.get(), .level = options.durability}),
-      audit_(audit_log_.get(), registry_.get(), &store_),
+      audit_(audit_log_.get(), registry_.get(), &store_, options.allow_unrecorded_changes),
       rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
                 [this](const RolloutManager::Change& change) { audit_.Record(change); }),
       rollout_handler_(registry_.get(), &rollouts_),
@@ -207,10 +214,12 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .inference = &inference_handler_,
                  .health = &health_,
                  .worker = &worker_,
+                 .list_worker = &list_worker_,
                  .admin_worker = &admin_worker_,
                  .reflection_v1alpha = options.reflection_v1alpha}),
       worker_(kLongCallsWaiting),
-      admin_worker_(kLongCallsWaiting),
+      list_worker_(kListsWaiting),
+      admin_worker_(kOperatorCallsWaiting),
       head_handler_(registry_.get(), &store_),
       inference_handler_(registry_.get(), &store_, &handler_, &clock_, options.session_ttl),
       history_([this] { return metrics_->Collect(); }, &clock_),
@@ -230,10 +239,12 @@ absl::Status Server::StartTransport() {
   auto address = ParseAddressOrUnix("--listen", options_.listen);
   if (!address.ok()) return address.status();
   if (options_.tls.enabled()) {
-    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp2, &clock_);
+    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp2);
     if (!tls.ok()) return tls.status();
     tls_ = *std::move(tls);
+    certificates_.Add(tls_.get());
   }
+  metrics_->AddSource([this] { return CollectCertificates(certificates_); });
   auto transport = Transport::Create(
       {.listen = *std::move(address),
        .limits = options_.transport_limits,
@@ -242,6 +253,7 @@ absl::Status Server::StartTransport() {
        .clock = &clock_});
   if (!transport.ok()) return transport.status();
   transport_ = *std::move(transport);
+  metrics_->AddSource([this] { return CollectConnections(*transport_); });
   grpc_address_ = transport_->address();
   PublishHealth();
   services_.Attach(transport_.get());
@@ -250,7 +262,7 @@ absl::Status Server::StartTransport() {
 }
 
 void Server::TrimMemory() {
-  const int64_t closed = transport_->connections().closed();
+  const int64_t closed = transport_->connections().counts().closed;
   const bool many_closed = closed - std::exchange(trimmed_at_, closed) >= kConnectionsToTrim;
   // What was given back still counts as free, so only what was freed since then matters.
   const size_t free_bytes = mallinfo2().fordblks;
@@ -313,9 +325,10 @@ absl::Status Server::StartHttp() {
   // With tokens such a page learns nothing, because it has none.
   const bool local_names_only = address->is_loopback() && options_.tokens.empty();
   if (options_.tls.enabled()) {
-    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp1, &clock_);
+    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp1);
     if (!tls.ok()) return tls.status();
     http_tls_ = *std::move(tls);
+    certificates_.Add(http_tls_.get());
   }
   auto http = HttpServer::Start({.listen = *address,
                                  .tls = http_tls_.get(),
@@ -344,6 +357,7 @@ void Server::Stop() {
   token_reloader_.reset();
   memory_trimmer_.reset();
   if (transport_ != nullptr) StopTransport();
+  if (journals_ != nullptr) journals_->Stop(absl::ZeroDuration());  // it uses the sessions
   http_.reset();
 }
 

@@ -12,6 +12,7 @@
 #include "core/session/session_reaper.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/access/certificate_watch.h"
 #include "server/access/tls_context.h"
 #include "server/admin/admin_handler.h"
 #include "server/admin/audit.h"
@@ -117,6 +118,7 @@ class Server {
   Services services_;
   std::unique_ptr<Transport> transport_;
   BackgroundWorker worker_;
+  BackgroundWorker list_worker_;
   BackgroundWorker admin_worker_;
   const HeadHandler head_handler_;
   InferenceHandler inference_handler_;
@@ -132,6 +134,7 @@ class Server {
   Address grpc_address_;
   std::unique_ptr<TlsContext> http_tls_;  // null without TLS
   std::unique_ptr<HttpServer> http_;
+  CertificateWatch certificates_;  // of both ports; its thread uses them
   // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;
   std::unique_ptr<Periodic> rollout_ticker_;

@@ -121,7 +121,7 @@ void AddEvalCommand(Program& program) {
       .AddList("target_returns", "RETURN,...", &flags->target_returns,
                "Target returns; default: that of the policy")
       .AddList("ablate", "PART,...", &flags->ablate,
-               "Parts to switch off: context, attention, phase, routing, return")
+               "Parts to omit: context, changes, attention, phase, routing, return")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   command.SetAction([flags] { return EvaluatePolicy(*flags); });
 }

@@ -29,6 +29,7 @@ int main(int argc, char** argv) {
   spikeserve::AddTrainCommand(program);
   spikeserve::AddQuantizeCommand(program);
   spikeserve::AddEvalCommand(program);
+  spikeserve::AddCompareCommand(program);
   spikeserve::AddNeuroBenchCommand(program);
   spikeserve::AddReportCommand(program);
   return program.Run(argc, argv);

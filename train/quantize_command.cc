@@ -5,13 +5,17 @@
 #include <string>
 #include <system_error>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "core/model/quantize.h"
+#include "core/model/quantize_integer.h"
 #include "train/commands.h"
+#include "train/data/episode_source.h"
+#include "train/evaluation/calibration.h"
 #include "train/evaluation/paired_evaluation.h"
 #include "train/evaluation/training_record.h"
 #include "train/record_flags.h"
@@ -22,6 +26,9 @@ namespace {
 struct QuantizeFlags {
   std::string policy;
   std::string out;
+  Arithmetic to = Arithmetic::kInt8;
+  IntegerOptions integer;         // of --to=integer
+  std::vector<std::string> data;  // its calibration set; empty: episodes that the policy plays
   EvaluationOptions options = {.episodes = 1000, .first_seed = 2'000'000};
   bool json = false;
 };
@@ -32,6 +39,16 @@ absl::Status CheckFlags(const QuantizeFlags& flags) {
   }
   if (flags.out.empty()) {
     return absl::InvalidArgumentError("--out: expected the file to write, received none");
+  }
+  if (flags.to == Arithmetic::kFloat32) {
+    return absl::InvalidArgumentError("--to: expected int8 or integer, received float32");
+  }
+  const bool is_for_integer = flags.integer.mode.has_value() || flags.integer.leak.has_value() ||
+                              flags.integer.attention != Attention::kShiftmax ||
+                              !flags.data.empty();
+  if (is_for_integer && flags.to != Arithmetic::kInteger) {
+    return absl::InvalidArgumentError(
+        "--mode, --leak, --attention, --data: expected with --to=integer, received --to=int8");
   }
   const absl::Status status = flags.options.Validate();
   return status.ok() ? status : NameFlag(status);
@@ -44,6 +61,42 @@ absl::Status MakeDirectoryOf(const std::string& path) {
   if (!error) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrCat("--out: cannot make the directory ", directory.string(), ": ", error.message()));
+}
+
+// Returns the largest input of the calibration set. Without recorded data, these are episodes that
+// the policy plays, where its environment is ours.
+absl::StatusOr<float> Calibrate(const Policy& policy, const std::vector<std::string>& data) {
+  if (data.empty()) {
+    absl::StatusOr<float> largest = LargestPlayedInput(policy);
+    if (!absl::IsNotFound(largest.status())) return largest;
+    return absl::InvalidArgumentError(absl::StrCat("--data: expected recorded episodes of ",
+                                                   policy.environment, ", received none"));
+  }
+  constexpr int64_t kMemory = int64_t{4} << 30;
+  const absl::StatusOr<EpisodeSource> source = EpisodeSource::Open(data, kMemory);
+  if (!source.ok()) return source.status();
+  if (!source->resident()) {
+    return absl::InvalidArgumentError("--data: expected at most 4 GiB of episodes, received more");
+  }
+  absl::StatusOr<float> largest = LargestInput(policy, source->dataset().episodes);
+  if (!largest.ok()) return Annotate(largest.status(), "--data");
+  return largest;
+}
+
+// Converts the policy to the arithmetic of --to.
+absl::StatusOr<Policy> Round(const Policy& policy, const QuantizeFlags& flags) {
+  absl::StatusOr<Policy> rounded = absl::UnknownError("");
+  if (flags.to == Arithmetic::kInteger) {
+    const absl::StatusOr<float> largest = Calibrate(policy, flags.data);
+    if (!largest.ok()) return largest.status();
+    IntegerOptions options = flags.integer;
+    options.largest_input = 2.0f * *largest;  // leaves room for inputs that the set lacks
+    rounded = QuantizeToInteger(policy, options);
+  } else {
+    rounded = Quantize(policy);
+  }
+  if (!rounded.ok()) return Annotate(rounded.status(), flags.policy);
+  return rounded;
 }
 
 // Plays both policies where their environment is ours; nothing otherwise.
@@ -77,8 +130,8 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   if (!parent.ok()) return parent.status();
   const absl::StatusOr<std::string> sha256 = FileSha256(flags.policy);
   if (!sha256.ok()) return sha256.status();
-  absl::StatusOr<Policy> integer = Quantize(*parent);
-  if (!integer.ok()) return Annotate(integer.status(), flags.policy);
+  absl::StatusOr<Policy> integer = Round(*parent, flags);
+  if (!integer.ok()) return integer.status();
   const absl::StatusOr<std::optional<PairedEvaluation>> pair =
       PlayBoth(*parent, *integer, flags.options);
   if (!pair.ok()) return pair.status();
@@ -96,15 +149,24 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
 
 void AddQuantizeCommand(Program& program) {
   const Command command = program.root().AddCommand(
-      "quantize", "Rounds a policy's spike-driven weights to 8-bit integers");
+      "quantize", "Rounds a policy to integers: its spike-driven weights, or everything");
   const auto flags = std::make_shared<QuantizeFlags>();
   command.Flags("Rounding")
       .Add("policy", "FILE", &flags->policy, "Policy file in float32")
-      .Add("out", "FILE", &flags->out, "Policy file to write, in int8")
+      .Add("out", "FILE", &flags->out, "Policy file to write")
+      .Add("to", EnumKind<Arithmetic>(), &flags->to, "Numbers of the new policy")
       .Add("episodes", "N", &flags->options.episodes, "Episodes that both policies play")
       .Add("seed", "N", &flags->options.first_seed,
            "Seed of the first start; later episodes count on")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
+  command.Flags("Integer arithmetic (--to=integer)")
+      .Add("mode", EnumKind<Mode>(), &flags->integer.mode,
+           "Leaves out the parts that this mode lacks; default: none")
+      .Add("attention", EnumKind<Attention>(), &flags->integer.attention, "Weights of the keys")
+      .Add("leak", EnumKind<Leak>(), &flags->integer.leak,
+           "Leak of membranes; default: as the policy")
+      .AddList("data", "FILE,...", &flags->data,
+               "Calibration set; default: 20 episodes that the policy plays");
   command.SetAction([flags, &program] { return QuantizePolicy(*flags, program.CommandLine()); });
 }
 

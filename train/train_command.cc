@@ -33,6 +33,8 @@ absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
     if (!status.ok()) return status;
   }
   if (!flags.seeds.empty()) return TrainSeeds(flags, command_line);
+  // Before it records data.
+  if (auto status = CheckOut(flags); !status.ok()) return status;
   const absl::StatusOr<EpisodeSource> source = MakeSource(flags);
   if (!source.ok()) return source.status();
   const absl::StatusOr<TrainedPolicy> trained = TrainPolicy(flags, *source, command_line);
@@ -56,11 +58,14 @@ void AddFlags(Command command, TrainFlags* flags) {
       .AddList("seeds", "N,...", &flags->seeds,
                "Train with each of these seeds; keep the best policy")
       .AddSwitch("resume", &flags->resume, "Continue from the checkpoint in --out, if there is one")
+      .AddSwitch("overwrite", &flags->overwrite, "Replace the policy and the checkpoint in --out")
       .Add("checkpoint_every", "N", &flags->checkpoint_every, "Iterations between checkpoints")
       .Add("validate_every", "N", &flags->validate_every, "Iterations between validations")
       .Add("episodes", "N", &flags->episodes, "Episodes of the evaluation at the end")
       .Add("target_return", "RETURN", &flags->target_return,
            "Return that the policy is asked for; default: by environment or data")
+      .AddSwitch("no_baselines", &flags->no_baselines,
+                 "Fit no lines and perceptrons to compare the policy with")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   FlagGroup shape = command.Flags("Shape");
   AddModeFlag(shape, &flags->shape);
@@ -68,6 +73,8 @@ void AddFlags(Command command, TrainFlags* flags) {
   shape
       .Add("arithmetic", EnumKind<Arithmetic>(), &flags->trainer.options.arithmetic,
            "Numbers of the spike-driven parts")
+      .Add("observation_changes", "true|false", &flags->shape.observation_changes,
+           "State tokens contain the change, too; default: by the data")
       .Add("lookback", "K", &flags->lookback,
            "Attention starts at the timestep K steps back; default: undirected")
       .AddList("image_shape", "H,W,C", &flags->image_shape, "Shape of observations that are images")

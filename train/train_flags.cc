@@ -23,6 +23,7 @@ void ForEachFlag(const ShapeFlags& flags, ModelConfig& config, const Visit& visi
   visit("phase_clock", flags.phase_clock, config.phase_clock);
   visit("merge", flags.merge, config.merge);
   visit("gate", flags.gate, config.gate);
+  visit("observation_changes", flags.observation_changes, config.observation_changes);
 }
 
 // Adds a flag whose default is the value of `paper`, or with --init that of the initial policy.

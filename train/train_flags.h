@@ -26,6 +26,7 @@ struct ShapeFlags {
   std::optional<PhaseClock> phase_clock;
   std::optional<Merge> merge;
   std::optional<Gate> gate;
+  std::optional<bool> observation_changes;
 };
 
 struct TrainerFlags {

@@ -9,10 +9,13 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_split.h"
+#include "core/base/file.h"
 #include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "core/model/quantize.h"
+#include "train/baselines/comparison.h"
 #include "train/data/minari_layout.h"
 #include "train/data/minari_reader.h"
 #include "train/evaluation/evaluation.h"
@@ -34,11 +37,41 @@ absl::Status MakeDirectory(const std::string& path) {
       absl::StrCat("--out: cannot make the directory ", path, ": ", error.message()));
 }
 
+// Writes the losses of a run to OUT/learning_curve.csv. A run that continues keeps the rows up to
+// its checkpoint.
+class LearningCurve {
+ public:
+  LearningCurve(const TrainFlags& flags, int iteration)
+      : path_(flags.out + "/learning_curve.csv"), text_(kHeader) {
+    if (iteration == 0) return;
+    const absl::StatusOr<std::string> earlier = ReadFile(path_);
+    if (!earlier.ok()) return;
+    for (const absl::string_view row : absl::StrSplit(*earlier, '\n', absl::SkipEmpty())) {
+      int of_row = 0;
+      const std::pair<absl::string_view, absl::string_view> cells =
+          absl::StrSplit(row, absl::MaxSplits(',', 1));
+      if (!absl::SimpleAtoi(cells.first, &of_row) || of_row > iteration) continue;
+      absl::StrAppend(&text_, row, "\n");
+    }
+  }
+
+  absl::Status Add(int iteration, double loss, double validation) {
+    absl::StrAppendFormat(&text_, "%d,%.6g,%.6g\n", iteration, loss, validation);
+    return WriteFileAtomically(path_, {text_});
+  }
+
+ private:
+  static constexpr char kHeader[] = "iteration,loss,validation_loss\n";
+  const std::string path_;
+  std::string text_;
+};
+
 // Trains to the end. Returns the last validation loss, or -1 without validation data.
 absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
                                   Trainer* trainer) {
   constexpr double kForget = 0.05;  // weight of the newest loss in the running mean that is shown
   ProgressBar progress(flags.trainer.options.iterations, trainer->iteration());
+  LearningCurve curve(flags, trainer->iteration());
   double shown_loss = -1.0;
   double validation = -1.0;
   while (!trainer->done()) {
@@ -56,6 +89,7 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     const bool last = trainer->done();
     if (trainer->has_validation() && (last || iteration % flags.validate_every == 0)) {
       validation = trainer->ValidationLoss();
+      if (auto status = curve.Add(iteration, shown_loss, validation); !status.ok()) return status;
     }
     if (last || iteration % flags.checkpoint_every == 0) {
       if (auto status = trainer->SaveCheckpoint(checkpoint); !status.ok()) return status;
@@ -116,10 +150,29 @@ std::string TrainingRecord(const std::string& command_line, const nlohmann::orde
   return record.dump();
 }
 
+// Returns the value of --observation_changes for a new policy: that of the flag, or by the data.
+absl::StatusOr<bool> ChangesOf(const TrainFlags& flags, const EpisodeSource& source,
+                               const PatchShape& patches) {
+  const std::optional<bool> flag = flags.shape.observation_changes;
+  if (patches.used() && flag.value_or(false)) {
+    return absl::InvalidArgumentError(
+        "--observation_changes: expected false beside --patch_size, received true");
+  }
+  if (flag.has_value()) return *flag;
+  if (patches.used() || source.dataset().observation_size > kMostBaselineInputs) return false;
+  const absl::StatusOr<BaselineData> data =
+      ReadBaselineData(source, flags.trainer.options.validation);
+  if (!data.ok()) return data.status();
+  return NeedsChanges(source.dataset().action_space, data->training);
+}
+
 absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                  const PatchShape& patches) {
   ModelConfig config;
   if (auto status = SetShape(flags.shape, &config); !status.ok()) return status;
+  const absl::StatusOr<bool> changes = ChangesOf(flags, source, patches);
+  if (!changes.ok()) return changes.status();
+  config.observation_changes = *changes;
   Policy policy = InitialPolicy(config, source, flags.trainer.options.seed, patches);
   if (flags.return_offset.has_value()) {
     policy.return_offset = static_cast<float>(*flags.return_offset);
@@ -141,7 +194,9 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& e
   absl::StatusOr<Policy> policy = ReadPolicyFile(flags.init);
   if (!policy.ok()) return policy.status();
   if (policy->config.arithmetic != Arithmetic::kFloat32) {
-    return absl::InvalidArgumentError("--init: expected a policy in float32, received one in int8");
+    return absl::InvalidArgumentError(
+        absl::StrCat("--init: expected a policy in float32, received one in ",
+                     std::string(ToString(policy->config.arithmetic))));
   }
   if (auto status = CheckShape(flags.shape, policy->config); !status.ok()) return status;
   if (flags.lookback.has_value()) {
@@ -170,6 +225,11 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeS
   if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
     return absl::InvalidArgumentError(
         absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
+  }
+  if (flags.trainer.options.arithmetic == Arithmetic::kInteger) {
+    return absl::InvalidArgumentError(
+        "--arithmetic: expected float32 or int8, received integer; `spiketrain quantize "
+        "--to=integer` converts a trained policy");
   }
   absl::StatusOr<Policy> policy = flags.init.empty()
                                       ? NewPolicy(flags, source, patches)
@@ -204,6 +264,31 @@ absl::StatusOr<PatchShape> PatchesOf(const TrainFlags& flags, int observation_si
   return shape;
 }
 
+// Compares the policy with baselines on the same data and starts, and writes them to --out. Returns
+// nothing with --no_baselines, and for observations that are too large.
+absl::StatusOr<std::optional<BaselineComparison>> CompareIfPossible(
+    const TrainFlags& flags, const EpisodeSource& source, const Policy& policy,
+    const std::optional<Evaluation>& evaluation) {
+  if (flags.no_baselines || policy.observation_size() > kMostBaselineInputs) {
+    return std::optional<BaselineComparison>();
+  }
+  const TrainOptions& options = flags.trainer.options;
+  const absl::StatusOr<BaselineData> data = ReadBaselineData(source, options.validation);
+  if (!data.ok()) return data.status();
+  BaselineComparison comparison =
+      CompareWithBaselines(std::make_shared<const Policy>(policy), *data, options.seed);
+  if (evaluation.has_value()) {
+    absl::Status status = PlayBaselines(policy.environment, evaluation->options.first_seed,
+                                        evaluation->returns, &comparison);
+    if (!status.ok()) return status;
+  }
+  const std::string text = ToJson(comparison, /*with_weights=*/true).dump() + "\n";
+  if (auto status = WriteFileAtomically(flags.out + "/baselines.json", {text}); !status.ok()) {
+    return status;
+  }
+  return std::optional<BaselineComparison>(std::move(comparison));
+}
+
 // Evaluates the policy and writes it to --out.
 absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string& command_line,
                                      const nlohmann::ordered_json& sources,
@@ -214,6 +299,9 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
   if (!evaluation.ok()) return evaluation.status();
   policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
                                    *evaluation, policy.config, initial.training);
+  absl::StatusOr<std::optional<BaselineComparison>> comparison =
+      CompareIfPossible(flags, source, policy, *evaluation);
+  if (!comparison.ok()) return comparison.status();
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
   if (auto status = WritePolicyFile(policy, path); !status.ok()) return status;
   const absl::StatusOr<double> spikes_on_data =
@@ -223,11 +311,27 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
                           .target_source = TargetSourceOf(flags, initial),
                           .validation_loss = validation,
                           .evaluation = *evaluation,
-                          .spikes_on_data = *spikes_on_data};
+                          .spikes_on_data = *spikes_on_data,
+                          .comparison = *std::move(comparison)};
   return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
 }
 
 }  // namespace
+
+absl::Status CheckOut(const TrainFlags& flags) {
+  if (flags.overwrite && flags.resume) {
+    return absl::InvalidArgumentError("--overwrite: expected no such flag beside --resume");
+  }
+  if (flags.overwrite) return absl::OkStatus();
+  const std::string checkpoint = flags.out + "/checkpoint.pt";
+  const std::string policy = flags.out + "/policy.safetensors";
+  const bool has_checkpoint = std::filesystem::exists(checkpoint);
+  if (has_checkpoint && flags.resume) return absl::OkStatus();
+  if (!has_checkpoint && !std::filesystem::exists(policy)) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "--out: expected another directory, ", has_checkpoint ? "--resume to continue the run, " : "",
+      "or --overwrite to replace it, received one with ", has_checkpoint ? checkpoint : policy));
+}
 
 // Reads the files of --data, or without that flag records data with the default recipe.
 absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags) {
@@ -259,6 +363,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   const absl::StatusOr<PatchShape> patches = PatchesOf(flags, source.dataset().observation_size);
   if (!patches.ok()) return patches.status();
   options->patches = *patches;
+  if (auto status = CheckOut(flags); !status.ok()) return status;
   if (auto status = MakeDirectory(flags.out); !status.ok()) return status;
   const absl::StatusOr<Policy> initial = MakeInitialPolicy(flags, source, options->patches);
   if (!initial.ok()) return initial.status();

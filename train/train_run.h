@@ -35,12 +35,18 @@ struct TrainFlags {
   TrainerFlags trainer;
   std::vector<std::string> seeds;  // of several trainings; none: one training
   RecordFlags record;
-  int episodes = 100;  // of the evaluation at the end
+  int episodes = 100;         // of the evaluation at the end
+  bool no_baselines = false;  // do not compare the policy with baselines
   bool resume = false;
+  bool overwrite = false;
   int checkpoint_every = 100;
   int validate_every = 50;
   bool json = false;
 };
+
+// Refuses to replace a policy or a checkpoint in --out without --overwrite. With --resume, a run
+// continues from its checkpoint.
+absl::Status CheckOut(const TrainFlags& flags);
 
 // Reads the files of --data, or without that flag records data with the default recipe into --out.
 absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags);

@@ -36,8 +36,11 @@ std::string ShapeText(const Policy& policy) {
       policy.observation_size(), space.size(), space.is_discrete() ? "actions" : "action elements",
       ToString(config.mode), config.hidden_size, config.heads, config.layers, config.context,
       config.ticks);
-  if (config.arithmetic == Arithmetic::kFloat32) return shape;
-  return absl::StrCat(shape, ", arithmetic ", std::string(ToString(config.arithmetic)));
+  return absl::StrCat(
+      shape, config.observation_changes ? ", observation changes" : "",
+      config.arithmetic == Arithmetic::kFloat32
+          ? ""
+          : absl::StrCat(", arithmetic ", std::string(ToString(config.arithmetic))));
 }
 
 // Returns how to play a policy in closed loop whose environment is not one of this program.
@@ -83,6 +86,7 @@ std::string ToText(const TrainSummary& summary, const Policy& policy) {
   if (summary.validation_loss >= 0.0) {
     absl::StrAppendFormat(&text, "validation loss: %.4f\n", summary.validation_loss);
   }
+  if (summary.comparison.has_value()) text += ToText(*summary.comparison);
   if (summary.evaluation.has_value()) {
     return absl::StrCat(text, "closed-loop play: ", ToText(*summary.evaluation, policy.config));
   }
@@ -100,6 +104,9 @@ nlohmann::ordered_json ToJson(const TrainSummary& summary, const Policy& policy)
   json["target_return"] = policy.target_return;
   json["target_return_source"] = std::string(ToString(summary.target_source));
   if (summary.validation_loss >= 0.0) json["validation_loss"] = summary.validation_loss;
+  if (summary.comparison.has_value()) {
+    json["baselines"] = ToJson(*summary.comparison, /*with_weights=*/false);
+  }
   json["closed_loop_play"] = summary.evaluation.has_value() ? "played" : "skipped";
   if (!summary.evaluation.has_value()) json["spikes_per_decision"] = summary.spikes_on_data;
   return json;

@@ -12,6 +12,7 @@
 #include "core/base/enum_names.h"
 #include "core/model/policy.h"
 #include "nlohmann/json.hpp"
+#include "train/baselines/comparison.h"
 #include "train/data/episode_source.h"
 #include "train/evaluation/evaluation.h"
 
@@ -33,6 +34,8 @@ struct TrainSummary {
   double validation_loss;                // below 0: no episodes were held out
   std::optional<Evaluation> evaluation;  // absent: the environment cannot be played here
   double spikes_on_data;                 // per decision; see SpikesOnData
+  // Absent with --no_baselines, and for observations that are too large.
+  std::optional<BaselineComparison> comparison;
 };
 
 // Returns the spikes per decision of a policy that is shown the observations and rewards of the

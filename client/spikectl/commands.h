@@ -14,6 +14,9 @@ namespace spikeserve {
 // Lists all policy versions that the server serves.
 void AddPoliciesCommand(Command program, const ServerFlags& server);
 
+// Asks the server whether it is ready for sessions. Containers use it as their health check.
+void AddHealthCommand(Command program, const ServerFlags& server);
+
 // Plays episodes of an environment in this process with the decisions of the server.
 void AddRunCommand(Command program, const ServerFlags& server);
 

@@ -13,6 +13,7 @@ int main(int argc, char** argv) {
   const spikeserve::Command root = program.root();
   spikeserve::AddServerFlags(root, &server);
   spikeserve::AddPoliciesCommand(root, server);
+  spikeserve::AddHealthCommand(root, server);
   spikeserve::AddRunCommand(root, server);
   spikeserve::AddExplainCommand(root, server);
   spikeserve::AddAdaptCommand(root, server);

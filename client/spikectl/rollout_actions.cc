@@ -74,10 +74,14 @@ std::string StateText(const v1::Rollout& rollout) {
 }
 
 std::string ToText(const v1::VersionEvidence& evidence) {
+  const std::string implausible =
+      evidence.implausible_episodes() == 0
+          ? ""
+          : absl::StrCat(" (and ", evidence.implausible_episodes(), " implausible ones)");
   return absl::StrFormat(
-      "%d sessions (%d with errors), %d episodes of mean return %.4g, p99 %.3g ms",
+      "%d sessions (%d with errors), %d episodes of mean return %.4g%s, p99 %.3g ms",
       evidence.sessions(), evidence.failed_sessions(), evidence.episodes(), evidence.mean_return(),
-      1e3 * evidence.p99_seconds());
+      implausible, 1e3 * evidence.p99_seconds());
 }
 
 std::string ToText(const v1::Rollout& rollout) {
@@ -95,7 +99,8 @@ ordered_json ToJson(const v1::VersionEvidence& evidence) {
           {"mean_return", evidence.mean_return()},
           {"return_deviation", evidence.return_deviation()},
           {"decisions", evidence.decisions()},
-          {"p99_seconds", evidence.p99_seconds()}};
+          {"p99_seconds", evidence.p99_seconds()},
+          {"implausible_episodes", evidence.implausible_episodes()}};
 }
 
 ordered_json ToJson(const v1::Rollout& rollout) {
@@ -116,6 +121,7 @@ ordered_json ToJson(const v1::Rollout& rollout) {
           {"min_episodes", rollout.min_episodes()},
           {"abort_if", conditions},
           {"reason", rollout.reason()},
+          {"disputed", rollout.disputed()},
           {"started", rollout.started()},
           {"step_started", rollout.step_started()},
           {"ended", rollout.ended()},

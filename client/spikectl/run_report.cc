@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -62,6 +63,7 @@ std::string RunTableLine(uint64_t seed, const EpisodeRecord& episode) {
 }
 
 std::string RunSummary(const std::vector<EpisodeRecord>& episodes) {
+  SPIKESERVE_DCHECK(!episodes.empty());
   const EpisodeRecord sum = Sum(episodes);
   std::string text = absl::StrFormat(
       "mean return %.1f +- %.1f over %d episodes, %d decisions\n%.1f spikes per decision\n"
@@ -80,6 +82,7 @@ std::string RunSummary(const std::vector<EpisodeRecord>& episodes) {
 }
 
 nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes) {
+  SPIKESERVE_DCHECK(!episodes.empty());
   const EpisodeRecord sum = Sum(episodes);
   auto list = nlohmann::ordered_json::array();
   for (const EpisodeRecord& episode : episodes) {

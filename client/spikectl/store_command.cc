@@ -26,7 +26,9 @@ constexpr size_t kMostFindings = 20;
 
 struct StoreFlags {
   std::string address;
+  std::string user;
   std::string password_file;
+  absl::Duration timeout = kDefaultRedisTimeout;
   RedisTlsFiles tls_files;
 };
 
@@ -35,12 +37,15 @@ absl::StatusOr<StoreReport> Check(const StoreFlags& flags) {
   if (absl::ConsumePrefix(&folder, "file:") && !folder.empty()) {
     return CheckFileStore(std::string(folder));
   }
+  if (auto status = CheckNoRedisPassword(flags.address); !status.ok()) return status;
   auto address = ParseRedisAddress(flags.address);
   if (!address.has_value()) {
     return absl::InvalidArgumentError(absl::StrCat("expected file:DIR, ", kRedisAddressForms,
                                                    ", received ", Quoted(flags.address)));
   }
-  RedisOptions options = {.address = *std::move(address), .tls_files = flags.tls_files};
+  RedisOptions options = {
+      .address = *std::move(address), .timeout = flags.timeout, .tls_files = flags.tls_files};
+  if (!flags.user.empty()) options.address.user = flags.user;
   if (!flags.password_file.empty()) {
     const auto password = ReadFile(flags.password_file);
     if (!password.ok()) return Annotate(password.status(), "--store_password_file");
@@ -66,7 +71,8 @@ ordered_json ToJson(const StoreReport& report) {
           {"bytes", report.bytes},
           {"replicas", report.replicas},
           {"damaged", ToJson(report.damaged)},
-          {"orphaned", ToJson(report.orphaned)}};
+          {"orphaned", ToJson(report.orphaned)},
+          {"warnings", report.warnings}};
 }
 
 void AppendFindings(const char* kind, const std::vector<StoreFinding>& findings,
@@ -89,6 +95,7 @@ std::string ToText(const StoreReport& report) {
   }
   AppendFindings("damaged", report.damaged, &text);
   AppendFindings("orphaned", report.orphaned, &text);
+  for (const std::string& warning : report.warnings) absl::StrAppend(&text, "\nwarning: ", warning);
   return text;
 }
 
@@ -96,9 +103,10 @@ absl::Status RunCheck(const StoreFlags& flags, bool json) {
   const auto report = Check(flags);
   if (!report.ok()) return Annotate(report.status(), "--session_store");
   std::cout << (json ? ToJson(*report).dump(2) : ToText(*report)) << "\n";
-  if (report->damaged.empty()) return absl::OkStatus();
-  return absl::DataLossError(absl::StrCat("session store: expected no damaged session, received ",
-                                          report->damaged.size()));
+  if (report->damaged.empty() && report->orphaned.empty()) return absl::OkStatus();
+  return absl::DataLossError(
+      absl::StrCat("session store: expected no damaged session and no orphaned part, received ",
+                   report->damaged.size(), " and ", report->orphaned.size()));
 }
 
 }  // namespace
@@ -109,7 +117,10 @@ void AddStoreCommands(Command program, const ServerFlags& server) {
   const auto flags = std::make_shared<StoreFlags>();
   check.Flags("Store")
       .Add("session_store", "STORE", &flags->address, "As of the server: file:DIR, redis://HOST")
+      .Add("store_user", "NAME", &flags->user,
+           "User of Redis; empty: as the address says, or the default user")
       .Add("store_password_file", "FILE", &flags->password_file, "Password of Redis")
+      .Add("store_timeout", "DURATION", &flags->timeout, "Time that Redis may take to answer")
       .Add("store_ca", "FILE", &flags->tls_files.ca,
            "PEM authorities of Redis over TLS; empty: those of the system")
       .Add("store_certificate", "FILE", &flags->tls_files.certificate,

@@ -130,7 +130,7 @@ absl::Status RemoteSession::Accept(const v1::ActResponse& response) {
         ", received that to step ", response.step(), " of session ", response.session_id()));
   }
   if (unacknowledged_.has_value()) {
-    unacknowledged_->Add(*decision_, std::move(request_), response);
+    unacknowledged_->Add(*decision_, request_, response);
     request_.Clear();
   }
   ++step_;
@@ -157,7 +157,7 @@ absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOu
       CallUpToDate<v1::EndEpisodeResponse>([&] { return client_->EndEpisode(request, route_); });
   if (response.ok()) {
     if (unacknowledged_.has_value()) {
-      unacknowledged_->Add(*decision_, std::move(request), *response);
+      unacknowledged_->Add(*decision_, request, *response);
     }
     step_ = 0;
     if (episode_.has_value()) ++*episode_;

@@ -13,7 +13,7 @@
 namespace spikeserve {
 namespace {
 
-// The most decisions of one session that a server lets wait for the store.
+// The most decisions of one session that a server lets wait for the store, and that are kept.
 constexpr uint64_t kMostDecisions = 256;
 
 // Returns the bytes of an answer without what may differ between servers and attempts.
@@ -28,13 +28,20 @@ std::string Comparable(v1::EndEpisodeResponse answer) {
   return answer.SerializeAsString();
 }
 
-// Replaces the answer of `exchange` by `answer`. Returns DATA_LOSS if they differ.
-template <typename Exchange, typename Answer>
-absl::Status Take(Answer answer, uint64_t decision, Exchange* exchange) {
-  const bool is_equal = Comparable(exchange->answer) == Comparable(answer);
-  exchange->answer = std::move(answer);
-  if (is_equal) return absl::OkStatus();
-  return DivergedError(exchange->request.session_id(), decision);
+template <typename Message>
+Message Parsed(const std::string& bytes) {
+  Message message;
+  message.ParseFromString(bytes);  // that SerializeAsString() has returned
+  return message;
+}
+
+// Replaces the answer to a request of `session_id` by `answer`. Returns DATA_LOSS if they differ.
+template <typename Answer>
+absl::Status Take(const Answer& answer, const std::string& session_id, uint64_t decision,
+                  std::string* kept) {
+  const bool is_equal = Comparable(Parsed<Answer>(*kept)) == Comparable(answer);
+  *kept = answer.SerializeAsString();
+  return is_equal ? absl::OkStatus() : DivergedError(session_id, decision);
 }
 
 // Returns whether the call that follows says what is still missing after `error`.
@@ -44,17 +51,20 @@ bool IsSaidAgain(const absl::Status& error) {
 
 }  // namespace
 
-void Unacknowledged::Add(uint64_t decision, v1::ActRequest request, v1::ActResponse answer) {
-  const uint64_t durable = answer.durable_decision();
-  answered_.push_back({decision, Act{std::move(request), std::move(answer)}});
-  const uint64_t oldest = decision + 1 > kMostDecisions ? decision + 1 - kMostDecisions : 0;
-  const uint64_t first = std::max(durable, oldest);
-  while (answered_.size() > 1 && answered_.front().decision < first) answered_.pop_front();
+void Unacknowledged::Add(uint64_t decision, const v1::ActRequest& request,
+                         const v1::ActResponse& answer) {
+  Add({decision, /*is_act=*/true, request.SerializeAsString(), answer.SerializeAsString()});
 }
 
-void Unacknowledged::Add(uint64_t decision, v1::EndEpisodeRequest request,
-                         v1::EndEpisodeResponse answer) {
-  answered_.push_back({decision, End{std::move(request), std::move(answer)}});
+void Unacknowledged::Add(uint64_t decision, const v1::EndEpisodeRequest& request,
+                         const v1::EndEpisodeResponse& answer) {
+  Add({decision, /*is_act=*/false, request.SerializeAsString(), answer.SerializeAsString()});
+}
+
+void Unacknowledged::Add(Answered answered) {
+  const uint64_t decision = answered.decision;
+  answered_.push_back(std::move(answered));
+  while (answered_.front().decision + kMostDecisions <= decision) answered_.pop_front();
 }
 
 bool Unacknowledged::Covers(uint64_t decision) const {
@@ -64,19 +74,20 @@ bool Unacknowledged::Covers(uint64_t decision) const {
 
 absl::Status Unacknowledged::SendAgain(uint64_t decision, Client* client,
                                        const std::shared_ptr<Route>& route) {
-  const auto is_act = [](const Answered& answered) { return answered.exchange.index() == 0; };
+  const auto is_act = [](const Answered& answered) { return answered.is_act; };
   auto next = std::find_if(answered_.begin(), answered_.end(),
                            [&](const Answered& a) { return a.decision >= decision; });
   while (next != answered_.end()) {
     absl::Status status;
-    if (is_act(*next)) {
+    if (next->is_act) {
       const auto end = std::find_if_not(next, answered_.end(), is_act);
       status = ActAgain(next, end, client, route);
       next = end;
     } else {
-      End& ending = std::get<End>(next->exchange);
-      auto answer = client->EndEpisode(ending.request, route);
-      status = answer.ok() ? Take(*std::move(answer), next->decision, &ending) : answer.status();
+      const auto request = Parsed<v1::EndEpisodeRequest>(next->request);
+      const auto answer = client->EndEpisode(request, route);
+      status = answer.ok() ? Take(*answer, request.session_id(), next->decision, &next->answer)
+                           : answer.status();
       ++next;
     }
     if (IsSaidAgain(status)) return absl::OkStatus();
@@ -92,14 +103,14 @@ absl::Status Unacknowledged::SendLastAgain(Client* client, const std::shared_ptr
 absl::Status Unacknowledged::ActAgain(Iterator begin, Iterator end, Client* client,
                                       const std::shared_ptr<Route>& route) {
   std::vector<v1::ActRequest> requests;
-  for (auto i = begin; i != end; ++i) requests.push_back(std::get<Act>(i->exchange).request);
+  for (auto i = begin; i != end; ++i) requests.push_back(Parsed<v1::ActRequest>(i->request));
   auto results = client->ActBatch(requests, route);
   if (!results.ok()) return results.status();
   absl::Status diverged;
-  for (auto& result : *results) {
+  for (size_t i = 0; i < results->size(); ++i, ++begin) {
+    const auto& result = (*results)[i];
     if (!result.ok()) return diverged.ok() ? result.status() : diverged;
-    diverged.Update(Take(*std::move(result), begin->decision, &std::get<Act>(begin->exchange)));
-    ++begin;
+    diverged.Update(Take(*result, requests[i].session_id(), begin->decision, &begin->answer));
   }
   return diverged;
 }

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
 #include "core/math/counter_random.h"
 #include "core/math/exp.h"
+#include "core/math/portable.h"
 
 namespace spikeserve {
 namespace {
@@ -44,7 +44,7 @@ int SampleIndex(const std::vector<float>& probabilities, uint64_t random) {
 float Normal(uint64_t random, size_t index) {
   const double u = 1.0 - UniformDouble(RandomBits({random, index, 0}));  // in (0, 1]
   const double v = UniformDouble(RandomBits({random, index, 1}));
-  return static_cast<float>(std::sqrt(-2.0 * std::log(u)) * std::cos(2.0 * std::numbers::pi * v));
+  return static_cast<float>(std::sqrt(-2.0 * portable::Log(u)) * portable::CosOfTurns(v));
 }
 
 }  // namespace

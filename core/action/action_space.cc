@@ -4,11 +4,14 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 
 // Encode and FromUnit compute in double, because high - low can overflow float32.
 void ActionSpace::Encode(const Action& action, absl::Span<float> encoded) const {
+  SPIKESERVE_DCHECK(Contains(action).ok());
+  SPIKESERVE_DCHECK_EQ(encoded.size(), static_cast<size_t>(size()));
   if (is_discrete()) {
     std::fill(encoded.begin(), encoded.end(), 0.0f);
     encoded[action.discrete] = 1.0f;
@@ -22,12 +25,15 @@ void ActionSpace::Encode(const Action& action, absl::Span<float> encoded) const 
 }
 
 std::vector<float> ActionSpace::FromUnit(absl::Span<const float> unit) const {
+  SPIKESERVE_DCHECK(!is_discrete());
+  SPIKESERVE_DCHECK_EQ(unit.size(), low.size());
   std::vector<float> values(low.size());
   for (size_t i = 0; i < low.size(); ++i) values[i] = FromUnit(unit[i], i);
   return values;
 }
 
 float ActionSpace::FromUnit(float unit, size_t i) const {
+  SPIKESERVE_DCHECK_LT(i, low.size());
   const double range = static_cast<double>(high[i]) - low[i];
   const double value = low[i] + 0.5 * (static_cast<double>(unit) + 1.0) * range;
   return static_cast<float>(

@@ -4,13 +4,15 @@
 #include <cstddef>
 #include <string>
 
+#include "absl/strings/ascii.h"
+
 namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
 
 bool IsUtf8(const std::string& text) {
-  if (std::all_of(text.begin(), text.end(), [](char c) { return c >= 0; })) return true;
+  if (std::all_of(text.begin(), text.end(), absl::ascii_isascii)) return true;
   try {
     Json(text).dump();
     return true;

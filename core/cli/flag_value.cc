@@ -48,6 +48,7 @@ absl::Status ParseFlagValue(const std::string& text, absl::Duration* value) {
 }
 
 std::string FlagValueText(const std::string& value) { return value; }
+std::string FlagValueText(bool value) { return value ? "true" : "false"; }
 std::string FlagValueText(int32_t value) { return absl::StrCat(value); }
 std::string FlagValueText(int64_t value) { return absl::StrCat(value); }
 std::string FlagValueText(uint64_t value) { return absl::StrCat(value); }

@@ -41,6 +41,7 @@ absl::Status ParseFlagValue(const std::string& text, std::optional<T>* value) {
 
 // Return the text of a default value; empty if there is no default.
 std::string FlagValueText(const std::string& value);
+std::string FlagValueText(bool value);
 std::string FlagValueText(int32_t value);
 std::string FlagValueText(int64_t value);
 std::string FlagValueText(uint64_t value);

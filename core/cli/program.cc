@@ -15,6 +15,7 @@
 #include "core/cli/command_tree.h"
 #include "core/cli/completion.h"
 #include "core/cli/config_file.h"
+#include "core/cli/environment.h"
 #include "core/cli/help_format.h"
 #include "core/cli/manual_page.h"
 #include "core/cli/parse_error.h"
@@ -123,6 +124,7 @@ struct ProgramState {
   const ErrorCodes error_codes;
   std::function<absl::Status()> action;  // of the selected command
   std::vector<Refusal> refusals;
+  std::vector<std::string> other_variables;
 };
 
 Command Command::AddCommand(const std::string& name, const std::string& summary) const {
@@ -163,6 +165,8 @@ Program::Program(const std::string& name, const std::string& summary, ErrorCodes
 
 Program::~Program() = default;
 
+void Program::AllowVariable(const std::string& name) { state_->other_variables.push_back(name); }
+
 Command Program::root() { return Command(&state_->app, state_.get()); }
 
 absl::StatusOr<std::string> Program::Parse(int argc, const char* const* argv) {
@@ -179,6 +183,9 @@ absl::StatusOr<std::string> Program::Parse(int argc, const char* const* argv) {
     return Generate(app, generation.what());
   } catch (const CLI::ParseError& error) {
     return StatusFromParseError(app, error);
+  }
+  if (absl::Status status = CheckVariables(app, state_->other_variables); !status.ok()) {
+    return status;
   }
   if (absl::Status status = CheckRefusals(); !status.ok()) return status;
   return std::string();

@@ -3,6 +3,7 @@
 // A flag is given as --name=value or --name value. If it is not on the command line, it is read
 // from the environment variable PROGRAM_NAME, for example SPIKESERVE_LISTEN, or else from the file
 // of --config. Otherwise it has its default. A variable that is set but empty sets the empty value.
+// A variable PROGRAM_... that belongs to no flag is an error, as an unknown key of the file is.
 //
 //   int main(int argc, char** argv) {
 //     spikeserve::ServerOptions options;
@@ -67,6 +68,10 @@ class Program {
   Program& operator=(const Program&) = delete;
 
   Command root();
+
+  // Says that the environment variable `name`, which begins as those of flags do, belongs to
+  // another program. Parsing refuses other variables of this form that belong to no flag.
+  void AllowVariable(const std::string& name);
 
   // Parses the arguments and runs the selected action. Prints an error as one line to standard
   // error. Returns the exit status, 0 or 1. REQUIRES: called once.

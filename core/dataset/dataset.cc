@@ -8,6 +8,7 @@
 #include "absl/types/span.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/contract/dcheck.h"
 #include "core/dataset/dataset_cbor.h"
 
 namespace spikeserve {
@@ -71,6 +72,7 @@ absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
 }
 
 absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
+  SPIKESERVE_DCHECK(!datasets.empty());
   Dataset all = std::move(datasets[0]);
   if (datasets.size() == 1) return all;
   Json recipes = Json::array({std::move(all.recipe)});

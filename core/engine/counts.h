@@ -41,11 +41,26 @@ struct Counts {
   // Those of multiply_accumulates whose weight is an 8-bit integer.
   uint64_t integer_multiply_accumulates = 0;
 
-  // The following depend only on the sizes of the model and on the number of tokens in the window.
-  // An update of a membrane is one multiplication and one addition; it is counted for every LIF
-  // neuron and tick, whether the neuron fires or not.
+  // LIF neurons times the ticks at which they were updated, by one multiplication and one addition:
+  // every tick, but in integer arithmetic only ticks with an input spike. A coder of integer
+  // arithmetic has no LIF neurons.
   uint64_t membrane_updates = 0;
-  uint64_t coder_gains = 0;          // elements times a coder's gain, plus its bias
+
+  // The next four are counted in integer arithmetic only. The journal of a session leaves them out,
+  // so no figure of an answer may depend on them.
+  uint64_t membrane_ticks = 0;  // LIF neurons times ticks, whether they were updated or not
+  // Ticks for which a membrane leaked and integrated its bias, one subtraction and one addition
+  // each. They end with the last input spike.
+  uint64_t membrane_leaks = 0;
+  // Those of integer_multiply_accumulates whose activation has 16 bits instead of 8.
+  uint64_t wide_multiply_accumulates = 0;
+  uint64_t attention_scalings = 0;  // nonzero sums of values, divided by the sum of their weights
+
+  // Except in integer arithmetic, the following depend only on the sizes of the model and on the
+  // number of tokens in the window.
+  // Elements times a coder's gain, plus its bias; in integer arithmetic, elements whose period a
+  // coder looked up.
+  uint64_t coder_gains = 0;
   uint64_t layer_norm_elements = 0;  // elements that went through a LayerNorm
   uint64_t softmax_terms = 0;        // terms of the softmaxes over keys and over gates
   uint64_t gate_products = 0;        // routing gate x element of a head's output

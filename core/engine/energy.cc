@@ -46,7 +46,7 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
      .leaves_out = "memory and data movement, control, additions of biases and residuals, "
                    "exponentials, roots, divisions, the phase generators, the action head's "
                    "softmax or tanh",
-     .applies_to = "every policy; an int8 policy is priced as if it were float32",
+     .applies_to = "every policy; one in int8 or integer is priced as if it were float32",
      .source = "Horowitz, ISSCC 2014: 45 nm, 0.9 V, float32"},
     {.counts = "0.03 pJ an accumulate, 0.23 pJ a multiply-accumulate with an 8-bit weight, 3.2 pJ "
                "a 16-bit membrane update; coders, attention, routing, LayerNorm, embeddings and "
@@ -69,9 +69,11 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
 double Horowitz(const Counts& counts, const ModelConfig& config, const Prices& prices) {
   const auto number = [](uint64_t count) { return static_cast<double>(count); };
   // The neurons of coders stay in float32. A Bernoulli coder has none.
-  const uint64_t coder_updates = config.coder == CoderKind::kLif && !config.is_dense()
-                                     ? counts.coder_gains * static_cast<uint64_t>(config.ticks)
-                                     : 0;
+  // Those of integer arithmetic look their period up.
+  const bool has_coder_neurons =
+      config.coder == CoderKind::kLif && !config.is_dense() && !config.is_integer();
+  const uint64_t coder_updates =
+      has_coder_neurons ? counts.coder_gains * static_cast<uint64_t>(config.ticks) : 0;
   const uint64_t float_macs = counts.multiply_accumulates - counts.integer_multiply_accumulates +
                               coder_updates + counts.coder_gains + counts.gate_products;
   const double attention = config.is_dense() ? kFloatMultiplyAccumulate : kFloatAdd;

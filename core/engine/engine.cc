@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 
 void Engine::DecideTogether(absl::Span<const Decision> decisions) const {
@@ -15,7 +17,9 @@ void Engine::AppendActionsTogether(absl::Span<const TakenAction> actions) const 
 }
 
 int HistorySize(const ModelConfig& config) {
-  return std::max(2, config.layers * (config.context - 1) + 1);
+  SPIKESERVE_DCHECK(config.layers >= 1 && config.context >= 1);
+  return std::max(2, config.layers * (config.context - 1) + 1) +
+         (config.observation_changes ? 1 : 0);
 }
 
 }  // namespace spikeserve

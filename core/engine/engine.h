@@ -6,7 +6,7 @@
 //
 // Engines are immutable and thread-safe. All state that changes is in a Context, which one caller
 // at a time may use. A context is a cache: it can be rebuilt bit for bit from the last
-// HistorySize() timesteps, because a token's keys and values do not depend on anything older.
+// HistorySize() timesteps, because what a decision reads does not depend on anything older.
 //
 // Symbols: d hidden size, obs observation length, act action head outputs, t timestep within the
 // episode.
@@ -87,7 +87,8 @@ class Engine {
 
 // Returns the number of timesteps that the decision at t depends on: L (N - 1) + 1, because each of
 // the L layers looks back N - 1 timesteps. At least 2, because the counts of a decision include
-// those of a_{t-1}.
+// those of a_{t-1}. One more with observation changes: the oldest state token contains the change
+// since the timestep before it.
 int HistorySize(const ModelConfig& config);
 
 }  // namespace spikeserve

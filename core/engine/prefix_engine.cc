@@ -2,15 +2,19 @@
 
 #include <algorithm>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 
 void PrefixContext::AppendReturnAndState(const Policy& policy, float return_to_go,
                                          absl::Span<const float> observation) {
+  SPIKESERVE_DCHECK(tokens_.empty() || tokens_.back().kind == TokenKind::kAction);
   tokens_.push_back(ReturnToken(policy, timestep_, return_to_go));
-  tokens_.push_back(StateToken(policy, timestep_, observation));
+  tokens_.push_back(StateToken(policy, timestep_, observation, &previous_observation_));
 }
 
 void PrefixContext::AppendAction(absl::Span<const float> encoded_action) {
+  SPIKESERVE_DCHECK(!tokens_.empty() && tokens_.back().kind == TokenKind::kState);
   tokens_.push_back(ActionToken(timestep_, encoded_action));
   ++timestep_;
 }

@@ -29,6 +29,7 @@ class PrefixContext : public Engine::Context {
  private:
   uint64_t seed_;
   int64_t timestep_;
+  std::vector<float> previous_observation_;  // see SetStateInput
   std::vector<Token> tokens_;
 };
 

@@ -20,7 +20,8 @@ inline constexpr int kTokensPerTimestep = 3;
 struct Token {
   TokenKind kind = TokenKind::kReturn;
   int64_t timestep = 0;
-  std::vector<float> input;  // [1], [obs] or [act]: input of the embedding, already standardised
+  // [1], [config.state_inputs(obs)] or [act]: input of the embedding, already standardised
+  std::vector<float> input;
 };
 
 // Returns the embedding of tokens of this kind.
@@ -41,24 +42,39 @@ inline float StandardizeReturn(const Policy& policy, float return_to_go) {
   return (return_to_go - policy.return_offset) / policy.return_scale;
 }
 
-// Sets input[i] = (observation[i] - mean[i]) / std[i].
-inline void StandardizeObservation(const Policy& policy, absl::Span<const float> observation,
-                                   std::vector<float>* input) {
-  input->resize(observation.size());
-  for (size_t i = 0; i < observation.size(); ++i) {
-    (*input)[i] = (observation[i] - policy.weights.observation_mean.values[i]) /
-                  policy.weights.observation_std.values[i];
+// Sets `input` to that of the state token for observation o_t:
+//
+//   input[i] = (o_t[i] - mean[i]) / std[i]                      i < obs
+//   input[obs + i] = (o_t[i] - o_{t-1}[i]) / change_std[i]      with config.observation_changes
+//
+// `previous` is o_{t-1}; empty: there is none, and the changes are 0. It becomes o_t, or stays
+// empty without changes.
+inline void SetStateInput(const Policy& policy, absl::Span<const float> observation,
+                          std::vector<float>* previous, std::vector<float>* input) {
+  const size_t size = observation.size();
+  const Weights& weights = policy.weights;
+  input->assign(policy.config.state_inputs(static_cast<int>(size)), 0.0f);
+  for (size_t i = 0; i < size; ++i) {
+    (*input)[i] =
+        (observation[i] - weights.observation_mean.values[i]) / weights.observation_std.values[i];
   }
+  if (!policy.config.observation_changes) return;
+  for (size_t i = 0; i < previous->size(); ++i) {
+    (*input)[size + i] =
+        (observation[i] - (*previous)[i]) / weights.observation_change_std.values[i];
+  }
+  previous->assign(observation.begin(), observation.end());
 }
 
 inline Token ReturnToken(const Policy& policy, int64_t timestep, float return_to_go) {
   return {TokenKind::kReturn, timestep, {StandardizeReturn(policy, return_to_go)}};
 }
 
-inline Token StateToken(const Policy& policy, int64_t timestep,
-                        absl::Span<const float> observation) {
+// `previous` as in SetStateInput.
+inline Token StateToken(const Policy& policy, int64_t timestep, absl::Span<const float> observation,
+                        std::vector<float>* previous) {
   Token token = {TokenKind::kState, timestep, {}};
-  StandardizeObservation(policy, observation, &token.input);
+  SetStateInput(policy, observation, previous, &token.input);
   return token;
 }
 

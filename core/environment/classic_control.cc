@@ -1,7 +1,8 @@
 #include "core/environment/classic_control.h"
 
-#include <cassert>
 #include <utility>
+
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 
@@ -13,7 +14,7 @@ std::vector<float> ClassicControl::Reset(uint64_t seed) {
 }
 
 std::vector<float> ClassicControl::ResetTo(absl::Span<const double> state) {
-  assert(state.size() == state_.size());
+  SPIKESERVE_DCHECK_EQ(state.size(), state_.size());
   state_.assign(state.begin(), state.end());
   steps_ = 0;
   running_ = true;
@@ -21,7 +22,8 @@ std::vector<float> ClassicControl::ResetTo(absl::Span<const double> state) {
 }
 
 StepResult ClassicControl::Step(const Action& action) {
-  assert(running_ && "call Reset before the first Step, and again after the end of an episode");
+  SPIKESERVE_DCHECK(
+      running_);  // Reset() comes before the first Step(), and after the end of an episode
   const double reward = Advance(action, absl::MakeSpan(state_));
   ++steps_;
   StepResult result = {.observation = Observe(state_),

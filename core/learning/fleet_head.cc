@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/contract/dcheck.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
 #include "core/math/vector_view.h"
@@ -62,6 +63,7 @@ FleetHead::Merged FleetHead::Merge(const Eigen::VectorXf& contribution, double e
 
 UpdateOutcome FleetHead::Take(const Eigen::VectorXf& contribution, const Source& source,
                               bool held_out) {
+  SPIKESERVE_DCHECK_EQ(contribution.size(), delta_.size());
   Eigen::VectorXf clipped = Eigen::VectorXf::Zero(contribution.size());
   const UpdateBounds bounds = {.clip = options_.clip, .max_norm = options_.clip};
   const UpdateOutcome outcome = ApplyUpdate(1.0, contribution, bounds, &clipped);

@@ -31,9 +31,14 @@ constexpr bool IsRefusedByFleet(UpdateOutcome outcome) {
   return outcome == UpdateOutcome::kOverBudget || outcome == UpdateOutcome::kHeldOut;
 }
 
+// The longest Frobenius norm of W - W_base, so that the logits of readouts in [0, 1] are finite in
+// float32.
+inline constexpr double kLongestHeadDelta = 1e30;
+
 struct UpdateBounds {
-  double clip = 0.5;      // largest Frobenius norm of one step; a longer step is scaled to it
-  double max_norm = 1.0;  // largest Frobenius norm of delta after the step; scaled likewise
+  double clip = 0.5;  // largest Frobenius norm of one step; a longer step is scaled to it
+  // Largest Frobenius norm of delta after the step, at most kLongestHeadDelta; scaled likewise.
+  double max_norm = 1.0;
 };
 
 // Computes delta <- delta + factor * direction within `bounds`. `direction` and `delta` are flat

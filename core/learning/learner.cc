@@ -134,8 +134,9 @@ UpdateOutcome Learner::Apply(const LearningOptions& options, const Policy& polic
   // `max_drift` limits a private head. The shared head has limits of its own (FleetOptions).
   const double longest =
       options.scope == Scope::kFleet ? options.clip : options.max_drift * BaseNorm(policy);
-  const UpdateOutcome outcome =
-      ApplyUpdate(factor, direction, {.clip = options.clip, .max_norm = longest}, &head_delta);
+  const UpdateBounds bounds = {.clip = options.clip,
+                               .max_norm = std::min(longest, kLongestHeadDelta)};
+  const UpdateOutcome outcome = ApplyUpdate(factor, direction, bounds, &head_delta);
   ++(outcome == UpdateOutcome::kApplied ? updates : rejected);
   if (outcome != UpdateOutcome::kApplied) post.resize(0);  // there is no update to replace
   if (outcome == UpdateOutcome::kNonFinite) trace.setZero();

@@ -3,12 +3,15 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/contract/dcheck.h"
 #include "core/math/exp.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
 
 void PostsynapticActivity(Rule rule, const ActionChoice& choice, std::vector<float>* post) {
+  SPIKESERVE_DCHECK_EQ(rule == Rule::kPolicyGradient && choice.probabilities.empty(),
+                       rule == Rule::kPolicyGradient && !choice.noise.empty());
   const bool discrete = !choice.probabilities.empty();
   if (rule == Rule::kHebbian) {
     *post = discrete ? choice.probabilities : choice.logits;
@@ -23,6 +26,9 @@ void PostsynapticActivity(Rule rule, const ActionChoice& choice, std::vector<flo
 
 void ReplaceAction(const ActionSpace& space, absl::Span<const float> logits, float temperature,
                    const Action& answered, const Action& executed, absl::Span<float> post) {
+  SPIKESERVE_DCHECK(space.Contains(answered).ok());
+  SPIKESERVE_DCHECK(space.Contains(executed).ok());
+  SPIKESERVE_DCHECK_EQ(post.size(), static_cast<size_t>(space.size()));
   if (space.is_discrete()) {
     post[static_cast<size_t>(answered.discrete)] -= 1.0f;
     post[static_cast<size_t>(executed.discrete)] += 1.0f;

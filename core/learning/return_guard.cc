@@ -3,9 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/contract/dcheck.h"
+#include "core/math/portable.h"
+
 namespace spikeserve {
 
 WindowLevel InterquartileMean(absl::Span<const double> values) {
+  SPIKESERVE_DCHECK_GE(values.size(), size_t{4});
   std::vector<double> sorted(values.begin(), values.end());
   std::sort(sorted.begin(), sorted.end());
   const size_t quarter = sorted.size() / 4;
@@ -36,12 +40,13 @@ ReturnGuard ReturnGuard::New(const Eigen::VectorXf& delta) {
 }
 
 bool ReturnGuard::OnEpisode(double episode_return, double margin, Eigen::VectorXf* delta) {
+  SPIKESERVE_DCHECK_EQ(delta->size(), beginning.size());
   returns.push_back(episode_return);
   if (returns.size() < kWindow) return false;
   last = InterquartileMean(returns);
   returns.clear();
   const double allowance =
-      margin * std::abs(reference.mean) + kErrors * std::hypot(last.error, reference.error);
+      margin * std::abs(reference.mean) + kErrors * portable::Hypot(last.error, reference.error);
   const bool bad = has_reference && last.mean < reference.mean - allowance;
   if (bad) {
     RollBack(delta);

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 
 void EpisodeReturns::AddDecision(double discount) {
@@ -20,6 +22,7 @@ void EpisodeReturns::AddReward(double reward) {
 }
 
 double EpisodeReturns::SquaresAbout(double centre) const {
+  SPIKESERVE_DCHECK_GT(decisions, 0);
   const double about_zero = squares / static_cast<double>(decisions);
   return std::max(0.0, about_zero - centre * (2.0 * mean() - centre));
 }

@@ -8,6 +8,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 
 // Stores a row-major array. The shape of a vector is {length}; the shape of a matrix is {out, in}.
@@ -24,6 +26,9 @@ struct BasicTensor {
   }
   // Returns one element of a matrix. REQUIRES: two dimensions, and indices within them.
   Number at(int row, int column) const {
+    SPIKESERVE_DCHECK_EQ(shape.size(), size_t{2});
+    SPIKESERVE_DCHECK(row >= 0 && row < shape[0]);
+    SPIKESERVE_DCHECK(column >= 0 && column < shape[1]);
     return values[static_cast<size_t>(row) * shape[1] + column];
   }
 };

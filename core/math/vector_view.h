@@ -9,6 +9,7 @@
 #include <type_traits>
 
 #include "Eigen/Core"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 
@@ -26,6 +27,8 @@ auto AsVector(Values&& values) {
 // and is at least 1.
 template <typename Values>
 auto AsMatrix(Values&& values, Eigen::Index rows) {
+  SPIKESERVE_DCHECK_GE(rows, 1);
+  SPIKESERVE_DCHECK_EQ(static_cast<Eigen::Index>(values.size()) % rows, 0);
   using Matrix = RowMajorMatrix<std::remove_cvref_t<decltype(*values.data())>>;
   return Matrix::Map(values.data(), rows, static_cast<Eigen::Index>(values.size()) / rows);
 }

@@ -30,7 +30,46 @@ absl::Status CheckInteger(const ModelConfig& config) {
   return absl::OkStatus();
 }
 
+// Checks what only policies in Arithmetic::kInteger require.
+absl::Status CheckFixedPoint(const ModelConfig& config) {
+  if (config.is_dense()) {
+    return absl::InvalidArgumentError(
+        "arithmetic: expected float32 in mode dense, received integer");
+  }
+  if (config.coder != CoderKind::kLif) {
+    return absl::InvalidArgumentError(
+        "coder: expected lif with arithmetic integer, received bernoulli");
+  }
+  if (config.leak == Leak::kShift && config.leak_shift() == 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("membrane_decay: expected 1 - 2^-k for a k from 1 to 8 with leak shift, "
+                     "received ",
+                     config.membrane_decay));
+  }
+  if (config.leak == Leak::kNone && config.membrane_decay != 1.0f) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "membrane_decay: expected 1 with leak none, received ", config.membrane_decay));
+  }
+  const int64_t linear_sum =
+      int64_t{3} * config.context * config.ticks * config.ticks * config.head_size();
+  if (config.attention == Attention::kLinear && linear_sum > std::numeric_limits<int32_t>::max()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("attention: expected shiftmax for sums of up to ", linear_sum,
+                     " (3 context ticks^2 hidden_size / heads), received linear"));
+  }
+  absl::Status status = CheckRange("input_fraction", config.input_fraction, ModelLimits::kFraction);
+  status.Update(CheckRange("residual_fraction", config.residual_fraction, ModelLimits::kFraction));
+  return status;
+}
+
 }  // namespace
+
+int ModelConfig::leak_shift() const {
+  for (int k = 1; k <= 8; ++k) {
+    if (membrane_decay == 1.0f - 1.0f / static_cast<float>(1 << k)) return k;
+  }
+  return 0;
+}
 
 int ModelConfig::integer_decay() const {
   return static_cast<int>(std::nearbyint(membrane_decay * 32768.0f));
@@ -59,6 +98,7 @@ absl::Status ModelConfig::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("threshold: expected a positive finite number, received ", threshold));
   }
+  if (is_integer()) return CheckFixedPoint(*this);
   return arithmetic == Arithmetic::kInt8 ? CheckInteger(*this) : absl::OkStatus();
 }
 

@@ -30,9 +30,17 @@ enum class Merge { kSum, kConcat };
 // appendix's sigmoid.
 enum class Gate { kSoftmax, kSigmoid };
 
-// The numbers of the spike-driven parts: float32, or 8-bit weights with 16-bit currents and
-// membranes (see integer_weights.h).
-enum class Arithmetic { kFloat32, kInt8 };
+// The numbers of a policy. kInt8: the spike-driven parts have 8-bit weights, and 16-bit currents
+// and membranes (see integer_weights.h). kInteger: everything from the rounded observation to the
+// inputs of the action head is an integer (docs/design/integer.md, fixed_point_weights.h).
+enum class Arithmetic { kFloat32, kInt8, kInteger };
+
+// The leak of a membrane in Arithmetic::kInteger: V - V / 2^k, or none.
+enum class Leak { kShift, kNone };
+
+// How attention in Arithmetic::kInteger weighs keys by the overlaps of their spikes with the
+// query's: by powers of two (an integer softmax), or by the overlaps themselves.
+enum class Attention { kShiftmax, kLinear };
 
 // Names in policy files and on command lines; see enum_names.h.
 constexpr std::array<EnumName<Mode>, 5> EnumNames(Mode) {
@@ -54,8 +62,16 @@ constexpr std::array<EnumName<Merge>, 2> EnumNames(Merge) {
 constexpr std::array<EnumName<Gate>, 2> EnumNames(Gate) {
   return {{{Gate::kSoftmax, "softmax"}, {Gate::kSigmoid, "sigmoid"}}};
 }
-constexpr std::array<EnumName<Arithmetic>, 2> EnumNames(Arithmetic) {
-  return {{{Arithmetic::kFloat32, "float32"}, {Arithmetic::kInt8, "int8"}}};
+constexpr std::array<EnumName<Arithmetic>, 3> EnumNames(Arithmetic) {
+  return {{{Arithmetic::kFloat32, "float32"},
+           {Arithmetic::kInt8, "int8"},
+           {Arithmetic::kInteger, "integer"}}};
+}
+constexpr std::array<EnumName<Leak>, 2> EnumNames(Leak) {
+  return {{{Leak::kShift, "shift"}, {Leak::kNone, "none"}}};
+}
+constexpr std::array<EnumName<Attention>, 2> EnumNames(Attention) {
+  return {{{Attention::kShiftmax, "shiftmax"}, {Attention::kLinear, "linear"}}};
 }
 
 struct ModelConfig {
@@ -74,9 +90,22 @@ struct ModelConfig {
   Merge merge = Merge::kSum;
   Gate gate = Gate::kSoftmax;
   Arithmetic arithmetic = Arithmetic::kFloat32;
+  // Whether the state token also contains the change of the observation since the timestep before.
+  bool observation_changes = false;
+  // The following belong to Arithmetic::kInteger.
+  Leak leak = Leak::kShift;
+  Attention attention = Attention::kShiftmax;
+  int input_fraction = 8;      // fraction bits of the embeddings' inputs
+  int residual_fraction = 10;  // fraction bits of the residual stream
 
+  // Returns the number of inputs of the state embedding for observations of `observation_size`
+  // numbers.
+  int state_inputs(int observation_size) const {
+    return observation_changes ? 2 * observation_size : observation_size;
+  }
   int head_size() const { return hidden_size / heads; }  // d_h
   bool is_dense() const { return mode == Mode::kDense; }
+  bool is_integer() const { return arithmetic == Arithmetic::kInteger; }
   bool has_phase() const { return mode == Mode::kPos || mode == Mode::kFull; }
   bool has_routing() const { return mode == Mode::kRoute || mode == Mode::kFull; }
   // Returns the number of inputs of the query, key and value projections: d, or d + H with phase
@@ -91,6 +120,10 @@ struct ModelConfig {
   // Returns the membrane decay of integer neurons in units of 1 / 32768, rounded to the nearest
   // integer, ties to even. Fits int16_t in a valid config with Arithmetic::kInt8.
   int integer_decay() const;
+
+  // Returns the k of Leak::kShift, for which membrane_decay is 1 - 2^-k, or 0 if there is no such k
+  // from 1 to 8.
+  int leak_shift() const;
 
   // Returns INVALID_ARGUMENT if a value is out of range. The message names the field, the expected
   // and the received value.
@@ -109,6 +142,7 @@ struct ModelLimits {
   static constexpr int kContext = 4096;
   static constexpr int kRoutingHiddenSize = 4096;
   static constexpr int kFfnSize = 16384;
+  static constexpr int kFraction = 14;  // bits
 };
 
 }  // namespace spikeserve

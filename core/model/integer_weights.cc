@@ -77,11 +77,16 @@ absl::Status CheckPopulation(const std::string& name, const IntegerPopulation& p
 
 }  // namespace
 
-absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps) {
+absl::Status CheckIntegerPopulations(absl::string_view name, const IntegerMaps& maps) {
   absl::Status status = CheckPopulation(absl::StrCat(name, ".attention.query"), maps.query);
   status.Update(CheckPopulation(absl::StrCat(name, ".attention.key"), maps.key));
   status.Update(CheckPopulation(absl::StrCat(name, ".attention.value"), maps.value));
   status.Update(CheckPopulation(absl::StrCat(name, ".ffn.hidden"), maps.ffn_hidden));
+  return status;
+}
+
+absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps) {
+  absl::Status status = CheckIntegerPopulations(name, maps);
   const std::string output = absl::StrCat(name, ".ffn.output");
   status.Update(CheckWeights(output + ".weight", maps.ffn_output.weight));
   status.Update(CheckScale(output + ".scale", maps.ffn_output.scale));

@@ -48,6 +48,9 @@ struct IntegerMaps {
 // the tensor. REQUIRES: the tensors have the shapes of TensorSlots.
 absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps);
 
+// As above, but checks the four populations only.
+absl::Status CheckIntegerPopulations(absl::string_view name, const IntegerMaps& maps);
+
 }  // namespace spikeserve
 
 #endif  // CORE_MODEL_INTEGER_WEIGHTS_H_

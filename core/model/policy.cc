@@ -68,6 +68,15 @@ absl::Status CheckPositive(absl::string_view field, float value) {
       absl::StrCat(field, ": expected a positive finite number, received ", value));
 }
 
+absl::Status CheckScales(absl::string_view name, const Tensor& scales) {
+  for (size_t i = 0; i < scales.values.size(); ++i) {
+    absl::Status status = CheckPositive(
+        absl::StrCat("tensor ", Quoted(std::string(name)), " at index ", i), scales.values[i]);
+    if (!status.ok()) return status;
+  }
+  return absl::OkStatus();
+}
+
 absl::Status CheckScalars(const Policy& policy) {
   absl::Status status = CheckFinite("return_offset", policy.return_offset);
   status.Update(CheckPositive("return_scale", policy.return_scale));
@@ -75,6 +84,23 @@ absl::Status CheckScalars(const Policy& policy) {
   status.Update(CheckFinite("modulator_mean", policy.modulator_mean));
   status.Update(CheckPositive("modulator_std", policy.modulator_std));
   status.Update(ParseJsonObject("training", policy.training).status());
+  return status;
+}
+
+// Checks the ranges of the integers, if the arithmetic has any.
+absl::Status CheckIntegers(const ModelConfig& config, const Weights& weights) {
+  absl::Status status;
+  if (config.is_integer()) status.Update(CheckFixedPointEnds(weights.fixed_point));
+  for (size_t i = 0; i < weights.layers.size() && status.ok(); ++i) {
+    const LayerWeights& layer = weights.layers[i];
+    const std::string name = absl::StrCat("layers.", i);
+    if (config.arithmetic == Arithmetic::kInt8) {
+      status.Update(CheckIntegerMaps(name, layer.integer));
+    } else if (config.is_integer()) {
+      status.Update(CheckIntegerPopulations(name, layer.integer));
+      status.Update(CheckFixedPointLayer(name, config, layer.fixed_point));
+    }
+  }
   return status;
 }
 
@@ -96,17 +122,10 @@ absl::Status CheckWeights(const Policy& policy) {
                    const_cast<Weights*>(&weights))) {
     if (absl::Status status = CheckTensor(slot); !status.ok()) return status;
   }
-  for (size_t i = 0; i < weights.observation_std.values.size(); ++i) {
-    absl::Status status = CheckPositive(absl::StrCat("tensor \"observation.std\" at index ", i),
-                                        weights.observation_std.values[i]);
-    if (!status.ok()) return status;
-  }
-  if (policy.config.arithmetic != Arithmetic::kInt8) return absl::OkStatus();
-  for (size_t i = 0; i < weights.layers.size(); ++i) {
-    absl::Status status = CheckIntegerMaps(absl::StrCat("layers.", i), weights.layers[i].integer);
-    if (!status.ok()) return status;
-  }
-  return absl::OkStatus();
+  absl::Status scales = CheckScales("observation.std", weights.observation_std);
+  scales.Update(CheckScales("observation.change_std", weights.observation_change_std));
+  if (!scales.ok()) return scales;
+  return CheckIntegers(policy.config, weights);
 }
 
 // Generates the random numbers of one tensor. Number i is a function of the seed, the tensor's name
@@ -175,7 +194,7 @@ void Initialise(const ModelConfig& config, uint64_t seed, int fan_in, const Tens
     FillUniform(random, 0.1, 10.0, tensor);
   } else if (name == "phase.phi") {
     FillUniform(random, 0.0, 2.0 * std::numbers::pi, tensor);
-  } else if (name == "observation.mean" || name == "observation.std") {
+  } else if (absl::StartsWith(name, "observation.")) {
     Fill(tensor, name == "observation.mean" ? 0.0f : 1.0f);
   } else if (FeedsNeurons(config, name) && is_bias) {
     Fill(tensor, 0.1f);

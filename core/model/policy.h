@@ -46,7 +46,7 @@ struct Policy {
 // - phase: omega uniform in [0.1, 10), phi uniform in [0, 2 pi)
 // - attention scale c_h: 1/sqrt(d_h)
 // - norms: weight 1, bias 0
-// - observation: mean 0, deviation 1
+// - observation: mean 0, deviations 1
 // - everything else: uniform in [-1/sqrt(fan-in), 1/sqrt(fan-in))
 //
 // Equal seeds give equal policies on every machine, because every number is a function of seed,

@@ -38,6 +38,15 @@ void VisitConfig(Config& config, Visitor&& visit) {
   visit("gate", config.gate);
 }
 
+// Calls visit(key, member) for every key that only policies in integer arithmetic have.
+template <typename Config, typename Visitor>
+void VisitIntegerConfig(Config& config, Visitor&& visit) {
+  visit("leak", config.leak);
+  visit("attention", config.attention);
+  visit("input_fraction", config.input_fraction);
+  visit("residual_fraction", config.residual_fraction);
+}
+
 // Calls visit(key, member) for every number that has a metadata key of its own, beside `config`.
 template <typename AnyPolicy, typename Visitor>
 void VisitNumbers(AnyPolicy& policy, Visitor&& visit) {
@@ -70,17 +79,21 @@ std::string Format(float number) {
 
 std::string FormatConfig(const ModelConfig& config) {
   ordered_json object;
-  VisitConfig(config, [&object](const char* key, const auto& value) {
+  const auto write = [&object](const char* key, const auto& value) {
     if constexpr (std::is_enum_v<std::decay_t<decltype(value)>>) {
       object[key] = std::string(ToString(value));
     } else {
       object[key] = value;  // exact: every float32 is a double
     }
-  });
-  // Files without this key are float32, so that versions that do not know the key can read them.
+  };
+  VisitConfig(config, write);
+  // Files without these keys have the default, so that versions that do not know the keys can read
+  // them.
   if (config.arithmetic != Arithmetic::kFloat32) {
     object["arithmetic"] = std::string(ToString(config.arithmetic));
   }
+  if (config.is_integer()) VisitIntegerConfig(config, write);
+  if (config.observation_changes) object["observation_changes"] = true;
   return object.dump();
 }
 
@@ -88,15 +101,18 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
   const absl::StatusOr<json> object = ParseJsonObject("config", text);
   if (!object.ok()) return object.status();
   JsonObject reader("config", *object);
-  VisitConfig(*config, [&reader](const char* key, auto& member) {
+  const auto read = [&reader](const char* key, auto& member) {
     // Sizes are never negative; ModelConfig::Validate() checks their other bounds.
     if constexpr (std::is_same_v<decltype(member), int&>) {
       reader.Required(key, &member, 0);
     } else {
       reader.Required(key, &member);
     }
-  });
+  };
+  VisitConfig(*config, read);
   reader.Optional("arithmetic", &config->arithmetic);
+  reader.Optional("observation_changes", &config->observation_changes);
+  if (config->is_integer()) VisitIntegerConfig(*config, read);
   return reader.Finish();
 }
 

@@ -16,6 +16,7 @@
 #include "absl/status/status.h"
 #include "core/math/tensor.h"
 #include "core/model/config.h"
+#include "core/model/fixed_point_weights.h"
 #include "core/model/integer_weights.h"
 
 namespace spikeserve {
@@ -34,7 +35,7 @@ struct Coder {
 
 // An affine embedding, followed by its LayerNorm.
 struct Embedding {
-  Linear linear;  // [d, 1 | obs | act], [d]
+  Linear linear;  // [d, 1 | state inputs | act], [d]
   Norm norm;
 };
 
@@ -52,7 +53,10 @@ struct LayerWeights {
   Linear ffn_hidden;  // [F, d], [F]; float32 only
   Linear ffn_output;  // [d, F], [d]; float32 only
   Norm ffn_norm;
-  IntegerMaps integer;  // replaces the maps marked "float32 only" if the arithmetic is int8
+  // The populations replace the maps marked "float32 only" if the arithmetic is int8 or integer,
+  // and ffn_output if it is int8.
+  IntegerMaps integer;
+  FixedPointLayer fixed_point;  // everything else of the layer if the arithmetic is integer
 };
 
 // Calls `visit` with the spike-driven maps of a layer in the model's arithmetic: the members query,
@@ -77,6 +81,10 @@ struct Weights {
   Linear head;              // [act, d], [act]
   Tensor observation_mean;  // [obs]
   Tensor observation_std;   // [obs], > 0
+  // [obs], > 0: scale of the change since the timestep before; with config.observation_changes.
+  Tensor observation_change_std;
+  // Replaces the embeddings and the readout coder if the arithmetic is integer.
+  FixedPointEnds fixed_point;
 };
 
 // Default number of rows of a dense model's timestep embedding.

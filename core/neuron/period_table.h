@@ -17,6 +17,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/contract/dcheck.h"
 #include "core/neuron/lif.h"
 
 namespace spikeserve {
@@ -25,6 +26,8 @@ class PeriodTable {
  public:
   // REQUIRES: lif.decay in [0, 1], lif.threshold > 0.
   PeriodTable(const Lif& lif, int ticks) {
+    SPIKESERVE_DCHECK(lif.decay >= 0.0f && lif.decay <= 1.0f);
+    SPIKESERVE_DCHECK_GT(lif.threshold, 0.0f);
     for (int n = 1; n <= ticks; ++n) thresholds_.push_back(SmallestCurrent(lif, n));
   }
 

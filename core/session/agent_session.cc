@@ -1,6 +1,7 @@
 #include "core/session/agent_session.h"
 
 #include <algorithm>
+#include <cmath>
 #include <functional>
 #include <utility>
 #include <vector>
@@ -28,6 +29,15 @@ void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
     while (last < all.size() && version_of(all[last]) == version_of(all[first])) ++last;
     visit(absl::MakeConstSpan(all).subspan(first, last - first));
   }
+}
+
+bool AllFinite(absl::Span<const float> values) {
+  return std::ranges::all_of(values, [](float value) { return std::isfinite(value); });
+}
+
+bool IsFinite(const Answer& answer) {
+  return AllFinite(answer.logits) && AllFinite(answer.probabilities) &&
+         AllFinite(answer.action.continuous) && std::isfinite(answer.return_to_go);
 }
 
 // Memory of a thread, which its decisions reuse, so that a warm decision allocates none.
@@ -103,6 +113,8 @@ bool AgentSession::IsNewDecision(ActCall& call) {
       session.last_answer.has_value() && call.step == session.last_answer->step && names_last;
   if (call.is_retry) {
     call.answer = &*session.last_answer;
+    // A store may hold an answer of a server that did not check it.
+    if (!IsFinite(*session.last_answer)) call.answer = call.session->NonFiniteError();
     return false;
   }
   absl::Status status = call.session->CheckRequest(call);
@@ -150,7 +162,14 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
     AgentSession& session = *call.session;
     const double reward = session.CountedReward(call.reward);
     const double return_to_go = NextReturnToGo(session.session_, reward);
-    Answer answer = session.Choose(outputs[i], return_to_go, reward, &choice);
+    session.ChooseWithHead(outputs[i].readout, &choice);
+    // Probabilities and actions are finite where the logits are.
+    if (!AllFinite(choice.logits)) {
+      session.DropContext();  // it holds the decision that was not made
+      call.answer = session.NonFiniteError();
+      continue;
+    }
+    Answer answer = session.TakeChoice(outputs[i], return_to_go, reward, &choice);
     answer.unusual_observations = served.observer->CountUnusual(call.observation);
     const absl::Duration chosen = clock.Now();
     answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
@@ -162,6 +181,7 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
                              answered.compute_seconds);
     call.answer = &answered;
     served.observer->OnDecision(answered);
+    if (session.evidence_ != nullptr) session.evidence_->OnDecision(answered.compute_seconds);
   }
 }
 
@@ -200,19 +220,25 @@ void AgentSession::TakeExecuted(const Action& executed) {
   if (recorder_ != nullptr) recorder_->OnExecuted(executed);
 }
 
+absl::Status AgentSession::NonFiniteError() const {
+  served_->observer->OnNonFinite();
+  if (evidence_ != nullptr) evidence_->OnFailure();
+  return absl::InternalError(
+      absl::StrCat("decision: expected finite numbers, received NaN or infinity from policy ",
+                   served_->name, " version ", served_->version, "; the session has not changed"));
+}
+
 // Reuses the memory of the session's last answer.
-Answer AgentSession::Choose(const Engine::Output& output, double return_to_go, double reward,
-                            ActionChoice* choice) {
+Answer AgentSession::TakeChoice(const Engine::Output& output, double return_to_go, double reward,
+                                ActionChoice* choice) {
   Answer answer = session_.last_answer.has_value() ? *std::move(session_.last_answer) : Answer();
   answer.step = session_.step;
   answer.return_to_go = static_cast<float>(return_to_go);
   answer.counts = output.counts;
 
-  const Policy& policy = served_->policy();
-  ChooseWithHead(output.readout, choice);
   if (session_.learner.has_value()) {
     if (served_->learning->paused()) session_.learner->suspended = true;
-    TakeOutcome(session_.learner->OnDecision(*session_.options.learning, policy, *choice,
+    TakeOutcome(session_.learner->OnDecision(*session_.options.learning, served_->policy(), *choice,
                                              output.readout,
                                              static_cast<double>(answer.return_to_go), reward));
   }
@@ -388,6 +414,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   }
   life_.OnEpisode(summary.episode_return);
   served_->observer->OnEpisodeEnd(summary.episode_return);
+  if (evidence_ != nullptr) evidence_->OnEpisodeEnd(summary.episode_return);
   return summary;
 }
 

@@ -56,7 +56,7 @@ class AgentSession {
   // whatever its other arguments are, and nothing is counted twice. Errors do not change the
   // session: FAILED_PRECONDITION for any other step than the next one; INVALID_ARGUMENT for an
   // observation of the wrong length, a number that is not finite or an executed action outside the
-  // action space.
+  // action space; INTERNAL, which names the policy, if the policy's answer is not finite.
   absl::StatusOr<const Answer*> Act(int64_t step, absl::Span<const float> observation,
                                     double reward,
                                     const std::optional<ReportedAction>& executed = std::nullopt);
@@ -107,6 +107,9 @@ class AgentSession {
   // Records the episodes that start after this call.
   void RecordTo(std::unique_ptr<EpisodeRecorder> recorder) { recorder_ = std::move(recorder); }
 
+  // Reports the decisions and episodes after this call to `evidence`; null: to none.
+  void ReportTo(std::shared_ptr<SessionEvidence> evidence) { evidence_ = std::move(evidence); }
+
   // Returns where the recording of the last episode that has ended is now.
   RecordingState recording_state() const {
     return recorder_ == nullptr ? RecordingState::kNotRecorded : recorder_->last_state();
@@ -156,9 +159,12 @@ class AgentSession {
   void TakeExecuted(const Action& executed);
   void RebuildContext();
   absl::Span<const float> EncodedAction(const Action& action, std::vector<float>* encoded) const;
-  // Leaves in `choice` what the answer does not store.
-  Answer Choose(const Engine::Output& output, double return_to_go, double reward,
-                ActionChoice* choice);
+  // Counts an answer that holds NaN or infinity, and returns its error.
+  absl::Status NonFiniteError() const;
+  // Learns from `choice` and moves it into the answer. Leaves in `choice` what the answer does not
+  // store.
+  Answer TakeChoice(const Engine::Output& output, double return_to_go, double reward,
+                    ActionChoice* choice);
   bool InFleet() const { return member_ != nullptr; }
   void ChooseWithHead(absl::Span<const float> readout, ActionChoice* choice) const;
   void TakeOutcome(std::optional<UpdateOutcome> outcome);
@@ -185,6 +191,7 @@ class AgentSession {
   std::shared_ptr<FleetContribution> contribution_;  // of `session_.pending`; null: none
   std::unique_ptr<EpisodeRecorder> recorder_;        // null: nothing is recorded
   std::shared_ptr<SessionJournal> journal_;          // null: the session is not stored
+  std::shared_ptr<SessionEvidence> evidence_;        // null: no roll-out compares the session
   bool action_pending_ = false;   // true: the context lacks the last timestep's action
   bool reports_actions_ = false;  // true: the agent has reported an executed action
 };

@@ -4,6 +4,8 @@
 #include <bit>
 #include <cstdint>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 namespace {
 
@@ -12,6 +14,7 @@ constexpr size_t kFirstObservation = 2;
 }  // namespace
 
 absl::Span<const float> History::observation(size_t i) const {
+  SPIKESERVE_DCHECK_LT(i, size());
   return {row(i) + kFirstObservation, observation_size_};
 }
 
@@ -22,6 +25,7 @@ Action History::action(size_t i) const {
 }
 
 void History::action(size_t i, Action* action) const {
+  SPIKESERVE_DCHECK_LT(i, size());
   const float* cells = row(i);
   action->discrete = std::bit_cast<int32_t>(cells[1]);
   action->continuous.assign(cells + kFirstObservation + observation_size_, cells + stride_);
@@ -36,6 +40,10 @@ Timestep History::at(size_t i) const {
 
 void History::Append(float return_to_go, absl::Span<const float> observation, const Action& action,
                      size_t limit) {
+  SPIKESERVE_DCHECK_GE(limit, size_t{1});
+  SPIKESERVE_DCHECK(empty() ||
+                    (observation.size() == observation_size_ &&
+                     stride_ == kFirstObservation + observation.size() + action.continuous.size()));
   if (empty()) {
     observation_size_ = observation.size();
     stride_ = kFirstObservation + observation.size() + action.continuous.size();
@@ -59,6 +67,8 @@ void History::Append(float return_to_go, absl::Span<const float> observation, co
 }
 
 void History::ReplaceLastAction(const Action& action) {
+  SPIKESERVE_DCHECK(!empty());
+  SPIKESERVE_DCHECK_EQ(action.continuous.size(), stride_ - kFirstObservation - observation_size_);
   WriteAction(action, cells_.data() + begin_of(size() - 1));
 }
 

@@ -1,5 +1,6 @@
 #include "core/session/journal_entry.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -173,9 +174,15 @@ absl::StatusOr<Journal> ParseJournal(absl::Span<const std::string> records) {
   auto snapshot = ParseSession(records[first - 1]);
   if (!snapshot.ok()) return damaged(first - 1, snapshot.status());
   Journal journal = {.snapshot = *std::move(snapshot), .entries = {}};
+  uint64_t next = journal.snapshot.decisions;
   for (size_t i = first; i < records.size(); ++i) {
     auto entry = ParseEntry(records[i]);
     if (!entry.ok()) return damaged(i, entry.status());
+    if (entry->decision > next) {
+      journal.after_gap = records.size() - i;
+      break;
+    }
+    next = std::max(next, entry->decision + 1);
     journal.entries.push_back(*std::move(entry));
   }
   return journal;

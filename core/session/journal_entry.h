@@ -53,16 +53,18 @@ absl::StatusOr<JournalEntry> ParseEntry(const std::string& bytes);
 struct Journal {
   Session snapshot;
   std::vector<JournalEntry> entries;
+  size_t after_gap = 0;  // records that were ignored, because a decision before them is missing
 };
 
 // Parses the records of a journal, in the order in which they were written. Starts at the last
-// snapshot. Returns DATA_LOSS, which names the record, if there is no snapshot or a record after it
-// is damaged.
+// snapshot, and ends before the first gap: a store that has lost its last writes may have taken a
+// record since, whose writer then found out and was not acknowledged. Returns DATA_LOSS, which
+// names the record, if there is no snapshot or a record after it is damaged.
 absl::StatusOr<Journal> ParseJournal(absl::Span<const std::string> records);
 
 // Returns the session after the last entry, bit for bit as it was. Ignores entries that the
-// snapshot, or an earlier entry, contains. Returns DATA_LOSS if an entry is missing or if an entry
-// does not belong to a session of `policy`.
+// snapshot, or an earlier entry, contains. Returns DATA_LOSS if an entry does not follow the one
+// before or does not belong to a session of `policy`.
 absl::StatusOr<Session> RestoreSession(Journal journal, const Policy& policy);
 
 }  // namespace spikeserve

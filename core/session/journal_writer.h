@@ -22,13 +22,15 @@ struct JournalRecord {
     kSnapshot,  // adds a snapshot, which replaces everything before it
     kRelease,   // adds a snapshot, and gives the session up: the server stops
     kClose,     // ends the session: its journal is deleted
+    kConfirm,   // writes nothing: asks whether the writer still owns the journal
   };
 
   Kind kind = Kind::kEntry;
-  std::string bytes;       // empty for kClose
+  std::string bytes;       // empty for kClose and kConfirm
   uint64_t decisions = 0;  // of the session, with this record
   size_t records = 0;      // of the journal in the store, with this one
   uint64_t position = 0;   // of the record in all that its owner writes, from 1
+  uint64_t base = 0;       // position of the snapshot that the journal begins with; 0: claimed
   std::shared_ptr<SessionJournal> journal;
   // To append to the log of its head when the record was written; null: none.
   std::shared_ptr<FleetContribution> contribution = nullptr;
@@ -51,6 +53,10 @@ class JournalWriter {
   virtual absl::Status CheckReachable() const = 0;
   // Returns UNAVAILABLE while the queue is full.
   virtual absl::Status CheckBacklog() const = 0;
+  // Returns FAILED_PRECONDITION if the store may remove what it has acknowledged.
+  virtual absl::Status CheckKeepsRecords() const { return absl::OkStatus(); }
+  // Returns whether other processes may claim the sessions of this one.
+  virtual bool IsShared() const { return false; }
 };
 
 }  // namespace spikeserve

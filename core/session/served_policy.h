@@ -24,6 +24,18 @@ namespace spikeserve {
 
 class HeadLog;
 
+// Receives what one session does while a roll-out compares the version that it has assigned to the
+// session. Called by one thread at a time; returns quickly and never calls back into the session.
+class SessionEvidence {
+ public:
+  virtual ~SessionEvidence() = default;
+
+  virtual void OnDecision(double compute_seconds) = 0;
+  // The version failed to decide. Errors of the caller are not reported.
+  virtual void OnFailure() = 0;
+  virtual void OnEpisodeEnd(double episode_return) = 0;
+};
+
 // Observes the sessions of a policy. Every event is reported once; retries and rebuilt caches are
 // not reported. Implementations are thread-safe, return quickly, and never call
 // back into a session.
@@ -32,12 +44,19 @@ class SessionObserver {
   virtual ~SessionObserver() = default;
 
   virtual void OnOpen() {}
+  // A roll-out has assigned this version to a new session of `tenant`. Returns what receives the
+  // session's evidence; null: no roll-out is running.
+  virtual std::shared_ptr<SessionEvidence> OnAssigned(absl::string_view /*tenant*/) {
+    return nullptr;
+  }
   // Counts the elements of a new observation that lie far from the training data, and returns their
   // number.
   virtual uint32_t CountUnusual(absl::Span<const float> /*observation*/) { return 0; }
   virtual void OnDecision(const Answer& /*answer*/) {}
   // A request for a decision was refused or failed; the session is unchanged.
-  virtual void OnError(absl::string_view /*session_id*/) {}
+  virtual void OnError() {}
+  // The policy computed an answer with NaN or infinity, which was not sent.
+  virtual void OnNonFinite() {}
   virtual void OnEpisodeEnd(double /*episode_return*/) {}
   virtual void OnHeadUpdate(UpdateOutcome /*outcome*/) {}
   virtual void OnLearned(const LearningSummary& /*summary*/) {}  // end of an episode with learning

@@ -1,5 +1,6 @@
 #include "core/session/session_journal.h"
 
+#include <limits>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -7,32 +8,35 @@
 namespace spikeserve {
 namespace {
 
+constexpr uint64_t kNoPosition = std::numeric_limits<uint64_t>::max();
+
 absl::Status ReplacedError() {
   return absl::UnavailableError(
       "session_id: expected a session of this server, received one that another server has taken "
       "over; try again");
 }
 
-absl::Status MissingError() {
-  return absl::UnavailableError(
-      "session store: has lost the session, which is written again; try again");
-}
-
 }  // namespace
 
 SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decisions,
-                               JournalWriter* writer, size_t records)
+                               JournalWriter* writer, size_t records, bool is_whole)
     : key_(std::move(key)),
       is_sync_(durability == Durability::kSync),
       writer_(*writer),
       durable_decisions_(decisions),
+      missing_(!is_whole),
+      first_valid_(is_whole ? 0 : kNoPosition),
       decisions_(decisions),
       epoch_(key_.epoch),
-      records_(records) {}
+      records_(records),
+      acknowledged_({.base = 0, .records = records}) {}
 
 absl::Status SessionJournal::CheckWritable() const {
   if (is_sync_) {
     if (auto status = writer_.CheckReachable(); !status.ok()) return status;
+    if (auto status = writer_.CheckKeepsRecords(); !status.ok()) {
+      return absl::UnavailableError(status.message());
+    }
   } else if (decisions_.load(std::memory_order_relaxed) - durable_decisions() >= kMostUnwritten) {
     return absl::UnavailableError(
         absl::StrCat("session store: expected fewer than ", kMostUnwritten,
@@ -68,16 +72,22 @@ void SessionJournal::OnClose() {
   if (!lost()) Write(JournalRecord::Kind::kClose, "", decisions_.load(std::memory_order_relaxed));
 }
 
+void SessionJournal::OnConfirm() {
+  Write(JournalRecord::Kind::kConfirm, "", decisions_.load(std::memory_order_relaxed));
+}
+
 void SessionJournal::WriteAgainIfMissing(const Session& session) {
-  if (!missing_.exchange(false, std::memory_order_acq_rel)) return;
+  if (!missing_.exchange(false, std::memory_order_acq_rel) || lost()) return;
   OnOpen(session);
 }
 
 void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions,
                            std::shared_ptr<FleetContribution> contribution) {
   decisions_.store(decisions, std::memory_order_relaxed);
-  // All others are snapshots, which replace what was there.
-  records_ = kind == JournalRecord::Kind::kEntry ? records_ + 1 : 1;
+  const bool is_snapshot =
+      kind != JournalRecord::Kind::kEntry && kind != JournalRecord::Kind::kConfirm;
+  if (is_snapshot) records_ = 0;  // replaces what was there
+  if (kind != JournalRecord::Kind::kConfirm) ++records_;
   JournalRecord record = {.kind = kind,
                           .bytes = std::move(bytes),
                           .decisions = decisions,
@@ -86,8 +96,12 @@ void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, uint64_t
                           .contribution = std::move(contribution)};
   // The lock makes the order of the queue that of the positions.
   absl::MutexLock lock(&mutex_);
-  if (kind == JournalRecord::Kind::kOpen) record.contribution = std::exchange(kept_, nullptr);
   record.position = ++written_;
+  if (is_snapshot) base_ = record.position;
+  record.base = base_;
+  if (is_snapshot && first_valid_.load(std::memory_order_relaxed) == kNoPosition) {
+    first_valid_.store(record.position, std::memory_order_release);
+  }
   writer_.Write(std::move(record));
 }
 
@@ -100,7 +114,7 @@ void SessionJournal::WhenDurable(uint64_t position, Done done) {
   absl::Status outcome;
   {
     absl::MutexLock lock(&mutex_);
-    outcome = missing_ ? MissingError() : loss_;
+    outcome = loss_;
     if (outcome.ok() && stored_ < position) {
       // If the store becomes unreachable after this check, OnUnreachable() finds the waiter.
       outcome = writer_.CheckReachable();
@@ -113,29 +127,65 @@ void SessionJournal::WhenDurable(uint64_t position, Done done) {
   done(outcome);
 }
 
+SessionJournal::Stored SessionJournal::stored() const {
+  absl::MutexLock lock(&mutex_);
+  return acknowledged_;
+}
+
+void SessionJournal::LoseRecords() {
+  stored_ = 0;
+  acknowledged_ = {};
+  first_valid_.store(kNoPosition, std::memory_order_release);
+  missing_.store(true, std::memory_order_release);
+}
+
+void SessionJournal::OnReplaced(const JournalRecord& record) {
+  if (record.contribution == nullptr) return;
+  absl::MutexLock lock(&mutex_);
+  kept_.push_back(record.contribution);
+}
+
 void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& status) {
   std::vector<Waiter> ready;
+  std::vector<std::shared_ptr<FleetContribution>> contributions;
   absl::Status outcome;
   {
     absl::MutexLock lock(&mutex_);
-    if (absl::IsNotFound(status)) {
-      // A snapshot will follow, which contains this record and the ones before.
-      stored_ = 0;
-      missing_ = true;
-      outcome = MissingError();
-      if (record.contribution != nullptr) kept_ = record.contribution;
-    } else {
-      stored_ = record.position;
-      const bool is_taken = absl::IsAlreadyExists(status) && is_new() && record.position == 1;
-      if (!status.ok() && loss_.ok()) loss_ = is_taken ? status : ReplacedError();
-      outcome = loss_;
-      if (!loss_.ok()) lost_ = true;
+    if (absl::IsNotFound(status) && record.kind != JournalRecord::Kind::kClose) {
+      // A snapshot will follow, which has this record and the ones before. Answers wait for it.
+      LoseRecords();
+      if (record.contribution != nullptr) kept_.push_back(record.contribution);
+      return;
     }
-    if (outcome.ok()) durable_decisions_.store(record.decisions, std::memory_order_release);
+    stored_ = record.position;
+    acknowledged_ = {.base = record.base, .records = record.records};
+    const bool is_taken = absl::IsAlreadyExists(status) && is_new() && record.position == 1;
+    const bool is_refused = !status.ok() && !absl::IsNotFound(status);
+    if (is_refused && loss_.ok()) loss_ = is_taken ? status : ReplacedError();
+    outcome = loss_;
+    if (!loss_.ok()) lost_ = true;
+    if (outcome.ok()) {
+      durable_decisions_.store(record.decisions, std::memory_order_release);
+      contributions = std::exchange(kept_, {});
+      if (record.contribution != nullptr) contributions.push_back(record.contribution);
+    }
     ready = TakeReady(/*all=*/!outcome.ok());
   }
-  if (outcome.ok() && record.contribution != nullptr) record.contribution->Append();
+  for (const auto& contribution : contributions) contribution->Append();
   for (const Waiter& waiter : ready) waiter.done(outcome);
+}
+
+void SessionJournal::OnChecked(const absl::Status& status) {
+  std::vector<Waiter> ready;
+  {
+    absl::MutexLock lock(&mutex_);
+    if (absl::IsNotFound(status)) LoseRecords();
+    if (!absl::IsAborted(status)) return;
+    if (loss_.ok()) loss_ = ReplacedError();
+    lost_ = true;
+    ready = TakeReady(/*all=*/true);
+  }
+  for (const Waiter& waiter : ready) waiter.done(ReplacedError());
 }
 
 std::vector<SessionJournal::Waiter> SessionJournal::TakeReady(bool all) {

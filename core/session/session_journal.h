@@ -48,18 +48,28 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
     uint64_t epoch = 1;  // when this owner began: 1 for a new session; a claim adds to it
     // Names the policy file without which a server cannot go on; empty: any server may try.
     std::string policy_file = "";
+    uint64_t claimed_from = 0;  // epoch of the owner before; 0: none
+  };
+
+  // What the store has of the journal, as far as it has acknowledged it.
+  struct Stored {
+    uint64_t base = 0;   // JournalRecord::base
+    size_t records = 0;  // 0: nothing
   };
 
   // The store has `decisions` of the session, in a journal of `records` records. `writer` must
-  // outlive the journal. REQUIRES: `durability` is not kNone.
+  // outlive the journal. `is_whole` is false if some of the records are of no use: the journal is
+  // then written again. REQUIRES: `durability` is not kNone.
   SessionJournal(Key key, Durability durability, uint64_t decisions, JournalWriter* writer,
-                 size_t records = 0);
+                 size_t records = 0, bool is_whole = true);
 
   const Key& key() const { return key_; }
   uint64_t epoch() const { return epoch_.load(std::memory_order_acquire); }
   // Returns true if this owner opened the session, and false if it claimed it.
   bool is_new() const { return key_.epoch == 1; }
   bool is_sync() const { return is_sync_; }
+  // Returns true if another process may have claimed the session unnoticed.
+  bool is_shared() const { return writer_.IsShared(); }
 
   // Returns UNAVAILABLE if the session must not decide now: while the store cannot be reached
   // (SYNC), or while too much is still to be written (ASYNC).
@@ -77,7 +87,9 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   void OnRelease(const Session& session);
   // Ends the session in the store.
   void OnClose();
-  // Starts the journal again with a snapshot if the store has lost it.
+  // Asks the store whether this owner still has the journal. WhenDurable() tells the outcome.
+  void OnConfirm();
+  // Starts the journal again with a snapshot if the store has lost it or a part of it.
   void WriteAgainIfMissing(const Session& session);
 
   // Returns the position of the last record that was written.
@@ -86,6 +98,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   uint64_t durable_decisions() const { return durable_decisions_.load(std::memory_order_acquire); }
   // Returns true if this copy of the session is out of date, because another owner has the journal.
   bool lost() const { return lost_.load(std::memory_order_acquire); }
+  // Returns true if the journal is to be written again, by WriteAgainIfMissing().
+  bool missing() const { return missing_.load(std::memory_order_acquire); }
   // Makes this copy lost, because it may be out of date: the journal is to be claimed again.
   void Abandon() { lost_.store(true, std::memory_order_release); }
 
@@ -95,12 +109,24 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   void WhenDurable(uint64_t position, Done done) ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Called by the writer.
+  // Returns what the store must have.
+  Stored stored() const ABSL_LOCKS_EXCLUDED(mutex_);
+  // Returns true if a snapshot that is written later, or will be, replaces the record, because the
+  // store has lost what comes before it.
+  bool IsReplaced(const JournalRecord& record) const {
+    return record.position < first_valid_.load(std::memory_order_acquire) &&
+           record.kind != JournalRecord::Kind::kClose;
+  }
+  // The record was left out, because it is replaced.
+  void OnReplaced(const JournalRecord& record) ABSL_LOCKS_EXCLUDED(mutex_);
   // The journal has another epoch in the store now.
   void OnMoved(uint64_t epoch) { epoch_.store(epoch, std::memory_order_release); }
   // The record was written, or refused with ABORTED (this owner has been replaced), ALREADY_EXISTS,
-  // or NOT_FOUND (the store has lost the journal).
+  // or NOT_FOUND (the store has lost the journal or a part of it).
   void OnWritten(const JournalRecord& record, const absl::Status& status)
       ABSL_LOCKS_EXCLUDED(mutex_);
+  // The store was asked about the journal: OK (it has stored()), ABORTED or NOT_FOUND, as above.
+  void OnChecked(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_);
   // The store cannot be reached, so nobody should wait for the records in the queue.
   void OnUnreachable(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_);
 
@@ -112,6 +138,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
 
   // Returns the waiters that the outcome of a record ends.
   std::vector<Waiter> TakeReady(bool all) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Nothing that waits is written before the journal is written again.
+  void LoseRecords() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions,
              std::shared_ptr<FleetContribution> contribution = nullptr) ABSL_LOCKS_EXCLUDED(mutex_);
 
@@ -120,18 +148,22 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   JournalWriter& writer_;
   std::atomic<uint64_t> durable_decisions_;
   std::atomic<bool> lost_ = false;
-  std::atomic<bool> missing_ = false;  // the store has lost the journal
-  std::atomic<uint64_t> decisions_;    // with those that are not stored yet
+  std::atomic<bool> missing_ = false;      // the store has lost the journal or a part of it
+  std::atomic<uint64_t> first_valid_ = 0;  // records before this position are replaced
+  std::atomic<uint64_t> decisions_;        // with those that are not stored yet
   std::atomic<uint64_t> epoch_;
-  size_t records_;  // in the store, with those that wait; of the session's lock
+  // Guarded by the session's lock: what the store has, with what waits.
+  size_t records_;
+  uint64_t base_ = 0;
 
   mutable absl::Mutex mutex_;
   uint64_t written_ ABSL_GUARDED_BY(mutex_) = 0;
   uint64_t stored_ ABSL_GUARDED_BY(mutex_) = 0;  // position
-  absl::Status loss_ ABSL_GUARDED_BY(mutex_);    // not OK if the copy is lost
+  Stored acknowledged_ ABSL_GUARDED_BY(mutex_);
+  absl::Status loss_ ABSL_GUARDED_BY(mutex_);  // not OK if the copy is lost
   std::vector<Waiter> waiters_ ABSL_GUARDED_BY(mutex_);
-  // Its record was not written, because the store has lost the journal. The next snapshot has it.
-  std::shared_ptr<FleetContribution> kept_ ABSL_GUARDED_BY(mutex_);
+  // Their records were replaced. The snapshot that replaces them has the contributions, too.
+  std::vector<std::shared_ptr<FleetContribution>> kept_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace spikeserve

@@ -5,6 +5,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/learning/frobenius_norm.h"
+#include "core/learning/head_update.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -48,6 +50,11 @@ absl::Status CheckHeadDelta(const SessionRequest& request, const Policy& policy)
     if (std::isfinite(delta[i])) continue;
     return absl::InvalidArgumentError(
         absl::StrCat("head_delta[", i, "]: expected a finite number, received ", delta[i]));
+  }
+  if (const double norm = FrobeniusNorm(delta); norm > kLongestHeadDelta) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected a Frobenius norm of at most ", kLongestHeadDelta,
+                     ", received ", norm));
   }
   return absl::OkStatus();
 }

@@ -127,6 +127,7 @@ absl::Status SessionStore::Add(std::shared_ptr<const ServedPolicy> served, Sessi
   // The server that had the session may not have appended it; the log takes it once.
   if (entry->agent.contribution() != nullptr) entry->agent.contribution()->Append();
   observer->OnOpen();
+  if (extras.assigned) entry->agent.ReportTo(observer->OnAssigned(entry->tenant));
   return absl::OkStatus();
 }
 

@@ -67,6 +67,7 @@ struct SessionExtras {
   std::shared_ptr<SessionQuota> quota;    // quota that the session counts against; null: none
   std::unique_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
   std::shared_ptr<SessionJournal> journal = nullptr;    // null: the session is not stored
+  bool assigned = false;  // a roll-out has chosen the version of the session
 };
 
 // Returns NOT_FOUND: no session with this id is visible to the caller.

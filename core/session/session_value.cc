@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 #include "core/engine/energy.h"
 #include "core/engine/engine.h"
 
@@ -33,6 +34,8 @@ double NextReturnToGo(const Session& session, double reward) {
 
 std::optional<UpdateOutcome> ReplaceLastAction(const Policy& policy, const Action& executed,
                                                Session* session) {
+  SPIKESERVE_DCHECK(session->last_answer.has_value());
+  SPIKESERVE_DCHECK(policy.action_space.Contains(executed).ok());
   session->history.ReplaceLastAction(executed);
   if (!session->learner.has_value()) return std::nullopt;
   const Answer& answer = *session->last_answer;
@@ -43,6 +46,7 @@ std::optional<UpdateOutcome> ReplaceLastAction(const Policy& policy, const Actio
 
 void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> observation,
                    double reward, Session* session) {
+  SPIKESERVE_DCHECK_EQ(observation.size(), static_cast<size_t>(policy.observation_size()));
   const auto limit = static_cast<size_t>(HistorySize(policy.config));
   session->history.Append(answer.return_to_go, observation, answer.action, limit);
 

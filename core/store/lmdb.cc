@@ -1,9 +1,11 @@
 #include "core/store/lmdb.h"
 
+#include <csetjmp>
 #include <cstdint>
 #include <filesystem>
 #include <system_error>
 
+#include "absl/functional/function_ref.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 
@@ -39,6 +41,27 @@ absl::StatusOr<FileSize> SizeOf(MDB_env* environment, const std::string& directo
   return file;
 }
 
+// Where to go on when an assertion of LMDB fails on this thread; null: nowhere.
+thread_local std::jmp_buf* assertion_handler = nullptr;
+
+void OnAssertion(MDB_env* /*environment*/, const char* /*message*/) {
+  if (assertion_handler != nullptr) std::longjmp(*assertion_handler, 1);  // NOLINT(cert-err52-cpp)
+}
+
+// Returns what `call` does, or MDB_CORRUPTED if an assertion of LMDB fails in it. It must call LMDB
+// and nothing else: what it has on the stack is not destroyed then.
+int Contain(absl::FunctionRef<int()> call) {
+  std::jmp_buf here;
+  if (setjmp(here) != 0) {  // NOLINT(cert-err52-cpp): LMDB would end the process
+    assertion_handler = nullptr;
+    return MDB_CORRUPTED;
+  }
+  assertion_handler = &here;
+  const int error = call();
+  assertion_handler = nullptr;
+  return error;
+}
+
 struct CursorCloser {
   void operator()(MDB_cursor* cursor) const { mdb_cursor_close(cursor); }
 };
@@ -47,6 +70,11 @@ struct CursorCloser {
 
 absl::Status LmdbStatus(int error) {
   if (error == 0) return absl::OkStatus();
+  const bool is_damage = error == MDB_CORRUPTED || error == MDB_PAGE_NOTFOUND ||
+                         error == MDB_INVALID || error == MDB_PANIC || error == MDB_BAD_TXN;
+  if (is_damage) {
+    return absl::DataLossError(absl::StrCat("session store: ", mdb_strerror(error)));
+  }
   return absl::UnavailableError(absl::StrCat("session store: ", mdb_strerror(error)));
 }
 
@@ -54,8 +82,9 @@ absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t mo
   MDB_env* raw = nullptr;
   if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
   LmdbEnvironment environment(raw);
-  for (const int error : {mdb_env_set_mapsize(raw, most_bytes), mdb_env_set_maxdbs(raw, 2),
-                          mdb_env_open(raw, directory.c_str(), MDB_NOTLS, 0600)}) {
+  for (const int error :
+       {mdb_env_set_assert(raw, OnAssertion), mdb_env_set_mapsize(raw, most_bytes),
+        mdb_env_set_maxdbs(raw, 2), mdb_env_open(raw, directory.c_str(), MDB_NOTLS, 0600)}) {
     if (auto status = LmdbStatus(error); !status.ok()) return status;
   }
   // LMDB maps the file, and to read behind its end would kill the process. If the end was cut off,
@@ -75,7 +104,7 @@ absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory) {
   MDB_env* raw = nullptr;
   if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
   LmdbEnvironment environment(raw);
-  for (const int error : {mdb_env_set_maxdbs(raw, 2),
+  for (const int error : {mdb_env_set_assert(raw, OnAssertion), mdb_env_set_maxdbs(raw, 2),
                           mdb_env_open(raw, directory.c_str(), MDB_NOTLS | MDB_RDONLY, 0600)}) {
     if (auto status = LmdbStatus(error); !status.ok()) return status;
   }
@@ -105,7 +134,8 @@ absl::StatusOr<LmdbTransaction> LmdbTransaction::BeginToRead(MDB_env* environmen
 
 absl::StatusOr<MDB_dbi> LmdbTransaction::OpenTable(const char* name) {
   MDB_dbi table = 0;
-  const int error = mdb_dbi_open(transaction_.get(), name, writes_ ? MDB_CREATE : 0, &table);
+  const int error = Contain(
+      [&] { return mdb_dbi_open(transaction_.get(), name, writes_ ? MDB_CREATE : 0, &table); });
   if (auto status = LmdbStatus(error); !status.ok()) return status;
   return table;
 }
@@ -114,7 +144,7 @@ absl::StatusOr<std::optional<absl::string_view>> LmdbTransaction::Get(MDB_dbi ta
                                                                       absl::string_view key) {
   MDB_val key_value = ToValue(key);
   MDB_val value;
-  const int error = mdb_get(transaction_.get(), table, &key_value, &value);
+  const int error = Contain([&] { return mdb_get(transaction_.get(), table, &key_value, &value); });
   if (error == MDB_NOTFOUND) return std::nullopt;
   if (auto status = LmdbStatus(error); !status.ok()) return status;
   return ToView(value);
@@ -123,12 +153,14 @@ absl::StatusOr<std::optional<absl::string_view>> LmdbTransaction::Get(MDB_dbi ta
 absl::Status LmdbTransaction::Put(MDB_dbi table, absl::string_view key, absl::string_view value) {
   MDB_val key_value = ToValue(key);
   MDB_val bytes = ToValue(value);
-  return LmdbStatus(mdb_put(transaction_.get(), table, &key_value, &bytes, 0));
+  return LmdbStatus(
+      Contain([&] { return mdb_put(transaction_.get(), table, &key_value, &bytes, 0); }));
 }
 
 absl::Status LmdbTransaction::Delete(MDB_dbi table, absl::string_view key) {
   MDB_val key_value = ToValue(key);
-  const int error = mdb_del(transaction_.get(), table, &key_value, nullptr);
+  const int error =
+      Contain([&] { return mdb_del(transaction_.get(), table, &key_value, nullptr); });
   return error == MDB_NOTFOUND ? absl::OkStatus() : LmdbStatus(error);
 }
 
@@ -143,16 +175,26 @@ absl::Status LmdbTransaction::Scan(
   MDB_val key = ToValue(prefix);
   MDB_val value;
   // An empty prefix is no key that LMDB can look for.
-  int error = mdb_cursor_get(raw, &key, &value, prefix.empty() ? MDB_FIRST : MDB_SET_RANGE);
-  for (; error == 0 && absl::StartsWith(ToView(key), prefix);
-       error = mdb_cursor_get(raw, &key, &value, MDB_NEXT)) {
+  const auto move = [&](MDB_cursor_op to) {
+    return Contain([&] { return mdb_cursor_get(raw, &key, &value, to); });
+  };
+  int error = move(prefix.empty() ? MDB_FIRST : MDB_SET_RANGE);
+  for (; error == 0 && absl::StartsWith(ToView(key), prefix); error = move(MDB_NEXT)) {
     visit(ToView(key), ToView(value));
   }
   return error == MDB_NOTFOUND ? absl::OkStatus() : LmdbStatus(error);
 }
 
 absl::Status LmdbTransaction::Commit() {
-  return LmdbStatus(mdb_txn_commit(transaction_.release()));
+  bool is_done = false;
+  const int error = Contain([&] {
+    const int outcome = mdb_txn_commit(transaction_.get());
+    is_done = true;
+    return outcome;
+  });
+  // Also a commit that fails ends the transaction, but one that stops at an assertion does not.
+  if (is_done) static_cast<void>(transaction_.release());
+  return LmdbStatus(error);
 }
 
 }  // namespace spikeserve

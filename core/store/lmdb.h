@@ -27,7 +27,8 @@ struct LmdbCloser {
 };
 using LmdbEnvironment = std::unique_ptr<MDB_env, LmdbCloser>;
 
-// Returns OK for 0, and otherwise UNAVAILABLE with LMDB's description of the error.
+// Returns OK for 0, and otherwise UNAVAILABLE with LMDB's description of the error, or DATA_LOSS if
+// LMDB has met a damaged page.
 absl::Status LmdbStatus(int error);
 
 // Opens the environment in `directory`, to read while another process may write to it. Returns
@@ -38,7 +39,8 @@ absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory);
 // named tables. If the end of its file is missing, reading the lost pages returns UNAVAILABLE.
 absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes);
 
-// A transaction that is rolled back unless Commit() is called.
+// A transaction that is rolled back unless Commit() is called. An assertion of LMDB, which fails at
+// a damaged page, is DATA_LOSS; the transaction is of no further use then.
 class LmdbTransaction {
  public:
   static absl::StatusOr<LmdbTransaction> Begin(MDB_env* environment);

@@ -11,10 +11,6 @@ namespace {
 
 constexpr int kMostRedirections = 5;
 
-// Time that replicas have to take over what was written, in milliseconds. Less than the timeout of
-// a connection.
-constexpr char kReplicaTimeout[] = "500";
-
 absl::Status Unavailable(absl::string_view what) {
   return absl::UnavailableError(absl::StrCat("session store: ", what));
 }
@@ -55,7 +51,7 @@ absl::StatusOr<std::unique_ptr<RedisClient>> RedisClient::Connect(const RedisOpt
 }
 
 absl::Status RedisClient::ConnectBySentinel(const RedisEndpoint& sentinel) {
-  const auto connection = RedisConnection::Connect(sentinel, options_);
+  const auto connection = RedisConnection::Connect(sentinel, options_, RedisPeer::kSentinel);
   if (!connection.ok()) return connection.status();
   const std::string& name = options_.address.primary;
   const auto reply = (*connection)->Run({"SENTINEL", "get-master-addr-by-name", name});
@@ -77,8 +73,7 @@ absl::Status RedisClient::ConnectTo(const RedisEndpoint& endpoint) {
   const auto slots = connection.Read();
   if (!slots.ok()) return slots.status();
   if ((*slots)->type == REDIS_REPLY_ARRAY) {
-    ReadSlots(**slots, endpoint);
-    return absl::OkStatus();
+    return ReadSlots(**slots, endpoint);
   }
   // A former primary that came back is a replica, which refuses writes.
   connection.Append(FormatRedisCommand({"ROLE"}));
@@ -91,20 +86,29 @@ absl::Status RedisClient::ConnectTo(const RedisEndpoint& endpoint) {
   return absl::OkStatus();
 }
 
-void RedisClient::ReadSlots(const redisReply& reply, const RedisEndpoint& asked) {
+absl::Status RedisClient::ReadSlots(const redisReply& reply, const RedisEndpoint& asked) {
   slots_.assign(kSlots, nullptr);
   for (size_t i = 0; i < reply.elements; ++i) {
     const redisReply& range = *reply.element[i];
     if (!IsArray(range, 3) || !IsArray(*range.element[2], 2)) continue;
+    const int64_t first = range.element[0]->integer;
+    const int64_t last = range.element[1]->integer;
+    const int64_t port = range.element[2]->element[1]->integer;
+    if (first < 0 || first > last || last >= int64_t{kSlots}) {
+      return Unavailable(absl::StrCat(asked.ToString(), ": expected slots from 0 to ", kSlots - 1,
+                                      ", received ", first, " to ", last));
+    }
+    if (port < 1 || port > kLargestPort) {
+      return Unavailable(absl::StrCat(asked.ToString(), ": expected a port from 1 to ",
+                                      kLargestPort, ", received ", port));
+    }
     RedisEndpoint endpoint = {.host = std::string(TextOf(*range.element[2]->element[0])),
-                              .port = static_cast<int>(range.element[2]->element[1]->integer)};
+                              .port = static_cast<int>(port)};
     if (endpoint.host.empty()) endpoint.host = asked.host;  // a node that does not know its address
     Node& node = NodeAt(endpoint);
-    const auto last = static_cast<size_t>(range.element[1]->integer);
-    for (auto slot = static_cast<size_t>(range.element[0]->integer); slot <= last; ++slot) {
-      if (slot < kSlots) slots_[slot] = &node;
-    }
+    for (int64_t slot = first; slot <= last; ++slot) slots_[static_cast<size_t>(slot)] = &node;
   }
+  return absl::OkStatus();
 }
 
 RedisClient::Node& RedisClient::NodeAt(const RedisEndpoint& endpoint) {
@@ -120,7 +124,7 @@ RedisClient::Node& RedisClient::NodeOf(absl::string_view key) {
 
 absl::Status RedisClient::Connect(const Node& node, std::unique_ptr<RedisConnection>* connection) {
   if (*connection != nullptr) return absl::OkStatus();
-  auto connected = RedisConnection::Connect(node.endpoint, options_);
+  auto connected = RedisConnection::Connect(node.endpoint, options_, RedisPeer::kRedis);
   if (!connected.ok()) return connected.status();
   if (options_.address.database != 0) {
     const auto reply = (*connected)->Run({"SELECT", absl::StrCat(options_.address.database)});
@@ -232,8 +236,10 @@ absl::Status RedisClient::ScanNode(RedisConnection& connection, absl::string_vie
 absl::Status RedisClient::WaitForReplicas() {
   const auto connections = std::exchange(written_, {});
   const std::string replicas = absl::StrCat(options_.replicas);
+  // The replicas have less time than Redis has for its answer.
+  const std::string timeout = absl::StrCat(absl::ToInt64Milliseconds(options_.timeout / 2));
   for (RedisConnection* connection : connections) {
-    connection->Append(FormatRedisCommand({"WAIT", replicas, kReplicaTimeout}));
+    connection->Append(FormatRedisCommand({"WAIT", replicas, timeout}));
   }
   absl::Status outcome;
   for (RedisConnection* connection : connections) {

@@ -8,7 +8,8 @@
 // In a Cluster, each command goes to the node that has its key, and MOVED and ASK are followed. The
 // keys of one command must lie in one slot. Commands on keys of one slot run in their order.
 //
-// Not thread-safe. All methods but Append() block for at most a few RedisConnection::kTimeout.
+// Not thread-safe. All methods but Append() block for at most a few
+// RedisOptions::timeout.
 #ifndef CORE_STORE_REDIS_CLIENT_H_
 #define CORE_STORE_REDIS_CLIENT_H_
 
@@ -81,8 +82,9 @@ class RedisClient {
 
   absl::Status ConnectBySentinel(const RedisEndpoint& sentinel);
   absl::Status ConnectTo(const RedisEndpoint& endpoint);
-  // Fills the table of slots from the reply to CLUSTER SLOTS. `asked` sent it.
-  void ReadSlots(const redisReply& reply, const RedisEndpoint& asked);
+  // Fills the table of slots from the reply to CLUSTER SLOTS. `asked` sent it. Returns UNAVAILABLE
+  // if it names slots or ports that there are not.
+  absl::Status ReadSlots(const redisReply& reply, const RedisEndpoint& asked);
   bool is_cluster() const { return !slots_.empty(); }
   Node& NodeAt(const RedisEndpoint& endpoint);
   Node& NodeOf(absl::string_view key);

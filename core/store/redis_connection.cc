@@ -2,19 +2,44 @@
 
 #include <sys/socket.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
 #include <utility>
 
 #include "absl/container/inlined_vector.h"
+#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 
 namespace spikeserve {
 namespace {
 
 constexpr size_t kReadBytes = 16 << 10;
+
+// As much of what a server sends that is no Redis as an error quotes.
+constexpr size_t kQuotedBytes = 60;
+
+// As hiredis reads replies, but an array may have only as many elements as a counter of the
+// connection leaves: hiredis allocates them before the first one has arrived.
+redisReplyObjectFunctions* BoundedReplies() {
+  static redisReplyObjectFunctions* const functions = [] {
+    redisReader* const reader = redisReaderCreate();
+    static const redisReplyObjectFunctions standard = *reader->fn;
+    redisReaderFree(reader);
+    auto* bounded = new redisReplyObjectFunctions(standard);
+    bounded->createArray = [](const redisReadTask* task, int elements) -> void* {
+      auto* const left = static_cast<size_t*>(task->privdata);
+      if (elements < 0 || static_cast<size_t>(elements) > *left) return nullptr;
+      *left -= static_cast<size_t>(elements);
+      return standard.createArray(task, elements);
+    };
+    return bounded;
+  }();
+  return functions;
+}
 
 }  // namespace
 
@@ -43,10 +68,11 @@ absl::Status RedisStatus(const redisReply& reply) {
 }
 
 absl::StatusOr<std::unique_ptr<RedisConnection>> RedisConnection::Connect(
-    const RedisEndpoint& endpoint, const RedisOptions& options) {
-  const timeval timeout = absl::ToTimeval(kTimeout);
-  auto connection = std::unique_ptr<RedisConnection>(new RedisConnection(
-      endpoint, redisConnectWithTimeout(endpoint.host.c_str(), endpoint.port, timeout)));
+    const RedisEndpoint& endpoint, const RedisOptions& options, RedisPeer peer) {
+  const timeval timeout = absl::ToTimeval(options.timeout);
+  auto connection = std::unique_ptr<RedisConnection>(
+      new RedisConnection(endpoint, options.timeout,
+                          redisConnectWithTimeout(endpoint.host.c_str(), endpoint.port, timeout)));
   redisContext* context = connection->context_.get();
   if (context == nullptr || context->err != 0) {
     return absl::UnavailableError(absl::StrCat("session store: cannot connect to ",
@@ -55,6 +81,8 @@ absl::StatusOr<std::unique_ptr<RedisConnection>> RedisConnection::Connect(
   }
   redisSetTimeout(context, timeout);
   redisEnableKeepAlive(context);
+  context->reader->fn = BoundedReplies();
+  context->reader->privdata = &connection->elements_left_;
   if (options.address.tls) {
     auto tls = ConnectTls(context->fd, endpoint.host, options.tls_files);
     if (!tls.ok()) {
@@ -63,16 +91,20 @@ absl::StatusOr<std::unique_ptr<RedisConnection>> RedisConnection::Connect(
     }
     connection->tls_ = *std::move(tls);
   }
-  if (auto status = connection->Authenticate(options); !status.ok()) return status;
+  if (auto status = connection->Authenticate(options, peer); !status.ok()) return status;
   return connection;
 }
 
-absl::Status RedisConnection::Authenticate(const RedisOptions& options) {
-  if (options.password.empty()) return absl::OkStatus();
-  const auto reply = Run({"AUTH", options.password});
-  // Sentinels often have no password, although the Redis servers have one.
-  const bool needless = !options.address.primary.empty() &&
-                        absl::StrContains(reply.status().message(), "any password configured");
+absl::Status RedisConnection::Authenticate(const RedisOptions& options, RedisPeer peer) {
+  const std::string& user = options.address.user;
+  if (options.password.empty() && user.empty()) return absl::OkStatus();
+  const auto reply =
+      user.empty() ? Run({"AUTH", options.password}) : Run({"AUTH", user, options.password});
+  if (reply.ok() || peer == RedisPeer::kRedis) return reply.status();
+  // Sentinels often have neither password nor user, although the Redis servers have them.
+  const absl::string_view error = reply.status().message();
+  const bool needless = absl::StrContains(error, "any password configured") ||
+                        (!user.empty() && absl::StrContains(error, "WRONGPASS"));
   return needless ? absl::OkStatus() : reply.status();
 }
 
@@ -85,19 +117,27 @@ absl::StatusOr<RedisReply> RedisConnection::Run(absl::Span<const absl::string_vi
 }
 
 absl::StatusOr<RedisReply> RedisConnection::Read() {
-  void* raw = nullptr;
-  if (redisReaderGetReply(context_->reader, &raw) != REDIS_OK) {
-    return Failed(context_->reader->errstr);
-  }
-  if (raw == nullptr && !unsent_.empty()) {
-    if (auto status = SendAll(); !status.ok()) return status;
-  }
-  while (raw == nullptr) {
+  elements_left_ = kMostReplyElements;
+  reply_bytes_ = 0;
+  auto reply = Parse();
+  if (!reply.ok() || *reply != nullptr) return reply;
+  if (auto status = SendAll(); !status.ok()) return status;
+  const absl::Time end = absl::Now() + kTimeoutsOfReply * timeout_;
+  while (reply.ok() && *reply == nullptr) {
     if (auto status = Receive(); !status.ok()) return status;
-    if (redisReaderGetReply(context_->reader, &raw) != REDIS_OK) {
-      return Failed(context_->reader->errstr);
+    if (reply_bytes_ > kMostReplyBytes) return Failed("a reply is too large");
+    reply = Parse();
+    if (reply.ok() && *reply == nullptr && absl::Now() > end) {
+      return Failed("a reply has not arrived in time");
     }
   }
+  return reply;
+}
+
+absl::StatusOr<RedisReply> RedisConnection::Parse() {
+  void* raw = nullptr;
+  if (redisReaderGetReply(context_->reader, &raw) != REDIS_OK) return ReaderFailed();
+  if (raw != nullptr) has_replied_ = true;
   return RedisReply(static_cast<redisReply*>(raw));
 }
 
@@ -138,12 +178,26 @@ absl::Status RedisConnection::Receive() {
     if (received < 0) return Failed(std::strerror(errno));
     count = static_cast<size_t>(received);
   }
+  if (!has_replied_ && first_bytes_.size() < kQuotedBytes) {
+    first_bytes_.append(bytes.data(), std::min(count, kQuotedBytes - first_bytes_.size()));
+  }
+  reply_bytes_ += count;
   redisReaderFeed(context_->reader, bytes.data(), count);
   return absl::OkStatus();
 }
 
 absl::Status RedisConnection::Failed(absl::string_view what) const {
   return absl::UnavailableError(absl::StrCat("session store: ", endpoint_.ToString(), ": ", what));
+}
+
+absl::Status RedisConnection::ReaderFailed() const {
+  const redisReader& reader = *context_->reader;
+  if (reader.err == REDIS_ERR_OOM) return Failed("a reply is too large");
+  if (has_replied_ || reader.err != REDIS_ERR_PROTOCOL) return Failed(reader.errstr);
+  const absl::string_view line = first_bytes_;
+  return absl::UnavailableError(absl::StrCat(
+      "--session_store: expected a Redis server at ", endpoint_.ToString(), ", received \"",
+      absl::CHexEscape(line.substr(0, line.find_first_of("\r\n"))), "\""));
 }
 
 }  // namespace spikeserve

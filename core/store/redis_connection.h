@@ -1,11 +1,14 @@
 // A connection to one Redis server, in plain text or over TLS. Uses the protocol of hiredis.
 //
-//   auto connection = RedisConnection::Connect(endpoint, options);
+//   auto connection = RedisConnection::Connect(endpoint, options, RedisPeer::kRedis);
 //   (*connection)->Append(FormatRedisCommand({"RPUSHX", key, value}));
 //   auto reply = (*connection)->Read();
 //
 // Commands are sent together when the first reply is read. Each command has one reply, in order.
-// Not thread-safe; Connect() and Read() block for at most kTimeout.
+// Whatever the server answers, replies are bounded in size and in the time that they take.
+//
+// Not thread-safe. Read() waits at most RedisOptions::timeout for each part of a reply, and at most
+// kTimeoutsOfReply times as long for all of it. Connect() waits as long for each of its steps.
 #ifndef CORE_STORE_REDIS_CONNECTION_H_
 #define CORE_STORE_REDIS_CONNECTION_H_
 
@@ -38,13 +41,19 @@ absl::string_view TextOf(const redisReply& reply);
 // Returns OK, or UNAVAILABLE with the text of an error reply.
 absl::Status RedisStatus(const redisReply& reply);
 
+enum class RedisPeer { kRedis, kSentinel };
+
 class RedisConnection {
  public:
-  static constexpr absl::Duration kTimeout = absl::Seconds(1);
+  static constexpr int kTimeoutsOfReply = 10;
+  // Bounds of one reply. Redis itself allows no longer string.
+  static constexpr size_t kMostReplyBytes = size_t{512} << 20;
+  static constexpr size_t kMostReplyElements = 1 << 20;
 
   // Connects and authenticates. Returns UNAVAILABLE if it cannot.
   static absl::StatusOr<std::unique_ptr<RedisConnection>> Connect(const RedisEndpoint& endpoint,
-                                                                  const RedisOptions& options);
+                                                                  const RedisOptions& options,
+                                                                  RedisPeer peer);
 
   const RedisEndpoint& endpoint() const { return endpoint_; }
 
@@ -62,19 +71,28 @@ class RedisConnection {
   struct ContextDeleter {
     void operator()(redisContext* context) const { redisFree(context); }
   };
-  RedisConnection(RedisEndpoint endpoint, redisContext* context)
-      : endpoint_(std::move(endpoint)), context_(context) {}
+  RedisConnection(RedisEndpoint endpoint, absl::Duration timeout, redisContext* context)
+      : endpoint_(std::move(endpoint)), timeout_(timeout), context_(context) {}
 
-  absl::Status Authenticate(const RedisOptions& options);
+  absl::Status Authenticate(const RedisOptions& options, RedisPeer peer);
+  // Returns the next reply if all of it has arrived, and otherwise null.
+  absl::StatusOr<RedisReply> Parse();
   absl::Status SendAll();
   // Reads what has arrived, and waits if it is nothing.
   absl::Status Receive();
   absl::Status Failed(absl::string_view what) const;
+  // Returns why the reader has failed: the server sends something else than replies of Redis.
+  absl::Status ReaderFailed() const;
 
   const RedisEndpoint endpoint_;
+  const absl::Duration timeout_;
   const std::unique_ptr<redisContext, ContextDeleter> context_;  // owns the socket and the reader
   SslConnection tls_;                                            // null: plain text
   std::string unsent_;
+  bool has_replied_ = false;  // at least once, in the protocol of Redis
+  std::string first_bytes_;   // that the server has sent, until it has replied
+  size_t reply_bytes_ = 0;    // received since the last reply
+  size_t elements_left_ = 0;  // that the arrays of the next reply may still have
 };
 
 }  // namespace spikeserve

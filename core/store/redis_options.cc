@@ -9,8 +9,6 @@
 namespace spikeserve {
 namespace {
 
-constexpr int kLargestPort = 65535;
-
 // Parses HOST[:PORT] or [IPV6][:PORT].
 std::optional<RedisEndpoint> ParseEndpoint(absl::string_view text, int default_port) {
   RedisEndpoint endpoint = {.host = "", .port = default_port};
@@ -44,6 +42,11 @@ std::optional<RedisAddress> ParseRedisAddress(absl::string_view text) {
   address.tls = absl::ConsumePrefix(&text, "s");
   const bool sentinel = absl::ConsumePrefix(&text, "+sentinel");
   if (!absl::ConsumePrefix(&text, "://")) return std::nullopt;
+  if (const size_t at = text.substr(0, text.find('/')).rfind('@'); at != absl::string_view::npos) {
+    address.user = std::string(text.substr(0, at));
+    if (address.user.empty() || absl::StrContains(address.user, ':')) return std::nullopt;
+    text.remove_prefix(at + 1);
+  }
   std::vector<absl::string_view> parts = absl::StrSplit(text, '/');
   for (const absl::string_view host : absl::StrSplit(parts[0], ',')) {
     auto endpoint = ParseEndpoint(host, sentinel ? kSentinelPort : kRedisPort);
@@ -60,6 +63,19 @@ std::optional<RedisAddress> ParseRedisAddress(absl::string_view text) {
   if (parts.size() > 1) return std::nullopt;
   if (!absl::SimpleAtoi(parts[0], &address.database) || address.database < 0) return std::nullopt;
   return address;
+}
+
+absl::Status CheckNoRedisPassword(absl::string_view text) {
+  const size_t begin = text.find("://");
+  if (!absl::StartsWith(text, "redis") || begin == absl::string_view::npos) {
+    return absl::OkStatus();
+  }
+  const absl::string_view rest = text.substr(begin + 3);
+  const absl::string_view user = rest.substr(0, rest.rfind('@'));
+  if (user.size() == rest.size() || !absl::StrContains(user, ':')) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      "expected the password of Redis in the file of --store_password_file, received one in the "
+      "address");
 }
 
 }  // namespace spikeserve

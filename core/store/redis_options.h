@@ -1,6 +1,7 @@
 // How to reach Redis: the parts of an address such as
 //
 //   redis://cache:6379/1                      one server, or any node of a Cluster
+//   redis://robots@cache                      as the user `robots` of its access control list
 //   redis://node1,node2,node3                 the first that answers; for a Cluster
 //   rediss://cache                            as above, over TLS
 //   redis+sentinel://guard1,guard2/mymaster   the primary that Sentinel names
@@ -15,12 +16,16 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "absl/time/time.h"
 
 namespace spikeserve {
 
 inline constexpr int kRedisPort = 6379;
 inline constexpr int kSentinelPort = 26379;
+inline constexpr int kLargestPort = 65535;
+inline constexpr absl::Duration kDefaultRedisTimeout = absl::Seconds(1);
 
 struct RedisEndpoint {
   std::string host;  // a name, an IPv4 address, or an IPv6 address without brackets
@@ -33,6 +38,7 @@ struct RedisEndpoint {
 
 struct RedisAddress {
   std::vector<RedisEndpoint> endpoints;  // tried in order
+  std::string user = "";                 // of the access control list; empty: the default user
   std::string primary = "";  // name of the primary; empty: the endpoints are not Sentinels
   int database = 0;
   bool tls = false;
@@ -40,11 +46,15 @@ struct RedisAddress {
 
 // The forms of ParseRedisAddress(), for error messages.
 inline constexpr char kRedisAddressForms[] =
-    "redis://HOST[:PORT][,...][/DATABASE], redis+sentinel://HOST[:PORT][,...]/PRIMARY[/DATABASE], "
-    "or these with rediss for TLS";
+    "redis://[USER@]HOST[:PORT][,...][/DATABASE], "
+    "redis+sentinel://[USER@]HOST[:PORT][,...]/PRIMARY[/DATABASE], or these with rediss for TLS";
 
 // Returns nullopt if `text` has another form than above.
 std::optional<RedisAddress> ParseRedisAddress(absl::string_view text);
+
+// Returns INVALID_ARGUMENT if there is a password in an address of Redis, which would be visible in
+// the list of processes and on the status page. The error does not repeat it.
+absl::Status CheckNoRedisPassword(absl::string_view text);
 
 // PEM files for TLS, read at each connection.
 struct RedisTlsFiles {
@@ -56,6 +66,9 @@ struct RedisTlsFiles {
 struct RedisOptions {
   RedisAddress address;
   std::string password = "";  // of Redis, and of Sentinels that want one; empty: none
+  // The longest time without a byte of an answer. A whole reply may take
+  // RedisConnection::kTimeoutsOfReply times as long.
+  absl::Duration timeout = kDefaultRedisTimeout;
   RedisTlsFiles tls_files = {};
   int64_t replicas = 0;  // of Redis, that must have a write before it counts
 };

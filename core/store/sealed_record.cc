@@ -34,6 +34,8 @@ std::string OpenRecord(absl::string_view bytes) {
   return std::string(seal.substr(kMark.size()) == ChecksumOf(record) ? record : "");
 }
 
+std::string DamagedRecord() { return absl::StrCat(kMark, std::string(kChecksumBytes, '\0')); }
+
 absl::Status CutDamagedEnd(std::vector<std::string>* journal) {
   const size_t size = journal->size();
   while (journal->size() > 1 && journal->back().empty()) journal->pop_back();

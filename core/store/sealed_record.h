@@ -23,6 +23,9 @@ std::string SealRecord(absl::string_view record);
 // releases wrote none, and a record whose checksum has become unrecognizable is no document.
 std::string OpenRecord(absl::string_view bytes);
 
+// Returns a record whose checksum is wrong, for the place of one that is lost.
+std::string DamagedRecord();
+
 // Removes empty records from the end of a journal, behind its first record. Their decisions may be
 // sent again. Returns DATA_LOSS, which names the first one, or OK if there is none.
 absl::Status CutDamagedEnd(std::vector<std::string>* journal);

@@ -37,6 +37,7 @@ struct StoreReport {
   std::vector<std::string> replicas;   // that are alive (Redis)
   std::vector<StoreFinding> damaged;   // sessions that could not be restored
   std::vector<StoreFinding> orphaned;  // parts without their session
+  std::vector<std::string> warnings;   // what the settings of the store may lose (Redis)
 };
 
 // Returns OK if a server could restore session `id` of `tenant` from `records`, as far as this is

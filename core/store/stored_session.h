@@ -19,6 +19,18 @@ namespace spikeserve {
 inline constexpr char kSessionsTable[] = "sessions";
 inline constexpr char kRecordsTable[] = "records";
 
+// The length of the ids of sessions, which are hexadecimal digits.
+inline constexpr size_t kStoredIdBytes = 32;
+
+// Returns the key of a record in a file: the session's id, then the number of decisions, which
+// sorts. Records of equal numbers replace each other: the end of an episode replaces the entry of
+// its last decision.
+inline std::string StoredRecordKey(absl::string_view id, uint64_t decisions) {
+  std::string key(id);
+  for (int shift = 56; shift >= 0; shift -= 8) key.push_back(static_cast<char>(decisions >> shift));
+  return key;
+}
+
 // The size that a file store may grow to. It takes only the space that it needs.
 inline constexpr size_t kMostStoreBytes = size_t{64} << 30;
 

@@ -21,6 +21,7 @@
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "core/model/quantize.h"
+#include "core/model/quantize_integer.h"
 #include "loadtest/bench/contestant.h"
 
 namespace spikeserve {
@@ -61,6 +62,7 @@ absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
       ParseEnum<Arithmetic>("--arithmetic", flags.arithmetic);
   if (!arithmetic.ok()) return arithmetic.status();
   if (*arithmetic == policy->config.arithmetic) return policy;
+  if (*arithmetic == Arithmetic::kInteger) return QuantizeToInteger(*policy);
   return Quantize(*policy);  // fails for a policy that is already in int8
 }
 
@@ -172,7 +174,7 @@ int main(int argc, char** argv) {
   app.add_option("--policy", flags.policy, "Policy file; default: a random policy");
   app.add_option("--engine", flags.engine)->check(CLI::IsMember({"streaming", "reference"}));
   app.add_option("--arithmetic", flags.arithmetic,
-                 "float32 or int8: rounds a float32 policy; default: the policy's");
+                 "float32, int8 or integer: rounds a float32 policy; default: the policy's");
   app.add_option("--hidden_size", flags.random.hidden_size, "d of a random policy");
   app.add_option("--ticks", flags.random.ticks, "T of a random policy");
   app.add_option("--context", flags.random.context, "N of a random policy, in timesteps");

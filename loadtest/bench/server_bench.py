@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import pathlib
+import shutil
 import statistics
 import subprocess
 import tempfile
@@ -49,7 +50,7 @@ def policy_folder(folder, arithmetic):
     version = VERSIONS[arithmetic]
     policy = folder / arithmetic / SHIPPED.parts[-3]
     policy.mkdir(parents=True)
-    (policy / version).symlink_to(POLICIES / SHIPPED.parts[-3] / version)
+    shutil.copytree(POLICIES / SHIPPED.parts[-3] / version, policy / version)
     return policy.parent
 
 

@@ -48,7 +48,8 @@ Decide FullWindow(Policy policy) {
                                            .index({torch::arange(n) % policy.action_space.size()})
                                            .unsqueeze(0),
                             .timesteps = torch::arange(n).unsqueeze(0),
-                            .seeds = torch::zeros({1}, torch::kLong)};
+                            .seeds = torch::zeros({1}, torch::kLong),
+                            .previous = {}};
   const auto model = std::make_shared<const TorchModel>(std::move(policy), Surrogate());
   return [model, clip] {
     model->Forward(clip);

@@ -98,6 +98,10 @@ void Authenticator::Publish(const TokenFile& file) {
   for (const auto& [name, limits] : file.tenants) {
     TenantLimits divided = limits;
     divided.decisions_per_second /= replicas_;
+    CallRates& calls = divided.calls_per_second;
+    for (double* rate : {&calls.light, &calls.listing, &calls.explain, &calls.operators}) {
+      *rate /= replicas_;
+    }
     TenantOf(name)->SetLimits(divided, share);
   }
   Table table;

@@ -1,12 +1,37 @@
 #include "server/access/tenant.h"
 
+#include <array>
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
+namespace {
+
+struct NamedRate {
+  Cost cost;
+  absl::string_view name;  // in the tokens file
+  double per_second;
+};
+
+std::array<NamedRate, 4> RatesOf(const CallRates& rates) {
+  return {{{Cost::kLight, "light", rates.light},
+           {Cost::kListing, "listing", rates.listing},
+           {Cost::kExplain, "explain", rates.explain},
+           {Cost::kOperator, "operator", rates.operators}}};
+}
+
+absl::string_view NameOf(Cost cost) {
+  for (const NamedRate& rate : RatesOf({})) {
+    if (rate.cost == cost) return rate.name;
+  }
+  return "decision";
+}
+
+}  // namespace
 
 absl::Status TenantLimits::Validate() const {
   const auto refuse = [](const char* field, auto received) {
@@ -17,6 +42,11 @@ absl::Status TenantLimits::Validate() const {
   if (!std::isfinite(decisions_per_second) || decisions_per_second < 0.0) {
     return refuse("decisions_per_second", decisions_per_second);
   }
+  for (const auto& [cost, name, rate] : RatesOf(calls_per_second)) {
+    if (!std::isfinite(rate) || rate < 0.0) {
+      return refuse(absl::StrCat("calls_per_second.", name).c_str(), rate);
+    }
+  }
   if (max_message_bytes < 0) return refuse("max_message_bytes", max_message_bytes);
   return absl::OkStatus();
 }
@@ -26,6 +56,9 @@ void Tenant::SetLimits(const TenantLimits& limits, int64_t default_sessions) {
   max_message_bytes_.store(limits.max_message_bytes, std::memory_order_relaxed);
   max_durability_.store(limits.max_durability, std::memory_order_relaxed);
   decisions_.Set(limits.decisions_per_second);
+  for (const NamedRate& rate : RatesOf(limits.calls_per_second)) {
+    calls_[static_cast<size_t>(rate.cost)].Set(rate.per_second);
+  }
 }
 
 absl::Status Tenant::Acquire() {
@@ -47,6 +80,15 @@ absl::Status Tenant::AcquireDecision(absl::Duration now) {
   return WithRetryDelay(absl::ResourceExhaustedError(
                             absl::StrCat("decisions_per_second: the limit of tenant ", name_,
                                          " is reached; try again in ", absl::FormatDuration(wait))),
+                        wait);
+}
+
+absl::Status Tenant::AcquireCall(Cost cost, absl::Duration now) {
+  const absl::Duration wait = calls_[static_cast<size_t>(cost)].Acquire(now);
+  if (wait <= absl::ZeroDuration()) return absl::OkStatus();
+  return WithRetryDelay(absl::ResourceExhaustedError(absl::StrCat(
+                            "calls_per_second.", NameOf(cost), ": the limit of tenant ", name_,
+                            " is reached; try again in ", absl::FormatDuration(wait))),
                         wait);
 }
 

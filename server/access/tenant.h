@@ -4,6 +4,7 @@
 #ifndef SERVER_ACCESS_TENANT_H_
 #define SERVER_ACCESS_TENANT_H_
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <optional>
@@ -17,15 +18,26 @@
 #include "server/access/rate_limit.h"
 #include "server/access/refusal_pacer.h"
 #include "server/base/byte_budget.h"
+#include "server/base/method_table.h"
 
 namespace spikeserve {
+
+// Calls a second of each class of costs, on average; one second's calls may come at once. 0: no
+// limit. The defaults keep a tenant below about a fifth of a core in each class.
+struct CallRates {
+  double light = 5000.0;
+  double listing = 100.0;
+  double explain = 20.0;
+  double operators = 100.0;
+};
 
 // The limits of one tenant. 0 means that only the limits of the server apply.
 struct TenantLimits {
   // Open at the same time. Absent: the default share, if the server has more than one tenant.
   std::optional<int64_t> max_sessions;
   double decisions_per_second = 0.0;  // on average; one second's decisions may come at once
-  int64_t max_message_bytes = 0;      // of one request
+  CallRates calls_per_second;
+  int64_t max_message_bytes = 0;                  // of one request
   Durability max_durability = Durability::kSync;  // of a session
 
   // Returns INVALID_ARGUMENT that names the field, the expected and the received value.
@@ -49,6 +61,11 @@ class Tenant final : public SessionQuota {
   // RESOURCE_EXHAUSTED with google.rpc.RetryInfo if decisions_per_second is exceeded.
   absl::Status AcquireDecision(absl::Duration now);
 
+  // Counts one call of a method at time `now`, as above. Returns RESOURCE_EXHAUSTED with
+  // google.rpc.RetryInfo if the rate of its class is exceeded. Decisions are not counted here. A
+  // tenant without SetLimits() has no rates.
+  absl::Status AcquireCall(Cost cost, absl::Duration now);
+
   // Returns the highest durability that sessions of the tenant may have.
   Durability max_durability() const { return max_durability_.load(std::memory_order_relaxed); }
 
@@ -67,6 +84,7 @@ class Tenant final : public SessionQuota {
  private:
   const std::string name_;
   RateLimit decisions_;
+  std::array<RateLimit, kCosts> calls_;  // by class of costs
   RefusalPacer refusals_;
   ByteBudget bytes_in_flight_;
   std::atomic<int64_t> max_sessions_ = 0;

@@ -5,7 +5,9 @@
 #include <openssl/pem.h>
 #include <openssl/ssl.h>
 #include <openssl/x509.h>
+#include <unistd.h>
 
+#include <cerrno>
 #include <memory>
 
 #include "absl/status/statusor.h"
@@ -25,8 +27,12 @@ using Bio = std::unique_ptr<BIO, Free<BIO_free>>;
 using Certificate = std::unique_ptr<X509, Free<X509_free>>;
 using Key = std::unique_ptr<EVP_PKEY, Free<EVP_PKEY_free>>;
 
+// Returns that the file cannot be read, or that its content is not what was expected.
 absl::Status NotPem(const char* flag, const std::string& path, const char* expected) {
   ERR_clear_error();
+  if (access(path.c_str(), R_OK) != 0) {
+    return absl::ErrnoToStatus(errno, absl::StrCat(flag, ": cannot read ", path));
+  }
   return absl::InvalidArgumentError(
       absl::StrCat(flag, ": expected ", expected, " in PEM form, received ", path));
 }

@@ -2,15 +2,21 @@
 
 #include <openssl/err.h>
 #include <openssl/ssl.h>
+#include <openssl/x509.h>
+#include <openssl/x509_vfy.h>
 
 #include <algorithm>
+#include <ctime>
 
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "core/base/file.h"
 
 namespace spikeserve {
 namespace {
 
-constexpr absl::Duration kLookInterval = absl::Seconds(2);
+// The suites of TLS 1.2 that HTTP/2 allows: ephemeral keys, and ciphers that authenticate.
+constexpr char kCiphers[] = "ECDHE+AESGCM:ECDHE+CHACHA20";
 
 // The length-prefixed list of protocols that ALPN accepts on a port.
 std::string& AcceptedByAlpn(Protocol protocol) {
@@ -33,6 +39,7 @@ int SelectProtocol(SSL* /*connection*/, const unsigned char** selected, unsigned
 std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files, Protocol protocol) {
   const std::shared_ptr<SSL_CTX> context(SSL_CTX_new(TLS_server_method()), &SSL_CTX_free);
   SSL_CTX_set_min_proto_version(context.get(), TLS1_2_VERSION);
+  SSL_CTX_set_cipher_list(context.get(), kCiphers);
   SSL_CTX_set_default_passwd_cb(context.get(), [](char*, int, int, void*) { return 0; });
   // Without resumption, every connection is checked against the current files. Idle connections
   // keep no buffers.
@@ -62,22 +69,40 @@ std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files, Protocol protocol
   return context;
 }
 
+absl::Time ToTime(const ASN1_TIME* time) {
+  std::tm parts = {};
+  if (ASN1_TIME_to_tm(time, &parts) != 1) return absl::InfinitePast();
+  return absl::FromTM(parts, absl::UTCTimeZone());
+}
+
+CertificateTimes TimesOf(SSL_CTX* context) {
+  CertificateTimes times = {.begin = absl::InfinitePast(),
+                            .end = absl::InfiniteFuture(),
+                            .client_ca = absl::InfiniteFuture()};
+  const auto narrow = [&times](const X509* certificate) {
+    times.begin = std::max(times.begin, ToTime(X509_get0_notBefore(certificate)));
+    times.end = std::min(times.end, ToTime(X509_get0_notAfter(certificate)));
+  };
+  if (const X509* leaf = SSL_CTX_get0_certificate(context)) narrow(leaf);
+  STACK_OF(X509)* chain = nullptr;
+  SSL_CTX_get0_chain_certs(context, &chain);
+  for (int i = 0; i < sk_X509_num(chain); ++i) narrow(sk_X509_value(chain, i));
+  const auto* objects = X509_STORE_get0_objects(SSL_CTX_get_cert_store(context));
+  for (int i = 0; i < sk_X509_OBJECT_num(objects); ++i) {
+    const X509* authority = X509_OBJECT_get0_X509(sk_X509_OBJECT_value(objects, i));
+    if (authority == nullptr) continue;
+    times.client_ca = std::min(times.client_ca, ToTime(X509_get0_notAfter(authority)));
+  }
+  return times;
+}
+
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<TlsContext>> TlsContext::Create(const TlsFiles& files,
-                                                               Protocol protocol,
-                                                               const Clock* clock) {
-  if (auto status = CheckTlsFiles(files); !status.ok()) return status;
-  auto shared = std::unique_ptr<TlsContext>(new TlsContext(files, protocol, clock));
-  absl::MutexLock lock(&shared->mutex_);
-  shared->context_ = MakeContext(files, protocol);
-  if (shared->context_ == nullptr) {
-    return absl::InvalidArgumentError("--tls_certificate: OpenSSL cannot use " + files.certificate);
-  }
-  auto contents = shared->ReadFiles();
-  if (!contents.ok()) return contents.status();
-  shared->contents_ = *std::move(contents);
-  shared->looked_ = clock->Now();
+                                                               Protocol protocol) {
+  auto shared = std::unique_ptr<TlsContext>(new TlsContext(files, protocol));
+  const auto loaded = shared->Reload();
+  if (!loaded.ok()) return loaded.status();
   return shared;
 }
 
@@ -86,22 +111,47 @@ absl::StatusOr<std::vector<std::string>> TlsContext::ReadFiles() const {
   for (const std::string* path : {&files_.certificate, &files_.key, &files_.client_ca}) {
     if (path->empty()) continue;
     auto content = ReadFile(*path);
-    if (!content.ok()) return content.status();
+    if (!content.ok()) {
+      const auto named = CheckTlsFiles(files_);  // names the flag, too
+      return named.ok() ? content.status() : named;
+    }
     contents.push_back(*std::move(content));
   }
   return contents;
 }
 
-std::shared_ptr<ssl_ctx_st> TlsContext::Get() {
-  absl::MutexLock lock(&mutex_);
-  const absl::Duration now = clock_->Now();
-  if (now - looked_ < kLookInterval) return context_;
-  looked_ = now;
+absl::StatusOr<bool> TlsContext::Reload() {
   auto contents = ReadFiles();
-  if (!contents.ok() || *contents == contents_) return context_;
+  if (!contents.ok()) return contents.status();
+  {
+    absl::MutexLock lock(&mutex_);
+    if (*contents == contents_) return false;
+  }
+  if (auto status = CheckTlsFiles(files_); !status.ok()) return status;
+  auto context = MakeContext(files_, protocol_);
+  if (context == nullptr) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--tls_certificate: OpenSSL cannot use ", files_.certificate));
+  }
+  const absl::Time now = absl::Now();
+  const CertificateTimes times = TimesOf(context.get());
+  absl::MutexLock lock(&mutex_);
+  if (context_ != nullptr && TimesOf(context_.get()).valid_at(now) && !times.valid_at(now)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--tls_certificate: expected a certificate that is valid now, received ",
+        files_.certificate, ", valid from ", absl::FormatTime(times.begin, absl::UTCTimeZone()),
+        " to ", absl::FormatTime(times.end, absl::UTCTimeZone())));
+  }
+  context_ = std::move(context);
   contents_ = *std::move(contents);
-  if (auto context = MakeContext(files_, protocol_)) context_ = std::move(context);
+  return true;
+}
+
+std::shared_ptr<ssl_ctx_st> TlsContext::Get() const {
+  absl::MutexLock lock(&mutex_);
   return context_;
 }
+
+CertificateTimes TlsContext::times() const { return TimesOf(Get().get()); }
 
 }  // namespace spikeserve

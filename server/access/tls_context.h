@@ -11,7 +11,6 @@
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
-#include "core/base/clock.h"
 #include "server/access/tls.h"
 
 struct ssl_ctx_st;  // OpenSSL's SSL_CTX
@@ -24,39 +23,51 @@ enum class Protocol {
   kHttp1,  // "http/1.1", or no ALPN
 };
 
+// When certificates begin and end to be valid.
+struct CertificateTimes {
+  absl::Time begin;      // of the server's certificate and its chain: the latest
+  absl::Time end;        // the earliest
+  absl::Time client_ca;  // the earliest end of the clients' authorities; infinite: there are none
+
+  bool valid_at(absl::Time now) const { return begin <= now && now < end; }
+};
+
 // Shares one OpenSSL context among all connections, and replaces it when its files change, so that
 // certificates can be renewed without a restart. Connections keep the context that they began with.
 //
 // Thread-safe.
 class TlsContext {
  public:
-  // Reads the files. `clock` is monotonic and must outlive the context. Returns INVALID_ARGUMENT,
-  // which names flag and file, if a file has another content than expected or the key does not
-  // belong to the certificate.
+  // Reads the files. Returns an error, which names flag and file, if a file cannot be read or has
+  // another content than expected, or if the key does not belong to the certificate.
   static absl::StatusOr<std::unique_ptr<TlsContext>> Create(const TlsFiles& files,
-                                                            Protocol protocol, const Clock* clock);
+                                                            Protocol protocol);
 
   Protocol protocol() const { return protocol_; }
 
-  // Returns the context for a new connection: TLS 1.2 or later, the protocol above only, no
-  // renegotiation, no resumption. Looks at the files again if the last look is 2 s ago; while they
-  // are invalid, the last valid context stays in use.
-  std::shared_ptr<ssl_ctx_st> Get();
+  // Returns the context for a new connection: TLS 1.2 or later with the ciphers that HTTP/2 allows
+  // (RFC 9113, appendix A), the protocol above only, no renegotiation, no resumption.
+  std::shared_ptr<ssl_ctx_st> Get() const;
+
+  // Reads the files again, and uses them if they have changed; returns true if so. Returns why they
+  // cannot be used, as long as that is so: a file is missing or has another content than expected,
+  // or the certificate is not valid now although the one in use is. That one then stays in use.
+  absl::StatusOr<bool> Reload();
+
+  // Returns the validity of the certificates in use.
+  CertificateTimes times() const;
 
  private:
-  TlsContext(TlsFiles files, Protocol protocol, const Clock* clock)
-      : files_(std::move(files)), protocol_(protocol), clock_(clock) {}
+  TlsContext(TlsFiles files, Protocol protocol) : files_(std::move(files)), protocol_(protocol) {}
 
   // Reads the contents of the files, in a fixed order.
   absl::StatusOr<std::vector<std::string>> ReadFiles() const;
 
   const TlsFiles files_;
   const Protocol protocol_;
-  const Clock* const clock_;
-  absl::Mutex mutex_;
-  std::vector<std::string> contents_ ABSL_GUARDED_BY(mutex_);  // that were looked at last
+  mutable absl::Mutex mutex_;
+  std::vector<std::string> contents_ ABSL_GUARDED_BY(mutex_);  // of the files in use
   std::shared_ptr<ssl_ctx_st> context_ ABSL_GUARDED_BY(mutex_);
-  absl::Duration looked_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace spikeserve

@@ -8,9 +8,8 @@
 #include <optional>
 #include <set>
 
-#include "absl/strings/ascii.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/hex.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 
@@ -21,13 +20,12 @@ using Json = nlohmann::json;
 
 absl::StatusOr<Digest> ParseDigest(absl::string_view field, const std::string& text) {
   Digest digest = {};
-  if (text.size() != 2 * digest.size() ||
-      !std::all_of(text.begin(), text.end(), [](char c) { return absl::ascii_isxdigit(c); })) {
+  const std::optional<std::string> bytes = ParseHex(text);
+  if (!bytes.has_value() || bytes->size() != digest.size()) {
     return absl::InvalidArgumentError(absl::StrCat(
         field, ".sha256: expected 64 hexadecimal digits, received ", text.size(), " characters"));
   }
-  const std::string bytes = absl::HexStringToBytes(text);
-  std::copy(bytes.begin(), bytes.end(), digest.begin());
+  std::copy(bytes->begin(), bytes->end(), digest.begin());
   return digest;
 }
 
@@ -48,10 +46,20 @@ constexpr std::array<EnumName<Sees>, 2> EnumNames(Sees) {
 
 }  // namespace
 
+absl::Status ReadJson(absl::string_view field, const Json& json, CallRates* rates) {
+  JsonObject object(field, json);
+  object.Optional("light", &rates->light);
+  object.Optional("listing", &rates->listing);
+  object.Optional("explain", &rates->explain);
+  object.Optional("operator", &rates->operators);
+  return object.Finish();
+}
+
 absl::Status ReadJson(absl::string_view field, const Json& json, TenantLimits* limits) {
   JsonObject object(field, json);
   object.Optional("max_sessions", &limits->max_sessions);
   object.Optional("decisions_per_second", &limits->decisions_per_second);
+  object.Optional("calls_per_second", &limits->calls_per_second);
   object.Optional("max_message_bytes", &limits->max_message_bytes);
   object.Optional("max_durability", &limits->max_durability);
   if (auto status = object.Finish(); !status.ok()) return status;

@@ -1,7 +1,9 @@
 // Parses the tokens file, which lists the valid tokens with their tenants, roles and limits:
 //
 //   {"tenants": {"fleet-a": {"max_sessions": 100, "decisions_per_second": 5000,
-//                            "max_message_bytes": 65536, "max_durability": "async"}},
+//                            "max_message_bytes": 65536, "max_durability": "async",
+//                            "calls_per_second": {"light": 5000, "listing": 100, "explain": 20,
+//                                                 "operator": 100}}},
 //    "tokens": [{"sha256": "<64 hexadecimal digits>", "tenant": "fleet-a", "role": "agent",
 //                "expires": "2027-01-31T00:00:00Z"},
 //               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all",
@@ -49,10 +51,11 @@ struct TokenEntry {
   bool operator==(const TokenEntry&) const = default;
 };
 
-// Read one token or the limits of one tenant; JsonObject calls these. Errors are INVALID_ARGUMENT
-// with a path that starts with `field`.
+// Read one token, or the limits of one tenant and their parts; JsonObject calls these. Errors are
+// INVALID_ARGUMENT with a path that starts with `field`.
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TokenEntry* entry);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TenantLimits* limits);
+absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, CallRates* rates);
 
 struct TokenFile {
   std::map<std::string, TenantLimits> tenants;

@@ -12,6 +12,11 @@ namespace {
 
 using Json = nlohmann::json;
 
+// What a line needs beside the request and the states: names, and the message of an error.
+constexpr size_t kNamesBytes = 4096;
+// By how much a state may grow, and its text when it is escaped.
+constexpr size_t kEscaped = 2;
+
 Json MessageJson(const google::protobuf::Message& message) {
   const auto text = MessageToJson(message);
   return text.ok() ? Json::parse(*text, nullptr, /*allow_exceptions=*/false) : Json();
@@ -36,7 +41,7 @@ Json PolicyState(const PolicyCatalog& catalog, const std::string& name) {
 
 }  // namespace
 
-std::string Audit::StateBefore(const google::protobuf::Message& request) const {
+std::string Audit::StateOf(const google::protobuf::Message& request) const {
   const auto catalog = registry_->catalog();
   const std::string policy = PolicyOf(request);
   if (!policy.empty()) return PolicyState(*catalog, policy).dump();
@@ -47,28 +52,38 @@ std::string Audit::StateBefore(const google::protobuf::Message& request) const {
   return state.dump();
 }
 
-void Audit::Record(Method method, const Credential& caller, const Peer& peer,
-                   const google::protobuf::Message& request, std::string before,
-                   const absl::Status& outcome) const {
-  log_->Record({.time = absl::Now(),
-                .action = std::string(GetMethodInfo(method).name),
-                .token = caller.name(),
-                .tenant = caller.tenant()->name(),
-                .peer = peer,
-                .policy = PolicyOf(request),
-                .request = MessageJson(request).dump(),
-                .outcome = outcome,
-                .before = std::move(before),
-                .after = StateBefore(request)});
+absl::Status Audit::RunAndRecord(Method method, const Credential& caller, const Peer& peer,
+                                 const google::protobuf::Message& request,
+                                 absl::FunctionRef<absl::Status()> change) const {
+  AuditEntry entry = {.time = absl::Now(),
+                      .action = std::string(GetMethodInfo(method).name),
+                      .token = caller.name(),
+                      .tenant = caller.tenant()->name(),
+                      .peer = peer,
+                      .policy = PolicyOf(request),
+                      .request = MessageJson(request).dump(),
+                      .before = StateOf(request)};
+  size_t reserved = kNamesBytes + kEscaped * (entry.request.size() + 2 * entry.before.size());
+  if (auto room = log_->Reserve(reserved); !room.ok()) {
+    if (!allow_unrecorded_) return room;
+    reserved = 0;
+  }
+  entry.outcome = change();
+  entry.after = StateOf(request);
+  auto outcome = entry.outcome;
+  const auto recorded = log_->Record(std::move(entry), reserved);
+  if (outcome.ok() && !allow_unrecorded_) outcome = recorded;
+  return outcome;
 }
 
 void Audit::Record(const RolloutManager::Change& change) const {
-  log_->Record({.time = absl::Now(),
-                .action = change.action,
-                .policy = change.policy,
-                .request = Json({{"reason", change.reason}}).dump(),
-                .before = PolicyState(*change.before, change.policy).dump(),
-                .after = PolicyState(*change.after, change.policy).dump()});
+  // A roll-out that has to end does so, even if that cannot be recorded; the log has the error.
+  (void)log_->Record({.time = absl::Now(),
+                      .action = change.action,
+                      .policy = change.policy,
+                      .request = Json({{"reason", change.reason}}).dump(),
+                      .before = PolicyState(*change.before, change.policy).dump(),
+                      .after = PolicyState(*change.after, change.policy).dump()});
 }
 
 }  // namespace spikeserve

@@ -9,6 +9,7 @@
 
 #include <string>
 
+#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
@@ -21,26 +22,31 @@ namespace spikeserve {
 
 class Audit {
  public:
-  // All must outlive this object.
-  Audit(AuditLog* log, const PolicyRegistry* registry, const SessionStore* store)
-      : log_(log), registry_(registry), store_(store) {}
+  // All must outlive this object. `allow_unrecorded`: calls are run, too, if they cannot be
+  // recorded.
+  Audit(AuditLog* log, const PolicyRegistry* registry, const SessionStore* store,
+        bool allow_unrecorded)
+      : log_(log), registry_(registry), store_(store), allow_unrecorded_(allow_unrecorded) {}
 
-  // Returns, as JSON, the state that `request` may change: of the policy that it names, or, if it
-  // names none, of all policies and of the server.
-  std::string StateBefore(const google::protobuf::Message& request) const;
-
-  // Records a call that ended with `outcome`. `before` is the result of StateBefore.
-  void Record(Method method, const Credential& caller, const Peer& peer,
-              const google::protobuf::Message& request, std::string before,
-              const absl::Status& outcome) const;
+  // Runs `change`, the call of an operator, and records it with its outcome, which is returned. If
+  // it could not be recorded, it is not run, and UNAVAILABLE is returned, unless changes that are
+  // not recorded are allowed.
+  absl::Status RunAndRecord(Method method, const Credential& caller, const Peer& peer,
+                            const google::protobuf::Message& request,
+                            absl::FunctionRef<absl::Status()> change) const;
 
   // Records a change that a roll-out made.
   void Record(const RolloutManager::Change& change) const;
 
  private:
+  // Returns, as JSON, the state that `request` may change: of the policy that it names, or, if it
+  // names none, of all policies and of the server.
+  std::string StateOf(const google::protobuf::Message& request) const;
+
   AuditLog* const log_;
   const PolicyRegistry* const registry_;
   const SessionStore* const store_;
+  const bool allow_unrecorded_;
 };
 
 }  // namespace spikeserve

@@ -10,6 +10,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/time/time.h"
 #include "server/admin/traffic.h"
+#include "server/rollouts/evidence_total.h"
 
 namespace spikeserve {
 namespace {
@@ -63,13 +64,15 @@ absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
 }
 
 void ToProto(const VersionEvidence::Counts& counts, v1::VersionEvidence* proto) {
-  proto->set_sessions(counts.sessions);
-  proto->set_failed_sessions(counts.failed_sessions);
-  proto->set_episodes(counts.episodes);
-  proto->set_mean_return(counts.return_mean);
-  proto->set_return_deviation(std::sqrt(counts.return_variance()));
-  proto->set_decisions(counts.durations.total());
-  proto->set_p99_seconds(counts.durations.Quantile(kP99));
+  const EvidenceTotal total = TotalOf(counts);
+  proto->set_sessions(total.sessions);
+  proto->set_failed_sessions(total.failed_sessions);
+  proto->set_episodes(total.episodes);
+  proto->set_implausible_episodes(total.implausible);
+  proto->set_mean_return(total.returns.mean);
+  proto->set_return_deviation(std::sqrt(total.returns.variance));
+  proto->set_decisions(total.durations.total());
+  proto->set_p99_seconds(total.durations.Quantile(kP99));
 }
 
 // Returns what the running step waits for.
@@ -81,10 +84,15 @@ std::string WaitsFor(const RolloutManager::Progress& progress) {
     const auto left = absl::Seconds(static_cast<int64_t>(std::ceil(seconds)));
     waits.push_back(absl::FormatDuration(left));
   }
-  const int64_t episodes =
-      rollout.min_episodes - (progress.new_version.episodes - rollout.episodes_at_step);
+  const int64_t episodes = rollout.min_episodes + rollout.episodes_at_step -
+                           TotalOf(progress.new_version).capped_episodes;
   if (episodes > 0) {
-    waits.push_back(absl::StrCat(episodes, " more episodes of version ", rollout.version));
+    waits.push_back(absl::StrCat(episodes, " more episodes of version ", rollout.version,
+                                 ", at most ", rollout.most_episodes_per_session(),
+                                 " of one session"));
+  }
+  if (!rollout.disputed.empty()) {
+    waits.push_back(absl::StrCat("the end of a dispute (", rollout.disputed, ")"));
   }
   return waits.empty() ? "the step ends" : "waits for " + absl::StrJoin(waits, " and ");
 }
@@ -107,6 +115,7 @@ void ToProto(const std::string& policy, const RolloutManager::Progress& progress
     added->set_margin(condition.margin);
   }
   proto->set_reason(rollout.running() ? WaitsFor(progress) : rollout.reason);
+  proto->set_disputed(!rollout.disputed.empty());
   proto->set_started(rollout.started);
   proto->set_step_started(rollout.step_started);
   proto->set_ended(rollout.ended);

@@ -6,6 +6,7 @@
 #include "absl/container/inlined_vector.h"
 #include "core/session/session_locks.h"
 #include "server/agent/convert.h"
+#include "server/agent/request_order.h"
 #include "server/base/expected_decision.h"
 
 namespace spikeserve {
@@ -31,9 +32,12 @@ ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session)
           .served = *session.last_answer};
 }
 
-bool IsAhead(const v1::ActRequest& request, const Session& session) {
-  return request.has_decision() ? request.decision() > session.decisions
-                                : request.step() > session.step;
+// Returns whether the session is to be claimed again, because this copy of it may be an old one. A
+// request that does not name its decision may be right for a newer one, whatever its step is.
+bool MayBeOutdated(const ActItem& item, const Session& session) {
+  if (!item.may_claim || item.entry->journal == nullptr) return false;
+  return IsAhead(*item.request, session) ||
+         (!NamesPlace(*item.request) && item.entry->journal->is_shared());
 }
 
 // Returns the number of the decision that the request names, if it names one.
@@ -65,19 +69,23 @@ void ActTogether(absl::Span<ActItem> items) {
     ActItem& item = items[i];
     item.entry->mutex.AssertHeld();
     item.status = calls[i].answer.status();
-    // Errors wait, too, so that the answers of one session keep their order.
-    AddCommit(*item.entry, &item.commits);
     const Session& session = item.entry->agent.session();
     if (absl::IsFailedPrecondition(item.status)) {
       item.status = WithExpectedDecision(item.status, session.decisions, session.step);
-      if (item.may_claim && item.entry->journal != nullptr && IsAhead(*item.request, session)) {
+      if (MayBeOutdated(item, session)) {
         item.entry->journal->Abandon();
         item.status = NoSuchSession(item.request->session_id());
         continue;
       }
     }
+    // Errors wait, too, so that the answers of one session keep their order.
+    if (NamesPlace(*item.request)) {
+      AddCommit(*item.entry, &item.commits);
+    } else {
+      AddConfirmation(*item.entry, item.status.ok() && !calls[i].is_retry, &item.commits);
+    }
     if (!item.status.ok()) {
-      item.entry->served->observer->OnError(item.request->session_id());
+      item.entry->served->observer->OnError();
       continue;
     }
     if (item.entry->shadow != nullptr && !calls[i].is_retry) {

@@ -35,7 +35,13 @@ using Commits = absl::InlinedVector<Commit, 1>;
 
 // Adds what an answer about the session must wait for: everything that was written to its journal,
 // if its durability is SYNC. Call it under the session's lock, so that it is what the answer tells.
-void AddCommit(const SessionEntry& entry, Commits* commits, int item = -1);
+void AddCommit(const SessionEntry& entry, Commits* commits);
+
+// As AddCommit, for an answer that is right only if this server still owns the session, and that
+// nothing in the request proves: whatever the durability is, it waits until the store has confirmed
+// that, with the last decision or with a question of its own. Does nothing more than AddCommit if
+// no other server uses the store.
+void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits);
 
 // Calls `done` once, on any thread, with the outcome of each of `commits`; see
 // SessionJournal::WhenDurable() and FleetContribution::WhenMerged().

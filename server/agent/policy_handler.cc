@@ -9,10 +9,12 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/session/session_value.h"
 #include "server/agent/act_together.h"
 #include "server/agent/convert.h"
 #include "server/agent/explain_convert.h"
+#include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
 #include "server/base/expected_decision.h"
 #include "server/base/retry_delay.h"
@@ -66,12 +68,6 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
                          .routing_key = key.empty() ? id : key});
 }
 
-// Returns whether the request ends an episode that this copy of the session has not reached.
-bool IsAhead(const v1::EndEpisodeRequest& request, const Session& session) {
-  if (request.episode() != session.episode) return request.episode() > session.episode;
-  return request.steps() > session.step;
-}
-
 // Checks that the request ends the running episode, or repeats the end of the one before. Without
 // `episode` and `steps`, any request does.
 absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& session) {
@@ -96,6 +92,17 @@ absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& s
   return absl::OkStatus();
 }
 
+// Checks that a caller who may not learn does not play a session that does, which another token has
+// opened.
+absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry) {
+  if (caller.may_learn()) return absl::OkStatus();
+  absl::MutexLock lock(&entry.mutex);
+  if (!entry.agent.session().options.learning.has_value()) return absl::OkStatus();
+  return absl::PermissionDeniedError(
+      "session_id: expected a session that does not learn, because the token has \"learning\": "
+      "false, received one that does");
+}
+
 }  // namespace
 
 PolicyHandler::PolicyHandler(const PolicyRegistry* registry, SessionStore* store,
@@ -110,12 +117,7 @@ PolicyHandler::PolicyHandler(const PolicyRegistry* registry, SessionStore* store
 
 absl::Status PolicyHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
                                          v1::ListPoliciesResponse* response) const {
-  const auto catalog = registry_->catalog();
-  for (const auto& [name, policy] : catalog->policies()) {
-    for (const auto& [version, served] : policy.versions) {
-      *response->add_policies() = ToProto(policy, *served);
-    }
-  }
+  *response = policy_list_.Of(registry_->catalog());
   return absl::OkStatus();
 }
 
@@ -126,6 +128,10 @@ absl::Status PolicyHandler::OpenSession(const Credential& caller,
   if (!id.empty() && !IsDrawnSessionId(id)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "session_id: expected 32 hexadecimal digits in lower case, received ", Quoted(id)));
+  }
+  if (request.has_learning() && !caller.may_learn()) {
+    return absl::PermissionDeniedError(
+        "learning: expected unset, because the token has \"learning\": false, received a config");
   }
   const auto durability = ChooseDurability(*caller.tenant(), request);
   if (!durability.ok()) return durability.status();
@@ -190,14 +196,11 @@ absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string sessio
   auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
   options->tenant = caller.tenant()->name();
-  if (options->learning.has_value() && !caller.may_learn()) {
-    return absl::PermissionDeniedError(
-        "learning: expected unset, because the token has \"learning\": false, received a config");
-  }
   options->durability = durability;
   SessionExtras extras;
   extras.id = *id;
   extras.quota = caller.tenant();
+  extras.assigned = route->by_rollout;
   if (route->shadow != nullptr) {
     extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
   }
@@ -208,6 +211,11 @@ absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string sessio
   }
   if (durability != Durability::kNone) {
     if (auto status = durability_.journals->CheckReachable(); !status.ok()) return status;
+    if (durability == Durability::kSync) {
+      if (auto status = durability_.journals->CheckKeepsRecords(); !status.ok()) {
+        return Annotate(status, "durability");
+      }
+    }
     extras.journal = std::make_shared<SessionJournal>(
         SessionJournal::Key{
             .id = *id, .tenant = options->tenant, .policy_file = PolicyFileOf(served)},
@@ -271,7 +279,9 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
     const Credential& caller, const v1::ActRequest& request) const {
   if (auto status = caller.tenant()->AcquireDecision(clock_->Now()); !status.ok()) return status;
   auto entry = store_->Find(request.session_id(), caller.tenant()->name());
-  if (!entry.ok() || (*entry)->journal == nullptr) return entry;
+  if (!entry.ok()) return entry;
+  if (auto status = CheckMayPlay(caller, **entry); !status.ok()) return status;
+  if ((*entry)->journal == nullptr) return entry;
   const absl::Status writable = (*entry)->journal->CheckWritable();
   if (writable.ok()) return entry;
   return RetryDelay(writable).has_value() ? writable : WithRetryDelay(writable, kStoreRetryDelay);
@@ -362,6 +372,7 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
                                        bool may_claim) const {
   const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
   if (!entry.ok()) return entry.status();
+  if (auto status = CheckMayPlay(caller, **entry); !status.ok()) return status;
   EpisodeEnd end = {.reward = request.reward(),
                     .terminated = request.terminated(),
                     .target_return = std::nullopt,
@@ -378,6 +389,7 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
   absl::MutexLock lock(&(*entry)->mutex);
   AgentSession& agent = (*entry)->agent;
   if ((*entry)->journal != nullptr) (*entry)->journal->WriteAgainIfMissing(agent.session());
+  const int64_t episode = agent.session().episode;
   absl::Status status = CheckEpisode(request, agent.session());
   if (status.ok()) {
     const auto summary = agent.EndEpisode(end);
@@ -388,14 +400,22 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
     }
   }
   if (absl::IsFailedPrecondition(status)) {
-    if (may_claim && (*entry)->journal != nullptr && IsAhead(request, agent.session())) {
-      (*entry)->journal->Abandon();
+    SessionJournal* const journal = (*entry)->journal.get();
+    const bool may_be_outdated =
+        may_claim && journal != nullptr &&
+        (IsAhead(request, agent.session()) || (!NamesPlace(request) && journal->is_shared()));
+    if (may_be_outdated) {
+      journal->Abandon();
       return NoSuchSession(request.session_id());
     }
     return WithExpectedDecision(status, agent.session().decisions, agent.session().step);
   }
   if (status.ok() && commits != nullptr) {
-    AddCommit(**entry, commits);
+    if (NamesPlace(request)) {
+      AddCommit(**entry, commits);
+    } else {
+      AddConfirmation(**entry, agent.session().episode > episode, commits);
+    }
     if (!commits->empty()) commits->back().contribution = agent.contribution();
   }
   return status;

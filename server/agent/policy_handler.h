@@ -16,6 +16,7 @@
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/durable_answer.h"
+#include "server/agent/policy_list.h"
 #include "server/agent/recordings.h"
 #include "server/agent/shadow_runner.h"
 #include "server/policies/policy_registry.h"
@@ -140,6 +141,7 @@ class PolicyHandler {
   const Clock* const clock_;
   Recordings* const recordings_;
   const SessionDurability durability_;
+  mutable PolicyList policy_list_;
 };
 
 }  // namespace spikeserve

@@ -2,6 +2,7 @@
 
 #include <memory>
 
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/session/head_log.h"
 #include "core/session/journal_entry.h"
@@ -24,13 +25,17 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindPolicy(const SessionOpti
       served.ok() ? ", whose file is another one here" : ", which is not served here"));
 }
 
-// Returns the files of all versions that are served here.
-std::vector<std::string> PolicyFiles(const PolicyCatalog& catalog) {
-  std::vector<std::string> files;
-  for (const auto& [name, policy] : catalog.policies()) {
-    for (const auto& [version, served] : policy.versions) files.push_back(PolicyFileOf(*served));
+// Returns whether the version with this file is served here.
+bool HasPolicy(const PolicyCatalog& catalog, absl::string_view file) {
+  const size_t at = file.rfind('@');
+  const size_t colon = file.find(':', at == absl::string_view::npos ? 0 : at);
+  int64_t version = 0;
+  if (at == absl::string_view::npos || colon == absl::string_view::npos ||
+      !absl::SimpleAtoi(file.substr(at + 1, colon - at - 1), &version)) {
+    return false;
   }
-  return files;
+  const auto served = catalog.Find(std::string(file.substr(0, at)), version);
+  return served.ok() && PolicyFileOf(**served) == file;
 }
 
 // Returns the contribution that the session has not been told the outcome of, or null.
@@ -69,7 +74,9 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
   if (!is_first) return;
   const std::shared_ptr<SessionQuota> quota = caller.tenant();
   JournalClaim claim = {
-      .id = id, .tenant = key.first, .policy_files = PolicyFiles(*registry_.catalog())};
+      .id = id, .tenant = key.first, .has_policy = [this](const std::string& file) {
+        return HasPolicy(*registry_.catalog(), file);
+      }};
   journals_.Claim(std::move(claim), [=, this](absl::StatusOr<ClaimedJournal> result) {
     const auto claimed = std::make_shared<absl::StatusOr<ClaimedJournal>>(std::move(result));
     post([=, this] {
@@ -102,6 +109,7 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
         "again");
   }
   journals_.CountReplayed(journal->entries.size());
+  const size_t after_gap = journal->after_gap;
   auto session = RestoreSession(*std::move(journal), (*served)->policy());
   if (!session.ok()) return session.status();
 
@@ -111,13 +119,19 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
       SessionJournal::Key{.id = key.second,
                           .tenant = key.first,
                           .epoch = claimed->epoch,
-                          .policy_file = PolicyFileOf(**served)},
-      options.durability, session->decisions, &journals_, claimed->records.size());
+                          .policy_file = PolicyFileOf(**served),
+                          .claimed_from = claimed->claimed_from},
+      options.durability, session->decisions, &journals_, claimed->records.size(),
+      /*is_whole=*/after_gap == 0);
   if (recordings_ != nullptr && !options.recording.empty()) {
     extras.recorder = recordings_->Record(*served, options.recording);
   }
   auto status = sessions_.Restore(*served, *std::move(session), std::move(extras));
-  if (!status.ok() || cut.ok()) return status;
+  if (!status.ok()) return status;
+  if (after_gap > 0) {
+    LogWarning("journal goes on before its gap", {{"session", key.second}});
+  }
+  if (cut.ok()) return absl::OkStatus();
   LogError("end of a journal cut off", {{"session", key.second}, {"error", cut.message()}});
   return absl::OkStatus();
 }

@@ -1,8 +1,12 @@
 #include "server/base/audit_log.h"
 
 #include <fcntl.h>
+#include <sys/file.h>
+#include <sys/resource.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 
 #include "absl/strings/str_cat.h"
@@ -83,35 +87,134 @@ absl::StatusOr<AuditEntry> ParseLine(absl::string_view line) {
   return entry;
 }
 
-// Appends `line` to the file and flushes it to the disk. One write() appends as a whole.
-absl::Status Append(const std::string& path, absl::string_view line) {
-  const int fd = open(path.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0640);
-  if (fd < 0) return absl::ErrnoToStatus(errno, absl::StrCat(path, ": cannot open"));
-  absl::Status status;
-  if (write(fd, line.data(), line.size()) != static_cast<ssize_t>(line.size()) || fsync(fd) != 0) {
-    status = absl::ErrnoToStatus(errno, absl::StrCat(path, ": cannot append"));
+// The file, locked against other servers that append to it.
+class LockedFile {
+ public:
+  explicit LockedFile(const std::string& path)
+      : path_(path), fd_(open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC, 0640)) {}
+  ~LockedFile() {
+    if (fd_ >= 0) close(fd_);
   }
-  close(fd);
-  return status;
-}
+  LockedFile(const LockedFile&) = delete;
+  LockedFile& operator=(const LockedFile&) = delete;
+
+  // Locks the file and removes what an interrupted write has left at its end. To be called first.
+  absl::Status Prepare() {
+    if (fd_ < 0) return Error("open");
+    if (flock(fd_, LOCK_EX) != 0) return Error("lock");
+    size_ = lseek(fd_, 0, SEEK_END);
+    if (size_ < 0) return Error("read");
+    return RemoveTornLine();
+  }
+
+  // Makes sure that `bytes` more fit.
+  absl::Status MakeRoom(size_t bytes) {
+    struct rlimit limit = {};
+    if (getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY &&
+        static_cast<rlim_t>(size_) + bytes > limit.rlim_cur) {
+      errno = EFBIG;
+      return Error("append");
+    }
+    if (bytes == 0 || fallocate(fd_, FALLOC_FL_KEEP_SIZE, size_, static_cast<off_t>(bytes)) == 0) {
+      return absl::OkStatus();
+    }
+    // Some file systems cannot reserve room.
+    struct statvfs disk = {};
+    const bool can_reserve = errno != EOPNOTSUPP && errno != ENOSYS && errno != EINVAL;
+    if (!can_reserve && fstatvfs(fd_, &disk) == 0 && disk.f_bavail * disk.f_frsize >= bytes) {
+      return absl::OkStatus();
+    }
+    if (!can_reserve) errno = ENOSPC;
+    return Error("append");
+  }
+
+  // Appends a line as a whole, or nothing of it.
+  absl::Status Append(absl::string_view line) {
+    for (absl::string_view left = line; !left.empty();) {
+      const ssize_t written = write(fd_, left.data(), left.size());
+      if (written <= 0) return TakeBack(Error("append"));
+      left.remove_prefix(static_cast<size_t>(written));
+    }
+    return fsync(fd_) == 0 ? absl::OkStatus() : TakeBack(Error("flush"));
+  }
+
+ private:
+  absl::Status Error(absl::string_view what) const {
+    return absl::ErrnoToStatus(errno, absl::StrCat(path_, ": cannot ", what));
+  }
+
+  absl::Status TakeBack(absl::Status status) const {
+    if (ftruncate(fd_, size_) != 0) status = Error("remove a part of a line");
+    return status;
+  }
+
+  // A line is torn if it has no end. One that an editor has left without an end is kept.
+  absl::Status RemoveTornLine() {
+    std::string tail;
+    off_t begin = size_;
+    while (begin > 0 && tail.find('\n') == std::string::npos) {
+      const off_t length = std::min<off_t>(begin, kTailBytes);
+      std::string block(static_cast<size_t>(length), '\0');
+      begin -= length;
+      if (pread(fd_, block.data(), block.size(), begin) != length) return Error("read");
+      tail.insert(0, block);
+    }
+    const std::string torn = tail.substr(tail.rfind('\n') + 1);
+    if (torn.empty()) return absl::OkStatus();
+    if (ParseLine(torn).ok()) {
+      if (auto status = Append("\n"); !status.ok()) return status;
+      ++size_;
+      return absl::OkStatus();
+    }
+    size_ -= static_cast<off_t>(torn.size());
+    if (ftruncate(fd_, size_) != 0) return Error("remove a part of a line");
+    LogWarning("torn line removed", {{"path", path_}, {"line", torn}});
+    return absl::OkStatus();
+  }
+
+  static constexpr off_t kTailBytes = 4096;
+
+  const std::string path_;
+  const int fd_;
+  off_t size_ = 0;
+};
 
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<AuditLog>> AuditLog::Open(const std::string& path) {
   auto log = std::unique_ptr<AuditLog>(new AuditLog(path));
   if (path.empty()) return log;
-  if (auto status = Append(path, ""); !status.ok()) {
+  absl::MutexLock lock(&log->mutex_);
+  if (auto status = log->Append(""); !status.ok()) {
     return absl::Status(status.code(),
                         absl::StrCat("--audit_log: expected a file that the server can append to: ",
                                      status.message()));
   }
   const auto text = ReadFile(path);
   if (!text.ok()) return text.status();
-  absl::MutexLock lock(&log->mutex_);
   for (const absl::string_view line : absl::StrSplit(*text, '\n', absl::SkipEmpty())) {
     if (auto entry = ParseLine(line); entry.ok()) log->Remember(*std::move(entry));
   }
   return log;
+}
+
+absl::Status AuditLog::Append(absl::string_view line) {
+  LockedFile file(path_);
+  if (auto status = file.Prepare(); !status.ok()) return status;
+  if (auto status = file.MakeRoom(line.size() + reserved_); !status.ok()) return status;
+  return file.Append(line);
+}
+
+absl::Status AuditLog::Reserve(size_t bytes) {
+  if (path_.empty()) return absl::OkStatus();
+  absl::MutexLock lock(&mutex_);
+  reserved_ += bytes;
+  const auto status = Append("");
+  if (status.ok()) return status;
+  reserved_ -= bytes;
+  LogError("no room to record an operator action", {{"error", status.message()}});
+  return absl::UnavailableError(absl::StrCat(
+      "--audit_log: expected room for a line, so nothing was changed: ", status.message()));
 }
 
 void AuditLog::Remember(AuditEntry entry) {
@@ -119,7 +222,7 @@ void AuditLog::Remember(AuditEntry entry) {
   if (entries_.size() > kRemembered) entries_.pop_front();
 }
 
-void AuditLog::Record(AuditEntry entry) {
+absl::Status AuditLog::Record(AuditEntry entry, size_t reserved) {
   const std::string code = absl::StatusCodeToString(entry.outcome.code());
   LogInfo("operator action", {{"action", entry.action},
                               {"token", entry.token},
@@ -133,12 +236,25 @@ void AuditLog::Record(AuditEntry entry) {
                               {"before", entry.before},
                               {"after", entry.after}});
   absl::MutexLock lock(&mutex_);
+  reserved_ -= reserved;
+  absl::Status status;
   if (!path_.empty()) {
-    if (auto status = Append(path_, LineOf(entry)); !status.ok()) {
+    status = Append(LineOf(entry));
+    if (!status.ok()) {
+      AuditEntry without_states = entry;
+      without_states.before.clear();
+      without_states.after.clear();
+      status = Append(LineOf(without_states));
+    }
+    if (!status.ok()) {
       LogError("operator action not recorded", {{"error", status.message()}});
+      status = absl::DataLossError(
+          absl::StrCat("--audit_log: expected to record the action, which has ended with ", code,
+                       ": ", status.message()));
     }
   }
   Remember(std::move(entry));
+  return status;
 }
 
 std::vector<AuditEntry> AuditLog::Last(absl::FunctionRef<bool(const AuditEntry&)> wanted,

@@ -2,9 +2,13 @@
 // memory.
 //
 //   auto audit = AuditLog::Open("/var/lib/spikeserve/audit.jsonl");
-//   (*audit)->Record({.time = absl::Now(), .action = "SetShadow", .policy = "cartpole", ...});
+//   if (auto status = (*audit)->Reserve(4096); !status.ok()) return status;  // nothing was changed
+//   ...
+//   (*audit)->Record({.time = absl::Now(), .action = "SetShadow", .policy = "cartpole", ...},
+//   4096);
 //
-// Each line of the file is one entry, a JSON object. The file is opened for each entry, so it may
+// Each line of the file is one entry, a JSON object. A line is there as a whole or not at all: what
+// a full disk or a power cut leaves of one is removed. The file is opened for each entry, so it may
 // be renamed at any time to rotate it. Thread-safe.
 #ifndef SERVER_BASE_AUDIT_LOG_H_
 #define SERVER_BASE_AUDIT_LOG_H_
@@ -50,9 +54,14 @@ class AuditLog {
   // Errors name --audit_log and the path.
   static absl::StatusOr<std::unique_ptr<AuditLog>> Open(const std::string& path);
 
-  // Writes an entry to the disk before it returns. If that fails, the log has an error beside the
-  // entry.
-  void Record(AuditEntry entry);
+  // Reserves room on the disk for an entry of `bytes`, until Record() is called with them. Returns
+  // UNAVAILABLE, which names the path, if there is none. OK without a file.
+  absl::Status Reserve(size_t bytes);
+
+  // Writes an entry to the disk before it returns, without its states if only that fits. `reserved`
+  // was given to Reserve(); 0: nothing was reserved. Returns DATA_LOSS if the entry could not be
+  // written; the server's log has it, and the error.
+  absl::Status Record(AuditEntry entry, size_t reserved = 0);
 
   // Returns the last `limit` entries for which `wanted` returns true, the latest first. `wanted` is
   // called under a lock of the log.
@@ -64,8 +73,12 @@ class AuditLog {
 
   void Remember(AuditEntry entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
+  // Appends a line to the file and flushes it to the disk. Leaves room for what is reserved.
+  absl::Status Append(absl::string_view line) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
   const std::string path_;  // empty: no file
   mutable absl::Mutex mutex_;
+  size_t reserved_ ABSL_GUARDED_BY(mutex_) = 0;             // bytes
   std::deque<AuditEntry> entries_ ABSL_GUARDED_BY(mutex_);  // the latest last
 };
 

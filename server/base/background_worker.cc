@@ -1,5 +1,6 @@
 #include "server/base/background_worker.h"
 
+#include <pthread.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -51,6 +52,7 @@ std::function<void()> BackgroundWorker::TakeNext() {
 }
 
 void BackgroundWorker::Run() {
+  pthread_setname_np(pthread_self(), "worker");  // for those who look at the threads of the process
   // On Linux, PRIO_PROCESS with a thread id sets the priority of that thread alone.
   if (priority_ == Priority::kLow) setpriority(PRIO_PROCESS, static_cast<id_t>(gettid()), kNice);
   absl::MutexLock lock(&mutex_);

@@ -5,6 +5,7 @@
 #include "absl/strings/cord.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 #include "google/rpc/error_details.pb.h"
 
 namespace spikeserve {
@@ -16,6 +17,7 @@ constexpr char kDecision[] = "expected_decision";
 }  // namespace
 
 absl::Status WithExpectedDecision(absl::Status status, uint64_t decision, int64_t step) {
+  SPIKESERVE_DCHECK(!status.ok());
   google::rpc::ErrorInfo info;
   info.set_reason("OUT_OF_ORDER");
   info.set_domain("spikeserve");

@@ -3,6 +3,7 @@
 #include <cstdint>
 
 #include "absl/strings/cord.h"
+#include "core/contract/dcheck.h"
 #include "google/rpc/error_details.pb.h"
 #include "google/rpc/status.pb.h"
 
@@ -22,6 +23,7 @@ google::rpc::RetryInfo ToProto(absl::Duration delay) {
 }  // namespace
 
 absl::Status WithRetryDelay(absl::Status status, absl::Duration delay) {
+  SPIKESERVE_DCHECK(!status.ok());
   status.SetPayload(kRetryInfoUrl, absl::Cord(ToProto(delay).SerializeAsString()));
   return status;
 }

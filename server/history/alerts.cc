@@ -89,6 +89,16 @@ Instances UnusualObservations(const AlertRule& rule, const AlertInput& input) {
   return found;
 }
 
+Instances NonFiniteAnswers(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const Selection answers = input.history.Select("spikeserve_non_finite_answers_total");
+  for (const auto& [labels, series] : GroupBy({"policy", "version"}, answers)) {
+    const double count = Increase(series, WindowOf(rule, input));
+    if (count > rule.threshold) found.push_back({labels, count});
+  }
+  return found;
+}
+
 Instances NoDecisions(const AlertRule& rule, const AlertInput& input) {
   const double sessions = Gauge(input.history.Select("spikeserve_sessions"));
   const double decisions =
@@ -156,6 +166,15 @@ Instances RolloutAborted(const AlertRule& rule, const AlertInput& input) {
   return found;
 }
 
+Instances RolloutDisputed(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  for (const MetricSeries* disputed : input.history.Select("spikeserve_policy_rollout_disputed")) {
+    const double value = disputed->raw[0];
+    if (disputed->present && value > rule.threshold) found.push_back({disputed->labels, value});
+  }
+  return found;
+}
+
 Instances StoreUnreachable(const AlertRule& rule, const AlertInput& input) {
   const Selection reachable = input.history.Select("spikeserve_store_reachable");
   const double value = Gauge(reachable);
@@ -184,6 +203,30 @@ Instances HeadLogCut(const AlertRule& rule, const AlertInput& input) {
   return ServerIf(cuts > rule.threshold, cuts);
 }
 
+Instances CertificateExpires(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  for (const MetricSeries* expiry :
+       input.history.Select("spikeserve_tls_expiry_timestamp_seconds")) {
+    const double left = expiry->raw[0] - input.unix_seconds;
+    if (expiry->present && left < rule.threshold) found.push_back({expiry->labels, left});
+  }
+  return found;
+}
+
+Instances CertificateNotReloaded(const AlertRule& rule, const AlertInput& input) {
+  const double failing = Gauge(input.history.Select("spikeserve_tls_reload_failing"));
+  return ServerIf(failing > rule.threshold, failing);
+}
+
+Instances ConnectionsRefused(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  for (const MetricSeries* refused : input.history.Select("spikeserve_connections_refused_total")) {
+    const double connections = Increase({refused}, WindowOf(rule, input));
+    if (connections > rule.threshold) found.push_back({refused->labels, connections});
+  }
+  return found;
+}
+
 constexpr absl::Duration kNow = absl::ZeroDuration();
 
 const std::vector<AlertRule>& Rules() {
@@ -200,6 +243,8 @@ const std::vector<AlertRule>& Rules() {
       {"SpikeserveUnusualObservations", "warning",
        "An element of the observations is far outside the training data.", 0.05, absl::Minutes(5),
        absl::Minutes(5), UnusualObservations},
+      {"SpikeserveNonFiniteAnswers", "critical", "Answers held NaN or infinity and were not sent.",
+       0.0, absl::Minutes(15), kNow, NonFiniteAnswers},
       {"SpikeserveNoDecisions", "critical", "Sessions are open and receive no decisions.", 0.0,
        absl::Minutes(5), absl::Minutes(10), NoDecisions},
       {"SpikeserveSessionsNearLimit", "warning", "Most of --max_sessions are open.", 0.8, kNow,
@@ -214,6 +259,9 @@ const std::vector<AlertRule>& Rules() {
        absl::Minutes(5), ShadowDisagrees},
       {"SpikeserveRolloutAborted", "warning", "The server aborted a roll-out, seconds ago.", 3600.0,
        kNow, kNow, RolloutAborted},
+      {"SpikeserveRolloutDisputed", "warning",
+       "A roll-out waits, because one tenant's sessions decide whether the version is worse.", 0.0,
+       kNow, absl::Minutes(5), RolloutDisputed},
       {"SpikeserveStoreUnreachable", "critical", "The server cannot reach its session store.", 1.0,
        kNow, absl::Minutes(1), StoreUnreachable},
       {"SpikeserveStoreSlow", "warning",
@@ -225,6 +273,15 @@ const std::vector<AlertRule>& Rules() {
       {"SpikeserveHeadLogCut", "critical",
        "Entries of the log of a shared head were lost, and the log was cut before them.", 0.0,
        absl::Minutes(15), kNow, HeadLogCut},
+      {"SpikeserveCertificateExpires", "critical",
+       "A certificate of TLS expires soon, in seconds from now.", 14.0 * 86400.0, kNow, kNow,
+       CertificateExpires},
+      {"SpikeserveCertificateNotReloaded", "warning",
+       "The new files of TLS cannot be used; the old ones are.", 0.0, kNow, absl::Minutes(1),
+       CertificateNotReloaded},
+      {"SpikeserveConnectionsRefused", "warning",
+       "Connections are refused by the limit that the label names.", 0.0, absl::Minutes(5),
+       absl::Minutes(5), ConnectionsRefused},
   };
   return *rules;
 }

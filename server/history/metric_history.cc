@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "core/contract/dcheck.h"
 #include "prometheus/metric_type.h"
 
 namespace spikeserve {
@@ -32,6 +33,7 @@ std::vector<double> ValuesOf(const prometheus::ClientMetric& metric, prometheus:
 }  // namespace
 
 void Steps::Add(absl::Duration time, double value) {
+  SPIKESERVE_DCHECK(points_.empty() || time >= points_.back().first);
   if (!points_.empty() && points_.back().second == value) return;
   points_.emplace_back(time, value);
 }
@@ -57,6 +59,7 @@ void Steps::Thin(absl::Duration exact, absl::Duration oldest) {
 }
 
 void MetricHistory::Add(const std::vector<prometheus::MetricFamily>& families, absl::Duration now) {
+  SPIKESERVE_DCHECK(empty_ || now >= end_);
   if (empty_) start_ = now;
   end_ = now;
   for (auto& [name, all] : families_) {

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/version.h"
 #include "prometheus/text_serializer.h"
+#include "server/base/log.h"
 #include "server/metrics/policy_metrics.h"
 #include "server/metrics/process_metrics.h"
 
@@ -85,6 +86,9 @@ Metrics::Metrics()
       sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
       policy_errors_(Register(BuildCounter(), "spikeserve_policy_errors_total",
                               "Decisions that were refused or failed, of open sessions.")),
+      non_finite_(Register(BuildCounter(), "spikeserve_non_finite_answers_total",
+                           "Answers that held NaN or infinity and were not sent. Without a "
+                           "version: those of calls that make no decision.")),
       episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Ended episodes.")),
       episode_return_(Register(BuildHistogram(), "spikeserve_episode_return",
                                "Return of each ended episode, in the environment's units.")),
@@ -196,6 +200,7 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.decision_duration = add(decision_duration_, labels, ComputeSeconds());
   handles.sessions = add(sessions_, labels);
   handles.errors = add(policy_errors_, labels);
+  handles.non_finite = add(non_finite_, labels);
   handles.episodes = add(episodes_, labels);
   handles.episode_return = add(episode_return_, labels, Returns());
   handles.episode_return_mean = add(episode_return_mean_, labels);
@@ -251,6 +256,11 @@ void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration du
     slot.store(histogram, std::memory_order_release);
   }
   histogram->Observe(absl::ToDoubleSeconds(duration));
+}
+
+void Metrics::CountNonFiniteAnswer(const std::string& policy) {
+  non_finite_.Add({{"policy", policy}, {"version", ""}}).Increment();
+  LogError("answer not finite", {{"policy", policy}});
 }
 
 std::vector<prometheus::MetricFamily> Metrics::Collect() const {

@@ -70,6 +70,9 @@ class Metrics {
     sources_.push_back(std::move(source));
   }
 
+  // Counts a response with NaN or infinity that was not sent, and logs it. `policy` may be empty.
+  void CountNonFiniteAnswer(const std::string& policy);
+
   // Records the duration of one call. For ActStream and ModelStreamInfer: of one request.
   void ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration);
 
@@ -123,6 +126,7 @@ class Metrics {
   prometheus::Family<prometheus::Histogram>& decision_duration_;
   prometheus::Family<prometheus::Gauge>& sessions_;
   prometheus::Family<prometheus::Counter>& policy_errors_;
+  prometheus::Family<prometheus::Counter>& non_finite_;
   prometheus::Family<prometheus::Counter>& episodes_;
   prometheus::Family<prometheus::Histogram>& episode_return_;
   prometheus::Family<prometheus::Gauge>& episode_return_mean_;

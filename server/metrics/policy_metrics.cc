@@ -50,18 +50,16 @@ void PolicyMetrics::OnDecision(const Answer& answer) {
   }
   handles_.spikes_per_decision->Observe(static_cast<double>(counts.total_spikes()));
   handles_.decision_duration->Observe(answer.compute_seconds);
-  evidence_.CountDecision(answer.compute_seconds);
 }
 
-void PolicyMetrics::OnError(absl::string_view session_id) {
-  handles_.errors->Increment();
-  evidence_.CountFailure(session_id);
+void PolicyMetrics::OnNonFinite() {
+  handles_.non_finite->Increment();
+  LogError("answer not finite", {{"policy", name_}});
 }
 
 void PolicyMetrics::OnEpisodeEnd(double episode_return) {
   handles_.episodes->Increment();
   handles_.episode_return->Observe(episode_return);
-  evidence_.CountEpisode(episode_return);
   absl::MutexLock lock(&mutex_);
   ++episodes_;
   return_mean_ += (episode_return - return_mean_) / static_cast<double>(episodes_);

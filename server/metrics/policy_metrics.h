@@ -63,6 +63,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Histogram* decision_duration;
     prometheus::Gauge* sessions;
     prometheus::Counter* errors;
+    prometheus::Counter* non_finite;
     prometheus::Counter* episodes;
     prometheus::Histogram* episode_return;
     prometheus::Gauge* episode_return_mean;
@@ -92,14 +93,15 @@ class PolicyMetrics final : public SessionObserver {
     on_end_();
   }
 
-  void OnOpen() override {
-    handles_.sessions->Increment();
-    evidence_.CountSession();
+  void OnOpen() override { handles_.sessions->Increment(); }
+  std::shared_ptr<SessionEvidence> OnAssigned(absl::string_view tenant) override {
+    return evidence_.NewSession(tenant);
   }
-  void OnError(absl::string_view session_id) override;
+  void OnError() override { handles_.errors->Increment(); }
   void OnClose() override { handles_.sessions->Decrement(); }
   uint32_t CountUnusual(absl::Span<const float> observation) override;
   void OnDecision(const Answer& answer) override;
+  void OnNonFinite() override;
   void OnEpisodeEnd(double episode_return) override;
   void OnHeadUpdate(UpdateOutcome outcome) override;
   void OnLearned(const LearningSummary& summary) override;

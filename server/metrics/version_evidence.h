@@ -1,23 +1,29 @@
 // Counts what the sessions of one policy version do while a roll-out compares it with another one.
 //
 //   VersionEvidence evidence;
-//   evidence.Watch({});
-//   evidence.CountEpisode(/*episode_return=*/500.0);
+//   evidence.Watch({}, /*most_per_session=*/4, PlausibleReturns::Of(policy));
+//   const std::shared_ptr<SessionEvidence> session = evidence.NewSession("warehouse");
+//   session->OnEpisodeEnd(/*episode_return=*/500.0);
 //   const VersionEvidence::Counts counts = evidence.Read();
 //
-// Thread-safe. While nothing watches, each Count...() costs one atomic load.
+// Thread-safe; each SessionEvidence is used by one thread at a time.
 #ifndef SERVER_METRICS_VERSION_EVIDENCE_H_
 #define SERVER_METRICS_VERSION_EVIDENCE_H_
 
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <limits>
+#include <map>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
-#include "absl/container/flat_hash_set.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
+#include "core/model/policy.h"
+#include "core/session/served_policy.h"
 
 namespace spikeserve {
 
@@ -30,6 +36,7 @@ class DurationCounts {
   static int BucketOf(double seconds);
 
   void Add(int bucket, int64_t count) { counts_[static_cast<size_t>(bucket)] += count; }
+  void Add(const DurationCounts& other);
   int64_t total() const;
   // Returns the upper end, in seconds, of the bucket with the given quantile. 0 without durations.
   double Quantile(double quantile) const;
@@ -40,45 +47,68 @@ class DurationCounts {
   std::array<int64_t, kBuckets> counts_ = {};
 };
 
+// The returns that a policy can have earned; others are implausible.
+struct PlausibleReturns {
+  double low = -std::numeric_limits<double>::infinity();
+  double high = std::numeric_limits<double>::infinity();
+
+  // Returns ten times the range for which the policy was trained, on either side of its middle:
+  // return_offset and return_scale, or target_return if that lies further away.
+  static PlausibleReturns Of(const Policy& policy);
+  bool Contain(double episode_return) const {
+    return episode_return >= low && episode_return <= high;
+  }
+};
+
+// Counts sessions by tenant, so that a judge can leave a tenant out. Each session counts alike,
+// however many episodes it has.
 class VersionEvidence {
  public:
-  struct Counts {
-    int64_t sessions = 0;
-    int64_t failed_sessions = 0;  // in which a decision was refused or failed
-    int64_t episodes = 0;
-    double return_mean = 0.0;
-    double return_squares = 0.0;  // sum of squared deviations from the mean (Welford)
-    DurationCounts durations = {};
+  // At most this many sessions of a tenant are kept; they are a random sample of all.
+  static constexpr size_t kMostSampled = 256;
 
-    // Variance of one episode's return.
-    double return_variance() const {
-      return episodes < 2 ? 0.0 : return_squares / static_cast<double>(episodes - 1);
-    }
+  // The plausible returns of one session.
+  struct SessionReturn {
+    int64_t episodes = 0;
+    double mean = 0.0;
+
+    friend bool operator==(const SessionReturn&, const SessionReturn&) = default;
   };
 
-  // Starts to count, from `start`.
-  void Watch(const Counts& start);
-  // Stops to count; the counts stay readable.
-  void Stop() { watched_.store(false, std::memory_order_relaxed); }
+  // What the sessions of one tenant did.
+  struct TenantCounts {
+    int64_t sessions = 0;         // that have decided, or should have
+    int64_t failed_sessions = 0;  // in which the version has failed to decide
+    int64_t episodes = 0;         // with plausible returns
+    int64_t implausible = 0;      // episodes whose return is implausible
+    int64_t capped_episodes = 0;  // of each session at most `most_per_session` in each step
+    int64_t returning = 0;        // sessions with plausible returns, of which `returns` is a sample
+    std::vector<SessionReturn> returns = {};
+    DurationCounts durations = {};
+  };
+  using Counts = std::map<std::string, TenantCounts>;  // by tenant
 
-  void CountSession();
-  // Counts a session once, however often it fails. Remembers at most kMostFailed sessions.
-  void CountFailure(absl::string_view session_id);
-  void CountEpisode(double episode_return);
-  void CountDecision(double compute_seconds);
+  // Starts to count, from `start`, without its durations. One session gives at most
+  // `most_per_session` episodes to the `capped_episodes` of one step.
+  void Watch(const Counts& start, int64_t most_per_session, const PlausibleReturns& plausible);
+  // Begins another step.
+  void NextStep();
+  // Stops to count; the counts stay readable.
+  void Stop();
+
+  // Returns what receives the evidence of a new session, or null if nothing watches. It may outlive
+  // the roll-out; then it counts no more.
+  std::shared_ptr<SessionEvidence> NewSession(absl::string_view tenant);
 
   Counts Read() const;
 
  private:
-  static constexpr size_t kMostFailed = 100'000;
-
-  bool watched() const { return watched_.load(std::memory_order_relaxed); }
+  struct Comparison;  // the counts of one roll-out
+  class Session;
 
   std::atomic<bool> watched_ = false;
-  std::array<std::atomic<int64_t>, DurationCounts::kBuckets> durations_ = {};
   mutable absl::Mutex mutex_;
-  Counts counts_ ABSL_GUARDED_BY(mutex_);  // without durations
-  absl::flat_hash_set<std::string> failed_ ABSL_GUARDED_BY(mutex_);
+  std::shared_ptr<Comparison> comparison_ ABSL_GUARDED_BY(mutex_);  // null: none yet
 };
 
 }  // namespace spikeserve

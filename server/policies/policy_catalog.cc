@@ -64,6 +64,7 @@ absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
   if (!found.ok()) return found.status();
   const CatalogPolicy& policy = **found;
   int64_t version = choice.version;
+  const bool is_free = version == 0 && choice.label.empty();
   if (!choice.label.empty()) {
     if (version != 0) {
       return absl::InvalidArgumentError(absl::StrCat("version_label: expected none beside version ",
@@ -76,12 +77,14 @@ absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
                                               choice.policy, ", received ", Quoted(choice.label)));
     }
     version = label->second;
-  } else if (version == 0 && !policy.settings.shares.empty()) {
+  } else if (is_free && !policy.settings.shares.empty()) {
     version = ShareOf(policy.settings.shares, choice);
   }
   auto served = Find(choice.policy, version);
   if (!served.ok()) return served.status();
-  Route route = {.served = *std::move(served), .shadow = nullptr};
+  Route route = {.served = *std::move(served),
+                 .shadow = nullptr,
+                 .by_rollout = is_free && policy.settings.rollout_running()};
   if (policy.settings.shadow_version != 0 &&
       policy.settings.shadow_version != route.served->version) {
     const auto& shadow = policy.versions.at(policy.settings.shadow_version);

@@ -31,6 +31,7 @@ struct VersionChoice {
 struct Route {
   std::shared_ptr<const ServedPolicy> served;
   std::shared_ptr<const ServedPolicy> shadow;  // null if there is none or it equals `served`
+  bool by_rollout = false;                     // a running roll-out has chosen `served`
 };
 
 // The served versions of one policy, and the settings of operators that are in force. Every version

@@ -9,16 +9,19 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/algorithm/container.h"
 #include "absl/functional/function_ref.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/action/action_head.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/learning/fleet_head.h"
 #include "core/model/policy_file.h"
+#include "server/policies/confined_path.h"
 
 namespace spikeserve {
 namespace {
@@ -49,9 +52,12 @@ absl::Status WarmUp(const Engine& engine, const std::string& path) {
   const std::vector<float> observation(static_cast<size_t>(policy.observation_size()), 0.0f);
   Engine::Output output;
   engine.Decide(*engine.NewContext(/*seed=*/0), policy.target_return, observation, &output);
-  const bool finite = std::all_of(output.readout.begin(), output.readout.end(),
-                                  [](float value) { return std::isfinite(value); });
-  if (finite) return absl::OkStatus();
+  const ActionChoice choice = ChooseAction(policy.weights.head, policy.action_space, output.readout,
+                                           /*selection=*/{}, /*random=*/0);
+  const auto is_finite = [](float value) { return std::isfinite(value); };
+  if (absl::c_all_of(output.readout, is_finite) && absl::c_all_of(choice.logits, is_finite)) {
+    return absl::OkStatus();
+  }
   return absl::InvalidArgumentError(
       absl::StrCat(path, ": expected a finite first decision, received NaN or infinity"));
 }
@@ -141,6 +147,11 @@ absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory) {
           Quoted(folder.string()), ": expected a name of letters, digits, '.', '-', '_'")));
       continue;
     }
+    // The names of what lies elsewhere are not shown either.
+    if (auto status = CheckWithin(directory, folder); !status.ok()) {
+      found.refused.push_back(std::move(status));
+      continue;
+    }
     const auto versions = ListFolders(folder);
     if (!versions.ok()) {
       found.refused.push_back(versions.status());
@@ -148,6 +159,10 @@ absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory) {
     }
     for (const fs::path& version_folder : *versions) {
       const auto version = ParseVersion(version_folder);
+      if (auto status = CheckWithin(directory, version_folder); !status.ok()) {
+        found.refused.push_back(std::move(status));
+        continue;
+      }
       std::error_code ignored;
       if (version.ok() && fs::is_empty(version_folder, ignored)) continue;
       if (version.ok()) {
@@ -178,6 +193,9 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer, bool share_heads,
     HeadLogs* logs) {
   const std::string path = PolicyFilePath(directory, version);
+  for (const std::string& file : {path, SignaturePath(path)}) {
+    if (auto status = CheckWithin(directory, file); !status.ok()) return status;
+  }
   // The bytes that are verified are those that are parsed: the file may change at any time.
   const auto files = ReadVersionFiles(path, signatures);
   if (!files.ok()) return files.status();

@@ -50,8 +50,8 @@ struct PolicyFolders {
 // so that no two folders stand for the same version. Returns INVALID_ARGUMENT for any other name.
 absl::StatusOr<int64_t> ParseVersion(const std::filesystem::path& folder);
 
-// Lists the policies and versions in `directory`, without empty version folders. Returns NOT_FOUND
-// if there is no such directory.
+// Lists the policies and versions in `directory`, without empty version folders; links that lead
+// out of it are refused. Returns NOT_FOUND if there is no such directory.
 absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory);
 
 // Explains why nothing of `directory` can be served and what to do: names the directory that was

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <set>
+#include <utility>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json_object.h"
@@ -15,12 +17,28 @@ using Json = nlohmann::json;
 
 constexpr int64_t kFirstVersion = 1;
 
-Json EvidenceJson(const RolloutEvidence& evidence) {
-  return {{"sessions", evidence.sessions},
-          {"failed_sessions", evidence.failed_sessions},
-          {"episodes", evidence.episodes},
-          {"return_mean", evidence.return_mean},
-          {"return_squares", evidence.return_squares}};
+Json EvidenceJson(const EvidenceByTenant& evidence) {
+  Json tenants = Json::object();
+  for (const auto& [tenant, counts] : evidence) {
+    tenants[tenant] = {{"sessions", counts.sessions},
+                       {"failed_sessions", counts.failed_sessions},
+                       {"episodes", counts.episodes},
+                       {"implausible_episodes", counts.implausible_episodes},
+                       {"capped_episodes", counts.capped_episodes},
+                       {"returning_sessions", counts.returning_sessions},
+                       {"session_episodes", counts.session_episodes},
+                       {"session_returns", counts.session_returns}};
+  }
+  return {{"tenants", std::move(tenants)}};
+}
+
+// Reads the evidence of a version. That of an older server, which is not divided by sessions, reads
+// as none: the comparison begins anew.
+absl::Status ReadEvidence(absl::string_view field, const Json& json, EvidenceByTenant* evidence) {
+  if (json.is_object() && json.contains("return_squares")) return absl::OkStatus();
+  JsonObject object(field, json);
+  object.Required("tenants", evidence);
+  return object.Finish();
 }
 
 absl::Status CheckSteps(const std::vector<int>& steps) {
@@ -48,9 +66,23 @@ absl::Status ReadJson(absl::string_view field, const Json& json, RolloutEvidence
   object.Required("sessions", &evidence->sessions, 0);
   object.Required("failed_sessions", &evidence->failed_sessions, 0);
   object.Required("episodes", &evidence->episodes, 0);
-  object.Required("return_mean", &evidence->return_mean);
-  object.Required("return_squares", &evidence->return_squares);
-  return object.Finish();
+  object.Required("implausible_episodes", &evidence->implausible_episodes, 0);
+  object.Required("capped_episodes", &evidence->capped_episodes, 0);
+  object.Required("returning_sessions", &evidence->returning_sessions, 0);
+  object.Required("session_episodes", &evidence->session_episodes);
+  object.Required("session_returns", &evidence->session_returns);
+  if (auto status = object.Finish(); !status.ok()) return status;
+  const size_t sampled = evidence->session_returns.size();
+  const bool fits =
+      evidence->session_episodes.size() == sampled &&
+      static_cast<int64_t>(sampled) <= evidence->returning_sessions &&
+      absl::c_all_of(evidence->session_episodes, [](int64_t episodes) { return episodes > 0; }) &&
+      absl::c_all_of(evidence->session_returns, [](double value) { return std::isfinite(value); });
+  if (fits) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(field, ".session_returns: expected a finite number and its episodes of at most ",
+                   evidence->returning_sessions, " sessions, received ", sampled, " and ",
+                   evidence->session_episodes.size()));
 }
 
 absl::Status Rollout::Validate() const {
@@ -100,6 +132,7 @@ Json RolloutJson(const Rollout& rollout) {
                {"replica", rollout.replica},
                {"new_evidence", EvidenceJson(rollout.new_evidence)},
                {"stable_evidence", EvidenceJson(rollout.stable_evidence)}};
+  if (!rollout.disputed.empty()) json["disputed"] = rollout.disputed;
   for (const RolloutCondition& condition : rollout.abort_if) {
     json["abort_if"].push_back(
         {{"measure", std::string(ToString(condition.measure))}, {"margin", condition.margin}});
@@ -124,9 +157,18 @@ absl::Status ReadJson(absl::string_view field, const Json& json, Rollout* rollou
   object.Required("ended", &rollout->ended);
   object.Required("reason", &rollout->reason);
   object.Optional("replica", &rollout->replica);
-  object.Required("new_evidence", &rollout->new_evidence);
-  object.Required("stable_evidence", &rollout->stable_evidence);
+  object.Optional("disputed", &rollout->disputed);
+  Json new_evidence;
+  Json stable_evidence;
+  object.Required("new_evidence", &new_evidence);
+  object.Required("stable_evidence", &stable_evidence);
   if (auto status = object.Finish(); !status.ok()) return status;
+  const std::string prefix = absl::StrCat(field, field.empty() ? "" : ".");
+  auto status = ReadEvidence(prefix + "new_evidence", new_evidence, &rollout->new_evidence);
+  status.Update(
+      ReadEvidence(prefix + "stable_evidence", stable_evidence, &rollout->stable_evidence));
+  if (!status.ok()) return status;
+  if (rollout->new_evidence.empty()) rollout->episodes_at_step = 0;
   const auto valid = rollout->Validate();
   if (valid.ok()) return valid;
   return absl::InvalidArgumentError(absl::StrCat(field, ".", valid.message()));

@@ -7,6 +7,7 @@
 
 #include <array>
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -43,16 +44,23 @@ struct RolloutCondition {
   friend bool operator==(const RolloutCondition&, const RolloutCondition&) = default;
 };
 
-// What a version did during the roll-out, as far as a restart keeps it.
+// What the sessions of one tenant did on a version during the roll-out, as far as a restart keeps
+// it; the counts are those of VersionEvidence::TenantCounts.
 struct RolloutEvidence {
   int64_t sessions = 0;
   int64_t failed_sessions = 0;
   int64_t episodes = 0;
-  double return_mean = 0.0;
-  double return_squares = 0.0;  // sum of squared deviations from the mean
+  int64_t implausible_episodes = 0;
+  int64_t capped_episodes = 0;
+  int64_t returning_sessions = 0;
+  // Of a sample of the returning sessions: how many episodes they have ended, and their mean
+  // return.
+  std::vector<int64_t> session_episodes = {};
+  std::vector<double> session_returns = {};
 
   friend bool operator==(const RolloutEvidence&, const RolloutEvidence&) = default;
 };
+using EvidenceByTenant = std::map<std::string, RolloutEvidence>;
 
 struct Rollout {
   int64_t version = 0;
@@ -65,18 +73,23 @@ struct Rollout {
   RolloutState state = RolloutState::kRunning;
   int64_t step = 0;              // index in `steps`
   double held_seconds = 0.0;     // of this step, while a server was running
-  int64_t episodes_at_step = 0;  // of the new version, when the step began
+  int64_t episodes_at_step = 0;  // `capped_episodes` of the new version, when the step began
   double started = 0.0;          // Unix times in seconds
   double step_started = 0.0;
   double ended = 0.0;       // 0 while it is running
   std::string reason = "";  // why it ended
+  // Why it waits, because one tenant's sessions decide whether the version is worse; empty: it does
+  // not wait for that.
+  std::string disputed = "";
   // The server whose sessions judge it, if several share their settings; empty: any.
   std::string replica = "";
-  RolloutEvidence new_evidence = {};
-  RolloutEvidence stable_evidence = {};
+  EvidenceByTenant new_evidence = {};
+  EvidenceByTenant stable_evidence = {};
 
   bool running() const { return state == RolloutState::kRunning; }
   int percent() const { return steps[static_cast<size_t>(step)]; }
+  // How many episodes of one session count towards `min_episodes` in each step: a fifth.
+  int64_t most_episodes_per_session() const { return (min_episodes + 4) / 5; }
 
   // Returns INVALID_ARGUMENT, which names the field, unless every value is in its range.
   absl::Status Validate() const;

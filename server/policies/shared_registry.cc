@@ -44,15 +44,24 @@ absl::Status PolicyRegistry::Follow() {
 absl::Status PolicyRegistry::Refresh() {
   if (!shares_settings()) return absl::OkStatus();
   auto document = options_.shared->Read();
-  if (!document.ok()) return document.status();
-  if (document->revision == 0) {
+  for (int i = 0; document.ok() && document->revision == 0; ++i) {
+    if (i == kMostAttempts) {
+      return absl::UnavailableError("settings: the store has no settings and takes none");
+    }
     // The store is new, or has lost the settings.
-    document = SharedSettings::Document{.revision = 1, .json = ToJson(settings_)};
-    auto status = options_.shared->Write(*document);
-    if (absl::IsAborted(status)) return Refresh();  // another server was faster
-    if (!status.ok()) return status;
-    revision_ = 1;
-  } else if (document->revision != revision_) {
+    const SharedSettings::Document first = {.revision = 1, .json = ToJson(settings_)};
+    const auto status = options_.shared->Write(first);
+    if (status.ok()) {
+      document = first;
+      revision_ = 1;
+    } else if (absl::IsAborted(status)) {
+      document = options_.shared->Read();  // another server was faster
+    } else {
+      return status;
+    }
+  }
+  if (!document.ok()) return document.status();
+  if (document->revision != revision_) {
     if (auto status = Adopt(*document); !status.ok()) return status;
   }
   joined_.store(true, std::memory_order_release);

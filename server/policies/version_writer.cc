@@ -17,6 +17,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
+#include "server/policies/confined_path.h"
 
 namespace spikeserve {
 namespace {
@@ -71,8 +72,10 @@ int64_t NextVersion(const fs::path& policy_folder) {
 
 // Writes the files of a version into a hidden folder of the policy and renames it to the number
 // that `number` returns then.
-absl::Status WriteAndRename(const fs::path& policy_folder, const VersionFiles& files,
-                            absl::FunctionRef<int64_t()> number) {
+absl::Status WriteAndRename(const std::string& directory, const std::string& name,
+                            const VersionFiles& files, absl::FunctionRef<int64_t()> number) {
+  const fs::path policy_folder = fs::path(directory) / name;
+  if (auto status = CheckWithin(directory, policy_folder); !status.ok()) return status;
   std::string folder = (policy_folder / absl::StrCat(kUnfinished, "XXXXXX")).string();
   if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
   const OpenFolder in_use(folder);
@@ -124,21 +127,21 @@ absl::Status WriteVersion(const std::string& directory, const PolicyVersion& ver
   const fs::path policy_folder = fs::path(directory) / version.policy;
   std::error_code ignored;
   fs::create_directories(policy_folder, ignored);
-  return WriteAndRename(policy_folder, files, [&] { return version.version; });
+  return WriteAndRename(directory, version.policy, files, [&] { return version.version; });
 }
 
 absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
                                               const VersionFiles& files) {
   PolicyVersion written = {.policy = name, .version = 0};
-  const auto status = WriteAndRename(fs::path(directory) / name, files, [&] {
-    return written.version = NextVersion(directory, name);
-  });
+  const auto status = WriteAndRename(
+      directory, name, files, [&] { return written.version = NextVersion(directory, name); });
   if (!status.ok()) return status;
   return written;
 }
 
 void SweepUnfinishedVersions(const std::string& directory) {
   for (const fs::directory_entry& policy : Entries(directory)) {
+    if (!CheckWithin(directory, policy.path()).ok()) continue;
     for (const fs::directory_entry& folder : Entries(policy.path())) {
       const fs::path& path = folder.path();
       std::error_code ignored;

@@ -2,16 +2,34 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <map>
+#include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/math/portable.h"
+#include "server/rollouts/evidence_total.h"
 #include "server/rollouts/sequential_test.h"
 
 namespace spikeserve {
 namespace {
 
-using Counts = VersionEvidence::Counts;
-
 constexpr double kQuantile = 0.99;
+
+// What is judged: the evidence of both versions, with or without one tenant.
+struct Evidence {
+  EvidenceTotal fresh;
+  EvidenceTotal stable;
+  CenteredReturns centered;
+};
+
+Evidence Gather(const VersionEvidence::Counts& fresh, const VersionEvidence::Counts& stable,
+                const std::string* without) {
+  return {.fresh = TotalOf(fresh, without),
+          .stable = TotalOf(stable, without),
+          .centered = CenterReturns(fresh, stable, without)};
+}
 
 // A comparison, the size of typical observations, and the values that a sentence shows.
 struct Judged {
@@ -24,19 +42,23 @@ double ShareOf(int64_t part, int64_t all) {
   return all == 0 ? 0.0 : static_cast<double>(part) / static_cast<double>(all);
 }
 
-Judged JudgeReturn(double margin, const Counts& fresh, const Counts& stable) {
-  const double allowed = margin * std::abs(stable.return_mean);
-  return {{.difference = stable.return_mean - allowed - fresh.return_mean,
-           .new_variance = fresh.return_variance(),
-           .stable_variance = stable.return_variance(),
-           .new_count = fresh.episodes,
-           .stable_count = stable.episodes},
-          std::max(std::abs(stable.return_mean), std::abs(fresh.return_mean)),
-          absl::StrFormat("mean return %.4g over %d episodes, stable version %.4g over %d",
-                          fresh.return_mean, fresh.episodes, stable.return_mean, stable.episodes)};
+Judged JudgeReturn(double margin, const Evidence& evidence) {
+  const TrimmedMean& fresh = evidence.fresh.returns;
+  const TrimmedMean& stable = evidence.stable.returns;
+  const auto& [centered_fresh, centered_stable] = evidence.centered;
+  const double allowed = margin * std::abs(stable.mean);
+  return {{.difference = centered_stable.mean - allowed - centered_fresh.mean,
+           .new_variance = centered_fresh.variance,
+           .stable_variance = centered_stable.variance,
+           .new_count = centered_fresh.count,
+           .stable_count = centered_stable.count},
+          std::max(std::abs(stable.mean), std::abs(fresh.mean)),
+          absl::StrFormat("mean return %.4g over %d sessions, stable version %.4g over %d",
+                          fresh.mean, fresh.count, stable.mean, stable.count)};
 }
 
-Judged JudgeErrors(double margin, const Counts& fresh, const Counts& stable) {
+Judged JudgeErrors(double margin, const Evidence& evidence) {
+  const auto& [fresh, stable, centered] = evidence;
   const double fresh_share = ShareOf(fresh.failed_sessions, fresh.sessions);
   const double stable_share = ShareOf(stable.failed_sessions, stable.sessions);
   // If there is no difference, both shares are those of all sessions together. One failure that has
@@ -57,31 +79,64 @@ Judged JudgeErrors(double margin, const Counts& fresh, const Counts& stable) {
 
 // Compares the share of slow decisions: those above the stable version's 99th percentile with the
 // margin, of which the stable version makes at most 1 %.
-Judged JudgeP99(double margin, const Counts& fresh, const Counts& stable) {
-  const double p99 = stable.durations.Quantile(kQuantile);
-  const int64_t total = fresh.durations.total();
-  const double slow = ShareOf(fresh.durations.CountAbove((1.0 + margin) * p99), total);
+Judged JudgeP99(double margin, const Evidence& evidence) {
+  const DurationCounts& fresh = evidence.fresh.durations;
+  const DurationCounts& stable = evidence.stable.durations;
+  const double p99 = stable.Quantile(kQuantile);
+  const double slow = ShareOf(fresh.CountAbove((1.0 + margin) * p99), fresh.total());
   constexpr double kVariance = kQuantile * (1.0 - kQuantile);
   return {{.difference = slow - (1.0 - kQuantile),
            .new_variance = kVariance,
            .stable_variance = kVariance,
-           .new_count = total,
-           .stable_count = stable.durations.total()},
+           .new_count = fresh.total(),
+           .stable_count = stable.total()},
           1.0,
-          absl::StrFormat("p99 %.3g ms, stable version %.3g ms",
-                          1e3 * fresh.durations.Quantile(kQuantile), 1e3 * p99)};
+          absl::StrFormat("p99 %.3g ms, stable version %.3g ms", 1e3 * fresh.Quantile(kQuantile),
+                          1e3 * p99)};
 }
 
-Judged Judge(const RolloutCondition& condition, const Counts& fresh, const Counts& stable) {
+Judged Judge(const RolloutCondition& condition, const Evidence& evidence) {
   switch (condition.measure) {
     case RolloutMeasure::kReturn:
-      return JudgeReturn(condition.margin, fresh, stable);
+      return JudgeReturn(condition.margin, evidence);
     case RolloutMeasure::kErrors:
-      return JudgeErrors(condition.margin, fresh, stable);
+      return JudgeErrors(condition.margin, evidence);
     case RolloutMeasure::kP99:
       break;
   }
-  return JudgeP99(condition.margin, fresh, stable);
+  return JudgeP99(condition.margin, evidence);
+}
+
+// Returns the first condition by which the new version is worse, as a sentence, or an empty string.
+// A version that is not worse is found with a probability of at most `false_finds`.
+std::string FindWorse(const std::vector<RolloutCondition>& conditions, const Evidence& evidence,
+                      double false_finds) {
+  const double threshold = portable::Log(static_cast<double>(conditions.size()) / false_finds);
+  for (const RolloutCondition& condition : conditions) {
+    const Judged judged = Judge(condition, evidence);
+    if (LogWorseRatio(judged.comparison, judged.scale) < threshold) continue;
+    return absl::StrFormat("%s is worse: %s (margin %g)", ToString(condition.measure),
+                           judged.values, condition.margin);
+  }
+  return "";
+}
+
+// Returns the tenants with sessions on either version, those with the most sessions first.
+std::vector<std::string> TenantsBySessions(const VersionEvidence::Counts& fresh,
+                                           const VersionEvidence::Counts& stable) {
+  std::map<std::string, int64_t> sessions;
+  for (const auto* counts : {&fresh, &stable}) {
+    for (const auto& [tenant, of] : *counts) {
+      if (of.sessions > 0) sessions[tenant] += of.sessions;
+    }
+  }
+  std::vector<std::string> tenants;
+  tenants.reserve(sessions.size());
+  for (const auto& [tenant, count] : sessions) tenants.push_back(tenant);
+  std::ranges::stable_sort(tenants, [&](const std::string& a, const std::string& b) {
+    return sessions[a] > sessions[b];
+  });
+  return tenants;
 }
 
 }  // namespace
@@ -92,16 +147,34 @@ std::vector<RolloutCondition> DefaultConditions() {
           {.measure = RolloutMeasure::kP99, .margin = 0.25}};
 }
 
-std::string FindWorse(const std::vector<RolloutCondition>& conditions, const Counts& new_version,
-                      const Counts& stable_version) {
-  const double threshold = std::log(static_cast<double>(conditions.size()) / kFalseAborts);
-  for (const RolloutCondition& condition : conditions) {
-    const Judged judged = Judge(condition, new_version, stable_version);
-    if (LogWorseRatio(judged.comparison, judged.scale) < threshold) continue;
-    return absl::StrFormat("%s is worse: %s (margin %g)", ToString(condition.measure),
-                           judged.values, condition.margin);
+Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
+                     const VersionEvidence::Counts& new_version,
+                     const VersionEvidence::Counts& stable_version) {
+  using Kind = Verdict::Kind;
+  const std::string all =
+      FindWorse(conditions, Gather(new_version, stable_version, nullptr), kFalseAborts);
+  std::vector<std::string> tenants = TenantsBySessions(new_version, stable_version);
+  if (tenants.size() > 1) {
+    if (tenants.size() > kMostLeftOut) tenants.resize(kMostLeftOut);
+    // Several chances to find it worse without a tenant share the probability of one.
+    const double false_finds =
+        all.empty() ? kFalseAborts / static_cast<double>(tenants.size()) : kFalseAborts;
+    for (std::string& tenant : tenants) {
+      const Evidence others = Gather(new_version, stable_version, &tenant);
+      const std::string without = FindWorse(conditions, others, false_finds);
+      if (all.empty() == without.empty()) continue;
+      const int64_t fewest = std::min(others.fresh.sessions, others.stable.sessions);
+      const std::string reason =
+          all.empty() ? absl::StrCat("without the sessions of one tenant, ", without)
+                      : absl::StrCat(all, ", but not without the sessions of one tenant");
+      return {.kind = Kind::kDisputed,
+              .reason = reason,
+              .tenant = std::move(tenant),
+              .contradicted = fewest >= kFewestObservations};
+    }
   }
-  return "";
+  if (all.empty()) return {};
+  return {.kind = Kind::kWorse, .reason = all};
 }
 
 }  // namespace spikeserve

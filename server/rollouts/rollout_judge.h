@@ -1,5 +1,9 @@
 // Judges whether the new version of a roll-out is worse than the stable version.
 //
+// The evidence comes from agents, of which some may lie. Each session counts once, the lowest and
+// the highest tenth of the sessions' returns are left out, and a verdict must stand without the
+// sessions of any one tenant. docs/threat-model.md says what remains possible.
+//
 // Pure functions; safe to call from many threads.
 #ifndef SERVER_ROLLOUTS_ROLLOUT_JUDGE_H_
 #define SERVER_ROLLOUTS_ROLLOUT_JUDGE_H_
@@ -20,12 +24,27 @@ inline constexpr double kFalseAborts = 0.05;
 // percentage point, p99 with 25 %.
 std::vector<RolloutCondition> DefaultConditions();
 
-// Returns the first condition by which the new version is worse, as a sentence with both values, or
-// an empty string if the evidence shows none. kFalseAborts is divided by the number of conditions
+struct Verdict {
+  enum class Kind {
+    kNotWorse,
+    kWorse,
+    kDisputed,  // worse or not, depending on whether the sessions of one tenant count
+  };
+  Kind kind = Kind::kNotWorse;
+  std::string reason = "";  // a sentence with the values of both versions; empty for kNotWorse
+  std::string tenant = "";  // kDisputed: whose sessions decide
+  // kDisputed: the other tenants have enough sessions on both versions to contradict.
+  bool contradicted = false;
+};
+
+// Judges the evidence of now. If only one tenant has sessions in the roll-out, they decide. Of more
+// than kMostLeftOut tenants, those with the most sessions are left out in turn, because no other
+// has more than a twentieth of the sessions. kFalseAborts is divided by the number of conditions
 // (Bonferroni).
-std::string FindWorse(const std::vector<RolloutCondition>& conditions,
-                      const VersionEvidence::Counts& new_version,
-                      const VersionEvidence::Counts& stable_version);
+inline constexpr size_t kMostLeftOut = 20;
+Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
+                     const VersionEvidence::Counts& new_version,
+                     const VersionEvidence::Counts& stable_version);
 
 }  // namespace spikeserve
 

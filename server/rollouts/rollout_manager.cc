@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "server/base/log.h"
+#include "server/rollouts/evidence_total.h"
 #include "server/rollouts/rollout_judge.h"
 
 namespace spikeserve {
@@ -28,20 +29,44 @@ std::vector<TrafficShare> SharesOf(const Rollout& rollout) {
   return shares;
 }
 
-VersionEvidence::Counts CountsOf(const RolloutEvidence& kept) {
-  return {.sessions = kept.sessions,
-          .failed_sessions = kept.failed_sessions,
-          .episodes = kept.episodes,
-          .return_mean = kept.return_mean,
-          .return_squares = kept.return_squares};
+VersionEvidence::Counts CountsOf(const EvidenceByTenant& kept) {
+  VersionEvidence::Counts counts;
+  for (const auto& [tenant, of] : kept) {
+    VersionEvidence::TenantCounts& restored = counts[tenant];
+    restored.sessions = of.sessions;
+    restored.failed_sessions = of.failed_sessions;
+    restored.episodes = of.episodes;
+    restored.implausible = of.implausible_episodes;
+    restored.capped_episodes = of.capped_episodes;
+    restored.returning = of.returning_sessions;
+    for (size_t i = 0; i < of.session_returns.size(); ++i) {
+      restored.returns.push_back(
+          {.episodes = of.session_episodes[i], .mean = of.session_returns[i]});
+    }
+  }
+  return counts;
 }
 
-RolloutEvidence EvidenceOf(const VersionEvidence::Counts& counts) {
-  return {.sessions = counts.sessions,
-          .failed_sessions = counts.failed_sessions,
-          .episodes = counts.episodes,
-          .return_mean = counts.return_mean,
-          .return_squares = counts.return_squares};
+EvidenceByTenant EvidenceOf(const VersionEvidence::Counts& counts) {
+  EvidenceByTenant kept;
+  for (const auto& [tenant, of] : counts) {
+    RolloutEvidence& saved = kept[tenant];
+    saved.sessions = of.sessions;
+    saved.failed_sessions = of.failed_sessions;
+    saved.episodes = of.episodes;
+    saved.implausible_episodes = of.implausible;
+    saved.capped_episodes = of.capped_episodes;
+    saved.returning_sessions = of.returning;
+    for (const auto& session : of.returns) {
+      saved.session_episodes.push_back(session.episodes);
+      saved.session_returns.push_back(session.mean);
+    }
+  }
+  return kept;
+}
+
+int64_t CappedEpisodes(const VersionEvidence::Counts& counts) {
+  return TotalOf(counts).capped_episodes;
 }
 
 absl::Status CheckStart(const CatalogPolicy& policy, const PolicySettings& settings,
@@ -87,19 +112,32 @@ RolloutManager::RolloutManager(PolicyRegistry* registry, Metrics* metrics, const
   for (const auto& [name, policy] : catalog->policies()) {
     const std::optional<Rollout>& rollout = policy.settings.rollout;
     const bool running = policy.settings.rollout_running();
-    if (running && replicas_->IsMine(rollout->replica)) TakeOver(name, *rollout);
+    if (running && replicas_->IsMine(rollout->replica)) TakeOver(name, policy);
   }
 }
 
-void RolloutManager::TakeOver(const std::string& policy, const Rollout& rollout) {
-  Watch(policy, rollout);
+void RolloutManager::TakeOver(const std::string& policy, const CatalogPolicy& served) {
+  const Rollout& rollout = *served.settings.rollout;
+  Watch(policy, served, rollout);
   const absl::Duration now = clock_->Now();
-  running_[policy] = {.ticked = now, .saved = now, .held_seconds = rollout.held_seconds};
+  running_[policy] = {.ticked = now,
+                      .saved = now,
+                      .held_seconds = rollout.held_seconds,
+                      .disputed = rollout.disputed};
 }
 
-void RolloutManager::Watch(const std::string& policy, const Rollout& rollout) {
-  metrics_->EvidenceOf(policy, rollout.version)->Watch(CountsOf(rollout.new_evidence));
-  metrics_->EvidenceOf(policy, rollout.stable_version)->Watch(CountsOf(rollout.stable_evidence));
+void RolloutManager::Watch(const std::string& policy, const CatalogPolicy& served,
+                           const Rollout& rollout) {
+  const auto watch = [&](int64_t version, const EvidenceByTenant& evidence) {
+    const auto found = served.versions.find(version);
+    const PlausibleReturns plausible = found == served.versions.end()
+                                           ? PlausibleReturns()
+                                           : PlausibleReturns::Of(found->second->policy());
+    metrics_->EvidenceOf(policy, version)
+        ->Watch(CountsOf(evidence), rollout.most_episodes_per_session(), plausible);
+  };
+  watch(rollout.version, rollout.new_evidence);
+  watch(rollout.stable_version, rollout.stable_evidence);
 }
 
 void RolloutManager::Stop(const std::string& policy, const Rollout& rollout) {
@@ -125,7 +163,7 @@ absl::Status RolloutManager::Start(const std::string& policy, Rollout plan) {
     if (auto status = CheckStart(served, *settings, plan); !status.ok()) return status;
     plan.stable_version = served.DefaultVersion();
     plan.started = plan.step_started = UnixSeconds();
-    Watch(policy, plan);
+    Watch(policy, served, plan);
     settings->default_version = plan.stable_version;
     settings->default_follows_highest = false;
     settings->shares = SharesOf(plan);
@@ -163,7 +201,9 @@ void RolloutManager::SaveEvidence() {
   absl::MutexLock lock(&mutex_);
   const auto catalog = registry_->catalog();
   for (const auto& [name, policy] : catalog->policies()) {
-    if (policy.settings.rollout_running() && running_.contains(name)) SaveOrLog(name);
+    if (policy.settings.rollout_running() && running_.contains(name)) {
+      SaveOrLog(name);
+    }
   }
 }
 
@@ -179,7 +219,7 @@ void RolloutManager::Tick() {
     const std::optional<Rollout>& rollout = policy.settings.rollout;
     const bool running = policy.settings.rollout_running();
     if (running && replicas_->IsMine(rollout->replica)) {
-      if (!running_.contains(name)) TakeOver(name, *rollout);
+      if (!running_.contains(name)) TakeOver(name, policy);
       TickOne(name, policy);
     } else if (running_.erase(name) > 0 && rollout.has_value()) {
       Stop(name, *rollout);
@@ -192,28 +232,51 @@ void RolloutManager::TickOne(const std::string& policy, const CatalogPolicy& cat
   const Rollout& rollout = progress.rollout;
   Running& running = running_[policy];
   const absl::Duration now = clock_->Now();
-  running.held_seconds += absl::ToDoubleSeconds(now - std::exchange(running.ticked, now));
-  std::string worse;
-  for (const int64_t version : {rollout.version, rollout.stable_version}) {
-    if (!catalog_policy.versions.contains(version)) {
-      worse = absl::StrCat("version ", version, " is not served any more");
-    }
-  }
-  if (worse.empty()) {
-    worse = FindWorse(rollout.abort_if, progress.new_version, progress.stable_version);
-  }
+  const double passed = absl::ToDoubleSeconds(now - std::exchange(running.ticked, now));
+  running.held_seconds += passed;
+  const std::string worse = FindAbort(policy, catalog_policy, progress, passed);
   if (!worse.empty()) {
     SaveAndReport("AbortRollout", policy, worse, [&] {
       mutex_.AssertHeld();
       return End(policy, RolloutState::kAborted, worse);
     });
-  } else if (running.held_seconds >= rollout.hold_seconds &&
-             progress.new_version.episodes - rollout.episodes_at_step >= rollout.min_episodes) {
+  } else if (running.disputed.empty() && running.held_seconds >= rollout.hold_seconds &&
+             CappedEpisodes(progress.new_version) - rollout.episodes_at_step >=
+                 rollout.min_episodes) {
     Advance(policy, progress);
   } else if (now - running.saved >= kSaveInterval) {
     running.saved = now;
     SaveOrLog(policy);
   }
+}
+
+std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPolicy& served,
+                                      const Progress& progress, double passed_seconds) {
+  const Rollout& rollout = progress.rollout;
+  for (const int64_t version : {rollout.version, rollout.stable_version}) {
+    if (!served.versions.contains(version)) {
+      return absl::StrCat("version ", version, " is not served any more");
+    }
+  }
+  Running& running = running_[policy];
+  const Verdict verdict =
+      JudgeRollout(rollout.abort_if, progress.new_version, progress.stable_version);
+  const bool is_disputed = verdict.kind == Verdict::Kind::kDisputed;
+  running.disputed_seconds =
+      is_disputed && !verdict.contradicted ? running.disputed_seconds + passed_seconds : 0.0;
+  if (verdict.kind == Verdict::Kind::kWorse) return verdict.reason;
+  if (running.disputed_seconds >= rollout.hold_seconds) {
+    return absl::StrCat(verdict.reason, "; no others have enough sessions to contradict it");
+  }
+  const bool has_changed = is_disputed == running.disputed.empty();
+  running.disputed = verdict.reason;
+  if (has_changed) {
+    // The answers to operators do not name tenants, whom they may not see.
+    LogWarning(is_disputed ? "roll-out disputed" : "roll-out not disputed any more",
+               {{"policy", policy}, {"tenant", verdict.tenant}, {"reason", verdict.reason}});
+    SaveOrLog(policy);
+  }
+  return "";
 }
 
 void RolloutManager::Advance(const std::string& policy, const Progress& progress) {
@@ -225,10 +288,11 @@ void RolloutManager::Advance(const std::string& policy, const Progress& progress
     return SaveAndReport("AdvanceRollout", policy, reason, [&] {
       mutex_.AssertHeld();
       running_[policy].held_seconds = 0.0;
+      metrics_->EvidenceOf(policy, rollout.version)->NextStep();
       return Save(policy, [&](Rollout* changed, PolicySettings* settings) {
         ++changed->step;
         changed->step_started = UnixSeconds();
-        changed->episodes_at_step = progress.new_version.episodes;
+        changed->episodes_at_step = CappedEpisodes(progress.new_version);
         settings->shares = SharesOf(*changed);
       });
     });
@@ -255,6 +319,7 @@ absl::Status RolloutManager::End(const std::string& policy, RolloutState state,
     changed->state = state;
     changed->ended = UnixSeconds();
     changed->reason = reason;
+    changed->disputed.clear();
     settings->shares.clear();
     ended = *changed;
   });
@@ -276,6 +341,7 @@ absl::Status RolloutManager::Save(const std::string& policy,
       rollout.new_evidence = EvidenceOf(progress.new_version);
       rollout.stable_evidence = EvidenceOf(progress.stable_version);
       rollout.held_seconds = running->second.held_seconds;
+      rollout.disputed = running->second.disputed;
       rollout.replica = replicas_->self();
     }
     change(&rollout, settings);

@@ -76,16 +76,24 @@ class RolloutManager {
     absl::Duration ticked;  // time of the clock
     absl::Duration saved;
     double held_seconds = 0.0;
+    std::string disputed = "";      // as Rollout::disputed
+    double disputed_seconds = 0.0;  // without an interruption, and without a contradiction
   };
 
-  void Watch(const std::string& policy, const Rollout& rollout);
+  // `served` has both versions of the roll-out that are served.
+  void Watch(const std::string& policy, const CatalogPolicy& served, const Rollout& rollout);
   void Stop(const std::string& policy, const Rollout& rollout);
   Progress ProgressOf(const std::string& policy, const Rollout& rollout) const
       ABSL_SHARED_LOCKS_REQUIRED(mutex_);
   // Begins to judge a roll-out, with the evidence that its last judge has saved.
-  void TakeOver(const std::string& policy, const Rollout& rollout)
+  void TakeOver(const std::string& policy, const CatalogPolicy& served)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void TickOne(const std::string& policy, const CatalogPolicy& catalog_policy)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Returns why a running roll-out has to be aborted, or an empty string. Updates what its Running
+  // says of a dispute.
+  std::string FindAbort(const std::string& policy, const CatalogPolicy& served,
+                        const Progress& progress, double passed_seconds)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Leaves a step that was held long enough.
   void Advance(const std::string& policy, const Progress& progress)

@@ -5,18 +5,13 @@
 #include <limits>
 #include <numbers>
 
+#include "core/math/portable.h"
+
 namespace spikeserve {
 namespace {
 
 // Scale of the effects that the test looks for, in standard deviations of one observation.
 constexpr double kEffect = 0.5;
-
-// Returns ln Phi(z), the logarithm of the normal distribution function. Below -30, where Phi
-// underflows, returns its asymptote.
-double LogNormalDistribution(double z) {
-  if (z > -30.0) return std::log(0.5 * std::erfc(-z / std::numbers::sqrt2));
-  return -0.5 * z * z - std::log(-z * std::sqrt(2.0 * std::numbers::pi));
-}
 
 }  // namespace
 
@@ -38,7 +33,8 @@ double LogWorseRatio(const Comparison& comparison, double scale) {
   // The integral of the likelihood ratio over the half-normal mixture, in closed form.
   const double total = unit + kEffect * kEffect;
   const double z = effect * kEffect / std::sqrt(unit * total);
-  return std::numbers::ln2 + 0.5 * std::log(unit / total) + 0.5 * z * z + LogNormalDistribution(z);
+  return std::numbers::ln2 + 0.5 * portable::Log(unit / total) + 0.5 * z * z +
+         portable::LogNormalDistribution(z);
 }
 
 }  // namespace spikeserve

@@ -36,6 +36,10 @@ std::vector<MetricFamily> CollectTraffic(const PolicyCatalog& catalog) {
   MetricFamily rollout =
       GaugeFamily("spikeserve_policy_rollout_ratio",
                   "Share of the new sessions that the last roll-out of a policy has reached.");
+  MetricFamily disputed =
+      GaugeFamily("spikeserve_policy_rollout_disputed",
+                  "1 while a roll-out waits, because the sessions of one tenant decide whether the "
+                  "version is worse; otherwise 0.");
   MetricFamily ended = GaugeFamily("spikeserve_policy_rollout_ended_timestamp_seconds",
                                    "Unix time at which the last roll-out of a policy ended.");
   for (const auto& [name, policy] : catalog.policies()) {
@@ -53,9 +57,10 @@ std::vector<MetricFamily> CollectTraffic(const PolicyCatalog& catalog) {
     const Rollout& last = *settings.rollout;
     const auto of_rollout = Named(name, last.version, "state", ToString(last.state));
     AddGauge(rollout, of_rollout, last.percent() / 100.0);
+    AddGauge(disputed, Named(name, last.version), last.disputed.empty() ? 0.0 : 1.0);
     if (!last.running()) AddGauge(ended, of_rollout, last.ended);
   }
-  return {traffic, labels, shadow, rollout, ended};
+  return {traffic, labels, shadow, rollout, disputed, ended};
 }
 
 }  // namespace spikeserve

@@ -17,6 +17,8 @@ namespace spikeserve {
 //   spikeserve_policy_label_info{policy,version,label}: 1
 //   spikeserve_policy_shadow_info{policy,version}: 1 for the shadow
 //   spikeserve_policy_rollout_ratio{policy,version,state}: share that the last roll-out has reached
+//   spikeserve_policy_rollout_disputed{policy,version}: 1 while a roll-out waits because
+//     one tenant's sessions decide, otherwise 0
 //   spikeserve_policy_rollout_ended_timestamp_seconds{policy,version,state}: Unix time
 std::vector<prometheus::MetricFamily> CollectTraffic(const PolicyCatalog& catalog);
 

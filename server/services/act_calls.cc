@@ -9,6 +9,9 @@
 namespace spikeserve {
 namespace {
 
+// What the answer to one item of a batch occupies, before and after it is serialized.
+constexpr int64_t kAnswerBytes = 1 << 10;
+
 // Returns the error of an item that exceeded a limit of its tenant; OK if there is none. The batch
 // succeeds, but its caller has to wait as if all of it had been refused.
 absl::Status RefusalWithin(const v1::ActBatchResponse& response) {
@@ -37,7 +40,13 @@ void ActCall::OnDecided(ActMessages& /*messages*/, const absl::Status& status,
 }
 
 void ActBatchCall::Handle() {
-  if (auto status = PolicyHandler::CheckBatch(request()); !status.ok()) return End(status);
+  auto status = PolicyHandler::CheckBatch(request());
+  if (status.ok() && request().requests().empty()) {  // otherwise its requests count
+    status = caller().tenant()->AcquireDecision(context().clock->Now());
+  }
+  // Counted before the first decision: a batch that was decided must be answered.
+  if (status.ok()) status = HoldMessages(request().requests_size() * kAnswerBytes);
+  if (!status.ok()) return End(status);
   decided_ = 0;
   queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
 }
@@ -59,9 +68,10 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
   }
   // The next request of a tenant with a limit must wait if this one is refused.
   limited_ = caller().tenant()->limits_decisions();
-  if (++in_progress_ >= kMaxInProgress || limited_) call()->PauseReading();
-  const auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
-                                         context().max_message_bytes);
+  if (CountRequest(message.size()) >= kMaxInProgress || limited_) call()->PauseReading();
+  auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
+                                   context().max_message_bytes);
+  if (status.ok() && !HoldRequests()) status = TooManyBytesError();
   if (!status.ok()) return OnDecided(*messages, status, message.size(), received);
   queue_.Add({.client = std::static_pointer_cast<ActStreamCall>(shared_from_this()),
               .messages = std::move(messages),
@@ -70,9 +80,19 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
               .received = received});
 }
 
+size_t ActStreamCall::CountRequest(size_t bytes) {
+  in_progress_bytes_ += bytes;
+  return ++in_progress_;
+}
+
+bool ActStreamCall::HoldRequests() {
+  return call()->Hold(
+      static_cast<int64_t>(in_progress_ * sizeof(ActMessages) + in_progress_bytes_));
+}
+
 void ActStreamCall::HandleTooLong(size_t length, const absl::Status& error) {
   ActMessages unread;
-  ++in_progress_;
+  CountRequest(length);
   OnDecided(unread, error, length, context().clock->Now());
 }
 
@@ -85,7 +105,9 @@ void ActStreamCall::OnDecided(ActMessages& messages, const absl::Status& status,
                               size_t request_bytes, absl::Duration received) {
   Observe(status, received);
   --in_progress_;
+  in_progress_bytes_ -= request_bytes;
   if (call() == nullptr) return;
+  HoldRequests();
   if (!status.ok()) ErrorToProto(*messages.request(), status, messages.response());
   call()->Send(*messages.response());
   PauseAfter(status, request_bytes);

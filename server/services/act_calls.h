@@ -63,6 +63,10 @@ class ActStreamCall final : public ServiceCall, public ActClient {
   void HandleMessage(absl::string_view message) override;
   void HandleTooLong(size_t length, const absl::Status& error) override;
   void HandleHalfClose() override;
+  // Counts a request in progress. Returns how many there are.
+  size_t CountRequest(size_t bytes);
+  // Counts what the requests in progress occupy. Returns false if that exceeds a limit.
+  bool HoldRequests();
   // Finishes the call if its last request is answered and no other follows.
   void FinishIfDone();
 
@@ -71,8 +75,9 @@ class ActStreamCall final : public ServiceCall, public ActClient {
   static constexpr size_t kMaxInProgress = 64;
 
   ActQueue& queue_;
-  size_t in_progress_ = 0;  // requests that wait for their answer
-  bool limited_ = false;    // the request that was read last may be refused, and no other is read
+  size_t in_progress_ = 0;        // requests that wait for their answer
+  size_t in_progress_bytes_ = 0;  // as they arrived
+  bool limited_ = false;  // the request that was read last may be refused, and no other is read
   bool half_closed_ = false;
   bool draining_ = false;
 };

@@ -7,6 +7,7 @@
 #include <google/protobuf/arena.h>
 
 #include <cstddef>
+#include <cstdint>
 
 namespace spikeserve {
 
@@ -23,12 +24,24 @@ class CallMessages {
   Request* request() { return request_; }
   Response* response() { return response_; }
 
+  // Returns the bytes that the messages occupy beside this object.
+  int64_t extra_bytes() const {
+    return static_cast<int64_t>(arena_.SpaceAllocated()) - static_cast<int64_t>(sizeof(block_));
+  }
+
+  // Frees the memory of both messages, which are empty then.
+  void Free() {
+    arena_.Reset();
+    request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
+    response_ = google::protobuf::Arena::CreateMessage<Response>(&arena_);
+  }
+
  private:
   // Holds an Act; the arena allocates more if needed.
   alignas(std::max_align_t) char block_[1536];
   google::protobuf::Arena arena_;
-  Request* const request_;
-  Response* const response_;
+  Request* request_;
+  Response* response_;
 };
 
 }  // namespace spikeserve

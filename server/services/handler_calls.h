@@ -9,6 +9,7 @@
 
 #include <atomic>
 #include <memory>
+#include <string>
 #include <type_traits>
 #include <utility>
 
@@ -19,6 +20,7 @@
 #include "server/base/background_worker.h"
 #include "server/base/peer.h"
 #include "server/services/unary_call.h"
+#include "server/transport/grpc_wire.h"
 
 namespace spikeserve {
 
@@ -95,11 +97,15 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
             return loop->Post([self = std::move(self)] {});
           }
           const CallOutcome outcome = self->Compute();
+          self->framed_.clear();
+          if (outcome.status.ok()) AppendMessage(*self->response(), &self->framed_);
           loop->Post([self = std::move(self), outcome] { self->EndWhenDurable(outcome); });
         });
     // A caller that asks again at once is delayed, as after any other refusal.
     if (!status.ok()) this->End({status, absl::ResourceExhaustedError(status.message())});
   }
+
+  void SendResponse() override { this->call()->SendFramed(std::move(framed_)); }
 
   static constexpr bool kTakesPeer =
       std::is_invocable_v<Answer, const Credential&, const Peer&, const Request&, Response*>;
@@ -115,7 +121,8 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
 
   BackgroundWorker& worker_;
   const Answer& answer_;
-  Peer peer_;  // set before the worker reads it
+  Peer peer_;           // set before the worker reads it
+  std::string framed_;  // the response; the worker serializes it, because it may be long
   std::atomic<bool> over_ = false;
 };
 

@@ -3,9 +3,11 @@
 #include <google/protobuf/descriptor.h>
 #include <google/protobuf/descriptor.pb.h>
 
+#include <map>
 #include <set>
 
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
 #include "server/services/call_gate.h"
 #include "server/services/request_parser.h"
 
@@ -22,13 +24,26 @@ void SetNotFound(const std::string& what, v1::ServerReflectionResponse* response
   response->mutable_error_response()->set_error_message(absl::StrCat(what, ": not found"));
 }
 
+// Returns the description of a file, which is made once: it takes longer than a call on a loop may.
+const std::string& Described(const FileDescriptor& file) {
+  static absl::Mutex mutex(absl::kConstInit);
+  // By file; never destroyed. As many as the program has.
+  static auto* const described = new std::map<const FileDescriptor*, std::string>();
+  absl::MutexLock lock(&mutex);
+  std::string& bytes = (*described)[&file];
+  if (bytes.empty()) {
+    google::protobuf::FileDescriptorProto proto;
+    file.CopyTo(&proto);
+    bytes = proto.SerializeAsString();
+  }
+  return bytes;
+}
+
 // Adds the file and all files that it imports, each once.
 void AddFiles(const FileDescriptor& file, std::set<const FileDescriptor*>* added,
               v1::FileDescriptorResponse* response) {
   if (!added->insert(&file).second) return;
-  google::protobuf::FileDescriptorProto proto;
-  file.CopyTo(&proto);
-  response->add_file_descriptor_proto(proto.SerializeAsString());
+  response->add_file_descriptor_proto(Described(file));
   for (int i = 0; i < file.dependency_count(); ++i) AddFiles(*file.dependency(i), added, response);
 }
 

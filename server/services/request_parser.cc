@@ -16,43 +16,65 @@ using google::protobuf::internal::WireFormatLite;
 // The shortest element: a tag and a length of zero.
 constexpr int64_t kShortestElement = 2;
 
-// Counts the elements of one request and of the messages in it.
-class ElementCounter {
+// Returns true for a list of messages, other than a map.
+bool IsItem(const FieldDescriptor& field) {
+  return field.is_repeated() && field.message_type() != nullptr && !field.is_map();
+}
+
+bool HasItems(const Descriptor& type) {
+  for (int i = 0; i < type.field_count(); ++i) {
+    if (IsItem(*type.field(i))) return true;
+  }
+  return false;
+}
+
+// Checks the elements of one request before they are stored.
+class ElementChecker {
  public:
-  explicit ElementCounter(absl::string_view bytes)
+  explicit ElementChecker(absl::string_view bytes)
       : input_(reinterpret_cast<const uint8_t*>(bytes.data()), static_cast<int>(bytes.size())) {}
 
-  // Returns false if a message of `type` has more than kMaxElements elements. Stops at the first
-  // byte that cannot be read, where the parser stops, too.
-  bool Fits(const Descriptor* type) {
+  // Checks a message of `type`, with those in it. Stops at the first byte that cannot be read,
+  // where the parser stops, too.
+  absl::Status Check(const Descriptor* type) {
     int groups = 0;  // that are open; what is in them is unknown
     while (const uint32_t tag = input_.ReadTag()) {
       const FieldDescriptor* field =
           groups > 0 ? nullptr : type->FindFieldByNumber(WireFormatLite::GetTagFieldNumber(tag));
       const auto form = WireFormatLite::GetTagWireType(tag);
       const bool has_length = form == WireFormatLite::WIRETYPE_LENGTH_DELIMITED;
-      if ((field == nullptr || has_length) && ++elements_ > kMaxElements) return false;
+      if ((field == nullptr || has_length) && ++elements_ > kMaxElements) return TooMany();
       if (form == WireFormatLite::WIRETYPE_START_GROUP) {
         ++groups;
       } else if (form == WireFormatLite::WIRETYPE_END_GROUP) {
         --groups;
       } else if (has_length && field != nullptr && field->message_type() != nullptr) {
-        if (!FitsNested(field->message_type())) return false;
+        if (auto status = CheckNested(*field); !status.ok()) return status;
       } else if (!WireFormatLite::SkipField(&input_, tag)) {
-        return true;
+        return absl::OkStatus();
       }
     }
-    return true;
+    return absl::OkStatus();
   }
 
  private:
-  bool FitsNested(const Descriptor* type) {
+  absl::Status CheckNested(const FieldDescriptor& field) {
     uint32_t length = 0;
-    if (!input_.ReadVarint32(&length)) return true;
+    if (!input_.ReadVarint32(&length)) return absl::OkStatus();
+    if (length == 0 && IsItem(field)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(field.name(), ": expected items that are not empty, received an empty one"));
+    }
     const auto limit = input_.PushLimit(static_cast<int>(length));
-    const bool fits = Fits(type);
+    auto status = Check(field.message_type());
     input_.PopLimit(limit);
-    return fits;
+    return status;
+  }
+
+  static absl::Status TooMany() {
+    return absl::InvalidArgumentError(
+        absl::StrCat("message: expected at most ", kMaxElements,
+                     " messages, strings and unknown fields, received more"));
   }
 
   google::protobuf::io::CodedInputStream input_;
@@ -63,10 +85,9 @@ class ElementCounter {
 
 absl::Status ParseRequest(absl::string_view bytes, google::protobuf::Message* request) {
   const bool may_exceed = static_cast<int64_t>(bytes.size()) > kShortestElement * kMaxElements;
-  if (may_exceed && !ElementCounter(bytes).Fits(request->GetDescriptor())) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("message: expected at most ", kMaxElements,
-                     " messages, strings and unknown fields, received more"));
+  const Descriptor& type = *request->GetDescriptor();
+  if (may_exceed || HasItems(type)) {
+    if (auto status = ElementChecker(bytes).Check(&type); !status.ok()) return status;
   }
   if (request->ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
     return absl::OkStatus();

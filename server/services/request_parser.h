@@ -19,8 +19,9 @@ namespace spikeserve {
 inline constexpr int64_t kMaxElements = 16'384;
 
 // Parses `bytes` into `request`. Returns INTERNAL, as gRPC's own servers answer, if they are no
-// message of its type, and INVALID_ARGUMENT if they have more than kMaxElements elements; these are
-// counted before anything is stored.
+// message of its type, and INVALID_ARGUMENT if they have more than kMaxElements elements, or if an
+// item of a list of messages is empty: it costs two bytes here and a hundred times as much when it
+// is parsed and answered. Both are checked before anything is stored.
 absl::Status ParseRequest(absl::string_view bytes, google::protobuf::Message* request);
 
 }  // namespace spikeserve

@@ -13,6 +13,9 @@ void ServiceCall::Start() {
     admission_ = caller_.status();
   }
   if (admission_.ok()) {
+    admission_ = caller().tenant()->AcquireCall(GetMethodInfo(method_).cost, start);
+  }
+  if (admission_.ok()) {
     const std::shared_ptr<Tenant>& tenant = caller().tenant();
     return call_->Admit(std::shared_ptr<ByteBudget>(tenant, &tenant->bytes_in_flight()));
   }
@@ -66,6 +69,12 @@ void ServiceCall::PauseAfter(const absl::Status& status, size_t request_bytes) {
   call_->loop().Cancel(timer_);
   delayed_ = [this] { call_->ResumeReading(); };
   timer_ = call_->loop().After(delay, [this] { std::exchange(delayed_, nullptr)(); });
+}
+
+absl::Status ServiceCall::TooManyBytesError() {
+  return absl::ResourceExhaustedError(
+      "--max_tenant_bytes: the requests and answers in flight of this tenant, or of all, occupy as "
+      "much memory as they may; try again later");
 }
 
 void ServiceCall::Finish(const absl::Status& status) {

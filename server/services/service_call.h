@@ -70,6 +70,9 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   // Ends the call. Does nothing if it is over.
   void Finish(const absl::Status& status);
 
+  // Returns the status of a request for which there is no memory.
+  static absl::Status TooManyBytesError();
+
  private:
   const ServiceContext& context_;
   Call* call_;

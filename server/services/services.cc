@@ -70,6 +70,14 @@ void Services::Attach(Transport* transport) {
 }
 
 template <typename Handler, typename HandlerMethod>
+void Services::Add(Method method, Handler* handler, HandlerMethod handler_method) {
+  const Cost cost = GetMethodInfo(method).cost;
+  if (RunsOnLoop(cost)) return AddInline(method, handler, handler_method);
+  AddBackground(method, handler, handler_method,
+                cost == Cost::kListing ? handlers_.list_worker : handlers_.worker);
+}
+
+template <typename Handler, typename HandlerMethod>
 void Services::AddInline(Method method, Handler* handler, HandlerMethod handler_method) {
   using Types = decltype(MessagesOf(handler_method));
   using Request = typename Types::Request;
@@ -119,11 +127,10 @@ void Services::AddAdmin(Method method, Handler* handler, HandlerMethod handler_m
   const auto answer = [audit = handlers_.audit, method, handler, handler_method](
                           const Credential& caller, const Peer& peer, const Request& request,
                           Response* response) {
-    std::string before = audit->StateBefore(request);
-    auto status = Invoke(*handler, handler_method, caller, request, response, nullptr, nullptr,
-                         /*may_claim=*/false);
-    audit->Record(method, caller, peer, request, std::move(before), status);
-    return CallOutcome(std::move(status));
+    return CallOutcome(audit->RunAndRecord(method, caller, peer, request, [&] {
+      return Invoke(*handler, handler_method, caller, request, response, nullptr, nullptr,
+                    /*may_claim=*/false);
+    }));
   };
   using AnswerType = decltype(answer);
   table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
@@ -137,12 +144,12 @@ void Services::AddPolicyService() {
   service_names_.push_back(ServiceName<v1::ListPoliciesRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
   const PolicyHandler* policy = handlers_.policy;
-  AddInline(Method::kListPolicies, policy, &PolicyHandler::ListPolicies);
-  AddInline(Method::kOpenSession, policy, &PolicyHandler::OpenSession);
-  AddInline(Method::kEndEpisode, policy, &PolicyHandler::EndEpisode);
-  AddInline(Method::kGetSession, policy, &PolicyHandler::GetSession);
-  AddInline(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
-  AddBackground(Method::kExplain, policy, &PolicyHandler::Explain, handlers_.worker);
+  Add(Method::kListPolicies, policy, &PolicyHandler::ListPolicies);
+  Add(Method::kOpenSession, policy, &PolicyHandler::OpenSession);
+  Add(Method::kEndEpisode, policy, &PolicyHandler::EndEpisode);
+  Add(Method::kGetSession, policy, &PolicyHandler::GetSession);
+  Add(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
+  Add(Method::kExplain, policy, &PolicyHandler::Explain);
   table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kAct).name),
              [this](Call* call, LoopServices* loop) {
                return Started(std::make_shared<ActCall>(&context_, call, &loop->acts()));
@@ -195,15 +202,15 @@ void Services::AddInferenceService() {
   service_names_.push_back(ServiceName<inference::ServerLiveRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
   InferenceHandler* handler = handlers_.inference;
-  AddInline(Method::kServerLive, handler, &InferenceHandler::ServerLive);
-  AddInline(Method::kServerReady, handler, &InferenceHandler::ServerReady);
-  AddInline(Method::kModelReady, handler, &InferenceHandler::ModelReady);
-  AddInline(Method::kServerMetadata, handler, &InferenceHandler::ServerMetadata);
-  AddInline(Method::kModelMetadata, handler, &InferenceHandler::ModelMetadata);
-  AddInline(Method::kModelInfer, handler, &InferenceHandler::ModelInfer);
-  AddInline(Method::kModelConfig, handler, &InferenceHandler::ModelConfig);
-  AddInline(Method::kModelStatistics, handler, &InferenceHandler::ModelStatistics);
-  AddInline(Method::kRepositoryIndex, handler, &InferenceHandler::RepositoryIndex);
+  Add(Method::kServerLive, handler, &InferenceHandler::ServerLive);
+  Add(Method::kServerReady, handler, &InferenceHandler::ServerReady);
+  Add(Method::kModelReady, handler, &InferenceHandler::ModelReady);
+  Add(Method::kServerMetadata, handler, &InferenceHandler::ServerMetadata);
+  Add(Method::kModelMetadata, handler, &InferenceHandler::ModelMetadata);
+  Add(Method::kModelInfer, handler, &InferenceHandler::ModelInfer);
+  Add(Method::kModelConfig, handler, &InferenceHandler::ModelConfig);
+  Add(Method::kModelStatistics, handler, &InferenceHandler::ModelStatistics);
+  Add(Method::kRepositoryIndex, handler, &InferenceHandler::RepositoryIndex);
   AddAdmin(Method::kRepositoryModelLoad, handler, &InferenceHandler::RepositoryModelLoad);
   AddAdmin(Method::kRepositoryModelUnload, handler, &InferenceHandler::RepositoryModelUnload);
   table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kModelStreamInfer).name),

@@ -30,7 +30,8 @@ struct Handlers {
   const Audit* audit;
   InferenceHandler* inference;
   HealthService* health;
-  BackgroundWorker* worker;        // runs what takes long, such as Explain
+  BackgroundWorker* worker;        // runs what takes long: Explain
+  BackgroundWorker* list_worker;   // runs the lists of agents, which are short and come in bursts
   BackgroundWorker* admin_worker;  // runs the calls of operators, some of which use files
   bool reflection_v1alpha;         // serve the old version of reflection, too
 };
@@ -51,7 +52,9 @@ class Services {
   void AddInferenceService();
   void AddStandardServices();
 
-  // Adds a method that `handler.*method` answers, on the loop or on a worker.
+  // Adds a method that `handler.*method` answers, on the loop or on a worker, by its cost.
+  template <typename Handler, typename HandlerMethod>
+  void Add(Method method, Handler* handler, HandlerMethod handler_method);
   template <typename Handler, typename HandlerMethod>
   void AddInline(Method method, Handler* handler, HandlerMethod handler_method);
   template <typename Handler, typename HandlerMethod>

@@ -16,6 +16,7 @@
 #include "server/access/admission.h"
 #include "server/agent/durable_answer.h"
 #include "server/services/call_messages.h"
+#include "server/services/finite_response.h"
 #include "server/services/request_parser.h"
 #include "server/services/service_call.h"
 #include "server/services/stored_items.h"
@@ -80,14 +81,29 @@ class UnaryCall : public ServiceCall {
   }
 
   // Sends the response and the status of `outcome`, after a delay if the call was refused.
-  void End(const CallOutcome& outcome) {
+  void End(CallOutcome outcome) {
+    if constexpr (!kHoldsDecisions<Response>) {
+      if (outcome.status.ok()) CheckResponse(&outcome);
+    }
     Observe(outcome.status, start_);
     if (call() == nullptr) return;
+    // A caller who has to wait for a refusal keeps nothing here, and an answer that waits counts.
+    if (!outcome.status.ok()) messages_.Free();
+    HoldMessages().IgnoreError();
     AfterDelay(outcome.refusal, request_bytes_, [this, status = outcome.status] {
-      if (status.ok()) call()->Send(*response());
+      if (status.ok()) SendResponse();
       Finish(status);
     });
   }
+
+  // Counts what the messages occupy, and `more` bytes. Returns RESOURCE_EXHAUSTED if the tenant or
+  // the server exceeds its limit. REQUIRES: the call is not over.
+  absl::Status HoldMessages(int64_t more = 0) {
+    const int64_t held = messages_.extra_bytes() + more;
+    return call()->Hold(held) ? absl::OkStatus() : TooManyBytesError();
+  }
+
+  virtual void SendResponse() { call()->Send(*response()); }
 
  private:
   void HandleMessage(absl::string_view message) final {
@@ -99,6 +115,7 @@ class UnaryCall : public ServiceCall {
     auto status =
         CheckSize(caller(), static_cast<int64_t>(message.size()), context().max_message_bytes);
     if (status.ok()) status = ParseRequest(message, messages_.request());
+    if (status.ok()) status = HoldMessages();
     if (!status.ok()) return End(status);
     Handle();
   }
@@ -118,6 +135,16 @@ class UnaryCall : public ServiceCall {
 
   std::shared_ptr<UnaryCall> Self() {
     return std::static_pointer_cast<UnaryCall>(this->shared_from_this());
+  }
+
+  // Replaces a response with NaN or infinity by an error.
+  void CheckResponse(CallOutcome* outcome) {
+    const std::string named = PolicyOf(*response());
+    const std::string policy = named.empty() ? PolicyOf(request()) : named;
+    auto status = CheckFinite(*response(), policy);
+    if (status.ok()) return;
+    context().metrics->CountNonFiniteAnswer(policy);
+    *outcome = CallOutcome(std::move(status));
   }
 
   // Returns true if the call goes on when the store has answered.

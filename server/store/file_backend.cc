@@ -4,7 +4,9 @@
 #include <sys/file.h>
 
 #include <cerrno>
+#include <cstring>
 #include <filesystem>
+#include <set>
 #include <system_error>
 #include <utility>
 
@@ -13,10 +15,12 @@
 #include "core/session/field_codec.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
+#include "core/store/file_repair.h"
 #include "core/store/lmdb.h"
 #include "core/store/sealed_record.h"
 #include "core/store/stored_session.h"
 #include "server/base/file_descriptor.h"
+#include "server/base/log.h"
 
 namespace spikeserve {
 
@@ -26,25 +30,40 @@ namespace {
 // else.
 constexpr absl::Duration kWrittenStep = absl::Minutes(1);
 
-// Returns the key of a record: the session's id, then the number of decisions, which sorts. Records
-// of equal numbers replace each other: the end of an episode replaces the entry of its last
-// decision.
-std::string RecordKey(absl::string_view id, uint64_t decisions) {
-  std::string key(id);
-  for (int shift = 56; shift >= 0; shift -= 8) key.push_back(static_cast<char>(decisions >> shift));
-  return key;
-}
+// Bytes of the disk that are kept for the ends of sessions, and the step in which more are taken.
+// One transaction writes the pages that it changes to another place.
+constexpr size_t kReserveBytes = 4 << 20;
+constexpr size_t kSpaceStep = 4 << 20;
+
+// The locks of a folder, which end with the process.
+struct FolderLocks {
+  FileDescriptor folder;
+  FileDescriptor file;  // of earlier releases
+};
 
 class FileBackend final : public JournalBackend {
  public:
-  FileBackend(FileDescriptor lock, LmdbEnvironment environment, std::function<absl::Time()> now)
-      : lock_(std::move(lock)), environment_(std::move(environment)), now_(std::move(now)) {}
+  FileBackend(std::string directory, FolderLocks locks, std::function<absl::Time()> now)
+      : directory_(std::move(directory)), locks_(std::move(locks)), now_(std::move(now)) {}
 
-  absl::Status Open(absl::Duration retention);
+  // Opens the file, or what is left of it.
+  absl::Status Open();
+  absl::Status RemoveOld(absl::Duration retention);
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
   std::vector<absl::StatusOr<ClaimedJournal>> Claim(absl::Span<const JournalClaim> claims) override;
 
  private:
+  // Takes room on the disk for `bytes` more, with the reserve. Returns UNAVAILABLE if there is
+  // none.
+  absl::Status TakeSpace(size_t bytes);
+  absl::StatusOr<std::vector<absl::Status>> WriteAll(absl::Span<const JournalRecord> records);
+  // Writes the ends of sessions, although `failure` has prevented the writing of all records.
+  absl::StatusOr<std::vector<absl::Status>> WriteEnds(absl::Span<const JournalRecord> records,
+                                                      const absl::Status& failure);
+  absl::StatusOr<std::vector<absl::StatusOr<ClaimedJournal>>> ClaimAll(
+      absl::Span<const JournalClaim> claims);
+  // Returns `status`, or UNAVAILABLE if it is the damage of a page. The file was opened again then.
+  absl::Status Contain(const absl::Status& status);
   absl::StatusOr<ClaimedJournal> ClaimOne(LmdbTransaction& transaction, const JournalClaim& claim);
   // Returns ABORTED or ALREADY_EXISTS if the record is refused.
   absl::Status WriteRecord(LmdbTransaction& transaction, const JournalRecord& record);
@@ -56,17 +75,35 @@ class FileBackend final : public JournalBackend {
   absl::Status RemoveBefore(LmdbTransaction& transaction, const std::string& id,
                             uint64_t decisions);
   absl::Status Remove(LmdbTransaction& transaction, const std::string& id);
-  absl::Status RemoveOld(LmdbTransaction& transaction, absl::Duration retention);
   int64_t NowSeconds() const { return absl::ToUnixSeconds(now_()); }
 
-  const FileDescriptor lock_;  // held so that no other server opens the folder
-  const LmdbEnvironment environment_;
+  const std::string directory_;
+  const FolderLocks locks_;  // held so that no other server opens the folder
   const std::function<absl::Time()> now_;
+  LmdbEnvironment environment_;
+  size_t space_bytes_ = 0;  // that the file has on the disk, as far as is known
   MDB_dbi sessions_ = 0;
   MDB_dbi records_ = 0;
 };
 
-absl::Status FileBackend::Open(absl::Duration retention) {
+absl::Status FileBackend::Open() {
+  environment_ = nullptr;
+  space_bytes_ = 0;
+  auto repair = RepairFileStore(directory_);
+  if (!repair.ok()) return repair.status();
+  if (repair->has_value()) {
+    const FileRepair& done = **repair;
+    LogError("session store was damaged; goes on with what can be read",
+             {{"damage", done.damage},
+              {"kept_as", done.kept_as},
+              {"sessions", absl::StrCat(done.sessions)},
+              {"whose_end_may_be_missing", absl::StrCat(done.incomplete)},
+              {"without_records", absl::StrCat(done.without)},
+              {"left_out", absl::StrCat(done.unnamed)}});
+  }
+  auto environment = OpenLmdb(directory_, kMostStoreBytes);
+  if (!environment.ok()) return environment.status();
+  environment_ = *std::move(environment);
   auto transaction = LmdbTransaction::Begin(environment_.get());
   if (!transaction.ok()) return transaction.status();
   const auto sessions = transaction->OpenTable(kSessionsTable);
@@ -75,27 +112,88 @@ absl::Status FileBackend::Open(absl::Duration retention) {
   if (!records.ok()) return records.status();
   sessions_ = *sessions;
   records_ = *records;
-  if (auto status = RemoveOld(*transaction, retention); !status.ok()) return status;
   return transaction->Commit();
 }
 
-absl::Status FileBackend::RemoveOld(LmdbTransaction& transaction, absl::Duration retention) {
+absl::Status FileBackend::RemoveOld(absl::Duration retention) {
+  auto transaction = LmdbTransaction::Begin(environment_.get());
+  if (!transaction.ok()) return transaction.status();
   std::vector<std::string> ids;
-  auto status = transaction.Scan(
+  auto status = transaction->Scan(
       sessions_, "", [&](absl::string_view id, absl::string_view) { ids.emplace_back(id); });
   if (!status.ok()) return status;
   const int64_t oldest = absl::ToUnixSeconds(now_() - retention);
   for (const std::string& id : ids) {
-    const auto session = Read(transaction, id);
+    const auto session = Read(*transaction, id);
     // A session whose description is damaged cannot be claimed. It is left for inspection.
     if (!session.ok() || (*session)->written_seconds >= oldest) continue;
-    if (status = Remove(transaction, id); !status.ok()) return status;
+    if (status = Remove(*transaction, id); !status.ok()) return status;
   }
+  return transaction->Commit();
+}
+
+absl::Status FileBackend::Contain(const absl::Status& status) {
+  if (!absl::IsDataLoss(status)) return status;
+  if (auto opened = Open(); !opened.ok()) return absl::UnavailableError(opened.message());
+  return absl::UnavailableError(absl::StrCat(status.message(), "; the file was opened again"));
+}
+
+absl::Status FileBackend::TakeSpace(size_t bytes) {
+  if (environment_ == nullptr) return absl::DataLossError("session store: is not open");
+  MDB_envinfo info;
+  MDB_stat stat;
+  int file = -1;
+  for (const int error :
+       {mdb_env_info(environment_.get(), &info), mdb_env_stat(environment_.get(), &stat),
+        mdb_env_get_fd(environment_.get(), &file)}) {
+    if (auto status = LmdbStatus(error); !status.ok()) return status;
+  }
+  const size_t needed = (info.me_last_pgno + 1) * stat.ms_psize + bytes + kReserveBytes;
+  if (needed <= space_bytes_) return absl::OkStatus();
+  const size_t taken = needed + kSpaceStep;
+  if (fallocate(file, FALLOC_FL_KEEP_SIZE, 0, static_cast<off_t>(taken)) != 0 &&
+      (errno == ENOSPC || errno == EDQUOT)) {
+    return absl::UnavailableError(absl::StrCat("session store: ", std::strerror(errno)));
+  }
+  space_bytes_ = taken;  // also where the file system cannot reserve anything
   return absl::OkStatus();
 }
 
 absl::StatusOr<std::vector<absl::Status>> FileBackend::Write(
     absl::Span<const JournalRecord> records) {
+  auto outcomes = WriteAll(records);
+  if (outcomes.ok()) return outcomes;
+  const auto status = Contain(outcomes.status());
+  return environment_ == nullptr ? status : WriteEnds(records, status);
+}
+
+absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteEnds(
+    absl::Span<const JournalRecord> records, const absl::Status& failure) {
+  std::set<std::string> ended;
+  for (const JournalRecord& record : records) {
+    if (record.kind != JournalRecord::Kind::kClose) continue;
+    // Each by itself, because that needs the least room.
+    auto transaction = LmdbTransaction::Begin(environment_.get());
+    if (!transaction.ok()) break;
+    auto status = WriteRecord(*transaction, record);
+    if (status.ok()) status = transaction->Commit();
+    if (!status.ok()) break;
+    ended.insert(record.journal->key().id);
+  }
+  if (ended.empty()) return failure;
+  std::vector<absl::Status> outcomes;
+  for (const JournalRecord& record : records) {
+    // What came before the end of a session has no use any more.
+    outcomes.push_back(ended.contains(record.journal->key().id) ? absl::OkStatus() : failure);
+  }
+  return outcomes;
+}
+
+absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteAll(
+    absl::Span<const JournalRecord> records) {
+  size_t bytes = 0;
+  for (const JournalRecord& record : records) bytes += record.bytes.size();
+  if (auto status = TakeSpace(bytes); !status.ok()) return status;
   auto transaction = LmdbTransaction::Begin(environment_.get());
   if (!transaction.ok()) return transaction.status();
   std::vector<absl::Status> outcomes;
@@ -113,7 +211,9 @@ absl::StatusOr<std::vector<absl::Status>> FileBackend::Write(
 absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const JournalRecord& record) {
   const SessionJournal::Key& key = record.journal->key();
   auto found = Read(transaction, key.id);
-  if (absl::IsDataLoss(found.status())) return absl::AbortedError(found.status().message());
+  if (absl::IsFailedPrecondition(found.status())) {
+    return absl::AbortedError(found.status().message());
+  }
   if (!found.ok()) return found.status();
   if (record.kind == JournalRecord::Kind::kOpen) {
     if (found->has_value()) return absl::AlreadyExistsError("session_id: already open");
@@ -129,7 +229,7 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
     session.written_seconds = now;
     if (auto status = Put(transaction, key.id, session); !status.ok()) return status;
   }
-  const std::string record_key = RecordKey(key.id, record.decisions);
+  const std::string record_key = StoredRecordKey(key.id, record.decisions);
   const std::string sealed = SealRecord(record.bytes);
   if (auto status = transaction.Put(records_, record_key, sealed); !status.ok()) return status;
   const bool replaces =
@@ -140,14 +240,27 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
 
 std::vector<absl::StatusOr<ClaimedJournal>> FileBackend::Claim(
     absl::Span<const JournalClaim> claims) {
-  const auto all_failed = [&](const absl::Status& status) {
-    return std::vector<absl::StatusOr<ClaimedJournal>>(claims.size(), status);
-  };
+  auto journals = ClaimAll(claims);
+  if (journals.ok()) return *std::move(journals);
+  const auto status = Contain(journals.status());
+  return std::vector<absl::StatusOr<ClaimedJournal>>(claims.size(), status);
+}
+
+absl::StatusOr<std::vector<absl::StatusOr<ClaimedJournal>>> FileBackend::ClaimAll(
+    absl::Span<const JournalClaim> claims) {
+  if (environment_ == nullptr) return absl::DataLossError("session store: is not open");
   auto transaction = LmdbTransaction::Begin(environment_.get());
-  if (!transaction.ok()) return all_failed(transaction.status());
+  if (!transaction.ok()) return transaction.status();
   std::vector<absl::StatusOr<ClaimedJournal>> journals;
-  for (const JournalClaim& claim : claims) journals.push_back(ClaimOne(*transaction, claim));
-  if (auto status = transaction->Commit(); !status.ok()) return all_failed(status);
+  for (const JournalClaim& claim : claims) {
+    journals.push_back(ClaimOne(*transaction, claim));
+    absl::StatusOr<ClaimedJournal>& journal = journals.back();
+    if (absl::IsDataLoss(journal.status())) return journal.status();
+    if (absl::IsFailedPrecondition(journal.status())) {
+      journal = absl::DataLossError(journal.status().message());
+    }
+  }
+  if (auto status = transaction->Commit(); !status.ok()) return status;
   return journals;
 }
 
@@ -175,11 +288,12 @@ absl::StatusOr<std::optional<StoredSession>> FileBackend::Read(LmdbTransaction& 
   if (!bytes->has_value()) return std::nullopt;
   const auto json =
       codec::ParseDocument(std::string(**bytes), "stored session", kStoredSessionFormat);
-  if (!json.ok()) return absl::DataLossError(json.status().message());
+  // DATA_LOSS is what LMDB finds; here it is this session alone.
+  if (!json.ok()) return absl::FailedPreconditionError(json.status().message());
   StoredSession session;
   codec::Reader reader;
   reader.Read(*json, "stored session", session);
-  if (!reader.status().ok()) return absl::DataLossError(reader.status().message());
+  if (!reader.status().ok()) return absl::FailedPreconditionError(reader.status().message());
   return session;
 }
 
@@ -194,7 +308,7 @@ absl::Status FileBackend::Put(LmdbTransaction& transaction, const std::string& i
 
 absl::Status FileBackend::RemoveBefore(LmdbTransaction& transaction, const std::string& id,
                                        uint64_t decisions) {
-  const std::string end = RecordKey(id, decisions);
+  const std::string end = StoredRecordKey(id, decisions);
   std::vector<std::string> keys;
   auto status = transaction.Scan(records_, id, [&](absl::string_view key, absl::string_view) {
     if (key < end) keys.emplace_back(key);
@@ -212,12 +326,20 @@ absl::Status FileBackend::Remove(LmdbTransaction& transaction, const std::string
   return transaction.Delete(sessions_, id);
 }
 
-// Returns a lock on the folder, which ends with the process. INVALID_ARGUMENT if another holds it.
-absl::StatusOr<FileDescriptor> LockFolder(const std::string& directory) {
+// Returns INVALID_ARGUMENT if another server holds a lock. The folder itself is locked, because it
+// cannot be removed under the store as a file in it can.
+absl::StatusOr<FolderLocks> LockFolder(const std::string& directory) {
   const std::string path = absl::StrCat(directory, "/owner.lock");
-  FileDescriptor lock(open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
-  if (!lock.valid()) return absl::InvalidArgumentError(absl::StrCat("cannot write ", path));
-  if (flock(lock.get(), LOCK_EX | LOCK_NB) == 0) return lock;
+  FolderLocks locks = {
+      .folder = FileDescriptor(open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC)),
+      .file = FileDescriptor(open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600))};
+  if (!locks.folder.valid() || !locks.file.valid()) {
+    return absl::InvalidArgumentError(absl::StrCat("cannot write ", path));
+  }
+  if (flock(locks.folder.get(), LOCK_EX | LOCK_NB) == 0 &&
+      flock(locks.file.get(), LOCK_EX | LOCK_NB) == 0) {
+    return locks;
+  }
   return absl::InvalidArgumentError(
       absl::StrCat("expected a folder that no other server uses, received ", directory));
 }
@@ -233,13 +355,11 @@ absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(const std::strin
     return absl::InvalidArgumentError(
         absl::StrCat("expected a writable folder, received ", directory, ": ", error.message()));
   }
-  auto lock = LockFolder(directory);
-  if (!lock.ok()) return lock.status();
-  auto environment = OpenLmdb(directory, kMostStoreBytes);
-  if (!environment.ok()) return environment.status();
-  auto backend =
-      std::make_unique<FileBackend>(*std::move(lock), *std::move(environment), std::move(now));
-  if (auto status = backend->Open(retention); !status.ok()) return status;
+  auto locks = LockFolder(directory);
+  if (!locks.ok()) return locks.status();
+  auto backend = std::make_unique<FileBackend>(directory, *std::move(locks), std::move(now));
+  if (auto status = backend->Open(); !status.ok()) return status;
+  if (auto status = backend->RemoveOld(retention); !status.ok()) return status;
   return backend;
 }
 

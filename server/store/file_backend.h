@@ -1,6 +1,10 @@
 // Keeps journals in a folder of this machine, so that sessions survive a restart, a crash and a
 // power cut. Uses LMDB. What was written together is on the disk when Write() returns.
 //
+// A damaged file is replaced by what can be read of it, when it is opened and when LMDB meets the
+// damage later (core/store/file_repair.h). Some room on the disk is kept in reserve: if the disk is
+// full, Write() still ends sessions, which frees room, and refuses the other records.
+//
 // Not thread-safe.
 #ifndef SERVER_STORE_FILE_BACKEND_H_
 #define SERVER_STORE_FILE_BACKEND_H_
@@ -19,7 +23,8 @@ namespace spikeserve {
 
 // Opens the store in `directory`, which is created if it does not exist, and removes the sessions
 // that nothing was written to for `retention`. `now` returns the time of day. INVALID_ARGUMENT if
-// the folder cannot be used, or if another server uses it.
+// the folder cannot be used, or if another server uses it. DATA_LOSS if nothing of a damaged file
+// can be read.
 absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(
     const std::string& directory, absl::Duration retention,
     std::function<absl::Time()> now = absl::Now);

@@ -2,8 +2,11 @@
 
 #include <openssl/sha.h>
 
+#include <algorithm>
 #include <concepts>
+#include <string>
 #include <type_traits>
+#include <utility>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
@@ -34,6 +37,22 @@ std::string SerializeHeadEntry(const HeadEntry& entry) {
   writer.Begin(kFormat);
   writer.Write(entry);
   return bytes;
+}
+
+std::string HeadEntryIdentity(const HeadEntry& entry) {
+  // The forms of two entries with different heads differ from the head on, which follows the
+  // episode: the length of a text comes before it.
+  const auto with_head = [&](std::string head) {
+    return SerializeHeadEntry({.kind = entry.kind,
+                               .session = entry.session,
+                               .episode = entry.episode,
+                               .head = std::move(head),
+                               .contributor = "",
+                               .delta = {}});
+  };
+  const std::string first = with_head("");
+  const std::string second = with_head("other");
+  return {first.begin(), std::ranges::mismatch(first, second).in1};
 }
 
 absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {

@@ -37,6 +37,9 @@ constexpr std::array<EnumName<HeadEntry::Kind>, 4> EnumNames(HeadEntry::Kind) {
 }
 
 std::string SerializeHeadEntry(const HeadEntry& entry);
+// Returns the bytes with which the forms of all entries of this kind, session and episode begin,
+// and no others.
+std::string HeadEntryIdentity(const HeadEntry& entry);
 // Converts the bytes back to an entry that is equal bit for bit. INVALID_ARGUMENT if `bytes` is not
 // such a form.
 absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes);

@@ -13,10 +13,17 @@
 namespace spikeserve {
 namespace {
 
-// The interval of reading a log while this server appends nothing, and while it has no session that
-// uses the heads.
+// The interval of reading a log while this server appends nothing.
 constexpr absl::Duration kReadInterval = absl::Milliseconds(100);
+
+// Logs whose heads no session of this server uses are read once a second, or one after the other if
+// there are more of them: this many in a second.
 constexpr absl::Duration kUnusedReadInterval = absl::Seconds(1);
+constexpr int64_t kUnusedReadsPerInterval = 32;
+
+// How often this server looks which heads its sessions use. What it has read of a log is as old as
+// this, at most, when a session has begun to use it.
+constexpr absl::Duration kUseInterval = absl::Seconds(1);
 
 // How often a store that stops tries to append what waits.
 constexpr absl::Duration kStopInterval = absl::Milliseconds(10);
@@ -38,7 +45,7 @@ constexpr absl::Duration kPausePatience = absl::Seconds(5);
 constexpr int kFailuresToLog = 2;
 
 // Entries that are appended together.
-constexpr size_t kMostAppends = 64;
+constexpr size_t kMostAppends = 16;
 
 prometheus::Counter& AddCounter(prometheus::Registry* registry, const char* name, const char* help,
                                 const char* outcome) {
@@ -144,6 +151,29 @@ bool HeadLogStore::Wait() {
   return waits && !changed_.Wait(&mutex_, kStopInterval, is_over);
 }
 
+bool HeadLogStore::IsOver() {
+  absl::MutexLock lock(&mutex_);
+  return stopping_ && clock_->Now() >= stop_by_;
+}
+
+void HeadLogStore::NoteUse(const std::vector<std::shared_ptr<VersionLog>>& logs) {
+  const absl::Duration now = clock_->Now();
+  if (now - use_noted_ < kUseInterval) return;
+  use_noted_ = now;
+  int64_t unused = 0;
+  for (const auto& log : logs) {
+    const auto tenants = log->heads()->Tenants();
+    const bool is_used = std::any_of(tenants.begin(), tenants.end(), [&](const auto& tenant) {
+      return !log->heads()->Of(tenant)->Members().empty();
+    });
+    if (is_used && !log->is_used) log->read_at = now;
+    log->is_used = is_used;
+    if (!is_used) ++unused;
+  }
+  unused_interval_ =
+      kUnusedReadInterval * std::max(1.0, static_cast<double>(unused) / kUnusedReadsPerInterval);
+}
+
 std::vector<std::shared_ptr<VersionLog>> HeadLogStore::Logs() {
   std::vector<std::shared_ptr<VersionLog>> logs;
   absl::MutexLock lock(&mutex_);
@@ -173,8 +203,10 @@ HeadLogStore::Requests HeadLogStore::Take(VersionLog& log) {
 void HeadLogStore::Run() {
   while (Wait()) {
     const auto logs = Logs();
+    NoteUse(logs);
     const absl::Status connected = Connect();
     for (const auto& log : logs) {
+      if (IsOver()) break;
       if (!connected.ok()) {
         log->failures = 0;
         Fail(*log, Take(*log), connected);
@@ -211,7 +243,9 @@ void HeadLogStore::Serve(VersionLog& log, Requests requests) {
     return Fail(log, std::move(requests), status);
   }
   log.failures = 0;
-  log.read_at = clock_->Now() + (log.is_used ? kReadInterval : kUnusedReadInterval);
+  // Logs that were read together are read at different times later.
+  log.read_at = clock_->Now() +
+                (log.is_used ? kReadInterval : unused_interval_ * absl::Uniform(random_, 0.5, 1.5));
   log.retry_delay = kFirstRetry;
   Finish(log, requests);
   CorrectPause(log);
@@ -249,6 +283,13 @@ absl::StatusOr<bool> HeadLogStore::AppendAndRead(VersionLog& log, Requests& requ
   };
   for (Request& request : requests) {
     if (!waits(request)) continue;
+    // The log may have forgotten that it has the entry, if Redis has lost something.
+    if (log.replica.Find(request.append.session, request.append.episode).has_value()) {
+      request.is_in_log = true;
+      request.is_new = request.is_sent;
+      (request.is_new ? appended_ : known_).Increment();
+      continue;
+    }
     if (const auto head = log.heads()->Find(request.append.head); head != nullptr) {
       request.append.members = head->Members();
     }
@@ -352,6 +393,14 @@ absl::Status HeadLogStore::Rewrite(VersionLog& log, const HeadReplica& replica,
       ReplaceHeadLog(*client_, log.keys, end.digest, replica.position(), replica.Serialize());
   if (absl::IsAborted(status)) return absl::UnavailableError(status.message());
   if (!status.ok()) return status;
+  // Those of older entries stay, unless Redis has lost them, too.
+  std::vector<HeadMarker> markers;
+  for (const HeadReplica::Folded& folded : replica.last()) {
+    markers.push_back({folded.session, folded.episode, folded.position.id});
+  }
+  if (auto restored = RestoreHeadMarkers(*client_, log.keys, markers, retention_); !restored.ok()) {
+    return restored;
+  }
   rewritten_.Increment();
   LogWarning("shared heads written to their log again", {{"policy", log.name}, {"reason", reason}});
   return absl::OkStatus();
@@ -402,7 +451,6 @@ absl::Status HeadLogStore::KeepMembers(VersionLog& log) {
     SendHeadMembers(*client_, log.keys, tenant, members);
     ++sent;
   }
-  log.is_used = sent > 0;
   for (; sent > 0; --sent) {
     if (const auto reply = client_->Read(); !reply.ok()) return reply.status();
   }

@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/random/random.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
@@ -79,6 +80,10 @@ class HeadLogStore final : public HeadLogs {
   // Waits for requests, or for the time to read the logs again. Returns false if the store stops
   // and nothing waits, or the time for it is over.
   bool Wait() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Returns true if the store stops and the time for it is over.
+  bool IsOver() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Finds out which logs a session of this server uses, and sets when the others are read next.
+  void NoteUse(const std::vector<std::shared_ptr<VersionLog>>& logs);
   std::vector<std::shared_ptr<VersionLog>> Logs() ABSL_LOCKS_EXCLUDED(mutex_);
   Requests Take(VersionLog& log) ABSL_LOCKS_EXCLUDED(mutex_);
   // Appends the requests of a log and folds what it has.
@@ -115,6 +120,9 @@ class HeadLogStore final : public HeadLogs {
   std::atomic<bool> joined_ = false;
   std::atomic<bool> follows_ = false;
   std::unique_ptr<RedisClient> client_;  // of the thread
+  absl::Duration use_noted_;             // when, of the thread
+  absl::BitGen random_;                  // of the thread
+  absl::Duration unused_interval_;       // of reading a log that no session uses, of the thread
 
   absl::Mutex mutex_;
   SteadyCondition changed_;  // requests, `stopping_` or `joined_`

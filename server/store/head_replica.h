@@ -49,6 +49,8 @@ class HeadReplica {
 
   // Returns the outcome of one of the last entries, or nullopt.
   std::optional<MergeOutcome> Find(const std::string& session, int64_t episode) const;
+  // Returns the last entries, oldest first.
+  const std::deque<Folded>& last() const { return last_; }
   // Returns true if `position` is one of the last that this replica was at.
   bool HasPassed(const HeadPosition& position) const;
 

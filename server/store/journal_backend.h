@@ -3,6 +3,8 @@
 #define SERVER_STORE_JOURNAL_BACKEND_H_
 
 #include <cstdint>
+#include <functional>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -17,15 +19,25 @@ namespace spikeserve {
 struct JournalClaim {
   std::string id;
   std::string tenant;
-  std::vector<std::string> policy_files;  // that the server has; see SessionJournal::Key
+  // Returns whether the server has a policy file; see SessionJournal::Key. Null: it has all.
+  std::function<bool(const std::string& policy_file)> has_policy = nullptr;
+  bool only_reads = false;  // the session stays with its owner
 };
 
 // The journal of a session at the moment at which it was claimed.
 struct ClaimedJournal {
-  // Of the new owner; 0: the session was left to its owner, because the server lacks its policy.
+  // Of the new owner; 0: the session was left to its owner, because the server lacks its policy or
+  // only reads.
   uint64_t epoch = 0;
-  // In the order in which they were written. If the session was left, the first one only.
+  // In the order in which they were written. If the server lacks the policy, the first one only.
   std::vector<std::string> records;
+  uint64_t claimed_from = 0;  // epoch of the owner before; 0: unknown
+};
+
+// A journal whose owner is this server, and whether its session was used lately.
+struct HeldJournal {
+  std::shared_ptr<SessionJournal> journal;
+  bool is_used = false;
 };
 
 // Called by one thread. The methods may block.
@@ -33,17 +45,37 @@ class JournalBackend {
  public:
   virtual ~JournalBackend() = default;
 
+  // Returns whether several servers use the store, so that it may give a session to another one.
+  virtual bool IsShared() const { return false; }
+
+  // Makes sure that the store can be reached. Returns true if it may have lost something since the
+  // last call, because there was another connection: then Check() is to be called for all journals
+  // before anything is written or claimed. Returns UNAVAILABLE if it cannot be reached.
+  virtual absl::StatusOr<bool> Connect() { return false; }
+
+  // Returns FAILED_PRECONDITION if the store may remove records that it has acknowledged.
+  virtual absl::Status CheckKeepsRecords() const { return absl::OkStatus(); }
+
+  // Compares journals with SessionJournal::stored(), and prolongs the time that the store keeps
+  // those that are used. Returns their outcomes: OK, ABORTED or NOT_FOUND, as for Write().
+  // UNAVAILABLE: the store cannot be reached.
+  virtual absl::StatusOr<std::vector<absl::Status>> Check(absl::Span<const HeldJournal> journals) {
+    return std::vector<absl::Status>(journals.size());
+  }
+
   // Writes `records` in their order. Returns their outcomes: OK, ABORTED if the writer does not own
   // the journal any more, ALREADY_EXISTS, or NOT_FOUND if the store has lost the journal or a part
   // of it. Returns UNAVAILABLE if the store cannot be reached. Then some of the records may have
-  // been written, or may be written later, and all are to be passed to the next call again.
+  // been written, or may be written later, and all are to be passed to the next call again. The
+  // outcome UNAVAILABLE of single records: the store takes no more of their kind at present, and
+  // they are to be passed again.
   virtual absl::StatusOr<std::vector<absl::Status>> Write(
       absl::Span<const JournalRecord> records) = 0;
 
   // Makes the caller the owner of the journals of sessions and returns them, in the order of
-  // `claims`. NOT_FOUND: the store has no open session with this id and tenant. UNAVAILABLE, for
-  // all claims: the store cannot be reached. A store that several servers use leaves a session to
-  // its owner if the caller lacks its policy file.
+  // `claims`. NOT_FOUND: the store has no open session with this id and tenant. UNAVAILABLE: the
+  // store cannot be reached, or cannot give the session away now. A store that several servers use
+  // leaves a session to its owner if the caller lacks its policy file or only reads.
   virtual std::vector<absl::StatusOr<ClaimedJournal>> Claim(
       absl::Span<const JournalClaim> claims) = 0;
 };

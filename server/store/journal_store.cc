@@ -19,7 +19,18 @@ constexpr size_t kGatherRecords = 256;
 // The largest number of records that are written together.
 constexpr size_t kMostRecords = 512;
 
+// How often a connection without work is tried.
+constexpr absl::Duration kIdleInterval = absl::Seconds(1);
+
+// What a record without bytes counts in the backlog.
+constexpr size_t kRecordBytes = 256;
+
+size_t BacklogOf(const JournalRecord& record) {
+  return record.bytes.empty() ? kRecordBytes : record.bytes.size();
+}
+
 constexpr absl::Duration kFirstRetry = absl::Milliseconds(20);
+constexpr absl::Duration kRefusedRetry = absl::Milliseconds(100);
 constexpr absl::Duration kLongestRetry = absl::Seconds(1);
 
 prometheus::Counter& AddCounter(prometheus::Registry* registry, const char* name, const char* help,
@@ -38,9 +49,11 @@ constexpr char kClaimsHelp[] =
 }  // namespace
 
 JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock* clock,
-                           prometheus::Registry* registry)
+                           prometheus::Registry* registry, absl::Duration check_interval)
     : backend_(std::move(backend)),
+      is_shared_(backend_->IsShared()),
       clock_(clock),
+      check_interval_(check_interval),
       written_(AddCounter(registry, kRecords, kRecordsHelp, {{"outcome", "written"}})),
       refused_(AddCounter(registry, kRecords, kRecordsHelp, {{"outcome", "refused"}})),
       acknowledgement_(
@@ -71,6 +84,7 @@ JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock*
                            .Add({})),
       retry_delay_(kFirstRetry) {
   reachable_gauge_.Set(1.0);
+  KeepJournals();  // so that the first sessions find out what the store does not keep
   thread_ = std::thread([this] { Run(); });
 }
 
@@ -78,12 +92,12 @@ JournalStore::~JournalStore() { Stop(absl::ZeroDuration()); }
 
 void JournalStore::Write(JournalRecord record) {
   const absl::Duration now = clock_->Now();
-  backlog_bytes_.fetch_add(record.bytes.size(), std::memory_order_relaxed);
+  backlog_bytes_.fetch_add(BacklogOf(record), std::memory_order_relaxed);
   absl::MutexLock lock(&mutex_);
   const bool was_urgent = IsUrgent();
   queue_.records.push_back(std::move(record));
   queue_.queued.push_back(now);
-  if (!was_urgent && IsUrgent()) changed_.NotifyAll();
+  if (idle_ || (!was_urgent && IsUrgent())) changed_.NotifyAll();
 }
 
 void JournalStore::Hurry() {
@@ -107,6 +121,12 @@ absl::Status JournalStore::CheckBacklog() const {
                             "session store: expected a backlog of less than ", kMostBacklogBytes,
                             " bytes, received ", bytes, "; try again")),
                         kLongestRetry);
+}
+
+absl::Status JournalStore::CheckKeepsRecords() const {
+  if (!may_lose_records_.load(std::memory_order_relaxed)) return absl::OkStatus();
+  absl::MutexLock lock(&mutex_);
+  return keeps_records_;
 }
 
 void JournalStore::Claim(JournalClaim claim, Claimed claimed) {
@@ -135,14 +155,18 @@ bool JournalStore::IsUrgent() const {
   return hurried_ || queue_.records.size() >= kGatherRecords || !queue_.claims.empty() || stopping_;
 }
 
-JournalStore::Work JournalStore::Next() {
+std::optional<JournalStore::Work> JournalStore::Next() {
   absl::MutexLock lock(&mutex_);
   // While there are records all the time, the thread wakes once for all that gather.
   const auto urgent = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return IsUrgent(); };
+  const auto any = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return HasWork(); };
   if (!changed_.Wait(&mutex_, kGatherTime, urgent) && !HasWork()) {
-    mutex_.Await(absl::Condition(this, &JournalStore::HasWork));
-    changed_.Wait(&mutex_, kGatherTime, urgent);
+    idle_ = true;
+    const bool has_work = changed_.Wait(&mutex_, kIdleInterval, any);
+    idle_ = false;
+    if (has_work) changed_.Wait(&mutex_, kGatherTime, urgent);
   }
+  if (stopping_ && queue_.records.empty() && queue_.claims.empty()) return std::nullopt;
   Work work = std::exchange(queue_, {});
   hurried_ = false;
   return work;
@@ -150,12 +174,70 @@ JournalStore::Work JournalStore::Next() {
 
 void JournalStore::Run() {
   while (true) {
-    Work work = Next();
-    if (work.records.empty() && work.claims.empty()) return;  // stopped
-    const bool all_written = WriteRecords(&work);
-    RunClaims(std::exchange(work.claims, {}));
-    if (!all_written && !WaitToRetry(std::move(work))) return DropClaims();
+    std::optional<Work> work = Next();
+    if (!work.has_value()) return;
+    const bool all_written = KeepJournals() && WriteRecords(&*work);
+    RunClaims(std::exchange(work->claims, {}));
+    if (!all_written && !WaitToRetry(*std::move(work))) return DropClaims();
   }
+}
+
+bool JournalStore::KeepJournals() {
+  const auto may_have_lost = backend_->Connect();
+  absl::Status status = may_have_lost.status();
+  if (status.ok()) {
+    if (*may_have_lost) {
+      must_check_ = true;
+      absl::Status keeps = backend_->CheckKeepsRecords();
+      absl::MutexLock lock(&mutex_);
+      may_lose_records_.store(!keeps.ok(), std::memory_order_relaxed);
+      keeps_records_ = std::move(keeps);
+    }
+    if (must_check_ || clock_->Now() >= next_check_) status = CheckJournals();
+  }
+  if (!status.ok()) SetReachable(status);
+  return status.ok();
+}
+
+absl::Status JournalStore::CheckJournals() {
+  SessionStore* const sessions = sessions_.load(std::memory_order_acquire);
+  std::vector<HeldJournal> held;
+  const auto is_stored = [](const SessionEntry& entry) { return entry.journal != nullptr; };
+  const auto add = [&](const ListedSession& session) {
+    held.push_back({session.entry->journal, session.idle <= check_interval_});
+  };
+  if (sessions != nullptr && is_shared_) sessions->ForEach(is_stored, add);
+  std::vector<std::shared_ptr<SessionJournal>> missing;
+  for (size_t first = 0; first < held.size(); first += kMostRecords) {
+    const auto part = absl::MakeConstSpan(held).subspan(first, kMostRecords);
+    const auto outcomes = backend_->Check(part);
+    if (!outcomes.ok()) return outcomes.status();
+    for (size_t i = 0; i < part.size(); ++i) {
+      if (absl::IsAborted((*outcomes)[i]) && !part[i].journal->lost()) fences_.Increment();
+      part[i].journal->OnChecked((*outcomes)[i]);
+      if (part[i].journal->missing()) missing.push_back(part[i].journal);
+    }
+  }
+  must_check_ = false;
+  next_check_ = clock_->Now() + check_interval_;
+  WriteAgain(missing);
+  return absl::OkStatus();
+}
+
+void JournalStore::WriteAgain(const std::vector<std::shared_ptr<SessionJournal>>& journals) {
+  SessionStore* const sessions = sessions_.load(std::memory_order_acquire);
+  if (sessions == nullptr || journals.empty()) return;
+  for (const auto& journal : journals) {
+    const auto entry = sessions->Peek(journal->key().id);
+    if (entry == nullptr || entry->journal != journal || journal->lost()) {
+      // Nobody can write it again, so nobody should wait for that.
+      journal->OnChecked(absl::AbortedError("the session has left this server"));
+      continue;
+    }
+    absl::MutexLock lock(&entry->mutex);
+    journal->WriteAgainIfMissing(entry->agent.session());
+  }
+  Hurry();
 }
 
 void JournalStore::DropClaims() {
@@ -168,34 +250,107 @@ void JournalStore::DropClaims() {
   for (ClaimRequest& request : work.claims) request.claimed(stopped);
 }
 
+size_t JournalStore::SkipReplaced(size_t first, size_t end, Work* work) {
+  // From the end, so that the others keep their order.
+  size_t kept = end;
+  for (size_t i = end; i > first; --i) {
+    JournalRecord& record = work->records[i - 1];
+    if (!record.journal->IsReplaced(record)) {
+      --kept;
+      if (kept == i - 1) continue;
+      std::swap(work->records[kept], record);
+      std::swap(work->queued[kept], work->queued[i - 1]);
+    }
+  }
+  for (size_t i = first; i < kept; ++i) {
+    const JournalRecord& record = work->records[i];
+    backlog_bytes_.fetch_sub(BacklogOf(record), std::memory_order_relaxed);
+    record.journal->OnReplaced(record);
+  }
+  return kept;
+}
+
 bool JournalStore::WriteRecords(Work* work) {
+  if (work->records.empty()) {
+    SetReachable(absl::OkStatus());
+    return true;
+  }
   size_t first = 0;
   absl::Status failure;
+  Work refused;
+  absl::Status refusal;
   while (first < work->records.size()) {
-    const auto batch = absl::MakeConstSpan(work->records).subspan(first, kMostRecords);
+    const size_t end = std::min(first + kMostRecords, work->records.size());
+    first = SkipReplaced(first, end, work);
+    const auto batch = absl::MakeConstSpan(work->records).subspan(first, end - first);
     const auto outcomes = backend_->Write(batch);
     failure = outcomes.status();
     if (!failure.ok()) break;
+    const absl::Status taken = PutAside(first, *outcomes, work, &refused);
+    if (!taken.ok()) refusal = taken;
     SetReachable(absl::OkStatus());
-    const absl::Duration now = clock_->Now();
-    const auto written = std::ranges::count_if(*outcomes, &absl::Status::ok);
-    written_.Increment(static_cast<double>(written));
-    refused_.Increment(static_cast<double>(batch.size()) - static_cast<double>(written));
-    for (size_t i = 0; i < batch.size(); ++i) {
-      const JournalRecord& record = batch[i];
-      Count(record, (*outcomes)[i], now - work->queued[first + i]);
-      backlog_bytes_.fetch_sub(record.bytes.size(), std::memory_order_relaxed);
-      record.journal->OnWritten(record, (*outcomes)[i]);
-    }
-    first += batch.size();
+    first = end;
   }
   backlog_gauge_.Set(static_cast<double>(backlog_bytes_.load(std::memory_order_relaxed)));
   const auto done = static_cast<ptrdiff_t>(first);
   work->records.erase(work->records.begin(), work->records.begin() + done);
   work->queued.erase(work->queued.begin(), work->queued.begin() + done);
-  if (failure.ok()) return true;
+  std::ranges::move(refused.records, std::inserter(work->records, work->records.begin()));
+  std::ranges::move(refused.queued, std::inserter(work->queued, work->queued.begin()));
+  if (failure.ok()) SetRefusal(refusal);
+  if (failure.ok()) return refusal.ok();
   SetReachable(failure);
   return false;
+}
+
+absl::Status JournalStore::PutAside(size_t first, const std::vector<absl::Status>& outcomes,
+                                    Work* work, Work* refused) {
+  std::vector<JournalRecord> records;
+  std::vector<absl::Duration> queued;
+  std::vector<absl::Status> others;
+  absl::Status refusal;
+  for (size_t i = 0; i < outcomes.size(); ++i) {
+    const bool is_refused = absl::IsUnavailable(outcomes[i]);
+    if (is_refused) refusal = outcomes[i];
+    if (!is_refused) others.push_back(outcomes[i]);
+    (is_refused ? refused->records : records).push_back(std::move(work->records[first + i]));
+    (is_refused ? refused->queued : queued).push_back(work->queued[first + i]);
+  }
+  TakeOutcomes(records, queued, others);
+  return refusal;
+}
+
+void JournalStore::SetRefusal(const absl::Status& refusal) {
+  const bool was_refused = !refusal_.ok();
+  refusal_ = refusal;
+  if (!refusal.ok()) {
+    reachable_gauge_.Set(0.0);
+    retry_delay_ = std::max(retry_delay_, kRefusedRetry);
+  }
+  if (was_refused == !refusal.ok()) return;
+  if (refusal.ok()) {
+    LogInfo("session store takes records again");
+  } else {
+    LogError("session store takes no records; tries again", {{"error", refusal.message()}});
+  }
+}
+
+void JournalStore::TakeOutcomes(absl::Span<const JournalRecord> batch,
+                                absl::Span<const absl::Duration> queued,
+                                const std::vector<absl::Status>& outcomes) {
+  const absl::Duration now = clock_->Now();
+  const auto written = std::ranges::count_if(outcomes, &absl::Status::ok);
+  written_.Increment(static_cast<double>(written));
+  refused_.Increment(static_cast<double>(batch.size()) - static_cast<double>(written));
+  std::vector<std::shared_ptr<SessionJournal>> missing;
+  for (size_t i = 0; i < batch.size(); ++i) {
+    const JournalRecord& record = batch[i];
+    Count(record, outcomes[i], now - queued[i]);
+    backlog_bytes_.fetch_sub(BacklogOf(record), std::memory_order_relaxed);
+    record.journal->OnWritten(record, outcomes[i]);
+    if (record.journal->missing()) missing.push_back(record.journal);
+  }
+  WriteAgain(missing);
 }
 
 void JournalStore::Count(const JournalRecord& record, const absl::Status& outcome,
@@ -246,11 +401,12 @@ bool JournalStore::WaitToRetry(Work work) {
     queue_.queued = std::move(work.queued);
     for (const JournalRecord& record : queue_.records) journals.push_back(record.journal);
   }
-  const absl::Status away = CheckReachable();
+  const absl::Status reachable = CheckReachable();
+  const absl::Status away = reachable.ok() ? WithRetryDelay(refusal_, kLongestRetry) : reachable;
   for (const auto& journal : journals) journal->OnUnreachable(away);
   absl::MutexLock lock(&mutex_);
   const auto gave_up = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    return stopping_ && clock_->Now() >= stop_by_;
+    return stopping_ && (clock_->Now() >= stop_by_ || queue_.records.empty());
   };
   changed_.Wait(&mutex_, retry_delay_, gave_up);
   retry_delay_ = std::min(2 * retry_delay_, kLongestRetry);

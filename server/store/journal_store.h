@@ -6,6 +6,11 @@
 // are reported to SessionJournal on this thread. If the backend cannot be reached, the records stay
 // in the queue and the thread tries again after a growing delay.
 //
+// A store may lose what it has acknowledged: when it starts again from older files, or a copy takes
+// its place. After each new connection, and now and then, the thread compares the journals of all
+// sessions of this server with the store before it writes anything else, and writes the sessions
+// again of which the store has less.
+//
 // Thread-safe, except Stop().
 #ifndef SERVER_STORE_JOURNAL_STORE_H_
 #define SERVER_STORE_JOURNAL_STORE_H_
@@ -14,6 +19,7 @@
 #include <cstddef>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -26,6 +32,7 @@
 #include "core/base/clock.h"
 #include "core/base/steady_wait.h"
 #include "core/session/journal_writer.h"
+#include "core/session/session_store.h"
 #include "prometheus/counter.h"
 #include "prometheus/gauge.h"
 #include "prometheus/histogram.h"
@@ -38,10 +45,13 @@ class JournalStore final : public JournalWriter {
  public:
   // The largest number of bytes that wait to be written.
   static constexpr size_t kMostBacklogBytes = size_t{64} << 20;
+  static constexpr absl::Duration kCheckInterval = absl::Minutes(1);
 
   using Claimed = std::function<void(absl::StatusOr<ClaimedJournal>)>;
 
-  // Registers these metrics in `registry`, which must outlive the store, as must `clock`:
+  // The journals are compared at least once in `check_interval`, which is less than the time that
+  // the store keeps a session. Registers these metrics in `registry`, which must outlive the store,
+  // as must `clock`:
   //   spikeserve_store_records_total{outcome}: written or refused
   //   spikeserve_store_acknowledgement_seconds
   //   spikeserve_store_backlog_bytes
@@ -51,13 +61,18 @@ class JournalStore final : public JournalWriter {
   //   spikeserve_store_replayed_entries_total
   //   spikeserve_store_reachable
   JournalStore(std::unique_ptr<JournalBackend> backend, const Clock* clock,
-               prometheus::Registry* registry);
+               prometheus::Registry* registry, absl::Duration check_interval = kCheckInterval);
   ~JournalStore() override;
+
+  // Writes those of `sessions` again that the store has lost. `sessions` must live until Stop().
+  void Keep(SessionStore* sessions) { sessions_.store(sessions, std::memory_order_release); }
 
   void Write(JournalRecord record) override;
   void Hurry() override;
   absl::Status CheckReachable() const override;
   absl::Status CheckBacklog() const override;
+  absl::Status CheckKeepsRecords() const override;
+  bool IsShared() const override { return is_shared_; }
 
   // Claims a session after all records that were written before this call. Calls `claimed` on the
   // thread of the store, with the result of JournalBackend::Claim().
@@ -82,12 +97,29 @@ class JournalStore final : public JournalWriter {
   };
 
   void Run();
-  // Waits for work. Returns none when the store stops and the queue is empty.
-  Work Next() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Waits for work, but not long, so that a connection that breaks is noticed without any. Returns
+  // nullopt when the store stops and the queue is empty.
+  std::optional<Work> Next() ABSL_LOCKS_EXCLUDED(mutex_);
   bool HasWork() const ABSL_SHARED_LOCKS_REQUIRED(mutex_);
   bool IsUrgent() const ABSL_SHARED_LOCKS_REQUIRED(mutex_);
+  // Connects, and compares the journals if that is due. Returns false if the store is away.
+  bool KeepJournals();
+  absl::Status CheckJournals();
+  // Writes the sessions again of whose journals the store has lost a part.
+  void WriteAgain(const std::vector<std::shared_ptr<SessionJournal>>& journals);
+  // Moves those of the records [first, end) that a later snapshot replaces to the front, leaves
+  // them out, and returns the index of the first other one.
+  size_t SkipReplaced(size_t first, size_t end, Work* work);
   // Returns true if all records were written.
   bool WriteRecords(Work* work);
+  // Takes the outcomes of the records from `first` on, and moves those that are to be written again
+  // to `refused`. Returns why, or OK if there is none.
+  absl::Status PutAside(size_t first, const std::vector<absl::Status>& outcomes, Work* work,
+                        Work* refused);
+  // Says whether the store takes no records but the ends of sessions.
+  void SetRefusal(const absl::Status& refusal);
+  void TakeOutcomes(absl::Span<const JournalRecord> batch, absl::Span<const absl::Duration> queued,
+                    const std::vector<absl::Status>& outcomes);
   void Count(const JournalRecord& record, const absl::Status& outcome, absl::Duration latency);
   void RunClaims(std::vector<ClaimRequest> requests);
   // Refuses what waits when the store gives up.
@@ -98,7 +130,9 @@ class JournalStore final : public JournalWriter {
   bool WaitToRetry(Work work) ABSL_LOCKS_EXCLUDED(mutex_);
 
   const std::unique_ptr<JournalBackend> backend_;
+  const bool is_shared_;
   const Clock* const clock_;
+  const absl::Duration check_interval_;
   prometheus::Counter& written_;
   prometheus::Counter& refused_;
   prometheus::Histogram& acknowledgement_;
@@ -112,12 +146,21 @@ class JournalStore final : public JournalWriter {
 
   std::atomic<bool> reachable_ = true;
   std::atomic<size_t> backlog_bytes_ = 0;
-  absl::Duration retry_delay_;  // of the thread
+  std::atomic<bool> may_lose_records_ = false;  // `keeps_records_` is not OK
+  std::atomic<SessionStore*> sessions_ = nullptr;
 
-  absl::Mutex mutex_;
-  SteadyCondition changed_;  // IsUrgent() or `stopping_`
+  // Of the thread:
+  absl::Duration retry_delay_;
+  absl::Status refusal_;       // of the last records that the store did not take
+  bool must_check_ = false;    // the store may have lost something
+  absl::Duration next_check_;  // time of the clock
+
+  mutable absl::Mutex mutex_;
+  SteadyCondition changed_;  // IsUrgent(), `stopping_`, or HasWork() while `idle_`
   Work queue_ ABSL_GUARDED_BY(mutex_);
   bool hurried_ ABSL_GUARDED_BY(mutex_) = false;  // an answer waits for a record in the queue
+  bool idle_ ABSL_GUARDED_BY(mutex_) = false;     // the thread waits for any work
+  absl::Status keeps_records_ ABSL_GUARDED_BY(mutex_);
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   absl::Duration stop_by_ ABSL_GUARDED_BY(mutex_);
   std::thread thread_;  // declared last, because it uses the members above

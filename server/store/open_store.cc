@@ -1,5 +1,6 @@
 #include "server/store/open_store.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/ascii.h"
@@ -19,7 +20,11 @@ namespace {
 
 constexpr char kAddressFlag[] = "--session_store";
 constexpr char kPasswordFlag[] = "--store_password_file";
+constexpr char kUserFlag[] = "--store_user";
+constexpr char kTimeoutFlag[] = "--store_timeout";
 constexpr char kReplicasFlag[] = "--store_replicas";
+
+constexpr absl::Duration kShortestTimeout = absl::Milliseconds(10);
 
 // Returns INVALID_ARGUMENT unless the options of Redis fit its address.
 absl::Status CheckRedisOptions(const StoreOptions& options, const StoreAddress& address) {
@@ -30,6 +35,19 @@ absl::Status CheckRedisOptions(const StoreOptions& options, const StoreAddress& 
   };
   if (!is_redis && !options.password_file.empty()) {
     return refuse(kPasswordFlag, "none without a store in Redis", options.password_file);
+  }
+  if (!options.user.empty() && !is_redis) {
+    return refuse(kUserFlag, "none without a store in Redis", options.user);
+  }
+  if (!options.user.empty() && !address.redis.user.empty()) {
+    return refuse(kUserFlag, "none, because --session_store names one", options.user);
+  }
+  if (options.timeout < kShortestTimeout) {
+    return refuse(kTimeoutFlag, absl::StrCat("at least ", absl::FormatDuration(kShortestTimeout)),
+                  absl::FormatDuration(options.timeout));
+  }
+  if (!is_redis && options.may_evict) {
+    return refuse("--store_may_evict", "false without a store in Redis", "true");
   }
   if (options.replicas < 0 || (!is_redis && options.replicas > 0)) {
     return refuse(kReplicasFlag, is_redis ? "at least 0" : "0 without a store in Redis",
@@ -50,8 +68,11 @@ absl::Status CheckRedisOptions(const StoreOptions& options, const StoreAddress& 
 }
 
 absl::StatusOr<RedisOptions> ReadRedisOptions(RedisAddress address, const StoreOptions& options) {
-  RedisOptions redis = {
-      .address = std::move(address), .tls_files = options.tls_files, .replicas = options.replicas};
+  RedisOptions redis = {.address = std::move(address),
+                        .timeout = options.timeout,
+                        .tls_files = options.tls_files,
+                        .replicas = options.replicas};
+  if (!options.user.empty()) redis.address.user = options.user;
   if (options.password_file.empty()) return redis;
   auto password = ReadFile(options.password_file);
   if (!password.ok()) return Annotate(password.status(), kPasswordFlag);
@@ -67,6 +88,7 @@ absl::StatusOr<StoreAddress> ParseStoreAddress(const std::string& text) {
   if (absl::ConsumePrefix(&rest, "file:") && !rest.empty()) {
     return StoreAddress{.kind = StoreAddress::Kind::kFile, .folder = std::string(rest)};
   }
+  if (auto status = CheckNoRedisPassword(text); !status.ok()) return status;
   if (auto redis = ParseRedisAddress(text); redis.has_value()) {
     return StoreAddress{.kind = StoreAddress::Kind::kRedis, .redis = *std::move(redis)};
   }
@@ -97,11 +119,14 @@ absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::R
   } else {
     const auto redis = ReadRedisOptions(std::move(address->redis), options);
     if (!redis.ok()) return redis.status();
-    backend = NewRedisBackend(*redis, options.retention, store.replica);
+    backend = NewRedisBackend(*redis, options.retention, store.replica, options.may_evict);
     store.shared = std::make_unique<RedisShared>(*redis, store.replica);
     store.heads = std::make_unique<HeadLogStore>(*redis, options.retention, &clock, registry);
   }
-  store.journals = std::make_unique<JournalStore>(std::move(backend), &clock, registry);
+  const absl::Duration check_interval =
+      std::min(JournalStore::kCheckInterval, options.retention / 4);
+  store.journals =
+      std::make_unique<JournalStore>(std::move(backend), &clock, registry, check_interval);
   return store;
 }
 

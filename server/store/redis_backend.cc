@@ -1,5 +1,6 @@
 #include "server/store/redis_backend.h"
 
+#include <algorithm>
 #include <map>
 #include <set>
 #include <string>
@@ -9,133 +10,84 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/clock.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
 #include "core/store/redis_client.h"
+#include "core/store/redis_durability.h"
 #include "core/store/stored_session.h"
+#include "server/base/log.h"
+#include "server/store/redis_scripts.h"
 
 namespace spikeserve {
 namespace {
 
-// Starts a journal, or writes it again for its owner, which also replaces an older epoch: of this
-// owner, or of a store that has lost a claim. Returns 0 if another owner has the session.
-// KEYS: hash, list. ARGV: epoch, owner, tenant, snapshot, retention in milliseconds, prefix of the
-// list's key, policy file, 1 if the owner has claimed the session.
-constexpr char kOpen[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
-if found[1] then
-  local mine = found[2] == ARGV[2]
-  local older = tonumber(found[1]) < tonumber(ARGV[1]) and found[3] == 'open' and
-                (mine or ARGV[8] == '1')
-  if not older and not (mine and found[1] == ARGV[1]) then return 0 end
-  redis.call('DEL', ARGV[6] .. found[1])
-end
-redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[2], 'tenant', ARGV[3], 'state', 'open',
-           'policy', ARGV[7])
-redis.call('RPUSH', KEYS[2], ARGV[4])
-redis.call('PEXPIRE', KEYS[1], ARGV[5])
-redis.call('PEXPIRE', KEYS[2], ARGV[5])
-return 1)";
+// How long a closed session is remembered, so that neither a late request nor a former owner opens
+// it again. Longer than JournalStore::kCheckInterval, within which former owners find out.
+constexpr absl::Duration kTombstone = absl::Minutes(10);
 
-// Ends a journal and leaves a tombstone. Returns 0 if another owner has the session.
-// KEYS: hash, list. ARGV: epoch, retention in milliseconds.
-constexpr char kClose[] = R"(
-if redis.call('HGET', KEYS[1], 'epoch') ~= ARGV[1] then return 0 end
-redis.call('HSET', KEYS[1], 'state', 'closed')
-redis.call('DEL', KEYS[2])
-redis.call('PEXPIRE', KEYS[1], ARGV[2])
-return 1)";
+// A connection that was used within this time is not tried.
+constexpr absl::Duration kFresh = absl::Milliseconds(500);
 
-// Adds a last snapshot, which replaces everything before it, and leaves the session without an
-// owner. Returns 0 if another owner has the session.
-// KEYS: hash, list. ARGV: epoch, snapshot, retention in milliseconds.
-constexpr char kRelease[] = R"(
-if redis.call('HGET', KEYS[1], 'epoch') ~= ARGV[1] then return 0 end
-if redis.call('RPUSHX', KEYS[2], ARGV[2]) == 0 then return 0 end
-redis.call('LTRIM', KEYS[2], -1, -1)
-redis.call('HSET', KEYS[1], 'owner', '')
-redis.call('PEXPIRE', KEYS[1], ARGV[3])
-redis.call('PEXPIRE', KEYS[2], ARGV[3])
-return 1)";
-
-// Makes the caller the owner. Returns the new epoch and the journal, or nothing if there is no open
-// session of the tenant. If the caller does not have the policy file of the session, changes
-// nothing and returns the epoch 0 and the first record. KEYS: hash. ARGV: prefix of the list's key,
-// owner, tenant, retention in milliseconds, what to add to the epoch, policy files of the caller,
-// each between two line feeds.
-constexpr char kClaim[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'tenant', 'state', 'policy')
-if not found[1] or found[2] ~= ARGV[3] or found[3] ~= 'open' then return false end
-local epoch = string.format('%d', found[1] + ARGV[5])
-local from = ARGV[1] .. found[1]
-local to = ARGV[1] .. epoch
-if redis.call('EXISTS', from) == 0 then return false end
-local policy = found[4] or ''
-if policy ~= '' and not string.find(ARGV[6], '\n' .. policy .. '\n', 1, true) then
-  return {'0', redis.call('LRANGE', from, 0, 0)}
-end
-redis.call('RENAME', from, to)
-redis.call('HSET', KEYS[1], 'epoch', epoch, 'owner', ARGV[2])
-redis.call('PEXPIRE', KEYS[1], ARGV[4])
-redis.call('PEXPIRE', to, ARGV[4])
-return {epoch, redis.call('LRANGE', to, 0, -1)})";
-
-// Moves the journal of the caller to another epoch, without the records after the first ones, which
-// were sent and not acknowledged. Returns 1 if that was done, now or before, or if the store does
-// not have the journal, and 0 if another owner has the session.
-// KEYS: hash. ARGV: prefix of the list's key, owner, epoch, new epoch, number of records to keep or
-// 0 for all.
-constexpr char kMove[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
-if not found[1] or found[1] == ARGV[4] then return 1 end
-if tonumber(found[1]) < tonumber(ARGV[3]) then return 1 end
-if found[1] ~= ARGV[3] or found[2] ~= ARGV[2] or found[3] ~= 'open' then return 0 end
-local from = ARGV[1] .. found[1]
-if redis.call('EXISTS', from) == 0 then return 1 end
-if ARGV[5] ~= '0' then redis.call('LTRIM', from, 0, ARGV[5] - 1) end
-redis.call('RENAME', from, ARGV[1] .. ARGV[4])
-redis.call('HSET', KEYS[1], 'epoch', ARGV[4])
-return 1)";
+// How often a claim is tried again that another server was faster than.
+constexpr int kMostClaims = 3;
 
 // A claim adds a random number up to this to the epoch. If a primary fails and its replica did not
 // have the last claim yet, the next claim then gets another epoch, and the two owners do not append
 // to one list. A journal that is moved gets its new epoch in the same way.
 constexpr uint32_t kMostEpochs = 1 << 20;
 
-std::string ListKey(const SessionJournal& journal) {
-  return absl::StrCat(RedisListPrefix(journal.key().id), journal.epoch());
+std::string ListKey(absl::string_view id, absl::string_view epoch) {
+  return absl::StrCat(RedisListPrefix(id), epoch);
 }
 
-// Reads what kClaim returned for session `id`.
-absl::StatusOr<ClaimedJournal> ReadJournal(const redisReply& claimed, const std::string& id) {
-  if (claimed.type == REDIS_REPLY_NIL) return NoSuchSession(id);
-  ClaimedJournal journal;
-  const bool is_pair = claimed.type == REDIS_REPLY_ARRAY && claimed.elements == 2 &&
-                       claimed.element[0]->type == REDIS_REPLY_STRING &&
-                       claimed.element[1]->type == REDIS_REPLY_ARRAY;
-  if (!is_pair || !absl::SimpleAtoi(claimed.element[0]->str, &journal.epoch)) {
-    return absl::UnavailableError("session store: expected an epoch and a journal");
-  }
-  const redisReply& records = *claimed.element[1];
-  for (size_t i = 0; i < records.elements; ++i) {
-    const redisReply& record = *records.element[i];
-    if (record.type == REDIS_REPLY_STRING) journal.records.emplace_back(record.str, record.len);
-  }
-  return journal;
+std::string TextAt(const redisReply& reply, size_t i) {
+  return std::string(TextOf(*reply.element[i]));
+}
+
+bool IsArray(const redisReply& reply, size_t elements) {
+  return reply.type == REDIS_REPLY_ARRAY && reply.elements == elements;
+}
+
+absl::Status Unexpected(absl::string_view expected) {
+  return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
+}
+
+// A script that begins with kIsMine.
+std::string WithOwner(absl::string_view script) {
+  return absl::StrCat(redis_scripts::kIsMine, script);
+}
+
+const std::string& PutScript() {
+  static const auto* const script = new std::string(WithOwner(redis_scripts::kPut));
+  return *script;
+}
+
+const std::string& CloseScript() {
+  static const auto* const script = new std::string(WithOwner(redis_scripts::kClose));
+  return *script;
 }
 
 class RedisBackend final : public JournalBackend {
  public:
-  RedisBackend(RedisOptions options, absl::Duration retention, std::string owner)
+  RedisBackend(RedisOptions options, absl::Duration retention, std::string owner, bool may_evict)
       : options_(std::move(options)),
+        may_evict_(may_evict),
         retention_(absl::StrCat(absl::ToInt64Milliseconds(retention))),
+        tombstone_(absl::StrCat(absl::ToInt64Milliseconds(std::min(retention, kTombstone)))),
         owner_(std::move(owner)) {}
 
+  bool IsShared() const override { return true; }
+  absl::StatusOr<bool> Connect() override;
+  absl::Status CheckKeepsRecords() const override {
+    return may_evict_ ? absl::OkStatus() : durability_.CheckKeepsKeys();
+  }
+  absl::StatusOr<std::vector<absl::Status>> Check(absl::Span<const HeldJournal> journals) override;
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
   std::vector<absl::StatusOr<ClaimedJournal>> Claim(absl::Span<const JournalClaim> claims) override;
 
  private:
-  using Claimed = std::vector<absl::StatusOr<ClaimedJournal>>;  // in the order of the claims
+  using Outcomes = std::vector<absl::Status>;
   using Journals = std::set<std::shared_ptr<SessionJournal>>;
 
   // A journal some of whose records were sent and not acknowledged.
@@ -144,55 +96,158 @@ class RedisBackend final : public JournalBackend {
     size_t kept = 0;     // records that were acknowledged; 0: a snapshot follows, keep all
   };
 
+  // A claim under way.
+  struct ClaimState {
+    const JournalClaim* claim = nullptr;
+    absl::StatusOr<ClaimedJournal>* result = nullptr;
+    std::string found;   // epoch in the store
+    uint64_t epoch = 0;  // new; 0: the session is left to its owner
+  };
+
+  // What the store has of a session.
+  struct Found {
+    std::string epoch;  // empty: nothing
+    std::string owner;
+    std::string state;
+  };
+
   // Runs `exchange` on a connected client, which is dropped if it fails, and waits for the
   // replicas.
-  template <typename Result, typename Exchange>
-  absl::StatusOr<Result> OnClient(Exchange exchange);
-  absl::StatusOr<std::vector<absl::Status>> WriteAll(absl::Span<const JournalRecord> records);
+  template <typename Exchange>
+  absl::StatusOr<Outcomes> OnClient(Exchange exchange);
+  absl::Status EnsureClient();
+  // Reads the settings of Redis, and says what they mean if they are others than before.
+  void LookAtSettings();
   // Notes that some of `records` may have been written, or may be written later.
   void OnUncertain(absl::Span<const JournalRecord> records);
-  // Moves the journals whose records are uncertain. Returns those of unknown length.
-  absl::StatusOr<Journals> MoveUncertain();
+  // Moves the journals whose records are uncertain.
+  absl::Status MoveUncertain();
+  absl::StatusOr<Outcomes> CheckAll(absl::Span<const HeldJournal> journals);
+  absl::StatusOr<Outcomes> WriteAll(absl::Span<const JournalRecord> records);
   void Append(const JournalRecord& record);
-  // Reads the replies to Append(). Returns 0 if the record was refused, and for an entry the
-  // length of the journal with it.
-  absl::StatusOr<int64_t> ReadReplies(const JournalRecord& record);
-  // Returns why Redis refused a record: ABORTED or NOT_FOUND.
-  absl::StatusOr<absl::Status> ReasonOf(const JournalRecord& record);
-  absl::StatusOr<Claimed> ClaimAll(absl::Span<const JournalClaim> claims);
+  void AppendSnapshot(const JournalRecord& record);
+  // Reads the replies to Append(). Returns false if the record was refused, or stands behind a gap.
+  absl::StatusOr<bool> ReadReplies(const JournalRecord& record);
+  absl::StatusOr<bool> ReadPut(const JournalRecord& record);
+  // Returns why the store does not have what the owner of the journal expects: ABORTED if another
+  // owner has it, otherwise NOT_FOUND.
+  absl::StatusOr<absl::Status> ReasonOf(const SessionJournal& journal);
+  // Begins claims: finds the sessions. Those that are done have a result afterwards.
+  std::vector<ClaimState> FindClaims(std::vector<ClaimState> claims);
+  // Runs the claims that were found, and returns those that are to be tried again.
+  std::vector<ClaimState> RunClaims(std::vector<ClaimState> claims);
+  void AppendClaim(const ClaimState& state);
 
   const RedisOptions options_;
+  const bool may_evict_;
   const std::string retention_;  // milliseconds
+  const std::string tombstone_;  // milliseconds
   const std::string owner_;
+  const SteadyClock clock_;
   std::unique_ptr<RedisClient> client_;
+  bool is_new_ = false;         // `client_` was made since the last Connect()
+  absl::Duration used_;         // when `client_` answered last
+  RedisDurability durability_;  // as of the last connection
+  std::string settings_ = "";   // what was said about them
   absl::BitGen random_;
   std::map<std::shared_ptr<SessionJournal>, Move> uncertain_;
+  Journals of_unknown_length_;          // until their next snapshot
+  std::vector<std::string> left_over_;  // lists of older epochs that a snapshot has replaced
 };
 
-template <typename Result, typename Exchange>
-absl::StatusOr<Result> RedisBackend::OnClient(Exchange exchange) {
-  if (client_ == nullptr) {
-    auto connected = RedisClient::Connect(options_);
-    if (!connected.ok()) return connected.status();
-    client_ = *std::move(connected);
+absl::Status RedisBackend::EnsureClient() {
+  if (client_ != nullptr) return absl::OkStatus();
+  auto connected = RedisClient::Connect(options_);
+  if (!connected.ok()) return connected.status();
+  client_ = *std::move(connected);
+  is_new_ = true;
+  LookAtSettings();
+  const absl::Status moved = MoveUncertain();
+  if (!moved.ok()) client_ = nullptr;
+  return moved;
+}
+
+void RedisBackend::LookAtSettings() {
+  durability_ = ReadRedisDurability(*client_);
+  const std::vector<std::string> warnings = durability_.Warnings(options_.replicas);
+  std::string settings = absl::StrJoin(warnings, "; ");
+  if (settings != settings_) {
+    for (const std::string& warning : warnings) {
+      LogWarning("session store may lose records", {{"setting", warning}});
+    }
   }
-  absl::StatusOr<Result> result = exchange();
+  settings_ = std::move(settings);
+}
+
+absl::StatusOr<bool> RedisBackend::Connect() {
+  if (client_ != nullptr && clock_.Now() - used_ > kFresh) {
+    if (const auto reply = client_->Run({"PING", owner_}); !reply.ok()) client_ = nullptr;
+  }
+  if (auto status = EnsureClient(); !status.ok()) return status;
+  used_ = clock_.Now();
+  return std::exchange(is_new_, false);
+}
+
+template <typename Exchange>
+absl::StatusOr<RedisBackend::Outcomes> RedisBackend::OnClient(Exchange exchange) {
+  if (auto status = EnsureClient(); !status.ok()) return status;
+  absl::StatusOr<Outcomes> result = exchange();
   if (result.ok() && options_.replicas > 0) {
     if (auto status = client_->WaitForReplicas(); !status.ok()) result = status;
   }
   if (absl::IsUnavailable(result.status())) client_ = nullptr;
+  used_ = clock_.Now();
   return result;
+}
+
+absl::StatusOr<std::vector<absl::Status>> RedisBackend::Check(
+    absl::Span<const HeldJournal> journals) {
+  return OnClient([&] { return CheckAll(journals); });
+}
+
+absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
+    absl::Span<const HeldJournal> journals) {
+  // The others are being written again, or for the first time.
+  const auto is_known = [&](const HeldJournal& held, const SessionJournal::Stored& stored) {
+    return stored.records > 0 && !held.journal->lost() &&
+           !of_unknown_length_.contains(held.journal);
+  };
+  std::vector<size_t> asked;
+  for (size_t i = 0; i < journals.size(); ++i) {
+    const SessionJournal& journal = *journals[i].journal;
+    const SessionJournal::Stored stored = journal.stored();
+    if (!is_known(journals[i], stored)) continue;
+    asked.push_back(i);
+    const std::string epoch = absl::StrCat(journal.epoch());
+    client_->Append({"EVAL", redis_scripts::kCheck, "2", RedisHashKey(journal.key().id),
+                     ListKey(journal.key().id, epoch), epoch, owner_, absl::StrCat(stored.base),
+                     absl::StrCat(stored.records), journals[i].is_used ? retention_ : ""});
+  }
+  std::vector<size_t> others;
+  for (const size_t i : asked) {
+    const auto reply = client_->Read();
+    if (!reply.ok()) return reply.status();
+    if ((*reply)->integer != 1) others.push_back(i);
+  }
+  Outcomes outcomes(journals.size());
+  for (const size_t i : others) {
+    auto reason = ReasonOf(*journals[i].journal);
+    if (!reason.ok()) return reason.status();
+    outcomes[i] = *std::move(reason);
+  }
+  return outcomes;
 }
 
 absl::StatusOr<std::vector<absl::Status>> RedisBackend::Write(
     absl::Span<const JournalRecord> records) {
-  auto outcomes = OnClient<std::vector<absl::Status>>([&] { return WriteAll(records); });
+  auto outcomes = OnClient([&] { return WriteAll(records); });
   if (!outcomes.ok()) OnUncertain(records);
   return outcomes;
 }
 
 void RedisBackend::OnUncertain(absl::Span<const JournalRecord> records) {
   for (const JournalRecord& record : records) {
+    if (record.kind == JournalRecord::Kind::kConfirm) continue;
     const auto [found, is_first] = uncertain_.try_emplace(record.journal);
     Move& move = found->second;
     if (is_first) {
@@ -205,12 +260,13 @@ void RedisBackend::OnUncertain(absl::Span<const JournalRecord> records) {
 
 // Redis may run what the old connection has sent at any time, also after what is sent now. At the
 // new epoch it finds nothing: a late snapshot would discard the records after it.
-absl::StatusOr<RedisBackend::Journals> RedisBackend::MoveUncertain() {
+absl::Status RedisBackend::MoveUncertain() {
   for (const auto& [journal, move] : uncertain_) {
     const std::string& id = journal->key().id;
-    client_->Append({"EVAL", kMove, "1", RedisHashKey(id), RedisListPrefix(id), owner_,
-                     absl::StrCat(journal->epoch()), absl::StrCat(move.epoch),
-                     absl::StrCat(move.kept)});
+    const std::string epoch = absl::StrCat(journal->epoch());
+    const std::string new_epoch = absl::StrCat(move.epoch);
+    client_->Append({"EVAL", redis_scripts::kMove, "3", RedisHashKey(id), ListKey(id, epoch),
+                     ListKey(id, new_epoch), epoch, new_epoch, owner_, absl::StrCat(move.kept)});
   }
   Journals moved;
   for (const auto& [journal, move] : uncertain_) {
@@ -222,130 +278,207 @@ absl::StatusOr<RedisBackend::Journals> RedisBackend::MoveUncertain() {
   if (options_.replicas > 0 && !moved.empty()) {
     if (auto status = client_->WaitForReplicas(); !status.ok()) return status;
   }
-  Journals of_unknown_length;
   for (const auto& [journal, move] : uncertain_) {
     if (moved.contains(journal)) journal->OnMoved(move.epoch);
-    if (move.kept == 0) of_unknown_length.insert(journal);
+    if (move.kept == 0) of_unknown_length_.insert(journal);
   }
   uncertain_.clear();
-  return of_unknown_length;
+  return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<absl::Status>> RedisBackend::WriteAll(
+absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
     absl::Span<const JournalRecord> records) {
-  auto of_unknown_length = MoveUncertain();
-  if (!of_unknown_length.ok()) return of_unknown_length.status();
   for (const JournalRecord& record : records) Append(record);
-  std::vector<absl::Status> outcomes(records.size());
+  Outcomes outcomes(records.size());
   std::vector<size_t> refused;
   for (size_t i = 0; i < records.size(); ++i) {
-    const JournalRecord& record = records[i];
-    const auto reply = ReadReplies(record);
-    if (!reply.ok()) return reply.status();
-    if (*reply == 0) {
-      refused.push_back(i);
-    } else if (record.kind != JournalRecord::Kind::kEntry) {
-      of_unknown_length->erase(record.journal);
-    } else if (*reply != static_cast<int64_t>(record.records) &&
-               !of_unknown_length->contains(record.journal)) {
-      outcomes[i] = absl::NotFoundError("the store has lost records of the session");
-    }
+    const auto is_written = ReadReplies(records[i]);
+    if (!is_written.ok()) return is_written.status();
+    if (!*is_written) refused.push_back(i);
+  }
+  for (const std::string& list : std::exchange(left_over_, {})) {
+    if (const auto reply = client_->Run({"DEL", list}); !reply.ok()) return reply.status();
   }
   for (const size_t i : refused) {
-    auto reason = ReasonOf(records[i]);
+    if (records[i].kind == JournalRecord::Kind::kOpen && records[i].position == 1) {
+      outcomes[i] = absl::AlreadyExistsError("session_id: expected one that is not open");
+      continue;
+    }
+    auto reason = ReasonOf(*records[i].journal);
     if (!reason.ok()) return reason.status();
     outcomes[i] = *std::move(reason);
   }
   return outcomes;
 }
 
+void RedisBackend::AppendSnapshot(const JournalRecord& record) {
+  const SessionJournal& journal = *record.journal;
+  const SessionJournal::Key& key = journal.key();
+  const std::string epoch = absl::StrCat(journal.epoch());
+  const bool releases = record.kind == JournalRecord::Kind::kRelease;
+  client_->Append({"EVAL", PutScript(), "2", RedisHashKey(key.id), ListKey(key.id, epoch), epoch,
+                   owner_, absl::StrCat(key.claimed_from), releases ? "" : owner_, key.tenant,
+                   record.bytes, retention_, key.policy_file, absl::StrCat(record.base)});
+}
+
 void RedisBackend::Append(const JournalRecord& record) {
-  const SessionJournal::Key& key = record.journal->key();
-  const std::string hash = RedisHashKey(key.id);
-  const std::string list = ListKey(*record.journal);
-  const std::string epoch = absl::StrCat(record.journal->epoch());
+  const SessionJournal& journal = *record.journal;
+  const std::string hash = RedisHashKey(journal.key().id);
+  const std::string epoch = absl::StrCat(journal.epoch());
+  const std::string list = ListKey(journal.key().id, epoch);
   switch (record.kind) {
     case JournalRecord::Kind::kOpen:
-      return client_->Append({"EVAL", kOpen, "2", hash, list, epoch, owner_, key.tenant,
-                              record.bytes, retention_, RedisListPrefix(key.id), key.policy_file,
-                              record.journal->is_new() ? "0" : "1"});
-    case JournalRecord::Kind::kEntry:
-      return client_->Append({"RPUSHX", list, record.bytes});
     case JournalRecord::Kind::kSnapshot:
-      client_->Append({"RPUSHX", list, record.bytes});
-      client_->Append({"LTRIM", list, "-1", "-1"});
-      client_->Append({"PEXPIRE", list, retention_});
-      return client_->Append({"PEXPIRE", hash, retention_});
     case JournalRecord::Kind::kRelease:
-      return client_->Append({"EVAL", kRelease, "2", hash, list, epoch, record.bytes, retention_});
+      return AppendSnapshot(record);
+    case JournalRecord::Kind::kEntry:
+      client_->Append({"HGET", hash, "base"});
+      return client_->Append({"RPUSHX", list, record.bytes});
+    case JournalRecord::Kind::kConfirm:
+      client_->Append({"HGET", hash, "base"});
+      return client_->Append({"LLEN", list});
     case JournalRecord::Kind::kClose:
-      return client_->Append({"EVAL", kClose, "2", hash, list, epoch, retention_});
+      return client_->Append({"EVAL", CloseScript(), "2", hash, list, epoch, owner_,
+                              absl::StrCat(journal.key().claimed_from), tombstone_});
   }
 }
 
-absl::StatusOr<int64_t> RedisBackend::ReadReplies(const JournalRecord& record) {
-  auto first = client_->Read();
-  const int others = record.kind == JournalRecord::Kind::kSnapshot ? 3 : 0;
-  for (int i = 0; first.ok() && i < others; ++i) {
-    if (auto reply = client_->Read(); !reply.ok()) return reply.status();
+// An entry is pushed also if the list is shorter than its owner thinks, because a script that
+// compares first takes Redis more than twice as long. The entry is then not acknowledged, and
+// readers ignore it (ParseJournal).
+absl::StatusOr<bool> RedisBackend::ReadReplies(const JournalRecord& record) {
+  if (record.kind != JournalRecord::Kind::kEntry && record.kind != JournalRecord::Kind::kConfirm) {
+    return ReadPut(record);
   }
-  if (!first.ok()) return first.status();
-  return (*first)->integer;
+  const auto base = client_->Read();
+  if (!base.ok()) return base.status();
+  const auto length = client_->Read();
+  if (!length.ok()) return length.status();
+  if ((*length)->integer == 0 || (*base)->type != REDIS_REPLY_STRING) return false;
+  if (of_unknown_length_.contains(record.journal)) return true;
+  return TextOf(**base) == absl::StrCat(record.base) &&
+         (*length)->integer == static_cast<int64_t>(record.records);
 }
 
-absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const JournalRecord& record) {
-  const SessionJournal::Key& key = record.journal->key();
-  const auto reply = client_->Run({"HMGET", RedisHashKey(key.id), "epoch", "owner", "state"});
+absl::StatusOr<bool> RedisBackend::ReadPut(const JournalRecord& record) {
+  const auto reply = client_->Read();
   if (!reply.ok()) return reply.status();
-  const redisReply& fields = **reply;
-  if (fields.type != REDIS_REPLY_ARRAY || fields.elements != 3) {
-    return absl::UnavailableError("session store: expected three fields");
+  const bool is_number = (*reply)->type == REDIS_REPLY_INTEGER;
+  if (!is_number && (*reply)->type != REDIS_REPLY_STRING) {
+    return absl::UnavailableError("session store: expected the outcome of a snapshot");
   }
-  if (record.kind == JournalRecord::Kind::kOpen) {
-    return absl::AlreadyExistsError("session_id: expected one that is not open");
-  }
-  const auto text = [&](size_t i) {
-    const redisReply& field = *fields.element[i];
-    return field.type == REDIS_REPLY_STRING ? std::string(field.str, field.len) : std::string();
-  };
-  // Redis has lost the session, or what it has is older than its owner's copy.
-  uint64_t epoch = 0;
-  const uint64_t expected = record.journal->epoch();
-  if (!absl::SimpleAtoi(text(0), &epoch) || epoch < expected) {
-    return absl::NotFoundError("the store does not have the session");
-  }
-  if (epoch == expected && text(1) == owner_ && text(2) == "open") {
-    return absl::NotFoundError("the store does not have the journal of the session");
+  if (is_number && (*reply)->integer == 0) return false;
+  of_unknown_length_.erase(record.journal);
+  if (is_number) return true;
+  // What an older epoch has left. If this is not done, it expires.
+  left_over_.push_back(ListKey(record.journal->key().id, TextOf(**reply)));
+  return true;
+}
+
+absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const SessionJournal& journal) {
+  const auto reply =
+      client_->Run({"HMGET", RedisHashKey(journal.key().id), "epoch", "owner", "state"});
+  if (!reply.ok()) return reply.status();
+  if (!IsArray(**reply, 3)) return Unexpected("three fields");
+  const std::string epoch = TextAt(**reply, 0);
+  if (epoch.empty()) return absl::NotFoundError("the store does not have the session");
+  uint64_t number = 0;
+  const bool is_mine = TextAt(**reply, 1) == owner_;
+  const bool is_open = TextAt(**reply, 2) == "open";
+  const bool is_older = absl::SimpleAtoi(epoch, &number) && number < journal.epoch() &&
+                        (is_mine || (number != 0 && number == journal.key().claimed_from));
+  if (is_open && ((is_mine && number == journal.epoch()) || is_older)) {
+    return absl::NotFoundError("the store has lost records of the session");
   }
   return absl::AbortedError("another owner has claimed the session");
 }
 
-RedisBackend::Claimed RedisBackend::Claim(absl::Span<const JournalClaim> claims) {
-  auto claimed = OnClient<Claimed>([&] { return ClaimAll(claims); });
-  return claimed.ok() ? *std::move(claimed) : Claimed(claims.size(), claimed.status());
+std::vector<absl::StatusOr<ClaimedJournal>> RedisBackend::Claim(
+    absl::Span<const JournalClaim> claims) {
+  std::vector<absl::StatusOr<ClaimedJournal>> results(
+      claims.size(), Unexpected("a session that stays at one server; try again"));
+  std::vector<ClaimState> waiting;
+  for (size_t i = 0; i < claims.size(); ++i) waiting.push_back({&claims[i], &results[i], "", 0});
+  const auto outcome = OnClient([&]() -> absl::StatusOr<Outcomes> {
+    for (int i = 0; i < kMostClaims && !waiting.empty(); ++i) {
+      waiting = RunClaims(FindClaims(std::move(waiting)));
+    }
+    // A claim may have failed because of its keys alone, or because the connection did.
+    const auto reply = client_->Run({"PING", owner_});
+    if (!reply.ok()) return reply.status();
+    return Outcomes();
+  });
+  if (outcome.ok()) return results;
+  return std::vector<absl::StatusOr<ClaimedJournal>>(claims.size(), outcome.status());
 }
 
-absl::StatusOr<RedisBackend::Claimed> RedisBackend::ClaimAll(
-    absl::Span<const JournalClaim> claims) {
-  for (const JournalClaim& claim : claims) {
-    const std::string step = absl::StrCat(absl::Uniform(random_, 1U, kMostEpochs));
-    const std::string files = absl::StrCat("\n", absl::StrJoin(claim.policy_files, "\n"), "\n");
-    client_->Append({"EVAL", kClaim, "1", RedisHashKey(claim.id), RedisListPrefix(claim.id), owner_,
-                     claim.tenant, retention_, step, files});
+std::vector<RedisBackend::ClaimState> RedisBackend::FindClaims(std::vector<ClaimState> claims) {
+  for (const ClaimState& state : claims) {
+    client_->Append({"HMGET", RedisHashKey(state.claim->id), "epoch", "tenant", "state", "policy"});
   }
-  Claimed claimed;
-  for (const JournalClaim& claim : claims) {
+  std::vector<ClaimState> found;
+  for (ClaimState& state : claims) {
     const auto reply = client_->Read();
-    if (!reply.ok()) return reply.status();
-    claimed.push_back(ReadJournal(**reply, claim.id));
+    uint64_t epoch = 0;
+    if (!reply.ok()) {
+      *state.result = reply.status();
+    } else if (!IsArray(**reply, 4)) {
+      *state.result = Unexpected("four fields");
+    } else if (!absl::SimpleAtoi(TextAt(**reply, 0), &epoch) ||
+               TextAt(**reply, 1) != state.claim->tenant || TextAt(**reply, 2) != "open") {
+      *state.result = NoSuchSession(state.claim->id);
+    } else {
+      const std::string policy = TextAt(**reply, 3);
+      const auto& has_policy = state.claim->has_policy;
+      const bool has_it = policy.empty() || has_policy == nullptr || has_policy(policy);
+      const bool takes_it = has_it && !state.claim->only_reads;
+      state.found = TextAt(**reply, 0);
+      state.epoch = takes_it ? epoch + absl::Uniform(random_, 1U, kMostEpochs) : 0;
+      found.push_back(std::move(state));
+    }
   }
-  return claimed;
+  return found;
+}
+
+void RedisBackend::AppendClaim(const ClaimState& state) {
+  const std::string& id = state.claim->id;
+  const std::string list = ListKey(id, state.found);
+  if (state.epoch == 0) {
+    return client_->Append({"LRANGE", list, "0", state.claim->only_reads ? "-1" : "0"});
+  }
+  const std::string epoch = absl::StrCat(state.epoch);
+  client_->Append({"EVAL", redis_scripts::kClaim, "3", RedisHashKey(id), list, ListKey(id, epoch),
+                   state.found, epoch, owner_, retention_});
+}
+
+std::vector<RedisBackend::ClaimState> RedisBackend::RunClaims(std::vector<ClaimState> claims) {
+  for (const ClaimState& state : claims) AppendClaim(state);
+  std::vector<ClaimState> again;
+  for (ClaimState& state : claims) {
+    const auto reply = client_->Read();
+    if (!reply.ok()) {
+      *state.result = reply.status();
+      continue;
+    }
+    const bool is_list = (*reply)->type == REDIS_REPLY_ARRAY;
+    const bool is_gone = (*reply)->type == REDIS_REPLY_NIL || (is_list && (*reply)->elements == 0);
+    if (is_gone) *state.result = NoSuchSession(state.claim->id);
+    if (is_gone || !is_list) {  // unless another server has moved it meanwhile
+      again.push_back(std::move(state));
+      continue;
+    }
+    ClaimedJournal journal = {.epoch = state.epoch, .records = {}};
+    absl::SimpleAtoi(state.found, &journal.claimed_from);
+    for (size_t i = 0; i < (*reply)->elements; ++i) journal.records.push_back(TextAt(**reply, i));
+    *state.result = std::move(journal);
+  }
+  return again;
 }
 }  // namespace
 
 std::unique_ptr<JournalBackend> NewRedisBackend(RedisOptions options, absl::Duration retention,
-                                                std::string owner) {
-  return std::make_unique<RedisBackend>(std::move(options), retention, std::move(owner));
+                                                std::string owner, bool may_evict) {
+  return std::make_unique<RedisBackend>(std::move(options), retention, std::move(owner), may_evict);
 }
 
 }  // namespace spikeserve

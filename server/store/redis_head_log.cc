@@ -18,6 +18,9 @@ constexpr size_t kMostMembers = ContributionBudget::kProtectedMembers;
 // from an older snapshot, because Redis has lost its last one, does not contribute twice within it.
 constexpr char kMarkerGrace[] = "600000";  // milliseconds
 
+// A server that has not read this many entries reads before it appends.
+constexpr char kMostUnread[] = "64";
+
 constexpr size_t kDigits = 12;  // of a file's SHA-256 in the name of a key
 
 // Keeps the contributors ARGV[first] to ARGV[first + kMostMembers - 1] in the sorted set `key`.
@@ -34,16 +37,25 @@ end
 )";
 
 // Appends an entry. Its fields: n, the number; m, the contributors; c, the digest; e, the entry.
-// KEYS: log, snapshot, marker, marker of the episode before, contributors. ARGV: id, number and
-// digest of the caller's position, entry, retention, grace, time that a contributor counts (all in
-// milliseconds), contributors.
+// The marker may be gone, so what the caller has not read yet is searched for the entry, too. KEYS:
+// log, snapshot, marker, marker of the episode before, contributors. ARGV: id, number and digest of
+// the caller's position, entry, retention, grace, time that a contributor counts (all in
+// milliseconds), what all entries of the session and the episode begin with, most entries that are
+// searched, contributors.
 constexpr char kAppend[] = R"(
+local unread = '-'
 if tonumber(ARGV[2]) > 0 then
   local mine = redis.call('XRANGE', KEYS[1], ARGV[1], ARGV[1])[1]
   if not mine or mine[2][6] ~= ARGV[3] then return -1 end
+  unread = '(' .. ARGV[1]
 end
 if redis.call('EXISTS', KEYS[3]) == 1 then return 0 end
-keep_members(KEYS[5], 8, ARGV[7])
+local entries = redis.call('XRANGE', KEYS[1], unread, '+', 'COUNT', ARGV[9])
+if #entries == tonumber(ARGV[9]) then return -1 end
+for _, entry in ipairs(entries) do
+  if string.sub(entry[2][8], 1, #ARGV[8]) == ARGV[8] then return 0 end
+end
+keep_members(KEYS[5], 10, ARGV[7])
 local members = redis.call('ZCARD', KEYS[5])
 local number, digest = 0, ''
 local last = redis.call('XREVRANGE', KEYS[1], '+', '-', 'COUNT', 1)[1]
@@ -184,6 +196,8 @@ void SendHeadAppend(RedisClient& client, const HeadLogKeys& keys, const HeadPosi
                  absl::StrCat(absl::ToInt64Milliseconds(retention)),
                  kMarkerGrace,
                  absl::StrCat(kAliveMilliseconds),
+                 append.identity,
+                 kMostUnread,
                  members[0],
                  members[1],
                  members[2],
@@ -254,6 +268,18 @@ absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
   if (!reply.ok()) return reply.status();
   if ((*reply)->integer == 1) return absl::OkStatus();
   return absl::AbortedError("another server has changed the log");
+}
+
+absl::Status RestoreHeadMarkers(RedisClient& client, const HeadLogKeys& keys,
+                                absl::Span<const HeadMarker> markers, absl::Duration retention) {
+  const std::string milliseconds = absl::StrCat(absl::ToInt64Milliseconds(retention));
+  for (const HeadMarker& marker : markers) {
+    client.Append(
+        {"SET", Marker(keys, marker.session, marker.episode), marker.id, "PX", milliseconds});
+  }
+  absl::Status outcome;
+  for (size_t i = 0; i < markers.size(); ++i) outcome.Update(client.Read().status());
+  return outcome;
 }
 
 absl::Status AskForHeadSnapshot(RedisClient& client, const HeadLogKeys& keys) {

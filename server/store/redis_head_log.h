@@ -22,6 +22,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "absl/types/span.h"
 #include "core/store/redis_client.h"
 #include "server/store/head_entry.h"
 
@@ -43,6 +44,7 @@ struct HeadAppend {
   int64_t episode = 0;
   std::string head;
   std::string bytes;
+  std::string identity;              // HeadEntryIdentity()
   std::vector<std::string> members;  // contributors with a session on this server
 };
 
@@ -89,6 +91,17 @@ absl::Status StoreHeadSnapshot(RedisClient& client, const HeadLogKeys& keys,
 absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
                             absl::string_view expected_digest, const HeadPosition& position,
                             absl::string_view bytes);
+
+// The session and the episode of an entry, and its id in the log.
+struct HeadMarker {
+  std::string session;
+  int64_t episode = 0;
+  std::string id;
+};
+
+// Lets the log remember for `retention` that it has had these entries.
+absl::Status RestoreHeadMarkers(RedisClient& client, const HeadLogKeys& keys,
+                                absl::Span<const HeadMarker> markers, absl::Duration retention);
 
 // Asks the other servers for a snapshot.
 absl::Status AskForHeadSnapshot(RedisClient& client, const HeadLogKeys& keys);

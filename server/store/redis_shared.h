@@ -5,7 +5,7 @@
 // - pf:<SHA-256>: the file of a promoted version; pf:<SHA-256>.sig: its signature.
 // - r, a sorted set: the servers, by the time at which they were alive last.
 //
-// Thread-safe. All methods block for at most a few RedisConnection::kTimeout.
+// Thread-safe. All methods block for at most a few RedisOptions::timeout.
 #ifndef SERVER_STORE_REDIS_SHARED_H_
 #define SERVER_STORE_REDIS_SHARED_H_
 

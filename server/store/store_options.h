@@ -26,9 +26,12 @@ absl::StatusOr<StoreAddress> ParseStoreAddress(const std::string& text);
 
 struct StoreOptions {
   std::string address = "memory";
-  std::string password_file;                   // of Redis; empty: none
-  RedisTlsFiles tls_files;                     // of Redis
-  int64_t replicas = 0;                        // of Redis, that must have a record before it counts
+  std::string password_file;                      // of Redis; empty: none
+  std::string user;                               // of Redis; empty: as the address says
+  absl::Duration timeout = kDefaultRedisTimeout;  // of Redis: the longest wait for its answer
+  RedisTlsFiles tls_files;                        // of Redis
+  int64_t replicas = 0;    // of Redis, that must have a record before it counts
+  bool may_evict = false;  // Redis may remove sessions of durability SYNC when its memory is full
   absl::Duration retention = absl::Hours(24);  // time that a session stays after its last use
 
   // Returns INVALID_ARGUMENT, which names the flag, what was expected and what was received.

@@ -38,6 +38,7 @@ void VersionLog::Append(std::shared_ptr<FleetContribution> contribution) {
                     .episode = entry.episode,
                     .head = entry.head,
                     .bytes = SerializeHeadEntry(entry),
+                    .identity = HeadEntryIdentity(entry),
                     .members = {}};
   request.contribution = std::move(contribution);
   store_->Add(this, std::move(request));
@@ -56,6 +57,7 @@ HeadLogStore::Request VersionLog::NewRequest(HeadEntry::Kind kind, const std::st
                     .episode = 0,
                     .head = head,
                     .bytes = id.ok() ? SerializeHeadEntry(entry) : "",
+                    .identity = HeadEntryIdentity(entry),
                     .members = {}};
   return request;
 }

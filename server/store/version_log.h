@@ -65,8 +65,8 @@ class VersionLog final : public HeadLog {
   absl::Duration read_at;  // the next time without requests
   absl::Duration retry_at;
   absl::Duration retry_delay;
-  bool is_used = false;         // a session on this server uses a head, as of `members_kept`
-  absl::Duration members_kept;  // when
+  bool is_used = false;                       // a session on this server uses a head
+  absl::Duration members_kept;                // when
   std::optional<absl::Duration> gap_since;    // the stored log has a gap
   std::optional<absl::Duration> pause_since;  // the log and the settings differ in the pause
   // Outcomes of entries that were folded since the requests were taken.

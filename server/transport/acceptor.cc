@@ -1,17 +1,16 @@
 #include "server/transport/acceptor.h"
 
-#include <arpa/inet.h>
 #include <fcntl.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 
-#include <array>
 #include <cerrno>
 #include <memory>
 #include <utility>
 
+#include "server/base/log.h"
 #include "server/transport/socket.h"
 
 namespace spikeserve {
@@ -25,21 +24,6 @@ constexpr int kKeepAliveIntervalSeconds = 10;
 constexpr int kKeepAliveProbes = 3;
 
 FileDescriptor OpenReserve() { return FileDescriptor(open("/dev/null", O_RDONLY | O_CLOEXEC)); }
-
-// Returns the client's IP address; clients of a unix: socket share one name.
-std::string ClientAddress(const sockaddr_storage& peer) {
-  std::array<char, INET6_ADDRSTRLEN> text = {};
-  if (peer.ss_family == AF_INET) {
-    const auto& address = reinterpret_cast<const sockaddr_in&>(peer);
-    inet_ntop(AF_INET, &address.sin_addr, text.data(), text.size());
-  } else if (peer.ss_family == AF_INET6) {
-    const auto& address = reinterpret_cast<const sockaddr_in6&>(peer);
-    inet_ntop(AF_INET6, &address.sin6_addr, text.data(), text.size());
-  } else {
-    return "unix";
-  }
-  return text.data();
-}
 
 void SetTcpOptions(int fd) {
   const auto set = [fd](int level, int name, int value) {
@@ -88,7 +72,7 @@ void Acceptor::AcceptSome() {
     FileDescriptor fd(accept4(listener_.get(), reinterpret_cast<sockaddr*>(&peer), &size,
                               SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (fd.valid()) {
-      Take(std::move(fd), ClientAddress(peer));
+      Take(std::move(fd), OriginOf(peer));
     } else if (errno == EMFILE || errno == ENFILE) {
       return RefuseOne();
     } else if (errno != ECONNABORTED && errno != EINTR) {
@@ -97,38 +81,34 @@ void Acceptor::AcceptSome() {
   }
 }
 
-void Acceptor::Take(FileDescriptor fd, const std::string& address) {
+void Acceptor::Take(FileDescriptor fd, const ClientOrigin& origin) {
   SetTcpOptions(fd.get());
-  auto slot = options_.connections->Admit(address);
+  ConnectionHost& host = *options_.hosts[next_host_++ % options_.hosts.size()];
+  auto slot = options_.connections->Admit(origin, &host);
   if (slot == nullptr) {
     if (options_.tls == nullptr) {
       send(fd.get(), options_.refusal.data(), options_.refusal.size(), MSG_NOSIGNAL);
     }
     return;
   }
-  const bool crowded = options_.connections->strangers() > options_.max_strangers;
   auto socket = options_.tls == nullptr ? MakePlainSocket(std::move(fd))
                                         : MakeTlsSocket(std::move(fd), options_.tls);
   if (socket == nullptr) return;
-  ConnectionHost& host = *options_.hosts[next_host_++ % options_.hosts.size()];
-  if (&host == &first_) {
-    if (crowded) host.CloseOldestStranger();
-    return host.Adopt(std::move(socket), std::move(slot));
-  }
+  if (&host == &first_) return host.Adopt(std::move(socket), std::move(slot));
   // std::function needs a copyable function, so the parts travel in a shared one.
   struct Parts {
     std::unique_ptr<Socket> socket;
     std::unique_ptr<ConnectionSlot> slot;
   };
   auto parts = std::make_shared<Parts>(Parts{std::move(socket), std::move(slot)});
-  host.events().Post([&host, crowded, parts] {
-    if (crowded) host.CloseOldestStranger();
-    host.Adopt(std::move(parts->socket), std::move(parts->slot));
-  });
+  host.events().Post(
+      [&host, parts] { host.Adopt(std::move(parts->socket), std::move(parts->slot)); });
 }
 
 void Acceptor::RefuseOne() {
-  first_.CloseOldestStranger();
+  options_.connections->DropStrangers(ConnectionLimit::kFileDescriptors, 1);
+  options_.connections->CountRefused(ConnectionLimit::kFileDescriptors);
+  LogWarning("connection refused", {{"limit", ToString(ConnectionLimit::kFileDescriptors)}});
   reserve_.Close();
   FileDescriptor(accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC)).Close();
   reserve_ = OpenReserve();

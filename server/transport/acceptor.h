@@ -6,13 +6,13 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "server/access/tls_context.h"
 #include "server/base/file_descriptor.h"
+#include "server/transport/client_origin.h"
 #include "server/transport/connection_host.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
@@ -26,7 +26,6 @@ class Acceptor final : public EventLoop::Source, public StrangerQueue::Waiter {
   struct Options {
     std::vector<ConnectionHost*> hosts;
     ConnectionTable* connections;
-    int64_t max_strangers;      // above it, each new connection closes the oldest stranger
     absl::string_view refusal;  // sent in plain text to a client for which there is no place
     TlsContext* tls;            // null for plain text
   };
@@ -43,9 +42,10 @@ class Acceptor final : public EventLoop::Source, public StrangerQueue::Waiter {
  private:
   void AcceptSome();
   // Serves a connection or refuses it.
-  void Take(FileDescriptor fd, const std::string& address);
+  void Take(FileDescriptor fd, const ClientOrigin& origin);
   // Accepts one connection although the process may open no more files, and closes it, so that its
-  // client fails now instead of waiting, and the listener does not stay ready for ever.
+  // client fails now instead of waiting, and the listener does not stay ready for ever. Closes a
+  // stranger, too, so that the next client finds a file descriptor.
   void RefuseOne();
 
   FileDescriptor listener_;

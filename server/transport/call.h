@@ -42,6 +42,9 @@ class Call {
   // been finished, by Finish() or by its deadline.
   virtual void Send(const google::protobuf::MessageLite& message) = 0;
 
+  // As Send(), for a message that AppendMessage() has framed: another thread can do that.
+  virtual void SendFramed(std::string framed) = 0;
+
   // Ends the call with `status` after the messages that are queued. Further messages of the client
   // are dropped; OnClosed() follows later. Does nothing if the call has been finished.
   virtual void Finish(const absl::Status& status) = 0;
@@ -56,6 +59,11 @@ class Call {
 
   // Drops the rest of the request as it arrives, without storing any of it.
   virtual void DropRequest() = 0;
+
+  // Counts `bytes` as those that the handler stores for the call, in place of what it said before:
+  // parsed requests, and answers that wait. Returns false if the tenant or the process then exceeds
+  // its limit; the handler should free them and refuse the call.
+  virtual bool Hold(int64_t bytes) = 0;
 };
 
 // Answers one call. The transport holds a reference until OnClosed() has returned.

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "server/base/log.h"
+#include "server/transport/connection_callbacks.h"
 
 namespace spikeserve {
 namespace {
@@ -13,6 +14,7 @@ namespace {
 constexpr size_t kReadBytes = 16 << 10;   // at a time, a record of TLS
 constexpr int kReadsPerStep = 16;         // then other connections get their turn
 constexpr size_t kWriteBytes = 64 << 10;  // at a time
+constexpr size_t kWriteStep = 256 << 10;  // then other connections get their turn
 
 // The time after which a step of a connection ends; it may be exceeded by what one read brings.
 constexpr absl::Duration kStepTime = absl::Microseconds(300);
@@ -31,79 +33,16 @@ constexpr int64_t kStoredAnswers = 1 << 20;
 constexpr int64_t kAnswersWhenScarce = 64 << 10;
 constexpr int64_t kScarceFraction = 4;
 
+// What a stranger may store on one connection: requests of methods that need no token are short.
+constexpr int64_t kStrangerBytes = 1 << 20;
+
 constexpr char kResetLimit[] = "--max_resets_per_second";
 constexpr char kControlLimit[] = "--max_control_frames_per_second";
 
 constexpr uint32_t kStreamWindow = 64 << 10;
 constexpr int32_t kConnectionWindow = 1 << 20;
 
-absl::string_view View(const uint8_t* data, size_t size) {
-  return {reinterpret_cast<const char*>(data), size};
-}
-
 }  // namespace
-
-// Passes nghttp2's callbacks on to the connection.
-struct ConnectionCallbacks {
-  static Connection* Self(void* user_data) { return static_cast<Connection*>(user_data); }
-
-  static int OnBeginHeaders(nghttp2_session* /*session*/, const nghttp2_frame* frame, void* user) {
-    if (frame->headers.cat != NGHTTP2_HCAT_REQUEST) return 0;
-    return Self(user)->OnBeginHeaders(frame->hd.stream_id);
-  }
-  static int OnHeader(nghttp2_session* /*session*/, const nghttp2_frame* frame, const uint8_t* name,
-                      size_t name_size, const uint8_t* value, size_t value_size, uint8_t /*flags*/,
-                      void* user) {
-    return Self(user)->OnHeader(frame->hd.stream_id, View(name, name_size),
-                                View(value, value_size));
-  }
-  static int OnBeginFrame(nghttp2_session* /*session*/, const nghttp2_frame_hd* header,
-                          void* user) {
-    if (header->type == NGHTTP2_HEADERS) {
-      Self(user)->headers_since_ = Self(user)->loop().now();
-    }
-    return 0;
-  }
-  static int OnFrame(nghttp2_session* /*session*/, const nghttp2_frame* frame, void* user) {
-    return Self(user)->OnFrame(*frame);
-  }
-  static int OnDataChunk(nghttp2_session* /*session*/, uint8_t /*flags*/, int32_t id,
-                         const uint8_t* data, size_t size, void* user) {
-    return Self(user)->OnDataChunk(id, View(data, size));
-  }
-  static int OnStreamClose(nghttp2_session* /*session*/, int32_t id, uint32_t /*error*/,
-                           void* user) {
-    return Self(user)->OnStreamClosed(id);
-  }
-  static int OnFrameSend(nghttp2_session* /*session*/, const nghttp2_frame* frame, void* user) {
-    return Self(user)->OnFrameSent(*frame);
-  }
-  static int OnInvalidFrame(nghttp2_session* /*session*/, const nghttp2_frame* /*frame*/,
-                            int /*error*/, void* user) {
-    return Self(user)->Tolerate(&Self(user)->resets_, kResetLimit);
-  }
-
-  static nghttp2_session_callbacks* Make() {
-    nghttp2_session_callbacks* callbacks = nullptr;
-    nghttp2_session_callbacks_new(&callbacks);
-    nghttp2_session_callbacks_set_on_begin_headers_callback(callbacks, &OnBeginHeaders);
-    nghttp2_session_callbacks_set_on_header_callback(callbacks, &OnHeader);
-    nghttp2_session_callbacks_set_on_begin_frame_callback(callbacks, &OnBeginFrame);
-    nghttp2_session_callbacks_set_on_frame_recv_callback(callbacks, &OnFrame);
-    nghttp2_session_callbacks_set_on_data_chunk_recv_callback(callbacks, &OnDataChunk);
-    nghttp2_session_callbacks_set_on_stream_close_callback(callbacks, &OnStreamClose);
-    nghttp2_session_callbacks_set_on_frame_send_callback(callbacks, &OnFrameSend);
-    nghttp2_session_callbacks_set_on_invalid_frame_recv_callback(callbacks, &OnInvalidFrame);
-    return callbacks;
-  }
-
-  static nghttp2_option* MakeOption() {
-    nghttp2_option* option = nullptr;
-    nghttp2_option_new(&option);
-    nghttp2_option_set_no_auto_window_update(option, 1);
-    return option;
-  }
-};
 
 Connection::Connection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
                        Shared* shared)
@@ -114,11 +53,9 @@ Connection::Connection(std::unique_ptr<Socket> socket, std::unique_ptr<Connectio
       last_active_(connected_),
       resets_(shared->limits->max_resets_per_second),
       control_frames_(shared->limits->max_control_frames_per_second) {
-  // Created once and never destroyed: every connection of the process uses them.
-  static const nghttp2_session_callbacks* const callbacks = ConnectionCallbacks::Make();
-  static const nghttp2_option* const option = ConnectionCallbacks::MakeOption();
   nghttp2_session* session = nullptr;
-  nghttp2_session_server_new3(&session, callbacks, this, option, frame_memory_.allocator());
+  nghttp2_session_server_new3(&session, ConnectionCallbacks::Get(), this,
+                              ConnectionCallbacks::GetOption(), frame_memory_.allocator());
   session_.reset(session);
   const TransportLimits& limits = *shared_->limits;
   const std::array<nghttp2_settings_entry, 3> settings = {{
@@ -128,6 +65,7 @@ Connection::Connection(std::unique_ptr<Socket> socket, std::unique_ptr<Connectio
   }};
   nghttp2_submit_settings(session, NGHTTP2_FLAG_NONE, settings.data(), settings.size());
   nghttp2_session_set_local_window_size(session, NGHTTP2_FLAG_NONE, 0, kConnectionWindow);
+  CountOverhead(1);
 }
 
 absl::Status Connection::Start() {
@@ -150,7 +88,7 @@ void Connection::OnReady(uint32_t events) {
 }
 
 void Connection::ReadWhenDue() {
-  if (is_known_) return ReadAll();
+  if (slot_->is_known()) return ReadAll();
   if (shared_->stranger_queue.MayRun()) return OnTurn();
   waits_for_turn_ = true;
   UpdateWatch();
@@ -193,7 +131,7 @@ void Connection::ContinueLater() {
 void Connection::Continue() {
   continues_ = false;
   if (closed_ || waits_for_turn_) return;
-  if (!is_known_) return ReadWhenDue();
+  if (!slot_->is_known()) return ReadWhenDue();
   ReadStored();
   if (!closed_ && socket_->has_buffered_input()) ReadAll();
 }
@@ -212,8 +150,13 @@ void Connection::ReadStored() {
 }
 
 bool Connection::MayRead() const {
-  const int64_t limit = shared_->limits->max_bytes_in_flight;
-  const bool scarce = shared_->bytes_in_flight->used() > limit / kScarceFraction;
+  if (answer_bytes_ == 0) return true;
+  const TransportLimits& limits = *shared_->limits;
+  const int64_t used = shared_->budgets->all.used();
+  const bool exhausted = used > limits.max_bytes_in_flight ||
+                         (tenant_ != nullptr && tenant_->used() > limits.max_tenant_bytes);
+  if (exhausted) return false;
+  const bool scarce = !slot_->is_known() || used > limits.max_bytes_in_flight / kScarceFraction;
   return answer_bytes_ <= (scarce ? kAnswersWhenScarce : kStoredAnswers);
 }
 
@@ -261,9 +204,10 @@ void Connection::Flush() {
   wants_flush_ = false;
   if (closed_ || closing_since_ != absl::InfiniteDuration()) return;
   if (socket_->is_handshaking()) return UpdateWatch();  // writing would continue the handshake
+  size_t flushed = 0;
   while (true) {
     if (unsent_.empty()) Gather();
-    if (unsent_.empty()) break;
+    if (unsent_.empty() || flushed >= kWriteStep) break;
     const auto rest = absl::string_view(unsent_).substr(written_);
     const Socket::Result result = socket_->Write(rest);
     if (result.outcome == Socket::Outcome::kClosed) return Close();
@@ -273,6 +217,7 @@ void Connection::Flush() {
     }
     blocked_since_ = absl::InfiniteDuration();
     written_ += result.bytes;
+    flushed += result.bytes;
     if (written_ < unsent_.size()) continue;
     unsent_.clear();
     written_ = 0;
@@ -301,7 +246,7 @@ void Connection::CheckTimes() {
   const absl::Duration now = loop().now();
   if (now - closing_since_ > kClosingTimeout) return Close();
   if (closing_since_ != absl::InfiniteDuration()) return;
-  const bool never_called = is_stranger() && now - connected_ > limits.first_request_timeout;
+  const bool never_called = !slot_->has_called() && now - connected_ > limits.first_request_timeout;
   bool stuck =
       now - blocked_since_ > limits.write_timeout || now - headers_since_ > limits.request_timeout;
   const bool idle = streams_.empty() && now - last_active_ > limits.idle_timeout;
@@ -381,14 +326,50 @@ void Connection::Close() {
   CloseStreams();
   if (continues_) std::erase(shared_->to_continue, this);
   if (waits_for_turn_) shared_->stranger_queue.Remove(this);
+  if (!slot_->is_known()) CountOverhead(-1);
   shared_->closed(this);
+}
+
+void Connection::Drop() {
+  if (closed_) return;
+  if (closing_since_ == absl::InfiniteDuration() && !socket_->is_handshaking()) {
+    nghttp2_session_terminate_session(session_.get(), NGHTTP2_ENHANCE_YOUR_CALM);
+    Gather();
+    if (!unsent_.empty()) socket_->Write(absl::string_view(unsent_).substr(written_));
+  }
+  Close();
 }
 
 bool Connection::CountBytes(int64_t bytes) {
   bytes_ += bytes;
-  const TransportLimits& limits = *shared_->limits;
-  const bool process_admits = shared_->bytes_in_flight->Count(bytes, limits.max_bytes_in_flight);
-  return process_admits && (bytes <= 0 || bytes_ <= limits.max_connection_bytes);
+  return bytes <= 0 || bytes_ <= shared_->limits->max_connection_bytes;
+}
+
+bool Connection::CountStrangerBytes(int64_t bytes) {
+  stranger_bytes_ += bytes;
+  ByteBudget& strangers = shared_->budgets->strangers;
+  const int64_t limit = shared_->limits->max_stranger_bytes;
+  if (!strangers.Count(bytes, limit)) {
+    slot_->table().DropStrangers(ConnectionLimit::kStrangerBytes, strangers.used() - limit);
+  }
+  return bytes <= 0 || stranger_bytes_ <= kStrangerBytes;
+}
+
+bool Connection::CountProcessBytes(int64_t bytes) {
+  return shared_->budgets->all.Count(bytes, shared_->limits->max_bytes_in_flight);
+}
+
+void Connection::CountOverhead(int sign) {
+  CountStrangerBytes(sign * (kConnectionBytes + socket_->overhead()));
+}
+
+void Connection::MarkKnown(const std::shared_ptr<ByteBudget>& tenant) {
+  if (tenant_ == tenant) return;
+  tenant_ = tenant;
+  if (slot_->is_known()) return;
+  slot_->MarkKnown();
+  CountOverhead(-1);
+  for (const auto& [id, stream] : streams_) stream->CountFor(tenant);
 }
 
 GrpcStream* Connection::FindStream(int32_t id) {
@@ -430,10 +411,7 @@ int Connection::OnFrame(const nghttp2_frame& frame) {
       if (stream == nullptr) return 0;
       if (frame.headers.cat == NGHTTP2_HCAT_REQUEST) {
         stream->StartCall();
-        if (is_stranger()) {
-          slot_->MarkCaller();
-          shared_->called(this);
-        }
+        slot_->MarkCaller();
       }
       if (ends_stream) stream->OnHalfClose();
       return 0;
@@ -451,6 +429,8 @@ int Connection::OnFrame(const nghttp2_frame& frame) {
       return Tolerate(&control_frames_, kControlLimit);
   }
 }
+
+int Connection::OnInvalidFrame() { return Tolerate(&resets_, kResetLimit); }
 
 int Connection::OnDataChunk(int32_t id, absl::string_view data) {
   GrpcStream* stream = FindStream(id);

@@ -16,7 +16,6 @@
 #include "absl/container/flat_hash_map.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
-#include "server/base/byte_budget.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
 #include "server/transport/frame_budget.h"
@@ -25,6 +24,7 @@
 #include "server/transport/limits.h"
 #include "server/transport/socket.h"
 #include "server/transport/stranger_queue.h"
+#include "server/transport/transport_budgets.h"
 
 namespace spikeserve {
 
@@ -38,10 +38,9 @@ class Connection final : public EventLoop::Source,
     const Clock* clock;
     CallRouter* router;
     const TransportLimits* limits;
-    ByteBudget* bytes_in_flight;              // of the process
+    TransportBudgets* budgets;
     std::function<void(Connection*)> closed;  // destroys the connection at the end of the turn
     StrangerQueue stranger_queue;
-    std::function<void(Connection*)> called;    // the connection has made its first call
     std::vector<Connection*> to_flush = {};     // have something to send at the end of the turn
     std::vector<Connection*> to_continue = {};  // have something to read in the next turn
   };
@@ -70,10 +69,11 @@ class Connection final : public EventLoop::Source,
   void Drain();
   // Closes the connection now; calls are cancelled.
   void Close();
+  // As Close(), in favour of other connections. Tells the client to come back later, if it listens.
+  void Drop();
 
-  // Returns true if the client has not made a call yet.
-  bool is_stranger() const { return slot_->is_stranger(); }
-  absl::Duration connected() const { return connected_; }  // time of the loop's clock
+  // Returns the connection's number in the table.
+  uint64_t number() const { return slot_->number(); }
   bool has_streams() const { return !streams_.empty(); }
   // Returns true if bytes wait for the client to take them.
   bool has_unsent() const { return !unsent_.empty(); }
@@ -86,10 +86,13 @@ class Connection final : public EventLoop::Source,
   CallRouter& router() override { return *shared_->router; }
   const TransportLimits& limits() const override { return *shared_->limits; }
   bool CountBytes(int64_t bytes) override;
+  bool CountStrangerBytes(int64_t bytes) override;
+  bool CountProcessBytes(int64_t bytes) override;
   void CountAnswers(int64_t bytes) override { answer_bytes_ += bytes; }
   void WantFlush() override;
   bool MayRead() const override;
-  void MarkKnown() override { is_known_ = true; }
+  void MarkKnown(const std::shared_ptr<ByteBudget>& tenant) override;
+  const std::shared_ptr<ByteBudget>& tenant() const override { return tenant_; }
   void ReadOnLater(int32_t id) override;
 
  private:
@@ -121,6 +124,8 @@ class Connection final : public EventLoop::Source,
   void DropInput();
   // Cancels all calls.
   void CloseStreams();
+  // Counts what a connection of a stranger occupies, apart from its streams; -1: no longer.
+  void CountOverhead(int sign);
   // Sends GOAWAY with nghttp2's `error`, then closes in order.
   void Abort(uint32_t error);
   GrpcStream* FindStream(int32_t id);
@@ -132,6 +137,7 @@ class Connection final : public EventLoop::Source,
   int OnDataChunk(int32_t id, absl::string_view data);
   int OnStreamClosed(int32_t id);
   int OnFrameSent(const nghttp2_frame& frame);
+  int OnInvalidFrame();
   // Counts a frame that costs work and brings none. Ends the connection if there are too many;
   // `limit` names the flag.
   int Tolerate(FrameBudget* budget, absl::string_view limit);
@@ -147,8 +153,10 @@ class Connection final : public EventLoop::Source,
   absl::Duration headers_since_ = absl::InfiniteDuration();  // a header block is incomplete
   FrameBudget resets_;
   FrameBudget control_frames_;
-  int64_t bytes_ = 0;         // that streams store
-  int64_t answer_bytes_ = 0;  // those that are answers
+  int64_t bytes_ = 0;                   // that streams store
+  int64_t answer_bytes_ = 0;            // those that are answers
+  int64_t stranger_bytes_ = 0;          // those of a stranger
+  std::shared_ptr<ByteBudget> tenant_;  // whose call was admitted last; null: a stranger
   FrameMemory frame_memory_;
   std::unique_ptr<nghttp2_session, FreeSession> session_;
   absl::flat_hash_map<int32_t, std::unique_ptr<GrpcStream>> streams_;
@@ -157,7 +165,6 @@ class Connection final : public EventLoop::Source,
   std::string unsent_;  // frames, not yet written
   size_t written_ = 0;  // bytes of `unsent_` that were written
   bool has_buffers_ = true;
-  bool is_known_ = false;        // a call was admitted
   bool waits_for_turn_ = false;  // in the queue of strangers
   uint32_t watched_ = 0;         // events
   absl::Duration closing_since_ = absl::InfiniteDuration();

@@ -1,6 +1,6 @@
 // What serves the connections that an Acceptor has accepted.
 //
-// Confined to the thread of its loop.
+// Confined to the thread of its loop, except ConnectionCloser.
 #ifndef SERVER_TRANSPORT_CONNECTION_HOST_H_
 #define SERVER_TRANSPORT_CONNECTION_HOST_H_
 
@@ -13,7 +13,7 @@
 
 namespace spikeserve {
 
-class ConnectionHost {
+class ConnectionHost : public ConnectionCloser {
  public:
   // Returns the loop that calls the host. Its Post() may be called from any thread.
   virtual EventLoop& events() = 0;
@@ -21,8 +21,6 @@ class ConnectionHost {
 
   // Serves a new connection.
   virtual void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) = 0;
-  // Closes the connection that has waited longest without a call, if there is one.
-  virtual void CloseOldestStranger() = 0;
 
  protected:
   ~ConnectionHost() = default;

@@ -1,46 +1,152 @@
 #include "server/transport/connection_table.h"
 
+#include "absl/container/flat_hash_map.h"
+#include "server/base/log.h"
+
 namespace spikeserve {
+namespace {
 
-std::unique_ptr<ConnectionSlot> ConnectionTable::Admit(const std::string& address) {
-  {
-    absl::MutexLock lock(&mutex_);
-    if (connections_ >= max_connections_) return nullptr;
-    int64_t& from_address = by_address_[address];
-    if (from_address >= max_per_address_) return nullptr;
-    ++from_address;
-    ++connections_;
-    ++strangers_;
+void CountDown(absl::flat_hash_map<std::string, int64_t>* counts, const std::string& name) {
+  const auto found = counts->find(name);
+  if (--found->second == 0) counts->erase(found);
+}
+
+int64_t CountOf(const absl::flat_hash_map<std::string, int64_t>& counts, const std::string& name) {
+  const auto found = counts.find(name);
+  return found == counts.end() ? 0 : found->second;
+}
+
+}  // namespace
+
+absl::string_view ToString(ConnectionLimit limit) {
+  switch (limit) {
+    case ConnectionLimit::kConnections:
+      return "max_connections";
+    case ConnectionLimit::kPerAddress:
+      return "max_connections_per_address";
+    case ConnectionLimit::kPerNetwork:
+      return "max_connections_per_network";
+    case ConnectionLimit::kReserve:
+      return "reserve";
+    case ConnectionLimit::kIdleStrangers:
+      return "max_idle_strangers";
+    case ConnectionLimit::kStrangerBytes:
+      return "max_stranger_bytes";
+    case ConnectionLimit::kFileDescriptors:
+      return "open_files";
   }
-  return std::make_unique<ConnectionSlot>(this, address);
+  return "";
 }
 
-int64_t ConnectionTable::connections() const {
+std::unique_ptr<ConnectionSlot> ConnectionTable::Admit(const ClientOrigin& origin,
+                                                       ConnectionCloser* closer) {
   absl::MutexLock lock(&mutex_);
-  return connections_;
+  if (const auto limit = MakeRoom(origin); limit.has_value()) {
+    ++counts_.refused[static_cast<size_t>(*limit)];
+    LogWarning("connection refused", {{"client", origin.address}, {"limit", ToString(*limit)}});
+    return nullptr;
+  }
+  auto slot = std::make_unique<ConnectionSlot>(this, origin, next_number_++, closer);
+  ++counts_.open;
+  ++by_host_[origin.host];
+  ++by_network_[origin.network];
+  Index(slot.get(), /*has_called=*/false);
+  return slot;
 }
 
-int64_t ConnectionTable::closed() const {
-  absl::MutexLock lock(&mutex_);
-  return closed_;
+std::optional<ConnectionLimit> ConnectionTable::MakeRoom(const ClientOrigin& origin) {
+  if (CountOf(by_host_, origin.host) >= limits_.per_address &&
+      !Drop(strangers_.FirstOfHost(origin.host), ConnectionLimit::kPerAddress)) {
+    return ConnectionLimit::kPerAddress;
+  }
+  if (CountOf(by_network_, origin.network) >= limits_.per_network &&
+      !Drop(strangers_.FirstOfNetwork(origin.network), ConnectionLimit::kPerNetwork)) {
+    return ConnectionLimit::kPerNetwork;
+  }
+  if (counts_.open >= limits_.connections &&
+      !Drop(strangers_.FirstOfLargestNetwork(), ConnectionLimit::kConnections)) {
+    return ConnectionLimit::kConnections;
+  }
+  if (strangers_.size() >= max_strangers_) {
+    Drop(strangers_.FirstOfLargestNetwork(), ConnectionLimit::kReserve);
+  }
+  if (idle_strangers_.size() >= limits_.idle_strangers) {
+    Drop(idle_strangers_.FirstOfLargestNetwork(), ConnectionLimit::kIdleStrangers);
+  }
+  return std::nullopt;
 }
 
-int64_t ConnectionTable::strangers() const {
-  absl::MutexLock lock(&mutex_);
-  return strangers_;
+bool ConnectionTable::Drop(ConnectionSlot* slot, ConnectionLimit reason) {
+  if (slot == nullptr) return false;
+  Leave(slot);
+  slot->was_dropped_ = true;
+  ++dropping_;
+  ++counts_.dropped[static_cast<size_t>(reason)];
+  LogWarning("connection of a stranger dropped",
+             {{"client", slot->origin_.address}, {"limit", ToString(reason)}});
+  slot->closer_->CloseSoon(slot->number_);
+  return true;
 }
 
-void ConnectionTable::RemoveStranger() {
+void ConnectionTable::DropStrangers(ConnectionLimit reason, int64_t bytes) {
   absl::MutexLock lock(&mutex_);
-  --strangers_;
+  while (dropping_ * kConnectionBytes < bytes && Drop(strangers_.FirstOfLargestNetwork(), reason)) {
+  }
 }
 
-void ConnectionTable::Remove(const std::string& address) {
+void ConnectionTable::CountRefused(ConnectionLimit reason) {
   absl::MutexLock lock(&mutex_);
-  --connections_;
-  ++closed_;
-  const auto found = by_address_.find(address);
-  if (--found->second == 0) by_address_.erase(found);
+  ++counts_.refused[static_cast<size_t>(reason)];
+}
+
+ConnectionTable::Counts ConnectionTable::counts() const {
+  absl::MutexLock lock(&mutex_);
+  Counts counts = counts_;
+  counts.strangers = strangers_.size();
+  return counts;
+}
+
+void ConnectionTable::Index(ConnectionSlot* slot, bool has_called) {
+  slot->rank_ = {has_called, slot->number_};
+  strangers_.Add(slot, slot->origin_, *slot->rank_);
+  if (!has_called) idle_strangers_.Add(slot, slot->origin_, *slot->rank_);
+}
+
+void ConnectionTable::Unindex(ConnectionSlot* slot) {
+  const auto rank = std::exchange(slot->rank_, std::nullopt);
+  if (!rank.has_value()) return;
+  strangers_.Remove(slot->origin_, *rank);
+  const bool has_called = rank->first;
+  if (!has_called) idle_strangers_.Remove(slot->origin_, *rank);
+}
+
+void ConnectionTable::Leave(ConnectionSlot* slot) {
+  Unindex(slot);
+  --counts_.open;
+  CountDown(&by_host_, slot->origin_.host);
+  CountDown(&by_network_, slot->origin_.network);
+}
+
+void ConnectionTable::MarkCaller(ConnectionSlot* slot) {
+  absl::MutexLock lock(&mutex_);
+  if (!slot->rank_.has_value()) return;  // dropped
+  Unindex(slot);
+  Index(slot, /*has_called=*/true);
+}
+
+void ConnectionTable::MarkKnown(ConnectionSlot* slot) {
+  absl::MutexLock lock(&mutex_);
+  Unindex(slot);
+}
+
+void ConnectionTable::Remove(ConnectionSlot* slot) {
+  absl::MutexLock lock(&mutex_);
+  ++counts_.closed;
+  if (slot->was_dropped_) {
+    --dropping_;
+  } else {
+    Leave(slot);
+  }
 }
 
 }  // namespace spikeserve

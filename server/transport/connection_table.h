@@ -1,75 +1,171 @@
-// Bounds how many connections the process, and each client address, may have.
+// Bounds how many connections the process, each client and each network may have, and decides which
+// connection is closed to make room for another.
+//
+// A stranger is a connection none of whose calls was admitted yet. Strangers cannot hold the places
+// of others: a new connection that meets a limit takes the place of a stranger of the same host or
+// network, or else of the network that has the most of them; strangers without a call go first,
+// then the oldest. A part of all places is kept for connections that are known.
+//
+//   auto slot = table.Admit(origin, &host);
+//   if (slot == nullptr) return Refuse();
+//   slot->MarkCaller();  // a call has arrived
+//   slot->MarkKnown();   // and was admitted
 //
 // Thread-safe. Must outlive its slots.
 #ifndef SERVER_TRANSPORT_CONNECTION_TABLE_H_
 #define SERVER_TRANSPORT_CONNECTION_TABLE_H_
 
+#include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/flat_hash_map.h"
+#include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
+#include "server/transport/client_origin.h"
+#include "server/transport/stranger_index.h"
 
 namespace spikeserve {
 
 class ConnectionSlot;
 
+// Why a connection was refused, or dropped in favour of others.
+enum class ConnectionLimit {
+  kConnections,      // of the process
+  kPerAddress,       // of a host
+  kPerNetwork,       // of a network
+  kReserve,          // the places that are kept for connections that are known
+  kIdleStrangers,    // strangers without a call
+  kStrangerBytes,    // what strangers store
+  kFileDescriptors,  // the process may open no more files
+};
+inline constexpr size_t kConnectionLimits = 7;
+
+// What a connection occupies apart from its streams: the session of nghttp2 with its HPACK tables,
+// and buffers. loadtest/bench/connection_memory.py measures it.
+inline constexpr int64_t kConnectionBytes = 28 << 10;
+
+// Returns the name of the flag behind a limit, or another word if it has none.
+absl::string_view ToString(ConnectionLimit limit);
+
+// What serves a connection and can close it.
+class ConnectionCloser {
+ public:
+  // Closes the connection with this number soon, unless it is closed already. Thread-safe; returns
+  // at once.
+  virtual void CloseSoon(uint64_t number) = 0;
+
+ protected:
+  ~ConnectionCloser() = default;
+};
+
 class ConnectionTable {
  public:
-  ConnectionTable(int64_t max_connections, int64_t max_per_address)
-      : max_connections_(max_connections), max_per_address_(max_per_address) {}
+  struct Limits {
+    int64_t connections;
+    int64_t per_address;
+    int64_t per_network;
+    int64_t idle_strangers;
+  };
+  using CountByLimit = std::array<int64_t, kConnectionLimits>;
+  struct Counts {
+    int64_t open = 0;
+    int64_t strangers = 0;  // of these
+    int64_t closed = 0;     // so far
+    CountByLimit refused = {};
+    CountByLimit dropped = {};
+  };
 
-  // Returns the place of a connection from `address`, a stranger's at first; null if there is none
-  // left.
-  std::unique_ptr<ConnectionSlot> Admit(const std::string& address);
+  explicit ConnectionTable(const Limits& limits)
+      : limits_(limits), max_strangers_(limits.connections - limits.connections / kReservedShare) {}
 
-  int64_t connections() const;
-  // Returns the number of connections that were closed so far.
-  int64_t closed() const;
-  // Returns the number of connections that have not made a call yet.
-  int64_t strangers() const;
+  // Returns the place of a new connection, a stranger's at first; null if there is none, which is
+  // logged. `closer`, which must outlive the slot, closes the connection if its place is needed.
+  std::unique_ptr<ConnectionSlot> Admit(const ClientOrigin& origin, ConnectionCloser* closer);
+
+  // Closes the strangers that have to go first, as far as there are some, until `bytes` are freed
+  // with those that are about to be closed: each frees at least kConnectionBytes.
+  void DropStrangers(ConnectionLimit reason, int64_t bytes);
+  // Counts a connection that was refused for another reason than the limits of Admit().
+  void CountRefused(ConnectionLimit reason);
+
+  int64_t max_connections() const { return limits_.connections; }
+  Counts counts() const;
 
  private:
   friend class ConnectionSlot;
 
-  void RemoveStranger();
-  void Remove(const std::string& address);
+  // A quarter of all places is kept for connections that are known.
+  static constexpr int64_t kReservedShare = 4;
 
-  const int64_t max_connections_;
-  const int64_t max_per_address_;
+  // Returns the limit that `origin` meets, after strangers have made room for it.
+  std::optional<ConnectionLimit> MakeRoom(const ClientOrigin& origin)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Closes a connection, whose place is free at once. Returns false if `slot` is null.
+  bool Drop(ConnectionSlot* slot, ConnectionLimit reason) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Makes the place of `slot` free.
+  void Leave(ConnectionSlot* slot) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Adds `slot` to the indices of strangers, or removes it from those in which it is.
+  void Index(ConnectionSlot* slot, bool has_called) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void Unindex(ConnectionSlot* slot) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  // Called by slots.
+  void MarkCaller(ConnectionSlot* slot);
+  void MarkKnown(ConnectionSlot* slot);
+  void Remove(ConnectionSlot* slot);
+
+  const Limits limits_;
+  const int64_t max_strangers_;
   mutable absl::Mutex mutex_;
-  int64_t connections_ ABSL_GUARDED_BY(mutex_) = 0;
-  int64_t closed_ ABSL_GUARDED_BY(mutex_) = 0;
-  int64_t strangers_ ABSL_GUARDED_BY(mutex_) = 0;
-  absl::flat_hash_map<std::string, int64_t> by_address_ ABSL_GUARDED_BY(mutex_);
+  Counts counts_ ABSL_GUARDED_BY(mutex_);
+  int64_t dropping_ ABSL_GUARDED_BY(mutex_) = 0;  // dropped, and not yet closed
+  uint64_t next_number_ ABSL_GUARDED_BY(mutex_) = 0;
+  StrangerIndex strangers_ ABSL_GUARDED_BY(mutex_);
+  StrangerIndex idle_strangers_ ABSL_GUARDED_BY(mutex_);  // those of them without a call
+  absl::flat_hash_map<std::string, int64_t> by_host_ ABSL_GUARDED_BY(mutex_);
+  absl::flat_hash_map<std::string, int64_t> by_network_ ABSL_GUARDED_BY(mutex_);
 };
 
-// A connection's place in the table, which the destructor gives back. Not thread-safe.
+// A connection's place in the table, which the destructor gives back. Confined to one thread.
 class ConnectionSlot {
  public:
-  ConnectionSlot(ConnectionTable* table, std::string address)
-      : table_(table), address_(std::move(address)) {}
-  ~ConnectionSlot() {
-    MarkCaller();
-    table_->Remove(address_);
-  }
+  ConnectionSlot(ConnectionTable* table, ClientOrigin origin, uint64_t number,
+                 ConnectionCloser* closer)
+      : table_(table), origin_(std::move(origin)), number_(number), closer_(closer) {}
+  ~ConnectionSlot() { table_->Remove(this); }
   ConnectionSlot(const ConnectionSlot&) = delete;
   ConnectionSlot& operator=(const ConnectionSlot&) = delete;
 
   // The connection has made a call.
   void MarkCaller() {
-    if (std::exchange(is_stranger_, false)) table_->RemoveStranger();
+    if (!std::exchange(has_called_, true)) table_->MarkCaller(this);
   }
-  bool is_stranger() const { return is_stranger_; }
-  const std::string& address() const { return address_; }
+  // A call of the connection was admitted: it is no stranger any more.
+  void MarkKnown() {
+    if (!std::exchange(is_known_, true)) table_->MarkKnown(this);
+  }
+  bool has_called() const { return has_called_; }
+  bool is_known() const { return is_known_; }
+  uint64_t number() const { return number_; }
+  const std::string& address() const { return origin_.address; }
+  ConnectionTable& table() { return *table_; }
 
  private:
+  friend class ConnectionTable;
+
   ConnectionTable* const table_;
-  const std::string address_;
-  bool is_stranger_ = true;
+  const ClientOrigin origin_;
+  const uint64_t number_;  // counts up, so it tells the age
+  ConnectionCloser* const closer_;
+  bool has_called_ = false;
+  bool is_known_ = false;
+  // Of the table, under its mutex.
+  std::optional<StrangerIndex::Rank> rank_;  // in its indices; empty: in none
+  bool was_dropped_ = false;
 };
 
 }  // namespace spikeserve

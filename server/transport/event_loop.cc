@@ -32,6 +32,8 @@ absl::StatusOr<std::unique_ptr<EventLoop>> EventLoop::Create(const Clock* clock)
 }
 
 void EventLoop::Run() {
+  thread_.Bind();
+  thread_.AssertCurrent();
   std::array<epoll_event, kEventsPerWait> events;
   int ready = 0;
   int next = 0;  // of `events`, the first one that was not handled
@@ -39,7 +41,7 @@ void EventLoop::Run() {
     bool sleeps = false;
     {
       absl::MutexLock lock(&mutex_);
-      if (stopping_) return;
+      if (stopping_) break;
       sleeps = next >= ready && posted_.empty();
       sleeping_ = sleeps;
     }
@@ -64,6 +66,7 @@ void EventLoop::Run() {
     }
     garbage_.clear();
   }
+  thread_.Release();
 }
 
 void EventLoop::Stop() {
@@ -81,19 +84,25 @@ void EventLoop::Post(std::function<void()> work) {
 }
 
 absl::Status EventLoop::Watch(int fd, uint32_t events, Source* source) {
+  thread_.AssertCurrent();
   epoll_event event = {.events = events, .data = {.ptr = source}};
   if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) == 0) return absl::OkStatus();
   return absl::ResourceExhaustedError("event loop: cannot watch another file descriptor");
 }
 
 void EventLoop::ChangeWatch(int fd, uint32_t events, Source* source) {
+  thread_.AssertCurrent();
   epoll_event event = {.events = events, .data = {.ptr = source}};
   epoll_ctl(epoll_.get(), EPOLL_CTL_MOD, fd, &event);
 }
 
-void EventLoop::Unwatch(int fd) { epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, fd, nullptr); }
+void EventLoop::Unwatch(int fd) {
+  thread_.AssertCurrent();
+  epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, fd, nullptr);
+}
 
 EventLoop::Timer EventLoop::After(absl::Duration delay, std::function<void()> work) {
+  thread_.AssertCurrent();
   const Timer timer = {clock_->Now() + delay, next_timer_++};
   timers_.emplace(timer, std::move(work));
   return timer;

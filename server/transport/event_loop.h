@@ -28,6 +28,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
+#include "core/contract/thread_checker.h"
 #include "server/base/file_descriptor.h"
 
 namespace spikeserve {
@@ -66,34 +67,54 @@ class EventLoop {
   // Runs `work` once after `delay`.
   Timer After(absl::Duration delay, std::function<void()> work);
   // Does nothing if the timer has run or `timer` identifies none.
-  void Cancel(Timer timer) { timers_.erase(timer); }
+  void Cancel(Timer timer) {
+    thread_.AssertCurrent();
+    timers_.erase(timer);
+  }
 
   // Runs `work` at the end of every turn, after everything else, in the order of registration.
-  void AtEndOfTurn(std::function<void()> work) { end_of_turn_.push_back(std::move(work)); }
+  void AtEndOfTurn(std::function<void()> work) {
+    thread_.AssertCurrent();
+    end_of_turn_.push_back(std::move(work));
+  }
 
   // Destroys `source` at the end of the turn, when no event of it can be pending any more.
-  void DeleteLater(std::unique_ptr<Source> source) { garbage_.push_back(std::move(source)); }
+  void DeleteLater(std::unique_ptr<Source> source) {
+    thread_.AssertCurrent();
+    garbage_.push_back(std::move(source));
+  }
   // Destroys what DeleteLater() was given since the last turn. REQUIRES: the loop does not run.
-  void DeleteRest() { garbage_.clear(); }
+  void DeleteRest() {
+    thread_.AssertCurrent();
+    garbage_.clear();
+  }
 
   // Returns the time at which the turn started, of the clock.
-  absl::Duration now() const { return now_; }
+  absl::Duration now() const {
+    thread_.AssertCurrent();
+    return now_;
+  }
+
+  // Returns the thread that the objects of this loop are confined to: that of Run() while it runs.
+  const ThreadChecker& thread() const { return thread_; }
 
  private:
   explicit EventLoop(const Clock* clock) : clock_(clock), now_(clock->Now()) {}
 
-  int MillisecondsToWait();
-  void RunTimers();
-  void RunPosted();
+  int MillisecondsToWait() ABSL_EXCLUSIVE_LOCKS_REQUIRED(thread_);
+  void RunTimers() ABSL_EXCLUSIVE_LOCKS_REQUIRED(thread_);
+  void RunPosted() ABSL_EXCLUSIVE_LOCKS_REQUIRED(thread_);
 
   const Clock* const clock_;
   FileDescriptor epoll_;
   FileDescriptor wakeup_;  // an eventfd that ends the wait for events
-  absl::Duration now_;
-  uint64_t next_timer_ = 1;
-  std::map<Timer, std::function<void()>> timers_;
-  std::vector<std::function<void()>> end_of_turn_;
-  std::vector<std::unique_ptr<Source>> garbage_;
+
+  ThreadChecker thread_;
+  absl::Duration now_ ABSL_GUARDED_BY(thread_);
+  uint64_t next_timer_ ABSL_GUARDED_BY(thread_) = 1;
+  std::map<Timer, std::function<void()>> timers_ ABSL_GUARDED_BY(thread_);
+  std::vector<std::function<void()>> end_of_turn_ ABSL_GUARDED_BY(thread_);
+  std::vector<std::unique_ptr<Source>> garbage_ ABSL_GUARDED_BY(thread_);
 
   absl::Mutex mutex_;
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;

@@ -6,6 +6,8 @@
 #include <cstdlib>
 #include <cstring>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 namespace {
 
@@ -22,6 +24,7 @@ FrameMemory::FrameMemory()
                  .realloc = &Reallocate} {}
 
 FrameMemory::~FrameMemory() {
+  SPIKESERVE_DCHECK(buffer_ == nullptr);  // the session, which is destroyed first, has freed it
   if (buffer_ != nullptr) munmap(buffer_, buffer_size_);
 }
 

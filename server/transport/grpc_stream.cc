@@ -20,6 +20,12 @@ constexpr int64_t kHeaderOverhead = 32;
 // apart costs time, although they are not stored.
 constexpr int64_t kHostileHeaders = 4;
 
+// What a call occupies beside its headers and messages: the stream, that of nghttp2, the handler.
+constexpr int64_t kStreamBytes = 3 << 10;
+
+// Headers that arrive slowly are counted in steps of this size.
+constexpr int64_t kHeaderStep = 4 << 10;
+
 constexpr char kContentType[] = "application/grpc";
 
 nghttp2_nv Header(absl::string_view name, absl::string_view value) {
@@ -58,8 +64,14 @@ ssize_t ReadCallback(nghttp2_session* /*session*/, int32_t /*id*/, uint8_t* out,
 
 }  // namespace
 
+GrpcStream::GrpcStream(Owner* owner, nghttp2_session* session, int32_t id)
+    : owner_(owner), session_(session), id_(id), tenant_(owner->tenant()) {
+  CountStored();
+}
+
 GrpcStream::~GrpcStream() {
   Count(-counted_);
+  owner_->CountBytes(-counted_here_);
   owner_->CountAnswers(-counted_answers_);
 }
 
@@ -67,6 +79,10 @@ bool GrpcStream::AddHeader(absl::string_view name, absl::string_view value) {
   header_bytes_ += static_cast<int64_t>(name.size() + value.size()) + kHeaderOverhead;
   ++headers_;
   const TransportLimits& limits = owner_->limits();
+  if (header_bytes_ >= header_bytes_to_count_) {
+    header_bytes_to_count_ = header_bytes_ + kHeaderStep;
+    CountStored();
+  }
   if (header_bytes_ > limits.max_header_bytes || headers_ > limits.max_headers) {
     return header_bytes_ <= kHostileHeaders * limits.max_header_bytes &&
            headers_ <= kHostileHeaders * limits.max_headers;
@@ -113,6 +129,7 @@ void GrpcStream::StartCall() {
     });
   }
   handler_ = owner_->router().Route(this);
+  if (!CountStored() && !within_group_) RefuseForBytes();
 }
 
 void GrpcStream::OnData(absl::string_view data) {
@@ -128,7 +145,7 @@ void GrpcStream::OnData(absl::string_view data) {
     Consume(data.size() - rest.size());
     unread_.assign(rest.data(), rest.size());
   }
-  CountStored();
+  BoundRequest();
   if (!unread_.empty() && !owner_->MayRead()) owner_->ReadOnLater(id_);
 }
 
@@ -167,7 +184,7 @@ void GrpcStream::ReadOn() {
     const absl::string_view rest = Deliver(data);
     Consume(data.size() - rest.size());
     unread_.assign(rest.data(), rest.size());
-    CountStored();
+    BoundRequest();
     if (!unread_.empty() && !owner_->MayRead()) owner_->ReadOnLater(id_);
   }
   if (half_closed_) OnHalfClose();
@@ -200,8 +217,21 @@ void GrpcStream::OnDrain() {
 }
 
 void GrpcStream::Admit(std::shared_ptr<ByteBudget> tenant) {
-  tenant_ = std::move(tenant);
-  owner_->MarkKnown();
+  CountFor(tenant);
+  owner_->MarkKnown(tenant);
+}
+
+void GrpcStream::CountFor(const std::shared_ptr<ByteBudget>& tenant) {
+  const int64_t bytes = counted_;
+  Count(-bytes);
+  tenant_ = tenant;
+  Count(bytes);
+}
+
+bool GrpcStream::Hold(int64_t bytes) {
+  const int64_t added = bytes - std::exchange(held_, bytes);
+  counted_ += added;
+  return Count(added);
 }
 
 void GrpcStream::ResumeReading() {
@@ -216,21 +246,31 @@ void GrpcStream::Consume(size_t bytes) {
 }
 
 bool GrpcStream::Count(int64_t bytes) {
-  const bool tenant_admits =
-      tenant_ == nullptr || tenant_->Count(bytes, owner_->limits().max_tenant_bytes);
-  return owner_->CountBytes(bytes) && tenant_admits;
+  within_group_ = tenant_ == nullptr ? owner_->CountStrangerBytes(bytes)
+                                     : tenant_->Count(bytes, owner_->limits().max_tenant_bytes);
+  return owner_->CountProcessBytes(bytes) && within_group_;
 }
 
-void GrpcStream::CountStored() {
-  const auto request = static_cast<int64_t>(reader_.buffered() + unread_.size());
+bool GrpcStream::CountStored() {
   const auto answers = static_cast<int64_t>(answer_.size());
+  const auto request = static_cast<int64_t>(reader_.buffered() + unread_.size());
+  const int64_t headers = std::min(header_bytes_, owner_->limits().max_header_bytes);
+  const int64_t here = kStreamBytes + headers + request + answers;
   owner_->CountAnswers(answers - std::exchange(counted_answers_, answers));
-  const bool within_limits = Count(request + answers - std::exchange(counted_, request + answers));
-  if (within_limits || finished_ || request == 0) return;
+  const bool connection_admits = owner_->CountBytes(here - std::exchange(counted_here_, here));
+  const int64_t all = here + held_;
+  return Count(all - std::exchange(counted_, all)) && connection_admits;
+}
+
+void GrpcStream::BoundRequest() {
+  if (CountStored() || finished_ || (reader_.buffered() == 0 && unread_.empty())) return;
   unread_ = {};
   reader_ = {};
-  Count(-request);
-  counted_ -= request;
+  CountStored();
+  RefuseForBytes();
+}
+
+void GrpcStream::RefuseForBytes() {
   Finish(absl::ResourceExhaustedError(
       "the server holds as many bytes of requests as it may, in all or of this caller; try again "
       "later"));
@@ -243,8 +283,23 @@ void GrpcStream::Send(const google::protobuf::MessageLite& message) {
     sent_ = 0;
   }
   AppendMessage(message, &answer_);
+  SubmitAnswer();
+}
+
+void GrpcStream::SendFramed(std::string framed) {
+  if (finished_) return;
+  if (unsent() == 0) {
+    answer_ = std::move(framed);
+    sent_ = 0;
+  } else {
+    answer_ += framed;
+  }
+  SubmitAnswer();
+}
+
+void GrpcStream::SubmitAnswer() {
   unsent_since_ = std::min(unsent_since_, loop().now());
-  CountStored();
+  BoundRequest();
   SubmitData();
 }
 
@@ -308,9 +363,7 @@ void GrpcStream::FreeAnswers() {
   answer_.clear();
   if (answer_.capacity() > kUnsentLimit) answer_.shrink_to_fit();
   sent_ = 0;
-  owner_->CountAnswers(-counted_answers_);
-  Count(-counted_answers_);
-  counted_ -= std::exchange(counted_answers_, 0);
+  CountStored();
 }
 
 ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {

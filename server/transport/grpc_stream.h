@@ -31,9 +31,12 @@ class GrpcStream final : public Call {
     virtual Peer peer() const = 0;
     virtual CallRouter& router() = 0;
     virtual const TransportLimits& limits() const = 0;
-    // Counts bytes that the stream stores, or stores no longer if `bytes` is negative. Returns
-    // false if a limit is exceeded; the bytes are counted in any case.
+    // Count bytes that the stream stores, or stores no longer if `bytes` is negative: of the
+    // connection, of the process, and of strangers. Return false if the limit is exceeded; the
+    // bytes are counted in any case.
     virtual bool CountBytes(int64_t bytes) = 0;
+    virtual bool CountProcessBytes(int64_t bytes) = 0;
+    virtual bool CountStrangerBytes(int64_t bytes) = 0;
     // Counts those of these bytes that are answers.
     virtual void CountAnswers(int64_t bytes) = 0;
     // The connection has something to send at the end of the turn.
@@ -41,14 +44,15 @@ class GrpcStream final : public Call {
     // Returns false while the connection stores so many answers that its streams must not read on.
     virtual bool MayRead() const = 0;
     // A call was admitted: the client is no stranger any more.
-    virtual void MarkKnown() = 0;
+    virtual void MarkKnown(const std::shared_ptr<ByteBudget>& tenant) = 0;
+    // Returns the tenant whose call was admitted last; null: the client is a stranger.
+    virtual const std::shared_ptr<ByteBudget>& tenant() const = 0;
     // Calls ReadOn() of stream `id`, if it still exists, once MayRead() returns true.
     virtual void ReadOnLater(int32_t id) = 0;
   };
 
   // `owner` and `session` must outlive the stream.
-  GrpcStream(Owner* owner, nghttp2_session* session, int32_t id)
-      : owner_(owner), session_(session), id_(id) {}
+  GrpcStream(Owner* owner, nghttp2_session* session, int32_t id);
   ~GrpcStream() override;
 
   // Takes one header of the request. Returns false if the headers exceed the limits so far that
@@ -66,6 +70,8 @@ class GrpcStream final : public Call {
   void OnClosed();
   // The server stops.
   void OnDrain();
+  // Counts what the stream stores as bytes of `tenant`.
+  void CountFor(const std::shared_ptr<ByteBudget>& tenant);
 
   // Copies data of the answer to `out`, as nghttp2's data source. `flags` are nghttp2's.
   ssize_t ReadAnswer(uint8_t* out, size_t size, uint32_t* flags);
@@ -84,20 +90,27 @@ class GrpcStream final : public Call {
   Peer peer() const override { return owner_->peer(); }
   EventLoop& loop() override { return owner_->loop(); }
   void Send(const google::protobuf::MessageLite& message) override;
+  void SendFramed(std::string framed) override;
   void Finish(const absl::Status& status) override;
   void PauseReading() override { paused_ = true; }
   void ResumeReading() override;
   void Admit(std::shared_ptr<ByteBudget> tenant) override;
   void DropRequest() override { dropping_ = true; }
+  bool Hold(int64_t bytes) override;
 
  private:
   // Passes complete messages to the handler while reading is not paused. Returns the rest.
   absl::string_view Deliver(absl::string_view data);
   // Lets the client send `bytes` more.
   void Consume(size_t bytes);
-  void CountStored();
-  // Counts `bytes`, which the stream stores or, below 0, has freed. Returns false if the
-  // connection, the tenant or the process exceeds its limit.
+  // Counts what the stream stores. Returns false if a limit is exceeded.
+  bool CountStored();
+  // As CountStored(), but drops the part of a request that is stored, and refuses the call, if a
+  // limit is exceeded.
+  void BoundRequest();
+  void RefuseForBytes();
+  // Counts `bytes`, which the stream stores or, below 0, has freed, of its tenant or of strangers,
+  // and of the process. Returns false if one of these exceeds its limit.
   bool Count(int64_t bytes);
   // Frees the answers, which were sent completely.
   void FreeAnswers();
@@ -106,6 +119,8 @@ class GrpcStream final : public Call {
   }
   size_t unsent() const { return answer_.size() - sent_; }
 
+  // Counts and announces what was added to `answer_`.
+  void SubmitAnswer();
   // Announces data to send.
   void SubmitData();
   void SubmitTrailersOnly(const absl::Status& status);
@@ -129,9 +144,12 @@ class GrpcStream final : public Call {
   std::string encoding_;
   std::string timeout_;
   int64_t header_bytes_ = 0;
+  int64_t header_bytes_to_count_ = 0;  // when they reach this number, they are counted again
   int64_t headers_ = 0;
   std::shared_ptr<CallHandler> handler_;
-  std::shared_ptr<ByteBudget> tenant_;  // null: the caller is not known yet
+  std::shared_ptr<ByteBudget> tenant_;  // null: a stranger
+  bool within_group_ = true;            // what was counted last fits the limit of these
+  int64_t held_ = 0;                    // bytes of the handler
   EventLoop::Timer deadline_timer_;
   MessageReader reader_;
   std::string unread_;  // received while reading was paused
@@ -151,7 +169,8 @@ class GrpcStream final : public Call {
   bool waiting_for_answer_ = false;  // nghttp2 asked for data and received none
   bool finished_ = false;
   std::string http_refusal_;     // status, if an HTTP error is the answer
-  int64_t counted_ = 0;          // bytes that were passed to CountBytes()
+  int64_t counted_ = 0;          // bytes that were passed to Count()
+  int64_t counted_here_ = 0;     // bytes that were passed to CountBytes()
   int64_t counted_answers_ = 0;  // bytes that were passed to CountAnswers()
 };
 

@@ -13,6 +13,9 @@
 namespace spikeserve {
 namespace {
 
+// What OpenSSL keeps of a connection, measured by loadtest/bench/connection_memory.py.
+constexpr int64_t kTlsBytes = 48 << 10;
+
 bool WouldBlock() { return errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR; }
 
 class PlainSocket final : public Socket {
@@ -45,6 +48,7 @@ class TlsSocket final : public Socket {
       : fd_(std::move(fd)), ssl_(ssl), protocol_(protocol) {}
 
   int fd() const override { return fd_.get(); }
+  int64_t overhead() const override { return kTlsBytes; }
   bool read_waits_for_write() const override { return read_waits_for_write_; }
   bool is_handshaking() const override { return SSL_is_init_finished(ssl_.get()) == 0; }
   bool has_buffered_input() const override { return SSL_pending(ssl_.get()) > 0; }

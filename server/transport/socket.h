@@ -5,6 +5,7 @@
 #define SERVER_TRANSPORT_SOCKET_H_
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <string>
 
@@ -36,6 +37,8 @@ class Socket {
   // Tells the peer that no more bytes follow. Bytes can still be read.
   virtual void ShutDownWriting() = 0;
 
+  // Returns about how many bytes the socket occupies.
+  virtual int64_t overhead() const { return 0; }
   // Returns true until the TLS handshake is complete.
   virtual bool is_handshaking() const { return false; }
   // Returns true if a blocked Read() waits until the socket can be written.

@@ -39,21 +39,23 @@ int64_t ConnectionsThatFit(int64_t wanted) {
     getrlimit(RLIMIT_NOFILE, &files);
   }
   const auto available = static_cast<int64_t>(std::min<rlim_t>(files.rlim_cur, needed));
-  return std::max<int64_t>(available - kOtherDescriptors, available / 2);
+  return std::min(wanted, std::max<int64_t>(available - kOtherDescriptors, available / 2));
 }
 
 }  // namespace
 
 Transport::Transport(const TransportOptions& options)
     : options_(options),
-      connections_(ConnectionsThatFit(options.limits.max_connections),
-                   options.limits.max_connections_per_address) {}
+      connections_({.connections = ConnectionsThatFit(options.limits.max_connections),
+                    .per_address = options.limits.max_connections_per_address,
+                    .per_network = options.limits.max_connections_per_network,
+                    .idle_strangers = options.limits.max_idle_strangers}) {}
 
 absl::StatusOr<std::unique_ptr<Transport>> Transport::Create(const TransportOptions& options) {
   auto transport = std::unique_ptr<Transport>(new Transport(options));
   for (int i = 0; i < options.loops; ++i) {
-    auto loop = TransportLoop::Create(&transport->options_.limits, &transport->bytes_in_flight_,
-                                      options.clock);
+    auto loop =
+        TransportLoop::Create(&transport->options_.limits, &transport->budgets_, options.clock);
     if (!loop.ok()) return loop.status();
     transport->loops_.push_back(*std::move(loop));
   }
@@ -62,7 +64,6 @@ absl::StatusOr<std::unique_ptr<Transport>> Transport::Create(const TransportOpti
   transport->address_ = listeners->address;
   Acceptor::Options accepting = {.hosts = {},
                                  .connections = &transport->connections_,
-                                 .max_strangers = options.limits.max_idle_strangers,
                                  .refusal = kRefusal,
                                  .tls = options.tls};
   for (const auto& loop : transport->loops_) accepting.hosts.push_back(loop.get());
@@ -115,7 +116,7 @@ void Transport::Stop(absl::Duration timeout) {
         loop.GoAway();
       },
       absl::InfiniteDuration());
-  while (connections_.connections() > 0 && options_.clock->Now() < end) {
+  while (connections_.counts().open > 0 && options_.clock->Now() < end) {
     absl::SleepFor(kStopPollInterval);
   }
   for (const auto& loop : loops_) loop->Join();

@@ -15,10 +15,10 @@
 #include "core/base/clock.h"
 #include "server/access/tls_context.h"
 #include "server/base/address.h"
-#include "server/base/byte_budget.h"
 #include "server/transport/acceptor.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/limits.h"
+#include "server/transport/transport_budgets.h"
 #include "server/transport/transport_loop.h"
 
 namespace spikeserve {
@@ -49,6 +49,7 @@ class Transport {
   const Address& address() const { return address_; }
   const std::vector<std::unique_ptr<TransportLoop>>& loops() const { return loops_; }
   const ConnectionTable& connections() const { return connections_; }
+  const TransportBudgets& budgets() const { return budgets_; }
 
   absl::Status Start();
 
@@ -71,7 +72,7 @@ class Transport {
 
   const TransportOptions options_;
   Address address_;
-  ByteBudget bytes_in_flight_;
+  TransportBudgets budgets_;
   ConnectionTable connections_;
   std::vector<std::unique_ptr<TransportLoop>> loops_;
   std::vector<std::unique_ptr<Acceptor>> acceptors_;

@@ -1,5 +1,7 @@
 #include "server/transport/transport_loop.h"
 
+#include <pthread.h>
+
 #include <utility>
 #include <vector>
 
@@ -12,38 +14,38 @@ constexpr absl::Duration kCheckInterval = absl::Seconds(1);
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<TransportLoop>> TransportLoop::Create(const TransportLimits* limits,
-                                                                     ByteBudget* bytes_in_flight,
+                                                                     TransportBudgets* budgets,
                                                                      const Clock* clock) {
   auto events = EventLoop::Create(clock);
   if (!events.ok()) return events.status();
   return std::unique_ptr<TransportLoop>(
-      new TransportLoop(limits, bytes_in_flight, clock, *std::move(events)));
+      new TransportLoop(limits, budgets, clock, *std::move(events)));
 }
 
-TransportLoop::TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in_flight,
+TransportLoop::TransportLoop(const TransportLimits* limits, TransportBudgets* budgets,
                              const Clock* clock, std::unique_ptr<EventLoop> events)
     : events_(std::move(events)),
       shared_({.loop = events_.get(),
                .clock = clock,
                .router = nullptr,
                .limits = limits,
-               .bytes_in_flight = bytes_in_flight,
+               .budgets = budgets,
                .closed =
                    [this](Connection* connection) {
-                     strangers_.erase(AgeOf(connection));
-                     auto node = connections_.extract(connection);
+                     auto node = connections_.extract(connection->number());
                      if (!node.empty()) events_->DeleteLater(std::move(node.mapped()));
                    },
-               .stranger_queue = StrangerQueue(events_.get(), clock),
-               .called = [this](Connection* connection) { strangers_.erase(AgeOf(connection)); }}) {
-}
+               .stranger_queue = StrangerQueue(events_.get(), clock)}) {}
 
 TransportLoop::~TransportLoop() { Join(); }
 
 void TransportLoop::Run() {
   events_->AtEndOfTurn([this] { FlushWrites(); });
   CheckTimes();
-  thread_ = std::thread([this] { events_->Run(); });
+  thread_ = std::thread([this] {
+    pthread_setname_np(pthread_self(), "loop");  // for those who look at the threads of the process
+    events_->Run();
+  });
 }
 
 void TransportLoop::Join() {
@@ -55,14 +57,16 @@ void TransportLoop::Join() {
 
 void TransportLoop::Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) {
   auto connection = std::make_unique<Connection>(std::move(socket), std::move(slot), &shared_);
-  Connection* key = connection.get();
-  connections_.emplace(key, std::move(connection));
-  strangers_.insert(AgeOf(key));
-  if (!key->Start().ok()) key->Close();
+  Connection& adopted = *connection;
+  connections_.emplace(adopted.number(), std::move(connection));
+  if (!adopted.Start().ok()) adopted.Close();
 }
 
-void TransportLoop::CloseOldestStranger() {
-  if (!strangers_.empty()) strangers_.begin()->second->Close();
+void TransportLoop::CloseSoon(uint64_t number) {
+  events_->Post([this, number] {
+    const auto found = connections_.find(number);
+    if (found != connections_.end()) found->second->Drop();
+  });
 }
 
 void TransportLoop::FlushWrites() {
@@ -72,7 +76,7 @@ void TransportLoop::FlushWrites() {
 void TransportLoop::CheckTimes() {
   std::vector<Connection*> connections;  // a check may close its connection
   connections.reserve(connections_.size());
-  for (const auto& [key, connection] : connections_) connections.push_back(key);
+  for (const auto& [key, connection] : connections_) connections.push_back(connection.get());
   for (Connection* connection : connections) connection->CheckTimes();
   events_->After(kCheckInterval, [this] { CheckTimes(); });
 }

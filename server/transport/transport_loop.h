@@ -2,17 +2,15 @@
 #ifndef SERVER_TRANSPORT_TRANSPORT_LOOP_H_
 #define SERVER_TRANSPORT_TRANSPORT_LOOP_H_
 
+#include <cstdint>
 #include <functional>
 #include <memory>
-#include <set>
 #include <thread>
-#include <utility>
 
 #include "absl/container/flat_hash_map.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/clock.h"
-#include "server/base/byte_budget.h"
 #include "server/transport/call.h"
 #include "server/transport/connection.h"
 #include "server/transport/connection_host.h"
@@ -23,13 +21,13 @@
 
 namespace spikeserve {
 
-// Thread-safety: Run(), Join() and events().Post() may be called from any thread, everything else
-// from the loop's thread, or before Run().
+// Thread-safety: Run(), Join(), CloseSoon() and events().Post() may be called from any thread,
+// everything else from the loop's thread, or before Run().
 class TransportLoop final : public ConnectionHost {
  public:
   // All pointers must outlive the loop.
   static absl::StatusOr<std::unique_ptr<TransportLoop>> Create(const TransportLimits* limits,
-                                                               ByteBudget* bytes_in_flight,
+                                                               TransportBudgets* budgets,
                                                                const Clock* clock);
   ~TransportLoop();
   TransportLoop(const TransportLoop&) = delete;
@@ -39,7 +37,7 @@ class TransportLoop final : public ConnectionHost {
   EventLoop& events() override { return *events_; }
   StrangerQueue& stranger_queue() override { return shared_.stranger_queue; }
   void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) override;
-  void CloseOldestStranger() override;
+  void CloseSoon(uint64_t number) override;
 
   // Sets what answers the calls. `router` must outlive the loop's run.
   void SetRouter(CallRouter* router) { shared_.router = router; }
@@ -62,20 +60,14 @@ class TransportLoop final : public ConnectionHost {
   bool empty() const { return connections_.empty(); }
 
  private:
-  // Orders connections by the time of their start.
-  using Age = std::pair<absl::Duration, Connection*>;
-
-  TransportLoop(const TransportLimits* limits, ByteBudget* bytes_in_flight, const Clock* clock,
+  TransportLoop(const TransportLimits* limits, TransportBudgets* budgets, const Clock* clock,
                 std::unique_ptr<EventLoop> events);
-
-  static Age AgeOf(Connection* connection) { return {connection->connected(), connection}; }
 
   void CheckTimes();
 
   const std::unique_ptr<EventLoop> events_;
   Connection::Shared shared_;
-  absl::flat_hash_map<Connection*, std::unique_ptr<Connection>> connections_;
-  std::set<Age> strangers_;  // connections without a call, the oldest first
+  absl::flat_hash_map<uint64_t, std::unique_ptr<Connection>> connections_;  // by their numbers
   std::thread thread_;
 };
 

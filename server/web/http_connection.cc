@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/types/span.h"
+#include "core/contract/dcheck.h"
 #include "server/base/address.h"
 
 namespace spikeserve {
@@ -43,17 +44,16 @@ absl::string_view ToView(const View& view) {
 struct HttpConnection::Parser : http::request_parser<http::empty_body> {};
 
 HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
-                               uint64_t id, bool local_names_only, Owner* owner)
+                               bool local_names_only, Owner* owner)
     : socket_(std::move(socket)),
       slot_(std::move(slot)),
-      id_(id),
       local_names_only_(local_names_only),
       owner_(owner),
       parser_(std::make_unique<Parser>()) {
   parser_->header_limit(kMaxHeaderBytes);
 }
 
-HttpConnection::~HttpConnection() = default;
+HttpConnection::~HttpConnection() { SPIKESERVE_DCHECK(state_ == State::kClosed); }
 
 absl::Status HttpConnection::Start() {
   if (auto status = events().Watch(socket_->fd(), EPOLLIN, this); !status.ok()) return status;
@@ -115,6 +115,9 @@ void HttpConnection::ParseHeaders() {
     return Answer({.code = 405, .body = "expected GET or HEAD\n"});
   }
   // A browser always sends the header; some programs that check health do not.
+  if (headers.count(http::field::host) > 1) {
+    return Answer({.code = 400, .body = "Host: expected one header, received several\n"});
+  }
   const auto host = headers.find(http::field::host);
   if (local_names_only_ && host != headers.end() && !NamesThisMachine(ToView(host->value()))) {
     return Answer({.code = 403, .body = "Host: expected localhost or a loopback address\n"});
@@ -126,6 +129,7 @@ void HttpConnection::ParseHeaders() {
   request.authorization = std::string(ToView(headers[http::field::authorization]));
   request.client = slot_->address();
   parser_.reset();
+  slot_->MarkCaller();
   Enter(State::kAnswering, kAnswerTimeout, 0);
   owner_->OnRequest(this, std::move(request));
 }

@@ -40,7 +40,7 @@ class HttpConnection final : public EventLoop::Source {
 
   // `owner` must outlive the connection. `local_names_only`: answers 403 unless the header Host
   // names this machine. REQUIRES: Close() is called before the destructor.
-  HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot, uint64_t id,
+  HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
                  bool local_names_only, Owner* owner);
   ~HttpConnection() override;
 
@@ -54,11 +54,8 @@ class HttpConnection final : public EventLoop::Source {
   // EventLoop::Source
   void OnReady(uint32_t events) override;
 
-  // The number of the connection. Smaller is older.
-  uint64_t id() const { return id_; }
-  // Returns true while the server works on the answer; otherwise the connection waits for its
-  // client.
-  bool is_being_answered() const { return state_ == State::kAnswering; }
+  // Returns the connection's number in the table.
+  uint64_t number() const { return slot_->number(); }
 
  private:
   enum class State { kReading, kAnswering, kWriting, kClosing, kClosed };
@@ -78,7 +75,6 @@ class HttpConnection final : public EventLoop::Source {
 
   const std::unique_ptr<Socket> socket_;
   const std::unique_ptr<ConnectionSlot> slot_;
-  const uint64_t id_;
   const bool local_names_only_;
   Owner* const owner_;
   std::unique_ptr<Parser> parser_;

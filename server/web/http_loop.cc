@@ -7,8 +7,9 @@
 namespace spikeserve {
 namespace {
 
-constexpr int64_t kMaxConnections = 240;
-constexpr int64_t kMaxWaiting = 200;  // connections that wait for their clients
+// All are strangers, so three quarters of these may be open; see ConnectionTable.
+constexpr int64_t kMaxConnections = 320;
+constexpr int64_t kMaxWaiting = 200;  // connections whose request is incomplete
 
 constexpr absl::Duration kStopPollInterval = absl::Milliseconds(5);
 
@@ -23,16 +24,16 @@ HttpLoop::HttpLoop(std::unique_ptr<EventLoop> events, const HttpServer::Options&
       options_(options),
       page_(std::move(page)),
       stranger_queue_(events_.get(), options.clock),
-      table_(kMaxConnections, kMaxConnections) {}
+      table_({.connections = kMaxConnections,
+              .per_address = kMaxConnections,
+              .per_network = kMaxConnections,
+              .idle_strangers = kMaxWaiting}) {}
 
 HttpLoop::~HttpLoop() { Stop(absl::ZeroDuration()); }
 
 absl::Status HttpLoop::Run(std::vector<FileDescriptor> listeners) {
-  const Acceptor::Options accepting = {.hosts = {this},
-                                       .connections = &table_,
-                                       .max_strangers = kMaxWaiting,
-                                       .refusal = kRefusal,
-                                       .tls = options_.tls};
+  const Acceptor::Options accepting = {
+      .hosts = {this}, .connections = &table_, .refusal = kRefusal, .tls = options_.tls};
   for (FileDescriptor& listener : listeners) {
     acceptors_.push_back(std::make_unique<Acceptor>(std::move(listener), accepting));
     if (auto status = acceptors_.back()->Start(); !status.ok()) return status;
@@ -47,7 +48,7 @@ void HttpLoop::Stop(absl::Duration timeout) {
     for (const auto& acceptor : acceptors_) acceptor->Stop();
   });
   const absl::Duration end = options_.clock->Now() + timeout;
-  while (table_.connections() > 0 && options_.clock->Now() < end) {
+  while (table_.counts().open > 0 && options_.clock->Now() < end) {
     absl::SleepFor(kStopPollInterval);
   }
   events_->Stop();
@@ -58,35 +59,35 @@ void HttpLoop::Stop(absl::Duration timeout) {
 }
 
 void HttpLoop::Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) {
-  const uint64_t id = next_id_++;
-  auto connection = std::make_unique<HttpConnection>(std::move(socket), std::move(slot), id,
+  auto connection = std::make_unique<HttpConnection>(std::move(socket), std::move(slot),
                                                      options_.local_names_only, this);
   HttpConnection& started = *connection;
-  connections_.emplace(id, std::move(connection));
+  connections_.emplace(started.number(), std::move(connection));
   if (!started.Start().ok()) started.Close();
 }
 
-void HttpLoop::CloseOldestStranger() {
-  for (const auto& [id, connection] : connections_) {
-    if (!connection->is_being_answered()) return connection->Close();
-  }
-}
-
-void HttpLoop::OnRequest(HttpConnection* connection, HttpRequest request) {
-  const uint64_t id = connection->id();
-  // What is posted after the loop has stopped does not run, so `this` is alive when it is used.
-  page_(request, [this, events = events_, id](const HttpResponse& response) {
-    events->Post([this, id, response] { Answer(id, response); });
+void HttpLoop::CloseSoon(uint64_t number) {
+  events_->Post([this, number] {
+    const auto found = connections_.find(number);
+    if (found != connections_.end()) found->second->Close();
   });
 }
 
-void HttpLoop::Answer(uint64_t id, const HttpResponse& response) {
-  const auto found = connections_.find(id);
+void HttpLoop::OnRequest(HttpConnection* connection, HttpRequest request) {
+  const uint64_t number = connection->number();
+  // What is posted after the loop has stopped does not run, so `this` is alive when it is used.
+  page_(request, [this, events = events_, number](const HttpResponse& response) {
+    events->Post([this, number, response] { Answer(number, response); });
+  });
+}
+
+void HttpLoop::Answer(uint64_t number, const HttpResponse& response) {
+  const auto found = connections_.find(number);
   if (found != connections_.end()) found->second->Answer(response);
 }
 
 void HttpLoop::OnClosed(HttpConnection* connection) {
-  auto node = connections_.extract(connection->id());
+  auto node = connections_.extract(connection->number());
   events_->DeleteLater(std::move(node.mapped()));
 }
 

@@ -23,8 +23,8 @@
 
 namespace spikeserve {
 
-// Thread-safety: Run() and Stop() are called by the thread that creates the loop, everything else
-// by the loop's own thread.
+// Thread-safety: Run() and Stop() are called by the thread that creates the loop, CloseSoon() by
+// any, everything else by the loop's own thread.
 class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
  public:
   HttpLoop(std::unique_ptr<EventLoop> events, const HttpServer::Options& options,
@@ -42,14 +42,14 @@ class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
   EventLoop& events() override { return *events_; }
   StrangerQueue& stranger_queue() override { return stranger_queue_; }
   void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) override;
-  void CloseOldestStranger() override;
+  void CloseSoon(uint64_t number) override;
 
   // HttpConnection::Owner
   void OnRequest(HttpConnection* connection, HttpRequest request) override;
   void OnClosed(HttpConnection* connection) override;
 
  private:
-  void Answer(uint64_t id, const HttpResponse& response);
+  void Answer(uint64_t number, const HttpResponse& response);
 
   // Shared with the answers that are being computed, which may outlive the server.
   const std::shared_ptr<EventLoop> events_;
@@ -57,8 +57,7 @@ class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
   const HttpServer::Page page_;
   StrangerQueue stranger_queue_;
   ConnectionTable table_;
-  uint64_t next_id_ = 1;
-  std::map<uint64_t, std::unique_ptr<HttpConnection>> connections_;  // the oldest first
+  std::map<uint64_t, std::unique_ptr<HttpConnection>> connections_;  // by their numbers
   std::vector<std::unique_ptr<Acceptor>> acceptors_;
   std::thread thread_;
 };

@@ -4,10 +4,9 @@
 #include <optional>
 #include <utility>
 
-#include "absl/strings/ascii.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "core/base/hex.h"
 
 namespace spikeserve {
 namespace {
@@ -26,12 +25,9 @@ std::optional<std::string> Decode(absl::string_view text, bool is_query) {
   decoded.reserve(text.size());
   for (size_t i = 0; i < text.size(); ++i) {
     if (text[i] == '%') {
-      const absl::string_view digits = text.substr(i + 1, 2);
-      if (digits.size() < 2 || !absl::ascii_isxdigit(static_cast<unsigned char>(digits[0])) ||
-          !absl::ascii_isxdigit(static_cast<unsigned char>(digits[1]))) {
-        return std::nullopt;
-      }
-      decoded += absl::HexStringToBytes(digits);
+      const std::optional<std::string> byte = ParseHex(text.substr(i + 1, 2));
+      if (!byte.has_value() || byte->empty()) return std::nullopt;
+      decoded += *byte;
       i += 2;
     } else {
       decoded += is_query && text[i] == '+' ? ' ' : text[i];

@@ -6,7 +6,8 @@
 //                                   });
 //
 // A client that is slow, or that holds many connections, delays no other: nothing waits for it, and
-// above 200 connections each new one closes the oldest that waits for its client.
+// above 200 connections whose request is incomplete each new one closes the oldest of the network
+// that has most of them.
 //
 // Thread-safe.
 #ifndef SERVER_WEB_HTTP_SERVER_H_

@@ -178,6 +178,9 @@ void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
                           const HttpRequest& request, const HttpServer::Done& done) const {
   const auto parsed = HttpQuery::Parse(request.parameters, {"session"});
   if (!parsed.ok()) return done(JsonResponse(parsed.status()));
+  const absl::Status within_rate =
+      caller->tenant()->AcquireCall(Cost::kExplain, parts_.clock->Now());
+  if (!within_rate.ok()) return done(JsonResponse(within_rate));
   v1::ExplainRequest explain;
   explain.set_session_id(parsed->Get("session"));
   const auto work = [handler = parts_.handler, caller, explain, done] {

@@ -3,7 +3,15 @@
 import dataclasses
 import typing
 
-from tests.attacks import control, http2_attacks, mutations, slow_attacks, tls_attacks
+from tests.attacks import (
+    control,
+    http2_attacks,
+    mutations,
+    slow_attacks,
+    store_attacks,
+    tenant_attacks,
+    tls_attacks,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +57,13 @@ ATTACKS = {
         Attack(slow_attacks.silent_connections, descriptors=1024),
         Attack(slow_attacks.idle_connections, descriptors=1024),
         Attack(slow_attacks.connections_that_come_and_go),
+        Attack(tenant_attacks.connections_of_many_addresses),
+        Attack(tenant_attacks.batches_of_empty_items),
+        Attack(tenant_attacks.batches_of_short_items),
+        Attack(tenant_attacks.batches_that_nobody_reads),
+        Attack(tenant_attacks.policy_lists),
+        Attack(tenant_attacks.rollout_decided_by_one_agent),
+        Attack(store_attacks.replies_of_a_lying_store),
         Attack(tls_attacks.half_handshakes, tls=True),
         Attack(tls_attacks.handshakes, tls=True),
         Attack(tls_attacks.slow_handshakes, tls=True),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import resource
 import selectors
 import socket
 import time
@@ -28,12 +29,14 @@ class ScriptEndedError(Exception):
 class Connection:
     """One non-blocking socket and the rest of its script."""
 
-    def __init__(self, address, script, sent):
+    def __init__(self, address, script, sent, source=None):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self.socket.setblocking(False)
         # No TIME_WAIT: an attack may open more connections than there are ports.
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if source is not None:
+            self.socket.bind((source, 0))
         code = self.socket.connect_ex(address)
         if code not in (0, errno.EINPROGRESS):
             raise OSError(code, "connect")
@@ -67,11 +70,22 @@ class Connection:
             raise ConnectionResetError
 
 
-def flood(address, seconds, script, connections=1, read=True, enough=lambda: False):
+def _allow_descriptors(connections):
+    """Raises the limit on open files, as far as the system lets the process."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = min(hard, connections + 100)
+    if soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def flood(
+    address, seconds, script, connections=1, read=True, enough=lambda: False, source=lambda: None
+):
     """Runs script(), an iterator of bytes, PAUSE and CLOSE, on each connection for `seconds`. Returns Sent.
 
     A connection that the server closes is opened again, with a new script. `read`: discards what the server sends;
-    otherwise lets it fill the buffers of the socket. Ends before its time as soon as `enough()` is true.
+    otherwise lets it fill the buffers of the socket. Ends before its time as soon as `enough()` is true. source()
+    returns the address that a connection comes from, or None.
     """
     sent = Sent()
     selector = selectors.DefaultSelector()
@@ -79,6 +93,7 @@ def flood(address, seconds, script, connections=1, read=True, enough=lambda: Fal
     end = time.monotonic() + seconds
     opened = set()
     retry = 0.0
+    _allow_descriptors(connections)
 
     def watch(connection, now):
         writing = 0 if connection.ended or now < connection.resume else selectors.EVENT_WRITE
@@ -100,7 +115,7 @@ def flood(address, seconds, script, connections=1, read=True, enough=lambda: Fal
     while (now := time.monotonic()) < end and not enough():
         while len(opened) < connections and now >= retry:
             try:
-                connection = Connection(address, script(), sent)
+                connection = Connection(address, script(), sent, source())
             except OSError:
                 retry = now + RETRY_SECONDS
                 break

@@ -1,4 +1,4 @@
-"""What a stranger without a token sends leaves the server's memory and its neighbours as they were."""
+"""What a stranger without a token, or another tenant, sends leaves the server's memory and its neighbours as they were."""
 
 import json
 import re

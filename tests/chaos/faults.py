@@ -4,7 +4,12 @@ import asyncio
 import contextlib
 import dataclasses
 import itertools
+import pathlib
+import shutil
 import time
+
+from redis_servers import DURABLE, Redis
+from security import until
 
 from tests.chaos.network import CLIENTS, STORE
 
@@ -15,7 +20,40 @@ FAULTS = (
     "cut from the clients",
     "kill Redis",
     "rolling restart",
+    "fill Redis",
+    "set Redis back",
+    "fail over late",
 )
+LOSES_TAIL = {"set Redis back", "fail over late"}  # Redis forgets what it has acknowledged
+MEETS_ALL = {"kill Redis", "rolling restart", "fill Redis", *LOSES_TAIL}
+
+
+FULL_SECONDS = 5.0
+LOST_SECONDS = 1.0
+
+
+async def set_back(redis):
+    """Redis is killed and starts again with its append-only file of a second ago. The replicas live."""
+    files = pathlib.Path(redis.folder.name) / "appendonlydir"
+    before = files.with_name("before")
+    await asyncio.to_thread(shutil.copytree, files, before)
+    await asyncio.sleep(LOST_SECONDS)
+    redis.kill()
+    shutil.rmtree(files)
+    before.rename(files)
+    await asyncio.to_thread(redis.start)
+
+
+async def fail_over_late(redis):
+    """A copy that follows no more since a second takes the place of Redis. The replicas live."""
+    copy = await asyncio.to_thread(Redis, *DURABLE, password="", host="0.0.0.0")
+    copy.command(f"REPLICAOF 127.0.0.1 {redis.port}")
+    await asyncio.to_thread(until, lambda: b"master_link_status:up" in copy.command("INFO replication"))
+    copy.command("REPLICAOF NO ONE")
+    await asyncio.sleep(LOST_SECONDS)
+    redis.kill()
+    assert copy.command(f"CONFIG SET port {redis.port}") == b"OK"
+    redis.replace_by(copy)
 
 
 @dataclasses.dataclass
@@ -55,8 +93,7 @@ class Chaos:
             victim = self._random.randrange(len(self._replicas))
             begin = time.monotonic()
             await self._make(kind, victim)
-            meets_all = kind in ("kill Redis", "rolling restart")
-            victims = self._replicas if meets_all else [self._replicas[victim]]
+            victims = self._replicas if kind in MEETS_ALL else [self._replicas[victim]]
             addresses = frozenset(replica.address for replica in victims)
             self.made.append(Fault(kind, begin, time.monotonic(), addresses))
 
@@ -79,6 +116,14 @@ class Chaos:
         elif kind == "rolling restart":
             for other in self._replicas:
                 await asyncio.to_thread(other.restart)
+        elif kind == "fill Redis":
+            self._redis.command("CONFIG SET maxmemory 1")  # noeviction: writes are refused
+            await asyncio.sleep(min(self._pause, FULL_SECONDS))
+            self._redis.command("CONFIG SET maxmemory 0")
+        elif kind == "set Redis back":
+            await set_back(self._redis)
+        elif kind == "fail over late":
+            await fail_over_late(self._redis)
         else:
             link = STORE if kind == "cut from the store" else CLIENTS
             host.cut(link)

@@ -1,6 +1,7 @@
 """Sessions of the chaos suite that learn the head of the fleet."""
 
 import asyncio
+import contextlib
 
 import spikeserve
 from replicated import observation, reward
@@ -19,7 +20,8 @@ SESSION_OPTIONS = spikeserve.SessionOptions(
 
 class FleetLearners:
     """Plays `count` sessions until stop(). What they decide depends on the order of all contributions, so only the heads are
-    compared: those of all replicas, and with the number of `episodes` that have ended.
+    compared: those of all replicas, and with the number of `episodes` that have ended. If Redis loses its last second, what a
+    session decides again may depend on another head than before: the client says so, and `diverged` counts it.
     """
 
     def __init__(self, count, rate, timeout):
@@ -28,6 +30,7 @@ class FleetLearners:
         self._options = client_options(timeout)
         self._stopping = asyncio.Event()
         self.episodes = 0
+        self.diverged = 0
 
     def stop(self):
         """Lets play() return when all episodes have ended."""
@@ -42,10 +45,19 @@ class FleetLearners:
         async with await client.open_session(POLICY["policy"], SESSION_OPTIONS) as session:
             while not self._stopping.is_set():
                 for t in range(STEPS):
-                    await session.act(observation(0, t + i), reward(t))
+                    with self._divergence():
+                        await session.act(observation(0, t + i), reward(t))
                     await asyncio.sleep(self._interval)
-                await session.end_episode(1.0, terminated=True)
+                with self._divergence():
+                    await session.end_episode(1.0, terminated=True)
                 self.episodes += 1
+
+    @contextlib.contextmanager
+    def _divergence(self):
+        try:
+            yield
+        except spikeserve.DivergedError:
+            self.diverged += 1
 
 
 async def heads_of(replicas):

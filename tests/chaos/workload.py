@@ -10,9 +10,12 @@ import typing
 import spikeserve
 from replicated import comparable, comparable_state, observation, options_of, policy_of, reward
 
+from tests.chaos.raw_clients import RawSession, RawStubs
+
 GROUP = 32  # sessions of a batch, or of a stream
 GROUPS_OF_A_CLIENT = 64  # a server allows 100 streams a connection, and a client has one to each server
-KINDS = ("calls", "batches", "streams")
+RAW_KINDS = ("raw stubs", "hedged stubs")
+KINDS = ("calls", "batches", "streams", *RAW_KINDS)
 EPISODE = 50  # decisions
 LEVELS = ("ASYNC", "SYNC")
 
@@ -69,7 +72,13 @@ class Workload:
             range(first, min(first + self.group, self._sessions))
             for first in range(0, self._sessions, self.group)
         ]
-        play = {"calls": self._play_calls, "batches": self._play_batches, "streams": self._play_stream}
+        play = {
+            "calls": self._play_calls,
+            "batches": self._play_batches,
+            "streams": self._play_stream,
+            "raw stubs": lambda client, group: self._play_raw(client, group, servers, hedges=False),
+            "hedged stubs": lambda client, group: self._play_raw(client, group, servers, hedges=True),
+        }
         players = [play[kind] for kind in self.kinds]
         async with contextlib.AsyncExitStack() as stack:
             clients = [
@@ -153,14 +162,45 @@ class Workload:
         for i in group:
             await self._finish(sessions[i], i, digests[i])
 
+    async def _play_raw(self, client, group, servers, hedges):
+        if not self._stored:  # there is one server: all kinds of clients must get its answers
+            await self._play_calls(client, group)
+            return
+        stubs = RawStubs(servers, self._options_of_client.timeout)
+        try:
+            await asyncio.gather(*(self._play_one_raw(client, i, stubs, hedges) for i in group))
+        finally:
+            await stubs.close()
+
+    async def _play_one_raw(self, client, i, stubs, hedges):
+        session = (await self._open(client, [i]))[i]
+        patience = self._options_of_client.retry.max_elapsed
+        raw = RawSession(stubs, session.session_id, hedges, patience)
+        digest = hashlib.sha256()
+        async for t in self._steps(i):
+            begin = time.monotonic()
+            answer, address = await raw.act(observation(i, t), reward(t))
+            self._count(i, digest, spikeserve.Decision.from_wire(answer), begin, address)
+            if (t + 1) % EPISODE == 0:
+                ended, _ = await raw.end_episode(1.0 + i)
+                digest.update(repr(spikeserve.EpisodeSummary.from_wire(ended)).encode())
+                self._compare(i, digest)
+        address = await raw.settle()
+        async with spikeserve.AsyncClient(address, self._options_of_client) as owner:
+            attached = spikeserve.AsyncSession(owner, session.session_id)
+            await self._finish(attached, i, digest)
+
     def _take(self, i, digest, decision, begin, route):
         if isinstance(decision, spikeserve.SpikeserveError):
             raise decision
+        self._count(i, digest, decision, begin, route.replica.address if self._stored else "")
+
+    def _count(self, i, digest, decision, begin, address):
         digest.update(comparable(decision).encode())
         self.decided += 1
         if self._stored:
             now = time.monotonic()
-            self.answers[i].append(Answered(now, now - begin, route.replica.address))
+            self.answers[i].append(Answered(now, now - begin, address))
 
     async def _end_if_due(self, session, i, t, digest):
         if (t + 1) % EPISODE == 0:

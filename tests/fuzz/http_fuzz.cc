@@ -5,6 +5,7 @@
 #include "server/web/http_connection.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/fuzz/memory_socket.h"
+#include "tests/fuzz/one_client.h"
 #include "tests/support/fake_clock.h"
 
 namespace spikeserve {
@@ -34,11 +35,13 @@ void FuzzOne(absl::string_view input) {
   const size_t piece = size_t{reader.Byte()} * 16;
   const FakeClock clock;
   const auto loop = *EventLoop::Create(&clock);
-  ConnectionTable table(1, 1);
+  ConnectionTable table(
+      {.connections = 1, .per_address = 1, .per_network = 1, .idle_strangers = 1});
+  NoCloser closer;
   std::string answer;
   Owner owner(loop.get());
   HttpConnection connection(std::make_unique<MemorySocket>(reader.rest(), piece, &answer),
-                            table.Admit("client"), /*id=*/1, /*local_names_only=*/true, &owner);
+                            table.Admit(OneClient(), &closer), /*local_names_only=*/true, &owner);
   FUZZ_CHECK(connection.Start().ok());
   while (!owner.closed()) connection.OnReady(EPOLLIN);
   if (!answer.empty()) FUZZ_CHECK(absl::StartsWith(answer, "HTTP/1.1 "));

@@ -4,10 +4,10 @@
 #include <functional>
 #include <utility>
 
-#include "server/base/byte_budget.h"
 #include "server/transport/connection.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/fuzz/memory_socket.h"
+#include "tests/fuzz/one_client.h"
 #include "tests/support/fake_clock.h"
 
 namespace spikeserve {
@@ -71,8 +71,10 @@ void FuzzOne(absl::string_view input) {
   const FakeClock clock;
   const auto loop = *EventLoop::Create(&clock);
   const TransportLimits limits;
-  ConnectionTable table(1, 1);
-  ByteBudget bytes_in_flight;
+  ConnectionTable table(
+      {.connections = 1, .per_address = 1, .per_network = 1, .idle_strangers = 1});
+  TransportBudgets budgets;
+  NoCloser closer;
   Router router;
   std::string answer;
   bool closed = false;
@@ -80,13 +82,12 @@ void FuzzOne(absl::string_view input) {
                                .clock = &clock,
                                .router = &router,
                                .limits = &limits,
-                               .bytes_in_flight = &bytes_in_flight,
+                               .budgets = &budgets,
                                .closed = [&](Connection*) { closed = true; },
-                               .stranger_queue = StrangerQueue(loop.get(), &clock),
-                               .called = [](Connection*) {}};
+                               .stranger_queue = StrangerQueue(loop.get(), &clock)};
   {
     Connection connection(std::make_unique<MemorySocket>(reader.rest(), piece, &answer),
-                          table.Admit("client"), &shared);
+                          table.Admit(OneClient(), &closer), &shared);
     FUZZ_CHECK(connection.Start().ok());
     while (!closed) {
       connection.OnReady(EPOLLIN);
@@ -95,7 +96,8 @@ void FuzzOne(absl::string_view input) {
     RunTurn(loop.get());
   }
   FUZZ_CHECK(router.open() == 0);
-  FUZZ_CHECK(bytes_in_flight.used() == 0);
+  FUZZ_CHECK(budgets.all.used() == 0);
+  FUZZ_CHECK(budgets.strangers.used() == 0);
 }
 
 std::vector<std::string> Seeds() {

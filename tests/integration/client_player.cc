@@ -21,6 +21,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "core/base/hex.h"
 #include "spikeserve/client.h"
 #include "spikeserve/remote_session.h"
 #include "spikeserve/status.h"
@@ -33,7 +34,7 @@ constexpr int kMostRounds = 100;  // of decisions that servers miss, in a batch
 template <typename Message>
 Message Parse(const std::string& hex) {
   Message message;
-  if (!message.ParseFromString(absl::HexStringToBytes(hex))) std::abort();
+  if (!message.ParseFromString(ParseHex(hex).value())) std::abort();
   return message;
 }
 

@@ -1,8 +1,8 @@
 // Tests that a client that is killed in the middle of an episode loses no decision.
 #include <csignal>
 
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_split.h"
+#include "core/base/hex.h"
 #include "spikeserve/client.h"
 #include "spikeserve/remote_session.h"
 #include "tests/integration/client_fixture.h"
@@ -31,8 +31,8 @@ class ClientRestartTest : public ClientProgramTest {
          line = (*agent)->ReadLine()) {
       const std::vector<std::string> parts = absl::StrSplit(*line, ' ');
       Exchanged& exchanged = log.emplace_back();
-      EXPECT_TRUE(exchanged.request.ParseFromString(absl::HexStringToBytes(parts.at(0))));
-      EXPECT_TRUE(exchanged.answer.ParseFromString(absl::HexStringToBytes(parts.at(1))));
+      EXPECT_TRUE(exchanged.request.ParseFromString(ParseHex(parts.at(0)).value()));
+      EXPECT_TRUE(exchanged.answer.ParseFromString(ParseHex(parts.at(1)).value()));
     }
     (*agent)->Signal(SIGKILL);
     EXPECT_EQ((*agent)->Wait(), 128 + SIGKILL);

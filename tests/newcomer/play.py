@@ -40,7 +40,10 @@ PAGES = (
     "training.md",
 )
 # Pages that a newcomer reads only. test_chips.py runs the examples of chips.md.
-WITHOUT_COMMANDS = {"architecture.md", "chips.md", "energy.md", "learning.md", "paper.md", "performance.md", "threat-model.md"}
+WITHOUT_COMMANDS = {
+    *("architecture.md", "chips.md", "compose.md", "energy.md", "image.md", "learning.md", "limits.md"),
+    *("packages.md", "paper.md", "performance.md", "robots.md", "site.md", "threat-model.md", "upgrades.md"),
+}
 SERVERS = ("spikeserve ", "build/release/bin/spikeserve ", "prometheus ")
 # The training that a page prints takes hours; that the commands work shows after a few steps.
 EDITS = {

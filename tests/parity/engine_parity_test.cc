@@ -1,5 +1,5 @@
 // Tests that the streaming engine equals the reference engine bit for bit in spikes by stage,
-// operations and readout: for random policies of many shapes in both arithmetics, over episodes
+// operations and readout: for random policies of many shapes in all arithmetics, over episodes
 // much longer than the context, on every SIMD target of this processor.
 
 #include <gtest/gtest.h>
@@ -10,11 +10,12 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/factory/trace_decision.h"
 #include "core/engine/prefix_engine.h"
-#include "core/engine/spiking/kernels/targets.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
 #include "core/model/quantize.h"
+#include "core/model/quantize_integer.h"
+#include "tests/support/simd_targets.h"
 #include "tests/support/small_config.h"
 
 namespace spikeserve {
@@ -88,7 +89,11 @@ void ExpectEqual(const Engine::Output& actual, const Engine::Output& expected, i
   expect_equal("multiply_accumulates", &Counts::multiply_accumulates);
   expect_equal("attention_products", &Counts::attention_products);
   expect_equal("integer_multiply_accumulates", &Counts::integer_multiply_accumulates);
+  expect_equal("wide_multiply_accumulates", &Counts::wide_multiply_accumulates);
+  expect_equal("membrane_ticks", &Counts::membrane_ticks);
   expect_equal("membrane_updates", &Counts::membrane_updates);
+  expect_equal("membrane_leaks", &Counts::membrane_leaks);
+  expect_equal("attention_scalings", &Counts::attention_scalings);
   expect_equal("coder_gains", &Counts::coder_gains);
   expect_equal("layer_norm_elements", &Counts::layer_norm_elements);
   expect_equal("softmax_terms", &Counts::softmax_terms);
@@ -147,10 +152,39 @@ std::vector<Shape> Float32Shapes() {
   sigmoid_concat.merge = Merge::kConcat;
   add("WindowClock", ConfigOf(32, 4)).config.phase_clock = PhaseClock::kWindow;
   add("Bernoulli", ConfigOf(32, 4)).config.coder = CoderKind::kBernoulli;
+  for (const Mode mode : {Mode::kFull, Mode::kDense}) {
+    ModelConfig& changes = add("Changes_" + std::string(ToString(mode)), ConfigOf(32, 4)).config;
+    changes.mode = mode;
+    changes.observation_changes = true;
+  }
+  ModelConfig& newest = add("ChangesContextOne", ConfigOf(16, 2)).config;
+  newest.observation_changes = true;
+  newest.context = 1;
   ModelConfig& other_neuron = add("OtherNeuron", ConfigOf(32, 4)).config;
   other_neuron.ticks = 8;
   other_neuron.membrane_decay = 0.5f;
   other_neuron.threshold = 0.3f;
+  return shapes;
+}
+
+// Returns the shapes that integer arithmetic has: those with rate coders, and its own variants.
+std::vector<Shape> IntegerShapes() {
+  std::vector<Shape> shapes;
+  for (Shape& shape : Float32Shapes()) {
+    if (shape.config.is_dense() || shape.config.coder != CoderKind::kLif) continue;
+    shape.name += "_integer";
+    shape.config.arithmetic = Arithmetic::kInteger;
+    shapes.push_back(std::move(shape));
+  }
+  shapes.push_back({.name = "LinearAttention_integer", .config = ConfigOf(32, 4)});
+  shapes.back().config.attention = Attention::kLinear;
+  shapes.push_back({.name = "NoLeak_integer", .config = ConfigOf(32, 4)});
+  shapes.back().config.membrane_decay = 1.0f;
+  shapes.push_back({.name = "Stripped_integer", .config = ConfigOf(64, 2)});
+  shapes.back().config.mode = Mode::kBaseline;
+  for (size_t i = shapes.size() - 3; i < shapes.size(); ++i) {
+    shapes[i].config.arithmetic = Arithmetic::kInteger;
+  }
   return shapes;
 }
 
@@ -163,6 +197,7 @@ std::vector<Shape> Shapes() {
     shape.config.arithmetic = Arithmetic::kInt8;
     shapes.push_back(std::move(shape));
   }
+  for (Shape& shape : IntegerShapes()) shapes.push_back(std::move(shape));
   return shapes;
 }
 
@@ -179,15 +214,17 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
     for (size_t h = 1; h < layer.scale.values.size(); h += 2) layer.scale.values[h] *= -1.5f;
     layer.ffn_hidden.weight.values[3] = 0.0f;  // a zero weight does not count as a synapse
   }
+  std::vector<float>& change_std = policy.weights.observation_change_std.values;
+  for (size_t i = 0; i < change_std.size(); ++i) change_std[i] = 0.5f + static_cast<float>(i);
   std::vector<float>& ffn_bias = policy.weights.layers[0].ffn_coder.bias.values;
   ffn_bias.assign(ffn_bias.size(), shape.first_ffn_bias);
+  if (shape.config.is_integer()) {
+    return *QuantizeToInteger(policy, {.attention = shape.config.attention, .largest_input = 8.0f});
+  }
   return shape.config.arithmetic == Arithmetic::kInt8 ? *Quantize(policy) : policy;
 }
 
-class EngineParityTest : public testing::TestWithParam<Shape> {
- protected:
-  ~EngineParityTest() override { kernels::ForceTargetForTest(""); }
-};
+class EngineParityTest : public testing::TestWithParam<Shape> {};
 
 TEST_P(EngineParityTest, StreamingEqualsReferenceOnEveryTarget) {
   const Shape& shape = GetParam();
@@ -196,14 +233,13 @@ TEST_P(EngineParityTest, StreamingEqualsReferenceOnEveryTarget) {
     ASSERT_TRUE(policy->Validate().ok()) << policy->Validate();
     const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
     const std::unique_ptr<Engine> streaming = MakeStreamingEngine(policy);
-    for (const std::string& target : kernels::SupportedTargets()) {
-      SCOPED_TRACE("target " + target + ", seed " + std::to_string(seed));
-      kernels::ForceTargetForTest(target);
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    OnEverySimdTarget([&] {
       const std::vector<Engine::Output> actual = Play(*streaming, shape);
       for (int step = 0; step < shape.steps; ++step)
         ExpectEqual(actual[step], expected[step], step);
-      if (HasFailure()) return;
-    }
+    });
+    if (HasFailure()) return;
   }
 }
 
@@ -257,7 +293,9 @@ TEST_P(EngineParityTest, CompactEngineDecidesAlikeAndRestoresItsPolicy) {
   const std::unique_ptr<Engine> engine = MakeCompactEngine(*policy);
   EXPECT_EQ(*FormatPolicyFile(engine->CompletePolicy()), *FormatPolicyFile(*policy));
   if (!shape.config.is_dense()) {
-    EXPECT_TRUE(engine->policy().weights.embed_state.linear.weight.values.empty());
+    const Weights& weights = engine->policy().weights;
+    EXPECT_TRUE(weights.embed_state.linear.weight.values.empty());
+    EXPECT_TRUE(weights.layers[0].integer.query.weight.values.empty());
   }
   const std::vector<Engine::Output> expected = Play(*MakeStreamingEngine(policy), shape);
   const std::vector<Engine::Output> actual = Play(*engine, shape);
@@ -291,7 +329,8 @@ TEST_P(EngineParityAtPaperSizeTest, StreamingEqualsReference) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Arithmetics, EngineParityAtPaperSizeTest,
-                         testing::Values(Arithmetic::kFloat32, Arithmetic::kInt8),
+                         testing::Values(Arithmetic::kFloat32, Arithmetic::kInt8,
+                                         Arithmetic::kInteger),
                          [](const auto& test) { return std::string(ToString(test.param)); });
 
 // Returns the reference engine's decision at `step` of the episode, from the steps that it depends
@@ -321,13 +360,10 @@ TEST(EngineParityInLongContextTest, StreamingEqualsReferenceOnEveryTarget) {
   const std::vector<int> steps = {1, 40, 344, 345, 346, 500, 511, 512, 513, 800, 1023, 1024, 1099};
   std::vector<Engine::Output> expected;
   for (const int step : steps) expected.push_back(ReferenceDecision(*policy, shape, step));
-  for (const std::string& target : kernels::SupportedTargets()) {
-    SCOPED_TRACE("target " + target);
-    kernels::ForceTargetForTest(target);
+  OnEverySimdTarget([&] {
     const std::vector<Engine::Output> actual = Play(*streaming, shape);
     for (size_t i = 0; i < steps.size(); ++i) ExpectEqual(actual[steps[i]], expected[i], steps[i]);
-  }
-  kernels::ForceTargetForTest("");
+  });
 }
 
 }  // namespace

@@ -85,6 +85,11 @@ std::vector<Shape> Shapes() {
     s.config.threshold = 0.5f;
   });
   add("box", [](Shape& s) { s.action_space = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f}); });
+  add("changes", [](Shape& s) { s.config.observation_changes = true; });
+  add("changes_dense", [](Shape& s) {
+    s.config.mode = Mode::kDense;
+    s.config.observation_changes = true;
+  });
   add("papers_size", [](Shape& s) {
     s.config = ModelConfig{};
     s.policies = 1;
@@ -116,6 +121,9 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
   }
   policy.weights.observation_mean.values = {0.1f, -0.2f, 0.3f, 0.0f};
   policy.weights.observation_std.values = {0.5f, 1.5f, 2.0f, 0.7f};
+  if (shape.config.observation_changes) {
+    policy.weights.observation_change_std.values = {0.3f, 2.0f, 1.0f, 0.6f};
+  }
   policy.return_offset = 3.0f;
   policy.return_scale = 5.0f;
   return policy;
@@ -128,7 +136,8 @@ ClipTensors MakeEpisode(const Policy& policy, uint64_t seed) {
                       .observations = torch::empty({1, kSteps, obs}),
                       .actions = torch::zeros({1, kSteps, act}),
                       .timesteps = torch::arange(kSteps).unsqueeze(0),
-                      .seeds = torch::full({1}, static_cast<int64_t>(kBernoulliSeed))};
+                      .seeds = torch::full({1}, static_cast<int64_t>(kBernoulliSeed)),
+                      .previous = {}};
   const auto draw = [seed](int step, int64_t what) {
     return 4.0f * UniformFloat(RandomBits(
                       {seed, static_cast<uint64_t>(step), static_cast<uint64_t>(what)})) -
@@ -141,6 +150,7 @@ ClipTensors MakeEpisode(const Policy& policy, uint64_t seed) {
     if (!policy.action_space.is_discrete()) continue;
     clip.actions[0][step] = torch::one_hot(clip.actions[0][step].argmax(), act);
   }
+  clip.previous = clip.observations.select(1, 0);
   return clip;
 }
 

@@ -16,7 +16,7 @@ def random_tensors(config, observation_size, action_size, seed=0):
     tensors = {}
     for name, shape in tensor_shapes(config, observation_size, action_size).items():
         shape = [length or DENSE_TIMESTEPS for length in shape]
-        if name in ("observation.mean", "observation.std"):
+        if name in ("observation.mean", "observation.std", "observation.change_std"):
             tensors[name] = np.full(shape, float(name.endswith("std")))
         elif name.endswith("gain") or "norm.weight" in name:
             tensors[name] = np.ones(shape)

@@ -85,6 +85,13 @@ class Redis:
             return read_reply(lines)
         return None
 
+    def replace_by(self, other):
+        """Goes on with the process and the files of `other`, which listens at this port now."""
+        self.folder.cleanup()
+        self.process, self.folder = other.process, other.folder
+        at = self.program.index("--dir") + 1
+        self.program[at] = self.folder.name
+
     def kill(self):
         self.process.kill()
         self.process.wait()

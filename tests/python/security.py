@@ -114,7 +114,7 @@ def make_authority(path, name):
     )
 
 
-def make_certificate(path, name, authority):
+def make_certificate(path, name, authority, days=2):
     openssl(
         *("req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
         *("-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"),
@@ -123,7 +123,7 @@ def make_certificate(path, name, authority):
     (path / "names").write_text("subjectAltName=DNS:localhost,IP:127.0.0.1\n")
     openssl(
         *("x509", "-req", "-in", f"{name}.csr", "-CA", f"{authority}.pem"),
-        *("-CAkey", f"{authority}.key", "-CAcreateserial", "-days", "2"),
+        *("-CAkey", f"{authority}.key", "-CAcreateserial", "-days", str(days)),
         *("-extfile", "names", "-out", f"{name}.pem"),
         cwd=path,
     )

@@ -105,6 +105,62 @@ def test_a_request_of_empty_elements_takes_four_times_its_size(addresses, method
     assert peak < 4 * 4 * len(body)
 
 
+@pytest.mark.parametrize(
+    ("method", "list_of", "empty"),
+    [
+        (f"/{POLICY}/ActBatch", "requests", b"\x0a\x00"),
+        ("/inference.GRPCInferenceService/ModelInfer", "inputs", b"\x2a\x00"),
+    ],
+)
+def test_empty_items_are_refused_before_they_are_parsed(addresses, method, list_of, empty):
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        call = channel.unary_unary(method)
+        with pytest.raises(grpc.RpcError) as refused:
+            call(
+                empty * ITEMS_MOST,
+                metadata=[("authorization", "Bearer agent")],
+                timeout=DEADLINE_SECONDS,
+            )
+    assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+    expected = f"{list_of}: expected items that are not empty, received an empty one"
+    assert refused.value.details() == expected
+
+
+TENANT_BYTES = 8 * MEGABYTE
+BATCHES = 60  # at a time, which wait for their refusals
+BATCH_ROUNDS = 10
+
+
+def test_parsed_requests_and_answers_that_wait_count(tmp_path):
+    """The tenant "slow" gets one batch of a thousand items of a few bytes after the other refused, which takes a while."""
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps(TOKENS))
+    item = b"\x0a\x03\x0a\x01x"  # a request for the session "x"
+    flags = [f"--tokens={tokens}", f"--max_tenant_bytes={TENANT_BYTES}", "--loops=1"]
+    with running_server(flags=flags) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        batch = channel.unary_unary(f"/{POLICY}/ActBatch")
+        process = Process(addresses.process.pid)
+        idle = process.memory()
+        process.reset_peak()
+        refused = set()
+        for _ in range(BATCH_ROUNDS):
+            waiting = [
+                batch.future(
+                    item * ITEMS_MOST,
+                    metadata=[("authorization", "Bearer slow")],
+                    timeout=4 * DEADLINE_SECONDS,
+                )
+                for _ in range(BATCHES)
+            ]
+            refused |= {call.code() for call in waiting}
+        # Each batch occupies a megabyte, so that the tenant has place for seven at a time.
+        assert refused == {grpc.StatusCode.OK, grpc.StatusCode.RESOURCE_EXHAUSTED}
+        assert process.peak() - idle < 3 * TENANT_BYTES
+        with service_with(addresses, "rival") as rival:
+            session = rival.OpenSession(policy="cartpole").session_id
+            rival.Act(session_id=session, step=0, observation=OBSERVATION)
+
+
 def test_a_batch_is_bounded_and_so_is_its_answer(addresses):
     with service_with(addresses, "agent") as agent:
         unknown = {"session_id": "0" * 32, "step": 1, "observation": OBSERVATION}

@@ -240,3 +240,28 @@ def test_fish_completes_commands_flags_and_values():
             check=True,
         )
         assert [row.split("\t")[0] for row in listed.stdout.splitlines()] == completed
+
+
+def test_a_variable_that_belongs_to_no_flag_is_refused():
+    refused = run("spikeserve", "--policies=/nowhere", SPIKESERVE_LISTN="[::1]:0")
+    assert refused.returncode == 1
+    assert refused.stderr == (
+        "spikeserve: environment: expected variables of flags, such as SPIKESERVE_LISTEN, "
+        "received SPIKESERVE_LISTN\n"
+    )
+    assert "SPIKECTL_SEVRER" in run("spikectl", "policies", SPIKECTL_SEVRER="x").stderr
+    assert run("spikeserve", "--help", SPIKESERVE_LISTN="x").returncode == 0
+
+
+def test_variables_of_kubernetes_and_of_clients_are_allowed():
+    others = {
+        "SPIKESERVE_TOKEN": "secret",
+        "SPIKESERVE_SERVER": "127.0.0.1:50051",
+        "SPIKESERVE_SERVICE_HOST": "10.0.0.1",
+        "SPIKESERVE_SERVICE_PORT": "50051",
+        "SPIKESERVE_SERVICE_PORT_GRPC": "50051",
+        "SPIKESERVE_PORT": "tcp://10.0.0.1:50051",
+        "SPIKESERVE_PORT_50051_TCP_ADDR": "10.0.0.1",
+    }
+    arguments = [f"--policies={SHIPPED_POLICIES}", "--listen=127.0.0.1:0", "--http_listen="]
+    assert started_on(*arguments, **others) == "127.0.0.1"

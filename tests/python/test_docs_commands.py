@@ -2,9 +2,13 @@
 
 import json
 import os
+import pathlib
+import subprocess
 
 import pytest
 from documentation import Shell
+
+ROOT = pathlib.Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -35,8 +39,14 @@ def check_security(shell):
     assert status["serving"] is True
 
 
-def test_secure_it(shell):
+def test_secure_it(shell, tmp_path):
+    before = set(tmp_path.iterdir())
     check_security(shell)
+    # A newcomer runs the page in a checkout, and nobody wants to commit a key.
+    made = {path.name for path in set(tmp_path.iterdir()) - before}
+    assert {"ca.key", "operator.token", "tokens.json"} <= made
+    ignored = subprocess.run(["git", "check-ignore", *made], cwd=ROOT, capture_output=True, text=True).stdout.split()
+    assert set(ignored) == made
 
 
 def check_recording(shell, directory):

@@ -7,6 +7,7 @@ the dependencies, so it needs no network; pip fetches those of the other interpr
 import json
 import os
 import pathlib
+import platform
 import re
 import subprocess
 import sys
@@ -68,7 +69,7 @@ def expected(address):
 def check_engine_wheel(wheel, version):
     tag = f"cp{version.replace('.', '')}"
     release = os.environ["SPIKESERVE_VERSION"]
-    assert re.match(rf"spikeserve_engine-{release}-{tag}-{tag}-manylinux_2_\d+_x86_64", wheel.name)
+    assert re.match(rf"spikeserve_engine-{release}-{tag}-{tag}-manylinux_2_\d+_{platform.machine()}", wheel.name)
     names = zipfile.ZipFile(wheel).namelist()
     assert "spikeserve_engine/_engine.pyi" in names
     assert not [name for name in names if re.search(r"grpc|protobuf|torch", name)]

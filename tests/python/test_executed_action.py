@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import shutil
 import subprocess
 import time
 
@@ -28,7 +29,7 @@ def server(tmp_path_factory):
     for name, bias in {"left": [1e6, 0], "right": [0, 1e6]}.items():
         edited = tensors | {"head.bias": np.array(bias, "f4")}
         write_policy(folder / name / "1" / "policy.safetensors", edited, metadata)
-    (folder / "pendulum").symlink_to(PENDULUM)
+    shutil.copytree(PENDULUM, folder / "pendulum")
     recordings = tmp_path_factory.mktemp("recordings")
     with running_server(folder, flags=[f"--record_dir={recordings}"]) as addresses:
         yield addresses.grpc, recordings

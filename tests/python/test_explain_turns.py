@@ -1,16 +1,30 @@
 """Explanations take long: tenants take turns, and a cancelled call is not computed."""
 
+import json
 import re
 import threading
 import time
 
 import grpc
-from security import OBSERVATION, POLICY, http_body, service_with
-from serving import DEADLINE_SECONDS, message_class
+import pytest
+from security import OBSERVATION, POLICY, TOKENS, http_body, service_with
+from serving import DEADLINE_SECONDS, message_class, running_server
 
 CALLERS = 24
 ANSWERS = 12
 POLL_SECONDS = 0.001
+
+
+@pytest.fixture(scope="module")
+def addresses(tmp_path_factory):
+    """Starts a server whose tenants may ask for explanations as often as they like."""
+    unlimited = {
+        name: limits | {"calls_per_second": {"explain": 0}} for name, limits in TOKENS["tenants"].items()
+    }
+    tokens = tmp_path_factory.mktemp("tokens") / "tokens.json"
+    tokens.write_text(json.dumps(TOKENS | {"tenants": unlimited}))
+    with running_server(flags=[f"--tokens={tokens}"]) as started:
+        yield started
 
 
 def explainable(service):

@@ -8,13 +8,14 @@ import gymnasium
 import numpy as np
 import pytest
 from fleet_roles import new_session_id
-from security import ADMIN, TOKENS, code_of, entry, http_body, service_with, until
+from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, http_body, service_with, until
 from serving import running_server
 
 INVENTED_EPISODES = 200
 HONEST_SESSIONS = 5
 MOST_BAD_ROUNDS = 10
 GOOD_RETURN = 475
+SEEDS = 10  # of the attack, of the tasks and of who is held out
 FLEET = {"scope": "FLEET"}
 
 
@@ -32,7 +33,7 @@ def served(tokens, *flags):
         yield addresses
 
 
-def attack(agent):
+def attack(agent, seed=1):
     """Teaches the shared head to choose action 0, with invented rewards that add up to little."""
     session = agent.OpenSession(
         policy="cartpole",
@@ -41,7 +42,7 @@ def attack(agent):
         temperature=4.0,
         session_id=new_session_id(),
     ).session_id
-    random = np.random.default_rng(1)
+    random = np.random.default_rng(seed)
     for _ in range(INVENTED_EPISODES):
         reward = 0.0
         for step in range(10):
@@ -108,10 +109,38 @@ def test_learning_is_a_permission(tokens):
             assert denied == grpc.StatusCode.PERMISSION_DENIED
 
 
+@pytest.mark.parametrize("scope", ["FLEET", "SESSION"])
+def test_who_may_not_learn_plays_no_session_that_learns(tokens, scope):
+    denied = grpc.StatusCode.PERMISSION_DENIED
+    with (
+        served(tokens) as addresses,
+        service_with(addresses, "agent") as agent,
+        service_with(addresses, "frozen") as frozen,
+        service_with(addresses, "operator", ADMIN) as owner,
+    ):
+        opening = {"policy": "cartpole", "learning": {"scope": scope}, "session_id": new_session_id()}
+        session = agent.OpenSession(**opening).session_id
+        assert code_of(frozen.OpenSession, **opening) == denied
+        act = {"session_id": session, "observation": OBSERVATION}
+        assert code_of(frozen.Act, **act) == denied
+        agent.Act(**act)
+        assert code_of(frozen.Act, **act) == denied  # a retry, too
+        assert frozen.ActBatch(requests=[act]).results[0].code == denied.value[0]
+        end = {"session_id": session, "reward": 1000.0, "terminated": True}
+        assert code_of(frozen.EndEpisode, **end) == denied
+        assert owner.GetHead(policy="cartpole").updates == 0
+        assert frozen.GetSession(session_id=session).step == 1
+        assert agent.EndEpisode(**end).learning.updates == 1
+        assert code_of(frozen.EndEpisode, **end) == denied
+        # What does not learn may be played by every token of the tenant.
+        shared = agent.OpenSession(policy="cartpole").session_id
+        assert frozen.Act(session_id=shared, observation=OBSERVATION).step == 0
+
+
 class Fleet:
     """Sessions that play CartPole with the shared head, all at once. The first one is held out."""
 
-    def __init__(self, service):
+    def __init__(self, service, seed):
         self._service = service
         self._sessions = [
             service.OpenSession(
@@ -121,7 +150,7 @@ class Fleet:
             ).session_id
             for i in range(HONEST_SESSIONS)
         ]
-        self._seed = 0
+        self._seed = 1000 * seed
 
     def play(self):
         """Plays an episode in each session. Returns the returns."""
@@ -161,14 +190,15 @@ class Fleet:
         return returns
 
 
-def test_the_own_tenants_head_comes_back(tokens):
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_the_own_tenants_head_comes_back(tokens, seed):
     with (
         served(tokens) as addresses,
         service_with(addresses, "agent") as agent,
         service_with(addresses, "operator", ADMIN) as owner,
     ):
-        fleet = Fleet(agent)
-        attack(agent)
+        fleet = Fleet(agent, seed)
+        attack(agent, seed)
         head = owner.GetHead(policy="cartpole")
         assert head.updates <= 4  # fewer than a quarter of the window that the guard judges
         assert head.rejected_updates >= INVENTED_EPISODES - 4

@@ -152,6 +152,10 @@ def test_long_headers_are_not_stored(addresses):
         (b"GET /%4x HTTP/1.1", b"HTTP/1.1 400 Bad Request\r\n"),
         (b"GET /%68ealthz HTTP/1.1", b"HTTP/1.1 200 OK\r\n"),
         (b"HEAD /healthz HTTP/1.0", b"HTTP/1.1 200 OK\r\n"),
+        (
+            b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nHost: localhost",
+            b"HTTP/1.1 400 Bad Request\r\n",
+        ),
         (b"PRI * HTTP/2.0", b"HTTP/1.1 400 Bad Request\r\n"),
         (b"\x16\x03\x01", b"HTTP/1.1 400 Bad Request\r\n"),
     ],

@@ -76,3 +76,20 @@ def test_an_environment_with_small_images(tmp_path):
     assert mean_return(figures, "picture/1") > expert - 0.2 * (expert - chance)
     served = served_return(tmp_path, "home_made:Picture-v0", "picture", 40)
     assert served == pytest.approx(mean_return(figures, "picture/2"), abs=1e-9)
+
+
+@pytest.mark.parametrize(("mode", "least"), [("dense", -16), ("full", -18)])
+def test_a_reacher_with_hidden_velocity(tmp_path, mode, least):
+    """The expert returns -12.7, random actions -615, and the same policy without observed changes -94."""
+    flags = [f"--mode={mode}", "--context=3", "--clip-steps=3", "--hidden-size=64", "--steps=22500", "--iterations=600"]
+    rounds = ["--rounds=1", "--round-steps=7500", "--round-iterations=300", "--silence="]
+    metadata = imitate(tmp_path, "hidden_state:Reacher2D-v0", "hidden_state:reach", *flags, *rounds)
+    versions = ["reacher2d/1"] if mode == "dense" else ["reacher2d/1", "reacher2d/2"]
+    for version in versions:
+        assert mean_return(metadata["figures"], version) >= least
+    assert not any("line on" in warning for warning in metadata["warnings"])
+    with running_server(tmp_path / "policies") as addresses:
+        played = spikeserve.evaluate(
+            "hidden_state:Reacher2D-v0", "reacher2d", server=addresses.grpc, episodes=40, seed=2_000_000
+        )
+    assert played.mean_return == pytest.approx(mean_return(metadata["figures"], versions[-1]), abs=1e-6)

@@ -18,7 +18,7 @@ from serving import DEADLINE_SECONDS, running_server
             "--http_listen: expected --tls_certificate",
         ),
         (["--tls_certificate=missing.pem"], "--tls_key: expected a file"),
-        (["--tls_certificate=missing.pem", "--tls_key=missing.key"], "--tls_certificate: expected"),
+        (["--tls_certificate=missing.pem", "--tls_key=missing.key"], "--tls_certificate: cannot read missing.pem"),
         (["--tokens=missing.json"], "--tokens: missing.json: expected a file that can be read"),
     ],
 )

@@ -9,6 +9,7 @@ import urllib.request
 
 import grpc
 import pytest
+from overflowing_policy import FAR, add_overflowing
 from security import ADMIN, OBSERVATION, POLICY, code_of, entry, until
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, running_server
 
@@ -65,12 +66,15 @@ class Operated:
         return self.agent.OpenSession(policy="cartpole", routing_key=key).version
 
     def play(self, episode_return):
-        """Plays one episode of one step. `episode_return(version)` is its return, None an error. Returns the version."""
+        """Plays one episode of one step. Returns the version.
+
+        `episode_return(version)` is its return. None: the version fails to decide.
+        """
         opened = self.agent.OpenSession(policy="cartpole")
         reward = episode_return(opened.version)
         if reward is None:
-            wrong = {"session_id": opened.session_id, "observation": [1.0]}
-            assert code_of(self.agent.Act, **wrong) == grpc.StatusCode.INVALID_ARGUMENT
+            act = {"session_id": opened.session_id, "observation": FAR}
+            assert code_of(self.agent.Act, **act) == grpc.StatusCode.INTERNAL
         else:
             self.agent.Act(session_id=opened.session_id, observation=OBSERVATION)
             self.agent.EndEpisode(session_id=opened.session_id, reward=reward, terminated=True)
@@ -228,14 +232,18 @@ def test_a_rollout_of_an_equal_version_ends_with_a_new_default(policies):
 
 
 @pytest.mark.parametrize(
-    ("episode_return", "reason"),
+    ("add", "episode_return", "reason"),
     [
-        (lambda version: 500.0 if version == 1 else 9.0, "return is worse: mean return 9 over"),
-        (lambda version: 500.0 if version == 1 else None, "errors is worse: "),
+        (
+            add_version,
+            lambda version: 500.0 if version == 1 else 9.0,
+            "return is worse: mean return 9 over",
+        ),
+        (add_overflowing, lambda version: 500.0 if version == 1 else None, "errors is worse: "),
     ],
 )
-def test_a_rollout_of_a_worse_version_ends_by_itself(policies, tmp_path, episode_return, reason):
-    add_version(policies, 2)
+def test_a_rollout_of_a_worse_version_ends_by_itself(policies, tmp_path, add, episode_return, reason):
+    add(policies, 2)
     log = tmp_path / "audit.jsonl"
     with operated(policies, f"--audit_log={log}") as server:
         server.act_on("default", "--version=1")
@@ -367,3 +375,16 @@ def test_an_audit_log_that_cannot_be_written_stops_the_start(policies):
     )
     assert finished.returncode == 1
     assert "--audit_log: expected a file that the server can append to: /proc/audit.jsonl" in finished.stderr
+
+
+def test_health(policies):
+    """spikectl health fails without a server, and while the server does not take sessions."""
+    with running_server(policies) as addresses:
+        command = [SPIKECTL, "health", f"--server={addresses.grpc}"]
+        healthy = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+        assert (healthy.returncode, healthy.stdout) == (0, "SERVING\n")
+        healthy = subprocess.run([*command, "--json"], capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+        assert json.loads(healthy.stdout) == {"health": "SERVING"}
+    gone = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+    assert gone.returncode != 0
+    assert "UNAVAILABLE" in gone.stderr

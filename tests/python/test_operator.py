@@ -5,6 +5,7 @@ DIR.
 """
 
 import json
+import re
 import shutil
 
 import grpc
@@ -66,7 +67,9 @@ def page(browser, fleet):
     browser.wait_for("document.querySelectorAll('#policies-table tbody tr').length > 1", "policies")
     browser.wait_for("document.querySelector('#most-energy strong')", "energy")
     yield browser
-    assert browser.problems() == []
+    # The robot that is looked at may just have ended its episode: then there is no decision to explain yet.
+    between_episodes = re.compile(r"/explain\.json\?session=\w+ .* status of 409")
+    assert [each for each in browser.problems() if not between_episodes.search(each["message"])] == []
 
 
 def document(fleet, path):

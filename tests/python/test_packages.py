@@ -1,4 +1,5 @@
-"""Installs the Debian packages of the server and the tools, starts the server as its unit does, calls it, and removes it.
+"""Installs the Debian packages of the server and the tools, starts the server as its unit does, plays,
+upgrades and removes it.
 
 The test works in an overlay of this machine's files in its own mount namespace, so it does not change the machine. It
 needs root.
@@ -9,6 +10,7 @@ import pathlib
 import re
 import shutil
 import subprocess
+import sys
 import textwrap
 
 import pytest
@@ -28,25 +30,59 @@ INSIDE = textwrap.dedent(
     unit=/usr/lib/systemd/system/spikeserve.service
     systemd-analyze verify "$unit" && echo "unit verified"
     # Does what systemd would do: creates the StateDirectory and runs the command line of the unit as its user.
-    install -d -o spikeserve -g spikeserve /var/lib/spikeserve
+    install -d -o spikeserve -g spikeserve -m 700 /var/lib/spikeserve
     program=$(sed -n 's/^ExecStart=//p' "$unit")
-    environment=$(sed -n 's/^Environment=//p' "$unit")
-    mkfifo /tmp/announcements
-    runuser -u spikeserve -- env ${environment//%S//var/lib} SPIKESERVE_LISTEN=127.0.0.1:0 \
-      SPIKESERVE_HTTP_LISTEN=127.0.0.1:0 "$program" >/tmp/announcements &
-    server=$!
-    exec {announcements}</tmp/announcements
-    read -r line <&"$announcements"
-    spikectl policies --server="${line##* }" | grep -c cartpole
+    start() {
+      rm -f /tmp/announcements
+      mkfifo /tmp/announcements
+      environment=$(sed -n 's/^Environment=//p' "$unit")
+      runuser -u spikeserve -- env ${environment//%S//var/lib} SPIKESERVE_LISTEN=127.0.0.1:0 \
+        SPIKESERVE_HTTP_LISTEN=127.0.0.1:0 SPIKESERVE_REFLECTION_V1ALPHA=true "$program" >/tmp/announcements &
+      server=$!
+      exec {announcements}</tmp/announcements
+      read -r line <&"$announcements"
+      address=${line##* }
+    }
+    stop() {
+      kill -TERM "$(pgrep -u spikeserve -x spikeserve)"
+      wait "$server"
+    }
+    trap 'stop || true' EXIT
+    start
+    spikectl policies --server="$address" | grep -c cartpole
+    "$1" -c "$2" "$address" play
+    # An upgrade installs the files of the new version over those of the old one, and starts the server again.
+    stop
+    dpkg --install /packages/spikeserve_*.deb >/tmp/dpkg.log || cat /tmp/dpkg.log
+    start
+    "$1" -c "$2" "$address" look
     zsh -fc 'autoload -U compinit && compinit -D && echo "zsh completes by $_comps[spikectl]"'
     fish -c 'complete --do-complete "spikectl explai"' | cut -f1
-    kill -TERM "$(pgrep -u spikeserve -x spikeserve)"
-    wait "$server" && echo "stopped cleanly"
+    stop && echo "stopped cleanly"
+    trap - EXIT
     dpkg --purge spikeserve spikeserve-tools >/dev/null
     for left in /usr/bin/spikeserve /usr/bin/spikectl /usr/share/spikeserve "$unit" /var/lib/spikeserve; do
       [[ ! -e $left ]] || echo "left behind: $left"
     done
     getent passwd spikeserve || echo "user gone"
+    """
+)
+
+# Plays in a session, or says how many decisions it has: python -c ROBOT ADDRESS play|look.
+ROBOT = textwrap.dedent(
+    """
+    import sys
+    import grpc
+    from serving import Service
+
+    with grpc.insecure_channel(sys.argv[1]) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        session = "0123456789abcdef" * 2
+        if sys.argv[2] == "play":
+            service.OpenSession(session_id=session, policy="cartpole")
+            for step in range(3):
+                service.Act(session_id=session, step=step, observation=[0.0] * 4, reward=1.0)
+        print("decisions", service.GetSession(session_id=session).decisions)
     """
 )
 
@@ -59,7 +95,7 @@ OUTSIDE = textwrap.dedent(
     mount --rbind /proc "$1/root/proc"
     mkdir "$1/root/packages"
     mount --bind "$2" "$1/root/packages"
-    exec chroot "$1/root" /bin/bash -c "$3"
+    exec env PYTHONPATH="$6" chroot "$1/root" /bin/bash -c "$3" bash "$4" "$5"
     """
 )
 
@@ -104,7 +140,10 @@ def test_the_package_holds_no_path_of_the_machine_that_built_it(packages):
 
 def test_the_server_installs_starts_answers_and_goes(packages, tmp_path):
     finished = subprocess.run(
-        ["unshare", "--mount", "bash", "-c", OUTSIDE, "bash", tmp_path, packages, INSIDE],
+        [
+            *("unshare", "--mount", "bash", "-c", OUTSIDE, "bash", tmp_path, packages, INSIDE),
+            *(sys.executable, ROBOT, pathlib.Path(__file__).parent),
+        ],
         capture_output=True,
         text=True,
         timeout=DEADLINE_SECONDS,
@@ -114,6 +153,7 @@ def test_the_server_installs_starts_answers_and_goes(packages, tmp_path):
     assert lines[0] == "user spikeserve:/var/lib/spikeserve"
     assert "unit verified" in lines
     assert int(lines[2]) >= 1, "a policy named cartpole is served"
-    assert lines[3:] == ["zsh completes by _spikectl", "explain", "stopped cleanly", "user gone"], (
+    assert lines[3:5] == ["decisions 3"] * 2, "the session of before the upgrade goes on"
+    assert lines[5:] == ["zsh completes by _spikectl", "explain", "stopped cleanly", "user gone"], (
         finished.stdout + finished.stderr
     )

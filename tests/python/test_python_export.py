@@ -25,6 +25,8 @@ SHAPES = [
     {"mode": "full", "merge": "concat", "gate": "sigmoid", "phase_clock": "window"},
     {"mode": "pos", "coder": "bernoulli", "layers": 1, "heads": 4},
     {"mode": "route", "routing_hidden_size": 3, "ffn_size": 7, "threshold": 0.5},
+    *({"mode": mode, "observation_changes": True} for mode in ("full", "dense")),
+    {"mode": "full", "observation_changes": True, "arithmetic": "int8"},
     *({"mode": mode, "arithmetic": "int8"} for mode in ModelConfig.CHOICES["mode"][:-1]),
 ]
 

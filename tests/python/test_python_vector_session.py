@@ -7,6 +7,7 @@ wrong episode.
 """
 
 import asyncio
+import shutil
 
 import grpc
 import gymnasium
@@ -33,7 +34,7 @@ SEED = 1_000_000
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
     folder = tmp_path_factory.mktemp("policies")
-    (folder / "cartpole").symlink_to(SHIPPED_POLICIES / "cartpole")
+    shutil.copytree(SHIPPED_POLICIES / "cartpole", folder / "cartpole")
     for name, env_id in POLICIES.items():
         with gymnasium.make(env_id) as environment:
             export_random(folder, name, environment)

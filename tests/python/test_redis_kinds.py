@@ -1,5 +1,9 @@
 """Sessions survive in Redis over TLS, behind Sentinels, and in a Cluster."""
 
+import contextlib
+import socket
+import threading
+
 import grpc
 import pytest
 from redis_servers import (
@@ -14,7 +18,7 @@ from redis_servers import (
     start_cluster,
     stopping,
 )
-from security import until
+from security import code_of, until
 from stored_sessions import (
     EPISODES,
     SESSIONS,
@@ -114,6 +118,88 @@ def test_tls_with_strangers(tmp_path, password):
                 until(lambda: code_of_open(server) == grpc.StatusCode.UNAVAILABLE)
                 until(lambda expected=expected: expected in log.read_text())
                 server.close()
+
+
+# What a server needs, and no more.
+GRANTS = "~ss:* ~cfg ~r ~fl:* ~fs:* ~fc:* ~fm:* ~pf:* +@all -@admin -@dangerous +role +info +config|get"
+
+
+@pytest.mark.parametrize("by_flag", [False, True])
+def test_a_user_of_the_access_control_list(tmp_path, password, undisturbed, by_flag):
+    """The default user may do nothing. Another one has the keys of the server."""
+    with stopping([Redis()]) as [redis]:
+        assert redis.command(f"ACL SETUSER robots on >robots-secret {GRANTS}") == b"OK"
+        file = tmp_path / "robots"
+        file.write_text("robots-secret\n")
+        flags = [f"--store_password_file={file}"] + ["--store_user=robots"] * by_flag
+        user = "" if by_flag else "robots@"
+        with Restartable(f"redis://{user}127.0.0.1:{redis.port}/3", flags) as server:
+            assert play(lambda: server) == undisturbed
+            server.close()
+        assert redis.command("DBSIZE", database=3) > 0
+        log = tmp_path / "log"
+        file.write_text("another")
+        with log.open("w") as out, Restartable(
+            f"redis://{user}127.0.0.1:{redis.port}", flags, log=out
+        ) as server:
+            assert code_of_open(server) == grpc.StatusCode.UNAVAILABLE
+            assert "WRONGPASS" in log.read_text()
+            server.close()
+
+
+def test_a_user_of_redis_whom_sentinels_do_not_know(tmp_path):
+    with stopping([Redis()]) as servers:
+        [redis] = servers
+        assert redis.command(f"ACL SETUSER robots on >robots-secret {GRANTS}") == b"OK"
+        file = tmp_path / "robots"
+        file.write_text("robots-secret\n")
+        sentinel = Sentinel(tmp_path, redis, quorum=1)
+        servers.append(sentinel)
+        until(lambda: primary_port(sentinel) == redis.port)
+        store = f"redis+sentinel://robots@127.0.0.1:{sentinel.port}/mymaster"
+        with Restartable(store, [f"--store_password_file={file}"]) as server:
+            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            server.close()
+
+
+@contextlib.contextmanager
+def far_away(redis, seconds):
+    """Yields a port at which Redis answers each piece of the conversation `seconds` later."""
+
+    def carry(source, target):
+        with contextlib.suppress(OSError):
+            while piece := source.recv(1 << 16):
+                threading.Timer(seconds, target.sendall, [piece]).start()
+
+    def accept():
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = listener.accept()
+                far = socket.create_connection(("127.0.0.1", redis.port))
+                threading.Thread(target=pass_on, args=(near, far), daemon=True).start()
+                threading.Thread(target=carry, args=(far, near), daemon=True).start()
+
+    def pass_on(near, far):
+        with contextlib.suppress(OSError):
+            while piece := near.recv(1 << 16):
+                far.sendall(piece)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=accept, daemon=True).start()
+        yield listener.getsockname()[1]
+        listener.shutdown(socket.SHUT_RDWR)
+
+
+def test_a_redis_that_is_far_away(password):
+    """Its answers take 1.2 s."""
+    with stopping([Redis()]) as [redis], far_away(redis, 1.2) as port, Restartable(
+        f"redis://127.0.0.1:{port}", [password, "--store_timeout=20s"]
+    ) as server:
+        until(lambda: code_of_open(server) in (grpc.StatusCode.OK, grpc.StatusCode.ALREADY_EXISTS))
+        session = opening(0)["session_id"]
+        until(lambda: redis.command(f"HGET ss:{{{session}}}:o state") == b"open")
+        until(lambda: code_of(server.Act, **acting(0, 0, 0)) == grpc.StatusCode.OK)
+        server.close()
 
 
 def code_of_open(server):

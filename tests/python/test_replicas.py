@@ -276,8 +276,10 @@ def test_an_answer_that_changes_is_an_error(fleet):
         for t in range(1, 5):
             session.act(observation(0, t), reward(t))
         # As if the server had answered otherwise before it was lost.
-        remembered = session.cursor._unacknowledged._answered[-2].answer
-        remembered.action.discrete = 1 - remembered.action.discrete
+        remembered = session.cursor._unacknowledged._answered[-2]
+        answer = remembered.answer
+        answer.action.discrete = 1 - answer.action.discrete
+        remembered.answer_bytes = answer.SerializeToString()
         for replica in fleet.replicas:
             replica.kill()
         fleet.redis.start()

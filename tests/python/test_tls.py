@@ -1,6 +1,11 @@
 """TLS and mutual TLS, with gRPC and with HTTP."""
 
+import contextlib
 import http.client
+import shutil
+import socket
+import ssl
+import time
 import urllib.error
 
 import grpc
@@ -97,3 +102,134 @@ def test_encrypted_and_with_tokens_the_page_may_face_the_network(certificates, t
     with running_server(flags=flags) as addresses:
         port = addresses.http.rpartition(":")[2]
         assert https_code(certificates, f"127.0.0.1:{port}", "/metrics") == 401
+
+
+@pytest.fixture
+def renewed(certificates, tmp_path):
+    """Copies the certificates to a folder in which a test may change them, and an expired one beside them."""
+    for file in certificates.iterdir():
+        shutil.copy(file, tmp_path)
+    for name in ("server.pem", "server.key"):
+        shutil.copy(tmp_path / name, tmp_path / f"good-{name}")
+    make_certificate(tmp_path, "expired", "ca", days=-1)
+    return tmp_path
+
+
+def replace(folder, name):
+    """Replaces the server's files by those of another certificate, each at once."""
+    for kind in ("pem", "key"):
+        shutil.copy(folder / f"{name}.{kind}", folder / "next")
+        (folder / "next").rename(folder / f"server.{kind}")
+
+
+@contextlib.contextmanager
+def logged_server(folder, *flags):
+    """Starts a server with the certificate of a folder. Yields its Addresses and a function that reads its log."""
+    log = folder / "log"
+    with log.open("w") as file, running_server(flags=tls_flags(folder, *flags), log=file) as addresses:
+        yield addresses, log.read_text
+
+
+def metric(certificates, addresses, name):
+    """Returns the value of a time series, or None."""
+    context = ssl.create_default_context(cafile=certificates / "ca.pem")
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE  # also of a server whose certificate has expired
+    connection = http.client.HTTPSConnection(addresses.http, context=context, timeout=30)
+    connection.request("GET", "/metrics")
+    page = connection.getresponse().read().decode()
+    connection.close()
+    return next(
+        (float(line.split()[-1]) for line in page.splitlines() if line.startswith(f"{name} ")), None
+    )
+
+
+EXPIRY = 'spikeserve_tls_expiry_timestamp_seconds{certificate="server"}'
+FAILING = "spikeserve_tls_reload_failing"
+
+
+def test_an_expired_certificate_is_reported(renewed):
+    replace(renewed, "expired")
+    with logged_server(renewed) as (addresses, log):
+        assert metric(renewed, addresses, EXPIRY) < time.time()
+        assert "error certificate not valid; clients will refuse it" in log()
+
+
+def test_the_expiry_of_a_certificate_and_of_the_clients_authority_are_metrics(certificates, tmp_path):
+    flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem")
+    with running_server(flags=flags) as addresses:
+        context = ssl.create_default_context(cafile=certificates / "ca.pem")
+        context.load_cert_chain(certificates / "client.pem", certificates / "client.key")
+        connection = http.client.HTTPSConnection(
+            addresses.http.replace("127.0.0.1", "localhost"), context=context, timeout=30
+        )
+        connection.request("GET", "/metrics")
+        page = connection.getresponse().read().decode()
+        connection.close()
+    in_two_days = time.time() + 2 * 86400
+    for which in ("server", "client_ca"):
+        line = f'spikeserve_tls_expiry_timestamp_seconds{{certificate="{which}"}} '
+        (value,) = [float(at.split()[-1]) for at in page.splitlines() if at.startswith(line)]
+        assert abs(value - in_two_days) < 3600
+
+
+def test_files_that_cannot_be_used_are_reported_and_not_used(renewed):
+    with logged_server(renewed) as (addresses, log):
+        (renewed / "server.pem").write_text("no certificate")
+        until(lambda: metric(renewed, addresses, FAILING) == 1)
+        said = "error certificate not reloaded; the old one stays in use"
+        until(lambda: said in log())
+        assert "--tls_certificate: expected a certificate in PEM form" in log()
+        assert reaches(addresses.grpc, credentials(renewed))
+        replace(renewed, "good-server")
+        until(lambda: metric(renewed, addresses, FAILING) == 0)
+        replace(renewed, "expired")
+        until(lambda: "expected a certificate that is valid now" in log())
+        assert reaches(addresses.grpc, credentials(renewed))
+        (renewed / "server.key").unlink()
+        until(lambda: "--tls_key: cannot read" in log())
+        make_certificate(renewed, "fresh", "ca")
+        replace(renewed, "fresh")
+        until(lambda: "info certificate reloaded" in log())
+        assert metric(renewed, addresses, FAILING) == 0
+
+
+@pytest.mark.parametrize("missing", ["server.pem", "server.key"])
+def test_a_missing_file_is_named(renewed, missing):
+    (renewed / missing).unlink()
+    log = renewed / "log"
+    flag = "--tls_certificate" if missing == "server.pem" else "--tls_key"
+    with (
+        log.open("w") as file,
+        pytest.raises(AssertionError),
+        running_server(flags=tls_flags(renewed), log=file, status=1),
+    ):
+        pass
+    assert f"{flag}: cannot read {renewed / missing}: No such file or directory" in log.read_text()
+
+
+def handshake(address, ciphers):
+    """Negotiates TLS 1.2 for HTTP/2 with one suite. Returns whether the server accepts it."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    context.maximum_version = ssl.TLSVersion.TLSv1_2
+    context.set_ciphers(ciphers)
+    context.set_alpn_protocols(["h2"])
+    host, _, port = address.rpartition(":")
+    try:
+        with (
+            socket.create_connection((host, int(port)), timeout=30) as plain,
+            context.wrap_socket(plain) as encrypted,
+        ):
+            return encrypted.cipher() is not None
+    except (ssl.SSLError, ConnectionError):
+        return False
+
+
+def test_tls_1_2_offers_only_the_suites_of_http2(certificates):
+    with running_server(flags=tls_flags(certificates)) as addresses:
+        assert handshake(addresses.grpc, "ECDHE-ECDSA-AES128-GCM-SHA256")
+        assert handshake(addresses.grpc, "ECDHE-ECDSA-CHACHA20-POLY1305")
+        for forbidden in ("ECDHE-ECDSA-AES128-SHA", "ECDHE-ECDSA-AES256-SHA384"):  # CBC
+            assert not handshake(addresses.grpc, forbidden)

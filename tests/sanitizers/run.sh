@@ -24,7 +24,9 @@ python_tests=(
 tests=${3:-^($(IFS='|'; echo "${python_tests[*]}"))\$}
 
 cmake --preset "$preset" --log-level=WARNING
-cmake --build "build/$preset" --target spikeserve spikeload spikectl client_player
+cmake --build "build/$preset" --target spikeserve spikeload spikectl client_player golden_test
+# The answers of another build type.
+"build/$preset/tests/golden_test" --gtest_brief=1
 bin=build/$preset/bin
 log=build/$preset/sanitized-server.txt
 reports=$PWD/build/$preset/reports

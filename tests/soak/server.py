@@ -69,7 +69,9 @@ class SoakedServer:
         known = [entry("agent", "agent", TENANT), entry("operator", "operator", TENANT)]
         strangers = [entry(secrets.token_hex(), "agent", TENANT) for _ in range(STRANGERS)]
         following = self.folder / ".tokens.json"
-        following.write_text(json.dumps({"tenants": {TENANT: {}}, "tokens": known + strangers}))
+        # The soak calls as often as it can, which is above the rates of a tenant.
+        rates = {"calls_per_second": dict.fromkeys(("light", "listing", "explain", "operator"), 0)}
+        following.write_text(json.dumps({"tenants": {TENANT: rates}, "tokens": known + strangers}))
         following.rename(self.tokens)
 
     def service(self, token, name):

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
@@ -15,6 +16,7 @@ constexpr uint64_t kOrder = 14;  // first part of the keys of the random order
 ChunkPlan::ChunkPlan(const std::vector<EpisodeEntry>& entries, std::vector<int> episodes,
                      Options options)
     : entries_(entries), episodes_(std::move(episodes)), options_(options) {
+  SPIKESERVE_DCHECK(!episodes_.empty());
   BeginPass(0);
   NextChunk();
 }

@@ -5,6 +5,7 @@
 #include <map>
 #include <utility>
 
+#include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
@@ -31,7 +32,8 @@ Clips EmptyClips(const Dataset& dataset, int count, int timesteps) {
           .targets = std::vector<float>(slots * dataset.action_space.size()),
           .timesteps = std::vector<int64_t>(slots),
           .mask = std::vector<float>(slots),
-          .weights = std::vector<float>(slots)};
+          .weights = std::vector<float>(slots),
+          .previous = std::vector<float>(static_cast<size_t>(count) * dataset.observation_size)};
 }
 
 // Fills clip number `clip` with the steps of `episode` from `begin` on. `returns_to_go` is
@@ -40,6 +42,11 @@ void FillClip(const Dataset& dataset, const Episode& episode,
               const std::vector<float>& returns_to_go, int begin, int clip, Clips* clips) {
   const size_t obs = dataset.observation_size;
   const size_t act = dataset.action_space.size();
+  const auto observation = [&](int step) {
+    return episode.observations.begin() + static_cast<int64_t>(step * obs);
+  };
+  std::copy_n(observation(std::max(0, begin - 1)), obs,
+              clips->previous.begin() + static_cast<int64_t>(clip * obs));
   for (int i = 0; i < clips->timesteps_per_clip; ++i) {
     const size_t slot = static_cast<size_t>(clip) * clips->timesteps_per_clip + i;
     const int step = begin + i;
@@ -48,7 +55,7 @@ void FillClip(const Dataset& dataset, const Episode& episode,
     clips->mask[slot] = 1.0f;
     clips->weights[slot] = episode.weight(step);
     clips->return_to_go[slot] = returns_to_go[step];
-    std::copy_n(episode.observations.begin() + static_cast<int64_t>(step * obs), obs,
+    std::copy_n(observation(step), obs,
                 clips->observations.begin() + static_cast<int64_t>(slot * obs));
     const absl::Span<float> target = absl::MakeSpan(clips->targets).subspan(slot * act, act);
     dataset.action_space.Encode(episode.label(step), target);
@@ -60,6 +67,8 @@ void FillClip(const Dataset& dataset, const Episode& episode,
 }  // namespace
 
 ClipPlaces::ClipPlaces(const std::vector<int>& lengths, int timesteps) : timesteps_(timesteps) {
+  SPIKESERVE_DCHECK(!lengths.empty());
+  SPIKESERVE_DCHECK_GE(timesteps, 1);
   int64_t steps = 0;
   for (const int length : lengths) {
     steps_before_.push_back(steps);

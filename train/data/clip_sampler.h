@@ -26,6 +26,8 @@ struct Clips {
   std::vector<int64_t> timesteps;  // [B, n], counted from the start of the episode
   std::vector<float> mask;         // [B, n], 1 for a step of the episode, 0 after its end
   std::vector<float> weights;      // [B, n], weights of the targets in the loss; 0 after the end
+  // [B, obs], the observation before the clip; at the start of an episode, its first observation.
+  std::vector<float> previous;
 };
 
 // The classes are immutable after construction; const members are safe to call from many threads.

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
@@ -13,6 +14,21 @@ int64_t MemoryOf(const std::vector<Action>& actions) {
   size_t bytes = actions.size() * sizeof(Action);
   for (const Action& action : actions) bytes += action.continuous.size() * sizeof(float);
   return static_cast<int64_t>(bytes);
+}
+
+// Returns the moments of `count` numbers with these sums. The deviation of a constant is 1.
+Moments MomentsOf(const Eigen::ArrayXd& sum, const Eigen::ArrayXd& squares, double count) {
+  constexpr double kAddedDeviation = 1e-6;
+  const Eigen::ArrayXd mean = sum / count;
+  const Eigen::ArrayXd deviation = (squares / count - mean.square()).max(0.0).sqrt();
+  // The deviation of a constant is what rounding leaves of it. To divide by that would make the
+  // entry huge as soon as it changes.
+  const Eigen::Array<bool, Eigen::Dynamic, 1> is_constant =
+      deviation <= kAddedDeviation * mean.abs().max(1.0);
+  const Eigen::ArrayXf deviations =
+      is_constant.select(1.0, deviation + kAddedDeviation).cast<float>();
+  const Eigen::ArrayXf means = mean.cast<float>();
+  return {.mean = {means.begin(), means.end()}, .std = {deviations.begin(), deviations.end()}};
 }
 
 }  // namespace
@@ -42,7 +58,7 @@ int64_t MemoryOf(const Episode& episode) {
 }
 
 DataStatistics::DataStatistics(int observation_size)
-    : sum_(Eigen::ArrayXd::Zero(observation_size)), squares_(sum_) {}
+    : sum_(Eigen::ArrayXd::Zero(observation_size)), squares_(sum_), squared_changes_(sum_) {}
 
 void DataStatistics::Add(const Episode& episode) {
   const auto observations = AsMatrix(episode.observations, episode.steps() + 1);
@@ -50,6 +66,16 @@ void DataStatistics::Add(const Episode& episode) {
     const auto x = observations.row(step).transpose().array().cast<double>();
     sum_ += x;
     squares_ += x.square();
+    const std::vector<float>& label = episode.label(step).continuous;
+    if (label_sum_.size() == 0) {
+      label_sum_ = label_squares_ = Eigen::ArrayXd::Zero(static_cast<Eigen::Index>(label.size()));
+    }
+    label_sum_ += AsVector(label).array().cast<double>();
+    label_squares_ += AsVector(label).array().cast<double>().square();
+    if (step == 0) continue;
+    squared_changes_ +=
+        (x - observations.row(step - 1).transpose().array().cast<double>()).square();
+    ++changes_;
   }
   const std::vector<float> returns_to_go = ReturnsToGo(episode);
   const Eigen::VectorXd returns = AsVector(returns_to_go).cast<double>();
@@ -60,28 +86,33 @@ void DataStatistics::Add(const Episode& episode) {
 }
 
 Moments DataStatistics::PooledMoments(int groups) const {
-  constexpr double kAddedDeviation = 1e-6;
+  SPIKESERVE_DCHECK_GE(groups, 1);
   const Eigen::Index in_group = sum_.size() / groups;
   // Entry i of group g is at [g, i] of a column-major matrix.
   const auto pool = [&](const Eigen::ArrayXd& sums) -> Eigen::ArrayXd {
-    return Eigen::ArrayXXd::Map(sums.data(), groups, in_group).rowwise().sum() /
-           (steps_ * static_cast<double>(in_group));
+    return Eigen::ArrayXXd::Map(sums.data(), groups, in_group).rowwise().sum();
   };
-  const Eigen::ArrayXd mean = pool(sum_);
-  const Eigen::ArrayXd deviation = (pool(squares_) - mean.square()).max(0.0).sqrt();
-  const Eigen::ArrayXf means = mean.cast<float>();
-  // The deviation of a constant is what rounding leaves of it. To divide by that would make the
-  // entry huge as soon as it changes.
-  const Eigen::Array<bool, Eigen::Dynamic, 1> is_constant =
-      deviation <= kAddedDeviation * mean.abs().max(1.0);
-  const Eigen::ArrayXf deviations =
-      is_constant.select(1.0, deviation + kAddedDeviation).cast<float>();
+  const Moments pooled =
+      MomentsOf(pool(sum_), pool(squares_), steps_ * static_cast<double>(in_group));
   Moments moments;
   for (Eigen::Index i = 0; i < sum_.size(); ++i) {
-    moments.mean.push_back(means[i % groups]);
-    moments.std.push_back(deviations[i % groups]);
+    moments.mean.push_back(pooled.mean[i % groups]);
+    moments.std.push_back(pooled.std[i % groups]);
   }
   return moments;
+}
+
+Moments DataStatistics::labels() const { return MomentsOf(label_sum_, label_squares_, steps_); }
+
+std::vector<float> DataStatistics::change_std() const {
+  const Eigen::ArrayXd root = (squared_changes_ / std::max(changes_, 1.0)).sqrt();
+  // What rounding leaves of a constant is no change.
+  const Eigen::ArrayXd level = (squares_ / steps_).sqrt().max(1.0);
+  std::vector<float> scales;
+  for (Eigen::Index i = 0; i < root.size(); ++i) {
+    scales.push_back(root[i] <= 1e-6 * level[i] ? 1.0f : static_cast<float>(root[i]));
+  }
+  return scales;
 }
 
 float DataStatistics::return_mean() const { return static_cast<float>(return_sum_ / steps_); }

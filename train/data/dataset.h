@@ -42,14 +42,23 @@ class DataStatistics {
   // modulo `groups`. The pixels of an image [height, width, channels] are in `channels` groups.
   // REQUIRES: `groups` divides the size of an observation.
   Moments PooledMoments(int groups) const;
+  // Returns the root mean square of each entry's change from one step to the next, [obs]. That of
+  // an entry that never changes is 1.
+  std::vector<float> change_std() const;
+  // Returns the moments of each element of the actions to imitate, in environment units, [act];
+  // both empty for a Discrete space. The deviation of an element that is constant in the data is 1.
+  Moments labels() const;
   // Mean and standard deviation of the returns-to-go of all steps: mu and sigma of eq. 4.2.
   float return_mean() const;
   float return_std() const;
   float best_return() const { return best_return_; }
 
  private:
-  Eigen::ArrayXd sum_, squares_;  // of the observations, [obs]
+  Eigen::ArrayXd sum_, squares_;              // of the observations, [obs]
+  Eigen::ArrayXd squared_changes_;            // [obs]
+  Eigen::ArrayXd label_sum_, label_squares_;  // of a Box, [act]
   double steps_ = 0.0;
+  double changes_ = 0.0;  // steps that have one before them
   double return_sum_ = 0.0, return_squares_ = 0.0;
   float best_return_ = 0.0f;
 };

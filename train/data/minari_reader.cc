@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/contract/dcheck.h"
 #include "train/data/child_reader.h"
 #include "train/data/hdf5_file.h"
 #include "train/data/minari_layout.h"
@@ -188,6 +189,7 @@ absl::StatusOr<MinariEpisodes> MinariEpisodes::Open(const std::string& directory
 }
 
 absl::StatusOr<std::vector<Episode>> MinariEpisodes::ReadFrom(int first, int64_t bytes) const {
+  SPIKESERVE_DCHECK(first >= 0 && first < count());
   int64_t taken = 0;
   return ReadWhile([&, first](const std::vector<Episode>& read) {
     if (!read.empty()) taken += MemoryOf(read.back());
@@ -197,6 +199,7 @@ absl::StatusOr<std::vector<Episode>> MinariEpisodes::ReadFrom(int first, int64_t
 }
 
 absl::StatusOr<std::vector<Episode>> MinariEpisodes::Read(absl::Span<const int> indices) const {
+  SPIKESERVE_DCHECK(!indices.empty());
   return ReadWhile([&](const std::vector<Episode>& read) {
     return read.size() < indices.size() ? indices[read.size()] : -1;
   });

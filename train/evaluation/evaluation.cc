@@ -38,17 +38,25 @@ double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed
   return episode_return;
 }
 
-nlohmann::ordered_json OperationsToJson(const Counts& counts, double decisions) {
+nlohmann::ordered_json OperationsToJson(const Counts& counts, double decisions,
+                                        const ModelConfig& config) {
   const auto mean = [&](uint64_t count) { return static_cast<double>(count) / decisions; };
-  return {{"accumulates", mean(counts.accumulates)},
-          {"multiply_accumulates", mean(counts.multiply_accumulates)},
-          {"integer_multiply_accumulates", mean(counts.integer_multiply_accumulates)},
-          {"attention_products", mean(counts.attention_products)},
-          {"membrane_updates", mean(counts.membrane_updates)},
-          {"coder_gains", mean(counts.coder_gains)},
-          {"layer_norm_elements", mean(counts.layer_norm_elements)},
-          {"softmax_terms", mean(counts.softmax_terms)},
-          {"gate_products", mean(counts.gate_products)}};
+  nlohmann::ordered_json operations = {
+      {"accumulates", mean(counts.accumulates)},
+      {"multiply_accumulates", mean(counts.multiply_accumulates)},
+      {"integer_multiply_accumulates", mean(counts.integer_multiply_accumulates)},
+      {"attention_products", mean(counts.attention_products)},
+      {"membrane_updates", mean(counts.membrane_updates)},
+      {"coder_gains", mean(counts.coder_gains)},
+      {"layer_norm_elements", mean(counts.layer_norm_elements)},
+      {"softmax_terms", mean(counts.softmax_terms)},
+      {"gate_products", mean(counts.gate_products)}};
+  if (!config.is_integer()) return operations;
+  operations["membrane_ticks"] = mean(counts.membrane_ticks);
+  operations["membrane_leaks"] = mean(counts.membrane_leaks);
+  operations["wide_multiply_accumulates"] = mean(counts.wide_multiply_accumulates);
+  operations["attention_scalings"] = mean(counts.attention_scalings);
+  return operations;
 }
 
 }  // namespace
@@ -112,7 +120,7 @@ nlohmann::ordered_json ToJson(const Evaluation& evaluation, const ModelConfig& c
   json["window_timesteps"] = config.context;
   json["synaptic_operations_per_decision"] =
       static_cast<double>(evaluation.counts.synaptic_operations()) / decisions;
-  json["operations_per_decision"] = OperationsToJson(evaluation.counts, decisions);
+  json["operations_per_decision"] = OperationsToJson(evaluation.counts, decisions, config);
   for (const auto& [model, name] : EnumNames(EnergyModel())) {
     const auto joules = EstimateEnergy(model, evaluation.counts, config);
     if (!joules.has_value()) continue;

@@ -46,8 +46,10 @@ uint64_t DenseProducts(const Policy& policy, TokenKind kind, int inputs) {
   const uint64_t d = size(config.hidden_size);
   const uint64_t ticks = size(config.ticks);
   const uint64_t projection = ticks * size(config.attention_inputs()) * d;
+  // Integer arithmetic routes once for all ticks.
   const uint64_t routing = config.has_routing()
-                               ? ticks * size(config.routing_hidden_size) * (d + size(config.heads))
+                               ? (config.is_integer() ? 1 : ticks) *
+                                     size(config.routing_hidden_size) * (d + size(config.heads))
                                : 0;
   // The query, routing, the output of the attention, and the FFN, whose input has ticks.
   const uint64_t output = projection + routing + size(config.merged_size()) * d +
@@ -103,15 +105,17 @@ absl::StatusOr<NeuroBench> MeasureNeuroBench(const Policy& policy, const Evaluat
   const auto decisions = static_cast<double>(evaluation.decisions);
   const auto mean = [&](uint64_t count) { return static_cast<double>(count) / decisions; };
   const uint64_t spikes = counts.total_spikes() - counts.spikes(Stage::kPhase);
-  uint64_t activations = counts.membrane_updates;
-  if (config.coder == CoderKind::kBernoulli) {
+  uint64_t activations = config.is_integer() ? counts.membrane_ticks : counts.membrane_updates;
+  // Bernoulli coders and those of integer arithmetic have no membranes.
+  if (config.coder == CoderKind::kBernoulli || config.is_integer()) {
     activations += counts.coder_gains * static_cast<uint64_t>(config.ticks);
   }
   // The first decision of an episode has no action token.
   const uint64_t actions = evaluation.decisions - evaluation.returns.size();
   const uint64_t dense =
       evaluation.decisions * (DenseProducts(policy, TokenKind::kReturn, 1) +
-                              DenseProducts(policy, TokenKind::kState, policy.observation_size())) +
+                              DenseProducts(policy, TokenKind::kState,
+                                            config.state_inputs(policy.observation_size()))) +
       actions * DenseProducts(policy, TokenKind::kAction, policy.action_space.size());
   return NeuroBench{
       .decisions = evaluation.decisions,

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
@@ -22,6 +23,7 @@ std::vector<double> PairedEvaluation::differences() const {
 }
 
 MeanInterval MeanWithInterval(const std::vector<double>& values) {
+  SPIKESERVE_DCHECK(!values.empty());
   const auto count = static_cast<double>(values.size());
   const double mean = AsVector(values).mean();
   const double squares = (AsVector(values).array() - mean).square().sum();

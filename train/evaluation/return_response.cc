@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
@@ -35,6 +36,7 @@ double Correlation(absl::Span<const double> x, absl::Span<const double> y) {
 }  // namespace
 
 double RankCorrelation(absl::Span<const double> x, absl::Span<const double> y) {
+  SPIKESERVE_DCHECK_EQ(x.size(), y.size());
   return Correlation(Ranks(x), Ranks(y));
 }
 

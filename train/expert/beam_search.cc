@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <unordered_set>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 namespace {
 
@@ -57,6 +59,7 @@ std::vector<int> PathTo(const std::vector<Layer>& layers, int index, int last) {
 
 std::vector<int> BeamSearch(const Problem& problem, const ValueTable<4>& table, const State& start,
                             int width, int max_steps) {
+  SPIKESERVE_DCHECK_GE(width, 1);
   std::vector<Layer> layers = {{{.state = start, .value = 0.0, .parent = 0, .choice = 0}}};
   for (int step = 0; step < max_steps; ++step) {
     Layer candidates;

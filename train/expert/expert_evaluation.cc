@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 #include "core/environment/environment.h"
 #include "core/math/vector_view.h"
 
@@ -49,6 +50,7 @@ absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
 }
 
 ReturnSummary StatisticsOf(absl::Span<const double> returns) {
+  SPIKESERVE_DCHECK(!returns.empty());
   const double mean = AsVector(returns).mean();
   return {.mean = mean, .std = std::sqrt((AsVector(returns).array() - mean).square().mean())};
 }

@@ -5,8 +5,13 @@
 #include <limits>
 #include <vector>
 
-// Compiles one clone per vector extension; the dynamic loader selects one.
+// Compiles one clone per vector extension of x86-64; the dynamic loader selects one. Every arm64
+// processor has the vectors that the compiler uses there.
+#ifdef __x86_64__
 #define SPIKESERVE_VECTOR_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define SPIKESERVE_VECTOR_CLONES
+#endif
 
 namespace spikeserve {
 namespace {

@@ -1,8 +1,8 @@
 // The inner loops of training: LIF neurons over T ticks and their backward pass, on plain arrays.
 //
-// Compiled once per x86-64 vector extension; the variant is selected when the program starts, so
-// that one binary runs on every processor. All variants compute the same bits. Safe to call from
-// many threads on disjoint ranges of neurons.
+// Compiled once per vector extension of x86-64, where the variant is selected when the program
+// starts, so that one binary runs on every processor; on arm64 once. All variants compute the same
+// bits. Safe to call from many threads on disjoint ranges of neurons.
 #ifndef TRAIN_MODEL_LIF_KERNELS_H_
 #define TRAIN_MODEL_LIF_KERNELS_H_
 

@@ -35,10 +35,11 @@ int FanOut(Stage stage, const ModelConfig& config) {
 }  // namespace
 
 torch::Tensor ImitationLoss(const ActionSpace& space, const torch::Tensor& logits,
-                            const torch::Tensor& targets, const torch::Tensor& weights) {
+                            const torch::Tensor& targets, const torch::Tensor& weights,
+                            const torch::Tensor& spread) {
   const torch::Tensor losses = space.is_discrete()
                                    ? -(torch::log_softmax(logits, -1) * targets).sum(-1)
-                                   : (torch::tanh(logits) - targets).square().mean(-1);
+                                   : ((torch::tanh(logits) - targets) / spread).square().mean(-1);
   return (losses * weights).sum() / weights.sum();
 }
 

@@ -13,10 +13,13 @@ namespace spikeserve {
 
 // Returns the mean loss of the steps, weighted by `weights` [B, n], which are 0 after the end of an
 // episode. The loss of a step is the cross-entropy of softmax(z) and the one-hot `targets` for a
-// Discrete space, or the mean squared difference of tanh(z) and `targets` in [-1, 1] for a Box.
-// Logits z and targets are [B, n, act].
+// Discrete space, or for a Box the mean over its elements of the squared difference of tanh(z) and
+// `targets` in [-1, 1], divided by the square of the element's `spread` [act]. So it does not
+// depend on how wide the bounds are: with the deviations of the targets it is the share of their
+// variance that is not explained. Logits z and targets are [B, n, act].
 torch::Tensor ImitationLoss(const ActionSpace& space, const torch::Tensor& logits,
-                            const torch::Tensor& targets, const torch::Tensor& weights);
+                            const torch::Tensor& targets, const torch::Tensor& weights,
+                            const torch::Tensor& spread);
 
 // Firing rates, in spikes per neuron and tick, above which a population is penalised. 1 means no
 // penalty.

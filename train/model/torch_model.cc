@@ -63,12 +63,21 @@ class ForwardPass {
   // Returns the embedded tokens, [B, 3n, d].
   torch::Tensor Embed() const {
     const torch::Tensor g = (clips_.return_to_go - policy_.return_offset) / policy_.return_scale;
-    const torch::Tensor s = (clips_.observations - p_["observation.mean"]) / p_["observation.std"];
     const torch::Tensor x = torch::stack(
-        {EmbedModality(g.unsqueeze(-1), "embed.return"), EmbedModality(s, "embed.state"),
+        {EmbedModality(g.unsqueeze(-1), "embed.return"), EmbedModality(StateInput(), "embed.state"),
          EmbedModality(clips_.actions, "embed.action")},
         2);
     return x.flatten(1, 2);
+  }
+
+  // Returns the input of the state tokens (see SetStateInput), [B, n, state inputs].
+  torch::Tensor StateInput() const {
+    const torch::Tensor& seen = clips_.observations;
+    const torch::Tensor s = (seen - p_["observation.mean"]) / p_["observation.std"];
+    if (!config_.observation_changes) return s;
+    const torch::Tensor before =
+        torch::cat({clips_.previous.unsqueeze(1), seen.slice(1, 0, seen.size(1) - 1)}, 1);
+    return torch::cat({s, (seen - before) / p_["observation.change_std"]}, -1);
   }
 
   torch::Tensor EmbedModality(const torch::Tensor& input, const std::string& name) const {

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
 #include "train/report/figure_data.h"
 
@@ -289,6 +290,7 @@ class Writer {
 }  // namespace
 
 Interval IntervalOf(const std::vector<double>& values) {
+  SPIKESERVE_DCHECK(!values.empty());
   // Student's t, two-sided 95 %, by degrees of freedom from 1.
   constexpr double kT[] = {12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262};
   const auto count = static_cast<double>(values.size());

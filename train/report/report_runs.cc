@@ -87,7 +87,7 @@ std::string Command(const ReportOptions& options, const ReportRun& run) {
       DataOptions(options, run).ToFlags(), " ", TrainingOptions(options, run).ToFlags(),
       " --hidden_size=", config.hidden_size, " --heads=", config.heads, " --layers=", config.layers,
       " --ticks=", config.ticks, " --context=", config.context, " --ffn_size=", config.ffn_size,
-      " --out=", run.name());
+      " --observation_changes=false --out=", run.name());
 }
 
 class Runner {

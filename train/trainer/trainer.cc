@@ -14,7 +14,9 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_replace.h"
+#include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
+#include "train/trainer/initial_policy.h"
 
 namespace spikeserve {
 namespace {
@@ -144,6 +146,7 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
       observation_size_(source.dataset().observation_size),
       clip_steps_(ClipSteps(options, initial.config)),
       split_(SplitEpisodes(source.entries(), options.validation)),
+      spread_(torch::tensor(EncodedLabels(source).std)),
       model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
   if (source.resident()) {
@@ -210,14 +213,15 @@ Trainer::Batch Trainer::MakeBatch(const Clips& clips, uint64_t key) const {
                         Copy(clips.observations, {count, n, observation_size_}, torch::kFloat),
                     .actions = Copy(clips.actions, {count, n, act}, torch::kFloat),
                     .timesteps = Copy(clips.timesteps, {count, n}, torch::kLong),
-                    .seeds = Copy(seeds, {count}, torch::kLong)},
+                    .seeds = Copy(seeds, {count}, torch::kLong),
+                    .previous = Copy(clips.previous, {count, observation_size_}, torch::kFloat)},
           .targets = Copy(clips.targets, {count, n, act}, torch::kFloat),
           .mask = Copy(clips.mask, {count, n}, torch::kFloat),
           .weights = Copy(clips.weights, {count, n}, torch::kFloat)};
 }
 
 torch::Tensor Trainer::Loss(const Batch& batch, const ModelOutput& output) const {
-  return ImitationLoss(action_space_, output.logits, batch.targets, batch.weights);
+  return ImitationLoss(action_space_, output.logits, batch.targets, batch.weights, spread_);
 }
 
 void Trainer::SetLearningRate() {
@@ -232,6 +236,7 @@ void Trainer::SetLearningRate() {
 }
 
 absl::StatusOr<Trainer::StepReport> Trainer::Step() {
+  SPIKESERVE_DCHECK(!done());
   const uint64_t key =
       RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
   const Batch batch = MakeBatch(clips_->Sample(key, options_.batch, options_.action_noise), key);
@@ -259,6 +264,7 @@ absl::StatusOr<Trainer::StepReport> Trainer::Step() {
 }
 
 double Trainer::ValidationLoss() const {
+  SPIKESERVE_DCHECK(has_validation());
   const torch::NoGradGuard no_gradient;
   double sum = 0.0;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {

@@ -121,6 +121,7 @@ class Trainer {
   const int observation_size_;
   const int clip_steps_;
   const Split split_;
+  const torch::Tensor spread_;  // deviations of the encoded targets of a Box, [act]
   TorchModel model_;
   std::vector<Clips> validation_;       // the clips of ValidationLoss(); empty until they are read
   std::unique_ptr<ChunkPlan> plan_;     // null if the source is resident

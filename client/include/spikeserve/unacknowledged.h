@@ -1,8 +1,9 @@
-// The requests of a session that its store may not have yet. RemoteSession uses it.
+// The last requests of a session, which its next server may miss. RemoteSession uses it.
 //
-// A server answers a session of durability ASYNC before the store has the decision. If the server
-// is lost then, the next one expects an older decision. These requests are sent again, in order,
-// and get the same answers, because a decision depends only on the requests of its session.
+// A server answers a session of durability ASYNC before the store has the decision, and a store may
+// lose what it has acknowledged: Redis, when a copy takes its place that is behind. The next server
+// then expects an older decision. These requests are sent again, in order, and get the same
+// answers, because a decision depends only on the requests of its session.
 //
 // Not thread-safe.
 #ifndef SPIKESERVE_UNACKNOWLEDGED_H_
@@ -12,7 +13,7 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
-#include <variant>
+#include <string>
 
 #include "absl/status/status.h"
 #include "spikeserve/v1/policy_service.pb.h"
@@ -24,11 +25,12 @@ struct Route;
 
 class Unacknowledged {
  public:
-  // Adds an answered request, and drops those that the store has, as the answer says, except the
-  // last one. `decision` is the number of the decision, or of the one that follows the end of an
-  // episode. Keeps at most 256 decisions, which a server lets wait for the store at most.
-  void Add(uint64_t decision, v1::ActRequest request, v1::ActResponse answer);
-  void Add(uint64_t decision, v1::EndEpisodeRequest request, v1::EndEpisodeResponse answer);
+  // Adds an answered request. `decision` is the number of the decision, or of the one that follows
+  // the end of an episode. Keeps at most 256 decisions, which a server lets wait for the store at
+  // most.
+  void Add(uint64_t decision, const v1::ActRequest& request, const v1::ActResponse& answer);
+  void Add(uint64_t decision, const v1::EndEpisodeRequest& request,
+           const v1::EndEpisodeResponse& answer);
 
   size_t size() const { return answered_.size(); }
   // Returns whether all requests from `decision` on are here, and at least one.
@@ -43,20 +45,16 @@ class Unacknowledged {
   absl::Status SendLastAgain(Client* client, const std::shared_ptr<Route>& route);
 
  private:
-  struct Act {
-    v1::ActRequest request;
-    v1::ActResponse answer;
-  };
-  struct End {
-    v1::EndEpisodeRequest request;
-    v1::EndEpisodeResponse answer;
-  };
+  // Serialized, because a message takes several times as much memory.
   struct Answered {
     uint64_t decision;
-    std::variant<Act, End> exchange;
+    bool is_act;  // otherwise an EndEpisode
+    std::string request;
+    std::string answer;
   };
   using Iterator = std::deque<Answered>::iterator;
 
+  void Add(Answered answered);
   // Sends the acts in [begin, end) again with one call.
   absl::Status ActAgain(Iterator begin, Iterator end, Client* client,
                         const std::shared_ptr<Route>& route);

@@ -5,6 +5,7 @@
 #include <deque>
 #include <utility>
 
+#include "core/contract/dcheck.h"
 #include "core/engine/counting.h"
 #include "core/engine/prefix_engine.h"
 #include "core/engine/token.h"
@@ -147,9 +148,10 @@ class DenseContext : public Engine::Context {
   DenseContext(int layer_count, int64_t first_timestep)
       : layers(layer_count), timestep(first_timestep) {}
 
-  std::vector<KeyValues> layers;  // [L]
-  int64_t timestep;               // of the next token
-  Counts action_counts;           // of the last action token; added to the next decision
+  std::vector<KeyValues> layers;            // [L]
+  int64_t timestep;                         // of the next token
+  std::vector<float> previous_observation;  // see SetStateInput
+  Counts action_counts;                     // of the last action token; added to the next decision
 };
 
 class DenseReferenceEngine final : public PrefixEngine {
@@ -178,7 +180,8 @@ class DenseStreamingEngine final : public Engine {
     auto& dense = static_cast<DenseContext&>(context);
     DensePass pass(*policy_, dense.layers);
     pass.Run(ReturnToken(*policy_, dense.timestep, return_to_go));
-    output->readout = pass.Run(StateToken(*policy_, dense.timestep, observation));
+    output->readout =
+        pass.Run(StateToken(*policy_, dense.timestep, observation, &dense.previous_observation));
     pass.CountHead(output->readout);
     output->counts = std::exchange(dense.action_counts, Counts());
     output->counts += pass.counts();
@@ -212,10 +215,12 @@ void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
 }
 
 std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> policy) {
+  SPIKESERVE_DCHECK(policy->config.is_dense());
   return std::make_unique<DenseReferenceEngine>(std::move(policy));
 }
 
 std::unique_ptr<Engine> MakeDenseStreamingEngine(std::shared_ptr<const Policy> policy) {
+  SPIKESERVE_DCHECK(policy->config.is_dense());
   return std::make_unique<DenseStreamingEngine>(std::move(policy));
 }
 

@@ -5,8 +5,10 @@
 #include <utility>
 #include <vector>
 
+#include "core/contract/dcheck.h"
 #include "core/engine/counting.h"
 #include "core/engine/prefix_engine.h"
+#include "core/engine/reference/integer_reference.h"
 #include "core/engine/reference/populations.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"
@@ -352,10 +354,12 @@ class ReferenceEngine final : public PrefixEngine {
 
 void ComputeSpikingReference(const Policy& policy, const PrefixContext& prefix,
                              Engine::Output* output, Trace* trace) {
+  if (policy.config.is_integer()) return ComputeIntegerReference(policy, prefix, output, trace);
   ReferencePass(policy, prefix, trace).Run(output);
 }
 
 std::unique_ptr<Engine> MakeSpikingReferenceEngine(std::shared_ptr<const Policy> policy) {
+  SPIKESERVE_DCHECK(!policy->config.is_dense());
   return std::make_unique<ReferenceEngine>(std::move(policy));
 }
 

@@ -3,16 +3,13 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <memory>
-#include <type_traits>
 #include <utility>
 
-#include "absl/status/statusor.h"
-#include "core/base/shared_bytes.h"
 #include "core/engine/spiking/kernels/drive.h"
 #include "core/engine/spiking/kernels/integer_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
+#include "core/engine/spiking/packed_rows.h"
 #include "core/math/exp.h"
 
 namespace spikeserve {
@@ -60,11 +57,6 @@ void VisitRows(PackedWeights<Arithmetic>* packed, const Visitor& visit) {
   }
 }
 
-size_t NextCacheLine(size_t offset) {
-  const auto line = static_cast<size_t>(kCacheLine);
-  return (offset + line - 1) / line * line;
-}
-
 // Calls `visit` with every packed map, its first lane, and the map of `weights` that it was packed
 // from.
 template <class Arithmetic, class Visitor>
@@ -90,23 +82,11 @@ void VisitMaps(const PackedWeights<Arithmetic>& packed, Weights* weights, const 
   }
 }
 
-// Frees the memory, which clear() would keep.
-template <class Number>
-void Free(BasicTensor<Number>* tensor) {
-  tensor->values = std::vector<Number>();
-}
-
 // Copies one map, whose outputs are the lanes of `packed` from `lane` on.
 template <class Packed, class Map>
 void Unpack(const Packed& packed, int lane, Map* map) {
   const int outputs = map->weight.shape[0];
-  const int inputs = map->weight.shape[1];
-  map->weight = std::decay_t<decltype(map->weight)>::Zeros(map->weight.shape);
-  for (int k = 0; k < outputs; ++k) {
-    for (int j = 0; j < inputs; ++j) {
-      map->weight.values[static_cast<size_t>(k) * inputs + j] = packed.weight(j, lane + k);
-    }
-  }
+  UnpackWeights(packed, lane, &map->weight);
   map->bias.values.assign(packed.bias.begin() + lane, packed.bias.begin() + lane + outputs);
   if constexpr (requires { map->threshold; }) {
     const auto* const silent = packed.silent.data() + lane;
@@ -152,20 +132,7 @@ PackedWeights<Arithmetic>::PackedWeights(const Policy& policy)
 
 template <class Arithmetic>
 absl::Status PackedWeights<Arithmetic>::ShareRows(const std::string& folder) {
-  std::string bytes;
-  VisitRows(this, [&](const auto& rows) {
-    bytes.resize(NextCacheLine(bytes.size()));
-    bytes.append(reinterpret_cast<const char*>(rows.data()), rows.bytes());
-  });
-  const absl::StatusOr<std::shared_ptr<const char>> shared = ShareBytes(folder, bytes);
-  if (!shared.ok()) return shared.status();
-  size_t offset = 0;
-  VisitRows(this, [&](auto& rows) {
-    offset = NextCacheLine(offset);
-    rows.MoveTo({*shared, reinterpret_cast<decltype(rows.data())>(shared->get() + offset)});
-    offset += rows.bytes();
-  });
-  return absl::OkStatus();
+  return spikeserve::ShareRows(folder, [this](const auto& visit) { VisitRows(this, visit); });
 }
 
 template <class Arithmetic>

@@ -2,6 +2,7 @@
 
 #include <bit>
 
+#include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/neuron/phase.h"
 
@@ -25,13 +26,34 @@ void PhaseSpikes::Set(const Policy& policy, int64_t timestep) {
   }
 }
 
+void PhaseSpikes::Set(const std::vector<IntegerPhase>& phases, int ticks, int64_t timestep) {
+  generators.clear();
+  offsets.assign(1, 0);
+  for (int tick = 0; tick < ticks; ++tick) {
+    for (size_t k = 0; k < phases.size(); ++k) {
+      if (IntegerPhase::Spike(phases[k].At(timestep, static_cast<uint32_t>(tick)))) {
+        generators.push_back(static_cast<int32_t>(k));
+      }
+    }
+    offsets.push_back(static_cast<int32_t>(generators.size()));
+  }
+}
+
+void SpikeInput::Code(const PackedPeriodCoder& coder, const int16_t* x) {
+  ticks_ = coder.ticks;
+  neurons_ = coder.neurons;
+  periodic_ = true;
+  periods_.resize(coder.width);
+  active_.resize(coder.width / 32);
+  kernels::CoderPeriods(coder, x, periods_.data(), active_.data());
+  GroupByPeriod();
+}
+
 void SpikeInput::Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
                       const float* x, const BernoulliKey& key) {
   ticks_ = config.ticks;
   neurons_ = config.hidden_size;
   periodic_ = config.coder == CoderKind::kLif;
-  total_ = 0;
-  groups_.clear();
   if (periodic_) {
     CodePeriods(periods, coder, x);
   } else {
@@ -42,9 +64,15 @@ void SpikeInput::Code(const ModelConfig& config, const PeriodTable& periods, con
 void SpikeInput::CodePeriods(const PeriodTable& table, const Coder& coder, const float* x) {
   periods_.resize(neurons_);
   active_.resize((neurons_ + 31) / 32);
-  members_.resize(neurons_);
   kernels::CoderPeriods(table, x, coder.gain.values.data(), coder.bias.values.data(), neurons_,
                         periods_.data(), active_.data());
+  GroupByPeriod();
+}
+
+void SpikeInput::GroupByPeriod() {
+  total_ = 0;
+  groups_.clear();
+  members_.resize(neurons_);
   const auto for_each_active = [this](auto visit) {
     for (size_t word = 0; word < active_.size(); ++word) {
       for (uint32_t bits = active_[word]; bits != 0; bits &= bits - 1) {
@@ -67,6 +95,7 @@ void SpikeInput::CodePeriods(const PeriodTable& table, const Coder& coder, const
 }
 
 void SpikeInput::CodeBernoulli(const Coder& coder, const float* x, const BernoulliKey& key) {
+  groups_.clear();
   members_.clear();
   for (int tick = 0; tick < ticks_; ++tick) {
     const int first = static_cast<int>(members_.size());

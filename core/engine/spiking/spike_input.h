@@ -12,9 +12,11 @@
 #include <vector>
 
 #include "absl/types/span.h"
+#include "core/engine/spiking/packed_fixed_point.h"
 #include "core/model/policy.h"
 #include "core/neuron/coder.h"
 #include "core/neuron/period_table.h"
+#include "core/neuron/phase.h"
 
 namespace spikeserve {
 
@@ -25,6 +27,9 @@ struct PhaseSpikes {
 
   // Computes the phase spikes of `timestep`. In modes without phase spikes, all ticks are empty.
   void Set(const Policy& policy, int64_t timestep);
+
+  // As above in integer arithmetic. `phases` are the generators of the policy.
+  void Set(const std::vector<IntegerPhase>& phases, int ticks, int64_t timestep);
 };
 
 // Neurons whose rows are added together: those of one period (rate coder), or those that fire at
@@ -43,6 +48,9 @@ class SpikeInput {
   // neurons; only the Bernoulli coder uses `key`.
   void Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
             const float* x, const BernoulliKey& key);
+
+  // The same in integer arithmetic; `x` is [coder.width].
+  void Code(const PackedPeriodCoder& coder, const int16_t* x);
 
   // Returns the number of coder spikes.
   uint64_t total() const { return total_; }
@@ -63,6 +71,8 @@ class SpikeInput {
 
  private:
   void CodePeriods(const PeriodTable& table, const Coder& coder, const float* x);
+  // Sets the groups from periods_ and active_.
+  void GroupByPeriod();
   void CodeBernoulli(const Coder& coder, const float* x, const BernoulliKey& key);
 
   int ticks_ = 0;

@@ -3,14 +3,18 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/contract/dcheck.h"
 #include "core/engine/spiking/arithmetic.h"
 #include "core/engine/spiking/attention_cache.h"
 #include "core/engine/spiking/drive_builder.h"
+#include "core/engine/spiking/head_bits.h"
+#include "core/engine/spiking/integer_engine.h"
 #include "core/engine/spiking/kernels/attention_kernels.h"
 #include "core/engine/spiking/kernels/integer_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
 #include "core/engine/spiking/kernels/routing_kernels.h"
+#include "core/engine/spiking/kernels/targets.h"
 #include "core/engine/spiking/packed_weights.h"
 #include "core/engine/spiking/spike_input.h"
 #include "core/engine/token.h"
@@ -28,7 +32,8 @@ class StreamingContext : public Engine::Context {
   }
 
   const uint64_t seed;
-  int64_t timestep;  // of the next token
+  int64_t timestep;                         // of the next token
+  std::vector<float> previous_observation;  // see SetStateInput
   AttentionBand band;
   std::vector<AttentionCache> caches;  // [L]
   PhaseSpikes phase;                   // of the current timestep
@@ -225,25 +230,9 @@ class TokenPass {
     } else {
       scratch_.bits.resize(static_cast<size_t>(config_.ticks) * section / kLanes);
       kernels::LifBits(lif_, population, drive, first, section, scratch_.bits.data());
-      uint32_t* out = heads.data();
-      for (int tick = 0; tick < config_.ticks; ++tick) {
-        const uint32_t* row = scratch_.bits.data() + static_cast<size_t>(tick) * section / kLanes;
-        for (int head = 0; head < config_.heads; ++head) {
-          for (int k = 0; k < size; k += 32) {
-            *out++ = TakeBits(row, head * size + k, std::min(32, size - k));
-          }
-        }
-      }
+      GroupByHead(config_, scratch_.bits.data(), heads.data());
     }
     return kernels::CountBits(heads.data(), static_cast<int>(heads.size()));
-  }
-
-  // Returns `count` (1 to 32) bits of `row`, starting at bit `first`.
-  static uint32_t TakeBits(const uint32_t* row, int first, int count) {
-    const int shift = first % 32;
-    uint64_t bits = row[first / 32] >> shift;
-    if (shift + count > 32) bits |= static_cast<uint64_t>(row[first / 32 + 1]) << (32 - shift);
-    return static_cast<uint32_t>(bits & ((uint64_t{1} << count) - 1));
   }
 
   // Computes mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or concatenated. scratch_.y
@@ -342,9 +331,13 @@ template <class Arithmetic>
 class StreamingEngine final : public Engine {
  public:
   explicit StreamingEngine(std::shared_ptr<const Policy> policy)
-      : policy_(std::move(policy)), packed_(*policy_) {}
+      : policy_(std::move(policy)), packed_(*policy_) {
+    kernels::ChooseTarget();
+  }
   StreamingEngine(std::shared_ptr<const Policy> policy, PackedWeights<Arithmetic> packed)
-      : policy_(std::move(policy)), packed_(std::move(packed)) {}
+      : policy_(std::move(policy)), packed_(std::move(packed)) {
+    kernels::ChooseTarget();
+  }
 
   const Policy& policy() const override { return *policy_; }
 
@@ -381,7 +374,7 @@ class StreamingEngine final : public Engine {
       const float standard_return = StandardizeReturn(*policy_, decision.return_to_go);
       pass.Add(context, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
       std::vector<float>& input = ThreadScratch<Arithmetic>().input;
-      StandardizeObservation(*policy_, decision.observation, &input);
+      SetStateInput(*policy_, decision.observation, &context.previous_observation, &input);
       pass.Add(context, counts, TokenKind::kState, input);
     }
     pass.Run();
@@ -432,6 +425,8 @@ absl::StatusOr<std::unique_ptr<Engine>> MakeShared(Policy policy, const std::str
 
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
                                                                 const std::string& folder) {
+  SPIKESERVE_DCHECK(!policy.config.is_dense());
+  if (policy.config.is_integer()) return MakeSharedIntegerEngine(std::move(policy), folder);
   if (policy.config.arithmetic == Arithmetic::kInt8) {
     return MakeShared<Int8Arithmetic>(std::move(policy), folder);
   }
@@ -439,6 +434,8 @@ absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
 }
 
 std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy) {
+  SPIKESERVE_DCHECK(!policy.config.is_dense());
+  if (policy.config.is_integer()) return MakeCompactIntegerEngine(std::move(policy));
   if (policy.config.arithmetic == Arithmetic::kInt8) {
     return MakeCompact<Int8Arithmetic>(std::move(policy));
   }
@@ -446,6 +443,8 @@ std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy) {
 }
 
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {
+  SPIKESERVE_DCHECK(!policy->config.is_dense());
+  if (policy->config.is_integer()) return MakeIntegerStreamingEngine(std::move(policy));
   if (policy->config.arithmetic == Arithmetic::kInt8) {
     return std::make_unique<StreamingEngine<Int8Arithmetic>>(std::move(policy));
   }

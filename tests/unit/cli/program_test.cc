@@ -219,11 +219,14 @@ TEST_F(ProgramTest, TheCommandLineWinsOverTheEnvironmentAndThatOverTheFile) {
   EXPECT_FALSE(flags_.fast);
 }
 
-TEST_F(ProgramTest, VariablesOfOtherNamesAreIgnored) {
+TEST_F(ProgramTest, VariablesOfNoFlagAreRefused) {
   SetVariable("DEMO_PROGRAM", "/bin/demo");
-  SetVariable("DEMO_HELP", "1");
-  SetVariable("DEMO_GENERATE", "man");
+  SetVariable("DEMOLITION", "1");
   EXPECT_EQ(Run({"fly"}).errors, "");
+  SetVariable("DEMO_HEIGTH", "1");
+  EXPECT_EQ(Run({"fly"}).errors,
+            "demo: environment: expected variables of flags, such as DEMO_HEIGHT, received "
+            "DEMO_HEIGTH\n");
 }
 
 TEST_F(ProgramTest, AnEmptyVariableSetsTheEmptyValue) {

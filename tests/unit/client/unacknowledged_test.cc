@@ -14,20 +14,16 @@ v1::ActResponse Answer(uint64_t durable_decision) {
   return answer;
 }
 
-TEST(UnacknowledgedTest, KeepsWhatTheStoreDoesNotHave) {
+// Redis may lose what it has acknowledged.
+TEST(UnacknowledgedTest, KeepsAlsoWhatTheStoreHas) {
   Unacknowledged unacknowledged;
   EXPECT_FALSE(unacknowledged.Covers(0));
-  for (uint64_t i = 0; i < 10; ++i) unacknowledged.Add(i, v1::ActRequest(), Answer(0));
-  EXPECT_EQ(unacknowledged.size(), 10u);
+  for (uint64_t i = 0; i < 12; ++i) unacknowledged.Add(i, v1::ActRequest(), Answer(i + 1));
+  unacknowledged.Add(12, v1::EndEpisodeRequest(), v1::EndEpisodeResponse());
+  EXPECT_EQ(unacknowledged.size(), 13u);
   EXPECT_TRUE(unacknowledged.Covers(0));
-  unacknowledged.Add(10, v1::ActRequest(), Answer(8));
-  EXPECT_EQ(unacknowledged.size(), 3u);
-  EXPECT_FALSE(unacknowledged.Covers(7));
-  EXPECT_TRUE(unacknowledged.Covers(8));
-  EXPECT_FALSE(unacknowledged.Covers(11));
-  // The last request is kept in any case.
-  unacknowledged.Add(11, v1::ActRequest(), Answer(12));
-  EXPECT_EQ(unacknowledged.size(), 1u);
+  EXPECT_TRUE(unacknowledged.Covers(12));
+  EXPECT_FALSE(unacknowledged.Covers(13));
 }
 
 TEST(UnacknowledgedTest, KeepsAtMost256Decisions) {

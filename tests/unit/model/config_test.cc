@@ -23,7 +23,7 @@ TEST(ConfigNames, RoundTrip) {
     EXPECT_EQ(ToString(*ParseEnum<Merge>("merge", name)), name);
   for (const char* name : {"softmax", "sigmoid"})
     EXPECT_EQ(ToString(*ParseEnum<Gate>("gate", name)), name);
-  for (const char* name : {"float32", "int8"})
+  for (const char* name : {"float32", "int8", "integer"})
     EXPECT_EQ(ToString(*ParseEnum<Arithmetic>("arithmetic", name)), name);
 }
 

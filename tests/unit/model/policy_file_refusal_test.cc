@@ -86,6 +86,32 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
   });
 }
 
+TEST_F(PolicyFileRefusalTest, ObservationChanges) {
+  const auto set = [](const json& value) {
+    return [=](Safetensors& c) {
+      json config = json::parse(c.metadata["config"]);
+      config["observation_changes"] = value;
+      c.metadata["config"] = config.dump();
+    };
+  };
+  ExpectRefused({{set(true), "tensor \"observation.change_std\": expected, but missing"},
+                 {set(1), "config.observation_changes: expected true or false, received 1"},
+                 {[](auto& c) { c.tensors["observation.change_std"] = Tensor::Zeros({4}); },
+                  "tensor \"observation.change_std\": not expected in a policy of mode full in "
+                  "float32"}});
+  ModelConfig config = SmallConfig();
+  config.observation_changes = true;
+  ExpectRefused(
+      {{[](auto& c) { Floats(c, "observation.change_std")[1] = 0.0f; },
+        "tensor \"observation.change_std\" at index 1: expected a positive finite number, "
+        "received 0"},
+       {[](auto& c) { c.tensors["observation.change_std"] = Tensor::Zeros({3}); },
+        "tensor \"observation.change_std\": expected shape [4], received [3] with 3 values"},
+       {set(false),
+        "tensor \"observation.change_std\": not expected in a policy of mode full in float32"}},
+      SmallPolicy(config));
+}
+
 TEST_F(PolicyFileRefusalTest, TensorsOfAnotherDtype) {
   ExpectRefused({
       {[](auto& c) { c.tensors["head.bias"] = Int8Tensor::Zeros({2}); },
@@ -199,7 +225,7 @@ TEST_F(PolicyFileRefusalTest, IntegerConfig) {
   ExpectRefused(
       {
           {set("arithmetic", "int4"),
-           "config.arithmetic: expected float32 or int8, received \"int4\""},
+           "config.arithmetic: expected float32, int8 or integer, received \"int4\""},
           {set("arithmetic", "float32"),
            "tensor \"layers.0.attention.query.weight\": expected dtype \"F32\", received \"I8\""},
           {set("mode", "dense"), "arithmetic: expected float32 in mode dense, received int8"},

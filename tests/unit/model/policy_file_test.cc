@@ -115,6 +115,21 @@ TEST_F(PolicyFileTest, EveryFieldRoundTripsBitForBit) {
   ExpectRoundTrip(policy, Path());
 }
 
+TEST_F(PolicyFileTest, ObservationChangesComeWithTheirScales) {
+  ModelConfig config = SmallConfig();
+  config.observation_changes = true;
+  Policy policy = SmallPolicy(config);
+  policy.weights.observation_change_std.values = {0.1f, 1.0f, 2.0f, 3.0f};
+  ExpectRoundTrip(policy, Path());
+  const auto contents = ReadSafetensors(Path());
+  ASSERT_TRUE(contents.ok());
+  EXPECT_EQ(json::parse(contents->metadata.at("config"))["observation_changes"], true);
+  EXPECT_EQ(std::get<Tensor>(contents->tensors.at("embed.state.weight")).shape,
+            (std::vector<int>{16, 8}));
+  EXPECT_EQ(std::get<Tensor>(contents->tensors.at("observation.change_std")).values,
+            policy.weights.observation_change_std.values);
+}
+
 TEST_F(PolicyFileTest, WhatIsWrittenIsTheSameEveryTime) {
   ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("a")).ok());
   ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("b")).ok());
@@ -133,7 +148,7 @@ TEST_F(PolicyFileTest, MetadataIsReadableByOthers) {
   const json config = json::parse(contents->metadata.at("config"));
   EXPECT_EQ(config["mode"], "full");
   EXPECT_EQ(config["hidden_size"], 16);
-  EXPECT_EQ(config.size(), 14u) << "no arithmetic means float32";
+  EXPECT_EQ(config.size(), 14u) << "no other keys, so that older versions can read it";
 }
 
 TEST_F(PolicyFileTest, IntegerTensorsHaveTheDtypesThatOthersExpect) {

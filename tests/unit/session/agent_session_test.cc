@@ -226,8 +226,14 @@ std::vector<CacheCase> CacheCases() {
   dense.mode = Mode::kDense;
   ModelConfig deep = SmallConfig();
   deep.layers = 3;
+  ModelConfig changes = SmallConfig();
+  changes.observation_changes = true;
+  ModelConfig changes_alone = changes;
+  changes_alone.context = 1;
   const ActionSelection sampled = {.sample = true, .temperature = 2.0f};
-  return {{"Greedy", SmallConfig(), ActionSpace::Discrete(3), {}},
+  return {{"Changes", changes, ActionSpace::Discrete(3), {}},
+          {"ChangesInAContextOfOne", changes_alone, ActionSpace::Box({-2.0f}, {2.0f}), {}},
+          {"Greedy", SmallConfig(), ActionSpace::Discrete(3), {}},
           {"Sampled", SmallConfig(), ActionSpace::Discrete(3), sampled},
           {"SampledBox", SmallConfig(), ActionSpace::Box({-2.0f}, {2.0f}), sampled},
           {"Bernoulli", bernoulli, ActionSpace::Discrete(3), {}},

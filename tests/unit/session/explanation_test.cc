@@ -41,6 +41,11 @@ std::vector<Variant> Variants() {
   variants.back().config.phase_clock = PhaseClock::kWindow;
   variants.push_back({"context_of_one", SmallConfig()});
   variants.back().config.context = 1;
+  variants.push_back({"changes", SmallConfig()});
+  variants.back().config.observation_changes = true;
+  variants.push_back({"changes_in_a_context_of_one", SmallConfig()});
+  variants.back().config.observation_changes = true;
+  variants.back().config.context = 1;
   variants.push_back({"three_layers", SmallConfig()});
   variants.back().config.layers = 3;
   for (Variant variant : std::vector<Variant>(variants)) {

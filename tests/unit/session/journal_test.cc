@@ -60,6 +60,7 @@ struct JournalCase {
   ActionSpace action_space;
   ActionSelection selection;
   std::optional<LearningOptions> learning;
+  bool observation_changes = false;
 };
 
 void PrintTo(const JournalCase& test, std::ostream* out) { *out << test.name; }
@@ -71,7 +72,8 @@ std::vector<JournalCase> JournalCases() {
   std::vector<JournalCase> cases = {{"GreedyDiscrete", discrete, {}, {}},
                                     {"GreedyBox", box, {}, {}},
                                     {"SampledDiscrete", discrete, sampled, {}},
-                                    {"SampledBox", box, sampled, {}}};
+                                    {"SampledBox", box, sampled, {}},
+                                    {"Changes", box, {}, {}, /*observation_changes=*/true}};
   for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian}) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       const LearningOptions learning = {
@@ -95,7 +97,12 @@ class JournalTest : public ::testing::TestWithParam<JournalCase> {
   }
 
   FakeClock clock_;
-  std::shared_ptr<const ServedPolicy> served_ = Serve(SmallConfig(), GetParam().action_space);
+  static ModelConfig Config() {
+    ModelConfig config = SmallConfig();
+    config.observation_changes = GetParam().observation_changes;
+    return config;
+  }
+  std::shared_ptr<const ServedPolicy> served_ = Serve(Config(), GetParam().action_space);
 };
 
 // Returns the action that the agent reports at timestep t: none, the same every few steps, or one
@@ -227,7 +234,6 @@ TEST_F(DamagedJournalTest, WrongRecordsAreNamed) {
   ExpectDamaged({writer_.bytes_[1]}, "expected a snapshot, received 1 records");
   ExpectDamaged({writer_.bytes_[0], "x"}, "record 1 of 2: entry: expected CBOR");
   ExpectDamaged({writer_.bytes_[0], std::string(1'000'000, '\x81')}, "record 1 of 2");
-  ExpectDamaged({writer_.bytes_[0], writer_.bytes_[2]}, "expected decision 0 at step 0, received");
   ExpectDamaged(Edited("/0", "spikeserve.decision.v2"), "spikeserve.decision.v1");
   ExpectDamaged(Edited("/1/2", nlohmann::json::array()), "observation: expected 3 numbers");
   ExpectDamaged(Edited("/1/3", {5, nlohmann::json::array()}),
@@ -235,6 +241,17 @@ TEST_F(DamagedJournalTest, WrongRecordsAreNamed) {
   ExpectDamaged(Edited("/1/4/1/0", 3), "action: expected 0 to 2, received 3");
   ExpectDamaged(Edited("/1/4/7", nlohmann::json::array()), "logits: expected 3 numbers");
   ExpectDamaged(Edited("/1/4/2", nlohmann::json::array()), "probabilities: expected 3 numbers");
+}
+
+// A writer that finds out too late that the store has lost records leaves one behind the gap.
+TEST_F(DamagedJournalTest, AJournalEndsBeforeItsFirstGap) {
+  auto parsed = ParseJournal(
+      {writer_.bytes_[0], writer_.bytes_[1], writer_.bytes_[1], writer_.bytes_[3], "x"});
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  EXPECT_EQ(parsed->after_gap, 2u);
+  const auto session = RestoreSession(*std::move(parsed), served_->policy());
+  ASSERT_TRUE(session.ok()) << session.status();
+  EXPECT_EQ(session->decisions, 1u);
 }
 
 TEST_F(DamagedJournalTest, ASnapshotOfAnotherPolicyIsRefused) {
@@ -301,6 +318,44 @@ TEST_F(SessionJournalTest, AFormerOwnerIsLost) {
   EXPECT_EQ((*Wait())->code(), absl::StatusCode::kUnavailable);
   journal_->OnClose();  // must not close the session of the new owner
   EXPECT_TRUE(writer_.waiting_.empty());
+}
+
+// The answer waits for a snapshot that replaces all that was lost.
+TEST_F(SessionJournalTest, WhatTheStoreHasLostIsWrittenAgain) {
+  writer_.Acknowledge();
+  EXPECT_EQ(journal_->stored().base, 1u);
+  EXPECT_EQ(journal_->stored().records, 5u);
+  (void)agent_.Act(4, ObservationAt(4), 0.0);
+  (void)agent_.Act(5, ObservationAt(5), 0.0);
+  const auto outcome = Wait();
+  const JournalRecord refused = writer_.waiting_.front();
+  writer_.waiting_.pop_front();
+  journal_->OnWritten(refused, absl::NotFoundError("lost"));
+  EXPECT_TRUE(journal_->missing());
+  const JournalRecord replaced = writer_.waiting_.front();
+  writer_.waiting_.pop_front();
+  EXPECT_TRUE(journal_->IsReplaced(replaced));
+  journal_->OnReplaced(replaced);
+  EXPECT_FALSE(outcome->has_value());
+  journal_->WriteAgainIfMissing(agent_.session());
+  EXPECT_EQ(writer_.kinds_.back(), Kind::kOpen);
+  EXPECT_FALSE(journal_->IsReplaced(writer_.waiting_.front()));
+  writer_.Acknowledge();
+  ASSERT_TRUE(outcome->has_value());
+  EXPECT_TRUE((*outcome)->ok());
+  EXPECT_EQ(journal_->durable_decisions(), 6u);
+  EXPECT_EQ(journal_->stored().records, 1u);
+}
+
+TEST_F(SessionJournalTest, AQuestionIsNoRecord) {
+  writer_.Acknowledge();
+  journal_->OnConfirm();
+  const auto outcome = Wait();
+  EXPECT_EQ(writer_.waiting_.front().records, 5u);
+  writer_.Acknowledge(absl::AbortedError("epoch"));
+  ASSERT_TRUE(outcome->has_value());
+  EXPECT_EQ((*outcome)->code(), absl::StatusCode::kUnavailable);
+  EXPECT_TRUE(journal_->lost());
 }
 
 TEST_F(SessionJournalTest, WaitersDoNotWaitForAStoreThatIsAway) {

@@ -70,8 +70,40 @@ grep -q '^target return: .*, the best return in the data; ' other.txt || fail "t
 grep -q '^spikes per decision: [1-9].* on the observations of the data' other.txt || fail "the spikes on the data"
 grep -q '^closed-loop play: skipped, because spiketrain does not have MyRobot1-v1. Serve the policy' other.txt ||
   fail "the play that was skipped"
-"$spiketrain" train --data=other.cbor --out=other "${tiny[@]}" --iterations=1 --json 2>/dev/null |
+"$spiketrain" train --data=other.cbor --out=other "${tiny[@]}" --iterations=1 --overwrite --json 2>/dev/null |
   grep -q '"closed_loop_play": "skipped"' || fail "the JSON of a play that was skipped"
+# A finished policy and its checkpoint are not replaced unasked.
+before=$(sha other/policy.safetensors)
+refuses "--out: expected another directory, --resume to continue the run, or --overwrite to replace it, received one with \
+other/checkpoint.pt" train --data=other.cbor --out=other "${tiny[@]}" --iterations=2
+cp -r other bare
+rm bare/checkpoint.pt
+refuses "--out: expected another directory, or --overwrite to replace it, received one with bare/policy.safetensors" \
+  train --data=other.cbor --out=bare "${tiny[@]}" --iterations=1 --resume
+refuses "--overwrite: expected no such flag beside --resume" \
+  train --data=other.cbor --out=other "${tiny[@]}" --overwrite --resume
+[[ $before == $(sha other/policy.safetensors) ]] || fail "a refused training changed the policy"
+
+# Baselines stand beside the policy, and the change of the observation is used where the data need it.
+grep -q '^error on [0-9]* held-out steps (share of other actions' other.txt || fail "the errors: $(cat other.txt)"
+for name in 'the policy' 'line on 1 frame' 'line on 4 frames' 'mlp on 2 frames'; do
+  grep -q "^  $name  *0\.[0-9]" other.txt || fail "the error of $name"
+done
+grep -q '"kind":"mlp"' other/baselines.json || fail "the weights of the baselines"
+"$spiketrain" train --data=data.cbor --out=plain "${tiny[@]}" --iterations=1 --no_baselines >plain.txt 2>/dev/null
+! grep -q '^error on' plain.txt || fail "baselines with --no_baselines"
+[[ ! -e plain/baselines.json ]] || fail "baselines.json with --no_baselines"
+"$spiketrain" train --data=data.cbor --out=changes "${tiny[@]}" --iterations=1 --observation_changes=true 2>/dev/null |
+  grep -q '^shape: .*, observation changes$' || fail "--observation_changes"
+says changes/policy.safetensors '\"observation_changes\":true'
+"$spiketrain" eval --policy=changes/policy.safetensors --episodes=1 --ablate=changes >/dev/null
+"$spiketrain" quantize --policy=changes/policy.safetensors --out=changes8.safetensors --episodes=1 >/dev/null
+refuses "--ablate: expected a policy with observation changes, received one without" \
+  eval --policy=plain/policy.safetensors --episodes=1 --ablate=changes
+refuses "--observation_changes: expected what --init has, true, or no such flag, received false" \
+  train --data=data.cbor --init=changes/policy.safetensors --out=x --observation_changes=false
+refuses '--observation_changes: expected true or false, received "2x"' train --out=x --observation_changes=2x
+
 refuses '--target_return: expected a finite number, received inf' train --data=data.cbor --out=x --target_return=inf
 
 "$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=tuned --batch=4 --episodes=2 \
@@ -147,14 +179,14 @@ tensors() { tail -c +"$((9 + $(od -An -t u8 -N8 "$1")))" "$1"; }
 cmp <(tensors rounded/policy.safetensors) <(tensors new/2/policy.safetensors) || fail "trained and rounded tensors"
 refuses '--arithmetic=int8: arithmetic: expected float32 in mode dense, received int8' \
   train --data=data.cbor --out=x --mode=dense --arithmetic=int8
-refuses '--arithmetic: expected float32 or int8, received "int4"' train --data=data.cbor --out=x --arithmetic=int4
+refuses '--arithmetic: expected float32, int8 or integer, received "int4"' train --data=data.cbor --out=x --arithmetic=int4
 
 # Records episodes of a student, labelled by the expert.
 "$spiketrain" dataset --steps=100 --expert_fraction=0 --student=whole/policy.safetensors --weigh --out=student-v0 |
   grep -q '"student_steps":'
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=2 --target_returns=50,500 --ablate=context,return |
   grep -q 'rank correlation 0.000'
-refuses "--ablate: expected context, attention, phase, routing or return, received 'head'" \
+refuses "--ablate: expected context, changes, attention, phase, routing or return, received 'head'" \
   eval --policy=tuned/policy.safetensors --ablate=head
 
 # Runs the paper's experiments with small sizes, then once more from the finished runs.
@@ -170,7 +202,7 @@ fi
 grep -q 'expected a run of .* --learning_rate=1 .*, received one of ' message || fail "report: $(cat message)"
 refuses "--out: expected the directory to write into, received none" report
 
-refuses 'command: expected one of expert, dataset, train, quantize, eval, neurobench, report, received none'
+refuses 'command: expected one of expert, dataset, train, quantize, eval, compare, neurobench, report, received none'
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8

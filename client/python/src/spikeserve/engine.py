@@ -30,8 +30,9 @@ except ModuleNotFoundError as error:
     if error.name != "spikeserve_engine":
         raise
     raise ModuleNotFoundError(
-        "spikeserve.engine: expected the package spikeserve-engine, received none; "
-        "install it with: pip install spikeserve-engine"
+        "spikeserve.engine: expected the package spikeserve-engine, received none; no index "
+        "has it: install the wheel for this Python that `make dist` makes, "
+        "dist/spikeserve_engine-*.whl"
     ) from error
 
 __all__ = [

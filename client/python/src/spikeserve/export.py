@@ -98,7 +98,8 @@ def tensor_shapes(config: ModelConfig, observation_size: int, action_size: int) 
     """
     d = config.hidden_size
     shapes: dict[str, Shape] = {}
-    inputs = {"return": 1, "state": observation_size, "action": action_size}
+    states = observation_size * (2 if config.observation_changes else 1)
+    inputs = {"return": 1, "state": states, "action": action_size}
     for modality, size in inputs.items():
         shapes |= _linear(f"embed.{modality}", d, size)
         shapes |= _pair(f"embed.{modality}.norm", "weight", d)
@@ -112,6 +113,8 @@ def tensor_shapes(config: ModelConfig, observation_size: int, action_size: int) 
         shapes |= _pair("readout.coder", "gain", d)
     shapes |= _linear("head", action_size, d)
     shapes["observation.mean"] = shapes["observation.std"] = (observation_size,)
+    if config.observation_changes:
+        shapes["observation.change_std"] = (observation_size,)
     return shapes
 
 
@@ -163,8 +166,11 @@ def _check_space(space: ActionSpace) -> None:
 
 def _config_values(config: ModelConfig) -> dict[str, Any]:
     values = asdict(config)
+    # Without these keys, servers that do not know them can read the file.
     if not config.is_int8:
-        del values["arithmetic"]  # so that servers that do not know the key can read the file
+        del values["arithmetic"]
+    if not config.observation_changes:
+        del values["observation_changes"]
     return values
 
 
@@ -213,9 +219,10 @@ def _check_tensors(
         _check_tensor(name, arrays[name], shape)
     if config.is_int8:
         check_integers(arrays, config)
-    std = arrays["observation.std"]
-    for i in np.flatnonzero(std <= 0)[:1]:
-        check(False, 'tensor "observation.std"', "positive numbers", f"{std[i]} at index {i}")
+    for name in ("observation.std", "observation.change_std"):
+        scales = arrays.get(name, np.ones(1))
+        for i in np.flatnonzero(scales <= 0)[:1]:
+            check(False, f'tensor "{name}"', "positive numbers", f"{scales[i]} at index {i}")
 
 
 def _check_tensor(name: str, array: NDArray[Any], expected: Shape) -> None:

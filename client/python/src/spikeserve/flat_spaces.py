@@ -30,7 +30,7 @@ class ObservationMap:
     """
 
     def __init__(self, space: spaces.Space[Any]) -> None:
-        check(space.is_np_flattenable, "observation_space", _OBSERVATIONS, space)
+        _check_observations(space, "observation_space")
         self._space = space
         self.size = spaces.flatdim(space)
         check(self.size >= 1, "observation_space", "at least one element", space)
@@ -42,6 +42,20 @@ class ObservationMap:
     def flatten(self, observation: Any) -> NDArray[np.float32]:
         """Returns the observation as float32 [size]."""
         return np.asarray(spaces.flatten(self._space, observation), np.float32).reshape(self.size)
+
+
+def _check_observations(space: spaces.Space[Any], name: str) -> None:
+    """ValueError, with the place in a Dict or Tuple, for a part that is not a vector of numbers."""
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        parts = space.items() if isinstance(space, spaces.Dict) else enumerate(space)
+        for key, part in parts:
+            _check_observations(part, f"{name}[{key!r}]")
+        return
+    leaf = spaces.Box | spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary
+    expected = _OBSERVATIONS
+    if name != "observation_space":
+        expected += "; a wrapper such as gymnasium.wrappers.FilterObservation removes it"
+    check(isinstance(space, leaf), name, expected, space)
 
 
 class ActionMap:

@@ -19,6 +19,7 @@ def imitate(
     options: ImitationOptions | None = None,
     wrappers: Sequence[Callable[[Any], Any]] = (),
     spiketrain: str | None = None,
+    overwrite: bool = False,
 ) -> ImitationResult:
     """Trains a policy that imitates `expert` in a Gymnasium environment, and evaluates it.
 
@@ -26,7 +27,8 @@ def imitate(
     `module:function`, a policy of Stable-Baselines3 (`PPO:file.zip`), or a dataset of Minari (an id
     or a folder), which cannot label the policy's own states. Everything is written below `out`:
     data, stages, policies for `spikeserve --policies`, report.md and metadata.json. A call with
-    equal arguments continues an interrupted run, and equal arguments give an equal policy.
+    equal arguments continues an interrupted run, and equal arguments give an equal policy. A run
+    with other arguments in the same folder is refused; `overwrite` deletes it and begins anew.
 
     Needs the extra `spikeserve[imitation]` and the program `spiketrain`: the argument, $SPIKETRAIN,
     or on PATH. ValueError for an environment or expert that cannot be used, before anything is
@@ -35,5 +37,11 @@ def imitate(
     from spikeserve.imitation import pipeline  # its dependencies are optional
 
     return pipeline.imitate(
-        env_id, expert, out, options=options, wrappers=wrappers, spiketrain=spiketrain
+        env_id,
+        expert,
+        out,
+        options=options,
+        wrappers=wrappers,
+        spiketrain=spiketrain,
+        overwrite=overwrite,
     )

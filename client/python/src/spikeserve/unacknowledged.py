@@ -1,8 +1,9 @@
-"""The requests of a session that its store may not have yet.
+"""The last requests of a session, which its next server may miss.
 
-A server answers a session of durability ASYNC before the store has the decision. If the server is
-lost then, the next one expects an older decision. The client sends these requests again, in order,
-and gets the same answers, because a decision depends only on the requests of its session.
+A server answers a session of durability ASYNC before the store has the decision, and a store may
+lose what it has acknowledged: Redis, when a copy takes its place that is behind. The next server
+then expects an older decision. The client sends these requests again, in order, and gets the same
+answers, because a decision depends only on the requests of its session.
 """
 
 from __future__ import annotations
@@ -20,26 +21,37 @@ from spikeserve.wire import METHODS, Message
 if TYPE_CHECKING:
     from spikeserve.replicas import Route
 
-# The most decisions of one session that a server lets wait for the store.
+# The most decisions of one session that a server lets wait for the store, and that are kept.
 MOST_DECISIONS = 256
 
 
 @dataclass
 class _Answered:
+    """A request and its answer, serialized, which takes a fraction of the memory of messages."""
+
     method: str  # Act or EndEpisode
     decision: int  # of an Act; of an EndEpisode: the decision that follows it
-    request: Message
-    answer: Message
+    request_bytes: bytes
+    answer_bytes: bytes
+
+    @property
+    def request(self) -> Message:
+        return METHODS[self.method].request.FromString(self.request_bytes)
+
+    @property
+    def answer(self) -> Message:
+        return METHODS[self.method].response.FromString(self.answer_bytes)
 
     def take(self, answer: Message) -> None:
         """Takes the answer to a request that was sent again. DivergedError if it is another one."""
-        before, self.answer = self.answer, answer
+        before = self.answer
+        self.answer_bytes = answer.SerializeToString()
         if _comparable(before) != _comparable(answer):
             raise DivergedError.of(self.method, self.request.session_id, self.decision)
 
 
 class Unacknowledged:
-    """Keeps answered requests until the store has them, and the last one in any case."""
+    """Keeps the last answered requests, with at most MOST_DECISIONS decisions."""
 
     def __init__(self) -> None:
         self._answered: collections.deque[_Answered] = collections.deque()
@@ -48,11 +60,11 @@ class Unacknowledged:
         return len(self._answered)
 
     def add(self, method: str, decision: int, request: Message, answer: Message) -> None:
-        """Adds an answered request. Drops those that the store has, as the answer says."""
-        self._answered.append(_Answered(method, decision, request, answer))
-        durable = answer.durable_decision if method == "Act" else 0
-        first = max(durable, decision + 1 - MOST_DECISIONS)
-        while len(self._answered) > 1 and self._answered[0].decision < first:
+        """Adds an answered request."""
+        self._answered.append(
+            _Answered(method, decision, request.SerializeToString(), answer.SerializeToString())
+        )
+        while self._answered[0].decision <= decision - MOST_DECISIONS:
             self._answered.popleft()
 
     def calls_from(self, decision: int, route: Route) -> list[Call[None]]:

@@ -2,12 +2,12 @@
 
 #include <vector>
 
-#define HWY_WANT_AVX3_DL 1
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/integer_kernels.cc"
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
+#include "core/engine/spiking/kernels/integer_simd-inl.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
 
@@ -15,22 +15,10 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-using I16 = hn::CappedTag<int16_t, 32>;
-using I8 = hn::Rebind<int8_t, I16>;  // as many lanes as I16, in half a vector
-using VecI16 = hn::Vec<I16>;
-using VecI32 = hn::Vec<I32>;
-
-constexpr int kVector16 = static_cast<int>(hn::MaxLanes(I16()));
-
 // Number of vectors of neurons that run together, and of vectors of a row that are added in one
 // pass over the rows; see lif_kernels.cc.
-constexpr int kLifVectors = HWY_TARGET <= HWY_AVX3 ? 8 : 4;
-constexpr int kSumVectors = HWY_TARGET <= HWY_AVX3 ? 12 : 8;
-
-// Loads one vector of 8-bit weights as 16-bit numbers.
-HWY_INLINE VecI16 LoadWide(const int8_t* weights) {
-  return hn::PromoteTo(I16(), hn::LoadU(I8(), weights));
-}
+constexpr int kLifVectors = kManyRegisters ? 8 : 4;
+constexpr int kSumVectors = kManyRegisters ? 12 : 8;
 
 // Adds kVectors vectors of each row, from `lane` on.
 template <int kVectors>
@@ -104,46 +92,14 @@ void LifBitsImpl(const IntegerLif& lif, const PackedIntegerPopulation& populatio
   });
 }
 
-// The vectors of this target are too short for pairs of 16-bit lanes.
-#if HWY_TARGET == HWY_SCALAR
-
-uint64_t SumCounts(const int16_t* counts, int size) {
-  uint64_t sum = 0;
-  for (int j = 0; j < size; ++j) sum += static_cast<uint64_t>(counts[j]);
-  return sum;
-}
-
-uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts,
-                    ActiveInputs* /*active*/, float* update) {
-  for (int k = 0; k < output.width; ++k) {
-    int32_t sum = 0;
-    for (int j = 0; j < output.inputs; ++j) sum += counts[j] * output.row(j / 2)[2 * k + j % 2];
-    update[k] = output.factor[k] * static_cast<float>(sum) + output.bias[k];
-  }
-  uint64_t products = 0;
-  for (int j = 0; j < output.inputs; ++j) products += counts[j] != 0 ? output.nonzero[j] : 0;
-  return products;
-}
-
-#else
-
-// Adds the products of adjacent pairs of lanes to `sum`.
-HWY_INLINE VecI32 AddPairs(VecI16 a, VecI16 b, VecI32 sum) {
-  const I32 di;
-  auto rest = hn::Zero(di);
-  sum = hn::ReorderWidenMulAccumulate(di, a, b, sum, rest);
-  return hn::RearrangeToOddPlusEven(sum, rest);
-}
-
 // Returns the sum of counts[0, size). REQUIRES: `size` is a multiple of kLanes.
 HWY_INLINE uint64_t SumCounts(const int16_t* counts, int size) {
   const I16 d;
-  const I32 di;
-  auto sum = hn::Zero(di);
+  PairSum sum;
   for (int j = 0; j < size; j += kVector16) {
-    sum = AddPairs(hn::LoadU(d, counts + j), hn::Set(d, int16_t{1}), sum);
+    sum.Add(hn::LoadU(d, counts + j), hn::Set(d, int16_t{1}));
   }
-  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, sum)));
+  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(I32(), sum.Total())));
 }
 
 // Sets `pairs` to the pairs of inputs of which at least one has spikes, ascending. Returns the
@@ -154,7 +110,7 @@ HWY_INLINE uint64_t FindActive(const PackedIntegerOutput& output, const int16_t*
   const I32 di;
   pairs.clear();
   const auto one = hn::Set(d, int16_t{1});
-  auto products = hn::Zero(di);
+  PairSum products;
   for (int j = 0; j < output.inputs; j += kVector16) {
     const auto count = hn::LoadU(d, counts + j);
     const auto pair_fires = hn::Ne(hn::BitCast(di, count), hn::Zero(di));
@@ -163,9 +119,9 @@ HWY_INLINE uint64_t FindActive(const PackedIntegerOutput& output, const int16_t*
     for (; bits != 0; bits &= bits - 1) pairs.push_back(j / 2 + __builtin_ctz(bits));
     const auto nonzero = hn::LoadU(d, output.nonzero.data() + j);
     const auto silent = hn::Eq(count, hn::Zero(d));
-    products = AddPairs(hn::IfThenZeroElse(silent, nonzero), one, products);
+    products.Add(hn::IfThenZeroElse(silent, nonzero), one);
   }
-  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, products)));
+  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, products.Total())));
 }
 
 uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, ActiveInputs* active,
@@ -175,28 +131,25 @@ uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, Ac
   const I16 d16;
   const uint64_t products = FindActive(output, counts, *active);
   ForEachBlock<8>(0, output.width, [&](int lane, auto vectors) HWY_ATTR {
-    VecI32 total[vectors];
-    for (int v = 0; v < vectors; ++v) total[v] = hn::Zero(di);
+    PairSum total[vectors];
     for (const int32_t pair : *active) {
       int32_t both;
       std::memcpy(&both, counts + 2 * pair, sizeof(both));
       const auto count = hn::BitCast(d16, hn::Set(di, both));
       const int8_t* row = Opaque(output.row(pair) + 2 * lane);
       for (int v = 0; v < vectors; ++v) {
-        total[v] = AddPairs(LoadWide(row + v * kVector16), count, total[v]);
+        total[v].Add(LoadWide(row + v * kVector16), count);
       }
     }
     for (int v = 0; v < vectors; ++v) {
       const int k = lane + v * kVector;
       const auto scaled =
-          hn::Mul(hn::LoadU(d, output.factor.data() + k), hn::ConvertTo(d, total[v]));
+          hn::Mul(hn::LoadU(d, output.factor.data() + k), hn::ConvertTo(d, total[v].Total()));
       hn::StoreU(hn::Add(scaled, hn::LoadU(d, output.bias.data() + k)), d, update + k);
     }
   });
   return products;
 }
-
-#endif  // HWY_TARGET == HWY_SCALAR
 
 uint64_t LifActivityImpl(const IntegerLif& lif, const PackedIntegerPopulation& population,
                          const Drive<int16_t>& drive, int16_t* counts) {

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#define HWY_WANT_AVX3_DL 1
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/lif_kernels.cc"
 // clang-format off
@@ -17,11 +16,11 @@ namespace {
 
 // Number of vectors of neurons that run together: enough for their dependency chains to overlap,
 // and few enough for membranes and currents to stay in the target's registers.
-constexpr int kLifVectors = std::max(kVectorsPerWord, HWY_TARGET <= HWY_AVX3 ? 8 : 4);
+constexpr int kLifVectors = std::max(kVectorsPerWord, kManyRegisters ? 8 : 4);
 
 // Number of vectors of a row that are added in one pass over the rows. The processor prefetches
 // long contiguous reads better.
-constexpr int kSumVectors = std::max(kVectorsPerWord, HWY_TARGET <= HWY_AVX3 ? 16 : 8);
+constexpr int kSumVectors = std::max(kVectorsPerWord, kManyRegisters ? 16 : 8);
 
 // Returns the periods: one more than the number of thresholds that the current does not reach, or 0
 // if it reaches none.

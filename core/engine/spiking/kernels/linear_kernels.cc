@@ -5,7 +5,6 @@
 
 #include "core/math/layer_norm.h"
 
-#define HWY_WANT_AVX3_DL 1
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/linear_kernels.cc"
 // clang-format off

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#define HWY_WANT_AVX3_DL 1
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/routing_kernels.cc"
 // clang-format off

@@ -28,6 +28,9 @@ using VecF = hn::Vec<F32>;
 constexpr int kVector = static_cast<int>(hn::MaxLanes(F32()));
 constexpr int kVectorsPerWord = kLanes / kVector;
 
+// Whether the target has 32 vector registers, as AVX-512 and arm64 have, instead of 16.
+constexpr bool kManyRegisters = HWY_TARGET <= HWY_AVX3 || HWY_ARCH_ARM_A64;
+
 // Returns `mask` as bits, one per lane.
 template <class D, class Mask>
 HWY_INLINE uint32_t MaskBits(D d, Mask mask) {

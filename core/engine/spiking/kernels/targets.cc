@@ -1,24 +1,41 @@
 #include "core/engine/spiking/kernels/targets.h"
 
-#define HWY_WANT_AVX3_DL 1
 #include "hwy/highway.h"
 
 namespace spikeserve::kernels {
+namespace {
+
+// Returns the targets that this processor has and that the kernels are compiled for. Highway 1.0
+// names NEON only where the processor also has AES, which the kernels do not use and a Raspberry
+// Pi 4 lacks, and EMU128 nowhere. The compiler may use the static target everywhere.
+int64_t Supported() {
+  return (hwy::SupportedTargets() | HWY_STATIC_TARGET | HWY_EMU128) & HWY_TARGETS;
+}
+
+}  // namespace
 
 std::vector<std::string> SupportedTargets() {
   std::vector<std::string> names;
-  for (const int64_t target : hwy::SupportedAndGeneratedTargets()) {
-    names.emplace_back(hwy::TargetName(target));
+  for (int64_t targets = Supported(); targets != 0; targets &= targets - 1) {
+    names.emplace_back(hwy::TargetName(targets & -targets));
   }
   return names;
 }
 
-void ForceTargetForTest(const std::string& name) {
-  hwy::SetSupportedTargetsForTest(0);
-  if (name.empty()) return;
-  for (const int64_t target : hwy::SupportedAndGeneratedTargets()) {
-    if (name == hwy::TargetName(target)) return hwy::SetSupportedTargetsForTest(target);
+void ChooseTarget() {
+  hwy::ChosenTarget& chosen = hwy::GetChosenTarget();
+  if (!chosen.IsInitialized()) chosen.Update(Supported());
+}
+
+bool ForceTargetForTest(const std::string& name) {
+  for (int64_t targets = Supported(); targets != 0; targets &= targets - 1) {
+    const int64_t target = targets & -targets;
+    if (name != hwy::TargetName(target)) continue;
+    hwy::GetChosenTarget().Update(target);
+    return true;
   }
+  hwy::GetChosenTarget().Update(Supported());
+  return name.empty();
 }
 
 }  // namespace spikeserve::kernels

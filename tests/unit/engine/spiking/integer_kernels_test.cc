@@ -5,24 +5,17 @@
 #include <gtest/gtest.h>
 
 #include <limits>
-#include <string>
 #include <vector>
 
-#include "core/engine/spiking/kernels/targets.h"
 #include "core/engine/spiking/packed_linear.h"
 #include "core/math/counter_random.h"
 #include "core/model/config.h"
+#include "tests/support/simd_targets.h"
 
 namespace spikeserve {
 namespace {
 
 constexpr int kTicks = 40;
-
-class IntegerKernelsTest : public testing::TestWithParam<std::string> {
- protected:
-  IntegerKernelsTest() { kernels::ForceTargetForTest(GetParam()); }
-  ~IntegerKernelsTest() override { kernels::ForceTargetForTest(""); }
-};
 
 // Returns a number in [0, limit).
 int Draw(int limit, uint64_t what, uint64_t index) {
@@ -71,120 +64,124 @@ struct Extremes {
   kernels::Drive<int16_t> drive;
 };
 
-TEST_P(IntegerKernelsTest, NeuronsAtTheEndsOfTheirRangesEqualTheEquation) {
-  for (const int width : {32, 96, 512 + 32}) {
-    const Extremes extremes(width);
-    for (const int16_t decay : {0, 1, 16384, 31130, 32767}) {
-      const IntegerLif lif = {decay};
-      const auto spikes = extremes.Spikes(lif);
-      std::vector<uint32_t> bits(static_cast<size_t>(kTicks) * width / 32);
-      kernels::LifBits(lif, extremes.population, extremes.drive, 0, width, bits.data());
-      std::vector<int16_t> counts(width);
-      const uint64_t total =
-          kernels::LifActivity(lif, extremes.population, extremes.drive, counts.data());
-      uint64_t expected_total = 0;
-      for (int k = 0; k < width; ++k) {
-        int count = 0;
-        for (int tick = 0; tick < kTicks; ++tick) {
-          const uint32_t word = bits[(static_cast<size_t>(tick) * width + k) / 32];
-          ASSERT_EQ((word >> (k % 32) & 1u) != 0, spikes[tick][k])
-              << "neuron " << k << ", tick " << tick << ", decay " << decay;
-          count += spikes[tick][k];
+TEST(IntegerKernelsTest, NeuronsAtTheEndsOfTheirRangesEqualTheEquation) {
+  OnEverySimdTarget([] {
+    for (const int width : {32, 96, 512 + 32}) {
+      const Extremes extremes(width);
+      for (const int16_t decay : {0, 1, 16384, 31130, 32767}) {
+        const IntegerLif lif = {decay};
+        const auto spikes = extremes.Spikes(lif);
+        std::vector<uint32_t> bits(static_cast<size_t>(kTicks) * width / 32);
+        kernels::LifBits(lif, extremes.population, extremes.drive, 0, width, bits.data());
+        std::vector<int16_t> counts(width);
+        const uint64_t total =
+            kernels::LifActivity(lif, extremes.population, extremes.drive, counts.data());
+        uint64_t expected_total = 0;
+        for (int k = 0; k < width; ++k) {
+          int count = 0;
+          for (int tick = 0; tick < kTicks; ++tick) {
+            const uint32_t word = bits[(static_cast<size_t>(tick) * width + k) / 32];
+            ASSERT_EQ((word >> (k % 32) & 1u) != 0, spikes[tick][k])
+                << "neuron " << k << ", tick " << tick << ", decay " << decay;
+            count += spikes[tick][k];
+          }
+          ASSERT_EQ(counts[k], count) << "neuron " << k;
+          expected_total += count;
         }
-        ASSERT_EQ(counts[k], count) << "neuron " << k;
-        expected_total += count;
+        EXPECT_EQ(total, expected_total);
       }
-      EXPECT_EQ(total, expected_total);
     }
-  }
+  });
 }
 
-TEST_P(IntegerKernelsTest, RowsOfTheLargestWeightsAddUpExactly) {
-  constexpr int kRows = 258;  // 258 x 127 = 32766
-  PackedIntegerPopulation population;
-  population.inputs = kRows;
-  population.width = 416;
-  std::vector<int32_t> members;
-  AlignedVector<int8_t> rows;
-  for (int j = 0; j < kRows; ++j) {
-    for (int k = 0; k < population.width; ++k) {
-      rows.push_back(k % 2 == 0 ? int8_t{127} : int8_t{-127});
+TEST(IntegerKernelsTest, RowsOfTheLargestWeightsAddUpExactly) {
+  OnEverySimdTarget([] {
+    constexpr int kRows = 258;  // 258 x 127 = 32766
+    PackedIntegerPopulation population;
+    population.inputs = kRows;
+    population.width = 416;
+    std::vector<int32_t> members;
+    AlignedVector<int8_t> rows;
+    for (int j = 0; j < kRows; ++j) {
+      for (int k = 0; k < population.width; ++k) {
+        rows.push_back(k % 2 == 0 ? int8_t{127} : int8_t{-127});
+      }
+      members.push_back(j);
     }
-    members.push_back(j);
-  }
-  population.rows = std::move(rows);
-  std::vector<int16_t> sum(population.width);
-  for (const int count : {1, 2, 257, kRows}) {
-    kernels::SumRows(population, members.data(), count, population.width, sum.data());
-    for (int k = 0; k < population.width; ++k) {
-      ASSERT_EQ(sum[k], (k % 2 == 0 ? 127 : -127) * count) << "lane " << k;
+    population.rows = std::move(rows);
+    std::vector<int16_t> sum(population.width);
+    for (const int count : {1, 2, 257, kRows}) {
+      kernels::SumRows(population, members.data(), count, population.width, sum.data());
+      for (int k = 0; k < population.width; ++k) {
+        ASSERT_EQ(sum[k], (k % 2 == 0 ? 127 : -127) * count) << "lane " << k;
+      }
     }
-  }
+  });
 }
 
 // The largest sum that a valid policy can reach: 256 ticks and 16384 neurons.
-TEST_P(IntegerKernelsTest, TheLargestCountsMapExactly) {
-  constexpr int kInputs = ModelLimits::kFfnSize;
-  IntegerOutput output = {.weight = Int8Tensor::Zeros({3, kInputs}),
-                          .scale = {.shape = {3}, .values = {1.0f, 0.5f, 3.0f}},
-                          .bias = {.shape = {3}, .values = {0.0f, 1.0f, -7.0f}}};
-  for (int j = 0; j < kInputs; ++j) {
-    output.weight.values[j] = 127;
-    output.weight.values[kInputs + j] = -127;
-    output.weight.values[2 * kInputs + j] = static_cast<int8_t>(Draw(255, 4, j) - 127);
-  }
-  const PackedIntegerOutput packed = Pack(output, ModelLimits::kTicks);
-  const std::vector<int16_t> counts(kInputs, ModelLimits::kTicks);
-  std::vector<float> update(packed.width);
-  kernels::ActiveInputs active;
-  const uint64_t products = kernels::Affine(packed, counts.data(), &active, update.data());
-  int32_t sum = 0;
-  uint64_t nonzero = 2 * kInputs;
-  for (int j = 0; j < kInputs; ++j) {
-    sum += ModelLimits::kTicks * output.weight.at(2, j);
-    nonzero += output.weight.at(2, j) != 0;
-  }
-  EXPECT_EQ(update[0], 1.0f / 256.0f * (127.0f * 256.0f * 16384.0f));
-  EXPECT_EQ(update[1], 0.5f / 256.0f * (-127.0f * 256.0f * 16384.0f) + 1.0f);
-  EXPECT_EQ(update[2], 3.0f / 256.0f * static_cast<float>(sum) + -7.0f);
-  EXPECT_EQ(products, nonzero);
-}
-
-TEST_P(IntegerKernelsTest, CountsOfAnySparsityMapExactly) {
-  constexpr int kInputs = 69;
-  constexpr int kOutputs = 40;
-  IntegerOutput output = {.weight = Int8Tensor::Zeros({kOutputs, kInputs}),
-                          .scale = Tensor::Zeros({kOutputs}),
-                          .bias = Tensor::Zeros({kOutputs})};
-  for (size_t i = 0; i < output.weight.values.size(); ++i) {
-    output.weight.values[i] = static_cast<int8_t>(Draw(255, 5, i) - 127);
-  }
-  for (int k = 0; k < kOutputs; ++k) {
-    output.scale.values[k] = 0.01f * static_cast<float>(1 + Draw(9, 6, k));
-    output.bias.values[k] = static_cast<float>(Draw(9, 7, k));
-  }
-  const PackedIntegerOutput packed = Pack(output, 10);
-  kernels::ActiveInputs active;
-  for (const int one_in : {1, 2, 7, 40, 100}) {
-    std::vector<int16_t> counts(PadToLanes(kInputs), 0);
+TEST(IntegerKernelsTest, TheLargestCountsMapExactly) {
+  OnEverySimdTarget([] {
+    constexpr int kInputs = ModelLimits::kFfnSize;
+    IntegerOutput output = {.weight = Int8Tensor::Zeros({3, kInputs}),
+                            .scale = {.shape = {3}, .values = {1.0f, 0.5f, 3.0f}},
+                            .bias = {.shape = {3}, .values = {0.0f, 1.0f, -7.0f}}};
     for (int j = 0; j < kInputs; ++j) {
-      if (Draw(one_in, 8, j) == 0) counts[j] = static_cast<int16_t>(1 + Draw(10, 9, j));
+      output.weight.values[j] = 127;
+      output.weight.values[kInputs + j] = -127;
+      output.weight.values[2 * kInputs + j] = static_cast<int8_t>(Draw(255, 4, j) - 127);
     }
+    const PackedIntegerOutput packed = Pack(output, ModelLimits::kTicks);
+    const std::vector<int16_t> counts(kInputs, ModelLimits::kTicks);
     std::vector<float> update(packed.width);
-    kernels::Affine(packed, counts.data(), &active, update.data());
-    for (int k = 0; k < kOutputs; ++k) {
-      int32_t sum = 0;
-      for (int j = 0; j < kInputs; ++j) sum += counts[j] * output.weight.at(k, j);
-      ASSERT_EQ(update[k],
-                output.scale.values[k] / 10.0f * static_cast<float>(sum) + output.bias.values[k])
-          << "output " << k << ", one in " << one_in;
+    kernels::ActiveInputs active;
+    const uint64_t products = kernels::Affine(packed, counts.data(), &active, update.data());
+    int32_t sum = 0;
+    uint64_t nonzero = 2 * kInputs;
+    for (int j = 0; j < kInputs; ++j) {
+      sum += ModelLimits::kTicks * output.weight.at(2, j);
+      nonzero += output.weight.at(2, j) != 0;
     }
-  }
+    EXPECT_EQ(update[0], 1.0f / 256.0f * (127.0f * 256.0f * 16384.0f));
+    EXPECT_EQ(update[1], 0.5f / 256.0f * (-127.0f * 256.0f * 16384.0f) + 1.0f);
+    EXPECT_EQ(update[2], 3.0f / 256.0f * static_cast<float>(sum) + -7.0f);
+    EXPECT_EQ(products, nonzero);
+  });
 }
 
-INSTANTIATE_TEST_SUITE_P(Targets, IntegerKernelsTest,
-                         testing::ValuesIn(kernels::SupportedTargets()),
-                         [](const auto& test) { return test.param; });
+TEST(IntegerKernelsTest, CountsOfAnySparsityMapExactly) {
+  OnEverySimdTarget([] {
+    constexpr int kInputs = 69;
+    constexpr int kOutputs = 40;
+    IntegerOutput output = {.weight = Int8Tensor::Zeros({kOutputs, kInputs}),
+                            .scale = Tensor::Zeros({kOutputs}),
+                            .bias = Tensor::Zeros({kOutputs})};
+    for (size_t i = 0; i < output.weight.values.size(); ++i) {
+      output.weight.values[i] = static_cast<int8_t>(Draw(255, 5, i) - 127);
+    }
+    for (int k = 0; k < kOutputs; ++k) {
+      output.scale.values[k] = 0.01f * static_cast<float>(1 + Draw(9, 6, k));
+      output.bias.values[k] = static_cast<float>(Draw(9, 7, k));
+    }
+    const PackedIntegerOutput packed = Pack(output, 10);
+    kernels::ActiveInputs active;
+    for (const int one_in : {1, 2, 7, 40, 100}) {
+      std::vector<int16_t> counts(PadToLanes(kInputs), 0);
+      for (int j = 0; j < kInputs; ++j) {
+        if (Draw(one_in, 8, j) == 0) counts[j] = static_cast<int16_t>(1 + Draw(10, 9, j));
+      }
+      std::vector<float> update(packed.width);
+      kernels::Affine(packed, counts.data(), &active, update.data());
+      for (int k = 0; k < kOutputs; ++k) {
+        int32_t sum = 0;
+        for (int j = 0; j < kInputs; ++j) sum += counts[j] * output.weight.at(k, j);
+        ASSERT_EQ(update[k],
+                  output.scale.values[k] / 10.0f * static_cast<float>(sum) + output.bias.values[k])
+            << "output " << k << ", one in " << one_in;
+      }
+    }
+  });
+}
 
 }  // namespace
 }  // namespace spikeserve

@@ -139,7 +139,10 @@ TEST_F(AuthenticatorTest, MistakesInTheFileAreNamed) {
 
 TEST(TenantTest, DecisionsAreLimitedWithAHint) {
   Tenant tenant("fleet");
-  tenant.SetLimits({.max_sessions = 0, .decisions_per_second = 10.0, .max_message_bytes = 0});
+  tenant.SetLimits({.max_sessions = 0,
+                    .decisions_per_second = 10.0,
+                    .calls_per_second = {},
+                    .max_message_bytes = 0});
   const absl::Duration start = absl::Seconds(100);
   for (int i = 0; i < 10; ++i) EXPECT_TRUE(tenant.AcquireDecision(start).ok()) << i;
   const absl::Status refused = tenant.AcquireDecision(start);
@@ -153,7 +156,10 @@ TEST(TenantTest, DecisionsAreLimitedWithAHint) {
 
 TEST(TenantTest, SessionsAndMessagesAreLimited) {
   Tenant tenant("fleet");
-  tenant.SetLimits({.max_sessions = 1, .decisions_per_second = 0.0, .max_message_bytes = 100});
+  tenant.SetLimits({.max_sessions = 1,
+                    .decisions_per_second = 0.0,
+                    .calls_per_second = {},
+                    .max_message_bytes = 100});
   EXPECT_TRUE(tenant.Acquire().ok());
   EXPECT_EQ(tenant.Acquire().code(), absl::StatusCode::kResourceExhausted);
   tenant.Release();

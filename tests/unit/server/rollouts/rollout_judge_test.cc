@@ -4,26 +4,55 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <functional>
+#include <limits>
+#include <memory>
 #include <random>
+#include <string>
+#include <vector>
 
+#include "server/rollouts/evidence_total.h"
 #include "server/rollouts/sequential_test.h"
 
 namespace spikeserve {
 namespace {
 
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
-using ::testing::IsEmpty;
+using ::testing::SizeIs;
+using Kind = Verdict::Kind;
 
-// One arm of a simulated roll-out.
+const std::vector<RolloutCondition> kReturnOnly = {{RolloutMeasure::kReturn, 0.0}};
+constexpr char kTenant[] = "";
+constexpr PlausibleReturns kAnyReturn;
+
+// One version of a simulated roll-out.
 class Arm {
  public:
-  Arm() { evidence_.Watch({}); }
+  explicit Arm(const PlausibleReturns& plausible = kAnyReturn) {
+    evidence_.Watch({}, /*most_per_session=*/4, plausible);
+  }
+
+  // Plays one session with these returns.
+  void Play(const std::vector<double>& returns, const std::string& tenant = kTenant) {
+    const auto session = evidence_.NewSession(tenant);
+    for (const double value : returns) {
+      session->OnDecision(/*compute_seconds=*/1e-4);
+      session->OnEpisodeEnd(value);
+    }
+  }
+  void Fail(const std::string& tenant = kTenant) { evidence_.NewSession(tenant)->OnFailure(); }
+
   VersionEvidence& evidence() { return evidence_; }
   VersionEvidence::Counts Read() const { return evidence_.Read(); }
 
  private:
   VersionEvidence evidence_;
 };
+
+Verdict JudgeReturns(const Arm& fresh, const Arm& stable) {
+  return JudgeRollout(kReturnOnly, fresh.Read(), stable.Read());
+}
 
 TEST(SequentialTest, EqualsTheIntegralOverTheMixture) {
   const Comparison comparison = {.difference = 1.3,
@@ -60,92 +89,292 @@ TEST(SequentialTest, StaysFiniteFarFromTheHypothesis) {
   EXPECT_LT(LogWorseRatio(comparison, 1.0), -1e300);
 }
 
-// The promise of the test: it is looked at after every episode, and still aborts at most 5 % of the
-// roll-outs of versions that are equal.
-TEST(RolloutJudge, LookingAllTheTimeDoesNotAbortEqualVersions) {
-  std::mt19937_64 random(7);
-  std::normal_distribution<double> returns(200.0, 50.0);
-  constexpr int kRollouts = 400;
-  int aborted = 0;
-  for (int rollout = 0; rollout < kRollouts; ++rollout) {
-    Arm fresh, stable;
-    bool worse = false;
-    for (int episode = 0; episode < 400 && !worse; ++episode) {
-      fresh.evidence().CountEpisode(returns(random));
-      stable.evidence().CountEpisode(returns(random));
-      worse = !FindWorse({{RolloutMeasure::kReturn, 0.0}}, fresh.Read(), stable.Read()).empty();
-    }
-    aborted += worse ? 1 : 0;
-  }
-  EXPECT_LE(aborted, kRollouts * kFalseAborts);
+TEST(TrimmedMean, LeavesOutATenthAtEachEnd) {
+  std::vector<double> values = {-1e6, 1, 2, 3, 4, 5, 6, 7, 8, 1e6};
+  const TrimmedMean mean = TrimmedMeanOf(values);
+  EXPECT_EQ(mean.count, 10);
+  EXPECT_DOUBLE_EQ(mean.mean, 4.5);
+  // Winsorized: 1, 1, 2, ..., 8, 8. Its squares about 4.5, over h (h - 1) with h = 8 kept values.
+  EXPECT_NEAR(mean.variance, 10 * (42.0 + 2 * 12.25) / (8 * 7), 1e-12);
+  std::vector<double> two = {1.0, 3.0};
+  EXPECT_DOUBLE_EQ(TrimmedMeanOf(two).mean, 2.0);
+  std::vector<double> none;
+  EXPECT_EQ(TrimmedMeanOf(none).count, 0);
 }
 
-TEST(RolloutJudge, AWorseReturnIsFoundAndItsMarginIsAllowed) {
+// Simulates roll-outs that are judged after every pair of sessions, and returns the share of those
+// that end with `kind`. `play(random, fresh, stable)` adds sessions to both versions.
+double ShareOfRollouts(
+    Kind kind, int rollouts, int rounds,
+    const std::function<void(std::mt19937_64& random, Arm& fresh, Arm& stable)>& play) {
   std::mt19937_64 random(7);
-  std::normal_distribution<double> noise(0.0, 20.0);
-  Arm fresh, stable;
-  for (int episode = 0; episode < 300; ++episode) {
-    fresh.evidence().CountEpisode(185.0 + noise(random));
-    stable.evidence().CountEpisode(200.0 + noise(random));
+  int ended = 0;
+  for (int rollout = 0; rollout < rollouts; ++rollout) {
+    Arm fresh, stable;
+    for (int round = 0; round < rounds; ++round) {
+      play(random, fresh, stable);
+      const Kind found = JudgeReturns(fresh, stable).kind;
+      if (found == kind) ++ended;
+      if (found == kind || found == Kind::kWorse) break;
+    }
   }
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kReturn, 0.0}}, fresh.Read(), stable.Read()),
-              HasSubstr("return is worse: mean return 18"));
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kReturn, 0.1}}, fresh.Read(), stable.Read()), IsEmpty());
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kReturn, 0.0}}, stable.Read(), fresh.Read()), IsEmpty());
+  return static_cast<double>(ended) / rollouts;
+}
+
+double Normal(std::mt19937_64& random, double mean, double deviation) {
+  return std::normal_distribution<double>(mean, deviation)(random);
+}
+
+// The promise of the test: it is looked at after every session, and still aborts at most 5 % of the
+// roll-outs of versions that are equal, whatever their returns are like.
+TEST(RolloutJudge, EqualVersionsAreNotAborted) {
+  const auto normal = [](std::mt19937_64& random) { return Normal(random, 200.0, 50.0); };
+  const auto often_fails = [](std::mt19937_64& random) {
+    return std::bernoulli_distribution(0.7)(random) ? 500.0 : Normal(random, 50.0, 10.0);
+  };
+  const auto heavy_tailed = [](std::mt19937_64& random) {
+    return -std::lognormal_distribution<double>(3.0, 1.5)(random);
+  };
+  const std::vector<std::function<double(std::mt19937_64&)>> kinds = {normal, often_fails,
+                                                                      heavy_tailed};
+  for (size_t kind = 0; kind < kinds.size(); ++kind) {
+    const double aborted = ShareOfRollouts(Kind::kWorse, 300, 200,
+                                           [&](std::mt19937_64& random, Arm& fresh, Arm& stable) {
+                                             fresh.Play({kinds[kind](random)});
+                                             // Three times the sessions, as in a step of 25 %.
+                                             for (int i = 0; i < 3; ++i)
+                                               stable.Play({kinds[kind](random)});
+                                           });
+    RecordProperty("aborted_" + std::to_string(kind), std::to_string(aborted));
+    EXPECT_LE(aborted, kFalseAborts) << kind;
+  }
+}
+
+// The episodes of one session depend on each other: a robot has its own wear and its own place.
+TEST(RolloutJudge, EpisodesOfASessionAreNoIndependentEvidence) {
+  const double aborted =
+      ShareOfRollouts(Kind::kWorse, 300, 200, [](std::mt19937_64& random, Arm& fresh, Arm& stable) {
+        for (Arm* arm : {&fresh, &stable}) {
+          const double robot = Normal(random, 200.0, 50.0);
+          std::vector<double> returns(20);
+          for (double& value : returns) value = Normal(random, robot, 5.0);
+          arm->Play(returns);
+        }
+      });
+  EXPECT_LE(aborted, kFalseAborts);
+}
+
+// Tenants have other tasks, and other shares of both versions.
+TEST(RolloutJudge, TenantsThatDifferAreNoDifferenceOfTheVersions) {
+  const auto play = [](std::mt19937_64& random, Arm& fresh, Arm& stable) {
+    fresh.Play({Normal(random, 20.0, 5.0)}, "hard");
+    stable.Play({Normal(random, 20.0, 5.0)}, "hard");
+    for (int i = 0; i < 8; ++i) stable.Play({Normal(random, 400.0, 5.0)}, "easy");
+    if (std::bernoulli_distribution(0.5)(random)) fresh.Play({Normal(random, 400.0, 5.0)}, "easy");
+    stable.Play({Normal(random, 90.0, 5.0)}, "idle");
+  };
+  EXPECT_LE(ShareOfRollouts(Kind::kWorse, 200, 100, play), kFalseAborts);
+  EXPECT_LE(ShareOfRollouts(Kind::kDisputed, 200, 100, play), 2 * kFalseAborts);
+}
+
+TEST(RolloutJudge, AWorseVersionIsFound) {
+  // 10 % worse, where one session's return deviates by 25 %.
+  const auto play = [](std::mt19937_64& random, Arm& fresh, Arm& stable) {
+    fresh.Play({Normal(random, 180.0, 50.0)});
+    stable.Play({Normal(random, 200.0, 50.0)});
+  };
+  EXPECT_GE(ShareOfRollouts(Kind::kWorse, 200, 300, play), 0.9);
+  Arm fresh, stable;
+  std::mt19937_64 random(7);
+  for (int session = 0; session < 300; ++session) {
+    fresh.Play({Normal(random, 185.0, 20.0)});
+    stable.Play({Normal(random, 200.0, 20.0)});
+  }
+  EXPECT_THAT(JudgeReturns(fresh, stable).reason, HasSubstr("return is worse: mean return 18"));
+  EXPECT_EQ(JudgeReturns(stable, fresh).kind, Kind::kNotWorse);
+  EXPECT_EQ(JudgeRollout({{RolloutMeasure::kReturn, 0.1}}, fresh.Read(), stable.Read()).kind,
+            Kind::kNotWorse);
 }
 
 TEST(RolloutJudge, ReturnsThatNeverVaryAreCompared) {
   Arm fresh, stable;
-  for (int episode = 0; episode < kFewestObservations; ++episode) {
-    EXPECT_THAT(FindWorse(DefaultConditions(), fresh.Read(), stable.Read()), IsEmpty()) << episode;
-    fresh.evidence().CountEpisode(499.0);
-    stable.evidence().CountEpisode(500.0);
+  for (int session = 0; session < kFewestObservations; ++session) {
+    EXPECT_EQ(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read()).kind, Kind::kNotWorse);
+    fresh.Play({499.0});
+    stable.Play({500.0});
   }
-  EXPECT_THAT(FindWorse(DefaultConditions(), fresh.Read(), stable.Read()),
-              HasSubstr("mean return 499 over 20 episodes, stable version 500 over 20"));
-  EXPECT_THAT(FindWorse(DefaultConditions(), stable.Read(), stable.Read()), IsEmpty());
+  EXPECT_THAT(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read()).reason,
+              HasSubstr("mean return 499 over 20 sessions, stable version 500 over 20"));
+  EXPECT_EQ(JudgeRollout(DefaultConditions(), stable.Read(), stable.Read()).kind, Kind::kNotWorse);
+}
+
+// Attacks: `liars` of every ten sessions of the new version tell `lie`.
+double ShareWithLiars(Kind kind, double truth, double lie, int liars) {
+  return ShareOfRollouts(kind, 200, 30, [=](std::mt19937_64& random, Arm& fresh, Arm& stable) {
+    for (int session = 0; session < 10; ++session) {
+      fresh.Play({session < liars ? lie : Normal(random, truth, 20.0)});
+      stable.Play({Normal(random, 200.0, 20.0)});
+    }
+  });
+}
+
+TEST(RolloutJudge, OneSessionInTenNeitherAbortsNorHides) {
+  EXPECT_LE(ShareWithLiars(Kind::kWorse, /*truth=*/200.0, /*lie=*/200.0, 0), kFalseAborts);
+  EXPECT_EQ(ShareWithLiars(Kind::kWorse, /*truth=*/150.0, /*lie=*/1e6, 1), 1.0);
+  // A lie that is left out costs what the honest sessions at the other end would have added.
+  EXPECT_LE(ShareWithLiars(Kind::kWorse, /*truth=*/215.0, /*lie=*/-1e6, 1), kFalseAborts);
+}
+
+TEST(RolloutJudge, ManyEpisodesOfOneSessionCountOnce) {
+  Arm fresh, stable;
+  fresh.Play(std::vector<double>(1000, -1e6));
+  EXPECT_EQ(fresh.Read()[kTenant].capped_episodes, 4);
+  std::mt19937_64 random(7);
+  for (int session = 0; session < 100; ++session) {
+    fresh.Play({Normal(random, 200.0, 20.0)});
+    stable.Play({Normal(random, 200.0, 20.0)});
+    EXPECT_EQ(JudgeReturns(fresh, stable).kind, Kind::kNotWorse) << session;
+  }
+  fresh.evidence().NextStep();
+  EXPECT_EQ(fresh.Read()[kTenant].capped_episodes, 104);
+}
+
+TEST(RolloutJudge, OneTenantAloneDecidesNothing) {
+  std::mt19937_64 random(7);
+  Arm fresh, stable;
+  const auto play = [&](const std::string& tenant, double fresh_return) {
+    for (int session = 0; session < 60; ++session) {
+      fresh.Play({Normal(random, fresh_return, 20.0)}, tenant);
+      stable.Play({Normal(random, 200.0, 20.0)}, tenant);
+    }
+  };
+  play("liar", -1000.0);
+  EXPECT_EQ(JudgeReturns(fresh, stable).kind, Kind::kWorse);  // nobody else plays
+  stable.Play({200.0}, "honest");
+  Verdict verdict = JudgeReturns(fresh, stable);
+  EXPECT_EQ(verdict.kind, Kind::kDisputed);
+  EXPECT_FALSE(verdict.contradicted);
+  play("honest", 200.0);
+  verdict = JudgeReturns(fresh, stable);
+  EXPECT_EQ(verdict.kind, Kind::kDisputed);
+  EXPECT_EQ(verdict.tenant, "liar");
+  EXPECT_TRUE(verdict.contradicted);
+  play("other", -1000.0);
+  play("third", -1000.0);
+  EXPECT_EQ(JudgeReturns(fresh, stable).kind, Kind::kWorse);
+}
+
+TEST(RolloutJudge, OneTenantHidesNothing) {
+  std::mt19937_64 random(7);
+  Arm fresh, stable;
+  for (int session = 0; session < 60; ++session) {
+    fresh.Play({Normal(random, 100.0, 20.0)}, "honest");
+    stable.Play({Normal(random, 200.0, 20.0)}, "honest");
+  }
+  for (int session = 0; session < 2000; ++session) {
+    fresh.Play({Normal(random, 900.0, 20.0)}, "liar");
+    stable.Play({Normal(random, 200.0, 20.0)}, "liar");
+  }
+  const Verdict verdict = JudgeReturns(fresh, stable);
+  EXPECT_EQ(verdict.kind, Kind::kDisputed);
+  EXPECT_EQ(verdict.tenant, "liar");
 }
 
 TEST(RolloutJudge, SessionsWithErrorsAreCountedOnce) {
   Arm fresh, stable;
   for (int session = 0; session < 100; ++session) {
-    const std::string id = std::to_string(session);
-    fresh.evidence().CountSession();
-    stable.evidence().CountSession();
-    if (session % 4 != 0) continue;
-    for (int error = 0; error < 3; ++error) fresh.evidence().CountFailure(id);
+    stable.Play({1.0});
+    if (session % 4 != 0) {
+      fresh.Play({1.0});
+      continue;
+    }
+    const auto failing = fresh.evidence().NewSession(kTenant);
+    for (int error = 0; error < 3; ++error) failing->OnFailure();
   }
-  EXPECT_EQ(fresh.Read().failed_sessions, 25);
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kErrors, 0.01}}, fresh.Read(), stable.Read()),
+  EXPECT_EQ(fresh.Read()[kTenant].failed_sessions, 25);
+  EXPECT_EQ(fresh.Read()[kTenant].sessions, 100);
+  const auto judge = [&](double margin) {
+    return JudgeRollout({{RolloutMeasure::kErrors, margin}}, fresh.Read(), stable.Read());
+  };
+  EXPECT_THAT(judge(0.01).reason,
               HasSubstr("errors is worse: 25 of 100 sessions had errors, stable version 0 of 100"));
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kErrors, 0.25}}, fresh.Read(), stable.Read()), IsEmpty());
+  EXPECT_EQ(judge(0.25).kind, Kind::kNotWorse);
 }
 
 TEST(RolloutJudge, ASlowTailIsFoundAndItsMarginIsAllowed) {
   Arm fresh, stable;
-  for (int decision = 0; decision < 10'000; ++decision) {
-    stable.evidence().CountDecision(decision % 200 == 0 ? 400e-6 : 100e-6);
-    fresh.evidence().CountDecision(decision % 20 == 0 ? 400e-6 : 100e-6);
+  for (int session = 0; session < 20; ++session) {
+    const auto old = stable.evidence().NewSession(kTenant);
+    const auto slow = fresh.evidence().NewSession(kTenant);
+    for (int decision = 0; decision < 500; ++decision) {
+      old->OnDecision(decision % 200 == 0 ? 400e-6 : 100e-6);
+      slow->OnDecision(decision % 20 == 0 ? 400e-6 : 100e-6);
+    }
   }
-  EXPECT_NEAR(stable.Read().durations.Quantile(0.99), 100e-6, 10e-6);
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kP99, 0.25}}, fresh.Read(), stable.Read()),
-              HasSubstr("p99 is worse"));
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kP99, 3.0}}, fresh.Read(), stable.Read()), IsEmpty());
-  EXPECT_THAT(FindWorse({{RolloutMeasure::kP99, 0.25}}, stable.Read(), stable.Read()), IsEmpty());
+  EXPECT_NEAR(stable.Read()[kTenant].durations.Quantile(0.99), 100e-6, 10e-6);
+  const auto judge = [&](const Arm& judged, double margin) {
+    return JudgeRollout({{RolloutMeasure::kP99, margin}}, judged.Read(), stable.Read());
+  };
+  EXPECT_THAT(judge(fresh, 0.25).reason, HasSubstr("p99 is worse"));
+  EXPECT_EQ(judge(fresh, 3.0).kind, Kind::kNotWorse);
+  EXPECT_EQ(judge(stable, 0.25).kind, Kind::kNotWorse);
 }
 
 TEST(VersionEvidence, CountsOnlyWhileItIsWatched) {
   VersionEvidence evidence;
-  evidence.CountEpisode(1.0);
-  EXPECT_EQ(evidence.Read().episodes, 0);
-  evidence.Watch({.episodes = 2, .return_mean = 3.0, .return_squares = 2.0});
-  evidence.CountEpisode(6.0);
-  EXPECT_EQ(evidence.Read().episodes, 3);
-  EXPECT_DOUBLE_EQ(evidence.Read().return_mean, 4.0);
-  EXPECT_DOUBLE_EQ(evidence.Read().return_variance(), 4.0);  // of 2, 4 and 6
+  EXPECT_EQ(evidence.NewSession(kTenant), nullptr);
+  VersionEvidence::Counts start;
+  start[kTenant] = {.sessions = 1, .episodes = 2, .returning = 1, .returns = {{2, 3.0}}};
+  evidence.Watch(start, /*most_per_session=*/4, kAnyReturn);
+  const auto session = evidence.NewSession(kTenant);
+  session->OnDecision(1e-3);
+  session->OnEpisodeEnd(5.0);
+  session->OnEpisodeEnd(6.0);
+  EXPECT_THAT(
+      evidence.Read()[kTenant].returns,
+      ElementsAre(VersionEvidence::SessionReturn{2, 3.0}, VersionEvidence::SessionReturn{2, 5.5}));
   evidence.Stop();
-  evidence.CountEpisode(6.0);
-  EXPECT_EQ(evidence.Read().episodes, 3);
+  session->OnEpisodeEnd(6.0);
+  EXPECT_EQ(evidence.Read()[kTenant].episodes, 4);
+  evidence.Watch({}, /*most_per_session=*/4, kAnyReturn);
+  session->OnEpisodeEnd(6.0);  // of the roll-out before
+  EXPECT_TRUE(evidence.Read().empty());
+}
+
+TEST(VersionEvidence, ImplausibleReturnsAreCountedApart) {
+  Policy policy;
+  policy.return_offset = 250.0f;
+  policy.return_scale = 250.0f;
+  policy.target_return = 500.0f;
+  Arm arm(PlausibleReturns::Of(policy));
+  arm.Play({-1e6, 500.0, 0.0, 1e30, -2250.0});
+  EXPECT_EQ(arm.Read()[kTenant].implausible, 2);
+  EXPECT_EQ(arm.Read()[kTenant].episodes, 3);
+}
+
+TEST(VersionEvidence, KeepsARandomSampleOfTheSessions) {
+  Arm arm;
+  constexpr int kSessions = 20'000;
+  for (int session = 0; session < kSessions; ++session) arm.Play({session * 1.0});
+  const VersionEvidence::TenantCounts counts = arm.Read()[kTenant];
+  EXPECT_EQ(counts.returning, kSessions);
+  EXPECT_THAT(counts.returns, SizeIs(VersionEvidence::kMostSampled));
+  const EvidenceTotal total = TotalOf(arm.Read());
+  // Five standard errors of the mean of 256 values that are spread evenly.
+  EXPECT_NEAR(total.returns.mean, kSessions / 2.0, 5.0 * kSessions / std::sqrt(12.0 * 256.0));
+}
+
+// The sample changes all the time, so the judge gets new chances to err for as long as a roll-out
+// lasts.
+TEST(RolloutJudge, ALongRolloutOfEqualVersionsIsNotAborted) {
+  const double aborted =
+      ShareOfRollouts(Kind::kWorse, 40, 500, [](std::mt19937_64& random, Arm& fresh, Arm& stable) {
+        for (int session = 0; session < 10; ++session) {
+          fresh.Play({Normal(random, 200.0, 50.0)});
+          stable.Play({Normal(random, 200.0, 50.0)});
+        }
+      });
+  EXPECT_LE(aborted, kFalseAborts);
 }
 
 }  // namespace

@@ -57,7 +57,7 @@ class FileBackendTest : public ::testing::Test {
   }
 
   absl::StatusOr<ClaimedJournal> Claim(const std::string& id, const std::string& tenant = "t") {
-    return backend_->Claim({{.id = id, .tenant = tenant, .policy_files = {}}}).front();
+    return backend_->Claim({{.id = id, .tenant = tenant, .has_policy = nullptr}}).front();
   }
 
   std::vector<std::string> Claimed(const std::string& id = kId) {

@@ -106,11 +106,10 @@ class JournalStoreTest : public ::testing::Test {
   absl::StatusOr<ClaimedJournal> Claim(const std::string& id) {
     absl::Notification done;
     absl::StatusOr<ClaimedJournal> claimed;
-    store_->Claim({.id = id, .tenant = "", .policy_files = {}},
-                  [&](absl::StatusOr<ClaimedJournal> result) {
-                    claimed = std::move(result);
-                    done.Notify();
-                  });
+    store_->Claim({.id = id, .tenant = ""}, [&](absl::StatusOr<ClaimedJournal> result) {
+      claimed = std::move(result);
+      done.Notify();
+    });
     EXPECT_TRUE(done.WaitForNotificationWithTimeout(kDeadline));
     return claimed;
   }

@@ -1,10 +1,6 @@
 #include <gtest/gtest.h>
 
-#include <memory>
-#include <vector>
-
 #include "server/base/byte_budget.h"
-#include "server/transport/connection_table.h"
 #include "server/transport/frame_budget.h"
 #include "server/transport/limits.h"
 
@@ -41,33 +37,6 @@ TEST(ByteBudgetTest, Bounds) {
   EXPECT_TRUE(budget.Count(40, 100));
   EXPECT_TRUE(budget.Count(-100, 0));
   EXPECT_EQ(budget.used(), 0);
-}
-
-TEST(ConnectionTableTest, BoundsAllAndEachAddress) {
-  ConnectionTable table(3, 2);
-  std::vector<std::unique_ptr<ConnectionSlot>> slots;
-  slots.push_back(table.Admit("a"));
-  slots.push_back(table.Admit("a"));
-  EXPECT_EQ(table.Admit("a"), nullptr);
-  slots.push_back(table.Admit("b"));
-  EXPECT_EQ(table.Admit("c"), nullptr);
-  EXPECT_EQ(table.connections(), 3);
-  slots.clear();
-  EXPECT_EQ(table.connections(), 0);
-  EXPECT_EQ(table.closed(), 3);
-  EXPECT_NE(table.Admit("a"), nullptr);
-}
-
-TEST(ConnectionTableTest, StrangersAreThoseWithoutACall) {
-  ConnectionTable table(3, 3);
-  auto caller = table.Admit("a");
-  const auto stranger = table.Admit("a");
-  EXPECT_EQ(table.strangers(), 2);
-  caller->MarkCaller();
-  caller->MarkCaller();
-  EXPECT_EQ(table.strangers(), 1);
-  caller.reset();
-  EXPECT_EQ(table.strangers(), 1);
 }
 
 TEST(TransportLimitsTest, ErrorsNameTheFlag) {

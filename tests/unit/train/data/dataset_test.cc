@@ -52,6 +52,43 @@ std::string TemporaryFile(const std::string& name) {
   return (std::filesystem::path(testing::TempDir()) / name).string();
 }
 
+TEST(DatasetTest, ChangesAreScaledByTheirRootMeanSquareWithinEpisodes) {
+  Episode episode = Counting(4);
+  episode.observations = {0.0f, 3.0f, 2.0f, 2.0f, 90.0f};  // the last one is no input
+  DataStatistics statistics(1);
+  statistics.Add(episode);
+  EXPECT_THAT(statistics.change_std(), ElementsAre(std::sqrt(10.0f / 3.0f)));
+  statistics.Add(episode);  // from the end of one episode to the start of the next nothing changes
+  EXPECT_THAT(statistics.change_std(), ElementsAre(std::sqrt(10.0f / 3.0f)));
+  episode.observations.assign(5, 1.0e6f);
+  DataStatistics constant(1);
+  constant.Add(episode);
+  EXPECT_THAT(constant.change_std(), ElementsAre(1.0f));
+}
+
+TEST(DatasetTest, LabelsOfABoxHaveMoments) {
+  Episode episode = Counting(2);
+  episode.actions = {{.continuous = {7.0f, 7.0f}}, {.continuous = {7.0f, 7.0f}}};
+  episode.labels = {{.continuous = {1.0f, 5.0f}}, {.continuous = {3.0f, 5.0f}}};
+  DataStatistics statistics(1);
+  statistics.Add(episode);
+  EXPECT_THAT(statistics.labels().mean, ElementsAre(2.0f, 5.0f));
+  EXPECT_THAT(statistics.labels().std, ElementsAre(testing::FloatNear(1.0f, 1e-5f), 1.0f));
+  DataStatistics discrete(1);
+  discrete.Add(Counting(3));
+  EXPECT_TRUE(discrete.labels().mean.empty());
+}
+
+TEST(DatasetTest, ClipsKnowTheObservationBeforeThem) {
+  const Dataset dataset = DatasetOf({Counting(9)});
+  const Clips clips = ClipSampler(dataset, {0}, 3).Sample(/*key=*/1, /*count=*/40, 0.0);
+  for (int clip = 0; clip < clips.count; ++clip) {
+    const float first = clips.observations[static_cast<size_t>(clip) * 3];
+    EXPECT_EQ(clips.previous[clip], std::max(0.0f, first - 1.0f));
+  }
+  EXPECT_THAT(clips.previous, testing::Contains(testing::Gt(2.0f)));
+}
+
 TEST(DatasetTest, ReturnsToGoAreSumsOfTheRewardsAhead) {
   Episode episode = Counting(3);
   episode.rewards = {1.0, -2.0, 5.0};

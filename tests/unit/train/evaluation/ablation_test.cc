@@ -80,8 +80,9 @@ TEST(AblationTest, WhatIsNotThereCannotBeSwitchedOff) {
             "ablate: a policy of mode baseline has no phase to switch off");
   EXPECT_EQ(Ablate("attention", &dense).message(),
             "ablate: a policy of mode dense has no attention to switch off");
-  EXPECT_EQ(Ablate("head", &baseline).message(),
-            "ablate: expected context, attention, phase, routing or return, received 'head'");
+  EXPECT_EQ(
+      Ablate("head", &baseline).message(),
+      "ablate: expected context, changes, attention, phase, routing or return, received 'head'");
 }
 
 }  // namespace

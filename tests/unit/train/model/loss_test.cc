@@ -60,17 +60,23 @@ TEST(ImitationLossTest, IsTheMaskedCrossEntropyForDiscreteActions) {
   const torch::Tensor logits = torch::tensor({{{0.0f, 0.0f}, {9.0f, -9.0f}}});
   const torch::Tensor targets = torch::tensor({{{0.0f, 1.0f}, {0.0f, 1.0f}}});
   const ActionSpace space = ActionSpace::Discrete(2);
-  EXPECT_NEAR(ImitationLoss(space, logits, targets, torch::tensor({{1.0f, 0.0f}})).item<double>(),
+  EXPECT_NEAR(ImitationLoss(space, logits, targets, torch::tensor({{1.0f, 0.0f}}), torch::ones({2}))
+                  .item<double>(),
               std::log(2.0), 1e-6);
-  EXPECT_NEAR(ImitationLoss(space, logits, targets, torch::tensor({{1.0f, 1.0f}})).item<double>(),
+  EXPECT_NEAR(ImitationLoss(space, logits, targets, torch::tensor({{1.0f, 1.0f}}), torch::ones({2}))
+                  .item<double>(),
               (std::log(2.0) + 18.0) / 2.0, 1e-5);
 }
 
-TEST(ImitationLossTest, IsTheSquaredDistanceOfTanhForBoxes) {
+TEST(ImitationLossTest, IsTheSquaredDistanceOfTanhForBoxesInUnitsOfTheSpread) {
   const torch::Tensor logits = torch::tensor({{{0.5f}}}), targets = torch::tensor({{{-1.0f}}});
-  EXPECT_NEAR(ImitationLoss(ActionSpace::Box({-2.0f}, {2.0f}), logits, targets, torch::ones({1, 1}))
-                  .item<double>(),
-              std::pow(std::tanh(0.5) + 1.0, 2.0), 1e-5);
+  const ActionSpace space = ActionSpace::Box({-2.0f}, {2.0f});
+  const auto loss = [&](float spread) {
+    return ImitationLoss(space, logits, targets, torch::ones({1, 1}), torch::tensor({spread}))
+        .item<double>();
+  };
+  EXPECT_NEAR(loss(1.0f), std::pow(std::tanh(0.5) + 1.0, 2.0), 1e-5);
+  EXPECT_NEAR(loss(0.5f), 4.0 * std::pow(std::tanh(0.5) + 1.0, 2.0), 1e-5);
 }
 
 }  // namespace

@@ -36,6 +36,9 @@ def add_command(subcommands: Any) -> None:
     parser.add_argument(
         "--spiketrain", help="the program; default: $SPIKETRAIN, or the one on PATH"
     )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="delete the run in --out and begin anew"
+    )
     for setting in dataclasses.fields(ImitationOptions):
         _add_setting(parser, setting)
     parser.set_defaults(run=_run)
@@ -95,7 +98,11 @@ def _run(arguments: argparse.Namespace) -> int:
             options=ImitationOptions(**settings),
             wrappers=wrappers,
             spiketrain=arguments.spiketrain,
+            overwrite=arguments.overwrite,
         )
+    except KeyboardInterrupt:
+        print("spikeserve imitate: interrupted; the same command continues", file=sys.stderr)
+        return 130
     except (ValueError, RuntimeError) as error:
         print(f"spikeserve imitate: {error}", file=sys.stderr)
         return 1
@@ -104,7 +111,13 @@ def _run(arguments: argparse.Namespace) -> int:
         (result.policy, result.figures),
         (result.quantized, result.quantized_figures),
     ):
+        if figures is None:
+            continue
         spikes = f"{figures.spikes_per_decision:.0f} spikes a decision"
         print(f"{path}: return {figures}, {spikes}")
+    for name, figures in result.baselines.items():
+        print(f"{name}: return {figures}, over {len(figures.returns)} starts")
+    for warning in result.warnings:
+        print(f"warning: {warning}")
     print(result.report)
     return 0

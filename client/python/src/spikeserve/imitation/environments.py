@@ -54,7 +54,38 @@ class EnvironmentFactory:
 
     def make(self) -> FlatEnvironment:
         """Makes one environment."""
-        environment: Any = gymnasium.make(self._env_id, max_episode_steps=self._max_episode_steps)
+        try:
+            environment: Any = gymnasium.make(
+                self._env_id, max_episode_steps=self._max_episode_steps
+            )
+        except TypeError:
+            _check_single(self._env_id, _unchecked(self._env_id))
+            raise
         for wrapper in self._wrappers:
             environment = wrapper(environment)
+        _check_single(self._env_id, environment)
         return FlatEnvironment(environment)
+
+
+def _unchecked(env_id: str) -> Any:
+    """Makes an environment that gymnasium.make() refuses."""
+    spec = gymnasium.spec(env_id)
+    assert spec.entry_point is not None
+    create: Any = spec.entry_point
+    if isinstance(create, str):
+        create = gymnasium.envs.registration.load_env_creator(create)
+    return create(**spec.kwargs)
+
+
+def _check_single(env_id: str, environment: Any) -> None:
+    """ValueError, with what to do, unless the environment is one of Gymnasium with one agent."""
+    expected = "an environment of Gymnasium with one agent"
+    if hasattr(environment, "possible_agents"):  # of PettingZoo's AECEnv and ParallelEnv
+        expected += (
+            "; for one of PettingZoo, write a gymnasium.Env whose step() plays one agent, with "
+            "fixed policies for the others"
+        )
+    elif isinstance(environment, gymnasium.vector.VectorEnv):
+        expected += ", not a vector of them: --environments says how many are played at once"
+    received = f"{type(environment).__name__} from {env_id}"
+    check(isinstance(environment, gymnasium.Env), "env_id", expected, received)

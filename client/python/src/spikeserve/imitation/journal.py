@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import shutil
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,13 +16,25 @@ from spikeserve.imitation.figures import Figures
 class Journal:
     """Keeps results below a folder, so that an interrupted run continues where it was.
 
-    ValueError if the folder holds a run with other settings.
+    ValueError if the folder holds a run with other settings, or policies of something else.
+    `overwrite` deletes the run in the folder first.
     """
 
-    def __init__(self, folder: pathlib.Path, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, folder: pathlib.Path, settings: dict[str, Any], overwrite: bool = False
+    ) -> None:
         self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
         path = folder / "settings.json"
+        if overwrite and path.is_file():
+            _delete_run(folder)
+        foreign = folder / "policies"
+        check(
+            path.is_file() or not foreign.exists(),
+            "out",
+            "a new folder, or one of an earlier run",
+            f"{foreign} without {path.name}",
+        )
+        folder.mkdir(parents=True, exist_ok=True)
         stored = json.loads(path.read_text()) if path.is_file() else settings
         # Through JSON, because JSON turns tuples into lists.
         given = json.loads(json.dumps(settings))
@@ -31,7 +44,7 @@ class Journal:
         check(
             not differing,
             "out",
-            f"the settings of {path}, or another folder",
+            f"the settings of {path}, another folder, or --overwrite",
             f"other {', '.join(differing)}",
         )
         self._write(path, settings)
@@ -57,3 +70,11 @@ class Journal:
         partial = path.with_suffix(".partial")
         partial.write_text(json.dumps(value, indent=2) + "\n")
         partial.rename(path)
+
+
+def _delete_run(folder: pathlib.Path) -> None:
+    """Deletes what a run has written into its folder, the settings last."""
+    for name in ("data", "stages", "evaluations", "policies"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    for name in ("report.md", "metadata.json", "settings.json"):
+        (folder / name).unlink(missing_ok=True)

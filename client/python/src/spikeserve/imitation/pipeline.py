@@ -9,12 +9,20 @@ from typing import Any
 
 from spikeserve.engine import Engine
 from spikeserve.imitation.actors import Bursts, ExpertActor, StudentActor
+from spikeserve.imitation.baselines import (
+    LARGEST_COMPARED,
+    Baseline,
+    BaselineActor,
+    Comparison,
+    return_warnings,
+)
 from spikeserve.imitation.datasets import check_packages, read_dataset, write_dataset
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Actor, Budget, Episode, play
 from spikeserve.imitation.experts import Expert, is_dataset, load_expert
 from spikeserve.imitation.figures import Evaluator, Figures
 from spikeserve.imitation.images import image_flags
+from spikeserve.imitation.insight import Insight, drift, learning_curves, noise_floor
 from spikeserve.imitation.journal import Journal
 from spikeserve.imitation.options import FIRST_SELECTION_SEED, FIRST_UNSEEN_SEED, ImitationOptions
 from spikeserve.imitation.policy_record import write_with_record
@@ -24,6 +32,7 @@ from spikeserve.imitation.training import Spiketrain, Training, find_spiketrain
 
 # Every round of data has environment seeds of its own.
 _SEEDS_OF_A_ROUND = 50_000
+_BASELINE_EPISODES = 100
 
 
 @dataclass(frozen=True)
@@ -32,10 +41,12 @@ class ImitationResult:
 
     policies: pathlib.Path  # a folder for `spikeserve --policies`
     policy: pathlib.Path  # the policy in float32
-    quantized: pathlib.Path  # the same with 8-bit weights
+    quantized: pathlib.Path | None  # the same with 8-bit weights; None in mode dense
     report: pathlib.Path
     figures: Figures  # of `policy`
-    quantized_figures: Figures
+    quantized_figures: Figures | None
+    baselines: dict[str, Figures]  # of lines and perceptrons that learned from the same data
+    warnings: list[str]  # one for each baseline that is better than the policy
     expert_figures: Figures
 
 
@@ -56,6 +67,7 @@ def imitate(
     options: ImitationOptions | None = None,
     wrappers: Sequence[Callable[[Any], Any]] = (),
     spiketrain: str | None = None,
+    overwrite: bool = False,
 ) -> ImitationResult:
     """See `spikeserve.imitate`."""
     options = options or ImitationOptions()
@@ -69,7 +81,7 @@ def imitate(
     environment.close()
     source = str(expert) if is_dataset(expert) else load_expert(expert)
     settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
-    journal = Journal(folder, settings)
+    journal = Journal(folder, settings, overwrite)
     return _Run(factory, source, options, trainer, journal).run()
 
 
@@ -106,8 +118,12 @@ class _Run:
         """Runs every part and writes policies and report."""
         self._record_expert()
         best = self._learn_to_play()
-        silent = self._silence(best)
-        return self._publish(silent)
+        # A dense policy has no spikes to save, and no integer form.
+        return self._publish(best if self._is_dense else self._silence(best))
+
+    @property
+    def _is_dense(self) -> bool:
+        return self._options.mode == "dense"
 
     # Data
 
@@ -210,13 +226,7 @@ class _Run:
 
     def _silence(self, loud: _Candidate) -> _Candidate:
         """Lowers the firing rates in steps while the return holds. Returns the last such policy."""
-        chance = self._journal.figures(
-            "chance",
-            lambda: self._evaluator.evaluate_chance(
-                FIRST_SELECTION_SEED, self._options.environments
-            ),
-        )
-        allowed = self._options.tolerance * abs(self._expert_return() - chance.mean)
+        allowed = self._options.tolerance * abs(self._expert_return() - self._chance().mean)
         kept = loud
         for hidden, readout in self._options.silence:
             flags = [f"--target_rate={hidden}", f"--readout_rate={readout}"]
@@ -228,6 +238,14 @@ class _Run:
         return kept
 
     # Results
+
+    def _chance(self) -> Figures:
+        return self._journal.figures(
+            "chance",
+            lambda: self._evaluator.evaluate_chance(
+                FIRST_SELECTION_SEED, self._options.environments
+            ),
+        )
 
     def _expert_return(self) -> float:
         return self._expert_figures(
@@ -248,12 +266,19 @@ class _Run:
 
     def _publish(self, chosen: _Candidate) -> ImitationResult:
         folder = self._journal.folder
-        stage = folder / "stages/quantized/policy.safetensors"
         first, first_figures = self._publish_version(1, chosen.policy)
-        # From the published file, so that its record names a parent that exists for others.
-        quantized = self._trainer.quantize(first, stage)
-        second, second_figures = self._publish_version(2, quantized)
+        second: pathlib.Path | None = None
+        second_figures: Figures | None = None
+        if not self._is_dense:
+            stage = folder / "stages/quantized/policy.safetensors"
+            # From the published file, so that its record names a parent that exists for others.
+            quantized = self._trainer.quantize(first, stage)
+            second, second_figures = self._publish_version(2, quantized)
+        insight, baselines = self._explain(first, first_figures)
+        compared = insight.comparison.warnings if insight.comparison else []
         result = ImitationResult(
+            baselines=baselines,
+            warnings=[*compared, *return_warnings(first_figures, baselines)],
             policies=folder / "policies",
             policy=first,
             quantized=second,
@@ -266,7 +291,7 @@ class _Run:
         )
         stages = {stage.name: stage.figures for stage in self._stages}
         name = self._factory.policy_name
-        write_report(result.report, self._journal, name, chosen.name, stages, result)
+        write_report(result.report, self._journal, name, chosen.name, stages, result, insight)
         return result
 
     def _publish_version(self, version: int, source: pathlib.Path) -> tuple[pathlib.Path, Figures]:
@@ -287,6 +312,57 @@ class _Run:
         if not target.is_file():  # a second writing would order the metadata differently
             write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
         return target, figures
+
+    # Reasons
+
+    def _explain(
+        self, policy: pathlib.Path, figures: Figures
+    ) -> tuple[Insight, dict[str, Figures]]:
+        """Returns why the policy is as good as it is, and the returns of the baselines."""
+        comparison = self._compare(policy)
+        baselines = {} if comparison is None else self._play_baselines(comparison)
+        floor, drifts = None, None
+        if (expert := self._expert) is not None:
+            seeds = range(FIRST_SELECTION_SEED, FIRST_SELECTION_SEED + self._options.environments)
+            asked = self._journal.part(
+                "evaluations/noise", lambda: {"floor": noise_floor(self._factory, expert, seeds)}
+            )
+            floor = asked["floor"]
+            student = StudentActor(Engine(policy), expert)
+            driven = self._journal.part(
+                "evaluations/drift", lambda: {"bins": drift(self._factory, student, seeds)}
+            )
+            drifts = [(first, last, error) for first, last, error in driven["bins"]]
+        chance = self._chance().mean
+        expert_return = self._expert_figures(
+            FIRST_UNSEEN_SEED, self._options.episodes, "expert-unseen"
+        ).mean
+        plays = [stage for stage in self._stages if stage.name.endswith("-play")]
+        curves = learning_curves([stage.policy.parent for stage in plays])
+        share = (figures.mean - chance) / (expert_return - chance or 1.0)
+        return Insight(comparison, floor, drifts, share, curves), baselines
+
+    def _compare(self, policy: pathlib.Path) -> Comparison | None:
+        """Returns None if the observations are too large for baselines."""
+        environment = self._factory.make()
+        environment.close()
+        if environment.observations.size > LARGEST_COMPARED:
+            return None
+        out = self._journal.folder / "evaluations/comparison.json"
+        return Comparison.read(self._trainer.compare(policy, self._data, out))
+
+    def _play_baselines(self, comparison: Comparison) -> dict[str, Figures]:
+        """Plays the first of the unseen starts."""
+        episodes = min(self._options.episodes, _BASELINE_EPISODES)
+
+        def play_one(baseline: Baseline) -> Figures:
+            actor, title = BaselineActor(baseline), f"{baseline.name} plays"
+            return self._journal.figures(
+                f"baseline-{baseline.name.replace(' ', '-')}",
+                lambda: self._evaluator.evaluate(actor, FIRST_UNSEEN_SEED, episodes, title),
+            )
+
+        return {baseline.name: play_one(baseline) for baseline in comparison.baselines}
 
 
 def has_stalled(returns: Sequence[float], patience: int) -> bool:

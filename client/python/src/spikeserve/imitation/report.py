@@ -7,17 +7,26 @@ import pathlib
 import statistics
 from typing import Any, Protocol
 
+import safetensors
+
 from spikeserve.imitation.figures import Figures
+from spikeserve.imitation.insight import Insight
 from spikeserve.imitation.journal import Journal
 
 
 class _Result(Protocol):
     @property
+    def baselines(self) -> dict[str, Figures]: ...
+    @property
+    def warnings(self) -> list[str]: ...
+    @property
     def policies(self) -> pathlib.Path: ...
+    @property
+    def policy(self) -> pathlib.Path: ...
     @property
     def figures(self) -> Figures: ...
     @property
-    def quantized_figures(self) -> Figures: ...
+    def quantized_figures(self) -> Figures | None: ...
     @property
     def expert_figures(self) -> Figures: ...
 
@@ -29,19 +38,27 @@ def write_report(
     chosen: str,
     stages: dict[str, Figures],
     result: _Result,
+    insight: Insight,
 ) -> None:
     """Writes the report, and beside it metadata.json with the same figures and all settings."""
     settings = json.loads((journal.folder / "settings.json").read_text())
     figures = {
         "expert": result.expert_figures,
         f"{name}/1, float32": result.figures,
-        f"{name}/2, 8-bit weights": result.quantized_figures,
     }
+    if result.quantized_figures is not None:
+        figures[f"{name}/2, 8-bit weights"] = result.quantized_figures
     metadata = {
         "settings": settings,
         "chosen_stage": chosen,
         "figures": {title: value.to_json() for title, value in figures.items()},
         "stages": {stage: value.to_json() for stage, value in stages.items()},
+        "baselines": {title: value.to_json() for title, value in result.baselines.items()},
+        "warnings": result.warnings,
+        "advice": insight.advice(_has_changes(result.policy), settings["context"]),
+        "noise_floor": insight.floor,
+        "drift": insight.drift,
+        "share_of_the_way_to_the_expert": insight.share,
     }
     path.with_name("metadata.json").write_text(json.dumps(metadata, indent=2) + "\n")
     lines = [
@@ -52,6 +69,14 @@ def write_report(
         "",
         *_table(("", "return", "spikes per decision"), [_row(*item) for item in figures.items()]),
         "",
+        f"{insight.share:.1%} of the way from random actions to the expert.",
+        "",
+        *_baselines(result, insight),
+        "## What to try next",
+        "",
+        *[f"- {line}" for line in metadata["advice"]],
+        "",
+        *_errors(insight),
         "## Stages",
         "",
         f"Every stage played the same {len(stages[chosen].returns)} other starts. The policy is "
@@ -79,6 +104,67 @@ def write_report(
         ),
     ]
     path.write_text("\n".join(lines) + "\n")
+
+
+def _has_changes(policy: pathlib.Path) -> bool:
+    with safetensors.safe_open(policy, framework="np") as file:
+        return "observation.change_std" in file.keys()
+
+
+def _baselines(result: _Result, insight: Insight) -> list[str]:
+    """Returns the section of the baselines, with a warning for each that is better."""
+    comparison = insight.comparison
+    if comparison is None:
+        return []
+    rows = [("the policy", f"{comparison.policy_error:.4f}", str(result.figures))]
+    for baseline in comparison.baselines:
+        figures = result.baselines[baseline.name]
+        rows.append((baseline.name, f"{baseline.error:.4f}", str(figures)))
+    episodes = max(len(figures.returns) for figures in result.baselines.values())
+    return [
+        "## Baselines",
+        "",
+        "Linear maps and perceptrons (two hidden layers of 64) that learned from the same data, on "
+        f"the last 1, 2 or 4 observations. The error is the {comparison.error_is}, on held-out "
+        f"episodes. The baselines played the first {episodes} of the starts above.",
+        "",
+        *_table(("", "error", "return"), rows),
+        "",
+        *[f"**Warning:** {line}." for line in result.warnings],
+        *([""] if result.warnings else []),
+    ]
+
+
+def _errors(insight: Insight) -> list[str]:
+    """Returns the section that says where the errors are."""
+    lines = ["## Where the errors are", ""]
+    if insight.floor is not None:
+        lines += [
+            f"The noise of the expert's own actions sets a floor of {insight.floor:.4f} to the "
+            "error (it was asked twice in the same states).",
+            "",
+        ]
+    if insight.comparison is not None and len(insight.comparison.element_errors) > 1:
+        rows = [(str(i), f"{e:.4f}") for i, e in enumerate(insight.comparison.element_errors)]
+        lines += [*_table(("element of the action", "error"), rows), ""]
+    if insight.drift is not None:
+        rows = [(f"{first} to {last}", f"{error:.4f}") for first, last, error in insight.drift]
+        lines += [
+            "In closed loop, against what the expert would do in the states that the policy "
+            "reaches:",
+            "",
+            *_table(("steps", "error"), rows),
+            "",
+        ]
+    if insight.curves:
+        curve = [(str(i), f"{mean:.4f} ± {spread:.4f}") for i, mean, spread in insight.curves]
+        lines += [
+            "Validation loss of the first trainings, mean and deviation over their seeds:",
+            "",
+            *_table(("iteration", "validation loss"), curve),
+            "",
+        ]
+    return lines
 
 
 def _seeds(stages: dict[str, Figures]) -> list[str]:

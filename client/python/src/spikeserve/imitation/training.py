@@ -59,6 +59,7 @@ class Spiketrain:
             f"--seed={training.seed}",
             f"--iterations={training.iterations}",
             "--episodes=1",  # of its own evaluation, which is not used here
+            "--no_baselines",  # compare() fits them once, on all data
             "--resume",
             *training.flags,
         ]
@@ -74,6 +75,16 @@ class Spiketrain:
         if not out.is_file():
             source, target = self._relative(policy), self._relative(out)
             self._run("quantize", f"--policy={source}", f"--out={target}", "--episodes=1")
+        return out
+
+    def compare(
+        self, policy: pathlib.Path, data: Sequence[pathlib.Path], out: pathlib.Path
+    ) -> pathlib.Path:
+        """Writes the comparison of the policy with baselines on the data to the file `out`."""
+        if not out.is_file():
+            datasets = ",".join(str(self._relative(path)) for path in data)
+            files = f"--policy={self._relative(policy)}", f"--out={self._relative(out)}"
+            self._run("compare", *files, f"--data={datasets}", "--episodes=1")
         return out
 
     def _relative(self, path: pathlib.Path) -> pathlib.Path:

@@ -1,0 +1,455 @@
+#include "core/engine/reference/integer_reference.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstdlib>
+#include <vector>
+
+#include "core/engine/counting.h"
+#include "core/math/fixed_point.h"
+#include "core/neuron/phase.h"
+#include "core/neuron/shift_lif.h"
+
+namespace spikeserve {
+namespace {
+
+using Integers = std::vector<int32_t>;
+
+// A spike train and, for each neuron, its number of spikes.
+struct Fired {
+  SpikeTrain spikes;  // [T][neurons]
+  Integers counts;    // [neurons]
+};
+
+// The weights of the keys of one head, and their sum.
+struct Row {
+  std::vector<int64_t> weights;  // [keys]
+  int64_t sum = 0;
+};
+
+Fired MakeFired(int ticks, size_t neurons) {
+  return {SpikeTrain(ticks, std::vector<uint8_t>(neurons, 0)), Integers(neurons, 0)};
+}
+
+// Returns RoundShift(W x) + b.
+Integers Apply(const FixedPointMap& map, const Integers& input) {
+  Integers output;
+  for (int k = 0; k < map.weight.shape[0]; ++k) {
+    int32_t sum = 0;
+    for (size_t j = 0; j < input.size(); ++j) {
+      sum += map.weight.at(k, static_cast<int>(j)) * input[j];
+    }
+    output.push_back(
+        static_cast<int32_t>(RoundShift(sum, map.shift.values[k]) + map.bias.values[k]));
+  }
+  return output;
+}
+
+// Replaces x, saturated, by its norm.
+void Normalize(const FixedPointNorm& norm, Integers& x) {
+  const auto size = static_cast<int64_t>(x.size());
+  int64_t sum = 0;
+  for (int32_t& value : x) {
+    value = SaturateResidual(value);
+    sum += value;
+  }
+  const auto mean = static_cast<int32_t>(RoundDivide(sum, size));
+  uint64_t squares = 0;
+  for (int32_t& value : x) {
+    value -= mean;
+    squares += static_cast<uint64_t>(int64_t{value} * value);
+  }
+  const InverseRoot root = InverseRootOf(squares);
+  for (size_t k = 0; k < x.size(); ++k) {
+    const int64_t scaled =
+        RoundShift(int64_t{root.Normalise(x[k])} * norm.weight.values[k], norm.shift.values[0]);
+    x[k] = SaturateResidual(scaled + norm.bias.values[k]);
+  }
+}
+
+// Computes one decision over the whole episode. Symbols: T ticks, H heads, d hidden size, d_h head
+// size.
+class IntegerReferencePass {
+ public:
+  IntegerReferencePass(const Policy& policy, const PrefixContext& context, Trace* trace)
+      : policy_(policy),
+        config_(policy.config),
+        tokens_(context.tokens()),
+        first_new_token_(context.first_new_token()),
+        trace_(trace) {}
+
+  void Run(Engine::Output* output) {
+    for (size_t i = 0; i < tokens_.size(); ++i) Embed(i);
+    CountPhase();
+    for (int layer = 0; layer < config_.layers; ++layer) Layer(layer);
+    const size_t last = tokens_.size() - 1;
+    const Fired rates = Code(policy_.weights.fixed_point.readout_coder, last);
+    AddSpikes(last, Stage::kReadout, kNoLayer, rates.spikes);
+    output->readout.clear();
+    for (const int32_t count : rates.counts) {
+      output->readout.push_back(static_cast<float>(count) / static_cast<float>(config_.ticks));
+    }
+    counts_.multiply_accumulates += CountProducts(policy_.weights.head, output->readout);
+    output->counts = counts_;
+  }
+
+ private:
+  bool IsNew(size_t token) const { return token >= first_new_token_; }
+  TokenName Name(size_t token) const { return {tokens_[token].kind, tokens_[token].timestep}; }
+
+  void AddSpikes(size_t token, Stage stage, int layer, const SpikeTrain& train) {
+    if (!IsNew(token)) return;
+    counts_.spikes(stage) += CountSpikes(train);
+    if (trace_ != nullptr) trace_->populations.push_back({stage, layer, Name(token), train});
+  }
+
+  // Counts the products of a map with 8-bit weights.
+  void AddMultiplies(size_t token, const FixedPointMap& map, const Integers& input, bool wide) {
+    if (!IsNew(token)) return;
+    const uint64_t products = CountProducts(map, input);
+    counts_.multiply_accumulates += products;
+    counts_.integer_multiply_accumulates += products;
+    if (wide) counts_.wide_multiply_accumulates += products;
+  }
+
+  void NormalizeToken(size_t i, const FixedPointNorm& norm, Integers& x) {
+    Normalize(norm, x);
+    if (IsNew(i)) counts_.layer_norm_elements += x.size();
+  }
+
+  const FixedPointEmbedding& EmbeddingOf(TokenKind kind) const {
+    const FixedPointEnds& ends = policy_.weights.fixed_point;
+    return kind == TokenKind::kReturn  ? ends.embed_return
+           : kind == TokenKind::kState ? ends.embed_state
+                                       : ends.embed_action;
+  }
+
+  void Embed(size_t i) {
+    const FixedPointEmbedding& embedding = EmbeddingOf(tokens_[i].kind);
+    Integers input;
+    for (const float value : tokens_[i].input) {
+      const float scaled = std::ldexp(value, config_.input_fraction);
+      input.push_back(static_cast<int32_t>(
+          std::nearbyint(std::clamp<float>(scaled, -kLargestResidual, kLargestResidual))));
+    }
+    AddMultiplies(i, embedding.linear, input, /*wide=*/true);
+    x_.push_back(Apply(embedding.linear, input));
+    NormalizeToken(i, embedding.norm, x_.back());
+  }
+
+  // Returns the phase spikes of a timestep: [T][H], or [T][0] without phase generators.
+  SpikeTrain PhaseSpikes(int64_t timestep) const {
+    SpikeTrain train(config_.ticks);
+    if (!config_.has_phase()) return train;
+    for (int k = 0; k < config_.heads; ++k) {
+      const IntegerPhase phase = MakeIntegerPhase(
+          policy_.weights.phase_omega.values[k], policy_.weights.phase_phi.values[k], config_.ticks,
+          config_.phase_clock == PhaseClock::kWindow);
+      for (int tick = 0; tick < config_.ticks; ++tick) {
+        train[tick].push_back(IntegerPhase::Spike(phase.At(timestep, static_cast<uint32_t>(tick))));
+      }
+    }
+    return train;
+  }
+
+  void CountPhase() {
+    if (!config_.has_phase()) return;
+    AddSpikes(tokens_.size() - 1, Stage::kPhase, kNoLayer, PhaseSpikes(tokens_.back().timestep));
+  }
+
+  // Returns the spikes of a coder for the residual of token i.
+  Fired Code(const PeriodCoder& coder, size_t i) {
+    Fired coded = MakeFired(config_.ticks, x_[i].size());
+    for (size_t j = 0; j < x_[i].size(); ++j) {
+      if (IsNew(i)) ++counts_.coder_gains;
+      const int32_t signed_x = coder.sign.values[j] * x_[i][j];
+      int period = 1;
+      while (period <= config_.ticks &&
+             signed_x <= coder.threshold.at(static_cast<int>(j), period - 1)) {
+        ++period;
+      }
+      for (int tick = period; tick <= config_.ticks; tick += period) {
+        coded.spikes[tick - 1][j] = 1;
+        ++coded.counts[j];
+      }
+    }
+    return coded;
+  }
+
+  // Returns the spikes of a population that receives `inputs` [T][in].
+  Fired Fire(const IntegerPopulation& population, const SpikeTrain& inputs, size_t token) {
+    const ShiftLif lif = {config_.leak_shift()};
+    const size_t outputs = population.bias.values.size();
+    Fired fired = MakeFired(config_.ticks, outputs);
+    std::vector<int16_t> membranes(outputs, 0);
+    int last_event = 0;
+    for (int tick = 1; tick <= config_.ticks; ++tick) {
+      const std::vector<uint8_t>& input = inputs[tick - 1];
+      for (size_t i = 0; i < outputs; ++i) lif.Leak(population.bias.values[i], membranes[i]);
+      if (std::count(input.begin(), input.end(), 1) == 0) continue;
+      if (IsNew(token)) {
+        counts_.accumulates += CountProducts(population, input);
+        counts_.membrane_updates += outputs;
+        counts_.membrane_leaks += outputs * static_cast<uint64_t>(tick - last_event);
+      }
+      last_event = tick;
+      for (size_t i = 0; i < outputs; ++i) {
+        int16_t current = 0;
+        for (size_t j = 0; j < input.size(); ++j) {
+          if (input[j]) {
+            current = static_cast<int16_t>(
+                current + population.weight.at(static_cast<int>(i), static_cast<int>(j)));
+          }
+        }
+        if (!ShiftLif::Charge(current, population.threshold.values[i], membranes[i])) continue;
+        fired.spikes[tick - 1][i] = 1;
+        ++fired.counts[i];
+      }
+    }
+    if (IsNew(token)) counts_.membrane_ticks += outputs * static_cast<uint64_t>(config_.ticks);
+    return fired;
+  }
+
+  void Layer(int layer) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const bool last_layer = layer + 1 == config_.layers;
+    keys_.clear();
+    values_.clear();
+    for (size_t i = 0; i < tokens_.size(); ++i) {
+      const Fired coded = Code(weights.fixed_point.coder, i);
+      SpikeTrain inputs = coded.spikes;
+      const SpikeTrain phase = PhaseSpikes(tokens_[i].timestep);
+      for (int tick = 0; tick < config_.ticks; ++tick) {
+        inputs[tick].insert(inputs[tick].end(), phase[tick].begin(), phase[tick].end());
+      }
+      keys_.push_back(Fire(weights.integer.key, inputs, i));
+      values_.push_back(Fire(weights.integer.value, inputs, i));
+      AddSpikes(i, Stage::kCoder, layer, coded.spikes);
+      AddSpikes(i, Stage::kKey, layer, keys_[i].spikes);
+      AddSpikes(i, Stage::kValue, layer, values_[i].spikes);
+      CountRunningSum(i);
+      // In the last layer, only the state token's output is used.
+      if (last_layer && tokens_[i].kind != TokenKind::kState) continue;
+      const Fired query = Fire(weights.integer.query, inputs, i);
+      AddSpikes(i, Stage::kQuery, layer, query.spikes);
+      Attention(layer, query, i);
+      FeedForward(layer, i);
+    }
+  }
+
+  bool IsInBand(size_t i, size_t j) const {
+    return tokens_[j].timestep > tokens_[i].timestep - config_.context;
+  }
+
+  static uint64_t Nonzero(const Fired& fired) {
+    return fired.counts.size() - std::count(fired.counts.begin(), fired.counts.end(), 0);
+  }
+
+  // Counts the additions by which the values of a token enter the running sum, and the subtractions
+  // by which they will leave it.
+  void CountRunningSum(size_t i) {
+    if (IsNew(i)) counts_.attention_products += 2 * Nonzero(values_[i]);
+  }
+
+  // Returns the sum over the ticks of the number of neurons of a head that fire in both.
+  int64_t Overlap(const Fired& query, const Fired& key, int head) const {
+    int64_t overlap = 0;
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      for (int k = head * config_.head_size(); k < (head + 1) * config_.head_size(); ++k) {
+        overlap += query.spikes[tick][k] & key.spikes[tick][k];
+      }
+    }
+    return overlap;
+  }
+
+  bool Fires(const Fired& query, int head) const {
+    const auto first = query.counts.begin() + head * config_.head_size();
+    return std::any_of(first, first + config_.head_size(), [](int32_t count) { return count > 0; });
+  }
+
+  // Returns the weights of the tokens `band` for a head whose query fires.
+  Row WeighKeys(int layer, const Fired& query, const std::vector<size_t>& band, int head,
+                bool is_new) {
+    std::vector<int64_t> overlaps;
+    for (const size_t j : band) overlaps.push_back(Overlap(query, keys_[j], head));
+    if (is_new) {
+      counts_.softmax_terms += band.size();
+      for (const int64_t overlap : overlaps) counts_.attention_products += overlap;
+    }
+    Row row;
+    if (config_.attention == spikeserve::Attention::kLinear) {
+      row.weights = overlaps;
+    } else {
+      const int64_t scale = policy_.weights.layers[layer].fixed_point.attention_scale.values[head];
+      const auto [lowest, highest] = std::minmax_element(overlaps.begin(), overlaps.end());
+      const int64_t best = scale >= 0 ? *highest : *lowest;
+      for (const int64_t overlap : overlaps) {
+        const int64_t octaves =
+            RoundShift(std::abs(overlap - best) * std::abs(scale), kScaleFraction);
+        row.weights.push_back(octaves > 8 ? 0 : 256 >> octaves);
+      }
+    }
+    for (const int64_t weight : row.weights) row.sum += weight;
+    return row;
+  }
+
+  // Returns y_h of one token and head with kGateFraction fraction bits: [d_h].
+  Integers AttendHead(int layer, const Fired& query, size_t i, int head) {
+    std::vector<size_t> band;
+    for (size_t j = 0; j <= i; ++j) {
+      if (IsInBand(i, j)) band.push_back(j);
+    }
+    Row row;
+    if (Fires(query, head)) row = WeighKeys(layer, query, band, head, IsNew(i));
+    const bool is_mean = row.sum == 0;
+    if (is_mean) row = {std::vector<int64_t>(band.size(), 1), static_cast<int64_t>(band.size())};
+    Integers y;
+    for (int k = head * config_.head_size(); k < (head + 1) * config_.head_size(); ++k) {
+      int64_t sum = 0;
+      for (size_t n = 0; n < band.size(); ++n) {
+        const int32_t count = values_[band[n]].counts[k];
+        sum += row.weights[n] * count;
+        // The mean is known as a running sum.
+        if (IsNew(i) && !is_mean && row.weights[n] != 0 && count != 0) ++counts_.attention_products;
+      }
+      if (IsNew(i) && sum != 0) ++counts_.attention_scalings;
+      const int64_t attended = RoundDivide(sum << kGateFraction, row.sum * config_.ticks);
+      y.push_back(static_cast<int32_t>(std::min<int64_t>(attended, kLargestAttended)));
+    }
+    if (trace_ != nullptr && i + 1 == tokens_.size()) {
+      for (const int64_t weight : row.weights) {
+        attention_.push_back(static_cast<float>(weight) / static_cast<float>(row.sum));
+      }
+    }
+    return y;
+  }
+
+  // Returns the gates over the heads with kGateFraction fraction bits, [H].
+  Integers Gates(const FixedPointLayer& layer, const Integers& y, size_t i) {
+    AddMultiplies(i, layer.routing_hidden, y, /*wide=*/false);
+    Integers hidden = Apply(layer.routing_hidden, y);
+    for (int32_t& h : hidden) h = std::clamp(h, 0, kLargestResidual);
+    AddMultiplies(i, layer.routing_gate, hidden, /*wide=*/true);
+    Integers gates = Apply(layer.routing_gate, hidden);
+    if (config_.gate == Gate::kSigmoid) {
+      for (int32_t& gate : gates) {
+        const int64_t other = PowerOfTwo(std::abs(int64_t{gate}));
+        const int64_t own = gate >= 0 ? 65536 : other;
+        gate = static_cast<int32_t>(RoundDivide(own << kGateFraction, 65536 + other));
+      }
+      return gates;
+    }
+    const int64_t best = *std::max_element(gates.begin(), gates.end());
+    int64_t sum = 0;
+    for (int32_t& gate : gates) {
+      gate = PowerOfTwo(best - gate);
+      sum += gate;
+      if (IsNew(i)) ++counts_.softmax_terms;
+    }
+    for (int32_t& gate : gates) {
+      gate = static_cast<int32_t>(RoundDivide(int64_t{gate} << kGateFraction, sum));
+    }
+    return gates;
+  }
+
+  // Merges the heads y [d] into [d_h] or [d].
+  Integers MergeHeads(int layer, const Integers& y, size_t i) {
+    const int size = config_.head_size();
+    const bool concat = config_.merge == Merge::kConcat;
+    Integers gates;
+    if (config_.has_routing()) {
+      gates = Gates(policy_.weights.layers[layer].fixed_point, y, i);
+      if (IsNew(i)) counts_.gate_products += y.size();
+      RecordGates(layer, i, gates);
+    }
+    Integers merged(config_.merged_size(), 0);
+    for (int k = 0; k < config_.hidden_size; ++k) {
+      merged[concat ? k : k % size] += gates.empty() ? y[k] : gates[k / size] * y[k];
+    }
+    for (int32_t& value : merged) {
+      if (!gates.empty()) {
+        // The gates of concatenated heads are multiplied by H, so that uniform gates are 1.
+        value = static_cast<int32_t>(
+            RoundShift(concat ? int64_t{value} * config_.heads : value, kGateFraction));
+      } else if (!concat) {
+        value = static_cast<int32_t>(RoundDivide(value, config_.heads));
+      }
+      value = std::min(value, kLargestAttended);
+    }
+    return merged;
+  }
+
+  void Attention(int layer, const Fired& query, size_t i) {
+    const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
+    attention_.clear();
+    Integers y;
+    for (int head = 0; head < config_.heads; ++head) {
+      const Integers part = AttendHead(layer, query, i, head);
+      y.insert(y.end(), part.begin(), part.end());
+    }
+    RecordAttention(layer, i);
+    const Integers merged = MergeHeads(layer, y, i);
+    AddMultiplies(i, weights.attention_output, merged, /*wide=*/false);
+    AddResidual(i, Apply(weights.attention_output, merged), weights.attention_norm);
+  }
+
+  void FeedForward(int layer, size_t i) {
+    const LayerWeights& weights = policy_.weights.layers[layer];
+    const Fired coded = Code(weights.fixed_point.ffn_coder, i);
+    const Fired hidden = Fire(weights.integer.ffn_hidden, coded.spikes, i);
+    AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
+    AddSpikes(i, Stage::kFfnHidden, layer, hidden.spikes);
+    AddMultiplies(i, weights.fixed_point.ffn_output, hidden.counts, /*wide=*/false);
+    AddResidual(i, Apply(weights.fixed_point.ffn_output, hidden.counts),
+                weights.fixed_point.ffn_norm);
+  }
+
+  void AddResidual(size_t i, const Integers& update, const FixedPointNorm& norm) {
+    for (size_t k = 0; k < update.size(); ++k) x_[i][k] += update[k];
+    NormalizeToken(i, norm, x_[i]);
+  }
+
+  void RecordAttention(int layer, size_t i) {
+    if (trace_ == nullptr || i + 1 != tokens_.size()) return;
+    LayerTrace& trace = trace_->layers[layer];
+    for (size_t j = 0; j <= i; ++j) {
+      if (IsInBand(i, j)) trace.keys.push_back(Name(j));
+    }
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      trace.attention.insert(trace.attention.end(), attention_.begin(), attention_.end());
+    }
+  }
+
+  void RecordGates(int layer, size_t i, const Integers& gates) {
+    const int64_t reach = int64_t{config_.layers - 1 - layer} * (config_.context - 1);
+    if (trace_ == nullptr || tokens_[i].timestep < tokens_.back().timestep - reach) return;
+    LayerTrace& trace = trace_->layers[layer];
+    trace.gated.push_back(Name(i));
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      for (const int32_t gate : gates) {
+        trace.gates.push_back(std::ldexp(static_cast<float>(gate), -kGateFraction));
+      }
+    }
+  }
+
+  const Policy& policy_;
+  const ModelConfig& config_;
+  const std::vector<Token>& tokens_;
+  const size_t first_new_token_;
+  Trace* const trace_;            // may be null
+  std::vector<Integers> x_;       // the residual stream, [tokens][d]
+  std::vector<Fired> keys_;       // of the current layer, [tokens]
+  std::vector<Fired> values_;     // of the current layer, [tokens]
+  std::vector<float> attention_;  // of the last token, [H, keys]
+  Counts counts_;
+};
+
+}  // namespace
+
+void ComputeIntegerReference(const Policy& policy, const PrefixContext& prefix,
+                             Engine::Output* output, Trace* trace) {
+  IntegerReferencePass(policy, prefix, trace).Run(output);
+}
+
+}  // namespace spikeserve

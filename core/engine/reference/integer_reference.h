@@ -1,0 +1,20 @@
+// Computes the SNN-DT in integer arithmetic in naive loops: the executable form of
+// docs/design/integer.md.
+#ifndef CORE_ENGINE_REFERENCE_INTEGER_REFERENCE_H_
+#define CORE_ENGINE_REFERENCE_INTEGER_REFERENCE_H_
+
+#include "core/engine/engine.h"
+#include "core/engine/prefix_engine.h"
+#include "core/engine/trace.h"
+
+namespace spikeserve {
+
+// As ComputeSpikingReference (reference_engine.h), for policies with Arithmetic::kInteger. An
+// attention row holds for all ticks, so each layer's trace repeats it, as well as the gates, at
+// every tick. Thread-safe.
+void ComputeIntegerReference(const Policy& policy, const PrefixContext& prefix,
+                             Engine::Output* output, Trace* trace);
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_REFERENCE_INTEGER_REFERENCE_H_

@@ -1,0 +1,414 @@
+#include "core/engine/spiking/integer_engine.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstdlib>
+#include <utility>
+#include <vector>
+
+#include "core/engine/spiking/drive_builder.h"
+#include "core/engine/spiking/head_bits.h"
+#include "core/engine/spiking/integer_attention.h"
+#include "core/engine/spiking/integer_cache.h"
+#include "core/engine/spiking/kernels/event_kernels.h"
+#include "core/engine/spiking/kernels/lif_kernels.h"
+#include "core/engine/spiking/kernels/targets.h"
+#include "core/engine/spiking/packed_integer_policy.h"
+#include "core/engine/spiking/spike_input.h"
+#include "core/engine/token.h"
+#include "core/math/fixed_point.h"
+#include "core/neuron/shift_lif.h"
+
+namespace spikeserve {
+namespace {
+
+using Drive = kernels::Drive<int16_t>;
+
+class IntegerContext : public Engine::Context {
+ public:
+  IntegerContext(const ModelConfig& config, int64_t first_timestep)
+      : timestep(first_timestep), band(config) {
+    for (int layer = 0; layer < config.layers; ++layer) caches.emplace_back(config, band.slots());
+  }
+
+  // Removes the tokens of timestep - N from the band.
+  void Advance(int context) {
+    for (int slot = band.Expire(timestep - context + 1); slot >= 0;
+         slot = band.Expire(timestep - context + 1)) {
+      for (IntegerCache& cache : caches) cache.Remove(slot);
+    }
+  }
+
+  int64_t timestep;                         // of the next token
+  std::vector<float> previous_observation;  // see SetStateInput
+  IntegerBand band;
+  std::vector<IntegerCache> caches;  // [L]
+  PhaseSpikes phase;                 // of the current timestep
+  Counts action_counts;              // of the last action token; added to the next decision
+};
+
+// Buffers of one thread, reused by its calls. Their contents do not outlive a call.
+struct Scratch {
+  std::vector<float> floats;  // a token's standardised input
+  AlignedVector<int16_t> x;   // the residual stream, [pad(d)]
+  SpikeInput spikes;          // into the current population
+  DriveBuilder<int16_t> drives;
+  AlignedVector<uint32_t> bits;  // [T][pad(d) / 32]
+  AlignedVector<uint32_t> keys;  // [T][H][W]
+  AlignedVector<uint32_t> query;
+  AlignedVector<int16_t> counts;  // of the values, [pad(d)]
+  AlignedVector<int16_t> hidden;  // [pad(F)]
+  AlignedVector<int16_t> y;       // [pad(d)]
+  AlignedVector<int16_t> input;   // of a map, padded
+  AlignedVector<int32_t> sums;    // outputs of a map, padded
+  std::vector<int32_t> gates;     // [H]
+  IntegerAttention attention;
+  kernels::ActiveInputs active;  // of the current map
+};
+
+Scratch& ThreadScratch() {
+  thread_local Scratch scratch;
+  return scratch;
+}
+
+// Computes new tokens, one after the other.
+class IntegerTokenPass {
+ public:
+  IntegerTokenPass(const Policy& policy, const PackedIntegerPolicy& packed)
+      : policy_(policy),
+        config_(policy.config),
+        packed_(packed),
+        lif_{policy.config.leak_shift()},
+        scratch_(ThreadScratch()) {}
+
+  // Computes the next token of the context's timestep from its standardised `input`, and adds its
+  // cost to `counts`.
+  void Run(IntegerContext& context, Counts& counts, TokenKind kind, absl::Span<const float> input) {
+    context_ = &context;
+    counts_ = &counts;
+    Embed(kind, input);
+    const int slot = context.band.Add(context.timestep);
+    for (int layer = 0; layer < config_.layers; ++layer) {
+      // In the last layer, only the state token's output is used.
+      const bool has_output = layer + 1 < config_.layers || kind == TokenKind::kState;
+      StoreKeysAndValues(layer, slot, has_output);
+      if (!has_output) return;
+      Attend(layer);
+      FeedForward(layer);
+    }
+  }
+
+  // Writes the firing rates of the token that was computed last.
+  void Readout(std::vector<float>* readout) {
+    Code(packed_.readout_coder, Stage::kReadout);
+    scratch_.spikes.Rates(readout);
+    for (int j = 0; j < config_.hidden_size; ++j) {
+      if ((*readout)[j] > 0.0f) counts_->multiply_accumulates += packed_.head_nonzero[j];
+    }
+  }
+
+ private:
+  void Embed(TokenKind kind, absl::Span<const float> input) {
+    const FixedPointEnds& ends = policy_.weights.fixed_point;
+    const FixedPointEmbedding& embedding = kind == TokenKind::kReturn  ? ends.embed_return
+                                           : kind == TokenKind::kState ? ends.embed_state
+                                                                       : ends.embed_action;
+    scratch_.input.assign(PadToLanes(static_cast<int>(input.size())), 0);
+    const auto unit = static_cast<float>(1 << config_.input_fraction);
+    for (size_t i = 0; i < input.size(); ++i) {
+      const float scaled = std::clamp<float>(input[i] * unit, -kLargestResidual, kLargestResidual);
+      scratch_.input[i] = static_cast<int16_t>(std::nearbyint(scaled));
+    }
+    scratch_.x.assign(PadToLanes(config_.hidden_size), 0);
+    counts_->wide_multiply_accumulates += Apply(packed_.embedding(kind), scratch_.input);
+    Normalize(embedding.norm);
+  }
+
+  // Sets scratch_.sums to the outputs of a map. Returns the number of its products.
+  uint64_t Apply(const PackedFixedPointMap& map, const AlignedVector<int16_t>& input) {
+    scratch_.sums.resize(map.width);
+    const uint64_t products =
+        kernels::Apply(map, input.data(), &scratch_.active, scratch_.sums.data());
+    counts_->multiply_accumulates += products;
+    counts_->integer_multiply_accumulates += products;
+    return products;
+  }
+
+  // x <- norm(x + scratch_.sums).
+  void Normalize(const FixedPointNorm& norm) {
+    const int size = config_.hidden_size;
+    int32_t* const sums = scratch_.sums.data();
+    int16_t* const x = scratch_.x.data();
+    int32_t total = 0;
+    for (int k = 0; k < size; ++k) {
+      sums[k] = std::clamp(sums[k] + x[k], -kLargestResidual, kLargestResidual);
+      total += sums[k];
+    }
+    const auto mean = static_cast<int32_t>(RoundDivide(total, size));
+    uint64_t squares = 0;
+    for (int k = 0; k < size; ++k) {
+      sums[k] -= mean;
+      const auto magnitude = static_cast<uint32_t>(std::abs(sums[k]));
+      squares += uint64_t{magnitude} * magnitude;
+    }
+    const InverseRoot root = InverseRootOf(squares);
+    const int left = std::max(-root.shift, 0);
+    const int right = std::max(root.shift, 0);
+    const int rounding = right > 0 ? 1 << (right - 1) : 0;
+    const int shift = norm.shift.values[0];
+    const int norm_rounding = shift > 0 ? 1 << (shift - 1) : 0;
+    const int16_t* const weight = norm.weight.values.data();
+    const int16_t* const bias = norm.bias.values.data();
+    // Everything fits 32 bits: see fixed_point.h and docs/design/integer.md.
+    for (int k = 0; k < size; ++k) {
+      const int32_t scaled = (sums[k] * (1 << left) + rounding) >> right;
+      const int32_t unit = (scaled * root.inverse + (1 << 14)) >> 15;
+      const int32_t value = ((unit * weight[k] + norm_rounding) >> shift) + bias[k];
+      x[k] = static_cast<int16_t>(std::clamp(value, -kLargestResidual, kLargestResidual));
+    }
+    counts_->layer_norm_elements += static_cast<uint64_t>(size);
+  }
+
+  void Code(const PackedPeriodCoder& coder, Stage stage) {
+    scratch_.spikes.Code(coder, scratch_.x.data());
+    counts_->spikes(stage) += scratch_.spikes.total();
+    counts_->coder_gains += static_cast<uint64_t>(config_.hidden_size);
+  }
+
+  // Counts the updates of `neurons` neurons that receive `drive`.
+  void CountMembranes(const Drive& drive, int neurons) {
+    const auto number = static_cast<uint64_t>(neurons);
+    uint64_t last = 0;
+    for (int tick = 1; tick <= drive.ticks; ++tick) {
+      if (drive.offsets[tick] == drive.offsets[tick - 1]) continue;
+      counts_->membrane_updates += number;
+      last = static_cast<uint64_t>(tick);
+    }
+    counts_->membrane_leaks += number * last;
+    counts_->membrane_ticks += number * static_cast<uint64_t>(drive.ticks);
+  }
+
+  // Computes and stores the token's keys and values, and its query if its output is used.
+  void StoreKeysAndValues(int layer, int slot, bool needs_query) {
+    const PackedIntegerLayer& packed = packed_.layers[layer];
+    const PackedIntegerPopulation& population = packed.key_value_query;
+    const PhaseSpikes& phase = context_->phase;
+    Code(packed.coder, Stage::kCoder);
+    const int section = PadToLanes(config_.hidden_size);
+    const int width = needs_query ? 3 * section : 2 * section;
+    const Drive& drive = scratch_.drives.Build(scratch_.spikes, population, width, &phase);
+    CountMembranes(drive, (needs_query ? 3 : 2) * config_.hidden_size);
+    counts_->spikes(Stage::kKey) += FireBits(population, drive, 0, scratch_.keys);
+    scratch_.counts.resize(section);
+    counts_->spikes(Stage::kValue) +=
+        kernels::LifCounts(lif_, population, drive, section, section, scratch_.counts.data());
+    if (needs_query) {
+      counts_->spikes(Stage::kQuery) += FireBits(population, drive, 2 * section, scratch_.query);
+    }
+    counts_->accumulates += scratch_.spikes.Products(population.nonzero, &phase);
+    if (!needs_query)
+      counts_->accumulates -= scratch_.spikes.Products(packed.nonzero_query, &phase);
+    // A value enters the sum of all values now, and leaves it later.
+    counts_->attention_products +=
+        2 * static_cast<uint64_t>(config_.hidden_size -
+                                  std::count(scratch_.counts.begin(),
+                                             scratch_.counts.begin() + config_.hidden_size, 0));
+    context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
+  }
+
+  // Sets `heads` [T][H][W] to the spikes of the d neurons from lane `first` on. Returns their
+  // number.
+  uint64_t FireBits(const PackedIntegerPopulation& population, const Drive& drive, int first,
+                    AlignedVector<uint32_t>& heads) {
+    const int section = PadToLanes(config_.hidden_size);
+    const int words = (config_.head_size() + 31) / 32;
+    heads.resize(static_cast<size_t>(config_.ticks) * config_.heads * words);
+    if (config_.head_size() % 32 == 0) {  // a head consists of whole words
+      kernels::LifBits(lif_, population, drive, first, section, heads.data());
+    } else {
+      scratch_.bits.resize(static_cast<size_t>(config_.ticks) * section / kLanes);
+      kernels::LifBits(lif_, population, drive, first, section, scratch_.bits.data());
+      GroupByHead(config_, scratch_.bits.data(), heads.data());
+    }
+    return kernels::CountBits(heads.data(), static_cast<int>(heads.size()));
+  }
+
+  // x <- norm(x + W_O yhat + b_O).
+  void Attend(int layer) {
+    const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
+    const PackedIntegerLayer& packed = packed_.layers[layer];
+    scratch_.y.assign(PadToLanes(config_.hidden_size), 0);
+    scratch_.attention.Attend(config_, weights.attention_scale.values, context_->band,
+                              context_->caches[layer], scratch_.query.data(), scratch_.y.data(),
+                              counts_);
+    MergeHeads(packed);
+    Apply(packed.attention_output, scratch_.input);
+    Normalize(weights.attention_norm);
+  }
+
+  // Sets scratch_.input to the merged heads, [pad(d_h)] or [pad(d)].
+  void MergeHeads(const PackedIntegerLayer& packed) {
+    const int size = config_.head_size();
+    const bool concat = config_.merge == Merge::kConcat;
+    if (config_.has_routing()) Route(packed);
+    const auto head_of = [&](int head, int k) {
+      const int32_t value = scratch_.y[head * size + k];
+      return config_.has_routing() ? value * scratch_.gates[head] : value;
+    };
+    const auto limit = [](int64_t value) {
+      return static_cast<int16_t>(std::min<int64_t>(value, kLargestAttended));
+    };
+    scratch_.input.assign(PadToLanes(config_.merged_size()), 0);
+    if (concat) {
+      for (int head = 0; head < config_.heads; ++head) {
+        for (int k = 0; k < size; ++k) {
+          const int64_t value = head_of(head, k);
+          scratch_.input[head * size + k] = limit(
+              config_.has_routing() ? RoundShift(value * config_.heads, kGateFraction) : value);
+        }
+      }
+      return;
+    }
+    for (int k = 0; k < size; ++k) {
+      int64_t sum = 0;
+      for (int head = 0; head < config_.heads; ++head) sum += head_of(head, k);
+      scratch_.input[k] = limit(config_.has_routing() ? RoundShift(sum, kGateFraction)
+                                                      : RoundDivide(sum, config_.heads));
+    }
+  }
+
+  // Sets scratch_.gates for the heads in scratch_.y.
+  void Route(const PackedIntegerLayer& packed) {
+    counts_->gate_products += static_cast<uint64_t>(config_.hidden_size);
+    Apply(packed.routing_hidden, scratch_.y);
+    scratch_.input.assign(PadToLanes(config_.routing_hidden_size), 0);
+    for (int j = 0; j < config_.routing_hidden_size; ++j) {
+      scratch_.input[j] = static_cast<int16_t>(std::clamp(scratch_.sums[j], 0, kLargestResidual));
+    }
+    counts_->wide_multiply_accumulates += Apply(packed.routing_gate, scratch_.input);
+    std::vector<int32_t>& gates = scratch_.gates;
+    gates.assign(scratch_.sums.begin(), scratch_.sums.begin() + config_.heads);
+    if (config_.gate == Gate::kSigmoid) {
+      for (int32_t& gate : gates) {
+        const int64_t other = PowerOfTwo(std::abs(int64_t{gate}));
+        const int64_t own = gate >= 0 ? 65536 : other;
+        gate = static_cast<int32_t>(RoundDivide(own << kGateFraction, 65536 + other));
+      }
+      return;
+    }
+    const int64_t best = *std::max_element(gates.begin(), gates.end());
+    int64_t sum = 0;
+    for (int32_t& gate : gates) {
+      gate = PowerOfTwo(best - gate);
+      sum += gate;
+    }
+    for (int32_t& gate : gates) {
+      gate = static_cast<int32_t>(RoundDivide(int64_t{gate} << kGateFraction, sum));
+    }
+    counts_->softmax_terms += static_cast<uint64_t>(config_.heads);
+  }
+
+  // x <- norm(x + W2 (spike counts) + b2).
+  void FeedForward(int layer) {
+    const PackedIntegerLayer& packed = packed_.layers[layer];
+    const PackedIntegerPopulation& population = packed.ffn_hidden;
+    Code(packed.ffn_coder, Stage::kFfnIn);
+    const Drive& drive =
+        scratch_.drives.Build(scratch_.spikes, population, population.width, nullptr);
+    CountMembranes(drive, config_.ffn_size);
+    scratch_.hidden.resize(population.width);
+    counts_->spikes(Stage::kFfnHidden) +=
+        kernels::LifCounts(lif_, population, drive, 0, population.width, scratch_.hidden.data());
+    counts_->accumulates += scratch_.spikes.Products(population.nonzero, nullptr);
+    Apply(packed.ffn_output, scratch_.hidden);
+    Normalize(policy_.weights.layers[layer].fixed_point.ffn_norm);
+  }
+
+  const Policy& policy_;
+  const ModelConfig& config_;
+  const PackedIntegerPolicy& packed_;
+  const ShiftLif lif_;
+  Scratch& scratch_;
+  IntegerContext* context_ = nullptr;
+  Counts* counts_ = nullptr;
+};
+
+class IntegerEngine final : public Engine {
+ public:
+  explicit IntegerEngine(std::shared_ptr<const Policy> policy)
+      : policy_(std::move(policy)), packed_(*policy_) {
+    kernels::ChooseTarget();
+  }
+  IntegerEngine(std::shared_ptr<const Policy> policy, PackedIntegerPolicy packed)
+      : policy_(std::move(policy)), packed_(std::move(packed)) {
+    kernels::ChooseTarget();
+  }
+
+  const Policy& policy() const override { return *policy_; }
+
+  Policy CompletePolicy() const override {
+    Policy policy = *policy_;
+    packed_.RestoreTo(&policy.weights);
+    return policy;
+  }
+
+  std::unique_ptr<Context> NewContext(uint64_t /*seed*/, int64_t first_timestep) const override {
+    return std::make_unique<IntegerContext>(policy_->config, first_timestep);
+  }
+
+  void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
+              Output* output) const override {
+    auto& integers = static_cast<IntegerContext&>(context);
+    Counts& counts = output->counts;
+    counts = std::exchange(integers.action_counts, Counts());
+    integers.Advance(policy_->config.context);
+    integers.phase.Set(packed_.phases, policy_->config.ticks, integers.timestep);
+    counts.spikes(Stage::kPhase) += integers.phase.generators.size();  // once per timestep
+    IntegerTokenPass pass(*policy_, packed_);
+    const float standard_return = StandardizeReturn(*policy_, return_to_go);
+    pass.Run(integers, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
+    std::vector<float>& input = ThreadScratch().floats;
+    SetStateInput(*policy_, observation, &integers.previous_observation, &input);
+    pass.Run(integers, counts, TokenKind::kState, input);
+    pass.Readout(&output->readout);
+  }
+
+  void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
+    auto& integers = static_cast<IntegerContext&>(context);
+    integers.action_counts = Counts();
+    IntegerTokenPass(*policy_, packed_)
+        .Run(integers, integers.action_counts, TokenKind::kAction, encoded_action);
+    ++integers.timestep;
+  }
+
+ private:
+  std::shared_ptr<const Policy> policy_;
+  PackedIntegerPolicy packed_;
+};
+
+std::unique_ptr<Engine> MakeOf(PackedIntegerPolicy packed, Policy policy) {
+  packed.DropFrom(&policy.weights);
+  return std::make_unique<IntegerEngine>(std::make_shared<const Policy>(std::move(policy)),
+                                         std::move(packed));
+}
+
+}  // namespace
+
+std::unique_ptr<Engine> MakeIntegerStreamingEngine(std::shared_ptr<const Policy> policy) {
+  return std::make_unique<IntegerEngine>(std::move(policy));
+}
+
+std::unique_ptr<Engine> MakeCompactIntegerEngine(Policy policy) {
+  PackedIntegerPolicy packed(policy);
+  return MakeOf(std::move(packed), std::move(policy));
+}
+
+absl::StatusOr<std::unique_ptr<Engine>> MakeSharedIntegerEngine(Policy policy,
+                                                                const std::string& folder) {
+  PackedIntegerPolicy packed(policy);
+  if (absl::Status status = packed.ShareRows(folder); !status.ok()) return status;
+  return MakeOf(std::move(packed), std::move(policy));
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,85 @@
+// The scripts with which servers change the journals of sessions in Redis (redis_backend.h).
+//
+// All scripts name all of their keys, so that a Cluster that moves them says so, and write first
+// what takes memory, so that a server whose memory is full refuses the whole script.
+#ifndef SERVER_STORE_REDIS_SCRIPTS_H_
+#define SERVER_STORE_REDIS_SCRIPTS_H_
+
+namespace spikeserve::redis_scripts {
+
+// Whether the caller owns what the store has: at its epoch, or at an older one if the store has
+// gone back to what it was before the caller's last claim or move. ARGV: epoch, owner, epoch before
+// the claim.
+inline constexpr char kIsMine[] = R"(
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
+local is_same = found[1] == ARGV[1] and (not found[2] or found[2] == ARGV[2] or found[2] == '')
+local is_older = found[1] and tonumber(found[1]) < tonumber(ARGV[1]) and
+                 (found[2] == ARGV[2] or found[1] == ARGV[3])
+)";
+
+// Writes a snapshot, which replaces all of a journal. Returns 1, the older epoch that it replaces,
+// or 0 if another owner has the session. KEYS: hash, list. ARGV: as above, owner from now on,
+// tenant, snapshot, retention in milliseconds, policy file, base.
+inline constexpr char kPut[] = R"(
+if found[1] and not (found[3] == 'open' and (is_same or is_older)) then return 0 end
+redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[4], 'tenant', ARGV[5], 'state', 'open',
+           'policy', ARGV[8], 'base', ARGV[9])
+redis.call('DEL', KEYS[2])
+redis.call('RPUSH', KEYS[2], ARGV[6])
+redis.call('PEXPIRE', KEYS[1], ARGV[7])
+redis.call('PEXPIRE', KEYS[2], ARGV[7])
+return is_older and found[1] or 1)";
+
+// Ends a journal and leaves a tombstone, also when the memory is full. Returns as kPut.
+// KEYS: hash, list. ARGV: as for kIsMine, milliseconds of the tombstone.
+inline constexpr char kClose[] = R"(
+if found[1] and not (is_same or is_older) then return 0 end
+redis.call('DEL', KEYS[1], KEYS[2])
+redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'state', 'closed')
+redis.call('PEXPIRE', KEYS[1], ARGV[4])
+return is_older and found[1] or 1)";
+
+// Makes the caller the owner. Returns the journal, nothing if there is none, or 0 if the session
+// has another epoch by now. KEYS: hash, list, list of the new epoch. ARGV: epoch, new epoch, owner,
+// retention in milliseconds.
+inline constexpr char kClaim[] = R"(
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'state')
+if found[1] ~= ARGV[1] or found[2] ~= 'open' then return 0 end
+if redis.call('EXISTS', KEYS[2]) == 0 then return false end
+redis.call('RENAME', KEYS[2], KEYS[3])
+redis.call('HSET', KEYS[1], 'epoch', ARGV[2], 'owner', ARGV[3], 'base', '0')
+redis.call('PEXPIRE', KEYS[1], ARGV[4])
+redis.call('PEXPIRE', KEYS[3], ARGV[4])
+return redis.call('LRANGE', KEYS[3], 0, -1))";
+
+// Moves the journal of the caller to another epoch, without the records after the first ones, which
+// were sent and not acknowledged. Returns 1 if that was done, now or before, or if the store does
+// not have the journal, and 0 if another owner has the session. KEYS: as for kClaim. ARGV: epoch,
+// new epoch, owner, number of records to keep or 0 for all.
+inline constexpr char kMove[] = R"(
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
+if not found[1] or found[1] == ARGV[2] then return 1 end
+if tonumber(found[1]) < tonumber(ARGV[1]) then return 1 end
+if found[1] ~= ARGV[1] or found[2] ~= ARGV[3] or found[3] ~= 'open' then return 0 end
+if redis.call('EXISTS', KEYS[2]) == 0 then return 1 end
+if ARGV[4] ~= '0' then redis.call('LTRIM', KEYS[2], 0, ARGV[4] - 1) end
+redis.call('RENAME', KEYS[2], KEYS[3])
+redis.call('HSET', KEYS[1], 'epoch', ARGV[2])
+return 1)";
+
+// Compares a journal, and sets its expiry. Returns 1 if it is as expected, and 0 otherwise.
+// KEYS: hash, list. ARGV: epoch, owner, base, number of records, retention in milliseconds or
+// nothing.
+inline constexpr char kCheck[] = R"(
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'base')
+if found[1] ~= ARGV[1] or found[2] ~= ARGV[2] or found[3] ~= ARGV[3] or
+   redis.call('LLEN', KEYS[2]) ~= tonumber(ARGV[4]) then return 0 end
+if ARGV[5] ~= '' then
+  redis.call('PEXPIRE', KEYS[1], ARGV[5])
+  redis.call('PEXPIRE', KEYS[2], ARGV[5])
+end
+return 1)";
+
+}  // namespace spikeserve::redis_scripts
+
+#endif  // SERVER_STORE_REDIS_SCRIPTS_H_

@@ -1,0 +1,17 @@
+// What all loops of a transport count together.
+#ifndef SERVER_TRANSPORT_TRANSPORT_BUDGETS_H_
+#define SERVER_TRANSPORT_TRANSPORT_BUDGETS_H_
+
+#include "server/base/byte_budget.h"
+
+namespace spikeserve {
+
+// Thread-safe.
+struct TransportBudgets {
+  ByteBudget all;        // TransportLimits::max_bytes_in_flight
+  ByteBudget strangers;  // TransportLimits::max_stranger_bytes; their calls count above, too
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_TRANSPORT_TRANSPORT_BUDGETS_H_

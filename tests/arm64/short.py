@@ -1,0 +1,66 @@
+"""Runs with qemu what must not differ on arm64, and fails if any of it ran no test.
+
+Golden answers, parity of the engines, the unit tests of the kernels, of the portable functions, of sessions and of their
+stores, and a server and a client that play CartPole.
+
+usage: short.py [--targets]   --targets prints what must be built, and runs nothing
+"""
+
+import concurrent.futures
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+ROOT = pathlib.Path(__file__).parents[2]
+BUILD = ROOT / "build/arm64"
+EMULATE = ROOT / "tests/arm64/emulate.sh"
+PROGRAMS = ["golden_test", "engine_parity_test", "engine_test", "math_test", "base_test", "session_test", "server_test"]
+# The rest of server_test is about the network.
+FILTERS = {"server_test": "*Backend*:*Journal*:*Head*:*Store*:*Rollout*:*Evidence*"}
+SHARDS = os.cpu_count() or 1
+
+
+def run_shard(program, shard):
+    command = [EMULATE, BUILD / "tests" / program, "--gtest_filter=" + FILTERS.get(program, "*")]
+    sharding = {"GTEST_TOTAL_SHARDS": str(SHARDS), "GTEST_SHARD_INDEX": str(shard)}
+    return subprocess.run(command, env=os.environ | sharding, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def run_tests(program, pool):
+    """Returns whether all tests of a program passed and there were some, and prints their number."""
+    shards = list(pool.map(lambda shard: run_shard(program, shard), range(SHARDS)))
+    output = "".join(shard.stdout for shard in shards)
+    passed = sum(map(int, re.findall(r"^\[  PASSED  \] (\d+) tests?\.$", output, re.MULTILINE)))
+    targets = set(re.findall(r"^SIMD targets: (.*)$", output, re.MULTILINE))
+    print(f"{program}: {passed} tests passed", *(f"on {each}" for each in targets), flush=True)
+    for shard in shards:
+        if shard.returncode != 0:
+            print(shard.stdout)
+    return passed > 0 and all(shard.returncode == 0 for shard in shards)
+
+
+def play():
+    """Returns whether a client gets the best return of CartPole from a server."""
+    command = [EMULATE, BUILD / "bin/spikeserve", "--policies=deploy/policies", "--listen=127.0.0.1:0", "--http_listen="]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as server:
+        address = next(line.split()[-1] for line in server.stdout if "serving gRPC on" in line)
+        client = [EMULATE, BUILD / "bin/spikectl", "run", f"--server={address}", "--env=CartPole-v1", "--episodes=2"]
+        played = subprocess.run([*client, "--seed=3000000"], stdout=subprocess.PIPE, text=True)
+        server.terminate()
+    print(played.stdout.splitlines()[-1] if played.stdout else "the client printed nothing")
+    return played.returncode == 0 and server.returncode == 0 and "500.0" in played.stdout
+
+
+def main(arguments):
+    if arguments == ["--targets"]:
+        print(*PROGRAMS, "spikeserve", "spikectl")
+        return 0
+    with concurrent.futures.ThreadPoolExecutor(SHARDS) as pool:
+        results = [run_tests(program, pool) for program in PROGRAMS]
+    return 0 if all([*results, play()]) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

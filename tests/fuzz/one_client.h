@@ -1,0 +1,23 @@
+// The client of a fuzz target that has one connection.
+#ifndef TESTS_FUZZ_ONE_CLIENT_H_
+#define TESTS_FUZZ_ONE_CLIENT_H_
+
+#include <cstdint>
+
+#include "server/transport/connection_table.h"
+
+namespace spikeserve {
+
+inline ClientOrigin OneClient() {
+  return {.address = "192.0.2.1", .host = "192.0.2.1", .network = "192.0.2.0/24"};
+}
+
+// Closes nothing, because no other connection needs the place.
+class NoCloser final : public ConnectionCloser {
+ public:
+  void CloseSoon(uint64_t /*number*/) override {}
+};
+
+}  // namespace spikeserve
+
+#endif  // TESTS_FUZZ_ONE_CLIENT_H_

@@ -1,0 +1,244 @@
+/* Models what Redis holds of one session: a hash and a list as two keys, each command by itself, and what happens when
+ * Redis refuses memory, loses its last writes, or removes a key (docs/fleet.md). Durability SYNC.
+ *
+ * One replica owns the session and decides. Another one may claim it at any time, which ends the first one's ownership.
+ * The client goes on at either, and sends its last requests again where a replica expects an older decision.
+ *
+ * Checked, by assertions:
+ * - a journal that a replica claims is one that it can restore (no DATA_LOSS);
+ * - while the owner lives and the store has not lost anything, what was acknowledged is in the store;
+ * - nothing is acknowledged while the store has lost a part of the session;
+ * - an acknowledged decision that the store has lost is one that the client still has.
+ *
+ * Each of these is the old protocol, so that the check must fail:
+ * -DTRIM_ALONE    a snapshot is RPUSHX, LTRIM and PEXPIRE, of which Redis may refuse the first alone
+ * -DBLIND_APPEND  an owner does not compare its journal, and readers refuse a gap
+ * -DNO_HASH       an append does not look at the hash
+ * -DLENGTH_ONLY   an append looks at the length of the list, and not at its base
+ * -DFORGETFUL     the client keeps only the requests that the store does not have
+ *
+ * run_model.py runs SPIN on this file. Behind each transition stands the function that implements it. */
+
+#define DECISIONS 6
+#define ENTRIES 2       /* in a list, beside the snapshot; then the next decision writes a snapshot */
+#define MOST_LOSSES 1
+#define MOST_REFUSALS 1
+#define MOST_EVICTIONS 1
+
+/* The list: a snapshot of the first `snapshot` decisions, and entries. */
+typedef List {
+  bool exists;
+  byte snapshot;
+  byte length;           /* entries */
+  byte entry[4]          /* number of the decision after each entry */
+};
+
+List list;
+bool hash = true;
+byte base = 0;           /* HGET base: decisions in the snapshot that the owner has written */
+byte epoch = 1;
+
+/* What an append-only file of some time ago has. */
+List old_list;
+bool old_hash = true;
+byte old_base = 0;
+byte old_epoch = 1;
+
+byte losses = 0;
+byte refusals = 0;
+byte evictions = 0;
+bool is_full = false;
+bool reconnected = false;  /* since the owner has compared its journal */
+bool lost = false;         /* the store has lost something that the owner has not written again */
+
+byte acknowledged = 0;     /* decisions whose answers the client has */
+byte kept_from = 0;        /* the first request that the client still has */
+byte decided = 0;          /* of the owner's copy */
+byte my_base = 0;          /* of the owner: SessionJournal::base_ */
+byte my_length = 0;        /* of the owner: SessionJournal::records_ */
+bool owns = true;
+byte restored = 0;
+
+inline copy_list(to, from) {
+  to.exists = from.exists; to.snapshot = from.snapshot; to.length = from.length;
+  to.entry[0] = from.entry[0]; to.entry[1] = from.entry[1]; to.entry[2] = from.entry[2]; to.entry[3] = from.entry[3]
+}
+
+/* ParseJournal(), RestoreSession(): what a reader makes of the list. */
+inline read_list() {
+  restored = list.snapshot;
+  i = 0;
+  do
+  :: i < list.length ->
+    if
+    :: list.entry[i] <= restored
+    :: list.entry[i] == restored + 1 -> restored++
+    :: list.entry[i] > restored + 1 ->
+#ifdef BLIND_APPEND
+      assert(false);  /* DATA_LOSS */
+#endif
+      break
+    fi;
+    i++
+  :: else -> break
+  od;
+  i = 0
+}
+
+/* RedisBackend::AppendSnapshot(): kPut, whole or not at all. */
+inline put_snapshot() {
+  if
+  :: is_full -> written = false
+  :: else ->
+    hash = true; base = decided; list.exists = true; list.snapshot = decided; list.length = 0;
+    list.entry[0] = 0; list.entry[1] = 0; list.entry[2] = 0; list.entry[3] = 0;
+    my_base = decided; my_length = 0; lost = false; written = true
+  fi
+}
+
+/* The old way: each command by itself. */
+inline put_snapshot_in_parts() {
+  if
+  :: is_full -> written = false  /* RPUSHX is refused, LTRIM runs: the last entry alone stays */
+    if
+    :: list.length > 0 -> list.snapshot = 99; list.length = 1
+    :: else
+    fi
+  :: else -> put_snapshot()
+  fi
+}
+
+/* RedisBackend::Append(), ReadReplies(): HGET base and RPUSHX. */
+inline append_entry() {
+  if
+  :: is_full || !list.exists -> written = false
+  :: else ->
+    if
+    :: list.length < 4 -> list.entry[list.length] = decided; list.length++
+    :: else
+    fi;
+#if defined(BLIND_APPEND)
+    written = (list.length == my_length + 1);
+#elif defined(NO_HASH)
+    written = (base == my_base && list.length == my_length + 1);
+#elif defined(LENGTH_ONLY)
+    written = (hash && list.length == my_length + 1);
+#else
+    written = (hash && base == my_base && list.length == my_length + 1);
+#endif
+    my_length = (written -> my_length + 1 : my_length)
+  fi
+}
+
+/* JournalStore::CheckJournals(), RedisBackend::CheckAll(): after a reconnect, before anything else. */
+inline check_journal() {
+#ifndef BLIND_APPEND
+#ifndef LENGTH_ONLY
+  if
+  :: !hash || !list.exists || base != my_base || list.length != my_length -> put_snapshot()  /* WriteAgain() */
+  :: else -> written = true
+  fi;
+#else
+  if
+  :: !hash || !list.exists || list.length != my_length -> put_snapshot()
+  :: else -> written = true
+  fi;
+#endif
+  if
+  :: written -> reconnected = false
+  :: else
+  fi
+#else
+  reconnected = false
+#endif
+}
+
+inline check_acknowledged() {
+  read_list();
+  assert(list.exists && hash && restored >= acknowledged)
+}
+
+active proctype Owner() {
+  bool written = false;
+  byte i = 0;
+  do
+  :: atomic { owns && reconnected -> check_journal(); written = false }
+  /* AgentSession::Decide(), SessionJournal::OnDecision(). The answer waits (WhenDurable()). */
+  :: atomic {
+       owns && !reconnected && decided < DECISIONS ->
+       decided++;
+       if
+       :: my_length < ENTRIES -> append_entry()
+#ifdef TRIM_ALONE
+       :: else -> put_snapshot_in_parts()
+#else
+       :: else -> put_snapshot()
+#endif
+       fi;
+       if
+       :: written ->
+         acknowledged = decided;
+#ifdef FORGETFUL
+         kept_from = decided;
+#endif
+         check_acknowledged()
+       :: else ->
+         /* SessionJournal::LoseRecords(), JournalStore::WriteAgain(). */
+#ifdef BLIND_APPEND
+         decided--
+#else
+#ifdef TRIM_ALONE
+         decided--
+#else
+         if
+         :: is_full -> decided--  /* the record stays in the queue */
+         :: else ->
+           put_snapshot();
+           acknowledged = decided;
+#ifdef FORGETFUL
+           kept_from = decided;
+#endif
+           check_acknowledged()
+         fi
+#endif
+#endif
+       fi;
+       written = false
+     }
+  od
+}
+
+/* SessionRecovery::Restore(): another replica claims what is there. The client sends again what it misses. */
+active proctype Claimant() {
+  byte i = 0;
+  do
+  :: atomic {
+       owns && hash && list.exists ->
+       owns = false;
+       epoch++;
+       assert(list.snapshot != 99);  /* an entry without a snapshot is DATA_LOSS */
+       read_list();
+       assert(restored >= acknowledged || kept_from <= restored);  /* Unacknowledged, SessionCursor.missing() */
+       break
+     }
+  od
+}
+
+active proctype Redis() {
+  do
+  /* The append-only file of now. */
+  :: atomic { losses < MOST_LOSSES && owns -> copy_list(old_list, list); old_hash = hash; old_base = base }
+  /* It comes back with an older one, or a copy takes its place. */
+  :: atomic {
+       losses < MOST_LOSSES && owns && old_list.exists ->
+       losses++; copy_list(list, old_list); hash = old_hash; base = old_base; reconnected = true
+     }
+  :: atomic { refusals < MOST_REFUSALS && owns && !is_full -> refusals++; is_full = true }
+  :: atomic { is_full -> is_full = false }
+  /* It evicts one of the keys. */
+  :: atomic { evictions < MOST_EVICTIONS && owns -> evictions++; hash = false }
+  :: atomic { evictions < MOST_EVICTIONS && owns -> evictions++; list.exists = false; list.length = 0 }
+  od
+}
+
+init { atomic { list.exists = true } }

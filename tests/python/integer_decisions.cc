@@ -1,0 +1,72 @@
+// Converts a policy to integer arithmetic and decides by JSON lines, for tests in other languages.
+//
+// Usage: integer_decisions FLOAT_POLICY INTEGER_POLICY MODE ATTENTION. Writes INTEGER_POLICY, then
+// decides one episode with the engine of the server. Each line of standard input has
+// `return_to_go`, `observation` and, except the first one, `last_action` (encoded), and is answered
+// by one line with `spikes` by stage and `readout`. An error ends the program with status 1.
+#include <exception>
+#include <iostream>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "core/engine/factory/engine_factory.h"
+#include "core/model/policy_file.h"
+#include "core/model/quantize_integer.h"
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+
+template <class T>
+T ValueOf(absl::StatusOr<T> value) {
+  if (!value.ok()) throw std::invalid_argument(value.status().ToString());
+  return *std::move(value);
+}
+
+Json Answer(const Engine::Output& output) {
+  Json spikes = Json::object();
+  for (const auto& [stage, name] : EnumNames(Stage())) {
+    spikes[std::string(name)] = output.counts.spikes(stage);
+  }
+  return {{"spikes", spikes}, {"readout", output.readout}};
+}
+
+void Run(char** arguments) {
+  const Policy policy = ValueOf(ReadPolicyFile(arguments[1]));
+  const IntegerOptions options = {
+      .mode = ValueOf(ParseEnum<Mode>("MODE", arguments[3])),
+      .attention = ValueOf(ParseEnum<Attention>("ATTENTION", arguments[4]))};
+  const Policy integer = ValueOf(QuantizeToInteger(policy, options));
+  const absl::Status written = WritePolicyFile(integer, arguments[2]);
+  if (!written.ok()) throw std::invalid_argument(written.ToString());
+  const auto engine = MakeCompactEngine(ValueOf(ReadPolicyFile(arguments[2])));
+  const auto context = engine->NewContext(0);
+  Engine::Output output;
+  for (std::string line; std::getline(std::cin, line);) {
+    const Json json = Json::parse(line);
+    if (json.contains("last_action")) {
+      engine->AppendAction(*context, json["last_action"].get<std::vector<float>>());
+    }
+    engine->Decide(*context, json["return_to_go"].get<float>(),
+                   json["observation"].get<std::vector<float>>(), &output);
+    std::cout << Answer(output).dump() << std::endl;
+  }
+}
+
+}  // namespace
+}  // namespace spikeserve
+
+int main(int argc, char** argv) {
+  try {
+    if (argc != 5)
+      throw std::invalid_argument("expected FLOAT_POLICY INTEGER_POLICY MODE ATTENTION");
+    spikeserve::Run(argv);
+  } catch (const std::exception& error) {
+    std::cerr << error.what() << "\n";
+    return 1;
+  }
+}

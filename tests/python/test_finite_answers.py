@@ -1,0 +1,159 @@
+"""No answer holds a number that is not finite, whatever heads, policies and agents do."""
+
+import json
+import math
+import shutil
+import urllib.request
+
+import grpc
+import pytest
+from overflowing_policy import FAR, LARGEST, ZERO, add_overflowing
+from policy_file import read_policy, write_policy
+from security import ADMIN, OBSERVATION, POLICY, code_of, until
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, message_class, running_server
+
+INTERNAL = grpc.StatusCode.INTERNAL
+
+
+def numbers(message):
+    """Yields every number of a message."""
+    for field, value in message.ListFields():
+        for one in value if field.is_repeated else [value]:
+            if field.message_type is not None:
+                if not field.message_type.GetOptions().map_entry:
+                    yield from numbers(one)
+            elif isinstance(one, float):
+                yield one
+
+
+def assert_finite(message):
+    assert all(math.isfinite(number) for number in numbers(message)), message
+
+
+@pytest.fixture(scope="module")
+def service(address):
+    with grpc.insecure_channel(address) as channel:
+        yield Service(channel, POLICY)
+
+
+@pytest.mark.parametrize(("policy", "size"), [("cartpole", 2 * 128), ("pendulum", 128)])
+@pytest.mark.parametrize("learning", [None, {"scope": "SESSION", "rule": "hebbian"}])
+def test_a_head_that_overflows_is_refused_at_opening(service, policy, size, learning):
+    def opened(value):
+        return service.OpenSession(policy=policy, head_delta=[value] * size, learning=learning)
+
+    for value in (1e38, -1e38, 1e31):
+        with pytest.raises(grpc.RpcError) as refused:
+            opened(value)
+        assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert refused.value.details().startswith("head_delta: expected a Frobenius norm of at most 1e+30")
+    session = opened(1e27).session_id
+    observation = OBSERVATION if policy == "cartpole" else OBSERVATION[:3]
+    for step in range(3):
+        assert_finite(service.Act(session_id=session, step=step, observation=observation, reward=1.0))
+    assert_finite(service.GetSession(session_id=session, include_head_delta=True))
+
+
+@pytest.mark.parametrize("modulator", ["realized", "target"])
+def test_a_head_never_learns_to_overflow(service, modulator):
+    learning = {
+        "modulator": modulator,
+        "learning_rate": 1e300,
+        "clip": 3e38,
+        "max_drift": 1e300,
+        "discount": 1.0 if modulator == "realized" else None,
+    }
+    session = service.OpenSession(
+        policy="cartpole", learning=learning, action_selection="SAMPLE", temperature=1e-37
+    ).session_id
+    for episode in range(3):
+        for step in range(5):
+            assert_finite(
+                service.Act(
+                    session_id=session, step=step, observation=FAR, reward=1e30 * (-1) ** (step + episode)
+                )
+            )
+            assert_finite(service.GetSession(session_id=session, include_head_delta=True))
+        assert_finite(service.EndEpisode(session_id=session, reward=1e30, terminated=True))
+
+
+@pytest.fixture(scope="module")
+def overflowing(tmp_path_factory):
+    """Returns a policy directory whose `cartpole/2` fails to decide after FAR."""
+    policies = tmp_path_factory.mktemp("policies")
+    shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "cartpole" / "1")
+    add_overflowing(policies, 2)
+    return policies
+
+
+def metric(addresses, name):
+    with urllib.request.urlopen(f"http://{addresses.http}/metrics", timeout=DEADLINE_SECONDS) as page:
+        lines = page.read().decode().splitlines()
+    return {line.rsplit(" ", 1)[0]: float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith(name)}
+
+
+def alerts(addresses):
+    with urllib.request.urlopen(f"http://{addresses.http}/status.json", timeout=DEADLINE_SECONDS) as page:
+        return {(alert["name"], alert["state"]) for alert in json.load(page)["alerts"]}
+
+
+def infer(channel, observation):
+    """Makes one decision of a new sequence by the Open Inference Protocol."""
+    request = message_class(channel, "inference.ModelInferRequest")(model_name="cartpole", model_version="2")
+    request.parameters["sequence_id"].int64_param = 7
+    request.parameters["sequence_start"].bool_param = True
+    tensor = request.inputs.add(name="observation", datatype="FP32", shape=[4])
+    tensor.contents.fp32_contents.extend(observation)
+    return channel.unary_unary(
+        "/inference.GRPCInferenceService/ModelInfer",
+        request_serializer=type(request).SerializeToString,
+        response_deserializer=message_class(channel, "inference.ModelInferResponse").FromString,
+    )(request, timeout=DEADLINE_SECONDS)
+
+
+def test_a_decision_that_is_not_finite_is_an_error_and_changes_nothing(overflowing):
+    with running_server(overflowing) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, POLICY)
+        session = service.OpenSession(policy="cartpole", version=2).session_id
+        healthy = service.OpenSession(policy="cartpole", version=2).session_id
+        before = service.GetSession(session_id=session)
+        for _ in range(2):
+            with pytest.raises(grpc.RpcError) as failed:
+                service.Act(session_id=session, observation=FAR)
+            assert failed.value.code() == INTERNAL
+            assert "cartpole version 2" in failed.value.details()
+        assert service.GetSession(session_id=session) == before
+        # Another session of the same group is decided, as if it were alone.
+        results = service.ActBatch(
+            requests=[
+                {"session_id": session, "observation": FAR},
+                {"session_id": healthy, "observation": ZERO},
+            ]
+        ).results
+        assert results[0].code == INTERNAL.value[0]
+        assert results[1].code == 0
+        assert_finite(results[1].response)
+        # The session goes on, and decides as one that never failed.
+        again = service.Act(session_id=session, observation=ZERO)
+        assert list(again.action_probabilities) == list(results[1].response.action_probabilities)
+        assert list(again.stats.spikes_by_stage.ListFields()) == list(
+            results[1].response.stats.spikes_by_stage.ListFields()
+        )
+        with pytest.raises(grpc.RpcError) as failed:
+            infer(channel, FAR)
+        assert failed.value.code() == INTERNAL
+        counted = metric(addresses, "spikeserve_non_finite_answers_total{")
+        assert counted['spikeserve_non_finite_answers_total{policy="cartpole",version="2"}'] == 4.0
+        assert sum(counted.values()) == 4.0
+        until(lambda: ("SpikeserveNonFiniteAnswers", "firing") in alerts(addresses))
+
+
+def test_a_policy_whose_first_decision_is_not_finite_is_not_served(overflowing, tmp_path):
+    policies = tmp_path / "policies"
+    shutil.copytree(overflowing, policies)
+    tensors, metadata = read_policy(policies / "cartpole" / "1" / "policy.safetensors")
+    tensors["head.weight"][:] = LARGEST
+    write_policy(policies / "cartpole" / "3" / "policy.safetensors", tensors, metadata)
+    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        admin = Service(channel, ADMIN)
+        assert code_of(admin.LoadPolicy, policy="cartpole", version=3) == grpc.StatusCode.INVALID_ARGUMENT

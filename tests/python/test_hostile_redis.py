@@ -1,0 +1,152 @@
+"""A Redis that answers nonsense, or is none, harms nothing but the sessions that need it."""
+
+import http.server
+import os
+import socket
+import subprocess
+import threading
+
+import grpc
+import pytest
+from fake_redis import NIL, NOTHING, FakeRedis, array, integer, primary, string
+from security import until
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server, Service
+from stored_sessions import opening
+
+LARGEST = 2**63 - 1
+
+
+def slots(first, last, port=6379):
+    """Returns the answer to CLUSTER SLOTS of a Cluster with one node."""
+    return array(array(integer(first), integer(last), array(string(b"127.0.0.1"), integer(port))))
+
+
+def to_cluster_slots(answer):
+    return lambda command: answer if command[0] == b"CLUSTER" else primary(command)
+
+
+def to_scripts(answer):
+    return lambda command: answer if command[0] == b"EVAL" else primary(command)
+
+
+def starts_with(url, log, *flags):
+    """Asserts that a server starts, serves sessions without a store and refuses others. Returns its log."""
+    flags = [f"--session_store={url}", *flags]
+    with log.open("w") as file, running_server(flags=flags, log=file) as addresses:
+        with grpc.insecure_channel(addresses.grpc) as channel:
+            service = Service(channel, "spikeserve.v1.PolicyService")
+            with pytest.raises(grpc.RpcError) as error:
+                service.OpenSession(**opening(0))
+            # A script that always answers 0 says that the session exists.
+            assert error.value.code() in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.ALREADY_EXISTS)
+            session = service.OpenSession(policy="cartpole", durability="NONE").session_id
+            assert service.Act(session_id=session, observation=[0.0] * 4).step == 0
+    return log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (to_cluster_slots(slots(-1, 100)), "expected slots from 0 to 16383, received -1 to 100"),
+        (to_cluster_slots(slots(0, LARGEST)), f"expected slots from 0 to 16383, received 0 to {LARGEST}"),
+        (to_cluster_slots(slots(LARGEST, -1)), "expected slots from 0 to 16383"),
+        (to_cluster_slots(slots(0, 16383, port=LARGEST)), f"expected a port from 1 to 65535, received {LARGEST}"),
+        (to_cluster_slots(b"*2147483647\r\n"), "a reply is too large"),
+        (to_cluster_slots(b"*1048576\r\n*1048576\r\n"), "a reply is too large"),
+        (to_scripts(b"*2147483647\r\n"), "a reply is too large"),
+        (to_scripts(b"$2147483647\r\n"), "session store not reached"),
+        (to_scripts(integer(0)), "the store has no settings and takes none"),
+        (to_scripts(array(*[NIL] * 5)), "shared heads not taken from their log"),
+    ],
+)
+def test_replies_that_make_no_sense(tmp_path, answer, expected):
+    with FakeRedis(answer) as redis:
+        assert expected in starts_with(redis.url, tmp_path / "log")
+
+
+@pytest.mark.parametrize("reply", [b"*2147483647\r\n", b"$2147483647\r\n" + b"x" * 100])
+def test_a_reply_that_never_ends(tmp_path, reply):
+    """It arrives in small parts, each of which comes in time."""
+    ends = threading.Event()
+
+    def drip(connection):
+        connection.recv(1 << 16)
+        connection.sendall(reply)
+        while not ends.wait(0.02):
+            connection.sendall(b"x")
+
+    with listening(drip) as url:
+        assert "not reached" in starts_with(url, tmp_path / "log", "--store_timeout=100ms")
+        ends.set()
+
+
+class listening:
+    """Accepts connections and calls `talk` for each on a thread. Yields the address of a store there."""
+
+    def __init__(self, talk):
+        self._talk = talk
+        self._listener = socket.create_server(("127.0.0.1", 0))
+
+    def __enter__(self):
+        threading.Thread(target=self._accept, daemon=True).start()
+        return f"redis://127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def _accept(self):
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection):
+        with connection:
+            try:
+                self._talk(connection)
+            except OSError:
+                return
+
+    def __exit__(self, *error):
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+
+
+def test_an_http_server_is_named_as_such(tmp_path):
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), http.server.SimpleHTTPRequestHandler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        port = server.server_address[1]
+        log = starts_with(f"redis://127.0.0.1:{port}", tmp_path / "log")
+        server.shutdown()
+    assert f"--session_store: expected a Redis server at 127.0.0.1:{port}, received " in log
+    assert "<!DOCTYPE HTML" in log or "HTTP/1" in log
+
+
+def ended_by(start, url, flags=(), signal="terminate"):
+    """Starts a server, waits for `start()`, ends the server by a signal and returns its status."""
+    program = [os.environ["SPIKESERVE_PROGRAM"], f"--policies={SHIPPED_POLICIES}", "--listen=127.0.0.1:0"]
+    server = subprocess.Popen([*program, "--http_listen=", f"--session_store={url}", *flags], stderr=subprocess.DEVNULL)
+    try:
+        start()
+        getattr(server, signal)()
+        return server.wait(timeout=DEADLINE_SECONDS)
+    finally:
+        server.kill()
+        server.wait()
+
+
+def test_sigterm_while_the_store_says_nothing():
+    """The server waits for the first answer of the store when it is told to stop."""
+    with FakeRedis(lambda command: NOTHING) as redis:
+        assert ended_by(lambda: until(lambda: redis.commands), redis.url, ["--store_timeout=10m"]) == 0
+
+
+def test_sigterm_while_the_settings_are_read():
+    def answer(command):
+        return NOTHING if command[0] == b"HMGET" else primary(command)
+
+    with FakeRedis(answer) as redis:
+
+        def reading():
+            until(lambda: any(command[0] == b"HMGET" for command in redis.commands))
+
+        assert ended_by(reading, redis.url, ["--store_timeout=10m"]) == 0

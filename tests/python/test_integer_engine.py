@@ -1,0 +1,102 @@
+"""Policies in integer arithmetic give the spikes and readouts that docs/design/integer.md gives in NumPy."""
+
+import json
+import os
+import subprocess
+
+import grpc
+import numpy as np
+import pytest
+from integer_engine import IntegerEngine
+from policy_file import read_policy, write_policy
+from serving import SHIPPED_POLICIES, Service, running_server
+
+PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
+STEPS = 24  # longer than the context
+CASES = [  # policy, changes of its config, mode of the integer policy, attention
+    ("cartpole", {}, "full", "shiftmax"),
+    ("pendulum", {}, "baseline", "shiftmax"),
+    ("acrobot", {}, "full", "linear"),
+    ("pendulum-angle", {}, "full", "shiftmax"),
+    ("pendulum-angle", {"gate": "sigmoid"}, "route", "shiftmax"),
+    ("cartpole-positions", {"phase_clock": "window"}, "pos", "shiftmax"),
+    ("cartpole-positions-frugal", {"membrane_decay": 1.0}, "baseline", "linear"),
+    ("repeat-previous-medium", {}, "pos", "shiftmax"),
+    ("minigrid-memory", {}, "baseline", "shiftmax"),
+]
+
+
+def run(source, target, mode, attention, lines=()):
+    text = "".join(json.dumps(line) + "\n" for line in lines)
+    command = [PROGRAM, str(source), str(target), mode, attention]
+    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=120, check=False)
+
+
+def episode(tensors, action_size):
+    random = np.random.default_rng(1)
+    mean, std = tensors["observation.mean"], tensors["observation.std"]
+    for step in range(STEPS):
+        line = {"return_to_go": float(np.float32(100 * random.normal()))}
+        observation = mean + 1.5 * std * random.normal(size=len(mean))
+        line["observation"] = [float(x) for x in observation.astype(np.float32)]
+        if step > 0:
+            line["last_action"] = [float(x) for x in np.eye(action_size)[random.integers(action_size)]]
+        yield line
+
+
+@pytest.mark.parametrize(("name", "changes", "mode", "attention"), CASES)
+def test_every_decision_is_that_of_the_page(tmp_path, name, changes, mode, attention):
+    tensors, metadata = read_policy(SHIPPED_POLICIES / name / "1/policy.safetensors")
+    metadata["config"] = json.dumps(json.loads(metadata["config"]) | changes)
+    source, target = tmp_path / "float32/policy.safetensors", tmp_path / "integer.safetensors"
+    write_policy(source, tensors, metadata)
+    lines = list(episode(tensors, len(tensors["head.bias"])))
+    result = run(source, target, mode, attention, lines)
+    assert result.returncode == 0, result.stderr
+    engine = IntegerEngine(*read_policy(target))
+    assert engine.config["mode"] == mode
+    total = 0
+    for step, (line, answer) in enumerate(zip(lines, result.stdout.splitlines(), strict=True)):
+        actual = json.loads(answer)
+        spikes, readout = engine.decide(line["return_to_go"], line["observation"], line.get("last_action"))
+        assert actual["spikes"] == spikes, f"step {step}"
+        np.testing.assert_array_equal(np.array(actual["readout"], np.float32), readout)
+        total += sum(spikes.values())
+    assert total > 0
+
+
+def test_a_part_that_the_policy_lacks_is_refused(tmp_path):
+    source = SHIPPED_POLICIES / "lunar-lander/1/policy.safetensors"
+    result = run(source, tmp_path / "integer.safetensors", "full", "shiftmax")
+    assert result.returncode == 1
+    assert "mode: expected one whose parts mode baseline has, received full" in result.stderr
+    assert not (tmp_path / "integer.safetensors").exists()
+
+
+def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
+    source = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
+    result = run(source, tmp_path / "integer.safetensors", "full", "softmax")
+    assert result.returncode == 1
+    assert 'expected shiftmax or linear, received "softmax"' in result.stderr
+
+
+def test_a_server_serves_and_explains_it(tmp_path):
+    target = tmp_path / "policies/integers/1/policy.safetensors"
+    target.parent.mkdir(parents=True)
+    result = run(SHIPPED_POLICIES / "cartpole/1/policy.safetensors", target, "full", "shiftmax")
+    assert result.returncode == 0, result.stderr
+    tensors, metadata = read_policy(target)
+    engine = IntegerEngine(tensors, metadata)
+    last_action = None
+    with running_server(tmp_path / "policies") as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        session = service.OpenSession(policy="integers").session_id
+        for step, line in enumerate(episode(tensors, 2)):
+            answer = service.Act(session_id=session, step=step, observation=line["observation"], reward=1.0)
+            spikes, _ = engine.decide(answer.return_to_go, line["observation"], last_action)
+            stages = answer.stats.spikes_by_stage
+            assert {stage: getattr(stages, stage) for stage in spikes} == spikes, f"step {step}"
+            assert 0 < answer.stats.energy_joules < 1e-6
+            last_action = np.eye(2)[answer.action.discrete]
+        explained = service.Explain(session_id=session)
+        assert explained.answer.stats.spikes == sum(spikes.values())

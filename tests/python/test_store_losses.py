@@ -1,0 +1,304 @@
+"""Redis loses what it has acknowledged, or a part of a session, while the servers that own the sessions live."""
+
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+
+import grpc
+import pytest
+from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
+from security import code_of, until
+from stored_sessions import Restartable, acting, comparable, ending, expected_decision, opening
+
+pytestmark = WITHOUT_REDIS
+
+STEPS = 40  # of an episode; as in stored_sessions
+KINDS = [0, 4]  # a session that is frozen, and one that learns by itself; both SYNC
+
+
+@pytest.fixture
+def redis():
+    with stopping([Redis(*DURABLE, password="")]) as [started]:
+        yield started
+
+
+@pytest.fixture
+def replicas(redis):
+    store = f"redis://127.0.0.1:{redis.port}"
+    with Restartable(store) as first, Restartable(store) as second:
+        yield first, second
+        for server in (first, second):
+            server.addresses.process.send_signal(signal.SIGCONT)
+            server.close()
+
+
+@pytest.fixture(scope="module")
+def undisturbed():
+    """Returns the answers of each session on a server that nothing disturbs."""
+    answers = {}
+    with Restartable("memory") as server:
+        for i in KINDS:
+            server.OpenSession(**opening(i) | {"durability": "NONE"})
+            answers[i] = [comparable(server.Act(**acting(i, 0, step))) for step in range(STEPS)]
+        server.close()
+    return answers
+
+
+def decide(server, i, decision):
+    """Returns an answer, which must come in the end."""
+    answers = []
+
+    def answered():
+        try:
+            answers.append(comparable(server.Act(**acting(i, 0, decision))))
+        except grpc.RpcError as error:
+            assert error.code() == grpc.StatusCode.UNAVAILABLE, error
+        return answers != []
+
+    until(answered)
+    return answers[0]
+
+
+def play(server, i, begin, end):
+    return [decide(server, i, decision) for decision in range(begin, end)]
+
+
+def hash_of(i):
+    return f"ss:{{{i:032x}}}:o"
+
+
+def list_of(redis, i):
+    return f"ss:{{{i:032x}}}:{redis.command(f'HGET {hash_of(i)} epoch').decode()}"
+
+
+class Files:
+    """The append-only file of a Redis server at some moment."""
+
+    def __init__(self, redis):
+        self.redis = redis
+        self.now = pathlib.Path(redis.folder.name) / "appendonlydir"
+        shutil.copytree(self.now, self.now.with_name("before"))
+
+    def restore(self):
+        """Redis starts again with the files of that moment."""
+        self.redis.kill()
+        shutil.rmtree(self.now)
+        self.now.with_name("before").rename(self.now)
+        self.redis.start()
+
+
+@pytest.mark.parametrize("i", KINDS)
+def test_a_full_redis_refuses_whole_writes(redis, replicas, undisturbed, i):
+    """The sixteenth decision writes a snapshot, for which there is no room."""
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    assert play(first, i, 0, 15) == undisturbed[i][:15]
+    redis.command("CONFIG SET maxmemory 1")
+    for _ in range(3):
+        assert code_of(first.Act, **acting(i, 0, 15)) == grpc.StatusCode.UNAVAILABLE
+    assert redis.command(f"LLEN {list_of(redis, i)}") == 16
+    first.kill()
+    redis.command("CONFIG SET maxmemory 0")
+    assert play(second, i, 15, 20) == undisturbed[i][15:20]
+
+
+@pytest.mark.parametrize("more", [3, 16, 20])  # decisions that Redis loses: also a snapshot, or lists of equal length
+@pytest.mark.parametrize("i", KINDS)
+def test_an_owner_writes_again_what_redis_has_lost(redis, replicas, undisturbed, i, more):
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    answers = play(first, i, 0, 4)
+    files = Files(redis)
+    answers += play(first, i, 4, 4 + more)
+    files.restore()
+    answers += play(first, i, 4 + more, 6 + more)
+    first.kill()
+    answers += play(second, i, 6 + more, 8 + more)
+    assert answers == undisturbed[i][: 8 + more]
+
+
+@pytest.mark.parametrize("i", KINDS)
+def test_an_owner_without_requests_writes_again_what_redis_has_lost(redis, replicas, undisturbed, i):
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    play(first, i, 0, 4)
+    files = Files(redis)
+    play(first, i, 4, 8)
+    files.restore()
+    until(lambda: redis.command(f"LLEN {list_of(redis, i)}") == 1)  # one snapshot
+    first.kill()
+    assert decide(second, i, 8) == undisturbed[i][8]
+
+
+@pytest.mark.parametrize("i", KINDS)
+def test_the_next_owner_goes_on_from_what_redis_has(redis, replicas, undisturbed, i):
+    """It expects an older decision, and gives the same answers. The former owner does not replace them."""
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    play(first, i, 0, 4)
+    files = Files(redis)
+    play(first, i, 4, 8)
+    first.addresses.process.send_signal(signal.SIGSTOP)
+    files.restore()
+    codes = []
+
+    def is_behind():
+        try:
+            second.Act(**acting(i, 0, 8))
+        except grpc.RpcError as error:
+            codes.append(error)
+            return error.code() == grpc.StatusCode.FAILED_PRECONDITION
+        return False
+
+    until(is_behind)
+    assert expected_decision(second.channel, codes[-1]) == 4
+    assert play(second, i, 4, 9) == undisturbed[i][4:9]
+    first.addresses.process.send_signal(signal.SIGCONT)
+    assert decide(first, i, 9) == undisturbed[i][9]
+    assert decide(second, i, 10) == undisturbed[i][10]
+
+
+@pytest.mark.parametrize("i", KINDS)
+def test_a_journal_is_read_up_to_its_gap(redis, replicas, undisturbed, i):
+    """A record stands behind a gap, as a server leaves it that found out too late."""
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    play(first, i, 0, 6)
+    key = list_of(redis, i)
+    first.kill()
+    redis.command(f"LSET {key} 4 gone")
+    redis.command(f"LREM {key} 1 gone")
+    with pytest.raises(grpc.RpcError) as error:
+        second.Act(**acting(i, 0, 6))
+    assert expected_decision(second.channel, error.value) == 3
+    assert play(second, i, 3, 9) == undisturbed[i][3:9]
+
+
+@pytest.mark.parametrize("part", ["hash", "list", "both"])
+@pytest.mark.parametrize("i", KINDS)
+def test_the_loss_of_a_part_of_a_session_is_noticed(redis, replicas, undisturbed, i, part):
+    """An acknowledged decision is never in a journal that nobody can find."""
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    play(first, i, 0, 5)
+    keys = {"hash": hash_of(i), "list": list_of(redis, i)}
+    redis.command("DEL " + " ".join(keys.values() if part == "both" else [keys[part]]))
+    assert decide(first, i, 5) == undisturbed[i][5]
+    first.kill()
+    assert play(second, i, 6, 10) == undisturbed[i][6:10]
+
+
+def log_of(tmp_path):
+    return (tmp_path / "log").read_text()
+
+
+def started_on(redis, log, *flags):
+    return Restartable(f"redis://127.0.0.1:{redis.port}", flags, log=log)
+
+
+def test_a_redis_that_evicts_is_no_store_for_sync(redis, tmp_path):
+    redis.command("CONFIG SET maxmemory 100mb")
+    redis.command("CONFIG SET maxmemory-policy volatile-lru")
+    with (tmp_path / "log").open("w") as log, started_on(redis, log) as server:
+        with pytest.raises(grpc.RpcError) as error:
+            server.OpenSession(**opening(0))
+        assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+        expected = "durability: maxmemory-policy of Redis: expected noeviction, received volatile-lru"
+        assert expected in error.value.details()
+        server.OpenSession(**opening(2) | {"durability": "ASYNC"})
+        assert "expected noeviction, received volatile-lru" in log_of(tmp_path)
+        server.close()
+    with (tmp_path / "log").open("w") as log, started_on(redis, log, "--store_may_evict") as server:
+        server.OpenSession(**opening(0))
+        server.close()
+
+
+def test_a_session_that_redis_may_evict_now_is_refused(redis, replicas):
+    first, _ = replicas
+    first.OpenSession(**opening(0))
+    first.Act(**acting(0, 0, 0))
+    redis.command("CONFIG SET maxmemory 100mb")
+    redis.command("CONFIG SET maxmemory-policy allkeys-lru")
+    redis.command("CLIENT KILL TYPE normal")
+    until(lambda: code_of(first.Act, **acting(0, 0, 1)) == grpc.StatusCode.UNAVAILABLE)
+    redis.command("CONFIG SET maxmemory-policy noeviction")
+    redis.command("CLIENT KILL TYPE normal")
+    until(lambda: code_of(first.Act, **acting(0, 0, 1)) == grpc.StatusCode.OK)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "expected"),
+    [
+        ("appendonly", "no", "appendonly of Redis: expected yes, received no"),
+        ("appendfsync", "everysec", "appendfsync of Redis: expected always, received everysec"),
+    ],
+)
+def test_what_the_settings_of_redis_mean_is_said(redis, tmp_path, setting, value, expected):
+    redis.command(f"CONFIG SET {setting} {value}")
+    with (tmp_path / "log").open("w") as log, started_on(redis, log) as server:
+        until(lambda: expected in log_of(tmp_path))
+        server.close()
+    report = check(redis)
+    assert (report.returncode, expected in report.stdout) == (0, True)
+
+
+def check(redis):
+    return subprocess.run(
+        [os.environ["SPIKECTL_PROGRAM"], "store", "check", f"--session_store=redis://127.0.0.1:{redis.port}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_orphans_fail_the_check(redis, replicas):
+    first, _ = replicas
+    first.OpenSession(**opening(0))
+    first.Act(**acting(0, 0, 0))
+    assert check(redis).returncode == 0
+    first.kill()
+    redis.command(f"DEL {hash_of(0)}")
+    assert check(redis).returncode == 1
+
+
+def test_a_session_stays_for_the_retention_after_its_last_use(redis):
+    """Entries between snapshots count as use."""
+    flags = ["--store_retention=8s", "--session_ttl=8s"]
+    with Restartable(f"redis://127.0.0.1:{redis.port}", flags) as server:
+        server.OpenSession(**opening(0))
+        redis.command(f"PEXPIRE {hash_of(0)} 5000")
+        redis.command(f"PEXPIRE {list_of(redis, 0)} 5000")
+        server.Act(**acting(0, 0, 0))
+        until(lambda: redis.command(f"PTTL {hash_of(0)}") > 6000)
+        until(lambda: redis.command(f"PTTL {list_of(redis, 0)}") > 6000)
+        server.close()
+
+
+def test_a_closed_session_leaves_a_small_tombstone_for_a_while(redis, replicas):
+    first, second = replicas
+    first.OpenSession(**opening(0))
+    for step in range(5):
+        first.Act(**acting(0, 0, step))
+    first.CloseSession(session_id=opening(0)["session_id"])
+    assert redis.command("DBSIZE") <= 4  # with what the servers share
+    assert redis.command(f"MEMORY USAGE {hash_of(0)}") < 300
+    assert 0 < redis.command(f"PTTL {hash_of(0)}") <= 600_000
+    with pytest.raises(grpc.RpcError) as error:
+        second.OpenSession(**opening(0))
+    assert error.value.code() == grpc.StatusCode.ALREADY_EXISTS
+
+
+def test_an_end_of_an_episode_that_redis_has_lost(redis, replicas):
+    first, second = replicas
+    first.OpenSession(**opening(0))
+    play(first, 0, 0, STEPS)
+    files = Files(redis)
+    summary = first.EndEpisode(**ending(0, 0)).SerializeToString()
+    files.restore()
+    until(lambda: code_of(first.EndEpisode, **ending(0, 0)) == grpc.StatusCode.OK)
+    assert first.EndEpisode(**ending(0, 0)).SerializeToString() == summary
+    first.kill()
+    until(lambda: code_of(second.EndEpisode, **ending(0, 0)) == grpc.StatusCode.OK)
+    assert second.EndEpisode(**ending(0, 0)).SerializeToString() == summary

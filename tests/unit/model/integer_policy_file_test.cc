@@ -1,0 +1,137 @@
+// Policy files in integer arithmetic round-trip, and invalid ones are refused with the tensor, the
+// neuron and the bound.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <functional>
+#include <string>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "core/model/policy_file.h"
+#include "core/model/quantize_integer.h"
+#include "core/model/safetensors.h"
+#include "nlohmann/json.hpp"
+#include "tests/support/files.h"
+#include "tests/support/small_policy.h"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::json;
+
+template <class Typed>
+auto& Numbers(Safetensors& contents, const std::string& name) {
+  return std::get<Typed>(contents.tensors.at(name)).values;
+}
+
+std::function<void(Safetensors&)> SetConfig(const char* key, const json& value) {
+  return [=](Safetensors& contents) {
+    json config = json::parse(contents.metadata["config"]);
+    config[key] = value;
+    contents.metadata["config"] = config.dump();
+  };
+}
+
+class IntegerPolicyFileTest : public DirectoryTest {
+ protected:
+  // Returns the message with which the file of a valid policy is refused after `change`, without
+  // the path.
+  std::string MessageAfter(const std::function<void(Safetensors&)>& change) {
+    EXPECT_TRUE(WritePolicyFile(*QuantizeToInteger(SmallPolicy()), Path("good")).ok());
+    Safetensors contents = *ReadSafetensors(Path("good"));
+    change(contents);
+    EXPECT_TRUE(WriteSafetensors(contents, Path()).ok());
+    const std::string message(ReadPolicyFile(Path()).status().message());
+    return message.substr(std::min(message.size(), Path().size() + 2));
+  }
+};
+
+TEST_F(IntegerPolicyFileTest, RoundTripsBitForBit) {
+  for (const Mode mode : {Mode::kBaseline, Mode::kPos, Mode::kRoute, Mode::kFull}) {
+    for (const Attention attention : {Attention::kShiftmax, Attention::kLinear}) {
+      const Policy policy =
+          *QuantizeToInteger(SmallPolicy(), {.mode = mode, .attention = attention});
+      EXPECT_EQ(policy.config.mode, mode);
+      ASSERT_TRUE(WritePolicyFile(policy, Path()).ok());
+      const absl::StatusOr<Policy> read = ReadPolicyFile(Path());
+      ASSERT_TRUE(read.ok()) << read.status();
+      EXPECT_EQ(read->config, policy.config);
+      EXPECT_EQ(*FormatPolicyFile(*read), *FormatPolicyFile(policy));
+    }
+  }
+}
+
+TEST_F(IntegerPolicyFileTest, TheLeakIsTheNearestShift) {
+  for (const auto& [decay, shift] : {std::pair(0.95f, 4), std::pair(0.5f, 1), std::pair(0.9f, 3)}) {
+    ModelConfig config = SmallConfig();
+    config.membrane_decay = decay;
+    EXPECT_EQ(QuantizeToInteger(SmallPolicy(config))->config.leak_shift(), shift) << decay;
+  }
+  ModelConfig config = SmallConfig();
+  config.membrane_decay = 1.0f;
+  EXPECT_EQ(QuantizeToInteger(SmallPolicy(config))->config.leak, Leak::kNone);
+}
+
+TEST_F(IntegerPolicyFileTest, SumsThatCanOverflowAreRefusedWithTheNeuronAndTheBound) {
+  EXPECT_EQ(MessageAfter([](Safetensors& c) {
+              const std::string map = "layers.0.attention.output";
+              for (int j = 0; j < 8; ++j) Numbers<Int8Tensor>(c, map + ".weight")[8 + j] = 127;
+              Numbers<Int8Tensor>(c, map + ".shift")[1] = -15;
+              Numbers<Int16Tensor>(c, map + ".bias")[1] = 0;
+            }),
+            "tensor \"layers.0.attention.output.weight\": expected sums of at most 2147450880 for "
+            "inputs of at most 255, received 8489533440 at index 1");
+  EXPECT_EQ(MessageAfter([](Safetensors& c) {
+              const std::string hidden = "layers.1.ffn.hidden";
+              for (int j = 0; j < 16; ++j) Numbers<Int8Tensor>(c, hidden + ".weight")[32 + j] = 127;
+              Numbers<Int16Tensor>(c, hidden + ".bias")[2] = -30736;
+            }),
+            "tensor \"layers.1.ffn.hidden.weight\": expected |bias| + sum of |weight| of at most "
+            "32767, received 32768 at index 2");
+}
+
+TEST_F(IntegerPolicyFileTest, NumbersOutOfRangeAreRefused) {
+  EXPECT_EQ(
+      MessageAfter([](Safetensors& c) { Numbers<Int8Tensor>(c, "readout.coder.sign")[3] = 0; }),
+      "tensor \"readout.coder.sign\": expected 1 or -1, received 0 at index 3");
+  EXPECT_EQ(MessageAfter([](Safetensors& c) {
+              auto& thresholds = Numbers<Int16Tensor>(c, "layers.0.coder.threshold");
+              thresholds[5] = 7;
+              thresholds[6] = 8;
+            }),
+            "tensor \"layers.0.coder.threshold\": expected at most 7, received 8 at index 6");
+  EXPECT_EQ(MessageAfter(
+                [](Safetensors& c) { Numbers<Int8Tensor>(c, "embed.state.norm.shift")[0] = 16; }),
+            "tensor \"embed.state.norm.shift\": expected 0 to 15, received 16 at index 0");
+  EXPECT_EQ(MessageAfter([](Safetensors& c) {
+              Numbers<Int8Tensor>(c, "layers.0.ffn.output.shift")[2] = 32;
+            }),
+            "tensor \"layers.0.ffn.output.shift\": expected -15 to 31, received 32 at index 2");
+}
+
+TEST_F(IntegerPolicyFileTest, UnknownNamesAreRefusedWithTheKnownOnes) {
+  EXPECT_EQ(MessageAfter(SetConfig("arithmetic", "int4")),
+            "config.arithmetic: expected float32, int8 or integer, received \"int4\"");
+  EXPECT_EQ(MessageAfter(SetConfig("leak", "exponential")),
+            "config.leak: expected shift or none, received \"exponential\"");
+  EXPECT_EQ(MessageAfter(SetConfig("attention", "softmax")),
+            "config.attention: expected shiftmax or linear, received \"softmax\"");
+}
+
+TEST_F(IntegerPolicyFileTest, ConfigsThatTheArithmeticLacksAreRefused) {
+  EXPECT_EQ(MessageAfter(SetConfig("mode", "dense")),
+            "arithmetic: expected float32 in mode dense, received integer");
+  EXPECT_EQ(MessageAfter(SetConfig("coder", "bernoulli")),
+            "coder: expected lif with arithmetic integer, received bernoulli");
+  EXPECT_EQ(MessageAfter(SetConfig("membrane_decay", 0.95)),
+            "membrane_decay: expected 1 - 2^-k for a k from 1 to 8 with leak shift, received 0.95");
+  EXPECT_EQ(MessageAfter(SetConfig("leak", "none")),
+            "membrane_decay: expected 1 with leak none, received 0.9375");
+  EXPECT_EQ(MessageAfter(SetConfig("input_fraction", 15)),
+            "input_fraction: expected 1 to 14, received 15");
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,122 @@
+// Tests of the baselines: inputs, fits and errors.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "core/math/counter_random.h"
+#include "train/baselines/comparison.h"
+
+namespace spikeserve {
+namespace {
+
+using testing::ElementsAre;
+
+float Draw(uint64_t a, uint64_t b) { return 2.0f * UniformFloat(RandomBits({a, b})) - 1.0f; }
+
+// Returns episodes whose action is a function of the position and of the hidden velocity. The label
+// is exact from the second step on.
+Dataset HiddenVelocity(bool discrete) {
+  Dataset dataset = {
+      .environment = "Hidden-v0",
+      .observation_size = 1,
+      .action_space = discrete ? ActionSpace::Discrete(2) : ActionSpace::Box({-2.0f}, {2.0f}),
+      .recipe = {},
+      .episodes = {}};
+  for (uint64_t i = 0; i < 60; ++i) {
+    Episode episode = {
+        .actor = "expert", .seed = i, .observations = {}, .actions = {}, .rewards = {}};
+    float position = Draw(i, 1000), velocity = 0.0f;
+    for (uint64_t t = 0; t <= 40; ++t) {
+      episode.observations.push_back(position);
+      if (t == 40) break;
+      const float wanted = -0.5f * position - 8.0f * velocity;
+      episode.actions.push_back(discrete ? Action{.discrete = wanted > 0.0f, .continuous = {}}
+                                         : Action{.continuous = {wanted}});
+      episode.rewards.push_back(0.0);
+      velocity = 0.8f * velocity + 0.02f * Draw(i, t);
+      position += velocity;
+    }
+    dataset.episodes.push_back(std::move(episode));
+  }
+  return dataset;
+}
+
+TEST(FrameInputTest, HoldsTheNewestObservationAndTheChangesBeforeIt) {
+  FrameInput frames(1);
+  const auto push = [&](float value) {
+    const Eigen::VectorXf input = frames.Push({&value, 1});
+    return std::vector<float>(input.begin(), input.end());
+  };
+  EXPECT_THAT(push(1.0f), ElementsAre(1.0f, 0.0f, 0.0f, 0.0f));
+  EXPECT_THAT(push(3.0f), ElementsAre(3.0f, 2.0f, 0.0f, 0.0f));
+  EXPECT_THAT(push(6.0f), ElementsAre(6.0f, 3.0f, 2.0f, 0.0f));
+  EXPECT_THAT(push(6.5f), ElementsAre(6.5f, 0.5f, 3.0f, 2.0f));
+  EXPECT_THAT(push(6.5f), ElementsAre(6.5f, 0.0f, 0.5f, 3.0f));
+}
+
+TEST(BaselineTest, TwoObservationsShowAVelocity) {
+  for (const bool discrete : {false, true}) {
+    const EpisodeSource source(HiddenVelocity(discrete));
+    const ActionSpace& space = source.dataset().action_space;
+    const BaselineData data = *ReadBaselineData(source, 0.1);
+    EXPECT_EQ(data.held_out.rows(), 6 * 40);
+    EXPECT_TRUE(NeedsChanges(space, data.training));
+    for (const auto& fit : {FitLine(space, data.training, 1), FitMlp(space, data.training, 1, 0)}) {
+      EXPECT_GT(ErrorOf(space, fit.Outputs(data.held_out.inputs), data.held_out).mean, 0.003);
+    }
+    for (const auto& fit : {FitLine(space, data.training, 2), FitMlp(space, data.training, 2, 0),
+                            FitLine(space, data.training, 4), FitMlp(space, data.training, 4, 0)}) {
+      EXPECT_LT(ErrorOf(space, fit.Outputs(data.held_out.inputs), data.held_out).mean,
+                discrete ? 0.1 : 0.0005)
+          << fit.Name();
+    }
+  }
+}
+
+TEST(BaselineTest, NothingIsGainedWhereOneObservationIsEnough) {
+  Dataset dataset = HiddenVelocity(/*discrete=*/false);
+  for (Episode& episode : dataset.episodes) {
+    for (size_t t = 0; t < episode.actions.size(); ++t) {
+      episode.actions[t].continuous[0] = std::sin(episode.observations[t]);
+    }
+  }
+  const EpisodeSource source(std::move(dataset));
+  EXPECT_FALSE(
+      NeedsChanges(source.dataset().action_space, ReadBaselineData(source, 0.1)->training));
+}
+
+TEST(ImitationErrorTest, MeansByElementAndEpisode) {
+  StepTable table;
+  table.begins = {0, 1, 3};
+  table.targets = RowMajorMatrix<float>::Zero(3, 2);
+  table.weights = Eigen::VectorXf::Ones(3);
+  table.weights[2] = 2.0f;
+  RowMajorMatrix<float> outputs(3, 2);
+  outputs << 0.5f, 0.0f, 1.0f, 0.0f, 0.0f, 1.0f;
+  const ActionSpace box = ActionSpace::Box({-1.0f, -1.0f}, {1.0f, 1.0f});
+  const ImitationError error = ErrorOf(box, outputs, table);
+  EXPECT_NEAR(error.mean, (0.125 + 0.5 + 2 * 0.5) / 4.0, 1e-9);
+  EXPECT_THAT(error.elements, ElementsAre(1.25 / 4.0, 0.5));
+  EXPECT_THAT(error.episodes, ElementsAre(0.125, 0.5));
+  table.targets << 1.0f, 0.0f, 0.0f, 1.0f, 0.0f, 1.0f;
+  const ImitationError wrong = ErrorOf(ActionSpace::Discrete(2), outputs, table);
+  EXPECT_THAT(wrong.episodes, ElementsAre(0.0, 1.0 / 3.0));
+  const ErrorDifference difference = Compare(error, wrong);
+  EXPECT_NEAR(difference.mean, (0.125 + 0.5 - 1.0 / 3.0) / 2.0, 1e-9);
+  EXPECT_TRUE(difference.is_significant());
+  EXPECT_FALSE(Compare(wrong, error).is_significant());
+}
+
+TEST(BaselineTest, LargeObservationsAreRefused) {
+  Dataset dataset = HiddenVelocity(false);
+  dataset.observation_size = 200;
+  dataset.episodes.resize(1);
+  dataset.episodes[0].observations.assign(41 * 200, 0.0f);
+  EXPECT_EQ(ReadBaselineData(EpisodeSource(dataset), 0.1).status().message(),
+            "observations: expected at most 128 numbers to fit baselines, received 200");
+}
+
+}  // namespace
+}  // namespace spikeserve

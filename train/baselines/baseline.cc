@@ -1,0 +1,180 @@
+#include "train/baselines/baseline.h"
+
+#include <ATen/ops/linear.h>
+#include <torch/optim/adam.h>
+#include <torch/types.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "Eigen/Cholesky"
+#include "absl/strings/str_cat.h"
+#include "core/math/counter_random.h"
+
+namespace spikeserve {
+namespace {
+
+using Matrix = RowMajorMatrix<float>;
+
+constexpr double kRidge = 1e-6;  // of the standardised inputs, relative to the number of rows
+constexpr int64_t kHidden = 64;
+constexpr int kIterations = 1500;
+constexpr int kBatch = 256;
+constexpr double kLearningRate = 3e-3;
+
+// Returns an unfitted baseline with the moments of its inputs.
+Baseline Unfitted(BaselineKind kind, const ActionSpace& space, const StepTable& table, int frames) {
+  const Eigen::Index columns = table.inputs.cols() / kMostFrames * frames;
+  const auto inputs = table.inputs.leftCols(columns);
+  Baseline baseline = {.kind = kind, .frames = frames, .is_discrete = space.is_discrete()};
+  baseline.mean = inputs.colwise().mean();
+  const Eigen::RowVectorXf variance =
+      (inputs.rowwise() - baseline.mean).array().square().colwise().mean();
+  // What rounding leaves of a constant is not divided by.
+  const Eigen::RowVectorXf level = 1e-6f * baseline.mean.cwiseAbs().cwiseMax(1.0f);
+  const Eigen::RowVectorXf deviation = variance.cwiseSqrt();
+  baseline.std = (deviation.array() > level.array()).select(deviation, 1.0f);
+  return baseline;
+}
+
+Matrix Standardise(const Baseline& baseline, const Eigen::Ref<const Matrix>& inputs) {
+  const auto read = inputs.leftCols(baseline.mean.size());
+  return (read.rowwise() - baseline.mean).array().rowwise() / baseline.std.array();
+}
+
+torch::Tensor ToTensor(const Matrix& matrix) {
+  return torch::from_blob(const_cast<float*>(matrix.data()), {matrix.rows(), matrix.cols()})
+      .clone();
+}
+
+torch::Tensor RandomWeight(int64_t out, int64_t in, uint64_t seed, uint64_t layer) {
+  torch::Tensor weight = torch::empty({out, in});
+  const float bound = std::sqrt(3.0f / static_cast<float>(in));
+  float* const values = weight.data_ptr<float>();
+  for (int64_t i = 0; i < out * in; ++i) {
+    const uint64_t bits = RandomBits({seed, layer, static_cast<uint64_t>(i)});
+    values[i] = bound * (2.0f * UniformFloat(bits) - 1.0f);
+  }
+  return weight.set_requires_grad(true);
+}
+
+// The weights and biases of the perceptron, in turn.
+using MlpTensors = std::vector<torch::Tensor>;
+
+MlpTensors RandomMlp(int64_t inputs, int64_t outputs, uint64_t seed) {
+  MlpTensors tensors;
+  int64_t in = inputs;
+  for (const int64_t out : {kHidden, kHidden, outputs}) {
+    tensors.push_back(RandomWeight(out, in, seed, tensors.size()));
+    tensors.push_back(torch::zeros({out}).set_requires_grad(true));
+    in = out;
+  }
+  return tensors;
+}
+
+torch::Tensor Forward(const MlpTensors& tensors, torch::Tensor x) {
+  for (size_t i = 0; i < tensors.size(); i += 2) {
+    if (i > 0) x = torch::tanh(x);
+    x = at::linear(x, tensors[i], tensors[i + 1]);
+  }
+  return x;
+}
+
+torch::Tensor Loss(const ActionSpace& space, const torch::Tensor& outputs,
+                   const torch::Tensor& targets, const torch::Tensor& weights) {
+  const torch::Tensor losses = space.is_discrete()
+                                   ? -(torch::log_softmax(outputs, -1) * targets).sum(-1)
+                                   : (outputs - targets).square().mean(-1);
+  return (losses * weights).sum() / weights.sum();
+}
+
+void Train(const ActionSpace& space, const torch::Tensor& inputs, const StepTable& table,
+           uint64_t seed, const MlpTensors& tensors) {
+  const torch::Tensor targets = ToTensor(table.targets),
+                      weights = ToTensor(table.weights).view({-1});
+  torch::optim::Adam adam(tensors, torch::optim::AdamOptions(kLearningRate));
+  std::vector<int64_t> batch(kBatch);
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    for (int i = 0; i < kBatch; ++i) {
+      const uint64_t bits =
+          RandomBits({seed, static_cast<uint64_t>(1000 + iteration), static_cast<uint64_t>(i)});
+      batch[i] = static_cast<int64_t>(bits % static_cast<uint64_t>(inputs.size(0)));
+    }
+    const torch::Tensor rows = torch::tensor(batch);
+    const torch::Tensor loss =
+        Loss(space, Forward(tensors, inputs.index_select(0, rows)), targets.index_select(0, rows),
+             weights.index_select(0, rows) + 1e-12);
+    adam.zero_grad();
+    loss.backward();
+    const double cosine = 0.5 * (1.0 + std::cos(std::numbers::pi * iteration / kIterations));
+    adam.param_groups()[0].options().set_lr(kLearningRate * cosine);
+    adam.step();
+  }
+}
+
+nlohmann::ordered_json ToJsonRows(const Matrix& matrix) {
+  nlohmann::ordered_json rows = nlohmann::ordered_json::array();
+  for (const auto row : matrix.rowwise()) {
+    rows.push_back(std::vector<float>(row.begin(), row.end()));
+  }
+  return rows;
+}
+
+}  // namespace
+
+std::string Baseline::Name() const {
+  return absl::StrCat(std::string(ToString(kind)), " on ", frames,
+                      frames == 1 ? " frame" : " frames");
+}
+
+Matrix Baseline::Outputs(const Eigen::Ref<const Matrix>& inputs) const {
+  Matrix x = Standardise(*this, inputs);
+  for (size_t i = 0; i < layers.size(); ++i) {
+    if (i > 0) x = x.array().tanh().matrix().eval();
+    x = ((x * layers[i].weight.transpose()).rowwise() + layers[i].bias.transpose()).eval();
+  }
+  return is_discrete ? x : Matrix(x.cwiseMax(-1.0f).cwiseMin(1.0f));
+}
+
+nlohmann::ordered_json Baseline::ToJson() const {
+  nlohmann::ordered_json json = {{"kind", std::string(ToString(kind))},
+                                 {"frames", frames},
+                                 {"mean", std::vector<float>(mean.begin(), mean.end())},
+                                 {"std", std::vector<float>(std.begin(), std.end())}};
+  for (const Layer& layer : layers) {
+    json["layers"].push_back({{"weight", ToJsonRows(layer.weight)},
+                              {"bias", std::vector<float>(layer.bias.begin(), layer.bias.end())}});
+  }
+  return json;
+}
+
+Baseline FitLine(const ActionSpace& space, const StepTable& table, int frames) {
+  Baseline baseline = Unfitted(BaselineKind::kLine, space, table, frames);
+  const Matrix x = Standardise(baseline, table.inputs);
+  Eigen::MatrixXd inputs(x.rows(), x.cols() + 1);
+  inputs << x.cast<double>(), Eigen::VectorXd::Ones(x.rows());
+  const Eigen::MatrixXd weighted = table.weights.cast<double>().asDiagonal() * inputs;
+  Eigen::MatrixXd normal = weighted.transpose() * inputs;
+  normal.diagonal().array() += kRidge * static_cast<double>(x.rows());
+  const Eigen::MatrixXf solved =
+      normal.ldlt().solve(weighted.transpose() * table.targets.cast<double>()).cast<float>();
+  baseline.layers.push_back(
+      {.weight = solved.topRows(x.cols()).transpose(), .bias = solved.bottomRows(1).transpose()});
+  return baseline;
+}
+
+Baseline FitMlp(const ActionSpace& space, const StepTable& table, int frames, uint64_t seed) {
+  Baseline baseline = Unfitted(BaselineKind::kMlp, space, table, frames);
+  const Matrix x = Standardise(baseline, table.inputs);
+  const MlpTensors tensors = RandomMlp(x.cols(), space.size(), seed);
+  Train(space, ToTensor(x), table, seed, tensors);
+  for (size_t i = 0; i < tensors.size(); i += 2) {
+    const torch::Tensor weight = tensors[i].detach(), bias = tensors[i + 1].detach();
+    baseline.layers.push_back(
+        {.weight = Matrix::Map(weight.data_ptr<float>(), weight.size(0), weight.size(1)),
+         .bias = Eigen::VectorXf::Map(bias.data_ptr<float>(), bias.size(0))});
+  }
+  return baseline;
+}
+
+}  // namespace spikeserve

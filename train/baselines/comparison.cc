@@ -1,0 +1,193 @@
+#include "train/baselines/comparison.h"
+
+#include <cmath>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "core/environment/environment.h"
+#include "train/data/clip_sampler.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int kTrainingSteps = 20'000;
+constexpr int kHeldOutSteps = 5'000;
+constexpr double kClearGain = 0.05;  // of the error
+constexpr int kFrames[] = {1, 2, 4};
+
+BaselineScore Score(Baseline baseline, const ActionSpace& space, const StepTable& table) {
+  ImitationError error = ErrorOf(space, baseline.Outputs(table.inputs), table);
+  return {.baseline = std::move(baseline), .error = std::move(error)};
+}
+
+Action ActionOf(const Baseline& baseline, const ActionSpace& space, const Eigen::VectorXf& input) {
+  const RowMajorMatrix<float> outputs = baseline.Outputs(RowMajorMatrix<float>(input.transpose()));
+  if (!space.is_discrete()) {
+    return {.continuous = space.FromUnit({outputs.data(), static_cast<size_t>(outputs.size())})};
+  }
+  Eigen::Index chosen = 0;
+  outputs.row(0).maxCoeff(&chosen);
+  return {.discrete = static_cast<int>(chosen), .continuous = {}};
+}
+
+double PlayEpisode(const Baseline& baseline, Environment& environment, uint64_t seed) {
+  FrameInput frames(environment.observation_size());
+  StepResult result;
+  result.observation = environment.Reset(seed);
+  double episode_return = 0.0;
+  while (!result.done()) {
+    const Eigen::VectorXf& input = frames.Push(result.observation);
+    result = environment.Step(ActionOf(baseline, environment.action_space(), input));
+    episode_return += result.reward;
+  }
+  return episode_return;
+}
+
+// Returns the mean of `values`, and the standard error of the mean.
+std::pair<double, double> MeanAndError(const Eigen::ArrayXd& values) {
+  const auto count = static_cast<double>(values.size());
+  const double mean = values.mean();
+  return {mean, std::sqrt((values - mean).square().mean() / count)};
+}
+
+std::string ErrorKind(const BaselineComparison& comparison) {
+  return comparison.is_discrete ? "share of other actions than in the data"
+                                : "mean squared difference of actions, mapped to [-1, 1]";
+}
+
+std::string Row(absl::string_view name, double error, const std::vector<double>& returns) {
+  std::string row = absl::StrFormat("  %-16s %.4f", name, error);
+  if (!returns.empty()) absl::StrAppendFormat(&row, "  return %.2f", AsVector(returns).mean());
+  return row + "\n";
+}
+
+}  // namespace
+
+absl::StatusOr<BaselineData> ReadBaselineData(const EpisodeSource& source, double validation) {
+  if (const int size = source.dataset().observation_size; size > kMostBaselineInputs) {
+    return absl::InvalidArgumentError(absl::StrCat("observations: expected at most ",
+                                                   kMostBaselineInputs,
+                                                   " numbers to fit baselines, received ", size));
+  }
+  const Split split = SplitEpisodes(source.entries(), validation);
+  BaselineData data;
+  data.is_held_out = !split.validation.empty();
+  absl::StatusOr<StepTable> training = ReadSteps(source, split.training, kTrainingSteps);
+  if (!training.ok()) return training.status();
+  data.training = *std::move(training);
+  absl::StatusOr<StepTable> held_out =
+      ReadSteps(source, data.is_held_out ? split.validation : split.training, kHeldOutSteps);
+  if (!held_out.ok()) return held_out.status();
+  data.held_out = *std::move(held_out);
+  return data;
+}
+
+bool NeedsChanges(const ActionSpace& space, const StepTable& table) {
+  if (table.begins.size() < 3) return false;  // one episode
+  const StepTable halves[] = {EverySecondEpisode(table, 0), EverySecondEpisode(table, 1)};
+  // Returns the errors of all episodes, each from a fit to the other half.
+  const auto error_of = [&](int frames) {
+    ImitationError error;
+    for (const int i : {0, 1}) {
+      const std::vector<double> episodes =
+          Score(FitLine(space, halves[1 - i], frames), space, halves[i]).error.episodes;
+      error.episodes.insert(error.episodes.end(), episodes.begin(), episodes.end());
+    }
+    error.mean = AsVector(error.episodes).mean();
+    return error;
+  };
+  const ImitationError one = error_of(1), two = error_of(2);
+  const ErrorDifference gain = Compare(one, two);
+  return gain.mean >= kClearGain * one.mean && gain.is_significant();
+}
+
+BaselineComparison CompareWithBaselines(std::shared_ptr<const Policy> policy,
+                                        const BaselineData& data, uint64_t seed) {
+  const ActionSpace space = policy->action_space;
+  BaselineComparison comparison = {.is_discrete = space.is_discrete(),
+                                   .is_held_out = data.is_held_out,
+                                   .steps = data.held_out.rows(),
+                                   .policy = ErrorOf(std::move(policy), data.held_out),
+                                   .baselines = {}};
+  for (const int frames : kFrames) {
+    comparison.baselines.push_back(
+        Score(FitLine(space, data.training, frames), space, data.held_out));
+  }
+  for (const int frames : kFrames) {
+    comparison.baselines.push_back(
+        Score(FitMlp(space, data.training, frames, seed), space, data.held_out));
+  }
+  return comparison;
+}
+
+absl::Status PlayBaselines(absl::string_view environment, uint64_t first_seed,
+                           std::vector<double> policy_returns, BaselineComparison* comparison) {
+  absl::StatusOr<std::unique_ptr<Environment>> made = MakeEnvironment(environment);
+  if (!made.ok()) return made.status();
+  for (BaselineScore& score : comparison->baselines) {
+    for (size_t i = 0; i < policy_returns.size(); ++i) {
+      score.returns.push_back(PlayEpisode(score.baseline, **made, first_seed + i));
+    }
+  }
+  comparison->policy_returns = std::move(policy_returns);
+  return absl::OkStatus();
+}
+
+std::vector<std::string> Warnings(const BaselineComparison& comparison) {
+  std::vector<std::string> warnings;
+  for (const BaselineScore& score : comparison.baselines) {
+    const ErrorDifference error = Compare(comparison.policy, score.error);
+    if (error.is_significant()) {
+      warnings.push_back(absl::StrFormat(
+          "%s imitates better than the policy: error %.4f against %.4f (by %.4f ± %.4f)",
+          score.baseline.Name(), score.error.mean, comparison.policy.mean, error.mean,
+          error.standard_error));
+    }
+    if (score.returns.empty()) continue;
+    const auto [gain, deviation] =
+        MeanAndError(AsVector(score.returns) - AsVector(comparison.policy_returns));
+    if (gain <= 2.0 * deviation) continue;
+    warnings.push_back(absl::StrFormat("%s returns more than the policy: %.2f (by %.2f ± %.2f)",
+                                       score.baseline.Name(), AsVector(score.returns).mean(), gain,
+                                       deviation));
+  }
+  return warnings;
+}
+
+std::string ToText(const BaselineComparison& comparison) {
+  std::string text =
+      absl::StrFormat("error on %d %s steps (%s):\n", comparison.steps,
+                      comparison.is_held_out ? "held-out" : "training", ErrorKind(comparison));
+  text += Row("the policy", comparison.policy.mean, comparison.policy_returns);
+  for (const BaselineScore& score : comparison.baselines) {
+    text += Row(score.baseline.Name(), score.error.mean, score.returns);
+  }
+  for (const std::string& warning : Warnings(comparison)) {
+    absl::StrAppend(&text, "warning: ", warning, "\n");
+  }
+  return text;
+}
+
+nlohmann::ordered_json ToJson(const BaselineComparison& comparison, bool with_weights) {
+  const auto score = [](const ImitationError& error, const std::vector<double>& returns) {
+    nlohmann::ordered_json json = {{"error", error.mean}};
+    if (!error.elements.empty()) json["error_by_element"] = error.elements;
+    if (!returns.empty()) json["mean_return"] = AsVector(returns).mean();
+    return json;
+  };
+  nlohmann::ordered_json json = {{"error_is", ErrorKind(comparison)},
+                                 {"steps", comparison.steps},
+                                 {"held_out", comparison.is_held_out},
+                                 {"policy", score(comparison.policy, comparison.policy_returns)},
+                                 {"warnings", Warnings(comparison)}};
+  for (const BaselineScore& baseline : comparison.baselines) {
+    nlohmann::ordered_json entry = {{"name", baseline.baseline.Name()}};
+    entry.update(score(baseline.error, baseline.returns));
+    if (with_weights) entry.update(baseline.baseline.ToJson());
+    json["baselines"].push_back(std::move(entry));
+  }
+  return json;
+}
+
+}  // namespace spikeserve

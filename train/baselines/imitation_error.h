@@ -1,0 +1,43 @@
+// How far the actions of a model are from those to imitate, on recorded steps.
+//
+// Functions are pure and safe to call from many threads.
+#ifndef TRAIN_BASELINES_IMITATION_ERROR_H_
+#define TRAIN_BASELINES_IMITATION_ERROR_H_
+
+#include <memory>
+#include <vector>
+
+#include "core/model/policy.h"
+#include "train/baselines/step_table.h"
+
+namespace spikeserve {
+
+// The error of a step is the share of wrong actions for a Discrete space, which is 0 or 1, and for
+// a Box the mean over its elements of the squared difference of the encoded actions, whose bounds
+// are -1 and 1. Means are weighted by the weights of the steps in the loss.
+struct ImitationError {
+  double mean = 0.0;
+  std::vector<double> elements;  // [act] for a Box: the means of each element; empty if Discrete
+  std::vector<double> episodes;  // the means of each episode of the table
+};
+
+// Returns the error of `outputs` [rows, act]: encoded actions of a Box, or scores of which the
+// largest is the action.
+ImitationError ErrorOf(const ActionSpace& space, const RowMajorMatrix<float>& outputs,
+                       const StepTable& table);
+
+// Returns the error of a policy that is shown the recorded observations, actions and
+// returns-to-go, and computed by the engine of the server.
+ImitationError ErrorOf(std::shared_ptr<const Policy> policy, const StepTable& table);
+
+// A difference of two errors on the same episodes.
+struct ErrorDifference {
+  double mean = 0.0;            // over the episodes; positive: `b` is better
+  double standard_error = 0.0;  // infinite for a single episode
+  bool is_significant() const { return mean > 2.0 * standard_error; }
+};
+ErrorDifference Compare(const ImitationError& a, const ImitationError& b);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_BASELINES_IMITATION_ERROR_H_

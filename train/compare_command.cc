@@ -1,0 +1,103 @@
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/file.h"
+#include "core/environment/environment.h"
+#include "core/model/policy_file.h"
+#include "train/baselines/comparison.h"
+#include "train/commands.h"
+#include "train/evaluation/evaluation.h"
+
+namespace spikeserve {
+namespace {
+
+struct CompareFlags {
+  std::string policy;
+  std::vector<std::string> data;
+  int data_memory = 4096;  // MiB
+  double validation = 0.1;
+  uint64_t seed = 0;
+  EvaluationOptions evaluation;
+  std::string out;
+  bool json = false;
+};
+
+absl::Status CheckFlags(const CompareFlags& flags) {
+  const auto missing = [](absl::string_view flag, absl::string_view expected) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--", flag, ": expected ", expected, ", received none"));
+  };
+  if (flags.policy.empty()) return missing("policy", "a policy file");
+  if (flags.data.empty()) return missing("data", "the datasets of its training");
+  if (flags.validation >= 0.0 && flags.validation < 1.0) return flags.evaluation.Validate();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--validation: expected 0 or more, below 1, received ", flags.validation));
+}
+
+absl::Status CheckFits(const Policy& policy, const Dataset& dataset) {
+  if (policy.observation_size() == dataset.observation_size &&
+      policy.action_space == dataset.action_space) {
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat("--data: expected ", policy.observation_size(),
+                   " observations and the actions of the policy, received ",
+                   dataset.observation_size, " observations, or other actions"));
+}
+
+absl::Status ComparePolicy(const CompareFlags& flags) {
+  if (auto status = CheckFlags(flags); !status.ok()) return status;
+  absl::StatusOr<Policy> read = ReadPolicyFile(flags.policy);
+  if (!read.ok()) return read.status();
+  const auto policy = std::make_shared<const Policy>(*std::move(read));
+  const absl::StatusOr<EpisodeSource> source =
+      EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20);
+  if (!source.ok()) return source.status();
+  if (auto status = CheckFits(*policy, source->dataset()); !status.ok()) return status;
+  const absl::StatusOr<BaselineData> data = ReadBaselineData(*source, flags.validation);
+  if (!data.ok()) return data.status();
+  BaselineComparison comparison = CompareWithBaselines(policy, *data, flags.seed);
+  if (MakeEnvironment(policy->environment).ok()) {
+    const absl::StatusOr<Evaluation> played = Evaluate(policy, flags.evaluation);
+    if (!played.ok()) return played.status();
+    absl::Status status = PlayBaselines(policy->environment, flags.evaluation.first_seed,
+                                        played->returns, &comparison);
+    if (!status.ok()) return status;
+  }
+  if (!flags.out.empty()) {
+    const std::string text = ToJson(comparison, /*with_weights=*/true).dump() + "\n";
+    if (auto status = WriteFileAtomically(flags.out, {text}); !status.ok()) return status;
+  }
+  std::fputs(
+      (flags.json ? ToJson(comparison, /*with_weights=*/false).dump(2) + "\n" : ToText(comparison))
+          .c_str(),
+      stdout);
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddCompareCommand(Program& program) {
+  const Command command = program.root().AddCommand(
+      "compare", "Compares a policy with lines and perceptrons on its data");
+  const auto flags = std::make_shared<CompareFlags>();
+  command.Flags("Comparison")
+      .Add("policy", "FILE", &flags->policy, "Policy file")
+      .AddList("data", "FILE,...", &flags->data, "Datasets of its training")
+      .Add("data_memory", "MIB", &flags->data_memory,
+           "Memory for the episodes of --data; more are read in parts")
+      .Add("validation", "SHARE", &flags->validation, "Share of episodes held out")
+      .Add("episodes", "N", &flags->evaluation.episodes,
+           "Episodes that all play, if spiketrain has the environment")
+      .Add("first_seed", "N", &flags->evaluation.first_seed,
+           "Seed of the first start; later episodes count on")
+      .Add("seed", "N", &flags->seed, "Seed of the random weights of perceptrons")
+      .Add("out", "FILE", &flags->out, "File for the figures and the weights, as JSON")
+      .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
+  command.SetAction([flags] { return ComparePolicy(*flags); });
+}
+
+}  // namespace spikeserve

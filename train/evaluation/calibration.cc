@@ -1,0 +1,89 @@
+#include "train/evaluation/calibration.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "absl/strings/str_cat.h"
+#include "core/engine/factory/engine_factory.h"
+#include "core/engine/token.h"
+#include "core/environment/environment.h"
+#include "train/data/dataset.h"
+#include "train/data/policy_player.h"
+
+namespace spikeserve {
+namespace {
+
+// Collects the largest magnitude of the inputs of one policy.
+class InputRange {
+ public:
+  explicit InputRange(const Policy& policy) : policy_(policy) {}
+
+  // Forgets the last observation.
+  void StartEpisode() { previous_.clear(); }
+
+  void Add(absl::Span<const float> observation, double return_to_go) {
+    SetStateInput(policy_, observation, &previous_, &input_);
+    input_.push_back(StandardizeReturn(policy_, static_cast<float>(return_to_go)));
+    for (const float value : input_) {
+      // The last observation of a recorded episode may be unknown.
+      if (std::isfinite(value)) largest_ = std::max(largest_, std::abs(value));
+    }
+  }
+
+  float largest() const { return largest_; }
+
+ private:
+  const Policy& policy_;
+  std::vector<float> previous_;  // observation; see SetStateInput
+  std::vector<float> input_;
+  float largest_ = 1.0f;
+};
+
+}  // namespace
+
+absl::StatusOr<float> LargestInput(const Policy& policy, absl::Span<const Episode> episodes) {
+  if (episodes.empty()) {
+    return absl::InvalidArgumentError("calibration: expected at least one episode, received none");
+  }
+  const auto size = static_cast<size_t>(policy.observation_size());
+  InputRange range(policy);
+  for (const Episode& episode : episodes) {
+    const size_t steps = episode.actions.size();
+    if (episode.observations.size() != (steps + 1) * size) {
+      return absl::InvalidArgumentError(absl::StrCat("observation: expected ", size,
+                                                     " numbers, received ",
+                                                     episode.observations.size() / (steps + 1)));
+    }
+    const std::vector<float> returns = ReturnsToGo(episode);
+    range.StartEpisode();
+    for (size_t t = 0; t < steps; ++t) {
+      range.Add(absl::MakeConstSpan(episode.observations).subspan(t * size, size), returns[t]);
+    }
+  }
+  return range.largest();
+}
+
+absl::StatusOr<float> LargestPlayedInput(const Policy& policy) {
+  absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy.environment);
+  if (!environment.ok()) return environment.status();
+  if (absl::Status status = CheckSpacesMatch(policy, **environment); !status.ok()) return status;
+  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
+  InputRange range(policy);
+  for (int i = 0; i < kCalibrationEpisodes; ++i) {
+    const uint64_t seed = kCalibrationSeed + static_cast<uint64_t>(i);
+    PolicyPlayer player(*engine, seed, policy.target_return);
+    double return_to_go = policy.target_return;
+    range.StartEpisode();
+    StepResult result;
+    result.observation = (*environment)->Reset(seed);
+    while (!result.done()) {
+      range.Add(result.observation, return_to_go);
+      result = (*environment)->Step(player.Act(result.observation, result.reward));
+      return_to_go -= result.reward;
+    }
+  }
+  return range.largest();
+}
+
+}  // namespace spikeserve
