@@ -359,6 +359,7 @@ void Server::Stop() {
   if (transport_ != nullptr) StopTransport();
   if (journals_ != nullptr) journals_->Stop(absl::ZeroDuration());  // it uses the sessions
   http_.reset();
+  metrics_->KeepSeries();
 }
 
 void Server::StopTransport() {

@@ -239,9 +239,14 @@ VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {
 void Metrics::OnObserverEnd(const std::string& version) {
   absl::MutexLock lock(&versions_mutex_);
   const auto found = versions_.find(version);
-  if (--found->second.observers > 0) return;
+  if (--found->second.observers > 0 || keeps_series_) return;
   for (const auto& [series, remove] : found->second.removals) remove();
   versions_.erase(found);
+}
+
+void Metrics::KeepSeries() {
+  absl::MutexLock lock(&versions_mutex_);
+  keeps_series_ = true;
 }
 
 void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {

@@ -92,6 +92,11 @@ class Metrics {
   // Exports the limit on open sessions.
   void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
 
+  // Keeps the time series of versions whose observers end from now on. To be called when the server
+  // ends: to remove a series takes time in proportion to those that there are, and with a thousand
+  // versions all of them took a minute.
+  void KeepSeries() ABSL_LOCKS_EXCLUDED(versions_mutex_);
+
   // Returns the registry, for metrics that other classes own. Those classes must not outlive this
   // object.
   prometheus::Registry& registry() { return registry_; }
@@ -151,6 +156,7 @@ class Metrics {
     std::map<const void*, std::function<void()>> removals;  // by series
   };
   absl::Mutex versions_mutex_;
+  bool keeps_series_ ABSL_GUARDED_BY(versions_mutex_) = false;
   std::map<std::string, VersionSeries> versions_
       ABSL_GUARDED_BY(versions_mutex_);  // by name/number
 

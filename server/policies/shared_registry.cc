@@ -52,6 +52,11 @@ absl::Status PolicyRegistry::Refresh() {
     const SharedSettings::Document first = {.revision = 1, .json = ToJson(settings_)};
     const auto status = options_.shared->Write(first);
     if (status.ok()) {
+      // Operators must hear of it: what they had set may be lost.
+      LogWarning("the store has no settings; it gets those of this server",
+                 {{"settings", revision_ > 0                ? "that the servers had shared"
+                               : options_.settings_path.empty() ? "defaults"
+                                                                : options_.settings_path}});
       document = first;
       revision_ = 1;
     } else if (absl::IsAborted(status)) {

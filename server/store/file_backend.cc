@@ -35,6 +35,9 @@ constexpr absl::Duration kWrittenStep = absl::Minutes(1);
 constexpr size_t kReserveBytes = 4 << 20;
 constexpr size_t kSpaceStep = 4 << 20;
 
+// No number of decisions reaches this one.
+constexpr uint64_t kNoDecisions = ~uint64_t{0};
+
 // The locks of a folder, which end with the process.
 struct FolderLocks {
   FileDescriptor folder;
@@ -215,13 +218,19 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
     return absl::AbortedError(found.status().message());
   }
   if (!found.ok()) return found.status();
-  if (record.kind == JournalRecord::Kind::kOpen) {
+  const bool writes_again = record.kind == JournalRecord::Kind::kOpen && key.claimed_from != 0;
+  if (record.kind == JournalRecord::Kind::kOpen && !writes_again) {
     if (found->has_value()) return absl::AlreadyExistsError("session_id: already open");
     *found = StoredSession{.tenant = key.tenant, .epoch = key.epoch, .written_seconds = 0};
   } else if (!found->has_value() || (*found)->epoch != key.epoch) {
     return absl::AbortedError("another owner has claimed the session");
   }
   if (record.kind == JournalRecord::Kind::kClose) return Remove(transaction, key.id);
+
+  // The journal that was claimed had a gap: what stands behind it is of no use.
+  if (writes_again) {
+    if (auto status = RemoveBefore(transaction, key.id, kNoDecisions); !status.ok()) return status;
+  }
 
   StoredSession& session = **found;
   const int64_t now = NowSeconds();
@@ -270,7 +279,9 @@ absl::StatusOr<ClaimedJournal> FileBackend::ClaimOne(LmdbTransaction& transactio
   auto session = Read(transaction, id);
   if (!session.ok()) return session.status();
   if (!session->has_value() || (*session)->tenant != claim.tenant) return NoSuchSession(id);
-  ClaimedJournal journal = {.epoch = ++(*session)->epoch, .records = {}};
+  const uint64_t former = (*session)->epoch++;
+  ClaimedJournal journal = {
+      .epoch = (*session)->epoch, .records = {}, .claimed_from = former};
   (*session)->written_seconds = NowSeconds();
   if (auto status = Put(transaction, id, **session); !status.ok()) return status;
   const auto status =
@@ -321,8 +332,7 @@ absl::Status FileBackend::RemoveBefore(LmdbTransaction& transaction, const std::
 }
 
 absl::Status FileBackend::Remove(LmdbTransaction& transaction, const std::string& id) {
-  // No number of decisions reaches the largest one.
-  if (auto status = RemoveBefore(transaction, id, ~uint64_t{0}); !status.ok()) return status;
+  if (auto status = RemoveBefore(transaction, id, kNoDecisions); !status.ok()) return status;
   return transaction.Delete(sessions_, id);
 }
 

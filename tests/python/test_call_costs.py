@@ -13,7 +13,7 @@ from security import ADMIN, OBSERVATION, POLICY, TOKENS, Bearer, entry, service_
 from serving import Service, running_server
 
 INFERENCE = "inference.GRPCInferenceService"
-VERSIONS = 300  # a server with 1,000 takes minutes to remove their metrics when it stops
+VERSIONS = 1000
 ON_THE_LOOP = {"decision", "light"}
 
 # By service: the class of each method, and a request that it accepts or refuses for its content. "SESSION" stands for

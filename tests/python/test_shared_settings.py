@@ -137,6 +137,21 @@ def test_redis_loses_the_settings(redis, start):
     assert opened_version(start("c")) == 1
 
 
+def test_settings_lost_while_no_replica_lives(redis, start, tmp_path):
+    """The next server says that it begins with the defaults."""
+    first = start("a")
+    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    first.kill()
+    redis.command("FLUSHALL")
+    with (tmp_path / "log").open("w") as log:
+        first.log = log
+        first.restart()
+        until(lambda: redis.command("HGET cfg revision") == b"1")
+    line = next(line for line in (tmp_path / "log").read_text().splitlines() if "has no settings" in line)
+    assert 'settings="defaults"' in line
+    assert opened_version(first) == 2
+
+
 def learn(replica):
     """Plays episodes that teach the fleet."""
     learning = {"scope": "FLEET", "modulator": "realized", "learning_rate": 0.5}

@@ -1,0 +1,238 @@
+"""A damaged page, a full disk and a removed lock cost a file store at most the sessions that they hit."""
+
+import contextlib
+import os
+import random
+import shutil
+import subprocess
+
+import grpc
+import pytest
+from security import code_of
+from serving import SHIPPED_POLICIES, Service, running_server
+from stored_sessions import Restartable, acting, comparable, expected_decision, opening
+
+SESSIONS = 48
+STEPS = 40
+PAGE = 4096
+TRIES = 20
+META_PAGES = 2
+DISK = 24 << 20  # bytes
+
+
+def name(i):
+    return f"{i:032x}"
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """Plays sessions on a store until its server is killed. Returns the folder of the store and all answers."""
+    folder = tmp_path_factory.mktemp("played")
+    answers = {i: [] for i in range(SESSIONS)}
+    with Restartable(f"file:{folder}/store") as server:
+        for i in range(SESSIONS):
+            server.OpenSession(**opening(i))
+        for step in range(STEPS):
+            response = server.ActBatch(requests=[acting(i, 0, step) for i in range(SESSIONS)])
+            for i, result in enumerate(response.results):
+                answers[i].append(comparable(result.response))
+        server.kill()
+        shutil.copytree(folder / "store", folder / "killed")
+        # What follows the kill is what a store without damage goes on with.
+        server.start()
+        for i in range(SESSIONS):
+            answers[i].append(comparable(server.Act(**acting(i, 0, STEPS))))
+        server.close()
+    return folder / "killed", answers
+
+
+def bytes_of(file, page):
+    return file[page * PAGE : (page + 1) * PAGE]
+
+
+def overwrite(file, page, content):
+    file[page * PAGE : page * PAGE + len(content)] = content
+
+
+def random_page(seed):
+    """One page holds anything."""
+
+    def damage(file):
+        chance = random.Random(seed)
+        overwrite(file, chance.randrange(META_PAGES, len(file) // PAGE), chance.randbytes(PAGE))
+
+    return damage
+
+
+def empty_page(seed):
+    """One page was never written, as after a lost write."""
+
+    def damage(file):
+        overwrite(file, random.Random(seed).randrange(META_PAGES, len(file) // PAGE), bytes(PAGE))
+
+    return damage
+
+
+def other_page(seed):
+    """One page holds another one, as after a misdirected write."""
+
+    def damage(file):
+        chance = random.Random(seed)
+        first, second = chance.sample(range(META_PAGES, len(file) // PAGE), 2)
+        overwrite(file, first, bytes_of(file, second))
+
+    return damage
+
+
+def headers(seed):
+    """The bounds in the headers of all pages of one tenth of the file are wrong."""
+
+    def damage(file):
+        chance = random.Random(seed)
+        pages = len(file) // PAGE
+        for page in chance.sample(range(META_PAGES, pages), pages // 10):
+            file[page * PAGE + 12 : page * PAGE + 16] = chance.randbytes(4)
+
+    return damage
+
+
+DAMAGES = {
+    **{f"random{seed}": random_page(seed) for seed in range(6)},
+    **{f"empty{seed}": empty_page(seed) for seed in range(3)},
+    **{f"other{seed}": other_page(seed) for seed in range(3)},
+    **{f"headers{seed}": headers(seed) for seed in range(3)},
+}
+
+
+def damaged(played, folder, damage):
+    store = folder / "store"
+    shutil.copytree(played, store)
+    file = bytearray((store / "data.mdb").read_bytes())
+    damage(file)
+    (store / "data.mdb").write_bytes(file)
+    return store
+
+
+def continue_session(server, i, answers):
+    """Sends the next decision, and before it those that the server asks for. Returns whether the session goes on."""
+    step = STEPS
+    tries = 0
+    while step <= STEPS:
+        try:
+            answer = server.Act(**acting(i, 0, step))
+        except grpc.RpcError as error:
+            if error.code() in (grpc.StatusCode.DATA_LOSS, grpc.StatusCode.NOT_FOUND):
+                return False
+            if error.code() == grpc.StatusCode.UNAVAILABLE:
+                tries += 1
+                assert tries < TRIES, error
+                continue
+            assert error.code() == grpc.StatusCode.FAILED_PRECONDITION, error
+            assert expected_decision(server.channel, error) < step
+            step = expected_decision(server.channel, error)
+            continue
+        assert comparable(answer) == answers[i][step]
+        step += 1
+    return True
+
+
+@pytest.mark.parametrize("kind", DAMAGES)
+def test_sessions_outside_of_damaged_pages_go_on(played, tmp_path, kind):
+    folder, answers = played
+    store = damaged(folder, tmp_path, DAMAGES[kind])
+    with Restartable(f"file:{store}") as server:
+        survivors = sum(continue_session(server, i, answers) for i in range(SESSIONS))
+        assert survivors >= SESSIONS // 2
+        # What was lost can be opened anew, beside the others.
+        opened = server.OpenSession(policy="cartpole", durability="SYNC").session_id
+        server.restart()
+        assert server.GetSession(session_id=opened).session_id == opened
+        server.close()
+
+
+def anything(file):
+    overwrite(file, 0, random.Random(1).randbytes(len(file)))
+
+
+def cut_off(file):
+    """The file ends before the roots of its tables."""
+    del file[len(file) * 3 // 4 // PAGE * PAGE :]
+
+
+@pytest.mark.parametrize("damage", [anything, cut_off])
+def test_a_file_of_which_nothing_can_be_read_is_named(played, tmp_path, damage):
+    store = damaged(played[0], tmp_path, damage)
+    before = (store / "data.mdb").read_bytes()
+    flags = [f"--session_store=file:{store}", "--listen=127.0.0.1:0", "--http_listen="]
+    ended = run_server(flags)
+    assert ended.returncode != 0
+    assert str(store / "data.mdb") in ended.stderr
+    assert (store / "data.mdb").read_bytes() == before
+
+
+def run_server(flags):
+    """Runs a server that is to end by itself, because it cannot start."""
+    return subprocess.run(
+        [os.environ["SPIKESERVE_PROGRAM"], f"--policies={SHIPPED_POLICIES}", *flags],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A file system of its own that the test may fill."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", folder], check=False)
+    if mounted.returncode != 0:
+        pytest.skip("mounting needs root")
+    yield folder
+    subprocess.run(["umount", "--lazy", folder], check=True)
+
+
+def fill(folder):
+    """Leaves no room on the disk."""
+    with (folder / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        while file.write(bytes(PAGE)):
+            pass
+
+
+def test_a_full_disk_refuses_decisions_and_lets_sessions_end(disk):
+    with Restartable(f"file:{disk}/store") as server:
+        for i in range(SESSIONS):
+            server.OpenSession(**opening(i))
+        fill(disk)
+        step = 0
+        code = grpc.StatusCode.OK
+        while code == grpc.StatusCode.OK:
+            code = code_of(server.ActBatch, requests=[acting(i, 0, step) for i in range(SESSIONS)])
+            if code == grpc.StatusCode.OK:
+                results = server.ActBatch(requests=[acting(i, 0, step) for i in range(SESSIONS)]).results
+                refused = [result for result in results if result.code != 0]
+                if refused:
+                    assert {result.code for result in refused} == {grpc.StatusCode.UNAVAILABLE.value[0]}
+                    break
+            step += 1
+        for i in range(SESSIONS):
+            server.CloseSession(session_id=name(i))
+        (disk / "filler").unlink()
+        server.restart()
+        for i in range(SESSIONS):
+            assert code_of(server.GetSession, session_id=name(i)) == grpc.StatusCode.NOT_FOUND
+        assert server.OpenSession(policy="cartpole", durability="SYNC").session_id
+        server.close()
+
+
+def test_a_removed_lock_lets_no_second_server_in(tmp_path):
+    store = tmp_path / "store"
+    with running_server(flags=[f"--session_store=file:{store}"]) as addresses:
+        (store / "owner.lock").unlink()
+        ended = run_server([f"--session_store=file:{store}", "--listen=127.0.0.1:0", "--http_listen="])
+        assert ended.returncode != 0
+        assert "expected a folder that no other server uses" in ended.stderr
+        with grpc.insecure_channel(addresses.grpc) as channel:
+            service = Service(channel, "spikeserve.v1.PolicyService")
+            assert service.OpenSession(policy="cartpole", durability="SYNC").session_id
