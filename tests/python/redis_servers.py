@@ -185,8 +185,8 @@ def epoch_of(server):
     return re.search(rb"cluster_current_epoch:(\d+)", server.command("CLUSTER INFO"))[1]
 
 
-def move_slot(slot, source, target, servers, finish=True):
-    """Moves the keys of a slot, and then the slot if `finish`, as redis-cli --cluster reshard does.
+def move_slot(slot, source, target, servers, finish=True, keys=None):
+    """Moves the keys of a slot, all or `keys`, and then the slot if `finish`, as redis-cli --cluster reshard does.
 
     A target that has not heard of the last move takes no newer epoch than the source, and gives the slot back to it when
     they talk next. Then each says for ever that the other one has the slot.
@@ -194,9 +194,11 @@ def move_slot(slot, source, target, servers, finish=True):
     until(lambda: len({epoch_of(server) for server in servers}) == 1)
     target.command(f"CLUSTER SETSLOT {slot} IMPORTING {node_id(source)}")
     source.command(f"CLUSTER SETSLOT {slot} MIGRATING {node_id(target)}")
-    while keys := source.command(f"CLUSTER GETKEYSINSLOT {slot} 100"):
-        for key in keys:
+    while moving := keys or source.command(f"CLUSTER GETKEYSINSLOT {slot} 100"):
+        for key in moving:
             moved = source.command(f"MIGRATE 127.0.0.1 {target.port} {key.decode()} 0 1000 AUTH {PASSWORD}")
             assert moved == b"OK", moved
+        if keys:
+            break
     for server in (target, source, *servers) if finish else ():
         server.command(f"CLUSTER SETSLOT {slot} NODE {node_id(target)}")

@@ -280,6 +280,29 @@ def test_cluster_whose_slots_move(password, undisturbed):
             server.close()
 
 
+@pytest.mark.parametrize("which", [0, -1])
+def test_a_half_moved_slot_is_unavailable(password, which):
+    """One key of a session has moved and the others have not: clients are to try again, and nothing is lost."""
+    with stopping([]) as servers:
+        start_cluster(servers)
+        with Restartable(f"redis://127.0.0.1:{servers[0].port}", [password]) as server:
+            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            server.OpenSession(**opening(0))
+            server.Act(**acting(0, 0, 0))
+            slot = slot_of(0, servers)
+            source = owner_of(slot, servers)
+            target = other_than(source, servers)
+            keys = source.command(f"CLUSTER GETKEYSINSLOT {slot} 100")
+            assert len(keys) > 1
+            move_slot(slot, source, target, servers, finish=False, keys=[sorted(keys)[which]])
+            server.restart()
+            until(lambda: code_of(server.OpenSession, **opening(1)) == grpc.StatusCode.OK)
+            assert code_of(server.Act, **acting(0, 0, 1)) == grpc.StatusCode.UNAVAILABLE
+            move_slot(slot, source, target, servers)
+            until(lambda: code_of(server.Act, **acting(0, 0, 1)) == grpc.StatusCode.OK)
+            server.close()
+
+
 def holds(server):
     return server.command("DBSIZE") > 0
 
