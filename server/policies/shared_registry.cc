@@ -54,7 +54,7 @@ absl::Status PolicyRegistry::Refresh() {
     if (status.ok()) {
       // Operators must hear of it: what they had set may be lost.
       LogWarning("the store has no settings; it gets those of this server",
-                 {{"settings", revision_ > 0                ? "that the servers had shared"
+                 {{"settings", revision_ > 0                    ? "that the servers had shared"
                                : options_.settings_path.empty() ? "defaults"
                                                                 : options_.settings_path}});
       document = first;

@@ -280,8 +280,7 @@ absl::StatusOr<ClaimedJournal> FileBackend::ClaimOne(LmdbTransaction& transactio
   if (!session.ok()) return session.status();
   if (!session->has_value() || (*session)->tenant != claim.tenant) return NoSuchSession(id);
   const uint64_t former = (*session)->epoch++;
-  ClaimedJournal journal = {
-      .epoch = (*session)->epoch, .records = {}, .claimed_from = former};
+  ClaimedJournal journal = {.epoch = (*session)->epoch, .records = {}, .claimed_from = former};
   (*session)->written_seconds = NowSeconds();
   if (auto status = Put(transaction, id, **session); !status.ok()) return status;
   const auto status =
