@@ -60,9 +60,10 @@ class FileBackend final : public JournalBackend {
   // none.
   absl::Status TakeSpace(size_t bytes);
   absl::StatusOr<std::vector<absl::Status>> WriteAll(absl::Span<const JournalRecord> records);
-  // Writes the ends of sessions, although `failure` has prevented the writing of all records.
-  absl::StatusOr<std::vector<absl::Status>> WriteEnds(absl::Span<const JournalRecord> records,
-                                                      const absl::Status& failure);
+  // Writes the ends of sessions, although `failure` has prevented the writing of all records, which
+  // is the outcome of the others.
+  std::vector<absl::Status> WriteEnds(absl::Span<const JournalRecord> records,
+                                      const absl::Status& failure);
   absl::StatusOr<std::vector<absl::StatusOr<ClaimedJournal>>> ClaimAll(
       absl::Span<const JournalClaim> claims);
   // Returns `status`, or UNAVAILABLE if it is the damage of a page. The file was opened again then.
@@ -167,11 +168,12 @@ absl::StatusOr<std::vector<absl::Status>> FileBackend::Write(
   auto outcomes = WriteAll(records);
   if (outcomes.ok()) return outcomes;
   const auto status = Contain(outcomes.status());
-  return environment_ == nullptr ? status : WriteEnds(records, status);
+  if (environment_ == nullptr) return status;
+  return WriteEnds(records, status);
 }
 
-absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteEnds(
-    absl::Span<const JournalRecord> records, const absl::Status& failure) {
+std::vector<absl::Status> FileBackend::WriteEnds(absl::Span<const JournalRecord> records,
+                                                 const absl::Status& failure) {
   std::set<std::string> ended;
   for (const JournalRecord& record : records) {
     if (record.kind != JournalRecord::Kind::kClose) continue;
@@ -183,7 +185,6 @@ absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteEnds(
     if (!status.ok()) break;
     ended.insert(record.journal->key().id);
   }
-  if (ended.empty()) return failure;
   std::vector<absl::Status> outcomes;
   for (const JournalRecord& record : records) {
     // What came before the end of a session has no use any more.

@@ -392,16 +392,19 @@ void JournalStore::SetReachable(const absl::Status& status) {
 }
 
 bool JournalStore::WaitToRetry(Work work) {
+  const absl::Status reachable = CheckReachable();
   std::vector<std::shared_ptr<SessionJournal>> journals;
   {
     absl::MutexLock lock(&mutex_);
+    const size_t tried = work.records.size();
     std::move(queue_.records.begin(), queue_.records.end(), std::back_inserter(work.records));
     std::move(queue_.queued.begin(), queue_.queued.end(), std::back_inserter(work.queued));
     queue_.records = std::move(work.records);
     queue_.queued = std::move(work.queued);
-    for (const JournalRecord& record : queue_.records) journals.push_back(record.journal);
+    // A store that takes no records may still take the ends of sessions that came meanwhile.
+    const size_t told = reachable.ok() ? tried : queue_.records.size();
+    for (size_t i = 0; i < told; ++i) journals.push_back(queue_.records[i].journal);
   }
-  const absl::Status reachable = CheckReachable();
   const absl::Status away = reachable.ok() ? WithRetryDelay(refusal_, kLongestRetry) : reachable;
   for (const auto& journal : journals) journal->OnUnreachable(away);
   absl::MutexLock lock(&mutex_);
