@@ -15,6 +15,7 @@ from stored_sessions import Restartable, acting, comparable, expected_decision, 
 SESSIONS = 48
 STEPS = 40
 PAGE = 4096
+BRANCH, LEAF = 1, 2  # flags of pages
 TRIES = 20
 META_PAGES = 2
 DISK = 24 << 20  # bytes
@@ -47,62 +48,41 @@ def played(tmp_path_factory):
     return folder / "killed", answers
 
 
-def bytes_of(file, page):
-    return file[page * PAGE : (page + 1) * PAGE]
-
-
 def overwrite(file, page, content):
     file[page * PAGE : page * PAGE + len(content)] = content
 
 
-def random_page(seed):
+def pages_of(file, kind):
+    """Returns the numbers of the pages with a flag of LMDB in their headers."""
+    pages = range(META_PAGES, len(file) // PAGE)
+    return [page for page in pages if int.from_bytes(file[page * PAGE + 10 : page * PAGE + 12], "little") == kind]
+
+
+def random_page(file, chance, kind):
     """One page holds anything."""
-
-    def damage(file):
-        chance = random.Random(seed)
-        overwrite(file, chance.randrange(META_PAGES, len(file) // PAGE), chance.randbytes(PAGE))
-
-    return damage
+    overwrite(file, chance.choice(pages_of(file, kind)), chance.randbytes(PAGE))
 
 
-def empty_page(seed):
+def empty_page(file, chance, kind):
     """One page was never written, as after a lost write."""
-
-    def damage(file):
-        overwrite(file, random.Random(seed).randrange(META_PAGES, len(file) // PAGE), bytes(PAGE))
-
-    return damage
+    overwrite(file, chance.choice(pages_of(file, kind)), bytes(PAGE))
 
 
-def other_page(seed):
+def other_page(file, chance, kind):
     """One page holds another one, as after a misdirected write."""
-
-    def damage(file):
-        chance = random.Random(seed)
-        first, second = chance.sample(range(META_PAGES, len(file) // PAGE), 2)
-        overwrite(file, first, bytes_of(file, second))
-
-    return damage
+    page = chance.choice(pages_of(file, kind))
+    other = chance.choice([each for each in pages_of(file, LEAF) if each != page])
+    overwrite(file, page, file[other * PAGE : (other + 1) * PAGE])
 
 
-def headers(seed):
-    """The bounds in the headers of all pages of one tenth of the file are wrong."""
-
-    def damage(file):
-        chance = random.Random(seed)
-        pages = len(file) // PAGE
-        for page in chance.sample(range(META_PAGES, pages), pages // 10):
-            file[page * PAGE + 12 : page * PAGE + 16] = chance.randbytes(4)
-
-    return damage
+def headers(file, chance, kind):
+    """The bounds in the headers of one tenth of the pages are wrong."""
+    pages = pages_of(file, kind)
+    for page in chance.sample(pages, len(pages) // 10 + 1):
+        file[page * PAGE + 12 : page * PAGE + 16] = chance.randbytes(4)
 
 
-DAMAGES = {
-    **{f"random{seed}": random_page(seed) for seed in range(6)},
-    **{f"empty{seed}": empty_page(seed) for seed in range(3)},
-    **{f"other{seed}": other_page(seed) for seed in range(3)},
-    **{f"headers{seed}": headers(seed) for seed in range(3)},
-}
+DAMAGES = [random_page, empty_page, other_page, headers]
 
 
 def damaged(played, folder, damage):
@@ -137,10 +117,11 @@ def continue_session(server, i, answers):
     return True
 
 
-@pytest.mark.parametrize("kind", DAMAGES)
-def test_sessions_outside_of_damaged_pages_go_on(played, tmp_path, kind):
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_sessions_outside_of_damaged_pages_go_on(played, tmp_path, damage, seed):
     folder, answers = played
-    store = damaged(folder, tmp_path, DAMAGES[kind])
+    store = damaged(folder, tmp_path, lambda file: damage(file, random.Random(seed), LEAF))
     with Restartable(f"file:{store}") as server:
         survivors = sum(continue_session(server, i, answers) for i in range(SESSIONS))
         assert survivors >= SESSIONS // 2
@@ -151,13 +132,25 @@ def test_sessions_outside_of_damaged_pages_go_on(played, tmp_path, kind):
         server.close()
 
 
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_inner_page_ends_no_server(played, tmp_path, damage):
+    """The pages below an inner page cannot be found, so that many sessions may be lost. None decides otherwise."""
+    folder, answers = played
+    store = damaged(folder, tmp_path, lambda file: damage(file, random.Random(1), BRANCH))
+    with Restartable(f"file:{store}") as server:
+        for i in range(SESSIONS):
+            continue_session(server, i, answers)
+        assert server.OpenSession(policy="cartpole", durability="SYNC").session_id
+        server.close()
+
+
 def anything(file):
     overwrite(file, 0, random.Random(1).randbytes(len(file)))
 
 
 def cut_off(file):
-    """The file ends before the roots of its tables."""
-    del file[len(file) * 3 // 4 // PAGE * PAGE :]
+    """The file ends before its tables."""
+    del file[META_PAGES * PAGE :]
 
 
 @pytest.mark.parametrize("damage", [anything, cut_off])
