@@ -1,5 +1,6 @@
 // Defines types and small helpers for the kernels. Compiled once per SIMD target; only kernels may
 // include it.
+#include <algorithm>
 #include <cstdint>
 #include <cstring>
 #include <type_traits>
@@ -28,8 +29,11 @@ using VecF = hn::Vec<F32>;
 constexpr int kVector = static_cast<int>(hn::MaxLanes(F32()));
 constexpr int kVectorsPerWord = kLanes / kVector;
 
-// Whether the target has 32 vector registers, as AVX-512 and arm64 have, instead of 16.
-constexpr bool kManyRegisters = HWY_TARGET <= HWY_AVX3 || HWY_ARCH_ARM_A64;
+// Whether the target has 32 vector registers, as AVX-512 and arm64 have, instead of 16. The
+// portable target is compiled as if it had them: its vectors are as long as those of arm64, so that
+// tests on any processor run the blocks of arm64.
+constexpr bool kManyRegisters =
+    HWY_TARGET <= HWY_AVX3 || HWY_ARCH_ARM_A64 || HWY_TARGET == HWY_EMU128;
 
 // Returns `mask` as bits, one per lane.
 template <class D, class Mask>
@@ -73,11 +77,12 @@ HWY_INLINE void StoreMask(D d, Mask mask, uint8_t* bytes, int v) {
 
 // Calls block(lane, count<V>) for the lanes [lane, width), both multiples of kLanes, in blocks of V
 // vectors of kVectorLanes lanes. V is kVectors first, so that the chains of additions overlap, and
-// then halves down to kLanes lanes.
+// then halves down to kLanes lanes. It is always rounded down to a multiple of kLanes lanes, so
+// that no block leaves less than that behind it.
 template <int kVectors, int kVectorLanes = kVector, class Block>
 HWY_INLINE void ForEachBlock(int lane, int width, Block block) {
   constexpr int kSmallest = kLanes / kVectorLanes;
-  constexpr int kBlock = kSmallest > kVectors ? kSmallest : kVectors;
+  constexpr int kBlock = std::max(kSmallest, kVectors / kSmallest * kSmallest);
   for (; lane + kBlock * kVectorLanes <= width; lane += kBlock * kVectorLanes) {
     block(lane, std::integral_constant<int, kBlock>());
   }
