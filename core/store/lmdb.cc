@@ -1,5 +1,6 @@
 #include "core/store/lmdb.h"
 
+#include <cerrno>
 #include <csetjmp>
 #include <cstdint>
 #include <filesystem>
@@ -62,6 +63,25 @@ int Contain(absl::FunctionRef<int()> call) {
   return error;
 }
 
+// Opens an environment that may grow to `most_bytes`, or to a half, a quarter, ... of it, at least
+// kLeastBytes, where this process may not map as much: an emulator and `ulimit -v` refuse it.
+absl::StatusOr<LmdbEnvironment> Map(const std::string& directory, size_t most_bytes) {
+  constexpr size_t kLeastBytes = size_t{1} << 30;
+  while (true) {
+    MDB_env* raw = nullptr;
+    if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
+    LmdbEnvironment environment(raw);
+    for (const int error : {mdb_env_set_assert(raw, OnAssertion),
+                            mdb_env_set_mapsize(raw, most_bytes), mdb_env_set_maxdbs(raw, 2)}) {
+      if (auto status = LmdbStatus(error); !status.ok()) return status;
+    }
+    const int error = mdb_env_open(raw, directory.c_str(), MDB_NOTLS, 0600);
+    if (error == 0) return environment;
+    if (error != ENOMEM || most_bytes / 2 < kLeastBytes) return LmdbStatus(error);
+    most_bytes /= 2;
+  }
+}
+
 struct CursorCloser {
   void operator()(MDB_cursor* cursor) const { mdb_cursor_close(cursor); }
 };
@@ -79,18 +99,13 @@ absl::Status LmdbStatus(int error) {
 }
 
 absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes) {
-  MDB_env* raw = nullptr;
-  if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
-  LmdbEnvironment environment(raw);
-  for (const int error :
-       {mdb_env_set_assert(raw, OnAssertion), mdb_env_set_mapsize(raw, most_bytes),
-        mdb_env_set_maxdbs(raw, 2), mdb_env_open(raw, directory.c_str(), MDB_NOTLS, 0600)}) {
-    if (auto status = LmdbStatus(error); !status.ok()) return status;
-  }
+  absl::StatusOr<LmdbEnvironment> opened = Map(directory, most_bytes);
+  if (!opened.ok()) return opened;
+  LmdbEnvironment environment = *std::move(opened);
   // LMDB maps the file, and to read behind its end would kill the process. If the end was cut off,
   // its pages are zeros now, which LMDB reports as MDB_CORRUPTED. The file may be shorter without
   // harm, too: LMDB does not write pages that one transaction has both taken and given back.
-  const auto file = SizeOf(raw, directory);
+  const auto file = SizeOf(environment.get(), directory);
   if (!file.ok()) return file.status();
   if (file->size < file->expected) {
     std::error_code error;

@@ -35,8 +35,9 @@ absl::Status LmdbStatus(int error);
 // DATA_LOSS if the end of its file is missing.
 absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory);
 
-// Opens the environment in `directory`, which exists. It may grow to `most_bytes` and have two
-// named tables. If the end of its file is missing, reading the lost pages returns UNAVAILABLE.
+// Opens the environment in `directory`, which exists. It may grow to `most_bytes`, or to
+// less where this process may not map as much, and have two named tables. If the end of its file is
+// missing, reading the lost pages returns UNAVAILABLE.
 absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes);
 
 // A transaction that is rolled back unless Commit() is called. An assertion of LMDB, which fails at

@@ -2,6 +2,10 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <fstream>
 
 #include "core/session/session_journal.h"
 #include "tests/support/temporary_directory.h"
@@ -128,6 +132,20 @@ TEST_F(FileBackendTest, SessionsThatNothingWasWrittenToAreRemovedAtTheNextStart)
   Open();
   EXPECT_EQ(Claim(kId).status().code(), absl::StatusCode::kNotFound);
   EXPECT_THAT(Claimed(kOtherId), ElementsAre("used", "1"));
+}
+
+TEST_F(FileBackendTest, OpensWhereTheProcessMayMapLittle) {
+  backend_ = nullptr;
+  rlimit before;
+  ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
+  rlim_t mapped_pages = 0;
+  std::ifstream("/proc/self/statm") >> mapped_pages;
+  const rlim_t limit = mapped_pages * sysconf(_SC_PAGESIZE) + (rlim_t{16} << 30);
+  const rlimit little = {.rlim_cur = limit, .rlim_max = before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_AS, &little), 0);
+  Open();
+  ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
+  EXPECT_THAT(Write({Record(Kind::kOpen, "open", 0)}), ElementsAre(absl::StatusCode::kOk));
 }
 
 TEST_F(FileBackendTest, TheFolderBelongsToOneServer) {
