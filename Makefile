@@ -33,13 +33,17 @@ test: build setup
 test-slow: build setup
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 
-# Cross-builds everything for arm64 and runs the tests with qemu. The short form, which continuous integration runs,
-# builds and runs what must not differ on arm64.
+# Cross-builds everything for arm64 and runs the tests with qemu; then plays CartPole with the installed packages and with
+# the engine's wheel. The short form builds and runs what must not differ on arm64.
 test-arm64: setup
 	deploy/arm64_root.sh
 	cmake --preset arm64 $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build build/arm64
 	tests/arm64/emulate.sh ctest --preset arm64
+	python3 tests/arm64/packages.py
+	cmake --preset release --log-level=WARNING
+	cmake --build build/release --target spikeserve_python_engine_stub
+	build/venv/bin/python tests/arm64/wheel.py build/release/python/spikeserve_engine/_engine.pyi
 
 test-arm64-short:
 	$(SETUP) server build

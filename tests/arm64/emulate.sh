@@ -16,14 +16,14 @@ fi
 
 runs_arm64() { "$root/lib/ld-linux-aarch64.so.1" --version >/dev/null 2>&1; }
 ! runs_arm64 || exec "$@"
-[[ -z ${SPIKESERVE_EMULATED:-} ]] || {
+[[ -z ${ARM64_EMULATED:-} ]] || {
   echo "emulate: expected a kernel that starts qemu for arm64 programs, received $(uname -r); install binfmt-support" >&2
   exit 1
 }
 # Since Linux 6.7 each user namespace has its own list of such programs, so that this machine's stays as it is.
 register=':arm64:M::\x7fELF\x02\x01\x01\x00\x00\x00\x00\x00\x00\x00\x00\x00\x02\x00\xb7\x00'
 register+=':\xff\xff\xff\xff\xff\xff\xff\x00\xff\xff\xff\xff\xff\xff\xff\xff\xfe\xff\xff\xff'
-SPIKESERVE_EMULATED=1 exec unshare --user --map-root-user --mount bash -c '
+ARM64_EMULATED=1 exec python3 "$(dirname "$0")/namespace.py" bash -c '
   mount -t binfmt_misc binfmt_misc /proc/sys/fs/binfmt_misc 2>/dev/null &&
     printf "%s:%s:F" "$1" "$2" >/proc/sys/fs/binfmt_misc/register || true
   shift 2

@@ -41,16 +41,16 @@ def run_tests(program, pool):
     return passed > 0 and all(shard.returncode == 0 for shard in shards)
 
 
-def play():
+def play(server=(EMULATE, BUILD / "bin/spikeserve"), client=(EMULATE, BUILD / "bin/spikectl"), policies="deploy/policies"):
     """Returns whether a client gets the best return of CartPole from a server."""
-    command = [EMULATE, BUILD / "bin/spikeserve", "--policies=deploy/policies", "--listen=127.0.0.1:0", "--http_listen="]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as server:
-        address = next(line.split()[-1] for line in server.stdout if "serving gRPC on" in line)
-        client = [EMULATE, BUILD / "bin/spikectl", "run", f"--server={address}", "--env=CartPole-v1", "--episodes=2"]
-        played = subprocess.run([*client, "--seed=3000000"], stdout=subprocess.PIPE, text=True)
-        server.terminate()
-    print(played.stdout.splitlines()[-1] if played.stdout else "the client printed nothing")
-    return played.returncode == 0 and server.returncode == 0 and "500.0" in played.stdout
+    command = [*server, f"--policies={policies}", "--listen=127.0.0.1:0", "--http_listen="]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as serving:
+        address = next(line.split()[-1] for line in serving.stdout if "serving gRPC on" in line)
+        run = [*client, "run", f"--server={address}", "--env=CartPole-v1", "--episodes=2", "--seed=3000000"]
+        played = subprocess.run(run, stdout=subprocess.PIPE, text=True)
+        serving.terminate()
+    print(played.stdout or "the client printed nothing", flush=True)
+    return played.returncode == 0 and serving.returncode == 0 and "500.0" in played.stdout
 
 
 def main(arguments):
