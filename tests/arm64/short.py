@@ -25,7 +25,8 @@ SHARDS = os.cpu_count() or 1
 def run_shard(program, shard):
     command = [EMULATE, BUILD / "tests" / program, "--gtest_filter=" + FILTERS.get(program, "*")]
     sharding = {"GTEST_TOTAL_SHARDS": str(SHARDS), "GTEST_SHARD_INDEX": str(shard)}
-    return subprocess.run(command, env=os.environ | sharding, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return subprocess.run(command, env=os.environ | sharding, check=False, **piped)
 
 
 def run_tests(program, pool):
@@ -47,7 +48,7 @@ def play(server=(EMULATE, BUILD / "bin/spikeserve"), client=(EMULATE, BUILD / "b
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as serving:
         address = next(line.split()[-1] for line in serving.stdout if "serving gRPC on" in line)
         run = [*client, "run", f"--server={address}", "--env=CartPole-v1", "--episodes=2", "--seed=3000000"]
-        played = subprocess.run(run, stdout=subprocess.PIPE, text=True)
+        played = subprocess.run(run, stdout=subprocess.PIPE, text=True, check=False)
         serving.terminate()
     print(played.stdout or "the client printed nothing", flush=True)
     return played.returncode == 0 and serving.returncode == 0 and "500.0" in played.stdout
