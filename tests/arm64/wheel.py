@@ -42,6 +42,8 @@ def main(stub):
         pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"--target={site}"]
         binaries = ["--python-version=3.11", "--only-binary=:all:", *PLATFORMS]
         subprocess.run([*pip, *binaries, wheel, "gymnasium"], check=True)
+        files = [file for file in (site / "spikeserve_engine").iterdir() if file.is_file()]
+        print(f"installed: {sum(file.stat().st_size for file in files) / 1e6:.1f} MB", flush=True)
         played = ["env", f"PYTHONPATH={site}", EMULATE, PYTHON, "-c", PLAY]
         return subprocess.run(played, cwd=ROOT, check=False).returncode
 
