@@ -30,9 +30,10 @@ redisReplyObjectFunctions* BoundedReplies() {
     static const redisReplyObjectFunctions standard = *reader->fn;
     redisReaderFree(reader);
     auto* bounded = new redisReplyObjectFunctions(standard);
-    bounded->createArray = [](const redisReadTask* task, int elements) -> void* {
+    // The number is an int in hiredis 0 and a size_t in hiredis 1.
+    bounded->createArray = [](const redisReadTask* task, auto elements) -> void* {
       auto* const left = static_cast<size_t*>(task->privdata);
-      if (elements < 0 || static_cast<size_t>(elements) > *left) return nullptr;
+      if (std::cmp_less(elements, 0) || std::cmp_greater(elements, *left)) return nullptr;
       *left -= static_cast<size_t>(elements);
       return standard.createArray(task, elements);
     };
