@@ -21,9 +21,9 @@ class Robot:
     `broken` is the probability that the motor does not follow the policy, by version of the policy.
     """
 
-    def __init__(self, service, task, policy, name, broken, keeps_session, seed):
+    def __init__(self, service, task, policy, name, broken, keeps_session, episode_steps, seed):
         self._service = service
-        self._environment = gymnasium.make(task, max_episode_steps=EPISODE_STEPS)
+        self._environment = gymnasium.make(task, max_episode_steps=episode_steps)
         self._policy = policy
         self._name = name
         self._broken = broken
@@ -78,11 +78,11 @@ class Fleet:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._play)
 
-    def add(self, task, policy, count, broken=None, keeps_session=True, prefix="arm"):
+    def add(self, task, policy, count, broken=None, keeps_session=True, episode_steps=EPISODE_STEPS, prefix="arm"):
         for _ in range(count):
             name = f"{prefix}-{len(self._robots):02}"
             self._robots[name] = Robot(
-                self._service, task, policy, name, broken or {}, keeps_session, seed=len(self._robots)
+                self._service, task, policy, name, broken or {}, keeps_session, episode_steps, seed=len(self._robots)
             )
 
     def session_of(self, name):

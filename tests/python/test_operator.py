@@ -42,8 +42,10 @@ def fleet(tmp_path_factory):
         robots = Fleet(addresses.grpc)
         robots.add("CartPole-v1", "cartpole", 3, prefix="arm")
         robots.add("CartPole-v1", "cartpole", 1, broken={None: 0.5}, prefix="arm")  # arm-03
-        # The motors of these robots ignore version 2, so its episodes are much shorter whatever chance does.
-        robots.add("CartPole-v1", "cartpole", 8, broken={2: 1.0}, keeps_session=False, prefix="cart")
+        # The motors of these robots ignore version 2, so its episodes end after about 20 steps whatever chance does. Those of
+        # version 1 last 60, so that a busy machine plays the 20 that a roll-out compares.
+        broken = {2: 1.0}
+        robots.add("CartPole-v1", "cartpole", 8, broken, keeps_session=False, episode_steps=60, prefix="cart")
         robots.add("Pendulum-v1", "pendulum", 4, prefix="swing")
         with robots:
             yield addresses.http, robots
