@@ -62,6 +62,13 @@ for package in "$root"/var/cache/apt/archives/*.deb; do
 done
 rm -f "$root"/var/cache/apt/archives/*.deb
 
+# The links that the packages for training make with update-alternatives when they are configured.
+alternatives=$root/usr/lib/aarch64-linux-gnu
+for library in "$alternatives"/openblas-pthread/lib*.so*; do
+  [[ ! -e $library ]] || ln -sfr "$library" "$alternatives"
+done
+[[ ! -e $alternatives/pkgconfig/hdf5-serial.pc ]] || ln -sf hdf5-serial.pc "$alternatives/pkgconfig/hdf5.pc"
+
 # Links to absolute paths, such as that of zlib, would leave the root.
 while read -r link; do
   target=$(readlink "$link")
