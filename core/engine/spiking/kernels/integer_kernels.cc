@@ -133,7 +133,7 @@ uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, Ac
   const I32 di;
   const I16 d16;
   const uint64_t products = FindActive(output, counts, *active);
-#if HWY_TARGET == HWY_NEON
+#if HWY_ARCH_ARM_A64 && HWY_TARGET != HWY_EMU128
   if (output.narrow_counts && UsesSdot()) {
     AffineBySdot({output.rows.data(), output.factor.data(), output.bias.data(), output.width},
                  counts, active->data(), active->size(), update);

@@ -20,7 +20,7 @@ struct SdotMap {
 };
 
 // Sets update[lane] = factor * float(sum of count * weight over the inputs of `pairs` [size]) +
-// bias for all lanes. Thread-safe on distinct arrays. REQUIRES: HasDotProducts(); counts at most
+// bias for all lanes. Thread-safe on distinct arrays. REQUIRES: UsesSdot(); counts at most
 // 127.
 void AffineBySdot(const SdotMap& map, const int16_t* counts, const int32_t* pairs, size_t size,
                   float* update);
