@@ -1,7 +1,7 @@
 """Runs with qemu what must not differ on arm64, and fails if any of it ran no test.
 
 Golden answers, parity of the engines, the unit tests of the kernels, of the portable functions, of sessions, of their stores
-and of roll-outs, and a client that plays CartPole on this machine's server.
+and of roll-outs, and a client that plays CartPole on this machine's server. Each program has half an hour.
 
 usage: short.py [--targets]   --targets prints what must be built, and runs nothing
 """
@@ -21,13 +21,15 @@ PROGRAMS += ["server_rollouts_test"]
 CLIENT = "client_cart_pole"
 SERVER = ROOT / "build/release/bin/spikeserve"
 SHARDS = os.cpu_count() or 1
+LIMIT = 1800  # seconds that a program may take, about ten times what the longest takes on two idle cores
 
 
 def run_shard(program, shard):
     command = [EMULATE, BUILD / "tests" / program]
     sharding = {"GTEST_TOTAL_SHARDS": str(SHARDS), "GTEST_SHARD_INDEX": str(shard)}
+    limit = ["timeout", "--kill-after=10", str(LIMIT)]
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    return subprocess.run(command, env=os.environ | sharding, check=False, **piped)
+    return subprocess.run([*limit, *command], env=os.environ | sharding, check=False, **piped)
 
 
 def run_tests(program, pool):
@@ -40,6 +42,7 @@ def run_tests(program, pool):
     for shard in shards:
         if shard.returncode != 0:
             print(shard.stdout)
+            print(f"{program}: exit status: expected 0, received {shard.returncode} (124: longer than {LIMIT} s)", flush=True)
     return passed > 0 and all(shard.returncode == 0 for shard in shards)
 
 
