@@ -10,6 +10,7 @@ import concurrent.futures
 import os
 import pathlib
 import re
+import resource
 import subprocess
 import sys
 
@@ -21,7 +22,7 @@ PROGRAMS += ["server_rollouts_test"]
 CLIENT = "client_cart_pole"
 SERVER = ROOT / "build/release/bin/spikeserve"
 SHARDS = os.cpu_count() or 1
-LIMIT = 1800  # seconds that a program may take, about ten times what the longest takes on two idle cores
+LIMIT = 1800  # seconds that a program may take, many times what the longest takes on two idle cores
 
 
 def run_shard(program, shard):
@@ -65,6 +66,8 @@ def main(arguments):
     with concurrent.futures.ThreadPoolExecutor(SHARDS) as pool:
         results = [run_tests(program, pool) for program in PROGRAMS]
     results.append(play([SERVER], [EMULATE, BUILD / "tests" / CLIENT, "{}", "3000000"], expected="return 500\n"))
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(f"processor time: {used.ru_utime + used.ru_stime:.0f} s", flush=True)
     return 0 if all(results) else 1
 
 
