@@ -46,10 +46,12 @@ test-arm64: setup
 	build/venv/bin/python tests/arm64/wheel.py build/release/python/spikeserve_engine/_engine.pyi
 
 test-arm64-short:
-	$(SETUP) server build
+	$(SETUP) server build arm64
 	deploy/arm64_root.sh --without-training
 	cmake --preset arm64 -DSPIKESERVE_BUILD_TRAIN=OFF $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build build/arm64 --target $$(python3 tests/arm64/short.py --targets)
+	@test -e build/release/build.ninja || cmake --preset release --log-level=WARNING
+	cmake --build build/release --target spikeserve
 	python3 tests/arm64/short.py
 
 # Rewrites the hashes of the shipped policies' answers in tests/golden/answers.txt and prints which changed.

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes a folder with the arm64 libraries that `cmake --preset arm64` links and qemu runs, from this machine's Debian
-# release, and installs Debian's cross compiler and qemu. Changes no other package of this machine. Run it as root.
-# Does nothing if the folder is complete.
+# release. Changes no package of this machine. Needs the part arm64 of deploy/setup.sh. Run it as root. Does nothing if the
+# folder is complete.
 #
 # usage: deploy/arm64_root.sh [--without-training]   --without-training leaves out libtorch, two thirds of the folder
 set -euo pipefail
@@ -15,7 +15,6 @@ libraries=(
   python3-dev libgtest-dev libgmock-dev adduser
 )
 training=(libtorch-dev libopenblas-dev libhdf5-dev)
-tools=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)
 
 # shellcheck source=/dev/null
 . /etc/os-release
@@ -27,12 +26,6 @@ if [[ ${1:-} == --without-training ]]; then
 else
   libraries+=("${training[@]}")
 fi
-
-dpkg-query -W "${tools[@]}" >/dev/null 2>&1 || {
-  echo "arm64_root: installing ${tools[*]}"
-  DEBIAN_FRONTEND=noninteractive apt-get update -qq
-  DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${tools[@]}" >/dev/null
-}
 
 echo "arm64_root: making $root"
 rm -rf "$root"
@@ -61,6 +54,13 @@ for package in "$root"/var/cache/apt/archives/*.deb; do
   rm -r "$root/control"
 done
 rm -f "$root"/var/cache/apt/archives/*.deb
+
+# The links that the packages for training make with update-alternatives when they are configured.
+alternatives=$root/usr/lib/aarch64-linux-gnu
+for library in "$alternatives"/openblas-pthread/lib*.so*; do
+  [[ ! -e $library ]] || ln -sfr "$library" "$alternatives"
+done
+[[ ! -e $alternatives/pkgconfig/hdf5-serial.pc ]] || ln -sf hdf5-serial.pc "$alternatives/pkgconfig/hdf5.pc"
 
 # Links to absolute paths, such as that of zlib, would leave the root.
 while read -r link; do

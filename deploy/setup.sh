@@ -10,12 +10,13 @@
 # | tests   | programs that tests run: Redis, Prometheus, proxies, a browser, shells, Node.js, Go, PyTorch        |
 # | chips   | snnTorch, NeuroBench and NIR, in BUILD_DIR/chips                                                    |
 # | interop | clients of gRPC in other languages, in BUILD_DIR/interop                                            |
+# | arm64   | cross compiler, emulator, and what makes the arm64 libraries of deploy/arm64_root.sh                |
 # | release | checks of packages, images, charts and pages: lintian, buildah, and BUILD_DIR/release-tools/venv    |
 set -euo pipefail
 cd "$(dirname "$0")/.."
 build_dir=${1:-build}
 shift || true
-all_parts=(server build clang tests chips interop release)
+all_parts=(server build clang tests chips interop arm64 release)
 
 packages_server=(
   g++ make cmake ninja-build ccache git pkg-config ca-certificates
@@ -36,6 +37,7 @@ packages_tests=(
 )
 packages_chips=(python3-torch)  # Debian's PyTorch, which has no CUDA
 packages_interop=(golang-go)
+packages_arm64=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)
 packages_release=(lintian debootstrap buildah uidmap qemu-user-static etcd-server golang-go)
 # Other sources of Node.js bring npm along, and conflict with Debian's.
 command -v npm >/dev/null || packages_interop+=(nodejs npm)

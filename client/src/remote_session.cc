@@ -29,7 +29,7 @@ absl::StatusOr<RemoteSession> RemoteSession::Open(Client* client, v1::OpenSessio
   if (!reopens) {
     session.reopening_.reset();
     // A session that no store has stays at its server.
-    client->replicas_->Pin(*session.route_, !session.unacknowledged_.has_value());
+    client->replicas_->Pin(*session.route_, !session.is_stored_);
   }
   return session;
 }
@@ -52,10 +52,8 @@ absl::Status RemoteSession::OpenAgain() {
   step_ = 0;
   decision_ = 0;
   episode_ = 0;
-  unacknowledged_.reset();
-  if (opening_.durability() == v1::ASYNC || opening_.durability() == v1::SYNC) {
-    unacknowledged_.emplace();
-  }
+  unacknowledged_ = {};
+  is_stored_ = opening_.durability() == v1::ASYNC || opening_.durability() == v1::SYNC;
   ++reopened_;
   return absl::OkStatus();
 }
@@ -84,11 +82,11 @@ absl::Status RemoteSession::CatchUp(const absl::Status& error) {
 
 absl::Status RemoteSession::CatchUp(const absl::Status& error, bool reads) {
   const auto expected = ExpectedDecision(error);
-  if (!expected.has_value() || !unacknowledged_.has_value()) return error;
-  if (unacknowledged_->Covers(*expected)) {
-    return unacknowledged_->SendAgain(*expected, client_, route_);
+  if (!expected.has_value() || !is_stored_) return error;
+  if (unacknowledged_.Covers(*expected)) {
+    return unacknowledged_.SendAgain(*expected, client_, route_);
   }
-  if (reads && unacknowledged_->size() > 0) return unacknowledged_->SendLastAgain(client_, route_);
+  if (reads && unacknowledged_.size() > 0) return unacknowledged_.SendLastAgain(client_, route_);
   return error;
 }
 
@@ -119,7 +117,7 @@ v1::ActRequest RemoteSession::MakeRequest(absl::Span<const float> observation, d
   request.set_reward(reward);
   if (executed_action.has_value()) *request.mutable_executed_action() = *executed_action;
   if (decision_.has_value()) request.set_decision(*decision_);
-  if (unacknowledged_.has_value()) request_ = request;
+  if (is_stored_) request_ = request;
   return request;
 }
 
@@ -129,8 +127,8 @@ absl::Status RemoteSession::Accept(const v1::ActResponse& response) {
         "expected the answer to step ", step_, " of session ", session_id_,
         ", received that to step ", response.step(), " of session ", response.session_id()));
   }
-  if (unacknowledged_.has_value()) {
-    unacknowledged_->Add(*decision_, request_, response);
+  if (is_stored_) {
+    unacknowledged_.Add(*decision_, request_, response);
     request_.Clear();
   }
   ++step_;
@@ -156,8 +154,8 @@ absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOu
   auto response =
       CallUpToDate<v1::EndEpisodeResponse>([&] { return client_->EndEpisode(request, route_); });
   if (response.ok()) {
-    if (unacknowledged_.has_value()) {
-      unacknowledged_->Add(*decision_, request, *response);
+    if (is_stored_) {
+      unacknowledged_.Add(*decision_, request, *response);
     }
     step_ = 0;
     if (episode_.has_value()) ++*episode_;
@@ -173,7 +171,7 @@ absl::StatusOr<v1::GetSessionResponse> RemoteSession::State(bool include_head_de
       [&]() -> absl::StatusOr<v1::GetSessionResponse> {
         auto state = client_->GetSession(session_id_, include_head_delta, route_);
         // A former owner may have all decisions, but not the end of the last episode.
-        const bool is_outdated = state.ok() && unacknowledged_.has_value() &&
+        const bool is_outdated = state.ok() && is_stored_ &&
                                  (state->decisions() < *decision_ || state->episode() < *episode_);
         if (is_outdated) return OutdatedError(*decision_, state->decisions());
         return state;
@@ -186,7 +184,7 @@ absl::StatusOr<v1::ExplainResponse> RemoteSession::Explain() {
       [&]() -> absl::StatusOr<v1::ExplainResponse> {
         auto explained = client_->Explain(session_id_, route_);
         const bool is_outdated =
-            explained.ok() && unacknowledged_.has_value() &&
+            explained.ok() && is_stored_ &&
             (explained->answer().step() != step_ - 1 || explained->episode() != *episode_);
         if (is_outdated) return OutdatedError(*decision_, 0);
         return explained;

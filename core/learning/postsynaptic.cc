@@ -1,10 +1,10 @@
 #include "core/learning/postsynaptic.h"
 
 #include <algorithm>
-#include <cmath>
 
 #include "core/contract/dcheck.h"
 #include "core/math/exp.h"
+#include "core/math/portable.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
@@ -39,7 +39,8 @@ void ReplaceAction(const ActionSpace& space, absl::Span<const float> logits, flo
     if (value == answered.continuous[i]) continue;
     const double low = space.low[i];
     const double unit = 2.0 * (value - low) / (static_cast<double>(space.high[i]) - low) - 1.0;
-    const double score = (std::atanh(unit) - static_cast<double>(logits[i])) / temperature;
+    const double inverse = 0.5 * portable::Log((1.0 + unit) / (1.0 - unit));  // of tanh
+    const double score = (inverse - static_cast<double>(logits[i])) / temperature;
     post[i] = std::clamp(static_cast<float>(score), -kLargestExecutedScore, kLargestExecutedScore);
   }
 }

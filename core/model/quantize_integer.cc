@@ -28,6 +28,13 @@ int FractionFor(double largest, int limit = kLargestFraction) {
   return fraction;
 }
 
+// Returns the shift n, 1 to 8, whose leak 2^-n is nearest to `leak` on a logarithmic scale.
+int NearestShift(double leak) {
+  int exponent = 0;
+  const double significand = std::frexp(leak, &exponent);  // 0.5 to 1, squared 0.5 half way
+  return std::clamp(significand * significand < 0.5 ? 1 - exponent : -exponent, 1, 8);
+}
+
 absl::Status RangeError(const std::string& name, double bound, double received, size_t index) {
   return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name), ": expected at most ",
                                                  bound, " in integer arithmetic, received ",
@@ -274,9 +281,8 @@ absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions&
   config.attention = options.attention;
   config.leak =
       options.leak.value_or(config.membrane_decay < 511.0f / 512.0f ? Leak::kShift : Leak::kNone);
-  // The shift whose decay is nearest to the policy's.
   const double leak = std::max(1.0 - double{config.membrane_decay}, 1.0 / 256.0);
-  const auto shift = std::clamp(static_cast<int>(std::nearbyint(-std::log2(leak))), 1, 8);
+  const int shift = NearestShift(leak);
   config.membrane_decay = config.leak == Leak::kNone ? 1.0f : 1.0f - std::ldexp(1.0f, -shift);
   config.input_fraction = FractionFor(options.largest_input);
   config.residual_fraction = ResidualFraction(policy);

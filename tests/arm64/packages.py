@@ -24,7 +24,8 @@ def main():
         hooks = [f"--customize-hook=copy-in {' '.join(map(str, packages))} /tmp", f"--customize-hook={install}"]
         subprocess.run([short.EMULATE, "mmdebstrap", "--quiet", *debian, *hooks], check=True)
         inside = [short.EMULATE, "chroot", root]
-        return 0 if short.play([*inside, "spikeserve"], [*inside, "spikectl"], "/usr/share/spikeserve/policies") else 1
+        run = [*inside, "spikectl", "run", "--server={}", "--env=CartPole-v1", "--episodes=2", "--seed=3000000"]
+        return 0 if short.play([*inside, "spikeserve"], run, "/usr/share/spikeserve/policies") else 1
 
 
 if __name__ == "__main__":

@@ -127,7 +127,8 @@ class RemoteSession {
   // The number of the next decision, and of the episode. Absent if the session was not opened here.
   std::optional<uint64_t> decision_;
   std::optional<int64_t> episode_;
-  std::optional<Unacknowledged> unacknowledged_;     // absent: the session is not stored
+  bool is_stored_ = false;                           // whether a store has the session
+  Unacknowledged unacknowledged_;                    // empty if not stored
   v1::ActRequest request_;                           // the last one; empty if not stored
   std::optional<v1::OpenSessionRequest> reopening_;  // absent: a lost session stays lost
   v1::OpenSessionResponse opening_;

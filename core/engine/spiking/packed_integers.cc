@@ -43,6 +43,7 @@ PackedIntegerOutput Pack(const IntegerOutput& output, int ticks) {
   PackedIntegerOutput packed;
   packed.inputs = output.weight.shape[1];
   packed.width = PadToLanes(outputs);
+  packed.narrow_counts = ticks <= std::numeric_limits<int8_t>::max();
   AlignedVector<int8_t> rows(static_cast<size_t>(PadToLanes(packed.inputs)) * packed.width);
   packed.factor.assign(packed.width, 0.0f);
   packed.bias.assign(packed.width, 0.0f);

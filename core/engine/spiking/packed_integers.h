@@ -46,6 +46,7 @@ struct PackedIntegerOutput {
   AlignedVector<float> factor;     // [width]: scale / T
   AlignedVector<float> bias;       // [width]
   AlignedVector<int16_t> nonzero;  // [pad(F)]: number of nonzero weights of an input
+  bool narrow_counts = false;      // whether no count exceeds 127
 
   // Returns the interleaved weights of the inputs 2 pair and 2 pair + 1, [width][2].
   const int8_t* row(int pair) const { return rows.data() + static_cast<size_t>(pair) * width * 2; }

@@ -2,6 +2,9 @@
 
 #include <vector>
 
+#include "core/engine/spiking/kernels/sdot_kernel.h"
+#include "core/engine/spiking/kernels/targets.h"
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/integer_kernels.cc"
 // clang-format off
@@ -130,6 +133,13 @@ uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, Ac
   const I32 di;
   const I16 d16;
   const uint64_t products = FindActive(output, counts, *active);
+#if HWY_ARCH_ARM_A64 && HWY_TARGET != HWY_EMU128
+  if (output.narrow_counts && UsesSdot()) {
+    AffineBySdot({output.rows.data(), output.factor.data(), output.bias.data(), output.width},
+                 counts, active->data(), active->size(), update);
+    return products;
+  }
+#endif
   ForEachBlock<8>(0, output.width, [&](int lane, auto vectors) HWY_ATTR {
     PairSum total[vectors];
     for (const int32_t pair : *active) {

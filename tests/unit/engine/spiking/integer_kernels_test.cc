@@ -119,40 +119,45 @@ TEST(IntegerKernelsTest, RowsOfTheLargestWeightsAddUpExactly) {
   });
 }
 
-// The largest sum that a valid policy can reach: 256 ticks and 16384 neurons.
+// The largest sum that a valid policy can reach, 256 ticks and 16384 neurons, and those of the
+// largest counts of 8 bits and of more.
 TEST(IntegerKernelsTest, TheLargestCountsMapExactly) {
   OnEverySimdTarget([] {
     constexpr int kInputs = ModelLimits::kFfnSize;
     IntegerOutput output = {.weight = Int8Tensor::Zeros({3, kInputs}),
                             .scale = {.shape = {3}, .values = {1.0f, 0.5f, 3.0f}},
                             .bias = {.shape = {3}, .values = {0.0f, 1.0f, -7.0f}}};
+    int32_t random_sum = 0;
+    uint64_t nonzero = 2 * kInputs;
     for (int j = 0; j < kInputs; ++j) {
       output.weight.values[j] = 127;
       output.weight.values[kInputs + j] = -127;
       output.weight.values[2 * kInputs + j] = static_cast<int8_t>(Draw(255, 4, j) - 127);
-    }
-    const PackedIntegerOutput packed = Pack(output, ModelLimits::kTicks);
-    const std::vector<int16_t> counts(kInputs, ModelLimits::kTicks);
-    std::vector<float> update(packed.width);
-    kernels::ActiveInputs active;
-    const uint64_t products = kernels::Affine(packed, counts.data(), &active, update.data());
-    int32_t sum = 0;
-    uint64_t nonzero = 2 * kInputs;
-    for (int j = 0; j < kInputs; ++j) {
-      sum += ModelLimits::kTicks * output.weight.at(2, j);
+      random_sum += output.weight.at(2, j);
       nonzero += output.weight.at(2, j) != 0;
     }
-    EXPECT_EQ(update[0], 1.0f / 256.0f * (127.0f * 256.0f * 16384.0f));
-    EXPECT_EQ(update[1], 0.5f / 256.0f * (-127.0f * 256.0f * 16384.0f) + 1.0f);
-    EXPECT_EQ(update[2], 3.0f / 256.0f * static_cast<float>(sum) + -7.0f);
-    EXPECT_EQ(products, nonzero);
+    for (const int ticks : {127, 128, ModelLimits::kTicks}) {
+      const PackedIntegerOutput packed = Pack(output, ticks);
+      const std::vector<int16_t> counts(kInputs, static_cast<int16_t>(ticks));
+      std::vector<float> update(packed.width);
+      kernels::ActiveInputs active;
+      EXPECT_EQ(kernels::Affine(packed, counts.data(), &active, update.data()), nonzero);
+      const auto expected = [&](int k, int32_t sum) {
+        return output.scale.values[k] / static_cast<float>(ticks) *
+                   static_cast<float>(sum * ticks) +
+               output.bias.values[k];
+      };
+      EXPECT_EQ(update[0], expected(0, 127 * kInputs)) << ticks;
+      EXPECT_EQ(update[1], expected(1, -127 * kInputs)) << ticks;
+      EXPECT_EQ(update[2], expected(2, random_sum)) << ticks;
+    }
   });
 }
 
 TEST(IntegerKernelsTest, CountsOfAnySparsityMapExactly) {
   OnEverySimdTarget([] {
     constexpr int kInputs = 69;
-    constexpr int kOutputs = 40;
+    constexpr int kOutputs = 72;
     IntegerOutput output = {.weight = Int8Tensor::Zeros({kOutputs, kInputs}),
                             .scale = Tensor::Zeros({kOutputs}),
                             .bias = Tensor::Zeros({kOutputs})};

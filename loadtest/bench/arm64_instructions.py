@@ -1,0 +1,63 @@
+"""Counts the arm64 instructions of a decision with qemu, and prints them as a Markdown table.
+
+An emulator says nothing about time, but the same instructions run on a robot. The difference of a long and a short run
+leaves out what starts the program. Needs Debian's package qemu-user (qemu-user-static has no plugins) and engine_bench in
+build/arm64/bin.
+"""
+
+import json
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+
+ROOT = pathlib.Path(__file__).parents[2]
+BENCH = ROOT / "build/arm64/bin/engine_bench"
+PROCESSORS = {"cortex-a72": "Raspberry Pi 4", "cortex-a76": "Raspberry Pi 5"}
+POLICIES = {
+    "cartpole/1, float32": ["--policy=deploy/policies/cartpole/1/policy.safetensors"],
+    "cartpole/2, 8-bit weights": ["--policy=deploy/policies/cartpole/2/policy.safetensors"],
+    "random weights, 8-bit": ["--arithmetic=int8"],
+}
+SECONDS = (0.5, 1.5)  # of processor time, emulated
+
+
+def run(plugin, processor, flags, seconds):
+    """Returns the decisions of one run, and its instructions by function."""
+    command = ["qemu-aarch64", "-cpu", processor, "-L", ROOT / "build/arm64-root", "-plugin", plugin, "-d", "plugin"]
+    finished = subprocess.run(
+        [*command, BENCH, *flags], input=f"{seconds}\n", cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    decisions = json.loads(finished.stdout.splitlines()[1])["decisions"]
+    counted = re.findall(r"^instructions (\d+) (.*)$", finished.stdout + finished.stderr, re.MULTILINE)
+    return decisions, {symbol: int(number) for number, symbol in counted}
+
+
+def measure(plugin, processor, flags):
+    """Returns the instructions of a decision, and the share of the map of spike counts in them."""
+    (few, start), (many, end) = (run(plugin, processor, flags, seconds) for seconds in SECONDS)
+    per_decision = {symbol: (number - start.get(symbol, 0)) / (many - few) for symbol, number in end.items()}
+    if "--verbose" in sys.argv:
+        for symbol, number in sorted(per_decision.items(), key=lambda item: -item[1])[:15]:
+            print(f"{number:12.0f} {symbol}", file=sys.stderr)
+    total = sum(per_decision.values())
+    affine = sum(number for symbol, number in per_decision.items() if "Affine" in symbol or "sdot" in symbol.lower())
+    return total, affine
+
+
+def main():
+    with tempfile.TemporaryDirectory() as folder:
+        plugin = pathlib.Path(folder, "count_instructions.so")
+        source = pathlib.Path(__file__).with_name("count_instructions.c")
+        subprocess.run(["gcc", "-shared", "-fPIC", "-O2", "-o", plugin, source], check=True)
+        print("| policy | processor | instructions a decision | of these, the maps of spike counts |")
+        print("| --- | --- | ---: | ---: |")
+        for name, flags in POLICIES.items():
+            for processor, computer in PROCESSORS.items():
+                total, affine = measure(plugin, processor, flags)
+                print(f"| {name} | {processor} ({computer}) | {total:,.0f} | {affine:,.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
