@@ -96,14 +96,24 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
             // Destroyed on the loop's thread, like every call.
             return loop->Post([self = std::move(self)] {});
           }
-          const CallOutcome outcome = self->Compute();
-          self->framed_.clear();
-          if (outcome.status.ok()) AppendMessage(*self->response(), &self->framed_);
+          CallOutcome outcome = self->Compute();
+          self->CheckResponse(&outcome);
+          self->Frame(outcome);
           loop->Post([self = std::move(self), outcome] { self->EndWhenDurable(outcome); });
         });
     // A caller that asks again at once is delayed, as after any other refusal.
     if (!status.ok()) this->End({status, absl::ResourceExhaustedError(status.message())});
   }
+
+  // Leaves nothing to the loop that takes longer for a longer response, not even to free it.
+  void Frame(const CallOutcome& outcome) {
+    framed_.clear();
+    if (!outcome.status.ok()) return;
+    AppendMessage(*this->response(), &framed_);
+    if (this->commits()->empty()) this->messages().Free();
+  }
+
+  int64_t framed_bytes() const override { return static_cast<int64_t>(framed_.capacity()); }
 
   void SendResponse() override { this->call()->SendFramed(std::move(framed_)); }
 

@@ -7,9 +7,11 @@
 
 #include <map>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/session/agent_session.h"
 #include "core/session/head_log.h"
 #include "server/agent/convert.h"
 #include "spikeserve/v1/policy_service.pb.h"
@@ -21,6 +23,16 @@ template <typename Request>
 concept NamesSession = requires(const Request& request) {
   request.session_id();
 };
+
+// True for calls that only read a session: it stays with its owner.
+template <typename Request>
+inline constexpr bool kOnlyReads = std::is_same_v<Request, v1::GetSessionRequest>;
+
+// Fills in the answer to a call that only reads.
+inline void AnswerWith(const AgentSession& session, const v1::GetSessionRequest& request,
+                       v1::GetSessionResponse* response) {
+  *response = ToProto(session, request.include_head_delta());
+}
 
 // Returns the sessions that the call did not find, or could not open because the store has them.
 template <typename Request, typename Response>

@@ -82,14 +82,12 @@ class UnaryCall : public ServiceCall {
 
   // Sends the response and the status of `outcome`, after a delay if the call was refused.
   void End(CallOutcome outcome) {
-    if constexpr (!kHoldsDecisions<Response>) {
-      if (outcome.status.ok()) CheckResponse(&outcome);
-    }
+    if (!checked_) CheckResponse(&outcome);
     Observe(outcome.status, start_);
     if (call() == nullptr) return;
     // A caller who has to wait for a refusal keeps nothing here, and an answer that waits counts.
     if (!outcome.status.ok()) messages_.Free();
-    HoldMessages().IgnoreError();
+    HoldMessages(framed_bytes()).IgnoreError();
     AfterDelay(outcome.refusal, request_bytes_, [this, status = outcome.status] {
       if (status.ok()) SendResponse();
       Finish(status);
@@ -102,6 +100,24 @@ class UnaryCall : public ServiceCall {
     const int64_t held = messages_.extra_bytes() + more;
     return call()->Hold(held) ? absl::OkStatus() : TooManyBytesError();
   }
+
+  // Replaces a response with NaN or infinity by an error. Takes long for a long response, so that a
+  // worker which has made the response does this, too.
+  void CheckResponse(CallOutcome* outcome) {
+    if constexpr (!kHoldsDecisions<Response>) {
+      if (!outcome->status.ok()) return;
+      const std::string named = PolicyOf(*response());
+      const std::string policy = named.empty() ? PolicyOf(request()) : named;
+      auto status = CheckFinite(*response(), policy);
+      checked_ = true;
+      if (status.ok()) return;
+      context().metrics->CountNonFiniteAnswer(policy);
+      *outcome = CallOutcome(std::move(status));
+    }
+  }
+
+  // Returns what the response occupies beside the messages.
+  virtual int64_t framed_bytes() const { return 0; }
 
   virtual void SendResponse() { call()->Send(*response()); }
 
@@ -137,16 +153,6 @@ class UnaryCall : public ServiceCall {
     return std::static_pointer_cast<UnaryCall>(this->shared_from_this());
   }
 
-  // Replaces a response with NaN or infinity by an error.
-  void CheckResponse(CallOutcome* outcome) {
-    const std::string named = PolicyOf(*response());
-    const std::string policy = named.empty() ? PolicyOf(request()) : named;
-    auto status = CheckFinite(*response(), policy);
-    if (status.ok()) return;
-    context().metrics->CountNonFiniteAnswer(policy);
-    *outcome = CallOutcome(std::move(status));
-  }
-
   // Returns true if the call goes on when the store has answered.
   bool TryToRecover(const CallOutcome& outcome) {
     if (context().recovery == nullptr || call() == nullptr || recovered_) return false;
@@ -157,6 +163,12 @@ class UnaryCall : public ServiceCall {
     const auto post = [loop = &call()->loop()](std::function<void()> work) {
       loop->Post(std::move(work));
     };
+    if constexpr (kOnlyReads<Request>) {
+      if (context().recovery->is_shared()) {
+        Read(missing[0], outcome, post);
+        return true;
+      }
+    }
     for (const std::string& id : missing) {
       context().recovery->Recover(caller(), id, post,
                                   [self = Self(), id, outcome](const absl::Status& status) {
@@ -164,6 +176,16 @@ class UnaryCall : public ServiceCall {
                                   });
     }
     return true;
+  }
+
+  // Answers with the session as the store has it.
+  void Read(const std::string& id, const CallOutcome& missing, const SessionRecovery::Post& post) {
+    context().recovery->Read(
+        caller(), id, post, [self = Self(), missing](const auto& session) {
+          if (absl::IsNotFound(session.status())) return self->End(missing);
+          if (session.ok()) AnswerWith(**session, self->request(), self->response());
+          self->End(session.status());
+        });
   }
 
   void OnRecovered(const std::string& id, const absl::Status& status, const CallOutcome& outcome) {
@@ -178,6 +200,7 @@ class UnaryCall : public ServiceCall {
   void HandleAgain() {
     response()->Clear();
     commits_.clear();
+    checked_ = false;
     Handle();
   }
 
@@ -189,6 +212,7 @@ class UnaryCall : public ServiceCall {
   absl::Duration start_;
   size_t request_bytes_ = 0;
   bool received_ = false;
+  bool checked_ = false;  // the response is finite
 };
 
 }  // namespace spikeserve

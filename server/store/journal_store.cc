@@ -370,7 +370,9 @@ void JournalStore::RunClaims(std::vector<ClaimRequest> requests) {
   auto results = reachable.ok() ? backend_->Claim(claims) : Results(claims.size(), reachable);
   for (size_t i = 0; i < requests.size(); ++i) {
     auto& result = results[i];
-    if (result.ok()) {
+    if (claims[i].only_reads) {
+      // The session stays with its owner.
+    } else if (result.ok()) {
       (result->epoch > 0 ? claimed_ : claims_failed_).Increment();
     } else if (!absl::IsNotFound(result.status())) {
       claims_failed_.Increment();

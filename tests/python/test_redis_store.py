@@ -103,6 +103,22 @@ def test_replicas_take_turns(replicas):
     assert metric(second, 'spikeserve_store_claims_total{outcome="claimed"}') == 10
 
 
+def test_reading_a_session_leaves_it_to_its_owner(redis, replicas):
+    owner, other = replicas
+    owner.OpenSession(**opening(5))
+    session = {"session_id": opening(5)["session_id"], "include_head_delta": True}
+    epoch = redis.command(f"HGET ss:{{{session['session_id']}}}:o epoch", database=1)
+    for step in range(20):
+        act(owner, 5, step)
+        assert other.GetSession(**session) == owner.GetSession(**session)
+    assert redis.command(f"HGET ss:{{{session['session_id']}}}:o epoch", database=1) == epoch
+    claims = [metric(other, f'spikeserve_store_claims_total{{outcome="{outcome}"}}') for outcome in ("claimed", "failed")]
+    assert claims == [0, 0]
+    assert code_of(other.GetSession, session_id="f" * 32) == grpc.StatusCode.NOT_FOUND
+    owner.CloseSession(session_id=session["session_id"])
+    assert code_of(other.GetSession, **session) == grpc.StatusCode.NOT_FOUND
+
+
 def test_a_former_owner_sends_no_answer(replicas):
     """A replica that was replaced decides, finds out, and answers UNAVAILABLE; then it has the session again."""
     first, second = replicas
