@@ -128,6 +128,8 @@ class AgentSession {
 
   // Returns a summary of what the session has done since this object was created.
   const SessionLife& life() const { return life_; }
+  // Returns when this object was created, of the clock. Not guarded by the lock of the session.
+  absl::Duration created() const { return created_; }
   // Returns the time since this object was created.
   absl::Duration Age() const { return clock_->Now() - created_; }
 

@@ -186,9 +186,9 @@ bool JournalStore::KeepJournals() {
   const auto may_have_lost = backend_->Connect();
   absl::Status status = may_have_lost.status();
   if (status.ok()) {
-    if (*may_have_lost) {
-      must_check_ = true;
-      absl::Status keeps = backend_->CheckKeepsRecords();
+    if (*may_have_lost) must_check_ = true;
+    absl::Status keeps = backend_->CheckKeepsRecords();
+    {
       absl::MutexLock lock(&mutex_);
       may_lose_records_.store(!keeps.ok(), std::memory_order_relaxed);
       keeps_records_ = std::move(keeps);

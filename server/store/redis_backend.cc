@@ -29,6 +29,9 @@ constexpr absl::Duration kTombstone = absl::Minutes(10);
 // A connection that was used within this time is not tried.
 constexpr absl::Duration kFresh = absl::Milliseconds(500);
 
+// How often the settings of Redis are read again, which operators may change while it runs.
+constexpr absl::Duration kLookInterval = absl::Seconds(10);
+
 // How often a claim is tried again that another server was faster than.
 constexpr int kMostClaims = 3;
 
@@ -152,7 +155,8 @@ class RedisBackend final : public JournalBackend {
   bool is_new_ = false;         // `client_` was made since the last Connect()
   uint64_t pings_ = 0;          // sent
   absl::Duration used_;         // when `client_` answered last
-  RedisDurability durability_;  // as of the last connection
+  RedisDurability durability_;  // as of `looked_`
+  absl::Duration looked_;       // when the settings were read last
   std::string settings_ = "";   // what was said about them
   absl::BitGen random_;
   std::map<std::shared_ptr<SessionJournal>, Move> uncertain_;
@@ -187,6 +191,7 @@ absl::Status RedisBackend::LookAtSettings() {
   auto durability = ReadRedisDurability(*client_);
   if (!durability.ok()) return durability.status();
   durability_ = *std::move(durability);
+  looked_ = clock_.Now();
   const std::vector<std::string> warnings = durability_.Warnings(options_.replicas);
   std::string settings = absl::StrJoin(warnings, "; ");
   if (settings != settings_) {
@@ -203,6 +208,9 @@ absl::StatusOr<bool> RedisBackend::Connect() {
     if (!Ping().ok()) client_ = nullptr;
   }
   if (auto status = EnsureClient(); !status.ok()) return status;
+  if (clock_.Now() - looked_ > kLookInterval) {
+    if (auto status = LookAtSettings(); !status.ok()) return status;
+  }
   used_ = clock_.Now();
   return std::exchange(is_new_, false);
 }
