@@ -180,6 +180,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       heads_(std::move(store.heads)),
       replicas_(store.replica),
       registry_(std::move(registry)),
+      files_(shared_ == nullptr ? nullptr
+                                : std::make_unique<SharedFiles>(registry_.get(), shared_.get())),
       audit_log_(std::move(audit_log)),
       recordings_(std::move(recordings)),
       journals_(std::move(store.journals)),
@@ -193,7 +195,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                     : std::make_unique<SessionRecovery>(journals_.get(), registry_.get(), &store_,
                                                         recordings_.get())),
       handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get(),
-               {.journals = journals_.get(), .level = options.durability}),
+               {.journals = journals_.get(), .level = options.durability, .files = files_.get()}),
       audit_(audit_log_.get(), registry_.get(), &store_, options.allow_unrecorded_changes),
       rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
                 [this](const RolloutManager::Change& change) { audit_.Record(change); }),
@@ -293,7 +295,11 @@ void Server::FollowReplicas() {
   if (status.ok()) {
     auto alive = shared_->Beat();
     status = alive.status();
-    if (alive.ok()) replicas_.SetAlive(*alive);
+    if (alive.ok()) {
+      replicas_.SetAlive(*alive);
+      std::ranges::sort(*alive);
+      status = files_->Follow(*alive);
+    }
   }
   authenticator_->SetReplicas(replicas_.count());
   if (transport_ != nullptr && !joined_ && has_joined()) {

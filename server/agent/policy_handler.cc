@@ -211,6 +211,9 @@ absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string sessio
   }
   if (durability != Durability::kNone) {
     if (auto status = durability_.journals->CheckReachable(); !status.ok()) return status;
+    if (durability_.files != nullptr) {
+      if (auto status = durability_.files->Check(served); !status.ok()) return status;
+    }
     if (durability == Durability::kSync) {
       if (auto status = durability_.journals->CheckKeepsRecords(); !status.ok()) {
         return Annotate(status, "durability");

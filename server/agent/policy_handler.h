@@ -20,6 +20,7 @@
 #include "server/agent/recordings.h"
 #include "server/agent/shadow_runner.h"
 #include "server/policies/policy_registry.h"
+#include "server/policies/shared_files.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -47,6 +48,7 @@ struct AgentAct {
 struct SessionDurability {
   JournalWriter* journals = nullptr;      // null: no session is stored
   Durability level = Durability::kAsync;  // of sessions that ask for none and do not learn
+  const SharedFiles* files = nullptr;     // null: no other server goes on with them
 };
 
 class PolicyHandler {

@@ -30,7 +30,7 @@ constexpr absl::Duration kTombstone = absl::Minutes(10);
 constexpr absl::Duration kFresh = absl::Milliseconds(500);
 
 // How often the settings of Redis are read again, which operators may change while it runs.
-constexpr absl::Duration kLookInterval = absl::Seconds(10);
+constexpr absl::Duration kLookInterval = absl::Seconds(5);
 
 // How often a claim is tried again that another server was faster than.
 constexpr int kMostClaims = 3;
