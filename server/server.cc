@@ -223,11 +223,11 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       list_worker_(kListsWaiting),
       admin_worker_(kOperatorCallsWaiting),
       head_handler_(registry_.get(), &store_),
-      inference_handler_(registry_.get(), &store_, &handler_, &clock_, options.session_ttl,
-                         journals_ != nullptr && journals_->IsShared() &&
-                                 !options.allow_unconfirmed_sequences
-                             ? store.replica
-                             : ""),
+      inference_handler_(
+          registry_.get(), &store_, &handler_, &clock_, options.session_ttl,
+          journals_ != nullptr && journals_->IsShared() && !options.allow_unconfirmed_sequences
+              ? store.replica
+              : ""),
       history_([this] { return metrics_->Collect(); }, &clock_),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,

@@ -147,9 +147,8 @@ bool RedisClient::Node::is_usable() const {
 }
 
 bool RedisClient::is_usable() const {
-  return pending_.empty() && std::all_of(nodes_.begin(), nodes_.end(), [](const auto& node) {
-           return node.second.is_usable();
-         });
+  return pending_.empty() && std::all_of(nodes_.begin(), nodes_.end(),
+                                         [](const auto& node) { return node.second.is_usable(); });
 }
 
 void RedisClient::Append(std::initializer_list<absl::string_view> arguments) {

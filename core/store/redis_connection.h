@@ -6,7 +6,8 @@
 //
 // Commands are sent together when the first reply is read. Each command has one reply, in order.
 // After a reply that did not come in time nobody can tell to which command the next one belongs, so
-// a connection that has failed once stays failed. Whatever the server answers, replies are bounded in size and in the time that they take.
+// a connection that has failed once stays failed. Whatever the server answers, replies are bounded
+// in size and in the time that they take.
 //
 // Not thread-safe. Read() waits at most RedisOptions::timeout for each part of a reply, and at most
 // kTimeoutsOfReply times as long for all of it. Connect() waits as long for each of its steps.

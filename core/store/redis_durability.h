@@ -34,8 +34,8 @@ struct RedisDurability {
   std::vector<std::string> Warnings(int64_t replicas) const;
 };
 
-// Asks the server; of a Cluster, one of its nodes. Returns UNAVAILABLE if it does not answer; one that
-// refuses to tell a setting has answered.
+// Asks the server; of a Cluster, one of its nodes. Returns UNAVAILABLE if it does not answer; one
+// that refuses to tell a setting has answered.
 absl::StatusOr<RedisDurability> ReadRedisDurability(RedisClient& client);
 
 }  // namespace spikeserve

@@ -105,8 +105,8 @@ void SessionRecovery::Read(const Credential& caller, const std::string& id, cons
       if (!result.ok()) return done(result.status());
       auto restored = Unfold(key, &*result);
       if (!restored.ok()) return done(restored.status());
-      done(std::make_shared<AgentSession>(std::move(restored->served),
-                                          std::move(restored->session), &clock_));
+      done(std::make_shared<AgentSession>(std::move(restored->served), std::move(restored->session),
+                                          &clock_));
     });
   });
 }

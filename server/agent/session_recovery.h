@@ -54,8 +54,8 @@ class SessionRecovery {
   void Recover(const Credential& caller, const std::string& id, const Post& post, Done done)
       ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Reads session `id` of the caller's tenant as the store has it. It stays with its owner, which may
-  // have decided since. Calls `done` by `post`. Errors: as Recover().
+  // Reads session `id` of the caller's tenant as the store has it. It stays with its owner, which
+  // may have decided since. Calls `done` by `post`. Errors: as Recover().
   void Read(const Credential& caller, const std::string& id, const Post& post, WhenRead done);
 
   // Returns whether other servers may own sessions of the store.

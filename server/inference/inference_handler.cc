@@ -286,10 +286,11 @@ absl::Status InferenceHandler::CheckToken(const SequenceRequest& sequence,
     return absl::OkStatus();
   }
   if (!sequence.token.empty()) return NoSuchSession(sequence.session_id);
-  return absl::FailedPreconditionError(absl::StrCat(
-      "parameters.", kSequenceToken,
-      ": expected the parameter of the answer to sequence_start, because several servers may have a "
-      "sequence of this id, received none"));
+  return absl::FailedPreconditionError(
+      absl::StrCat("parameters.", kSequenceToken,
+                   ": expected the parameter of the answer to sequence_start, because several "
+                   "servers may have a "
+                   "sequence of this id, received none"));
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(

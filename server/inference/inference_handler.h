@@ -1,9 +1,9 @@
 // Answers the requests of the Open Inference Protocol v2 (KServe, Triton) through PolicyHandler: a
 // model is a policy, a sequence is a session of one episode.
 //
-// A sequence lives at the server that has started it. Where several servers share sessions, requests
-// of it may reach another one that still has an older sequence of the same id. Therefore the answer
-// to the start has a token there, which the other requests must have.
+// A sequence lives at the server that has started it. Where several servers share sessions,
+// requests of it may reach another one that still has an older sequence of the same id. Therefore
+// the answer to the start has a token there, which the other requests must have.
 //
 // The session id is derived from tenant, model and sequence id, so no table of sequences is needed,
 // and a sequence that is idle for the time-to-live is closed like any session. Requests carry no
@@ -35,7 +35,8 @@ class InferenceHandler {
  public:
   // The pointers must outlive the handler. `session_ttl` is the time without a request after which
   // the store ends a sequence; it appears in ModelConfig and in messages. `server` is the name of
-  // this server among those that share its sessions; empty: it is alone, and sequences have no token.
+  // this server among those that share its sessions; empty: it is alone, and sequences have no
+  // token.
   InferenceHandler(PolicyRegistry* registry, SessionStore* store, const PolicyHandler* sessions,
                    const Clock* clock, absl::Duration session_ttl, std::string server)
       : registry_(registry),

@@ -1,6 +1,6 @@
 // Reads the parameters of a ModelInfer request that describe its sequence: sequence_id (a string,
-// or an integer other than 0), sequence_start, sequence_end and sequence_token. A request that starts a sequence
-// may also have target_return, seed and record; see OpenSessionRequest.
+// or an integer other than 0), sequence_start, sequence_end and sequence_token. A request that
+// starts a sequence may also have target_return, seed and record; see OpenSessionRequest.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_INFERENCE_INFERENCE_SEQUENCE_H_

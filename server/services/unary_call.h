@@ -180,12 +180,11 @@ class UnaryCall : public ServiceCall {
 
   // Answers with the session as the store has it.
   void Read(const std::string& id, const CallOutcome& missing, const SessionRecovery::Post& post) {
-    context().recovery->Read(
-        caller(), id, post, [self = Self(), missing](const auto& session) {
-          if (absl::IsNotFound(session.status())) return self->End(missing);
-          if (session.ok()) AnswerWith(**session, self->request(), self->response());
-          self->End(session.status());
-        });
+    context().recovery->Read(caller(), id, post, [self = Self(), missing](const auto& session) {
+      if (absl::IsNotFound(session.status())) return self->End(missing);
+      if (session.ok()) AnswerWith(**session, self->request(), self->response());
+      self->End(session.status());
+    });
   }
 
   void OnRecovered(const std::string& id, const absl::Status& status, const CallOutcome& outcome) {

@@ -26,8 +26,8 @@ redis.call('ZADD', KEYS[1], now, ARGV[1])
 redis.call('ZREMRANGEBYSCORE', KEYS[1], '-inf', now - ARGV[2])
 return redis.call('ZRANGE', KEYS[1], 0, -1))";
 
-// Notes the files of a server. What another one that is alive has noted stays. Returns the number of
-// changes so far, and the versions of which another server has another file. KEYS: hash. ARGV:
+// Notes the files of a server. What another one that is alive has noted stays. Returns the number
+// of changes so far, and the versions of which another server has another file. KEYS: hash. ARGV:
 // server, servers that are alive, lines of version and SHA-256.
 constexpr char kCompare[] = R"(
 local alive = {}
@@ -111,7 +111,8 @@ absl::StatusOr<std::string> RedisShared::GetFile(const std::string& name) {
 absl::StatusOr<SharedSettings::ComparedFiles> RedisShared::CompareFiles(
     const std::vector<VersionFile>& files, const std::vector<std::string>& alive) {
   std::string lines;
-  for (const VersionFile& file : files) absl::StrAppend(&lines, file.version, " ", file.sha256, "\n");
+  for (const VersionFile& file : files)
+    absl::StrAppend(&lines, file.version, " ", file.sha256, "\n");
   const auto reply = Run(/*writes=*/true, {"EVAL", kCompare, "1", kVersions, replica_,
                                            absl::StrJoin(alive, " "), lines});
   if (!reply.ok()) return reply.status();

@@ -3,7 +3,8 @@
 //
 // - cfg, a hash: revision and settings.
 // - pf:<SHA-256>: the file of a promoted version; pf:<SHA-256>.sig: its signature.
-// - pf:versions, a hash: of each policy version, the server that had it first and the SHA-256 of its
+// - pf:versions, a hash: of each policy version, the server that had it first and the SHA-256 of
+// its
 //   file; and the number of changes.
 // - r, a sorted set: the servers, by the time at which they were alive last.
 //
