@@ -15,7 +15,7 @@ from serving import Service, running_server
 INFERENCE = "inference.GRPCInferenceService"
 VERSIONS = 1000
 LOOP_SECONDS = 2e-4  # of processor time that a call may take of an event loop
-MOST_TRIES = 30
+MOST_TRIES = 60
 ON_THE_LOOP = {"decision", "light"}
 
 # By service: the class of each method, and a request that it accepts or refuses for its content. "SESSION" stands for
@@ -166,7 +166,10 @@ def test_the_table_has_every_method(servers, service):
 
 
 def test_no_call_takes_a_loop_for_long(servers):
-    """Processor time and not time by the clock, and the best of some tries: other programs disturb both."""
+    """Processor time and not time by the clock, and the best of some tries: other programs disturb both.
+
+    Where the shortest call takes more than half of the limit, the others may take twice as long as it.
+    """
     addresses = servers[1]
     pid = addresses.process.pid
     with contextlib.ExitStack() as stack:
@@ -174,21 +177,26 @@ def test_no_call_takes_a_loop_for_long(servers):
             service: stack.enter_context(service_with(addresses, "machine", service))
             for service in METHODS
         }
-        took = {}
-        for service, name in UNARY:
-            if name == "Drain":
-                continue  # further tries would be refused
-            request = with_session(METHODS[service][name][1], services[POLICY].OpenSession(policy="small").session_id)
+
+        def best(service, name, request, limit):
             tries = []
-            while len(tries) < MOST_TRIES and min(tries, default=1) > LOOP_SECONDS:
+            while len(tries) < MOST_TRIES and min(tries, default=1) > limit:
                 wait_for_threads(pid)
                 before = loop_seconds(pid)
                 called(services[service], name, request)
                 wait_for_threads(pid)
                 tries.append(loop_seconds(pid) - before)
-            took[name] = min(tries)
-            print(f"{name:24} {1e6 * took[name]:7.0f} us {len(tries)}")
-    assert {name: seconds for name, seconds in took.items() if seconds > LOOP_SECONDS} == {}
+            print(f"{name:24} {1e6 * min(tries):7.0f} us {len(tries)}")
+            return min(tries)
+
+        limit = max(LOOP_SECONDS, 2 * best(INFERENCE, "ServerLive", {}, 0))
+        took = {}
+        for service, name in UNARY:
+            if name == "Drain":
+                continue  # further tries would be refused
+            session = services[POLICY].OpenSession(policy="small").session_id
+            took[name] = best(service, name, with_session(METHODS[service][name][1], session), limit)
+    assert {name: seconds for name, seconds in took.items() if seconds > limit} == {}
 
 
 def test_what_grows_with_the_versions_is_answered_off_the_loops(servers):
