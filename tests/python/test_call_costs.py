@@ -15,6 +15,7 @@ from serving import Service, running_server
 INFERENCE = "inference.GRPCInferenceService"
 VERSIONS = 1000
 LOOP_SECONDS = 2e-4  # of processor time that a call may take of an event loop
+MOST_TIMES = 5
 MOST_TRIES = 60
 ON_THE_LOOP = {"decision", "light"}
 
@@ -168,7 +169,7 @@ def test_the_table_has_every_method(servers, service):
 def test_no_call_takes_a_loop_for_long(servers):
     """Processor time and not time by the clock, and the best of some tries: other programs disturb both.
 
-    Where the shortest call takes more than half of the limit, the others may take twice as long as it.
+    They also empty the caches of the processor, so a call may take some times as long as the shortest one.
     """
     addresses = servers[1]
     pid = addresses.process.pid
@@ -189,9 +190,10 @@ def test_no_call_takes_a_loop_for_long(servers):
             print(f"{name:24} {1e6 * min(tries):7.0f} us {len(tries)}")
             return min(tries)
 
-        limit = max(LOOP_SECONDS, 2 * best(INFERENCE, "ServerLive", {}, 0))
+        limit = max(LOOP_SECONDS, MOST_TIMES * best(INFERENCE, "ServerLive", {}, 0))
         took = {}
-        for service, name in UNARY:
+        # Operators' calls last, because they make the history longer.
+        for service, name in sorted(UNARY, key=lambda call: METHODS[call[0]][call[1]][0] == "operator"):
             if name == "Drain":
                 continue  # further tries would be refused
             session = services[POLICY].OpenSession(policy="small").session_id
