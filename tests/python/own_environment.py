@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-FOLDER = pathlib.Path(os.environ.get("SPIKESERVE_OWN_ENVIRONMENTS", "/tmp/spikeserve-environments"))
+FOLDER = pathlib.Path(os.environ.get("OWN_ENVIRONMENTS", "/tmp/spikeserve-environments"))
 DEADLINE_SECONDS = 3000
 
 
