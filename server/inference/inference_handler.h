@@ -38,7 +38,7 @@ class InferenceHandler {
   // this server among those that share its sessions; empty: it is alone, and sequences have no
   // token.
   InferenceHandler(PolicyRegistry* registry, SessionStore* store, const PolicyHandler* sessions,
-                   const Clock* clock, absl::Duration session_ttl, std::string server)
+                   const Clock* clock, absl::Duration session_ttl, std::string server = "")
       : registry_(registry),
         store_(store),
         sessions_(sessions),
