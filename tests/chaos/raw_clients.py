@@ -154,6 +154,8 @@ class RawSession:
 
     def _first_from(self, expected, at):
         """Returns the request from which a replica goes on that expects decision `expected`."""
+        if expected > self._kept[-1].decision:
+            return len(self._kept) - 1  # it has all of them, and answers the last one again
         first = next((i for i, sent in enumerate(self._kept) if sent.decision == expected), None)
         assert first is not None, f"expected a kept decision, received {expected} at {self._kept[at].decision}"
         # An end before it may be lost, too: it is answered once however often it is sent.
