@@ -194,7 +194,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                     ? nullptr
                     : std::make_unique<SessionRecovery>(journals_.get(), registry_.get(), &store_,
                                                         recordings_.get())),
-      handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get(),
+      session_gate_(&store_, recovery_.get()),
+      handler_(registry_.get(), &session_gate_, &shadows_, &clock_, recordings_.get(),
                {.journals = journals_.get(), .level = options.durability, .files = files_.get()}),
       audit_(audit_log_.get(), registry_.get(), &store_, options.allow_unrecorded_changes),
       rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
@@ -207,7 +208,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .metrics = metrics_.get(),
                  .clock = &clock_,
                  .max_message_bytes = options.max_message_bytes,
-                 .recovery = recovery_.get()},
+                 .sessions = &session_gate_},
                 {.policy = &handler_,
                  .admin = &admin_handler_,
                  .heads = &head_handler_,
@@ -224,7 +225,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       admin_worker_(kOperatorCallsWaiting),
       head_handler_(registry_.get(), &store_),
       inference_handler_(
-          registry_.get(), &store_, &handler_, &clock_, options.session_ttl,
+          registry_.get(), &session_gate_, &handler_, &clock_, options.session_ttl,
           journals_ != nullptr && journals_->IsShared() && !options.allow_unconfirmed_sequences
               ? store.replica
               : ""),
