@@ -53,8 +53,8 @@ from spikeserve.vector_session import VectorSession
 
 __version__ = importlib.metadata.version("spikeserve")
 
-# Code that protoc generates from the wire contract is in folders spikeserve/v1 elsewhere on the path:
-# it is importable beside this package, as spikeserve.v1.policy_service_pb2.
+# Code that protoc generates from the wire contract is in folders spikeserve/v1 elsewhere on the
+# path. So it is importable beside this package, as spikeserve.v1.policy_service_pb2.
 __path__ = pkgutil.extend_path(__path__, __name__)
 
 __all__ = [
