@@ -10,6 +10,7 @@
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/session/session_export.h"
 #include "core/session/session_value.h"
 #include "server/agent/act_together.h"
 #include "server/agent/convert.h"
@@ -482,6 +483,26 @@ absl::Status PolicyHandler::Explain(const Credential& caller, const v1::ExplainR
   const auto entry = FindReadable(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
+}
+
+absl::Status PolicyHandler::ExportSession(const Credential& caller,
+                                          const v1::ExportSessionRequest& request,
+                                          v1::ExportSessionResponse* response) const {
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  if (!entry.ok()) return entry.status();
+  if (auto status = CheckMayPlay(caller, **entry); !status.ok()) return status;
+  absl::MutexLock lock(&(*entry)->mutex);
+  const AgentSession& agent = (*entry)->agent;
+  const Session& session = agent.session();
+  response->set_value(spikeserve::ExportSession(agent));
+  response->set_policy((*entry)->served->name);
+  response->set_version((*entry)->served->version);
+  response->set_policy_sha256(session.options.policy_sha256);
+  response->set_decision(session.decisions);
+  response->set_episode(session.episode);
+  response->set_step(session.step);
+  response->set_frozen(IsFrozenByExport(session));
+  return absl::OkStatus();
 }
 
 absl::Status PolicyHandler::CloseSession(const Credential& caller,

@@ -106,6 +106,8 @@ class PolicyHandler {
   // Takes about a thousand times as long as a decision; see ExplainSession.
   absl::Status Explain(const Credential& caller, const v1::ExplainRequest& request,
                        v1::ExplainResponse* response) const;
+  absl::Status ExportSession(const Credential& caller, const v1::ExportSessionRequest& request,
+                             v1::ExportSessionResponse* response) const;
   absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response, Commits* commits = nullptr) const;
 
