@@ -56,68 +56,14 @@ std::shared_ptr<LocalSession> OpenSession(std::shared_ptr<PlayedPolicy> played,
   return ValueOrRaise(LocalSession::Open(std::move(played), std::move(request)));
 }
 
-// The action that Python reports as executed: an index, or values.
-class Executed {
- public:
-  Executed(const ActionSpace& space, nb::handle action) {
-    if (action.is_none()) return;
-    if (space.is_discrete()) {
-      reported_ = nb::cast<int64_t>(nb::module_::import_("operator").attr("index")(action));
-    } else {
-      values_ = ToArray<float>("executed", action, 1);
-      reported_ = View(*values_);
-    }
-  }
-
-  const std::optional<ReportedAction>& reported() const { return reported_; }
-
- private:
-  std::optional<InputArray<float>> values_;
-  std::optional<ReportedAction> reported_;
-};
-
-BoundDecision Act(LocalSession& session, nb::handle observation, double reward,
-                  const nb::object& executed) {
+BoundDecision Act(LocalSession& session, nb::handle observation, double reward) {
   const auto values = ToArray<float>("observation", observation, 1);
-  const Executed before(session.policy().action_space, executed);
   absl::StatusOr<Answer> answer = Answer();
   {
     const nb::gil_scoped_release release;
-    answer = session.Act(View(values), reward, before.reported());
+    answer = session.Act(View(values), reward);
   }
   return ToBound(ValueOrRaise(std::move(answer)), session.policy());
-}
-
-void Append(LocalSession& session, nb::handle observation, double reward,
-            const nb::object& executed) {
-  const auto values = ToArray<float>("observation", observation, 1);
-  const Executed before(session.policy().action_space, executed);
-  absl::Status status;
-  {
-    const nb::gil_scoped_release release;
-    status = session.Append(View(values), reward, before.reported());
-  }
-  if (!status.ok()) Raise(status);
-}
-
-std::shared_ptr<LocalSession> OpenValue(std::shared_ptr<PlayedPolicy> played,
-                                        const nb::bytes& value) {
-  const std::string copy(value.c_str(), value.size());
-  absl::StatusOr<std::shared_ptr<LocalSession>> session = nullptr;
-  {
-    const nb::gil_scoped_release release;
-    session = LocalSession::Import(std::move(played), copy);
-  }
-  return ValueOrRaise(std::move(session));
-}
-
-nb::bytes Export(LocalSession& session) {
-  std::string value;
-  {
-    const nb::gil_scoped_release release;
-    value = session.Export();
-  }
-  return nb::bytes(value.data(), value.size());
 }
 
 EpisodeSummary EndEpisode(LocalSession& session, double reward, bool terminated, bool truncated,
@@ -196,17 +142,10 @@ BoundBatch ActBatch(const PlayedPolicy& played,
 void BindSession(nb::module_& module) {
   nb::class_<LocalSession>(module, "Session",
                            "The session of one agent: its context window, return-to-go and step.")
-      .def("act", &Act, "observation"_a, "reward"_a = 0.0, "executed"_a = nb::none(),
+      .def("act", &Act, "observation"_a, "reward"_a = 0.0,
            "Returns the decision at this step and moves to the next step.\n\n"
            "`observation` is in environment units. `reward` is for the previous action; step 0\n"
-           "ignores it. `executed` is the action that was executed before, if it is not the\n"
-           "decided one. After an error the session is unchanged.")
-      .def("append", &Append, "observation"_a, "reward"_a = 0.0, "executed"_a = nb::none(),
-           "Adds a step that was decided elsewhere: as `act`, without a decision.\n\n"
-           "The action of the step itself is the `executed` of the next one.")
-      .def("export", &Export,
-           "Returns the value of the session, which `Engine.open` continues.\n\n"
-           "Equal sessions have equal bytes.")
+           "ignores it. After an error the session is unchanged.")
       .def("end_episode", &EndEpisode, "reward"_a, "terminated"_a = false, "truncated"_a = false,
            "target_return"_a = nb::none(),
            "Takes the last reward, ends the episode and moves to step 0 of the next episode.\n\n"
@@ -243,10 +182,6 @@ void BindEngine(nb::module_& module) {
            "head_delta"_a = nb::none(),
            "Opens a session. None selects the default of the policy.\n\n"
            "`learning` is a Learning of this package or of the client.")
-      .def("open", &OpenValue, "value"_a,
-           "Continues the session whose value ExportSession of a server, or `export`, returned.\n\n"
-           "The engine must have the policy file of that session; its shapes are checked.\n"
-           "Decisions go on bit for bit. ValueError if the value is damaged.")
       .def("act_batch", &ActBatch, "sessions"_a, "observations"_a, "rewards"_a = nb::none(),
            "Decides for different sessions of this engine at once, as `act` does for each.\n\n"
            "observations: [rows, observation_size]; rewards: [rows], None: all 0. After an error,\n"

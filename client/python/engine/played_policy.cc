@@ -8,8 +8,6 @@
 #include "absl/strings/str_cat.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
-#include "core/session/journal_entry.h"
-#include "core/session/session_export.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -69,16 +67,6 @@ absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Open(
   return std::make_shared<LocalSession>(std::move(played), NewSession("", *std::move(options)));
 }
 
-absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Import(
-    std::shared_ptr<const PlayedPolicy> played, const std::string& value) {
-  absl::StatusOr<Session> session = ImportSession(value);
-  if (!session.ok()) return session.status();
-  // Checks the shapes.
-  session = RestoreSession({.snapshot = *std::move(session), .entries = {}}, played->policy());
-  if (!session.ok()) return absl::InvalidArgumentError(session.status().message());
-  return std::make_shared<LocalSession>(std::move(played), *std::move(session));
-}
-
 LocalSession::LocalSession(std::shared_ptr<const PlayedPolicy> played, Session session)
     : played_(std::move(played)),
       agent_(played_->served(), std::move(session), &played_->clock()) {}
@@ -102,23 +90,12 @@ class LocalSession::Locks {
   const absl::Span<LocalSession* const> sorted_;
 };
 
-absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward,
-                                         const std::optional<ReportedAction>& executed) {
+absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward) {
   const absl::MutexLock lock(&mutex_);
   const absl::StatusOr<const Answer*> answer =
-      agent_.Act(agent_.session().step, observation, reward, executed);
+      agent_.Act(agent_.session().step, observation, reward);
   if (!answer.ok()) return answer.status();
   return **answer;
-}
-
-absl::Status LocalSession::Append(absl::Span<const float> observation, double reward,
-                                  const std::optional<ReportedAction>& executed) {
-  const absl::MutexLock lock(&mutex_);
-  return agent_.Append(observation, reward, executed);
-}
-
-std::string LocalSession::Export() {
-  return With([](const AgentSession& agent) { return ExportSession(agent); });
 }
 
 absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(const EpisodeEnd& end) {

@@ -10,7 +10,6 @@
 #define CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_
 
 #include <memory>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,7 +20,6 @@
 #include "absl/types/span.h"
 #include "client/python/engine/batch_answers.h"
 #include "client/python/engine/policy_source.h"
-#include "core/action/reported_action.h"
 #include "core/base/clock.h"
 #include "core/session/agent_session.h"
 #include "core/session/explanation.h"
@@ -63,23 +61,13 @@ class LocalSession {
   static absl::StatusOr<std::shared_ptr<LocalSession>> Open(
       std::shared_ptr<const PlayedPolicy> played, SessionRequest request);
 
-  // Continues a session that ExportSession returned (session_export.h). Returns INVALID_ARGUMENT if
-  // it is not one, or not one of this policy's shapes.
-  static absl::StatusOr<std::shared_ptr<LocalSession>> Import(
-      std::shared_ptr<const PlayedPolicy> played, const std::string& value);
-
   LocalSession(std::shared_ptr<const PlayedPolicy> played, Session session);
 
   const PlayedPolicy& played() const { return *played_; }
   const Policy& policy() const { return played_->policy(); }
 
   // Errors of the methods: see AgentSession.
-  absl::StatusOr<Answer> Act(absl::Span<const float> observation, double reward,
-                             const std::optional<ReportedAction>& executed = std::nullopt);
-  // As Act, for a step that was decided elsewhere: no answer is of interest.
-  absl::Status Append(absl::Span<const float> observation, double reward,
-                      const std::optional<ReportedAction>& executed);
-  std::string Export();
+  absl::StatusOr<Answer> Act(absl::Span<const float> observation, double reward);
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
   // A recomputed decision, and the value of the session that made it.
   struct Explained {
