@@ -179,7 +179,7 @@ def test_an_expired_request_is_appended_and_not_decided(service):
     values, beats = undisturbed(service, **KINDS["float"])
     robot = Robot(service, **KINDS["float"])
     # The fastest request so far shows the way from the observation to the server.
-    robot.act(observed_at=START, valid_until=START + SECOND)
+    robot.act(observed_at=START, valid_until=START + 3600 * SECOND)
     robot.execute(beats[1]["executed"])
     # This one has waited for 5 s longer.
     late = robot.request(2, observed_at=START - 5 * SECOND, valid_until=START - 4 * SECOND)
