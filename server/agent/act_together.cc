@@ -1,5 +1,6 @@
 #include "server/agent/act_together.h"
 
+#include <cstdint>
 #include <optional>
 #include <utility>
 
@@ -9,7 +10,7 @@
 #include "server/agent/beat_requests.h"
 #include "server/agent/convert.h"
 #include "server/agent/request_order.h"
-#include "server/base/expected_decision.h"
+#include "server/agent/session_gate.h"
 
 namespace spikeserve {
 namespace {
@@ -31,24 +32,34 @@ ShadowStep MakeShadowStep(absl::Span<const float> observation, double reward, bo
           .served = *session.last_answer};
 }
 
-// Returns whether the session is to be claimed again, because this copy of it may be an old one. A
-// request that does not name its decision may be right for a newer one, whatever its step is.
-bool MayBeOutdated(const ActItem& item, const Session& session) {
-  if (!item.may_claim || item.entry->journal == nullptr) return false;
-  return IsAhead(*item.request, session) ||
-         (!NamesPlace(*item.request) && item.entry->journal->is_shared());
+// Returns the number of the decision that the request names, if it names one.
+std::optional<uint64_t> Decision(const DecisionRequest& act) {
+  if (act.is_next || !act.request->has_decision()) return std::nullopt;
+  return act.request->decision();
 }
 
-// Returns the number of the decision that the request names, if it names one.
-std::optional<uint64_t> Decision(const ActItem& item) {
-  if (!item.step.has_value() || !item.request->has_decision()) return std::nullopt;
-  return item.request->decision();
+// Adds what the answer waits for. Errors wait, too, so that the answers of one session keep their
+// order; the items of a batch are answered together, so that an error among them need not.
+void AddCommits(DecisionRequest& act, const Place& place, bool has_decided) {
+  Commits& commits = act.context->commits;
+  const size_t before = commits.size();
+  if (place.is_of_session) {
+    AddCommit(*act.entry, &commits);
+  } else {
+    AddConfirmation(*act.entry, has_decided, &commits);
+  }
+  if (commits.size() == before || act.item < 0) return;
+  if (act.status.ok()) {
+    commits.back().item = act.item;
+  } else {
+    commits.pop_back();
+  }
 }
 
 // Takes the beats of a request. Returns whether the decision is to be made now.
-bool TakeBeatsOf(ActItem& item, const Clock& clock, int64_t* budget)
-    ABSL_EXCLUSIVE_LOCKS_REQUIRED(item.entry->mutex) {
-  SessionEntry& entry = *item.entry;
+bool TakeBeatsOf(DecisionRequest& act, const Clock& clock, int64_t* budget)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
+  SessionEntry& entry = *act.entry;
   const bool is_new = entry.journal == nullptr || entry.journal->is_new();
   const auto on_appended = [&](const Beat& beat) {
     entry.mutex.AssertHeld();
@@ -56,90 +67,80 @@ bool TakeBeatsOf(ActItem& item, const Clock& clock, int64_t* budget)
     entry.shadow_steps.push_back(
         MakeShadowStep(beat.observation, beat.reward, /*reports=*/true, entry.agent.session()));
   };
-  const auto decides =
-      TakeBeats(*item.request, item.received, clock, *entry.served->observer, is_new, &entry.agent,
-                &entry.robot, budget, &item.beats, on_appended);
-  item.status = decides.status();
+  const auto decides = TakeBeats(*act.request, act.received, clock, *entry.served->observer, is_new,
+                                 &entry.agent, &entry.robot, budget, &act.beats, on_appended);
+  act.status = decides.status();
   return decides.ok() && *decides;
 }
 
-// Sets what follows from `item.status`. `is_new` is true if the session has changed.
-void Conclude(ActItem& item, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(item.entry->mutex) {
-  const Session& session = item.entry->agent.session();
-  if (absl::IsFailedPrecondition(item.status)) {
-    item.status = WithExpectedDecision(item.status, session.decisions, session.step);
-    if (MayBeOutdated(item, session)) {
-      item.entry->journal->Abandon();
-      item.status = NoSuchSession(item.request->session_id());
-      return;
-    }
+// Sets what follows from `act.status`. `is_new` is true if the session has changed.
+void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
+  SessionEntry& entry = *act.entry;
+  const Place place = PlaceOf(*act.request);
+  if (absl::IsFailedPrecondition(act.status)) {
+    act.status = SessionGate::Refused(*act.context, place, act.status, entry);
+    if (absl::IsNotFound(act.status)) return;
   }
-  // Errors wait, too, so that the answers of one session keep their order.
-  if (NamesPlace(*item.request)) {
-    AddCommit(*item.entry, &item.commits);
-  } else {
-    AddConfirmation(*item.entry, item.status.ok() && is_new, &item.commits);
-  }
-  if (!item.status.ok()) return item.entry->served->observer->OnError();
-  if (const SessionJournal* journal = item.entry->journal.get(); journal != nullptr) {
-    item.response->set_durable_decision(journal->is_sync() ? session.decisions
-                                                           : journal->durable_decisions());
+  AddCommits(act, place, /*has_decided=*/act.status.ok() && is_new);
+  if (!act.status.ok()) return entry.served->observer->OnError();
+  if (const SessionJournal* journal = entry.journal.get(); journal != nullptr) {
+    act.response->set_durable_decision(journal->is_sync() ? entry.agent.session().decisions
+                                                          : journal->durable_decisions());
   }
 }
 
 }  // namespace
 
-void ActTogether(absl::Span<ActItem> items, const Clock& clock) {
+void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries;
-  for (const ActItem& item : items) entries.push_back(item.entry);
+  for (const DecisionRequest* act : acts) entries.push_back(act->entry);
   const SessionLocks locks(entries);
   absl::InlinedVector<AgentSession::ActCall, 1> calls;
-  absl::InlinedVector<ActItem*, 1> deciding;  // the items of `calls`
+  absl::InlinedVector<DecisionRequest*, 1> deciding;  // the requests of `calls`
   int64_t budget = kBeatsPerGroup;
   absl::Duration begun;  // of the decisions
-  for (ActItem& item : items) {
-    item.entry->mutex.AssertHeld();
-    AgentSession& agent = item.entry->agent;
-    if (item.entry->journal != nullptr) item.entry->journal->WriteAgainIfMissing(agent.session());
-    if (HasBeats(*item.request)) {
-      const bool decides = TakeBeatsOf(item, clock, &budget);
-      if (!item.beats.finished && item.status.ok()) continue;
+  for (DecisionRequest* act : acts) {
+    act->entry->mutex.AssertHeld();
+    AgentSession& agent = act->entry->agent;
+    if (act->entry->journal != nullptr) act->entry->journal->WriteAgainIfMissing(agent.session());
+    if (HasBeats(*act->request)) {
+      const bool decides = TakeBeatsOf(*act, clock, &budget);
+      if (!act->is_finished()) continue;
       begun = clock.Now();
       if (!decides) {
-        Conclude(item, /*is_new=*/item.beats.appended > 0);
-        if (item.status.ok()) {
-          FillBeats(*item.request, item.beats, agent.session(), item.received, begun,
-                    item.response);
+        Conclude(*act, /*is_new=*/act->beats.appended > 0);
+        if (act->status.ok()) {
+          FillBeats(*act->request, act->beats, agent.session(), act->received, begun,
+                    act->response);
         }
         continue;
       }
     }
     calls.push_back({.session = &agent,
-                     .step = item.step.value_or(agent.session().step),
-                     .observation = item.request->observation(),
-                     .reward = item.request->reward(),
-                     .decision = Decision(item),
-                     .executed = ExecutedBefore(*item.request)});
-    deciding.push_back(&item);
+                     .step = act->is_next ? agent.session().step : act->request->step(),
+                     .observation = act->request->observation(),
+                     .reward = act->request->reward(),
+                     .decision = Decision(*act),
+                     .executed = ExecutedBefore(*act->request)});
+    deciding.push_back(act);
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
   for (size_t i = 0; i < calls.size(); ++i) {
-    ActItem& item = *deciding[i];
-    item.entry->mutex.AssertHeld();
-    item.status = calls[i].answer.status();
-    Conclude(item, !calls[i].is_retry);
-    if (!item.status.ok()) continue;
-    const Session& session = item.entry->agent.session();
-    if (calls[i].is_retry) item.entry->served->observer->OnRepeated();
-    if (item.entry->shadow != nullptr && !calls[i].is_retry) {
-      item.entry->shadow_steps.push_back(MakeShadowStep(item.request->observation(),
-                                                        item.request->reward(),
-                                                        calls[i].executed.has_value(), session));
+    DecisionRequest& act = *deciding[i];
+    SessionEntry& entry = *act.entry;
+    entry.mutex.AssertHeld();
+    act.status = calls[i].answer.status();
+    Conclude(act, /*is_new=*/!calls[i].is_retry);
+    if (!act.status.ok()) continue;
+    const Session& session = entry.agent.session();
+    if (calls[i].is_retry) entry.served->observer->OnRepeated();
+    if (entry.shadow != nullptr && !calls[i].is_retry) {
+      entry.shadow_steps.push_back(MakeShadowStep(act.request->observation(), act.request->reward(),
+                                                  calls[i].executed.has_value(), session));
     }
-    ToProto(item.request->session_id(), **calls[i].answer, item.entry->served->policy(),
-            item.response);
-    if (HasBeats(*item.request)) {
-      FillBeats(*item.request, item.beats, session, item.received, begun, item.response);
+    ToProto(act.request->session_id(), **calls[i].answer, entry.served->policy(), act.response);
+    if (HasBeats(*act.request)) {
+      FillBeats(*act.request, act.beats, session, act.received, begun, act.response);
     }
   }
 }

@@ -3,9 +3,7 @@
 #define SERVER_AGENT_ACT_TOGETHER_H_
 
 #include <cstddef>
-#include <cstdint>
 #include <memory>
-#include <optional>
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
@@ -13,7 +11,7 @@
 #include "core/base/clock.h"
 #include "core/session/session_store.h"
 #include "server/agent/beat_requests.h"
-#include "server/agent/durable_answer.h"
+#include "server/agent/call_context.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -22,28 +20,28 @@ namespace spikeserve {
 // memory traffic of the weights further, and would lock more sessions against other callers.
 inline constexpr size_t kMaxSessionsPerGroup = 16;
 
-// One request of a group, its session and its response.
-struct ActItem {
+// One request for a decision, from its arrival to its answer.
+struct DecisionRequest {
+  CallContext* context = nullptr;  // of the request, or of the batch that it is an item of
   const v1::ActRequest* request = nullptr;
-  std::optional<int64_t> step;  // absent: the step that the session expects, so never a retry
-  std::shared_ptr<SessionEntry> entry;
   v1::ActResponse* response = nullptr;
+  int item = -1;         // index in the batch; -1: a request of its own
+  bool is_next = false;  // true: decides at the step that the session expects, so never a retry
+  std::shared_ptr<SessionEntry> entry = nullptr;  // only while it is decided
   absl::Status status = absl::OkStatus();
-  Commits commits = {};  // what the answer waits for
   // When the request was received, by the clock; used if it has beats (beat_requests.h).
   absl::Duration received = absl::ZeroDuration();
-  // Of a request with beats. If it has not finished, `status` is OK and the item is to be passed
-  // again, before others of the session.
-  BeatProgress beats = {};
-  // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
-  // that the caller claims the session again. Another server may have decided in between.
-  bool may_claim = false;
+  BeatProgress beats = {};  // of a request with beats
+
+  // False: the request has no answer yet. It is to be decided again, before later requests for its
+  // session.
+  bool is_finished() const { return beats.finished || !status.ok(); }
 };
 
-// Computes the decision of each item and sets its `response`, or its `status` to the error. The
-// results equal those of deciding the items one after the other, bit for bit. Thread-safe.
-// REQUIRES: each session occurs at most once in `items`.
-void ActTogether(absl::Span<ActItem> items, const Clock& clock);
+// Computes the decision of each of `acts` and sets its `response`, or its `status` to the error,
+// and adds what the answer waits for to its context. The results equal those of deciding one after
+// the other, bit for bit. Thread-safe. REQUIRES: each has its `entry`, and no two the same.
+void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock);
 
 }  // namespace spikeserve
 
