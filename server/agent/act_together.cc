@@ -103,6 +103,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
     act->entry->mutex.AssertHeld();
     AgentSession& agent = act->entry->agent;
     if (act->entry->journal != nullptr) act->entry->journal->WriteAgainIfMissing(agent.session());
+    act->beats.finished = true;  // also if it had to wait for another request
     if (HasBeats(*act->request)) {
       const bool decides = TakeBeatsOf(*act, clock, &budget);
       if (!act->is_finished()) continue;

@@ -88,7 +88,7 @@ absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration rec
     }
     progress->started = true;
   }
-  if (request.history_size() == 0 && request.skipped_rewards_size() == 0) {
+  if (!HasPastBeats(request)) {
     progress->expired = IsExpired(request, start, *robot);
     // A request for an answer that was given is answered.
     if (progress->expired && request.step() < agent->session().step) progress->expired = false;

@@ -40,6 +40,11 @@ inline bool HasBeats(const v1::ActRequest& request) {
          request.skipped_rewards_size() > 0 || request.has_valid_until();
 }
 
+// Returns whether `request` has beats before its own.
+inline bool HasPastBeats(const v1::ActRequest& request) {
+  return request.history_size() > 0 || request.skipped_rewards_size() > 0;
+}
+
 // Returns the action that was executed before the request's step, if it says so.
 std::optional<ReportedAction> ExecutedBefore(const v1::ActRequest& request);
 

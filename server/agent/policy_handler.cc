@@ -381,8 +381,13 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
                                  int first, v1::ActBatchResponse* response,
-                                 absl::Duration received) const {
-  const int end = std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
+                                 absl::Duration received, BeatProgress* beats) const {
+  const int limit =
+      std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
+  int end = std::min(first + 1, limit);
+  if (end < limit && !HasPastBeats(request.requests(first))) {
+    while (end < limit && !HasPastBeats(request.requests(end))) ++end;
+  }
   absl::InlinedVector<DecisionRequest, kMaxSessionsPerGroup> items;
   absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> acts;
   for (int i = first; i < end; ++i) {
@@ -390,15 +395,16 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
                      .request = &request.requests(i),
                      .response = response->add_results()->mutable_response(),
                      .item = i,
-                     .received = received});
+                     .received = received,
+                     .beats = std::exchange(*beats, {})});
   }
   for (DecisionRequest& item : items) acts.push_back(&item);
   ActMany(acts, context.deferred, [](absl::Span<DecisionRequest* const> /*group*/) {});
   for (const DecisionRequest& item : items) {
     if (!item.is_finished()) {
-      // Those behind it that have an answer get it again, as retries.
-      while (response->results_size() > item.item) response->mutable_results()->RemoveLast();
-      return item.item;
+      response->mutable_results()->RemoveLast();
+      *beats = item.beats;
+      return first;
     }
     if (!item.status.ok()) ErrorToProto(item.status, response->mutable_results(item.item));
   }

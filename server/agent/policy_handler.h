@@ -79,11 +79,12 @@ class PolicyHandler {
   // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
   static absl::Status CheckBatch(const v1::ActBatchRequest& request);
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
-  // after the last one, or of the first one that has not finished. An item that fails has its own
-  // code in `response`. REQUIRES: CheckBatch returned OK.
+  // after the last one. An item that fails has its own code in `response`. An item with past beats
+  // is a group of its own. If it has not finished, returns `first`, and the next call goes on with
+  // it, by `beats`. REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response,
-                    absl::Duration received = absl::ZeroDuration()) const;
+                    v1::ActBatchResponse* response, absl::Duration received,
+                    BeatProgress* beats) const;
   absl::Status EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(CallContext& context, const v1::GetSessionRequest& request,

@@ -90,13 +90,15 @@ void ActBatchCall::Handle() {
   if (!status.ok()) return End(status);
   decided_ = 0;
   received_at_ = context().clock->Now();
+  beats_ = {};
   queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
 }
 
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
   if (call() == nullptr) return true;
   call_context().deferred = deferred;
-  decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_);
+  decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_,
+                                   &beats_);
   if (decided_ < request().requests_size()) return false;
   refusal_ = RefusalWithin(*response());
   ExplainMissing();

@@ -194,9 +194,11 @@ class Game {
     v1::ActBatchResponse response;
     DeferredWork deferred;
     CallContext context = server_.NewContext(&deferred);
+    BeatProgress beats;
     for (int next = 0; next < request.requests_size();) {
       const int first = next;
-      next = server_.handler().ActBatchGroup(context, request, next, &response);
+      next = server_.handler().ActBatchGroup(context, request, next, &response,
+                                             absl::ZeroDuration(), &beats);
       FUZZ_CHECK(next > first);
     }
     FUZZ_CHECK(response.results_size() == request.requests_size());

@@ -214,19 +214,25 @@ def test_a_long_history_keeps_the_order(addresses, service):
         for _ in range(3):
             robot.execute(neutral)
             requests.append(robot.request(2))
+        robot.execute(neutral)
+        # Without beats before its own.
+        requests.append(robot.request(0, executed_action=neutral))
         asked = [request(**fields) for fields in requests]
         asked.insert(1, request(session_id=other, observation=observation(4, 0)))
         answers = list(stream(iter(asked), timeout=DEADLINE_SECONDS))
     ours = [answer for answer in answers if answer.session_id == robot.id]
-    assert [answer.step for answer in ours] == [600, 601, 602, 603]
-    assert [answer.appended for answer in ours] == [600, 0, 0, 0]
+    assert [answer.step for answer in ours] == [600, 601, 602, 603, 604]
+    assert [answer.appended for answer in ours] == [600, 0, 0, 0, 0]
     assert not any(answer.HasField("error") for answer in answers)
     for _ in range(41):
         robot.execute(neutral)
-    # In a batch, too, a long history is appended in parts.
-    batch = service.ActBatch(requests=[robot.request(43), {"session_id": other, "step": 1, "observation": observation(4, 1)}])
-    assert [result.code for result in batch.results] == [0, 0]
-    assert service.GetSession(session_id=robot.id).step == 645
+    # In a batch, too, a long history is appended in parts, and what is behind it is decided once.
+    behind = [{"session_id": other, "step": step, "observation": observation(4, step)} for step in (1, 2, 3)]
+    batch = service.ActBatch(requests=[behind[0], robot.request(43), *behind[1:]])
+    assert [result.code for result in batch.results] == [0, 0, 0, 0]
+    assert batch.results[1].response.appended == 41
+    assert service.GetSession(session_id=robot.id).step == 646
+    assert service.GetSession(session_id=other).step == 4
 
 
 def test_what_is_beyond_the_limit_counts_as_rewards(service):
