@@ -298,6 +298,8 @@ Json BeatsJson(const v1::BeatReport& beats) {
           {"local", Integer(beats.local())},
           {"safe", Integer(beats.safe())},
           {"late_answers", Integer(beats.late_answers())},
+          {"cancelled_calls", Integer(beats.cancelled_calls())},
+          {"reconnects", Integer(beats.reconnects())},
           {"longest_gap_seconds", beats.longest_gap_seconds()},
           {"oldest_age_seconds", beats.oldest_age_seconds()}};
 }

@@ -24,12 +24,14 @@ class SessionListTest : public PolicyHandlerFixture {
     request.mutable_learning()->set_scope(v1::LearningConfig::SESSION);
     (*request.mutable_labels())["robot"] = "R2 \"D2\"";
     (*request.mutable_labels())["Straße"] = "7\n";
+    request.set_period_seconds(0.02);
     return MustOpen(std::move(request));
   }
 
   void Act(const std::string& id, int64_t step, double reward) {
     v1::ActRequest request = MakeRequest(id, step);
     request.set_reward(reward);
+    request.mutable_report()->set_held(7);
     v1::ActResponse response;
     DeferredWork deferred;
     const auto status = Decide(request, &response, &deferred);
@@ -59,8 +61,9 @@ class SessionListTest : public PolicyHandlerFixture {
 
 TEST_F(SessionListTest, ARowHasEveryFieldOfSessionInfo) {
   const std::string id = OpenOne();
+  Act(id, /*step=*/0, /*reward=*/0.0);
   ExpectEveryField(List({})["sessions"][0], id);
-  for (int64_t step = 0; step < 5; ++step) Act(id, step, /*reward=*/0.1);
+  for (int64_t step = 1; step < 5; ++step) Act(id, step, /*reward=*/0.1);
   clock_.Advance(absl::Milliseconds(1234));
   const Json row = List({{"sort", "energy_joules"}, {"filter", "straße=7"}})["sessions"][0];
   ExpectEveryField(row, id);
