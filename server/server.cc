@@ -330,13 +330,23 @@ absl::Status Server::StartHttp() {
     http_tls_ = *std::move(tls);
     certificates_.Add(http_tls_.get());
   }
-  auto http = HttpServer::Start({.listen = *address,
-                                 .tls = http_tls_.get(),
-                                 .local_names_only = local_names_only,
-                                 .clock = &clock_},
-                                [this](const HttpRequest& request, const HttpServer::Done& done) {
-                                  pages_.Answer(request, done);
-                                });
+  http_calls_ = std::make_unique<HttpCalls>(transport_.get(), options_.transport_limits);
+  inference_pages_ = std::make_unique<const InferencePages>(authenticator_.get(), http_calls_.get(),
+                                                            options_.max_message_bytes);
+  const InferencePages& inference = *inference_pages_;
+  auto http = HttpServer::Start(
+      {.listen = *address,
+       .tls = http_tls_.get(),
+       .local_names_only = local_names_only,
+       .clock = &clock_,
+       .accept_body =
+           [&inference](const HttpRequest& request) { return inference.AcceptBody(request); },
+       .bodies = &transport_->budgets().all,
+       .max_body_bytes = options_.transport_limits.max_bytes_in_flight},
+      [this, &inference](const HttpRequest& request, const HttpServer::Done& done) {
+        if (InferencePages::Has(request.path)) return inference.Answer(request, done);
+        pages_.Answer(request, done);
+      });
   if (!http.ok()) return http.status();
   http_ = *std::move(http);
   history_ticker_ =

@@ -39,7 +39,9 @@
 #include "server/services/services.h"
 #include "server/store/open_store.h"
 #include "server/transport/transport.h"
+#include "server/web/http_call.h"
 #include "server/web/http_server.h"
+#include "server/web/inference_pages.h"
 #include "server/web/status_pages.h"
 
 namespace spikeserve {
@@ -131,6 +133,8 @@ class Server {
   size_t free_when_trimmed_ = 0;
   ServerHistory history_;
   StatusPages pages_;
+  std::unique_ptr<HttpCalls> http_calls_;  // null as `http_`; its calls are on loops of transport_
+  std::unique_ptr<const InferencePages> inference_pages_;  // null as `http_`
   Address grpc_address_;
   std::unique_ptr<TlsContext> http_tls_;  // null without TLS
   std::unique_ptr<HttpServer> http_;

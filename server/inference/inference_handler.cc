@@ -98,7 +98,7 @@ absl::Status InferenceHandler::ServerMetadata(const inference::ServerMetadataReq
   response->set_name(kPlatform);
   response->set_version(std::string(Version()));
   for (const char* extension : {"sequence", "sequence(string_id)", "model_repository",
-                                "model_configuration", "statistics"}) {
+                                "model_configuration", "statistics", "binary_tensor_data"}) {
     response->add_extensions(extension);
   }
   return absl::OkStatus();

@@ -50,23 +50,6 @@ HttpResponse FileResponse(absl::string_view path) {
           .body = std::string(file->second)};
 }
 
-int HttpCode(absl::StatusCode code) {
-  switch (code) {
-    case absl::StatusCode::kInvalidArgument:
-      return 400;
-    case absl::StatusCode::kNotFound:
-      return 404;
-    case absl::StatusCode::kFailedPrecondition:
-      return 409;
-    case absl::StatusCode::kResourceExhausted:
-      return 429;
-    case absl::StatusCode::kUnavailable:
-      return 503;
-    default:
-      return 500;
-  }
-}
-
 HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
   return {.code = json.ok() ? 200 : HttpCode(json.status().code()),
           .content_type = "application/json",

@@ -11,16 +11,18 @@ DOCS = pathlib.Path(__file__).parents[2] / "docs"
 PAGES_SERVER = "127.0.0.1:50051"
 PAGES_GRPC_PORT = "50051"
 PAGES_HTTP_PORT = "9464"
+PAGES_HTTP = f"127.0.0.1:{PAGES_HTTP_PORT}"
 
 
-def run_examples(page, address):
-    """Runs every Python example of docs/<page>, in order, against the server at `address`."""
+def run_examples(page, address, http=PAGES_HTTP):
+    """Runs every Python example of docs/<page>, in order, against a server at `address` for gRPC, and `http`."""
     path = DOCS / page
     examples = re.findall(r"^```python\n(.*?)^```$", path.read_text(), re.MULTILINE | re.DOTALL)
     assert examples
     names = {}
     for example in examples:
-        exec(compile(example.replace(PAGES_SERVER, address), path, "exec"), names)
+        example = example.replace(PAGES_SERVER, address).replace(PAGES_HTTP, http)
+        exec(compile(example, path, "exec"), names)
 
 
 class Shell:
