@@ -20,6 +20,7 @@
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/recordings.h"
+#include "server/agent/session_gate.h"
 #include "server/agent/session_recovery.h"
 #include "server/agent/shadow_runner.h"
 #include "server/base/address.h"
@@ -108,6 +109,7 @@ class Server {
   SessionStore store_;
   SessionReaper reaper_;
   const std::unique_ptr<SessionRecovery> recovery_;  // null as `journals_`
+  const SessionGate session_gate_;
   const PolicyHandler handler_;
   const Audit audit_;
   RolloutManager rollouts_;
@@ -123,7 +125,7 @@ class Server {
   BackgroundWorker list_worker_;
   BackgroundWorker admin_worker_;
   const HeadHandler head_handler_;
-  InferenceHandler inference_handler_;
+  const InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
   // Of FollowReplicas(), which one thread calls at a time.
   bool follow_failed_ = false;

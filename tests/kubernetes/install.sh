@@ -24,14 +24,16 @@ if [[ $(printf '%s\n' "${version:-go0}" go1.24 | sort -V | head -1) != go1.24 ]]
   exit 0
 fi
 
-# build NAME PACKAGE: builds the program NAME from the module in the folder NAME.
+# build NAME PACKAGE [LINKER_FLAGS]: builds the program NAME from the module in the folder NAME.
 build() {
   local module=$source_dir/${1#kube-}
   cmp -s <(cat "$module"/go.{mod,sum}) "$build_dir/$1.installed" && return 0
   echo "setup: building $1, about five minutes"
-  (cd "$module" && "$go" build -mod=readonly -ldflags="-s -w" -o "$build_dir/bin/$1" "$2")
+  (cd "$module" && "$go" build -mod=readonly -ldflags="-s -w ${3:-}" -o "$build_dir/bin/$1" "$2")
   cat "$module"/go.{mod,sum} >"$build_dir/$1.installed"
 }
 
 build helm helm.sh/helm/v3/cmd/helm
-build kube-apiserver k8s.io/kubernetes/cmd/kube-apiserver
+# It tells its version to helm, which compares it with the chart's.
+kubernetes=$(sed -n 's#^require k8s.io/kubernetes ##p' "$source_dir/apiserver/go.mod")
+build kube-apiserver k8s.io/kubernetes/cmd/kube-apiserver "-X k8s.io/component-base/version.gitVersion=$kubernetes"

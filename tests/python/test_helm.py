@@ -129,11 +129,13 @@ def test_install_upgrade_and_roll_back(cluster):
     flags = ["--namespace", "fleet", "--values", EXAMPLES["redis"]]
     assert release(cluster, "install", "spikeserve", CHART, "--create-namespace", *flags).returncode == 0
     assert deployed(cluster, "fleet")["spec"]["replicas"] == 3
-    finished = release(cluster, "upgrade", "spikeserve", CHART, *flags, "--set", "replicas=5", "--set", "image.tag=9")
+    finished = release(
+        cluster, "upgrade", "spikeserve", CHART, *flags, "--set", "replicas=5", "--set", "image.tag=0.2.0"
+    )
     assert finished.returncode == 0, finished.stderr
     changed = deployed(cluster, "fleet")["spec"]
     assert changed["replicas"] == 5
-    assert changed["template"]["spec"]["containers"][0]["image"] == "spikeserve:9"
+    assert changed["template"]["spec"]["containers"][0]["image"] == "spikeserve:0.2.0"
     refused = release(cluster, "upgrade", "spikeserve", CHART, *flags, "--set", "replicas=many")
     assert refused.returncode != 0
     assert names_field(refused.stderr, "replicas"), refused.stderr
@@ -146,7 +148,7 @@ def test_the_stateful_set_can_be_upgraded(cluster):
     flags = ["--namespace", "robot"]
     assert release(cluster, "install", "spikeserve", CHART, "--create-namespace", *flags).returncode == 0
     finished = release(
-        cluster, "upgrade", "spikeserve", CHART, *flags, "--set", "image.tag=9", "--set", "sessions.ttl=1h"
+        cluster, "upgrade", "spikeserve", CHART, *flags, "--set", "image.tag=0.2.0", "--set", "sessions.ttl=1h"
     )
     assert finished.returncode == 0, finished.stderr
     [container] = deployed(cluster, "robot", "statefulsets")["spec"]["template"]["spec"]["containers"]

@@ -443,8 +443,8 @@ def test_a_server_records_and_spiketrain_trains(tmp_path):
     if "SPIKETRAIN_PROGRAM" not in os.environ:
         return
     tiny = "--hidden_size=8 --heads=2 --layers=1 --ticks=4 --context=4 --iterations=2 --batch=2 --episodes=1".split()
-    for data in ("set-v0", "set.cbor"):
-        command = [os.environ["SPIKETRAIN_PROGRAM"], "train", f"--data={tmp_path / data}", f"--out={tmp_path}/run-{data}"]
-        trained = subprocess.run([*command, *tiny], check=True, capture_output=True, text=True)
-        assert "CartPole-v1, 1 episodes" in trained.stdout
-        assert (tmp_path / f"run-{data}/policy.safetensors").exists()
+    data = f"--data={tmp_path}/set-v0,{tmp_path}/set.cbor"
+    command = [os.environ["SPIKETRAIN_PROGRAM"], "train", data, f"--out={tmp_path}/run", *tiny]
+    trained = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert "CartPole-v1, 1 episodes" in trained.stdout
+    assert (tmp_path / "run/policy.safetensors").exists()
