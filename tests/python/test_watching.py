@@ -31,7 +31,10 @@ ABSENT = {"ActStream"}
 
 # The labels that Prometheus adds to every series.
 SCRAPE_LABELS = {"job", "instance"}
+# What Prometheus makes itself, with the labels of its own.
+OF_PROMETHEUS = {"up": set(), "ALERTS": {"alertname", "alertstate"}}
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
+PROMTOOL_SECONDS = 600  # it evaluates days of every alert, and other tests run at the same time
 
 
 def get(url, **parameters):
@@ -207,6 +210,7 @@ def prometheus(server, tmp_path_factory):
         shadowed = "increase(spikeserve_shadow_decisions_total[1m]) > 0"
         wait_for(lambda: api.query(shadowed), "a scrape after the shadow's decisions")
         wait_for(lambda: all(rule["health"] == "ok" for rule in api.rules()), "the rules")
+        wait_for(lambda: api.query('ALERTS{alertname="SpikeserveRolloutAborted"}'), "the alert of the roll-out")
         yield api
 
 
@@ -225,7 +229,7 @@ def fill_in(expression, instance):
 
 def names_and_labels(expression):
     """Returns the metrics of an expression with their label matchers, and its grouping labels."""
-    selectors = re.findall(r"\b((?:spikeserve|process)_\w+)(?:\{([^}]*)\})?", expression)
+    selectors = re.findall(r"\b((?:spikeserve|process)_\w+|up|ALERTS)\b(?:\{([^}]*)\})?", expression)
     matchers = [
         (name, re.findall(r'(\w+)\s*(=~|!~|!=|=)\s*"([^"]*)"', braces)) for name, braces in selectors
     ]
@@ -239,6 +243,9 @@ def check_expression(expression, scraped):
     metrics, grouped_by = names_and_labels(expression)
     known = set(SCRAPE_LABELS)
     for name, matchers in metrics:
+        if name in OF_PROMETHEUS:
+            known |= OF_PROMETHEUS[name]
+            continue
         assert name in scraped, f"{name} is not exported"
         known.update(*scraped[name])
         for label, operator, pattern in matchers:
@@ -272,6 +279,47 @@ def test_a_panel_shows_data(title, target, prometheus, server):
         assert math.isfinite(value), f"{title} shows {value}"
         for label in re.findall(r"\{\{(\w+)\}\}", target["legendFormat"]):
             assert labels.get(label), f"{title} has no {label} for its legend"
+
+
+@pytest.mark.parametrize("annotation", DASHBOARD["annotations"]["list"], ids=lambda annotation: annotation["name"])
+def test_an_annotation_reads_what_is_exported(annotation, scraped, prometheus, server):
+    expression = fill_in(annotation["expr"], server.http)
+    check_expression(expression, scraped)
+    labels = set(re.findall(r"\{\{(\w+)\}\}", annotation["titleFormat"] + annotation["textFormat"]))
+    assert labels <= names_and_labels(expression)[1]
+    series = prometheus.query(expression)  # fails unless Prometheus can parse it
+    if annotation.get("useValueForTime"):  # the roll-out of these tests has ended just now
+        assert series
+        assert all(abs(value / 1000 - time.time()) < 3600 for _, value in series)
+
+
+def test_a_servers_link_leads_to_its_status_page(prometheus):
+    linked = [panel for panel in PANELS if "links" in panel["fieldConfig"]["defaults"]]
+    of_servers = [panel for panel in PANELS if any("{{instance}}" in target["legendFormat"] for target in panel["targets"])]
+    assert linked == of_servers
+    for panel in linked:
+        [link] = panel["fieldConfig"]["defaults"]["links"]
+        for labels, _ in prometheus.query("spikeserve_sessions_limit"):
+            address = link["url"].replace("${scheme}", "http").replace("${__field.labels.instance}", labels["instance"])
+            assert "<title>" in get(address)
+
+
+def test_the_first_row_says_when_something_is_wrong():
+    """Every figure of the first row has colours, and those of alerts change at the thresholds of the alerts."""
+    first = [panel for panel in PANELS if panel["gridPos"]["y"] == 1]
+    assert {panel["type"] for panel in first} == {"stat"}
+    red = {
+        panel["title"]: [step["value"] for step in panel["fieldConfig"]["defaults"]["thresholds"]["steps"] if step["color"] == "red"]
+        for panel in first
+    }
+    alerts = ALERTS_YML.read_text()
+    for title, alert in (
+        ("Calls that fail", "SpikeserveErrors"),
+        ("Call of a decision, p99", "SpikeserveSlow"),
+        ("Sessions of the limit", "SpikeserveSessionsNearLimit"),
+    ):
+        rule = alerts.split(f"alert: {alert}\n")[1].split("for:")[0]
+        assert red[title] == [float(rule.rsplit("> ", 1)[1])]
 
 
 def test_the_dashboard_can_be_imported():
@@ -310,7 +358,7 @@ def test_energy_models_stay_apart():
 
 def test_the_variables_have_values(scraped):
     variables = {variable["name"]: variable for variable in DASHBOARD["templating"]["list"]}
-    assert list(variables) == ["datasource", "policy", "version", "instance"]
+    assert list(variables) == ["datasource", "policy", "version", "instance", "scheme"]
     for name in ("policy", "version", "instance"):
         query = variables[name]["query"]["query"]
         metric, label = re.fullmatch(r"label_values\((\w+)(?:\{.*\})?, (\w+)\)", query).groups()
@@ -359,7 +407,7 @@ def test_the_server_is_up(prometheus):
 )
 def test_promtool_is_content(arguments):
     finished = subprocess.run(
-        ["promtool", *arguments], capture_output=True, text=True, timeout=DEADLINE_SECONDS
+        ["promtool", *arguments], capture_output=True, text=True, timeout=PROMTOOL_SECONDS
     )
     assert finished.returncode == 0, finished.stdout + finished.stderr
 
