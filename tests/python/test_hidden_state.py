@@ -34,6 +34,7 @@ EXPERTS = {
     "Spring-v0": hidden_state.hold,
     "Vehicle-v0": hidden_state.brake,
     "Thermostat-v0": hidden_state.heat,
+    "AnglePendulum-v0": hidden_state.swing_up,
 }
 
 
