@@ -14,6 +14,7 @@ import pytest
 import spikeserve
 from documentation import DOCS
 from serving import running_server
+from spikeserve.imitation import pipeline
 from spikeserve.imitation.options import ImitationOptions
 
 sys.path.insert(0, str(DOCS.parent / "train/recipes"))  # the experts
@@ -24,6 +25,7 @@ ROWS = re.findall(r"^\| `(\S+)` \| `(\S+)` \|", (DOCS / "imitation.md").read_tex
 MODES = ("baseline", "dense")
 SMALL = ImitationOptions(
     environments=4,
+    learning_rate=0.003,
     steps=1200,
     burst_rate=0.1,
     longest_burst=2,
@@ -35,9 +37,10 @@ SMALL = ImitationOptions(
     ticks=4,
     batch=8,
     iterations=10,
-    rounds=1,
+    rounds=0,
     round_steps=150,
     round_iterations=5,
+    silence_iterations=5,
     silence=(),
     selection_episodes=2,
     episodes=2,
@@ -56,9 +59,11 @@ def needs_mujoco(name):
 
 @pytest.mark.parametrize(("name", "expert"), ROWS)
 @pytest.mark.parametrize("mode", MODES if WHOLE else ["baseline"])
-def test_a_row(tmp_path, name, expert, mode):
+def test_a_row(tmp_path, monkeypatch, name, expert, mode):
     if needs_mujoco(name):
         pytest.skip("without mujoco")
+    if not WHOLE:
+        monkeypatch.setattr(pipeline, "LARGEST_COMPARED", 0)  # the baselines take seconds
     options = dataclasses.replace(ImitationOptions() if WHOLE else SMALL, mode=mode)
     result = spikeserve.imitate(name, expert, tmp_path, options=options, spiketrain=SPIKETRAIN)
     if not WHOLE:
