@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs on a bare Debian 12 or 13 what a target of the Makefile needs, and nothing that is there already. Run it as root.
 #
-# usage: deploy/setup.sh [BUILD_DIR [PART...]]   default: build and all parts
+# usage: deploy/setup.sh [BUILD_DIR [PART...]]   default: build and the usual parts
 #
 # | part    | what it installs                                                                                    |
 # | server  | compiler and libraries of spikeserve, spikectl and spikeload                                        |
@@ -12,11 +12,13 @@
 # | interop | clients of gRPC in other languages, in BUILD_DIR/interop                                            |
 # | arm64   | cross compiler, emulator, and what makes the arm64 libraries of deploy/arm64_root.sh                |
 # | release | checks of packages, images, charts and pages: lintian, buildah, and BUILD_DIR/release-tools/venv    |
+# | chart   | helm and kube-apiserver, for slow tests of the chart, in BUILD_DIR/kubernetes; only when named      |
 set -euo pipefail
 cd "$(dirname "$0")/.."
 build_dir=${1:-build}
 shift || true
-all_parts=(server build clang tests chips interop arm64 release)
+usual_parts=(server build clang tests chips interop arm64 release)
+all_parts=("${usual_parts[@]}" chart)
 
 packages_server=(
   g++ make cmake ninja-build ccache git pkg-config ca-certificates
@@ -39,6 +41,7 @@ packages_chips=(python3-torch)  # Debian's PyTorch, which has no CUDA
 packages_interop=(golang-go)
 packages_arm64=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)
 packages_release=(lintian debootstrap buildah uidmap qemu-user-static etcd-server golang-go)
+packages_chart=(etcd-server golang-go)
 # Other sources of Node.js bring npm along, and conflict with Debian's.
 command -v npm >/dev/null || packages_interop+=(nodejs npm)
 
@@ -75,7 +78,7 @@ install_venv() {
   cp "$requirements" "$venv/requirements.txt"
 }
 
-(($#)) || set -- "${all_parts[@]}"
+(($#)) || set -- "${usual_parts[@]}"
 packages=()
 for part in "$@"; do
   declare -p "packages_$part" >/dev/null 2>&1 || {
@@ -92,5 +95,6 @@ for part in "$@"; do
     chips) tests/chips/install.sh "$build_dir" ;;
     release) install_venv "$build_dir/release-tools/venv" deploy/release/requirements.txt ;;
     interop) tests/interop/install.sh "$build_dir" ;;
+    chart) tests/kubernetes/install.sh "$build_dir" ;;
   esac
 done

@@ -192,7 +192,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                     ? nullptr
                     : std::make_unique<SessionRecovery>(journals_.get(), registry_.get(), &store_,
                                                         recordings_.get())),
-      handler_(registry_.get(), &store_, &shadows_, &clock_, recordings_.get(),
+      session_gate_(&store_, recovery_.get()),
+      handler_(registry_.get(), &session_gate_, &shadows_, &clock_, recordings_.get(),
                {.journals = journals_.get(), .level = options.durability}),
       audit_(audit_log_.get(), registry_.get(), &store_, options.allow_unrecorded_changes),
       rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
@@ -205,7 +206,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .metrics = metrics_.get(),
                  .clock = &clock_,
                  .max_message_bytes = options.max_message_bytes,
-                 .recovery = recovery_.get()},
+                 .sessions = &session_gate_},
                 {.policy = &handler_,
                  .admin = &admin_handler_,
                  .heads = &head_handler_,
@@ -221,7 +222,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       list_worker_(kListsWaiting),
       admin_worker_(kOperatorCallsWaiting),
       head_handler_(registry_.get(), &store_),
-      inference_handler_(registry_.get(), &store_, &handler_, &clock_, options.session_ttl),
+      inference_handler_(registry_.get(), &session_gate_, &handler_, &clock_, options.session_ttl),
       history_([this] { return metrics_->Collect(); }, &clock_),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
@@ -330,13 +331,23 @@ absl::Status Server::StartHttp() {
     http_tls_ = *std::move(tls);
     certificates_.Add(http_tls_.get());
   }
-  auto http = HttpServer::Start({.listen = *address,
-                                 .tls = http_tls_.get(),
-                                 .local_names_only = local_names_only,
-                                 .clock = &clock_},
-                                [this](const HttpRequest& request, const HttpServer::Done& done) {
-                                  pages_.Answer(request, done);
-                                });
+  http_calls_ = std::make_unique<HttpCalls>(transport_.get(), options_.transport_limits);
+  inference_pages_ = std::make_unique<const InferencePages>(authenticator_.get(), http_calls_.get(),
+                                                            options_.max_message_bytes);
+  const InferencePages& inference = *inference_pages_;
+  auto http = HttpServer::Start(
+      {.listen = *address,
+       .tls = http_tls_.get(),
+       .local_names_only = local_names_only,
+       .clock = &clock_,
+       .accept_body =
+           [&inference](const HttpRequest& request) { return inference.AcceptBody(request); },
+       .bodies = &transport_->budgets().all,
+       .max_body_bytes = options_.transport_limits.max_bytes_in_flight},
+      [this, &inference](const HttpRequest& request, const HttpServer::Done& done) {
+        if (InferencePages::Has(request.path)) return inference.Answer(request, done);
+        pages_.Answer(request, done);
+      });
   if (!http.ok()) return http.status();
   http_ = *std::move(http);
   history_ticker_ =

@@ -20,6 +20,7 @@
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/recordings.h"
+#include "server/agent/session_gate.h"
 #include "server/agent/session_recovery.h"
 #include "server/agent/shadow_runner.h"
 #include "server/base/address.h"
@@ -39,7 +40,9 @@
 #include "server/services/services.h"
 #include "server/store/open_store.h"
 #include "server/transport/transport.h"
+#include "server/web/http_call.h"
 #include "server/web/http_server.h"
+#include "server/web/inference_pages.h"
 #include "server/web/status_pages.h"
 
 namespace spikeserve {
@@ -106,6 +109,7 @@ class Server {
   SessionStore store_;
   SessionReaper reaper_;
   const std::unique_ptr<SessionRecovery> recovery_;  // null as `journals_`
+  const SessionGate session_gate_;
   const PolicyHandler handler_;
   const Audit audit_;
   RolloutManager rollouts_;
@@ -121,7 +125,7 @@ class Server {
   BackgroundWorker list_worker_;
   BackgroundWorker admin_worker_;
   const HeadHandler head_handler_;
-  InferenceHandler inference_handler_;
+  const InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
   // Of FollowReplicas(), which one thread calls at a time.
   bool follow_failed_ = false;
@@ -131,6 +135,8 @@ class Server {
   size_t free_when_trimmed_ = 0;
   ServerHistory history_;
   StatusPages pages_;
+  std::unique_ptr<HttpCalls> http_calls_;  // null as `http_`; its calls are on loops of transport_
+  std::unique_ptr<const InferencePages> inference_pages_;  // null as `http_`
   Address grpc_address_;
   std::unique_ptr<TlsContext> http_tls_;  // null without TLS
   std::unique_ptr<HttpServer> http_;

@@ -52,7 +52,8 @@ void ToProto(const AuditEntry& entry, v1::HistoryEntry* proto) {
 
 }  // namespace
 
-absl::Status AdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
+absl::Status AdminHandler::LoadPolicy(CallContext& /*context*/,
+                                      const v1::LoadPolicyRequest& request,
                                       v1::LoadPolicyResponse* response) const {
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
   const auto load = [&] {
@@ -69,14 +70,16 @@ absl::Status AdminHandler::LoadPolicy(const v1::LoadPolicyRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status AdminHandler::UnloadPolicy(const v1::UnloadPolicyRequest& request,
+absl::Status AdminHandler::UnloadPolicy(CallContext& /*context*/,
+                                        const v1::UnloadPolicyRequest& request,
                                         v1::UnloadPolicyResponse* response) const {
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
     return registry_->Unload({.policy = request.policy(), .version = request.version()});
   });
 }
 
-absl::Status AdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest& /*request*/,
+absl::Status AdminHandler::ReloadPolicies(CallContext& /*context*/,
+                                          const v1::ReloadPoliciesRequest& /*request*/,
                                           v1::ReloadPoliciesResponse* response) const {
   const auto report = registry_->Reload();
   if (!report.ok()) return report.status();
@@ -89,7 +92,8 @@ absl::Status AdminHandler::ReloadPolicies(const v1::ReloadPoliciesRequest& /*req
   return absl::OkStatus();
 }
 
-absl::Status AdminHandler::SetDefaultVersion(const v1::SetDefaultVersionRequest& request,
+absl::Status AdminHandler::SetDefaultVersion(CallContext& /*context*/,
+                                             const v1::SetDefaultVersionRequest& request,
                                              v1::SetDefaultVersionResponse* response) const {
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
     const auto version = registry_->SetDefault(request.policy(), request.version());
@@ -98,7 +102,7 @@ absl::Status AdminHandler::SetDefaultVersion(const v1::SetDefaultVersionRequest&
   });
 }
 
-absl::Status AdminHandler::SetLabel(const v1::SetLabelRequest& request,
+absl::Status AdminHandler::SetLabel(CallContext& /*context*/, const v1::SetLabelRequest& request,
                                     v1::SetLabelResponse* response) const {
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
     return registry_->SetLabel({.policy = request.policy(), .version = request.version()},
@@ -106,13 +110,15 @@ absl::Status AdminHandler::SetLabel(const v1::SetLabelRequest& request,
   });
 }
 
-absl::Status AdminHandler::RemoveLabel(const v1::RemoveLabelRequest& request,
+absl::Status AdminHandler::RemoveLabel(CallContext& /*context*/,
+                                       const v1::RemoveLabelRequest& request,
                                        v1::RemoveLabelResponse* response) const {
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
                        [&] { return registry_->RemoveLabel(request.policy(), request.label()); });
 }
 
-absl::Status AdminHandler::SetTraffic(const v1::SetTrafficRequest& request,
+absl::Status AdminHandler::SetTraffic(CallContext& /*context*/,
+                                      const v1::SetTrafficRequest& request,
                                       v1::SetTrafficResponse* response) const {
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
     return registry_->SetTraffic(request.policy(), SharesFromProto(request.shares()),
@@ -120,22 +126,22 @@ absl::Status AdminHandler::SetTraffic(const v1::SetTrafficRequest& request,
   });
 }
 
-absl::Status AdminHandler::SetTrafficShares(const v1::SetTrafficSharesRequest& request,
+absl::Status AdminHandler::SetTrafficShares(CallContext& /*context*/,
+                                            const v1::SetTrafficSharesRequest& request,
                                             v1::SetTrafficSharesResponse* response) const {
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
     return registry_->SetShares(request.policy(), SharesFromProto(request.shares()));
   });
 }
 
-absl::Status AdminHandler::SetShadow(const v1::SetShadowRequest& request,
+absl::Status AdminHandler::SetShadow(CallContext& /*context*/, const v1::SetShadowRequest& request,
                                      v1::SetShadowResponse* response) const {
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
     return registry_->SetShadow(request.policy(), request.shadow_version());
   });
 }
 
-absl::Status AdminHandler::ListHistory(const Credential& caller,
-                                       const v1::ListHistoryRequest& request,
+absl::Status AdminHandler::ListHistory(CallContext& context, const v1::ListHistoryRequest& request,
                                        v1::ListHistoryResponse* response) const {
   if (request.limit() < 0 || request.limit() > kLargestPageSize) {
     return absl::InvalidArgumentError(
@@ -144,7 +150,7 @@ absl::Status AdminHandler::ListHistory(const Credential& caller,
   const int32_t limit = request.limit() == 0 ? kDefaultPageSize : request.limit();
   const auto wanted = [&](const AuditEntry& entry) {
     const bool is_of_server = entry.peer.address.empty();
-    return (is_of_server || caller.CanRead(entry.tenant)) &&
+    return (is_of_server || context.caller->CanRead(entry.tenant)) &&
            (request.policy().empty() || request.policy() == entry.policy);
   };
   for (const AuditEntry& entry : history_->Last(wanted, static_cast<size_t>(limit))) {
@@ -153,7 +159,7 @@ absl::Status AdminHandler::ListHistory(const Credential& caller,
   return absl::OkStatus();
 }
 
-absl::Status AdminHandler::Drain(const v1::DrainRequest& request,
+absl::Status AdminHandler::Drain(CallContext& /*context*/, const v1::DrainRequest& request,
                                  v1::DrainResponse* response) const {
   store_->SetDraining(!request.cancel());
   on_draining_(!request.cancel());
@@ -161,7 +167,7 @@ absl::Status AdminHandler::Drain(const v1::DrainRequest& request,
   return absl::OkStatus();
 }
 
-absl::Status AdminHandler::ListSessions(const Credential& caller,
+absl::Status AdminHandler::ListSessions(CallContext& context,
                                         const v1::ListSessionsRequest& request,
                                         v1::ListSessionsResponse* response) const {
   if (request.page_size() < 0 || request.page_size() > kLargestPageSize) {
@@ -170,7 +176,7 @@ absl::Status AdminHandler::ListSessions(const Credential& caller,
   }
   int64_t open = 0;
   const auto wanted = [&](const SessionEntry& entry) {
-    if (!caller.CanRead(entry.tenant)) return false;
+    if (!context.caller->CanRead(entry.tenant)) return false;
     ++open;
     return (request.policy().empty() || request.policy() == entry.served->name) &&
            (request.version() == 0 || request.version() == entry.served->version);

@@ -10,7 +10,7 @@
 
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
-#include "server/access/authenticator.h"
+#include "server/agent/call_context.h"
 #include "server/base/audit_log.h"
 #include "server/base/replicas.h"
 #include "server/policies/policy_registry.h"
@@ -32,30 +32,32 @@ class AdminHandler {
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
   // status that policy_admin.proto names.
-  absl::Status LoadPolicy(const v1::LoadPolicyRequest& request,
+  absl::Status LoadPolicy(CallContext& context, const v1::LoadPolicyRequest& request,
                           v1::LoadPolicyResponse* response) const;
-  absl::Status UnloadPolicy(const v1::UnloadPolicyRequest& request,
+  absl::Status UnloadPolicy(CallContext& context, const v1::UnloadPolicyRequest& request,
                             v1::UnloadPolicyResponse* response) const;
-  absl::Status ReloadPolicies(const v1::ReloadPoliciesRequest& request,
+  absl::Status ReloadPolicies(CallContext& context, const v1::ReloadPoliciesRequest& request,
                               v1::ReloadPoliciesResponse* response) const;
-  absl::Status SetDefaultVersion(const v1::SetDefaultVersionRequest& request,
+  absl::Status SetDefaultVersion(CallContext& context, const v1::SetDefaultVersionRequest& request,
                                  v1::SetDefaultVersionResponse* response) const;
-  absl::Status SetLabel(const v1::SetLabelRequest& request, v1::SetLabelResponse* response) const;
-  absl::Status RemoveLabel(const v1::RemoveLabelRequest& request,
+  absl::Status SetLabel(CallContext& context, const v1::SetLabelRequest& request,
+                        v1::SetLabelResponse* response) const;
+  absl::Status RemoveLabel(CallContext& context, const v1::RemoveLabelRequest& request,
                            v1::RemoveLabelResponse* response) const;
-  absl::Status SetTraffic(const v1::SetTrafficRequest& request,
+  absl::Status SetTraffic(CallContext& context, const v1::SetTrafficRequest& request,
                           v1::SetTrafficResponse* response) const;
-  absl::Status SetTrafficShares(const v1::SetTrafficSharesRequest& request,
+  absl::Status SetTrafficShares(CallContext& context, const v1::SetTrafficSharesRequest& request,
                                 v1::SetTrafficSharesResponse* response) const;
-  absl::Status SetShadow(const v1::SetShadowRequest& request,
+  absl::Status SetShadow(CallContext& context, const v1::SetShadowRequest& request,
                          v1::SetShadowResponse* response) const;
   // Lists the actions of the tenants that `caller` may read, and those of the server itself.
-  absl::Status ListHistory(const Credential& caller, const v1::ListHistoryRequest& request,
+  absl::Status ListHistory(CallContext& context, const v1::ListHistoryRequest& request,
                            v1::ListHistoryResponse* response) const;
   // Lists the sessions that `caller` may read; see Credential::CanRead.
-  absl::Status ListSessions(const Credential& caller, const v1::ListSessionsRequest& request,
+  absl::Status ListSessions(CallContext& context, const v1::ListSessionsRequest& request,
                             v1::ListSessionsResponse* response) const;
-  absl::Status Drain(const v1::DrainRequest& request, v1::DrainResponse* response) const;
+  absl::Status Drain(CallContext& context, const v1::DrainRequest& request,
+                     v1::DrainResponse* response) const;
 
  private:
   PolicyRegistry* const registry_;

@@ -52,14 +52,14 @@ std::string Audit::StateOf(const google::protobuf::Message& request) const {
   return state.dump();
 }
 
-absl::Status Audit::RunAndRecord(Method method, const Credential& caller, const Peer& peer,
+absl::Status Audit::RunAndRecord(Method method, const CallContext& context,
                                  const google::protobuf::Message& request,
                                  absl::FunctionRef<absl::Status()> change) const {
   AuditEntry entry = {.time = absl::Now(),
                       .action = std::string(GetMethodInfo(method).name),
-                      .token = caller.name(),
-                      .tenant = caller.tenant()->name(),
-                      .peer = peer,
+                      .token = context.caller->name(),
+                      .tenant = context.caller->tenant()->name(),
+                      .peer = context.peer,
                       .policy = PolicyOf(request),
                       .request = MessageJson(request).dump(),
                       .before = StateOf(request)};

@@ -12,7 +12,7 @@
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "core/session/session_store.h"
-#include "server/access/authenticator.h"
+#include "server/agent/call_context.h"
 #include "server/base/audit_log.h"
 #include "server/base/method_table.h"
 #include "server/policies/policy_registry.h"
@@ -31,7 +31,7 @@ class Audit {
   // Runs `change`, the call of an operator, and records it with its outcome, which is returned. If
   // it could not be recorded, it is not run, and UNAVAILABLE is returned, unless changes that are
   // not recorded are allowed.
-  absl::Status RunAndRecord(Method method, const Credential& caller, const Peer& peer,
+  absl::Status RunAndRecord(Method method, const CallContext& context,
                             const google::protobuf::Message& request,
                             absl::FunctionRef<absl::Status()> change) const;
 

@@ -85,11 +85,11 @@ absl::Status CatchUp(const ServedPolicy& served) {
 
 }  // namespace
 
-absl::Status HeadHandler::GetHead(const Credential& caller, const v1::GetHeadRequest& request,
+absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest& request,
                                   v1::GetHeadResponse* response) const {
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
-  const auto tenant = TenantOf(caller, request);
+  const auto tenant = TenantOf(*context.caller, request);
   if (!tenant.ok()) return tenant.status();
   const Policy& policy = (*served)->policy();
   CatchUp(**served).IgnoreError();
@@ -122,14 +122,13 @@ absl::Status HeadHandler::GetHead(const Credential& caller, const v1::GetHeadReq
   return absl::OkStatus();
 }
 
-absl::Status HeadHandler::PromoteHead(const Credential& caller,
-                                      const v1::PromoteHeadRequest& request,
+absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHeadRequest& request,
                                       v1::PromoteHeadResponse* response) const {
   if (auto status = registry_->CheckCanSign(); !status.ok()) return status;
   absl::MutexLock lock(&promote_mutex_);
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
-  const auto tenant = TenantOf(caller, request);
+  const auto tenant = TenantOf(*context.caller, request);
   if (!tenant.ok()) return tenant.status();
   if (auto status = CatchUp(**served); !status.ok()) return status;
   const auto snapshot = HeadOf(**served, *tenant)->Read();
@@ -171,12 +170,11 @@ absl::Status HeadHandler::Share(const std::string& policy, const VersionFiles& f
   return absl::OkStatus();
 }
 
-absl::Status HeadHandler::RollbackHead(const Credential& caller,
-                                       const v1::RollbackHeadRequest& request,
+absl::Status HeadHandler::RollbackHead(CallContext& context, const v1::RollbackHeadRequest& request,
                                        v1::RollbackHeadResponse* response) const {
   const auto served = registry_->catalog()->Find(request.policy(), request.version());
   if (!served.ok()) return served.status();
-  const auto tenant = TenantOf(caller, request);
+  const auto tenant = TenantOf(*context.caller, request);
   if (!tenant.ok()) return tenant.status();
   if ((*served)->log == nullptr) {
     response->set_drift(HeadOf(**served, *tenant)->Rollback()->drift);
@@ -187,12 +185,14 @@ absl::Status HeadHandler::RollbackHead(const Credential& caller,
   return drift.status();
 }
 
-absl::Status HeadHandler::PauseLearning(const v1::PauseLearningRequest& request,
+absl::Status HeadHandler::PauseLearning(CallContext& /*context*/,
+                                        const v1::PauseLearningRequest& request,
                                         v1::PauseLearningResponse* /*response*/) const {
   return SetPaused(request.policy(), true);
 }
 
-absl::Status HeadHandler::ResumeLearning(const v1::ResumeLearningRequest& request,
+absl::Status HeadHandler::ResumeLearning(CallContext& /*context*/,
+                                         const v1::ResumeLearningRequest& request,
                                          v1::ResumeLearningResponse* /*response*/) const {
   return SetPaused(request.policy(), false);
 }

@@ -12,7 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "core/session/session_store.h"
-#include "server/access/authenticator.h"
+#include "server/agent/call_context.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -28,15 +28,15 @@ class HeadHandler {
   // UNAVAILABLE if the log of the head cannot be reached, except that GetHead then answers with the
   // head that this server has. A caller reaches the heads of the tenants whose sessions it may
   // read; the others are PERMISSION_DENIED.
-  absl::Status GetHead(const Credential& caller, const v1::GetHeadRequest& request,
+  absl::Status GetHead(CallContext& context, const v1::GetHeadRequest& request,
                        v1::GetHeadResponse* response) const;
-  absl::Status PromoteHead(const Credential& caller, const v1::PromoteHeadRequest& request,
+  absl::Status PromoteHead(CallContext& context, const v1::PromoteHeadRequest& request,
                            v1::PromoteHeadResponse* response) const;
-  absl::Status RollbackHead(const Credential& caller, const v1::RollbackHeadRequest& request,
+  absl::Status RollbackHead(CallContext& context, const v1::RollbackHeadRequest& request,
                             v1::RollbackHeadResponse* response) const;
-  absl::Status PauseLearning(const v1::PauseLearningRequest& request,
+  absl::Status PauseLearning(CallContext& context, const v1::PauseLearningRequest& request,
                              v1::PauseLearningResponse* response) const;
-  absl::Status ResumeLearning(const v1::ResumeLearningRequest& request,
+  absl::Status ResumeLearning(CallContext& context, const v1::ResumeLearningRequest& request,
                               v1::ResumeLearningResponse* response) const;
 
  private:

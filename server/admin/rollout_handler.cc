@@ -132,7 +132,8 @@ void RolloutHandler::Describe(const std::string& policy, v1::Rollout* rollout) c
   }
 }
 
-absl::Status RolloutHandler::StartRollout(const v1::StartRolloutRequest& request,
+absl::Status RolloutHandler::StartRollout(CallContext& /*context*/,
+                                          const v1::StartRolloutRequest& request,
                                           v1::StartRolloutResponse* response) const {
   const auto plan = PlanFromProto(request);
   if (!plan.ok()) return plan.status();
@@ -142,7 +143,8 @@ absl::Status RolloutHandler::StartRollout(const v1::StartRolloutRequest& request
   return status;
 }
 
-absl::Status RolloutHandler::AbortRollout(const v1::AbortRolloutRequest& request,
+absl::Status RolloutHandler::AbortRollout(CallContext& /*context*/,
+                                          const v1::AbortRolloutRequest& request,
                                           v1::AbortRolloutResponse* response) const {
   auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
                               [&] { return rollouts_->Cancel(request.policy()); });
@@ -150,7 +152,8 @@ absl::Status RolloutHandler::AbortRollout(const v1::AbortRolloutRequest& request
   return status;
 }
 
-absl::Status RolloutHandler::ListRollouts(const v1::ListRolloutsRequest& /*request*/,
+absl::Status RolloutHandler::ListRollouts(CallContext& /*context*/,
+                                          const v1::ListRolloutsRequest& /*request*/,
                                           v1::ListRolloutsResponse* response) const {
   for (const auto& [policy, progress] : rollouts_->List()) {
     ToProto(policy, progress, response->add_rollouts());

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "absl/status/status.h"
+#include "server/agent/call_context.h"
 #include "server/policies/policy_registry.h"
 #include "server/rollouts/rollout_manager.h"
 #include "spikeserve/v1/policy_admin.pb.h"
@@ -21,11 +22,11 @@ class RolloutHandler {
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
   // status that policy_admin.proto names.
-  absl::Status StartRollout(const v1::StartRolloutRequest& request,
+  absl::Status StartRollout(CallContext& context, const v1::StartRolloutRequest& request,
                             v1::StartRolloutResponse* response) const;
-  absl::Status AbortRollout(const v1::AbortRolloutRequest& request,
+  absl::Status AbortRollout(CallContext& context, const v1::AbortRolloutRequest& request,
                             v1::AbortRolloutResponse* response) const;
-  absl::Status ListRollouts(const v1::ListRolloutsRequest& request,
+  absl::Status ListRollouts(CallContext& context, const v1::ListRolloutsRequest& request,
                             v1::ListRolloutsResponse* response) const;
 
  private:

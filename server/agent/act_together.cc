@@ -1,5 +1,6 @@
 #include "server/agent/act_together.h"
 
+#include <cstdint>
 #include <optional>
 #include <utility>
 
@@ -7,7 +8,7 @@
 #include "core/session/session_locks.h"
 #include "server/agent/convert.h"
 #include "server/agent/request_order.h"
-#include "server/base/expected_decision.h"
+#include "server/agent/session_gate.h"
 
 namespace spikeserve {
 namespace {
@@ -32,70 +33,72 @@ ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session)
           .served = *session.last_answer};
 }
 
-// Returns whether the session is to be claimed again, because this copy of it may be an old one. A
-// request that does not name its decision may be right for a newer one, whatever its step is.
-bool MayBeOutdated(const ActItem& item, const Session& session) {
-  if (!item.may_claim || item.entry->journal == nullptr) return false;
-  return IsAhead(*item.request, session) ||
-         (!NamesPlace(*item.request) && item.entry->journal->is_shared());
+// Returns the number of the decision that the request names, if it names one.
+std::optional<uint64_t> Decision(const DecisionRequest& act) {
+  if (act.is_next || !act.request->has_decision()) return std::nullopt;
+  return act.request->decision();
 }
 
-// Returns the number of the decision that the request names, if it names one.
-std::optional<uint64_t> Decision(const ActItem& item) {
-  if (!item.step.has_value() || !item.request->has_decision()) return std::nullopt;
-  return item.request->decision();
+// Adds what the answer waits for. Errors wait, too, so that the answers of one session keep their
+// order; the items of a batch are answered together, so that an error among them need not.
+void AddCommits(DecisionRequest& act, const Place& place, bool has_decided) {
+  Commits& commits = act.context->commits;
+  const size_t before = commits.size();
+  if (place.is_of_session) {
+    AddCommit(*act.entry, &commits);
+  } else {
+    AddConfirmation(*act.entry, has_decided, &commits);
+  }
+  if (commits.size() == before || act.item < 0) return;
+  if (act.status.ok()) {
+    commits.back().item = act.item;
+  } else {
+    commits.pop_back();
+  }
 }
 
 }  // namespace
 
-void ActTogether(absl::Span<ActItem> items) {
+void DecideActs(absl::Span<DecisionRequest* const> acts) {
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries;
-  for (const ActItem& item : items) entries.push_back(item.entry);
+  for (const DecisionRequest* act : acts) entries.push_back(act->entry);
   const SessionLocks locks(entries);
   absl::InlinedVector<AgentSession::ActCall, 1> calls;
-  for (const ActItem& item : items) {
-    item.entry->mutex.AssertHeld();
-    AgentSession& agent = item.entry->agent;
-    if (item.entry->journal != nullptr) item.entry->journal->WriteAgainIfMissing(agent.session());
+  for (const DecisionRequest* act : acts) {
+    act->entry->mutex.AssertHeld();
+    AgentSession& agent = act->entry->agent;
+    if (act->entry->journal != nullptr) act->entry->journal->WriteAgainIfMissing(agent.session());
     calls.push_back({.session = &agent,
-                     .step = item.step.value_or(agent.session().step),
-                     .observation = item.request->observation(),
-                     .reward = item.request->reward(),
-                     .decision = Decision(item),
-                     .executed = ExecutedAction(*item.request)});
+                     .step = act->is_next ? agent.session().step : act->request->step(),
+                     .observation = act->request->observation(),
+                     .reward = act->request->reward(),
+                     .decision = Decision(*act),
+                     .executed = ExecutedAction(*act->request)});
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
-  for (size_t i = 0; i < items.size(); ++i) {
-    ActItem& item = items[i];
-    item.entry->mutex.AssertHeld();
-    item.status = calls[i].answer.status();
-    const Session& session = item.entry->agent.session();
-    if (absl::IsFailedPrecondition(item.status)) {
-      item.status = WithExpectedDecision(item.status, session.decisions, session.step);
-      if (MayBeOutdated(item, session)) {
-        item.entry->journal->Abandon();
-        item.status = NoSuchSession(item.request->session_id());
-        continue;
-      }
+  for (size_t i = 0; i < acts.size(); ++i) {
+    DecisionRequest& act = *acts[i];
+    SessionEntry& entry = *act.entry;
+    entry.mutex.AssertHeld();
+    act.status = calls[i].answer.status();
+    const Session& session = entry.agent.session();
+    const Place place = PlaceOf(*act.request);
+    if (absl::IsFailedPrecondition(act.status)) {
+      act.status = SessionGate::Refused(*act.context, place, act.status, entry);
+      if (absl::IsNotFound(act.status)) continue;
     }
-    // Errors wait, too, so that the answers of one session keep their order.
-    if (NamesPlace(*item.request)) {
-      AddCommit(*item.entry, &item.commits);
-    } else {
-      AddConfirmation(*item.entry, item.status.ok() && !calls[i].is_retry, &item.commits);
-    }
-    if (!item.status.ok()) {
-      item.entry->served->observer->OnError();
+    AddCommits(act, place, /*has_decided=*/act.status.ok() && !calls[i].is_retry);
+    if (!act.status.ok()) {
+      entry.served->observer->OnError();
       continue;
     }
-    if (item.entry->shadow != nullptr && !calls[i].is_retry) {
-      item.entry->shadow_steps.push_back(MakeShadowStep(*item.request, session));
+    if (entry.shadow != nullptr && !calls[i].is_retry) {
+      entry.shadow_steps.push_back(MakeShadowStep(*act.request, session));
     }
-    ToProto(item.request->session_id(), **calls[i].answer, item.entry->served->policy(),
-            item.response);
-    if (const SessionJournal* journal = item.entry->journal.get(); journal != nullptr) {
-      item.response->set_durable_decision(journal->is_sync() ? session.decisions
-                                                             : journal->durable_decisions());
+    ToProto(act.request->session_id(), **calls[i].answer, entry.served->policy(), act.response);
+    if (const SessionJournal* journal = entry.journal.get(); journal != nullptr) {
+      act.response->set_durable_decision(journal->is_sync() ? session.decisions
+                                                            : journal->durable_decisions());
     }
   }
 }

@@ -3,14 +3,12 @@
 #define SERVER_AGENT_ACT_TOGETHER_H_
 
 #include <cstddef>
-#include <cstdint>
 #include <memory>
-#include <optional>
 
 #include "absl/status/status.h"
 #include "absl/types/span.h"
 #include "core/session/session_store.h"
-#include "server/agent/durable_answer.h"
+#include "server/agent/call_context.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -19,23 +17,21 @@ namespace spikeserve {
 // memory traffic of the weights further, and would lock more sessions against other callers.
 inline constexpr size_t kMaxSessionsPerGroup = 16;
 
-// One request of a group, its session and its response.
-struct ActItem {
+// One request for a decision, from its arrival to its answer.
+struct DecisionRequest {
+  CallContext* context = nullptr;  // of the request, or of the batch that it is an item of
   const v1::ActRequest* request = nullptr;
-  std::optional<int64_t> step;  // absent: the step that the session expects, so never a retry
-  std::shared_ptr<SessionEntry> entry;
   v1::ActResponse* response = nullptr;
+  int item = -1;         // index in the batch; -1: a request of its own
+  bool is_next = false;  // true: decides at the step that the session expects, so never a retry
+  std::shared_ptr<SessionEntry> entry = nullptr;  // only while it is decided
   absl::Status status = absl::OkStatus();
-  Commits commits = {};  // what the answer waits for
-  // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
-  // that the caller claims the session again. Another server may have decided in between.
-  bool may_claim = false;
 };
 
-// Computes the decision of each item and sets its `response`, or its `status` to the error. The
-// results equal those of deciding the items one after the other, bit for bit. Thread-safe.
-// REQUIRES: each session occurs at most once in `items`.
-void ActTogether(absl::Span<ActItem> items);
+// Computes the decision of each of `acts` and sets its `response`, or its `status` to the error,
+// and adds what the answer waits for to its context. The results equal those of deciding one after
+// the other, bit for bit. Thread-safe. REQUIRES: each has its `entry`, and no two the same.
+void DecideActs(absl::Span<DecisionRequest* const> acts);
 
 }  // namespace spikeserve
 

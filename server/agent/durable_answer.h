@@ -1,21 +1,14 @@
 // What an answer waits for before it is sent: the records of its sessions that the store must
-// acknowledge, and a contribution that the head of a fleet must take.
-//
-//   Commits commits;
-//   AddCommit(*entry, &commits);
-//   WhenDurable(commits, [](const std::vector<absl::Status>& outcomes) { ... });
+// acknowledge, and a contribution that the head of a fleet must take. SessionGate waits for them.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_AGENT_DURABLE_ANSWER_H_
 #define SERVER_AGENT_DURABLE_ANSWER_H_
 
 #include <cstdint>
-#include <functional>
 #include <memory>
-#include <vector>
 
 #include "absl/container/inlined_vector.h"
-#include "absl/status/status.h"
 #include "core/session/head_log.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
@@ -42,11 +35,6 @@ void AddCommit(const SessionEntry& entry, Commits* commits);
 // that, with the last decision or with a question of its own. Does nothing more than AddCommit if
 // no other server uses the store.
 void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits);
-
-// Calls `done` once, on any thread, with the outcome of each of `commits`; see
-// SessionJournal::WhenDurable() and FleetContribution::WhenMerged().
-void WhenDurable(const Commits& commits,
-                 std::function<void(const std::vector<absl::Status>& outcomes)> done);
 
 }  // namespace spikeserve
 

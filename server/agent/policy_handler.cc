@@ -11,12 +11,10 @@
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/session/session_value.h"
-#include "server/agent/act_together.h"
 #include "server/agent/convert.h"
 #include "server/agent/explain_convert.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
-#include "server/base/expected_decision.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
@@ -105,45 +103,46 @@ absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry) {
 
 }  // namespace
 
-PolicyHandler::PolicyHandler(const PolicyRegistry* registry, SessionStore* store,
+PolicyHandler::PolicyHandler(const PolicyRegistry* registry, const SessionGate* gate,
                              ShadowRunner* shadows, const Clock* clock, Recordings* recordings,
                              SessionDurability durability)
     : registry_(registry),
-      store_(store),
+      gate_(gate),
+      store_(&gate->store()),
       shadows_(shadows),
       clock_(clock),
       recordings_(recordings),
       durability_(durability) {}
 
-absl::Status PolicyHandler::ListPolicies(const v1::ListPoliciesRequest& /*request*/,
+absl::Status PolicyHandler::ListPolicies(CallContext& /*context*/,
+                                         const v1::ListPoliciesRequest& /*request*/,
                                          v1::ListPoliciesResponse* response) const {
   *response = policy_list_.Of(registry_->catalog());
   return absl::OkStatus();
 }
 
-absl::Status PolicyHandler::OpenSession(const Credential& caller,
-                                        const v1::OpenSessionRequest& request,
-                                        v1::OpenSessionResponse* response, Commits* commits) const {
+absl::Status PolicyHandler::OpenSession(CallContext& context, const v1::OpenSessionRequest& request,
+                                        v1::OpenSessionResponse* response) const {
   const std::string& id = request.session_id();
   if (!id.empty() && !IsDrawnSessionId(id)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "session_id: expected 32 hexadecimal digits in lower case, received ", Quoted(id)));
   }
-  if (request.has_learning() && !caller.may_learn()) {
+  if (request.has_learning() && !context.caller->may_learn()) {
     return absl::PermissionDeniedError(
         "learning: expected unset, because the token has \"learning\": false, received a config");
   }
-  const auto durability = ChooseDurability(*caller.tenant(), request);
+  const auto durability = ChooseDurability(*context.caller->tenant(), request);
   if (!durability.ok()) return durability.status();
-  const auto open = store_->Find(id, caller.tenant()->name());
-  if (open.ok()) return OpenAgain(**open, request, *durability, response, commits);
-  return OpenNew(caller, id, request, *durability, response, commits);
+  const auto open = gate_->Find(context, id);
+  if (open.ok()) return OpenAgain(context, **open, request, *durability, response);
+  return OpenNew(context, id, request, *durability, response);
 }
 
-absl::Status PolicyHandler::OpenSessionAs(const Credential& caller, std::string id,
+absl::Status PolicyHandler::OpenSessionAs(CallContext& context, std::string id,
                                           const v1::OpenSessionRequest& request,
                                           v1::OpenSessionResponse* response) const {
-  return OpenNew(caller, std::move(id), request, Durability::kNone, response, /*commits=*/nullptr);
+  return OpenNew(context, std::move(id), request, Durability::kNone, response);
 }
 
 absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
@@ -184,9 +183,9 @@ absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
   }
 }
 
-absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string session_id,
+absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id,
                                     const v1::OpenSessionRequest& request, Durability durability,
-                                    v1::OpenSessionResponse* response, Commits* commits) const {
+                                    v1::OpenSessionResponse* response) const {
   absl::StatusOr<std::string> id = std::move(session_id);
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();
@@ -195,11 +194,11 @@ absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string sessio
   const ServedPolicy& served = *route->served;
   auto options = OptionsFromProto(request, served);
   if (!options.ok()) return options.status();
-  options->tenant = caller.tenant()->name();
+  options->tenant = context.caller->tenant()->name();
   options->durability = durability;
   SessionExtras extras;
   extras.id = *id;
-  extras.quota = caller.tenant();
+  extras.quota = context.caller->tenant();
   extras.assigned = route->by_rollout;
   if (route->shadow != nullptr) {
     extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
@@ -220,15 +219,20 @@ absl::Status PolicyHandler::OpenNew(const Credential& caller, std::string sessio
         SessionJournal::Key{
             .id = *id, .tenant = options->tenant, .policy_file = PolicyFileOf(served)},
         durability, /*decisions=*/0, durability_.journals);
-    if (commits != nullptr) commits->push_back({.journal = extras.journal, .position = 1});
   }
   ToProto(*id, *options, served, response);
-  return store_->Open(route->served, *std::move(options), std::move(extras)).status();
+  const std::shared_ptr<SessionJournal> journal = extras.journal;
+  auto status = store_->Open(route->served, *std::move(options), std::move(extras)).status();
+  // A session that was refused is never written, so that nothing of it can be waited for.
+  if (status.ok() && journal != nullptr) {
+    context.commits.push_back({.journal = journal, .position = 1});
+  }
+  return status;
 }
 
-absl::Status PolicyHandler::OpenAgain(SessionEntry& entry, const v1::OpenSessionRequest& request,
-                                      Durability durability, v1::OpenSessionResponse* response,
-                                      Commits* commits) const {
+absl::Status PolicyHandler::OpenAgain(CallContext& context, SessionEntry& entry,
+                                      const v1::OpenSessionRequest& request, Durability durability,
+                                      v1::OpenSessionResponse* response) const {
   absl::MutexLock lock(&entry.mutex);
   const Session& session = entry.agent.session();
   const SessionOptions& opened = session.options;
@@ -248,8 +252,8 @@ absl::Status PolicyHandler::OpenAgain(SessionEntry& entry, const v1::OpenSession
                      "received another request for ",
                      session.id));
   }
-  if (entry.journal != nullptr && commits != nullptr) {
-    commits->push_back({.journal = entry.journal, .position = entry.journal->written()});
+  if (entry.journal != nullptr) {
+    context.commits.push_back({.journal = entry.journal, .position = entry.journal->written()});
   }
   ToProto(session.id, opened, *entry.served, response);
   return absl::OkStatus();
@@ -265,20 +269,21 @@ absl::StatusOr<std::unique_ptr<EpisodeRecorder>> PolicyHandler::NewRecorder(
   return recordings_->Record(served, *name);
 }
 
-absl::Status PolicyHandler::Act(const Credential& caller, const v1::ActRequest& request,
-                                v1::ActResponse* response, DeferredWork* deferred) const {
-  return ActAt(caller, request.step(), request, response, deferred);
+absl::Status PolicyHandler::Act(CallContext& context, const v1::ActRequest& request,
+                                v1::ActResponse* response) const {
+  return ActOne(context, request, /*is_next=*/false, response);
 }
 
-absl::Status PolicyHandler::ActNext(const Credential& caller, const v1::ActRequest& request,
-                                    v1::ActResponse* response, DeferredWork* deferred) const {
-  return ActAt(caller, std::nullopt, request, response, deferred);
+absl::Status PolicyHandler::ActNext(CallContext& context, const v1::ActRequest& request,
+                                    v1::ActResponse* response) const {
+  return ActOne(context, request, /*is_next=*/true, response);
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
-    const Credential& caller, const v1::ActRequest& request) const {
+    const CallContext& context, const v1::ActRequest& request) const {
+  const Credential& caller = *context.caller;
   if (auto status = caller.tenant()->AcquireDecision(clock_->Now()); !status.ok()) return status;
-  auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  auto entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry;
   if (auto status = CheckMayPlay(caller, **entry); !status.ok()) return status;
   if ((*entry)->journal == nullptr) return entry;
@@ -287,51 +292,48 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
   return RetryDelay(writable).has_value() ? writable : WithRetryDelay(writable, kStoreRetryDelay);
 }
 
-absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
-                                  const v1::ActRequest& request, v1::ActResponse* response,
-                                  DeferredWork* deferred) const {
-  auto entry = FindForDecision(caller, request);
+absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& request,
+                                   bool is_next, v1::ActResponse* response) const {
+  auto entry = FindForDecision(context, request);
   if (!entry.ok()) return entry.status();
-  ActItem item = {
-      .request = &request, .step = step, .entry = *std::move(entry), .response = response};
-  ActTogether(absl::MakeSpan(&item, 1));
-  if (item.status.ok()) deferred->Add(std::move(item.entry), shadows_);
-  return item.status;
+  DecisionRequest act = {.context = &context,
+                         .request = &request,
+                         .response = response,
+                         .is_next = is_next,
+                         .entry = *std::move(entry)};
+  DecideActs({&act});
+  if (act.status.ok()) context.deferred->Add(std::move(act.entry), shadows_);
+  return act.status;
 }
 
 // A group ends before a request whose session is in the group already, so that the decisions of one
 // session are made in order.
-void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
-                            absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const {
-  absl::InlinedVector<ActItem, 1> items;     // of the group, without requests that were refused
-  absl::InlinedVector<size_t, 1> positions;  // of `items` in `acts`
-  size_t begin = 0;                          // of the group
+void PolicyHandler::ActMany(
+    absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
+    absl::FunctionRef<void(absl::Span<DecisionRequest* const>)> answered) const {
+  absl::InlinedVector<DecisionRequest*, 1>
+      found;         // of the group, without requests that were refused
+  size_t begin = 0;  // of the group
   const auto answer_group = [&](size_t end) {
-    ActTogether(absl::MakeSpan(items));
-    for (size_t i = 0; i < items.size(); ++i) {
-      acts[positions[i]].status = items[i].status;
-      acts[positions[i]].commits = std::move(items[i].commits);
-      if (items[i].status.ok()) deferred->Add(std::move(items[i].entry), shadows_);
+    DecideActs(found);
+    for (DecisionRequest* act : found) {
+      auto entry = std::exchange(act->entry, nullptr);
+      if (act->status.ok()) deferred->Add(std::move(entry), shadows_);
     }
     answered(acts.subspan(begin, end - begin));
     begin = end;
-    items.clear();
-    positions.clear();
+    found.clear();
   };
   for (size_t i = 0; i < acts.size(); ++i) {
-    AgentAct& act = acts[i];
-    auto entry = FindForDecision(*act.caller, *act.request);
+    DecisionRequest& act = *acts[i];
+    auto entry = FindForDecision(*act.context, *act.request);
     act.status = entry.status();
     if (!entry.ok()) continue;
     const bool again =
-        absl::c_any_of(items, [&](const ActItem& item) { return item.entry == *entry; });
-    if (again || items.size() == kMaxSessionsPerGroup) answer_group(i);
-    items.push_back({.request = act.request,
-                     .step = act.request->step(),
-                     .entry = *std::move(entry),
-                     .response = act.response,
-                     .may_claim = act.may_claim});
-    positions.push_back(i);
+        absl::c_any_of(found, [&](const DecisionRequest* other) { return other->entry == *entry; });
+    if (again || found.size() == kMaxSessionsPerGroup) answer_group(i);
+    act.entry = *std::move(entry);
+    found.push_back(&act);
   }
   answer_group(acts.size());
 }
@@ -342,37 +344,30 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
                                                  ", received ", request.requests_size()));
 }
 
-int PolicyHandler::ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request,
-                                 int first, v1::ActBatchResponse* response, DeferredWork* deferred,
-                                 Commits* commits, bool may_claim) const {
+int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
+                                 int first, v1::ActBatchResponse* response) const {
   const int end = std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
-  absl::InlinedVector<AgentAct, kMaxSessionsPerGroup> acts;
+  absl::InlinedVector<DecisionRequest, kMaxSessionsPerGroup> items;
+  absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> acts;
   for (int i = first; i < end; ++i) {
-    acts.push_back({.caller = &caller,
-                    .request = &request.requests(i),
-                    .response = response->add_results()->mutable_response(),
-                    .may_claim = may_claim});
+    items.push_back({.context = &context,
+                     .request = &request.requests(i),
+                     .response = response->add_results()->mutable_response(),
+                     .item = i});
   }
-  ActMany(absl::MakeSpan(acts), deferred, [](absl::Span<AgentAct> /*group*/) {});
-  for (int i = first; i < end; ++i) {
-    AgentAct& act = acts[static_cast<size_t>(i - first)];
-    if (!act.status.ok()) {
-      ErrorToProto(act.status, response->mutable_results(i));
-    } else if (!act.commits.empty()) {
-      commits->push_back(std::move(act.commits[0]));
-      commits->back().item = i;
-    }
+  for (DecisionRequest& item : items) acts.push_back(&item);
+  ActMany(acts, context.deferred, [](absl::Span<DecisionRequest* const> /*group*/) {});
+  for (const DecisionRequest& item : items) {
+    if (!item.status.ok()) ErrorToProto(item.status, response->mutable_results(item.item));
   }
   return end;
 }
 
-absl::Status PolicyHandler::EndEpisode(const Credential& caller,
-                                       const v1::EndEpisodeRequest& request,
-                                       v1::EndEpisodeResponse* response, Commits* commits,
-                                       bool may_claim) const {
-  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
+                                       v1::EndEpisodeResponse* response) const {
+  const auto entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry.status();
-  if (auto status = CheckMayPlay(caller, **entry); !status.ok()) return status;
+  if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
   EpisodeEnd end = {.reward = request.reward(),
                     .terminated = request.terminated(),
                     .target_return = std::nullopt,
@@ -390,6 +385,7 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
   AgentSession& agent = (*entry)->agent;
   if ((*entry)->journal != nullptr) (*entry)->journal->WriteAgainIfMissing(agent.session());
   const int64_t episode = agent.session().episode;
+  const Place place = PlaceOf(request);
   absl::Status status = CheckEpisode(request, agent.session());
   if (status.ok()) {
     const auto summary = agent.EndEpisode(end);
@@ -400,23 +396,15 @@ absl::Status PolicyHandler::EndEpisode(const Credential& caller,
     }
   }
   if (absl::IsFailedPrecondition(status)) {
-    SessionJournal* const journal = (*entry)->journal.get();
-    const bool may_be_outdated =
-        may_claim && journal != nullptr &&
-        (IsAhead(request, agent.session()) || (!NamesPlace(request) && journal->is_shared()));
-    if (may_be_outdated) {
-      journal->Abandon();
-      return NoSuchSession(request.session_id());
-    }
-    return WithExpectedDecision(status, agent.session().decisions, agent.session().step);
+    return SessionGate::Refused(context, place, status, **entry);
   }
-  if (status.ok() && commits != nullptr) {
-    if (NamesPlace(request)) {
-      AddCommit(**entry, commits);
+  if (status.ok()) {
+    if (place.is_of_session) {
+      AddCommit(**entry, &context.commits);
     } else {
-      AddConfirmation(**entry, agent.session().episode > episode, commits);
+      AddConfirmation(**entry, agent.session().episode > episode, &context.commits);
     }
-    if (!commits->empty()) commits->back().contribution = agent.contribution();
+    if (!context.commits.empty()) context.commits.back().contribution = agent.contribution();
   }
   return status;
 }
@@ -428,37 +416,35 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
   return NoSuchSession(id);
 }
 
-absl::Status PolicyHandler::GetSession(const Credential& caller,
-                                       const v1::GetSessionRequest& request,
+absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessionRequest& request,
                                        v1::GetSessionResponse* response) const {
-  const auto entry = FindReadable(caller, request.session_id());
+  const auto entry = FindReadable(*context.caller, request.session_id());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
   return absl::OkStatus();
 }
 
-absl::Status PolicyHandler::Explain(const Credential& caller, const v1::ExplainRequest& request,
+absl::Status PolicyHandler::Explain(CallContext& context, const v1::ExplainRequest& request,
                                     v1::ExplainResponse* response) const {
-  const auto entry = FindReadable(caller, request.session_id());
+  const auto entry = FindReadable(*context.caller, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
 }
 
-absl::Status PolicyHandler::CloseSession(const Credential& caller,
+absl::Status PolicyHandler::CloseSession(CallContext& context,
                                          const v1::CloseSessionRequest& request,
-                                         v1::CloseSessionResponse* /*response*/,
-                                         Commits* commits) const {
-  const std::string& tenant = caller.tenant()->name();
-  const auto entry = store_->Find(request.session_id(), tenant);
+                                         v1::CloseSessionResponse* /*response*/) const {
+  const std::string& tenant = context.caller->tenant()->name();
+  const auto entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry.status();
   auto status = store_->Close(request.session_id(), tenant);
-  if (!status.ok() || commits == nullptr || (*entry)->journal == nullptr) return status;
+  if (!status.ok() || (*entry)->journal == nullptr) return status;
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
   // this, too, unless the store is away: then the end is written when it comes back.
   SessionJournal& journal = *(*entry)->journal;
   if (journal.is_sync() || durability_.journals->CheckReachable().ok()) {
-    commits->push_back({.journal = (*entry)->journal, .position = journal.written()});
+    context.commits.push_back({.journal = (*entry)->journal, .position = journal.written()});
   }
   return status;
 }

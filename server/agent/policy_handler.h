@@ -6,7 +6,6 @@
 #define SERVER_AGENT_POLICY_HANDLER_H_
 
 #include <memory>
-#include <optional>
 #include <string>
 
 #include "absl/functional/function_ref.h"
@@ -14,10 +13,12 @@
 #include "absl/types/span.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/agent/act_together.h"
+#include "server/agent/call_context.h"
 #include "server/agent/deferred_work.h"
-#include "server/agent/durable_answer.h"
 #include "server/agent/policy_list.h"
 #include "server/agent/recordings.h"
+#include "server/agent/session_gate.h"
 #include "server/agent/shadow_runner.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_service.pb.h"
@@ -33,16 +34,6 @@ struct LabelLimits {
 // The largest number of requests in one ActBatch.
 inline constexpr int kMaxBatch = 1024;
 
-// One of many decisions that are requested together, each by a caller of its own.
-struct AgentAct {
-  const Credential* caller = nullptr;
-  const v1::ActRequest* request = nullptr;
-  v1::ActResponse* response = nullptr;
-  absl::Status status = absl::OkStatus();  // set with `response`
-  Commits commits = {};                    // what the answer waits for; set with `response`
-  bool may_claim = false;                  // as ActItem::may_claim
-};
-
 // How sessions are stored.
 struct SessionDurability {
   JournalWriter* journals = nullptr;      // null: no session is stored
@@ -52,7 +43,7 @@ struct SessionDurability {
 class PolicyHandler {
  public:
   // All arguments must outlive the handler. If `recordings` is null, sessions cannot be recorded.
-  PolicyHandler(const PolicyRegistry* registry, SessionStore* store, ShadowRunner* shadows,
+  PolicyHandler(const PolicyRegistry* registry, const SessionGate* gate, ShadowRunner* shadows,
                 const Clock* clock, Recordings* recordings = nullptr,
                 SessionDurability durability = {});
 
@@ -61,47 +52,43 @@ class PolicyHandler {
   // (Credential::CanRead). Both leave the idle time of the session unchanged.
   //
   // Each method fills in `response` and returns OK. On an error it leaves the session unchanged and
-  // returns the status that policy_service.proto names. `commits` receives what the answer must
-  // wait for before it is sent; null: the caller does not wait.
-  absl::Status ListPolicies(const v1::ListPoliciesRequest& request,
+  // returns the status that policy_service.proto names.
+  absl::Status ListPolicies(CallContext& context, const v1::ListPoliciesRequest& request,
                             v1::ListPoliciesResponse* response) const;
-  absl::Status OpenSession(const Credential& caller, const v1::OpenSessionRequest& request,
-                           v1::OpenSessionResponse* response, Commits* commits = nullptr) const;
+  absl::Status OpenSession(CallContext& context, const v1::OpenSessionRequest& request,
+                           v1::OpenSessionResponse* response) const;
   // As OpenSession, with an id of any form that the caller chooses; an empty id gets a new random
   // one. The session is not stored. Returns ALREADY_EXISTS if a session with this id is open.
-  absl::Status OpenSessionAs(const Credential& caller, std::string id,
+  absl::Status OpenSessionAs(CallContext& context, std::string id,
                              const v1::OpenSessionRequest& request,
                              v1::OpenSessionResponse* response) const;
-  absl::Status Act(const Credential& caller, const v1::ActRequest& request,
-                   v1::ActResponse* response, DeferredWork* deferred) const;
+  absl::Status Act(CallContext& context, const v1::ActRequest& request,
+                   v1::ActResponse* response) const;
   // As Act, but ignores request.step and decides at the step that the session expects, so a request
   // is never a retry.
-  absl::Status ActNext(const Credential& caller, const v1::ActRequest& request,
-                       v1::ActResponse* response, DeferredWork* deferred) const;
+  absl::Status ActNext(CallContext& context, const v1::ActRequest& request,
+                       v1::ActResponse* response) const;
   // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
   // session are made in the order of `acts`. Calls `answered` for each group, which is the next
   // part of `acts`, so that its answers can be sent before the next group is decided.
-  void ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
-               absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const;
+  void ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
+               absl::FunctionRef<void(absl::Span<DecisionRequest* const> group)> answered) const;
   // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
   static absl::Status CheckBatch(const v1::ActBatchRequest& request);
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
-  // after the last one. An item that fails has its own code in `response`. `may_claim` as
-  // ActItem::may_claim.
+  // after the last one. An item that fails has its own code in `response`.
   // REQUIRES: CheckBatch returned OK.
-  int ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response, DeferredWork* deferred, Commits* commits,
-                    bool may_claim = false) const;
-  absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
-                          v1::EndEpisodeResponse* response, Commits* commits = nullptr,
-                          bool may_claim = false) const;
-  absl::Status GetSession(const Credential& caller, const v1::GetSessionRequest& request,
+  int ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request, int first,
+                    v1::ActBatchResponse* response) const;
+  absl::Status EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
+                          v1::EndEpisodeResponse* response) const;
+  absl::Status GetSession(CallContext& context, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
   // Takes about a thousand times as long as a decision; see ExplainSession.
-  absl::Status Explain(const Credential& caller, const v1::ExplainRequest& request,
+  absl::Status Explain(CallContext& context, const v1::ExplainRequest& request,
                        v1::ExplainResponse* response) const;
-  absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
-                            v1::CloseSessionResponse* response, Commits* commits = nullptr) const;
+  absl::Status CloseSession(CallContext& context, const v1::CloseSessionRequest& request,
+                            v1::CloseSessionResponse* response) const;
 
  private:
   // Returns the durability of a new session: INVALID_ARGUMENT if the server cannot give it,
@@ -109,14 +96,13 @@ class PolicyHandler {
   absl::StatusOr<Durability> ChooseDurability(const Tenant& tenant,
                                               const v1::OpenSessionRequest& request) const;
   // Opens a session that does not exist yet.
-  absl::Status OpenNew(const Credential& caller, std::string id,
-                       const v1::OpenSessionRequest& request, Durability durability,
-                       v1::OpenSessionResponse* response, Commits* commits) const;
+  absl::Status OpenNew(CallContext& context, std::string id, const v1::OpenSessionRequest& request,
+                       Durability durability, v1::OpenSessionResponse* response) const;
   // Answers a request for a session that is open. Returns ALREADY_EXISTS unless the same request
   // opened it.
-  absl::Status OpenAgain(SessionEntry& entry, const v1::OpenSessionRequest& request,
-                         Durability durability, v1::OpenSessionResponse* response,
-                         Commits* commits) const;
+  absl::Status OpenAgain(CallContext& context, SessionEntry& entry,
+                         const v1::OpenSessionRequest& request, Durability durability,
+                         v1::OpenSessionResponse* response) const;
 
   // Returns a session that `caller` may read, without resetting its idle time.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const Credential& caller,
@@ -129,14 +115,14 @@ class PolicyHandler {
   // Counts one decision of the caller's tenant and returns the session of `request`. Returns
   // RESOURCE_EXHAUSTED if the tenant exceeds its limit.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindForDecision(
-      const Credential& caller, const v1::ActRequest& request) const;
-  // Decides at `step`, or at the step that the session expects if `step` is empty.
-  absl::Status ActAt(const Credential& caller, std::optional<int64_t> step,
-                     const v1::ActRequest& request, v1::ActResponse* response,
-                     DeferredWork* deferred) const;
+      const CallContext& context, const v1::ActRequest& request) const;
+  // `is_next` as DecisionRequest::is_next.
+  absl::Status ActOne(CallContext& context, const v1::ActRequest& request, bool is_next,
+                      v1::ActResponse* response) const;
 
   const PolicyRegistry* const registry_;
-  SessionStore* const store_;
+  const SessionGate* const gate_;
+  SessionStore* const store_;  // of the gate
   ShadowRunner* const shadows_;
   const Clock* const clock_;
   Recordings* const recordings_;

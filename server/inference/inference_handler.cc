@@ -75,36 +75,41 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindPolicy
   return registry_->catalog()->Find(name, *number);
 }
 
-absl::Status InferenceHandler::ServerLive(const inference::ServerLiveRequest& /*request*/,
+absl::Status InferenceHandler::ServerLive(CallContext& /*context*/,
+                                          const inference::ServerLiveRequest& /*request*/,
                                           inference::ServerLiveResponse* response) const {
   response->set_live(true);
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::ServerReady(const inference::ServerReadyRequest& /*request*/,
+absl::Status InferenceHandler::ServerReady(CallContext& /*context*/,
+                                           const inference::ServerReadyRequest& /*request*/,
                                            inference::ServerReadyResponse* response) const {
   response->set_ready(true);
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::ModelReady(const inference::ModelReadyRequest& request,
+absl::Status InferenceHandler::ModelReady(CallContext& /*context*/,
+                                          const inference::ModelReadyRequest& request,
                                           inference::ModelReadyResponse* response) const {
   response->set_ready(FindPolicy(request.name(), request.version()).ok());
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::ServerMetadata(const inference::ServerMetadataRequest& /*request*/,
+absl::Status InferenceHandler::ServerMetadata(CallContext& /*context*/,
+                                              const inference::ServerMetadataRequest& /*request*/,
                                               inference::ServerMetadataResponse* response) const {
   response->set_name(kPlatform);
   response->set_version(std::string(Version()));
   for (const char* extension : {"sequence", "sequence(string_id)", "model_repository",
-                                "model_configuration", "statistics"}) {
+                                "model_configuration", "statistics", "binary_tensor_data"}) {
     response->add_extensions(extension);
   }
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::ModelMetadata(const inference::ModelMetadataRequest& request,
+absl::Status InferenceHandler::ModelMetadata(CallContext& /*context*/,
+                                             const inference::ModelMetadataRequest& request,
                                              inference::ModelMetadataResponse* response) const {
   const auto served = FindPolicy(request.name(), request.version());
   if (!served.ok()) return served.status();
@@ -120,7 +125,8 @@ absl::Status InferenceHandler::ModelMetadata(const inference::ModelMetadataReque
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::ModelConfig(const inference::ModelConfigRequest& request,
+absl::Status InferenceHandler::ModelConfig(CallContext& /*context*/,
+                                           const inference::ModelConfigRequest& request,
                                            inference::ModelConfigResponse* response) const {
   const auto served = FindPolicy(request.name(), request.version());
   if (!served.ok()) return served.status();
@@ -128,7 +134,8 @@ absl::Status InferenceHandler::ModelConfig(const inference::ModelConfigRequest& 
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsRequest& request,
+absl::Status InferenceHandler::ModelStatistics(CallContext& /*context*/,
+                                               const inference::ModelStatisticsRequest& request,
                                                inference::ModelStatisticsResponse* response) const {
   if (!request.name().empty()) {
     const auto served = FindPolicy(request.name(), request.version());
@@ -142,7 +149,8 @@ absl::Status InferenceHandler::ModelStatistics(const inference::ModelStatisticsR
   return absl::OkStatus();
 }
 
-absl::Status InferenceHandler::RepositoryIndex(const inference::RepositoryIndexRequest& request,
+absl::Status InferenceHandler::RepositoryIndex(CallContext& /*context*/,
+                                               const inference::RepositoryIndexRequest& request,
                                                inference::RepositoryIndexResponse* response) const {
   if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
   const auto folders = ListPolicyFolders(registry_->directory());
@@ -164,7 +172,7 @@ absl::Status InferenceHandler::RepositoryIndex(const inference::RepositoryIndexR
 }
 
 absl::Status InferenceHandler::RepositoryModelLoad(
-    const inference::RepositoryModelLoadRequest& request,
+    CallContext& /*context*/, const inference::RepositoryModelLoadRequest& request,
     inference::RepositoryModelLoadResponse* /*response*/) const {
   if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
   if (!request.parameters().empty()) {
@@ -189,7 +197,7 @@ absl::Status InferenceHandler::RepositoryModelLoad(
 }
 
 absl::Status InferenceHandler::RepositoryModelUnload(
-    const inference::RepositoryModelUnloadRequest& request,
+    CallContext& /*context*/, const inference::RepositoryModelUnloadRequest& request,
     inference::RepositoryModelUnloadResponse* /*response*/) const {
   if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
   const auto catalog = registry_->catalog();
@@ -214,32 +222,30 @@ absl::Status InferenceHandler::RepositoryModelUnload(
   return registry_->Unload({.policy = request.model_name(), .version = last});
 }
 
-absl::Status InferenceHandler::ModelInfer(const Credential& caller,
-                                          const ModelInferRequest& request,
-                                          ModelInferResponse* response, DeferredWork* deferred) {
+absl::Status InferenceHandler::ModelInfer(CallContext& context, const ModelInferRequest& request,
+                                          ModelInferResponse* response) const {
   const absl::Duration start = clock_->Now();
   auto sequence = ReadSequence(request);
   if (!sequence.ok()) return sequence.status();
   // The tenant is part of the session id, so that tenants may use equal sequence ids.
-  if (const std::string& tenant = caller.tenant()->name(); !tenant.empty()) {
+  if (const std::string& tenant = context.caller->tenant()->name(); !tenant.empty()) {
     sequence->session_id = absl::StrCat(tenant, "/", sequence->session_id);
   }
   const auto input = ReadInputs(request);
   if (!input.ok()) return input.status();
   if (sequence->start) {
-    if (auto status = Start(caller, request, *sequence, response); !status.ok()) {
+    if (auto status = Start(context, request, *sequence, response); !status.ok()) {
       return status;
     }
   }
-  const auto served = FindRunning(caller, request, *sequence);
+  const auto served = FindRunning(context, request, *sequence);
   if (!served.ok()) return served.status();
   const std::string& name = (*served)->name;
   const int64_t version = (*served)->version;
 
   v1::ActResponse answer;
-  if (auto status = Decide(caller, request, *input, *sequence, **served, &answer, deferred);
-      !status.ok()) {
-    if (sequence->start) status.Update(Close(caller, *sequence));
+  if (auto status = Decide(context, request, *input, *sequence, **served, &answer); !status.ok()) {
+    if (sequence->start) status.Update(Close(context, *sequence));
     statistics_.CountFailure(name, version, clock_->Now() - start);
     return status;
   }
@@ -249,19 +255,19 @@ absl::Status InferenceHandler::ModelInfer(const Credential& caller,
   WriteOutputs(answer, request, *input, response);
   statistics_.CountSuccess(name, version, absl::Now(), clock_->Now() - start,
                            absl::Seconds(answer.stats().compute_seconds()));
-  return sequence->end ? End(caller, *sequence) : absl::OkStatus();
+  return sequence->end ? End(context, *sequence) : absl::OkStatus();
 }
 
-absl::Status InferenceHandler::Start(const Credential& caller, const ModelInferRequest& request,
+absl::Status InferenceHandler::Start(CallContext& context, const ModelInferRequest& request,
                                      const SequenceRequest& sequence,
                                      ModelInferResponse* response) const {
   const auto opening = ReadOpening(request);
   if (!opening.ok()) return opening.status();
   // Closes a sequence of the same id that still runs: its agent has started anew.
-  if (auto status = Close(caller, sequence); !status.ok() && !absl::IsNotFound(status))
+  if (auto status = Close(context, sequence); !status.ok() && !absl::IsNotFound(status))
     return status;
   v1::OpenSessionResponse opened;
-  if (auto status = sessions_->OpenSessionAs(caller, sequence.session_id, *opening, &opened);
+  if (auto status = sessions_->OpenSessionAs(context, sequence.session_id, *opening, &opened);
       !status.ok()) {
     return status;
   }
@@ -272,11 +278,10 @@ absl::Status InferenceHandler::Start(const Credential& caller, const ModelInferR
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(
-    const Credential& caller, const ModelInferRequest& request,
-    const SequenceRequest& sequence) const {
+    CallContext& context, const ModelInferRequest& request, const SequenceRequest& sequence) const {
   const auto version = ReadVersion(request.model_version());
   if (!version.ok()) return version.status();
-  const auto entry = store_->Find(sequence.session_id, caller.tenant()->name());
+  const auto entry = gate_->Find(context, sequence.session_id);
   if (!entry.ok() || (*entry)->served->name != request.model_name()) {
     return absl::NotFoundError(absl::StrCat(
         "parameters.sequence_id: expected a running sequence of model ",
@@ -291,10 +296,9 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
                    ", which the sequence was started on, received ", *version));
 }
 
-absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInferRequest& request,
+absl::Status InferenceHandler::Decide(CallContext& context, const ModelInferRequest& request,
                                       const InferenceInput& input, const SequenceRequest& sequence,
-                                      const ServedPolicy& served, v1::ActResponse* answer,
-                                      DeferredWork* deferred) const {
+                                      const ServedPolicy& served, v1::ActResponse* answer) const {
   if (auto status = CheckOutputs(request, OutputSpecs(served.policy())); !status.ok()) {
     return status;
   }
@@ -307,14 +311,13 @@ absl::Status InferenceHandler::Decide(const Credential& caller, const ModelInfer
   act.set_session_id(sequence.session_id);
   act.mutable_observation()->Add(input.observation.begin(), input.observation.end());
   act.set_reward(static_cast<double>(input.reward.value_or(0.0f)));
-  return sessions_->ActNext(caller, act, answer, deferred);
+  return sessions_->ActNext(context, act, answer);
 }
 
-absl::Status InferenceHandler::End(const Credential& caller,
-                                   const SequenceRequest& sequence) const {
+absl::Status InferenceHandler::End(CallContext& context, const SequenceRequest& sequence) const {
   // The action of the last decision is not carried out, so a recording ends with the observation of
   // that decision.
-  if (const auto entry = store_->Find(sequence.session_id, caller.tenant()->name()); entry.ok()) {
+  if (const auto entry = gate_->Find(context, sequence.session_id); entry.ok()) {
     absl::MutexLock lock(&(*entry)->mutex);
     (*entry)->agent.RecordTo(nullptr);
   }
@@ -322,16 +325,15 @@ absl::Status InferenceHandler::End(const Credential& caller,
   end.set_session_id(sequence.session_id);
   end.set_terminated(true);
   v1::EndEpisodeResponse ended;
-  if (auto status = sessions_->EndEpisode(caller, end, &ended); !status.ok()) return status;
-  return Close(caller, sequence);
+  if (auto status = sessions_->EndEpisode(context, end, &ended); !status.ok()) return status;
+  return Close(context, sequence);
 }
 
-absl::Status InferenceHandler::Close(const Credential& caller,
-                                     const SequenceRequest& sequence) const {
+absl::Status InferenceHandler::Close(CallContext& context, const SequenceRequest& sequence) const {
   v1::CloseSessionRequest close;
   close.set_session_id(sequence.session_id);
   v1::CloseSessionResponse closed;
-  return sessions_->CloseSession(caller, close, &closed);
+  return sessions_->CloseSession(context, close, &closed);
 }
 
 }  // namespace spikeserve

@@ -16,9 +16,10 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
-#include "core/session/session_store.h"
 #include "inference/grpc_service.pb.h"
+#include "server/agent/call_context.h"
 #include "server/agent/policy_handler.h"
+#include "server/agent/session_gate.h"
 #include "server/inference/inference_sequence.h"
 #include "server/inference/inference_statistics.h"
 #include "server/inference/inference_tensors.h"
@@ -30,47 +31,51 @@ class InferenceHandler {
  public:
   // The pointers must outlive the handler. `session_ttl` is the time without a request after which
   // the store ends a sequence; it appears in ModelConfig and in messages.
-  InferenceHandler(PolicyRegistry* registry, SessionStore* store, const PolicyHandler* sessions,
+  InferenceHandler(PolicyRegistry* registry, const SessionGate* gate, const PolicyHandler* sessions,
                    const Clock* clock, absl::Duration session_ttl)
       : registry_(registry),
-        store_(store),
+        gate_(gate),
         sessions_(sessions),
         clock_(clock),
         session_ttl_(session_ttl) {}
 
   // Each method fills in `response` and returns OK. On an error it leaves all sequences unchanged,
   // except as ModelInfer describes.
-  absl::Status ServerLive(const inference::ServerLiveRequest& request,
+  absl::Status ServerLive(CallContext& context, const inference::ServerLiveRequest& request,
                           inference::ServerLiveResponse* response) const;
-  absl::Status ServerReady(const inference::ServerReadyRequest& request,
+  absl::Status ServerReady(CallContext& context, const inference::ServerReadyRequest& request,
                            inference::ServerReadyResponse* response) const;
-  absl::Status ModelReady(const inference::ModelReadyRequest& request,
+  absl::Status ModelReady(CallContext& context, const inference::ModelReadyRequest& request,
                           inference::ModelReadyResponse* response) const;
-  absl::Status ServerMetadata(const inference::ServerMetadataRequest& request,
+  absl::Status ServerMetadata(CallContext& context, const inference::ServerMetadataRequest& request,
                               inference::ServerMetadataResponse* response) const;
-  absl::Status ModelMetadata(const inference::ModelMetadataRequest& request,
+  absl::Status ModelMetadata(CallContext& context, const inference::ModelMetadataRequest& request,
                              inference::ModelMetadataResponse* response) const;
-  absl::Status ModelConfig(const inference::ModelConfigRequest& request,
+  absl::Status ModelConfig(CallContext& context, const inference::ModelConfigRequest& request,
                            inference::ModelConfigResponse* response) const;
-  absl::Status ModelStatistics(const inference::ModelStatisticsRequest& request,
+  absl::Status ModelStatistics(CallContext& context,
+                               const inference::ModelStatisticsRequest& request,
                                inference::ModelStatisticsResponse* response) const;
-  absl::Status RepositoryIndex(const inference::RepositoryIndexRequest& request,
+  absl::Status RepositoryIndex(CallContext& context,
+                               const inference::RepositoryIndexRequest& request,
                                inference::RepositoryIndexResponse* response) const;
   // Loads all versions of a model. If some cannot be loaded, loads the others and returns the first
   // error. Returns NOT_FOUND if the policy directory has no version of the model.
-  absl::Status RepositoryModelLoad(const inference::RepositoryModelLoadRequest& request,
+  absl::Status RepositoryModelLoad(CallContext& context,
+                                   const inference::RepositoryModelLoadRequest& request,
                                    inference::RepositoryModelLoadResponse* response) const;
   // Unloads all versions of a model. Returns FAILED_PRECONDITION and unloads none while a setting
   // of an operator uses one of them.
-  absl::Status RepositoryModelUnload(const inference::RepositoryModelUnloadRequest& request,
+  absl::Status RepositoryModelUnload(CallContext& context,
+                                     const inference::RepositoryModelUnloadRequest& request,
                                      inference::RepositoryModelUnloadResponse* response) const;
 
   // Makes one decision. sequence_start starts the sequence, and first ends a running sequence of
   // the same id, even if the request then fails. sequence_end ends the sequence after the decision,
   // which uses the observation and reward of the request. Returns INVALID_ARGUMENT without a
   // sequence id, and NOT_FOUND if the sequence does not run and the request does not start it.
-  absl::Status ModelInfer(const Credential& caller, const inference::ModelInferRequest& request,
-                          inference::ModelInferResponse* response, DeferredWork* deferred);
+  absl::Status ModelInfer(CallContext& context, const inference::ModelInferRequest& request,
+                          inference::ModelInferResponse* response) const;
 
  private:
   // Returns a served version; an empty `version` means the default.
@@ -78,24 +83,23 @@ class InferenceHandler {
                                                                  const std::string& version) const;
   // Returns the policy version that the running sequence of `request` was started on.
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindRunning(
-      const Credential& caller, const inference::ModelInferRequest& request,
+      CallContext& context, const inference::ModelInferRequest& request,
       const SequenceRequest& sequence) const;
-  absl::Status Start(const Credential& caller, const inference::ModelInferRequest& request,
+  absl::Status Start(CallContext& context, const inference::ModelInferRequest& request,
                      const SequenceRequest& sequence,
                      inference::ModelInferResponse* response) const;
-  absl::Status Decide(const Credential& caller, const inference::ModelInferRequest& request,
+  absl::Status Decide(CallContext& context, const inference::ModelInferRequest& request,
                       const InferenceInput& input, const SequenceRequest& sequence,
-                      const ServedPolicy& served, v1::ActResponse* answer,
-                      DeferredWork* deferred) const;
-  absl::Status End(const Credential& caller, const SequenceRequest& sequence) const;
-  absl::Status Close(const Credential& caller, const SequenceRequest& sequence) const;
+                      const ServedPolicy& served, v1::ActResponse* answer) const;
+  absl::Status End(CallContext& context, const SequenceRequest& sequence) const;
+  absl::Status Close(CallContext& context, const SequenceRequest& sequence) const;
 
   PolicyRegistry* const registry_;
-  SessionStore* const store_;
+  const SessionGate* const gate_;
   const PolicyHandler* const sessions_;
   const Clock* const clock_;
   const absl::Duration session_ttl_;
-  InferenceStatistics statistics_;
+  mutable InferenceStatistics statistics_;
 };
 
 }  // namespace spikeserve

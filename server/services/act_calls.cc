@@ -23,20 +23,57 @@ absl::Status RefusalWithin(const v1::ActBatchResponse& response) {
   return absl::OkStatus();
 }
 
-}  // namespace
-
-void ActCall::Handle() {
-  const auto self = std::static_pointer_cast<ActCall>(shared_from_this());
-  queue_.Add({.client = self,
-              .messages = std::shared_ptr<ActMessages>(self, &messages()),
-              .caller = &caller(),
-              .request_bytes = 0,                  // the call knows its own
-              .received = absl::ZeroDuration()});  // as above
+// Returns true if the item found no session.
+bool IsMissing(const v1::ActResult& result) {
+  return result.code() == static_cast<int>(absl::StatusCode::kNotFound);
 }
 
-void ActCall::OnDecided(ActMessages& /*messages*/, const absl::Status& status,
-                        size_t /*request_bytes*/, absl::Duration /*received*/) {
-  End(status);
+}  // namespace
+
+// One request of the stream. Keeps the call alive.
+class ActStreamCall::Item final : public QueuedAct,
+                                  public GatedRequest,
+                                  public std::enable_shared_from_this<Item> {
+ public:
+  Item(std::shared_ptr<ActStreamCall> call, size_t request_bytes, absl::Duration received)
+      : call_(std::move(call)), request_bytes_(request_bytes), received_(received) {}
+
+  Messages& messages() { return messages_; }
+
+  void Handle() {
+    act().context = &call_context();
+    act().request = messages_.request();
+    act().response = messages_.response();
+    call_->queue_.Add(shared_from_this());
+  }
+  void OnDecided() override { call_->context().sessions->Leave(*this, act().status); }
+
+  std::shared_ptr<GatedRequest> Self() override { return shared_from_this(); }
+  SessionRecovery::Post post() override { return PostTo(&call_->loop()); }
+  // A decision is made and stored whether its caller waits for it or not.
+  bool is_over() override { return false; }
+  std::vector<std::string> MissingSessions(const absl::Status& status) override {
+    if (!absl::IsNotFound(status)) return {};
+    return {messages_.request()->session_id()};
+  }
+  void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) override { Handle(); }
+  void OnGranted() override { call_->OnGranted(); }
+  void Answer(const absl::Status& status) override {
+    call_->Answer(messages_, status, request_bytes_, received_);
+  }
+
+ private:
+  const std::shared_ptr<ActStreamCall> call_;
+  const size_t request_bytes_;
+  const absl::Duration received_;  // time of the server's clock
+  Messages messages_;
+};
+
+void ActOneCall::Handle() {
+  act().context = &call_context();
+  act().request = &request();
+  act().response = response();
+  queue_.Add(std::static_pointer_cast<ActOneCall>(shared_from_this()));
 }
 
 void ActBatchCall::Handle() {
@@ -53,17 +90,48 @@ void ActBatchCall::Handle() {
 
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
   if (call() == nullptr) return true;
-  decided_ = handler.ActBatchGroup(caller(), request(), decided_, response(), deferred, commits(),
-                                   may_claim());
+  call_context().deferred = deferred;
+  decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response());
   if (decided_ < request().requests_size()) return false;
-  EndWhenDurable({absl::OkStatus(), RefusalWithin(*response())});
+  refusal_ = RefusalWithin(*response());
+  ExplainMissing();
+  Leave(absl::OkStatus());
   return true;
+}
+
+std::vector<std::string> ActBatchCall::MissingSessions(const absl::Status& /*status*/) {
+  std::vector<std::string> missing;
+  for (int i = 0; i < response()->results_size(); ++i) {
+    if (IsMissing(response()->results(i))) missing.push_back(request().requests(i).session_id());
+  }
+  return missing;
+}
+
+void ActBatchCall::HandleAgain(const std::map<std::string, absl::Status>& unclaimed) {
+  unclaimed_ = unclaimed;
+  response()->Clear();
+  Handle();
+}
+
+void ActBatchCall::ExplainMissing() {
+  if (unclaimed_.empty()) return;
+  for (int i = 0; i < response()->results_size(); ++i) {
+    const auto reason = unclaimed_.find(request().requests(i).session_id());
+    if (reason != unclaimed_.end() && IsMissing(response()->results(i))) {
+      FailItem(i, reason->second);
+    }
+  }
+}
+
+void ActBatchCall::FailItem(int item, const absl::Status& status) {
+  ErrorToProto(status, response()->mutable_results(item));
 }
 
 void ActStreamCall::HandleMessage(absl::string_view message) {
   const absl::Duration received = context().clock->Now();
-  auto messages = std::make_shared<ActMessages>();
-  if (auto status = ParseRequest(message, messages->request()); !status.ok()) {
+  const auto item = std::make_shared<Item>(
+      std::static_pointer_cast<ActStreamCall>(shared_from_this()), message.size(), received);
+  if (auto status = ParseRequest(message, item->messages().request()); !status.ok()) {
     return Finish(status);
   }
   // The next request of a tenant with a limit must wait if this one is refused.
@@ -72,12 +140,10 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
   auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
                                    context().max_message_bytes);
   if (status.ok() && !HoldRequests()) status = TooManyBytesError();
-  if (!status.ok()) return OnDecided(*messages, status, message.size(), received);
-  queue_.Add({.client = std::static_pointer_cast<ActStreamCall>(shared_from_this()),
-              .messages = std::move(messages),
-              .caller = &caller(),
-              .request_bytes = message.size(),
-              .received = received});
+  if (!status.ok()) return item->Answer(status);
+  item->call_context().caller = &caller();
+  context().sessions->Enter(&item->call_context());
+  item->Handle();
 }
 
 size_t ActStreamCall::CountRequest(size_t bytes) {
@@ -86,14 +152,13 @@ size_t ActStreamCall::CountRequest(size_t bytes) {
 }
 
 bool ActStreamCall::HoldRequests() {
-  return call()->Hold(
-      static_cast<int64_t>(in_progress_ * sizeof(ActMessages) + in_progress_bytes_));
+  return call()->Hold(static_cast<int64_t>(in_progress_ * sizeof(Messages) + in_progress_bytes_));
 }
 
 void ActStreamCall::HandleTooLong(size_t length, const absl::Status& error) {
-  ActMessages unread;
+  Messages unread;
   CountRequest(length);
-  OnDecided(unread, error, length, context().clock->Now());
+  Answer(unread, error, length, context().clock->Now());
 }
 
 void ActStreamCall::OnGranted() {
@@ -101,8 +166,8 @@ void ActStreamCall::OnGranted() {
   if (in_progress_ < kMaxInProgress && !is_delayed()) call()->ResumeReading();
 }
 
-void ActStreamCall::OnDecided(ActMessages& messages, const absl::Status& status,
-                              size_t request_bytes, absl::Duration received) {
+void ActStreamCall::Answer(Messages& messages, const absl::Status& status, size_t request_bytes,
+                           absl::Duration received) {
   Observe(status, received);
   --in_progress_;
   in_progress_bytes_ -= request_bytes;

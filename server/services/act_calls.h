@@ -5,26 +5,32 @@
 #define SERVER_SERVICES_ACT_CALLS_H_
 
 #include <cstddef>
+#include <map>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "server/services/act_queue.h"
+#include "server/services/call_messages.h"
 #include "server/services/service_call.h"
 #include "server/services/unary_call.h"
+#include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
-class ActCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, public ActClient {
+class ActOneCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, public QueuedAct {
  public:
   // `queue` must outlive the call.
-  ActCall(const ServiceContext* context, Call* call, ActQueue* queue)
+  ActOneCall(const ServiceContext* context, Call* call, ActQueue* queue)
       : UnaryCall(context, call, Method::kAct), queue_(*queue) {}
 
-  void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,
-                 absl::Duration received) override;
+  void OnDecided() override { Leave(act().status); }
 
  private:
   void Handle() override;
+  // A decision is made and stored whether its caller waits for it or not.
+  bool is_over() override { return false; }
 
   ActQueue& queue_;
 };
@@ -32,7 +38,7 @@ class ActCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, public 
 // Decides its requests in groups, one in a turn of the loop, so that other calls do not wait for
 // all of them.
 class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchResponse>,
-                           public ActBatchClient {
+                           public QueuedBatch {
  public:
   // `queue` must outlive the call.
   ActBatchCall(const ServiceContext* context, Call* call, ActQueue* queue)
@@ -42,27 +48,42 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
 
  private:
   void Handle() override;
+  std::vector<std::string> MissingSessions(const absl::Status& status) override;
+  bool has_items() const override { return true; }
+  void HandleAgain(const std::map<std::string, absl::Status>& unclaimed) override;
+  void FailItem(int item, const absl::Status& status) override;
+  void Answer(const absl::Status& status) override { End({status, refusal_}); }
+  // Replaces the results of items that found no session by the reasons why it could not be taken
+  // over.
+  void ExplainMissing();
 
   ActQueue& queue_;
-  int decided_ = 0;  // requests
+  int decided_ = 0;                                // requests
+  std::map<std::string, absl::Status> unclaimed_;  // why sessions could not be taken over
+  absl::Status refusal_;  // of an item that exceeded a limit of its tenant; OK if there is none
 };
 
 // Answers any number of requests. A request that fails is answered with its error, and the stream
 // goes on; after a refusal it reads on when the caller has waited.
-class ActStreamCall final : public ServiceCall, public ActClient {
+class ActStreamCall final : public ServiceCall {
  public:
   ActStreamCall(const ServiceContext* context, Call* call, ActQueue* queue)
       : ServiceCall(context, call, Method::kActStream), queue_(*queue) {}
 
   void OnDrain() override;
-  void OnGranted() override;
-  void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,
-                 absl::Duration received) override;
 
  private:
+  using Messages = CallMessages<v1::ActRequest, v1::ActResponse>;
+  class Item;
+
   void HandleMessage(absl::string_view message) override;
   void HandleTooLong(size_t length, const absl::Status& error) override;
   void HandleHalfClose() override;
+  // The request that was read last will not be refused.
+  void OnGranted();
+  // Sends the answer to a request of `request_bytes` that was `received` then.
+  void Answer(Messages& messages, const absl::Status& status, size_t request_bytes,
+              absl::Duration received);
   // Counts a request in progress. Returns how many there are.
   size_t CountRequest(size_t bytes);
   // Counts what the requests in progress occupy. Returns false if that exceeds a limit.

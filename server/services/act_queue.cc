@@ -2,28 +2,19 @@
 
 #include <utility>
 
-#include "absl/functional/function_ref.h"
+#include "absl/container/inlined_vector.h"
 #include "absl/hash/hash.h"
 #include "absl/types/span.h"
 
 namespace spikeserve {
 namespace {
 
-// Decides `acts` and calls `answered(first, statuses of the group)` for each group.
-void DecideGroups(const PolicyHandler& handler, absl::Span<const ActQueue::Act> acts,
-                  bool may_claim, DeferredWork* deferred,
-                  absl::FunctionRef<void(size_t first, absl::Span<const AgentAct>)> answered) {
-  std::vector<AgentAct> requests;
+absl::InlinedVector<DecisionRequest*, 1> RequestsOf(
+    absl::Span<const std::shared_ptr<QueuedAct>> acts) {
+  absl::InlinedVector<DecisionRequest*, 1> requests;
   requests.reserve(acts.size());
-  for (const ActQueue::Act& act : acts) {
-    requests.push_back({.caller = act.caller,
-                        .request = act.messages->request(),
-                        .response = act.messages->response(),
-                        .may_claim = may_claim && !act.recovered});
-  }
-  handler.ActMany(absl::MakeSpan(requests), deferred, [&](absl::Span<AgentAct> group) {
-    answered(static_cast<size_t>(group.data() - requests.data()), group);
-  });
+  for (const auto& act : acts) requests.push_back(&act->act());
+  return requests;
 }
 
 }  // namespace
@@ -33,15 +24,14 @@ void ActQueue::SetQueues(std::vector<ActQueue*> queues) {
   added_.resize(queues_.size());
 }
 
-void ActQueue::Add(Act act) {
-  const size_t owner = queues_.size() == 1
-                           ? 0
-                           : absl::HashOf(act.messages->request()->session_id()) % queues_.size();
+void ActQueue::Add(std::shared_ptr<QueuedAct> act) {
+  const size_t owner =
+      queues_.size() == 1 ? 0 : absl::HashOf(act->act().request->session_id()) % queues_.size();
   added_[owner].push_back(std::move(act));
   AskForTurn();
 }
 
-void ActQueue::AddBatch(std::shared_ptr<ActBatchClient> batch) {
+void ActQueue::AddBatch(std::shared_ptr<QueuedBatch> batch) {
   batches_.push_back(std::move(batch));
   AskForTurn();
 }
@@ -55,23 +45,23 @@ void ActQueue::Run() {
   running_ = true;
   for (size_t i = 0; i < queues_.size(); ++i) {
     if (added_[i].empty()) continue;
-    std::vector<Act> acts = std::exchange(added_[i], {});
+    Acts acts = std::exchange(added_[i], {});
     if (queues_[i] == this) {
-      Decide(std::move(acts));
+      Decide(acts);
       continue;
     }
-    auto batch = std::make_shared<Batch>(Batch{this, std::move(acts), {}, {}});
+    auto foreign = std::make_shared<Foreign>(Foreign{this, std::move(acts)});
     queues_[i]->loop_.events().Post(
-        [owner = queues_[i], batch] { owner->foreign_.push_back(batch); });
+        [owner = queues_[i], foreign] { owner->foreign_.push_back(foreign); });
   }
-  for (const auto& batch : std::exchange(foreign_, {})) DecideForeign(batch);
+  for (const auto& foreign : std::exchange(foreign_, {})) DecideForeign(foreign);
   if (!batches_.empty()) DecideBatchGroup();
   if (!batches_.empty()) AskForTurn();
   running_ = false;
 }
 
 void ActQueue::DecideBatchGroup() {
-  const std::shared_ptr<ActBatchClient> batch = std::move(batches_.front());
+  const std::shared_ptr<QueuedBatch> batch = std::move(batches_.front());
   batches_.pop_front();
   DeferredWork deferred;
   const bool done = batch->DecideGroup(handler_, &deferred);
@@ -80,64 +70,27 @@ void ActQueue::DecideBatchGroup() {
   if (!done) batches_.push_back(batch);
 }
 
-void ActQueue::Decide(std::vector<Act> acts) {
+void ActQueue::Decide(const Acts& acts) {
   DeferredWork deferred;
-  DecideGroups(handler_, acts, recovery_ != nullptr, &deferred,
-               [&](size_t first, absl::Span<const AgentAct> group) {
-                 for (size_t i = 0; i < group.size(); ++i) {
-                   Answer(acts[first + i], group[i].status, group[i].commits);
-                 }
-                 loop_.FlushWrites();
-                 deferred.Run();
-               });
+  const auto requests = RequestsOf(acts);
+  size_t answered = 0;
+  handler_.ActMany(requests, &deferred, [&](absl::Span<DecisionRequest* const> group) {
+    for (size_t i = 0; i < group.size(); ++i) acts[answered + i]->OnDecided();
+    answered += group.size();
+    loop_.FlushWrites();
+    deferred.Run();
+  });
 }
 
-void ActQueue::DecideForeign(const std::shared_ptr<Batch>& batch) {
+void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign) {
   DeferredWork deferred;
-  DecideGroups(handler_, batch->acts, recovery_ != nullptr, &deferred,
-               [&](size_t /*first*/, absl::Span<const AgentAct> group) {
-                 for (const AgentAct& act : group) {
-                   batch->statuses.push_back(act.status);
-                   batch->commits.push_back(act.commits);
-                 }
-               });
-  batch->from->loop_.events().Post([batch] {
-    for (size_t i = 0; i < batch->acts.size(); ++i) {
-      batch->from->Answer(batch->acts[i], batch->statuses[i], batch->commits[i]);
-    }
-    batch->acts.clear();  // the calls are destroyed on their loop's thread
+  handler_.ActMany(RequestsOf(foreign->acts), &deferred,
+                   [](absl::Span<DecisionRequest* const> /*group*/) {});
+  foreign->from->loop_.events().Post([foreign] {
+    for (const auto& act : foreign->acts) act->OnDecided();
+    foreign->acts.clear();  // the calls are destroyed on their loop's thread
   });
   deferred.Run();
-}
-
-void ActQueue::Answer(const Act& act, const absl::Status& status, const Commits& commits) {
-  if (recovery_ != nullptr && absl::IsNotFound(status) && !act.recovered) {
-    return Recover(act, status);
-  }
-  if (commits.empty()) {
-    return act.client->OnDecided(*act.messages, status, act.request_bytes, act.received);
-  }
-  if (status.ok()) act.client->OnGranted();
-  // The act is moved on, because a call must be destroyed on the thread of its loop.
-  WhenDurable(commits, [act, status,
-                        loop = &loop_.events()](const std::vector<absl::Status>& outcomes) mutable {
-    loop->Post([act = std::move(act), outcome = status.ok() ? outcomes[0] : status] {
-      act.client->OnDecided(*act.messages, outcome, act.request_bytes, act.received);
-    });
-  });
-}
-
-void ActQueue::Recover(const Act& act, const absl::Status& status) {
-  const auto post = [loop = &loop_.events()](std::function<void()> work) {
-    loop->Post(std::move(work));
-  };
-  Act again = act;
-  again.recovered = true;
-  recovery_->Recover(*act.caller, act.messages->request()->session_id(), post,
-                     [this, again = std::move(again), status](const absl::Status& recovered) {
-                       if (recovered.ok()) return Add(again);
-                       Answer(again, absl::IsNotFound(recovered) ? status : recovered, {});
-                     });
 }
 
 }  // namespace spikeserve

@@ -13,37 +13,28 @@
 #include <memory>
 #include <vector>
 
-#include "absl/status/status.h"
-#include "absl/time/time.h"
-#include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/policy_handler.h"
-#include "server/agent/session_recovery.h"
-#include "server/services/call_messages.h"
 #include "server/transport/transport_loop.h"
-#include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
-using ActMessages = CallMessages<v1::ActRequest, v1::ActResponse>;
-
-// Receives the answers of a queue.
-class ActClient {
+// A request in a queue.
+class QueuedAct {
  public:
-  virtual ~ActClient() = default;
-  // Called before OnDecided() if the request is granted and its answer waits for the store. Called
-  // on the thread of the loop that the request came from.
-  virtual void OnGranted() {}
-  // Called on the thread of the loop that the request came from. `received` is the time that was
-  // passed to Add().
-  virtual void OnDecided(ActMessages& messages, const absl::Status& status, size_t request_bytes,
-                         absl::Duration received) = 0;
+  virtual ~QueuedAct() = default;
+  DecisionRequest& act() { return act_; }
+  // Called when act() has its status, on the thread of the loop that the request came from.
+  virtual void OnDecided() = 0;
+
+ private:
+  DecisionRequest act_;
 };
 
 // A call with many requests, of which the queue decides one group in a turn.
-class ActBatchClient {
+class QueuedBatch {
  public:
-  virtual ~ActBatchClient() = default;
+  virtual ~QueuedBatch() = default;
   // Decides the next group of at most kMaxSessionsPerGroup requests. Returns true if none is left.
   // Called on the thread of the loop that the call came from.
   virtual bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) = 0;
@@ -51,60 +42,44 @@ class ActBatchClient {
 
 class ActQueue {
  public:
-  // One request. Keeps its client and its messages alive.
-  struct Act {
-    std::shared_ptr<ActClient> client;
-    std::shared_ptr<ActMessages> messages;
-    const Credential* caller;
-    size_t request_bytes;
-    absl::Duration received;  // of the server's clock
-    bool recovered = false;   // the session was looked for in the store
-  };
-
-  // All must outlive the queue. If `recovery` is null, no session is stored.
-  ActQueue(const PolicyHandler* handler, SessionRecovery* recovery, TransportLoop* loop)
-      : handler_(*handler), recovery_(recovery), loop_(*loop) {}
+  // Both must outlive the queue.
+  ActQueue(const PolicyHandler* handler, TransportLoop* loop) : handler_(*handler), loop_(*loop) {}
 
   // Sets the queues of all loops, in the same order for each, before the loops run.
   void SetQueues(std::vector<ActQueue*> queues);
 
   // Adds a request, which is decided at the end of the turn.
-  void Add(Act act);
+  void Add(std::shared_ptr<QueuedAct> act);
 
   // Adds a call of many requests. Each turn decides one group of one such call, after everything
   // that Add() added; several such calls take turns.
-  void AddBatch(std::shared_ptr<ActBatchClient> batch);
+  void AddBatch(std::shared_ptr<QueuedBatch> batch);
 
   // Decides what was added and passes on what belongs to other loops. The answers of each group are
   // written before the next group is decided; then what the answers need not wait for is done.
   void Run();
 
  private:
+  // The requests keep their calls alive.
+  using Acts = std::vector<std::shared_ptr<QueuedAct>>;
   // Requests from one loop.
-  struct Batch {
+  struct Foreign {
     ActQueue* from;
-    std::vector<Act> acts;
-    std::vector<absl::Status> statuses;
-    std::vector<Commits> commits;
+    Acts acts;
   };
 
-  void Decide(std::vector<Act> acts);
+  void Decide(const Acts& acts);
   void DecideBatchGroup();
+  void DecideForeign(const std::shared_ptr<Foreign>& foreign);
   // Makes sure that Run() is called for what was added.
   void AskForTurn();
-  void DecideForeign(const std::shared_ptr<Batch>& batch);
-
-  // Gives the answer to its client, or waits until the store has the session or the decision.
-  void Answer(const Act& act, const absl::Status& status, const Commits& commits);
-  void Recover(const Act& act, const absl::Status& status);
 
   const PolicyHandler& handler_;
-  SessionRecovery* const recovery_;
   TransportLoop& loop_;
   std::vector<ActQueue*> queues_;
-  std::vector<std::vector<Act>> added_;  // by the loop that the session belongs to
-  std::vector<std::shared_ptr<Batch>> foreign_;
-  std::deque<std::shared_ptr<ActBatchClient>> batches_;
+  std::vector<Acts> added_;  // by the loop that the session belongs to
+  std::vector<std::shared_ptr<Foreign>> foreign_;
+  std::deque<std::shared_ptr<QueuedBatch>> batches_;
   bool running_ = false;  // in Run(), and no further turn was asked for
 };
 

@@ -17,7 +17,7 @@ class InferStreamCall final : public ServiceCall {
  public:
   // `deferred` is work that the loop does after it has sent the answers. All pointers must outlive
   // the call.
-  InferStreamCall(const ServiceContext* context, Call* call, InferenceHandler* handler,
+  InferStreamCall(const ServiceContext* context, Call* call, const InferenceHandler* handler,
                   DeferredWork* deferred)
       : ServiceCall(context, call, Method::kModelStreamInfer),
         handler_(*handler),
@@ -29,16 +29,16 @@ class InferStreamCall final : public ServiceCall {
   }
 
  private:
+  class Item;
+
   void HandleMessage(absl::string_view message) override;
   void HandleTooLong(size_t length, const absl::Status& error) override;
   void HandleHalfClose() override { Finish(absl::OkStatus()); }
-  absl::Status Answer(const inference::ModelInferRequest& request, size_t request_bytes,
-                      inference::ModelInferResponse* response);
   // Sends an answer, or its error.
   void Reply(const absl::Status& status, const std::string& id, size_t request_bytes,
              inference::ModelStreamInferResponse* response);
 
-  InferenceHandler& handler_;
+  const InferenceHandler& handler_;
   DeferredWork* const deferred_;
 };
 

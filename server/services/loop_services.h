@@ -19,10 +19,9 @@ namespace spikeserve {
 
 class LoopServices final : public CallRouter {
  public:
-  // All pointers must outlive the object. If `recovery` is null, no session is stored.
-  LoopServices(const ServiceTable* table, const PolicyHandler* handler, SessionRecovery* recovery,
-               TransportLoop* loop)
-      : table_(*table), loop_(*loop), acts_(handler, recovery, loop) {}
+  // All pointers must outlive the object.
+  LoopServices(const ServiceTable* table, const PolicyHandler* handler, TransportLoop* loop)
+      : table_(*table), loop_(*loop), acts_(handler, loop) {}
 
   // Answers the calls of the loop from now on. `all` are the services of all loops, in the same
   // order for each. To be called once, before the loop runs.

@@ -8,22 +8,33 @@
 #include <cstddef>
 #include <functional>
 #include <memory>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "server/access/authenticator.h"
+#include "server/agent/session_recovery.h"
 #include "server/base/method_table.h"
 #include "server/services/service_context.h"
 #include "server/transport/call.h"
 
 namespace spikeserve {
 
+// Returns a function that runs work on the thread of `loop`.
+inline SessionRecovery::Post PostTo(EventLoop* loop) {
+  return [loop](std::function<void()> work) { loop->Post(std::move(work)); };
+}
+
 class ServiceCall : public CallHandler, public std::enable_shared_from_this<ServiceCall> {
  public:
   // `context` must outlive the call.
   ServiceCall(const ServiceContext* context, Call* call, Method method)
-      : context_(*context), call_(call), method_(method), admission_(context->gate->Begin()) {}
+      : context_(*context),
+        call_(call),
+        loop_(call->loop()),
+        method_(method),
+        admission_(context->gate->Begin()) {}
   ~ServiceCall() override { context_.gate->End(); }
 
   // Admits the caller, or refuses the call. To be called once, right after construction.
@@ -49,6 +60,8 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   Method method() const { return method_; }
   // Null after the call is over.
   Call* call() const { return call_; }
+  // Outlives the call.
+  EventLoop& loop() const { return loop_; }
   // REQUIRES: the caller was admitted, which holds in HandleMessage() and after it.
   const Credential& caller() const { return **caller_; }
 
@@ -76,6 +89,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
  private:
   const ServiceContext& context_;
   Call* call_;
+  EventLoop& loop_;
   const Method method_;
   absl::Duration DelayFor(const absl::Status& status, size_t request_bytes) const;
 

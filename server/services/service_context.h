@@ -6,7 +6,7 @@
 
 #include "core/base/clock.h"
 #include "server/access/authenticator.h"
-#include "server/agent/session_recovery.h"
+#include "server/agent/session_gate.h"
 #include "server/metrics/metrics.h"
 #include "server/services/call_gate.h"
 
@@ -18,8 +18,8 @@ struct ServiceContext {
   const Authenticator* authenticator;
   Metrics* metrics;
   const Clock* clock;
-  int64_t max_message_bytes;            // of one request of any tenant
-  SessionRecovery* recovery = nullptr;  // null: no session is stored
+  int64_t max_message_bytes;  // of one request of any tenant
+  const SessionGate* sessions;
 };
 
 }  // namespace spikeserve

@@ -5,7 +5,6 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "server/services/act_calls.h"
-#include "server/services/handler_calls.h"
 #include "server/services/infer_stream_call.h"
 #include "server/services/reflection.h"
 #include "server/services/service_name.h"
@@ -16,40 +15,6 @@ namespace {
 constexpr char kReflection[] = "grpc.reflection.v1.ServerReflection";
 constexpr char kReflectionAlpha[] = "grpc.reflection.v1alpha.ServerReflection";
 constexpr char kHealth[] = "grpc.health.v1.Health";
-
-template <typename RequestType, typename ResponseType>
-struct Messages {
-  using Request = RequestType;
-  using Response = ResponseType;
-};
-
-// Name the messages of a handler's method in each of its forms. Declared only.
-template <typename H, typename Request, typename Response>
-Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Request&, Response*) const);
-template <typename H, typename Request, typename Response>
-Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
-                                                           Response*) const);
-template <typename H, typename Request, typename Response>
-Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
-                                                           Response*, DeferredWork*) const);
-template <typename H, typename Request, typename Response>
-Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
-                                                           Response*, DeferredWork*));
-template <typename H, typename Request, typename Response>
-Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
-                                                           Response*, Commits*) const);
-template <typename H, typename Request, typename Response>
-Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
-                                                           Response*, Commits*, bool) const);
-template <typename H, typename Request, typename Response>
-Messages<Request, Response> MessagesOf(absl::Status (H::*)(const Credential&, const Request&,
-                                                           Response*, DeferredWork*, Commits*)
-                                           const);
-
-std::shared_ptr<CallHandler> Started(std::shared_ptr<ServiceCall> call) {
-  call->Start();
-  return call;
-}
 
 }  // namespace
 
@@ -63,81 +28,66 @@ Services::Services(const ServiceContext& context, const Handlers& handlers)
 
 void Services::Attach(Transport* transport) {
   for (const auto& loop : transport->loops()) {
-    loops_.push_back(
-        std::make_unique<LoopServices>(&table_, handlers_.policy, context_.recovery, loop.get()));
+    loops_.push_back(std::make_unique<LoopServices>(&table_, handlers_.policy, loop.get()));
   }
   for (const auto& services : loops_) services->Attach(loops_);
 }
 
-template <typename Handler, typename HandlerMethod>
-void Services::Add(Method method, Handler* handler, HandlerMethod handler_method) {
+void Services::AddCall(Method method,
+                       std::function<std::shared_ptr<ServiceCall>(Call*, LoopServices*)> open) {
+  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
+             [open = std::move(open)](Call* call, LoopServices* loop) {
+               auto opened = open(call, loop);
+               opened->Start();
+               return opened;
+             });
+}
+
+template <typename H, typename Request, typename Response>
+void Services::Add(Method method, const H* handler, HandlerMethod<H, Request, Response> answer) {
+  Handler<Request, Response> bound = std::bind_front(answer, handler);
   const Cost cost = GetMethodInfo(method).cost;
-  if (RunsOnLoop(cost)) return AddInline(method, handler, handler_method);
-  AddBackground(method, handler, handler_method,
-                cost == Cost::kListing ? handlers_.list_worker : handlers_.worker);
-}
-
-template <typename Handler, typename HandlerMethod>
-void Services::AddInline(Method method, Handler* handler, HandlerMethod handler_method) {
-  using Types = decltype(MessagesOf(handler_method));
-  using Request = typename Types::Request;
-  using Response = typename Types::Response;
-  const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
-                                                Response* response, DeferredWork* deferred,
-                                                Commits* commits, bool may_claim) {
-    return CallOutcome(
-        Invoke(*handler, handler_method, caller, request, response, deferred, commits, may_claim));
-  };
-  using AnswerType = decltype(answer);
-  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
-             [this, method, answer](Call* call, LoopServices* loop) {
-               return Started(std::make_shared<InlineCall<Request, Response, AnswerType>>(
-                   &context_, call, method, &loop->deferred(), &answer));
-             });
-}
-
-template <typename Handler, typename HandlerMethod>
-void Services::AddBackground(Method method, Handler* handler, HandlerMethod handler_method,
-                             BackgroundWorker* worker) {
-  using Types = decltype(MessagesOf(handler_method));
-  using Request = typename Types::Request;
-  using Response = typename Types::Response;
-  const auto answer = [handler, handler_method](const Credential& caller, const Request& request,
-                                                Response* response, DeferredWork* deferred,
-                                                Commits* commits, bool may_claim) {
-    return CallOutcome(
-        Invoke(*handler, handler_method, caller, request, response, deferred, commits, may_claim));
-  };
-  using AnswerType = decltype(answer);
-  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
-             [this, method, worker, answer](Call* call, LoopServices* /*loop*/) {
-               return Started(std::make_shared<BackgroundCall<Request, Response, AnswerType>>(
-                   &context_, call, method, worker, &answer));
-             });
-}
-
-template <typename Handler, typename HandlerMethod>
-void Services::AddAdmin(Method method, Handler* handler, HandlerMethod handler_method) {
-  if (GetMethodInfo(method).access != Access::kOperatorOnly) {
-    return AddBackground(method, handler, handler_method, handlers_.admin_worker);
+  if (!RunsOnLoop(cost)) {
+    return AddBackground(method, cost == Cost::kListing ? handlers_.list_worker : handlers_.worker,
+                         std::move(bound));
   }
-  using Types = decltype(MessagesOf(handler_method));
-  using Request = typename Types::Request;
-  using Response = typename Types::Response;
-  const auto answer = [audit = handlers_.audit, method, handler, handler_method](
-                          const Credential& caller, const Peer& peer, const Request& request,
-                          Response* response) {
-    return CallOutcome(audit->RunAndRecord(method, caller, peer, request, [&] {
-      return Invoke(*handler, handler_method, caller, request, response, nullptr, nullptr,
-                    /*may_claim=*/false);
-    }));
-  };
-  using AnswerType = decltype(answer);
-  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
-             [this, method, answer](Call* call, LoopServices* /*loop*/) {
-               return Started(std::make_shared<BackgroundCall<Request, Response, AnswerType>>(
-                   &context_, call, method, handlers_.admin_worker, &answer));
-             });
+  AddCall(method, [this, method, bound = std::move(bound)](Call* call, LoopServices* loop) {
+    return std::make_shared<InlineCall<Request, Response>>(&context_, call, method,
+                                                           &loop->deferred(), &bound);
+  });
+}
+
+template <typename Request, typename Response>
+void Services::AddBackground(Method method, BackgroundWorker* worker,
+                             Handler<Request, Response> handler, bool is_recorded) {
+  AddCall(method, [this, method, worker, handler = std::move(handler), is_recorded](
+                      Call* call, LoopServices* /*loop*/) {
+    return std::make_shared<BackgroundCall<Request, Response>>(&context_, call, method, worker,
+                                                               &handler, is_recorded);
+  });
+}
+
+template <typename H, typename Request, typename Response>
+void Services::AddAdmin(Method method, const H* handler,
+                        HandlerMethod<H, Request, Response> answer) {
+  if (GetMethodInfo(method).access == Access::kOperatorOnly) {
+    return AddRecorded(method, handler, answer);
+  }
+  AddBackground<Request, Response>(method, handlers_.admin_worker,
+                                   std::bind_front(answer, handler));
+}
+
+template <typename H, typename Request, typename Response>
+void Services::AddRecorded(Method method, const H* handler,
+                           HandlerMethod<H, Request, Response> answer) {
+  AddBackground<Request, Response>(
+      method, handlers_.admin_worker,
+      [audit = handlers_.audit, method, handler, answer](
+          CallContext& context, const Request& request, Response* response) {
+        return audit->RunAndRecord(method, context, request,
+                                   [&] { return (handler->*answer)(context, request, response); });
+      },
+      /*is_recorded=*/true);
 }
 
 void Services::AddPolicyService() {
@@ -150,18 +100,15 @@ void Services::AddPolicyService() {
   Add(Method::kGetSession, policy, &PolicyHandler::GetSession);
   Add(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
   Add(Method::kExplain, policy, &PolicyHandler::Explain);
-  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kAct).name),
-             [this](Call* call, LoopServices* loop) {
-               return Started(std::make_shared<ActCall>(&context_, call, &loop->acts()));
-             });
-  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kActBatch).name),
-             [this](Call* call, LoopServices* loop) {
-               return Started(std::make_shared<ActBatchCall>(&context_, call, &loop->acts()));
-             });
-  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kActStream).name),
-             [this](Call* call, LoopServices* loop) {
-               return Started(std::make_shared<ActStreamCall>(&context_, call, &loop->acts()));
-             });
+  AddCall(Method::kAct, [this](Call* call, LoopServices* loop) {
+    return std::make_shared<ActOneCall>(&context_, call, &loop->acts());
+  });
+  AddCall(Method::kActBatch, [this](Call* call, LoopServices* loop) {
+    return std::make_shared<ActBatchCall>(&context_, call, &loop->acts());
+  });
+  AddCall(Method::kActStream, [this](Call* call, LoopServices* loop) {
+    return std::make_shared<ActStreamCall>(&context_, call, &loop->acts());
+  });
 }
 
 void Services::AddPolicyAdmin() {
@@ -201,7 +148,7 @@ void Services::AddPolicyAdmin() {
 void Services::AddInferenceService() {
   service_names_.push_back(ServiceName<inference::ServerLiveRequest>());
   service_ = absl::StrCat("/", service_names_.back(), "/");
-  InferenceHandler* handler = handlers_.inference;
+  const InferenceHandler* handler = handlers_.inference;
   Add(Method::kServerLive, handler, &InferenceHandler::ServerLive);
   Add(Method::kServerReady, handler, &InferenceHandler::ServerReady);
   Add(Method::kModelReady, handler, &InferenceHandler::ModelReady);
@@ -213,11 +160,10 @@ void Services::AddInferenceService() {
   Add(Method::kRepositoryIndex, handler, &InferenceHandler::RepositoryIndex);
   AddAdmin(Method::kRepositoryModelLoad, handler, &InferenceHandler::RepositoryModelLoad);
   AddAdmin(Method::kRepositoryModelUnload, handler, &InferenceHandler::RepositoryModelUnload);
-  table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kModelStreamInfer).name),
-             [this](Call* call, LoopServices* loop) {
-               return Started(std::make_shared<InferStreamCall>(
-                   &context_, call, handlers_.inference, &loop->deferred()));
-             });
+  AddCall(Method::kModelStreamInfer, [this](Call* call, LoopServices* loop) {
+    return std::make_shared<InferStreamCall>(&context_, call, handlers_.inference,
+                                             &loop->deferred());
+  });
 }
 
 void Services::AddStandardServices() {

@@ -2,6 +2,7 @@
 #ifndef SERVER_SERVICES_SERVICES_H_
 #define SERVER_SERVICES_SERVICES_H_
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -13,6 +14,7 @@
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/inference/inference_handler.h"
+#include "server/services/handler_calls.h"
 #include "server/services/health_service.h"
 #include "server/services/loop_services.h"
 #include "server/services/service_context.h"
@@ -28,7 +30,7 @@ struct Handlers {
   const HeadHandler* heads;
   const RolloutHandler* rollouts;
   const Audit* audit;
-  InferenceHandler* inference;
+  const InferenceHandler* inference;
   HealthService* health;
   BackgroundWorker* worker;        // runs what takes long: Explain
   BackgroundWorker* list_worker;   // runs the lists of agents, which are short and come in bursts
@@ -52,18 +54,25 @@ class Services {
   void AddInferenceService();
   void AddStandardServices();
 
-  // Adds a method that `handler.*method` answers, on the loop or on a worker, by its cost.
-  template <typename Handler, typename HandlerMethod>
-  void Add(Method method, Handler* handler, HandlerMethod handler_method);
-  template <typename Handler, typename HandlerMethod>
-  void AddInline(Method method, Handler* handler, HandlerMethod handler_method);
-  template <typename Handler, typename HandlerMethod>
-  void AddBackground(Method method, Handler* handler, HandlerMethod handler_method,
-                     BackgroundWorker* worker);
-  // As AddBackground, on the worker of operators. If only operators may call the method, which
-  // means that it changes something, the call is recorded in the audit log.
-  template <typename Handler, typename HandlerMethod>
-  void AddAdmin(Method method, Handler* handler, HandlerMethod handler_method);
+  // The methods of all handlers have this form; see call_context.h.
+  template <typename H, typename Request, typename Response>
+  using HandlerMethod = absl::Status (H::*)(CallContext&, const Request&, Response*) const;
+
+  // Adds a method that `handler.*answer` answers, on the loop or on a worker, by its cost.
+  template <typename H, typename Request, typename Response>
+  void Add(Method method, const H* handler, HandlerMethod<H, Request, Response> answer);
+  // As Add, on the worker of operators. If only operators may call the method, which means that it
+  // changes something, the call is recorded in the audit log.
+  template <typename H, typename Request, typename Response>
+  void AddAdmin(Method method, const H* handler, HandlerMethod<H, Request, Response> answer);
+  template <typename H, typename Request, typename Response>
+  void AddRecorded(Method method, const H* handler, HandlerMethod<H, Request, Response> answer);
+  template <typename Request, typename Response>
+  void AddBackground(Method method, BackgroundWorker* worker, Handler<Request, Response> handler,
+                     bool is_recorded = false);
+  // Adds a method whose calls `open` opens; they are started here.
+  void AddCall(Method method,
+               std::function<std::shared_ptr<ServiceCall>(Call*, LoopServices*)> open);
 
   const ServiceContext context_;
   const Handlers handlers_;

@@ -9,17 +9,18 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "server/access/admission.h"
-#include "server/agent/durable_answer.h"
+#include "server/agent/convert.h"
+#include "server/agent/session_gate.h"
 #include "server/services/call_messages.h"
 #include "server/services/finite_response.h"
 #include "server/services/request_parser.h"
 #include "server/services/service_call.h"
-#include "server/services/stored_items.h"
 
 namespace spikeserve {
 
@@ -35,50 +36,27 @@ struct CallOutcome {
                          // batch that succeeds but contains refused items
 };
 
+// Is satisfied by requests that name one session.
+template <typename Request>
+concept NamesSession = requires(const Request& request) {
+  request.session_id();
+};
+
 template <typename Request, typename Response>
-class UnaryCall : public ServiceCall {
+class UnaryCall : public ServiceCall, public GatedRequest {
  public:
   using ServiceCall::ServiceCall;
 
  protected:
-  // Answers the request. Calls End() now or later.
+  // Answers the request. Calls Leave() or End() now or later.
   virtual void Handle() = 0;
 
   CallMessages<Request, Response>& messages() { return messages_; }
   const Request& request() { return *messages_.request(); }
   Response* response() { return messages_.response(); }
 
-  // Gathers what the answer must wait for.
-  Commits* commits() { return &commits_; }
-
-  // Returns whether a session whose copy here is an old one may still be taken over from the store.
-  bool may_claim() { return context().recovery != nullptr && !recovered_; }
-
-  // As End(), when the store has everything in commits(). If the outcome is that this server does
-  // not hold the request's session, takes it over from the store and calls Handle() again.
-  void EndWhenDurable(CallOutcome outcome) {
-    if (TryToRecover(outcome)) return;
-    ExplainMissing(request(), failures_, response());
-    const Commits commits = std::exchange(commits_, {});
-    if (commits.empty() || call() == nullptr) return End(outcome);
-    WhenDurable(commits, [self = Self(), loop = &call()->loop(), outcome,
-                          commits](const std::vector<absl::Status>& outcomes) mutable {
-      loop->Post([self = std::move(self), outcome, commits, outcomes]() mutable {
-        for (size_t i = 0; i < commits.size(); ++i) {
-          if (outcomes[i].ok()) {
-            if (commits[i].contribution != nullptr) {
-              TakeMerged(*commits[i].contribution, self->response());
-            }
-          } else if (commits[i].item >= 0) {
-            FailItem(commits[i].item, outcomes[i], self->response());
-          } else {
-            outcome = outcomes[i];
-          }
-        }
-        self->EndWhenDurable(outcome);
-      });
-    });
-  }
+  // Ends the call with what its handler has returned, when the gate lets it go.
+  void Leave(const absl::Status& status) { context().sessions->Leave(*this, status); }
 
   // Sends the response and the status of `outcome`, after a delay if the call was refused.
   void End(CallOutcome outcome) {
@@ -105,6 +83,32 @@ class UnaryCall : public ServiceCall {
 
   virtual void SendResponse() { call()->Send(*response()); }
 
+  // Of GatedRequest.
+  std::shared_ptr<GatedRequest> Self() override {
+    return std::static_pointer_cast<UnaryCall>(this->shared_from_this());
+  }
+  SessionRecovery::Post post() override { return PostTo(&loop()); }
+  bool is_over() override { return call() == nullptr; }
+  // A session that could not be opened, because the store has it, is missing, too.
+  std::vector<std::string> MissingSessions(const absl::Status& status) override {
+    if constexpr (NamesSession<Request>) {
+      const bool is_in_store = !kHoldsDecisions<Response> && absl::IsAlreadyExists(status);
+      if (absl::IsNotFound(status) || is_in_store) return {request().session_id()};
+    }
+    return {};
+  }
+  void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) override {
+    response()->Clear();
+    Handle();
+  }
+  void TakeMerged(const FleetContribution& contribution) override {
+    if constexpr (std::is_same_v<Response, v1::EndEpisodeResponse>) {
+      const auto merged = contribution.merged();
+      if (merged.has_value()) *response()->mutable_learning() = ToProto(*merged);
+    }
+  }
+  void Answer(const absl::Status& status) override { End(status); }
+
  private:
   void HandleMessage(absl::string_view message) final {
     start_ = context().clock->Now();
@@ -117,6 +121,8 @@ class UnaryCall : public ServiceCall {
     if (status.ok()) status = ParseRequest(message, messages_.request());
     if (status.ok()) status = HoldMessages();
     if (!status.ok()) return End(status);
+    call_context().caller = &caller();
+    context().sessions->Enter(&call_context());
     Handle();
   }
 
@@ -133,10 +139,6 @@ class UnaryCall : public ServiceCall {
     End(error);
   }
 
-  std::shared_ptr<UnaryCall> Self() {
-    return std::static_pointer_cast<UnaryCall>(this->shared_from_this());
-  }
-
   // Replaces a response with NaN or infinity by an error.
   void CheckResponse(CallOutcome* outcome) {
     const std::string named = PolicyOf(*response());
@@ -147,45 +149,7 @@ class UnaryCall : public ServiceCall {
     *outcome = CallOutcome(std::move(status));
   }
 
-  // Returns true if the call goes on when the store has answered.
-  bool TryToRecover(const CallOutcome& outcome) {
-    if (context().recovery == nullptr || call() == nullptr || recovered_) return false;
-    const auto missing = MissingSessions(request(), *response(), outcome.status);
-    if (missing.empty()) return false;
-    recovered_ = true;
-    missing_ = missing.size();
-    const auto post = [loop = &call()->loop()](std::function<void()> work) {
-      loop->Post(std::move(work));
-    };
-    for (const std::string& id : missing) {
-      context().recovery->Recover(caller(), id, post,
-                                  [self = Self(), id, outcome](const absl::Status& status) {
-                                    self->OnRecovered(id, status, outcome);
-                                  });
-    }
-    return true;
-  }
-
-  void OnRecovered(const std::string& id, const absl::Status& status, const CallOutcome& outcome) {
-    const bool failed = !status.ok() && !absl::IsNotFound(status);
-    if (failed) failures_.emplace(id, status);
-    if (--missing_ > 0) return;
-    if (call() == nullptr) return End(outcome);
-    if (NamesSession<Request> && !status.ok()) return End(failed ? CallOutcome(status) : outcome);
-    HandleAgain();
-  }
-
-  void HandleAgain() {
-    response()->Clear();
-    commits_.clear();
-    Handle();
-  }
-
   CallMessages<Request, Response> messages_;
-  Commits commits_;
-  bool recovered_ = false;  // the missing sessions were looked for in the store
-  size_t missing_ = 0;      // sessions that are being looked for
-  std::map<std::string, absl::Status> failures_;  // why sessions could not be taken over
   absl::Duration start_;
   size_t request_bytes_ = 0;
   bool received_ = false;

@@ -49,6 +49,7 @@ class Transport {
   const Address& address() const { return address_; }
   const std::vector<std::unique_ptr<TransportLoop>>& loops() const { return loops_; }
   const ConnectionTable& connections() const { return connections_; }
+  TransportBudgets& budgets() { return budgets_; }
   const TransportBudgets& budgets() const { return budgets_; }
 
   absl::Status Start();

@@ -41,6 +41,7 @@ class TransportLoop final : public ConnectionHost {
 
   // Sets what answers the calls. `router` must outlive the loop's run.
   void SetRouter(CallRouter* router) { shared_.router = router; }
+  CallRouter* router() { return shared_.router; }
   // Calls `work` at the end of each turn, before connections write.
   void AtEndOfTurn(std::function<void()> work) { events_->AtEndOfTurn(std::move(work)); }
 

@@ -5,11 +5,16 @@
 #include <array>
 #include <boost/beast/http/empty_body.hpp>
 #include <boost/beast/http/parser.hpp>
+#include <limits>
 #include <utility>
+#include <variant>
 
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
 #include "core/contract/dcheck.h"
 #include "server/base/address.h"
+#include "server/inference/inference_json.h"
 
 namespace spikeserve {
 namespace {
@@ -17,6 +22,7 @@ namespace {
 namespace http = boost::beast::http;
 
 constexpr absl::Duration kRequestTimeout = absl::Seconds(5);
+constexpr absl::Duration kBodyTimeout = absl::Seconds(30);
 constexpr absl::Duration kAnswerTimeout = absl::Minutes(2);
 constexpr absl::Duration kWriteTimeout = absl::Seconds(30);
 constexpr absl::Duration kClosingTimeout = absl::Seconds(1);
@@ -24,7 +30,9 @@ constexpr absl::Duration kClosingTimeout = absl::Seconds(1);
 constexpr uint32_t kMaxHeaderBytes = 16 << 10;
 constexpr size_t kReadBytes = 4 << 10;
 constexpr size_t kWriteBytes = 64 << 10;  // at a time, so that connections take turns
-constexpr size_t kMaxDropped = 1 << 20;
+constexpr size_t kMaxDropped = 16 << 20;  // more than most bodies that are too long
+
+constexpr absl::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
 
 // Returns true if the header Host names this machine, with or without a port.
 bool NamesThisMachine(absl::string_view host) {
@@ -51,6 +59,7 @@ HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<C
       owner_(owner),
       parser_(std::make_unique<Parser>()) {
   parser_->header_limit(kMaxHeaderBytes);
+  parser_->body_limit(std::numeric_limits<uint64_t>::max());  // the body does not reach the parser
 }
 
 HttpConnection::~HttpConnection() { SPIKESERVE_DCHECK(state_ == State::kClosed); }
@@ -70,6 +79,7 @@ void HttpConnection::Enter(State state, absl::Duration timeout, uint32_t events_
 
 void HttpConnection::Close() {
   if (std::exchange(state_, State::kClosed) == State::kClosed) return;
+  CountBody(0);
   events().Cancel(timer_);
   events().Unwatch(socket_->fd());
   owner_->OnClosed(this);
@@ -77,7 +87,7 @@ void HttpConnection::Close() {
 
 void HttpConnection::OnReady(uint32_t ready) {
   if (state_ == State::kAnswering && (ready & (EPOLLHUP | EPOLLERR)) != 0) return Close();
-  if (state_ == State::kReading) return Read();
+  if (state_ == State::kReading || state_ == State::kReadingBody) return Read();
   if (state_ == State::kWriting) return Write();
   if (state_ == State::kClosing) return DropInput();
 }
@@ -92,8 +102,9 @@ void HttpConnection::Read() {
       return events().ChangeWatch(socket_->fd(), wanted, this);
     }
     input_.append(buffer.data(), result.bytes);
-    Parse();
-  } while (state_ == State::kReading && socket_->has_buffered_input());
+    state_ == State::kReading ? Parse() : TakeBody();
+  } while ((state_ == State::kReading || state_ == State::kReadingBody) &&
+           socket_->has_buffered_input());
 }
 
 void HttpConnection::Parse() {
@@ -111,7 +122,8 @@ void HttpConnection::Parse() {
 void HttpConnection::ParseHeaders() {
   const auto& headers = parser_->get();
   is_head_ = headers.method() == http::verb::head;
-  if (headers.method() != http::verb::get && !is_head_) {
+  request_.is_post = headers.method() == http::verb::post;
+  if (headers.method() != http::verb::get && !is_head_ && !request_.is_post) {
     return Answer({.code = 405, .body = "expected GET or HEAD\n"});
   }
   // A browser always sends the header; some programs that check health do not.
@@ -122,21 +134,76 @@ void HttpConnection::ParseHeaders() {
   if (local_names_only_ && host != headers.end() && !NamesThisMachine(ToView(host->value()))) {
     return Answer({.code = 403, .body = "Host: expected localhost or a loopback address\n"});
   }
-  HttpRequest request;
-  if (auto status = DecodeTarget(ToView(headers.target()), &request); !status.ok()) {
+  if (auto status = DecodeTarget(ToView(headers.target()), &request_); !status.ok()) {
     return Answer({.code = 400, .body = std::string(status.message()) + "\n"});
   }
-  request.authorization = std::string(ToView(headers[http::field::authorization]));
-  request.client = slot_->address();
+  request_.authorization = std::string(ToView(headers[http::field::authorization]));
+  request_.json_length = std::string(ToView(headers["Inference-Header-Content-Length"]));
+  request_.client = slot_->address();
+  request_.is_post ? StartBody() : Submit();
+}
+
+void HttpConnection::StartBody() {
+  const auto& headers = parser_->get();
+  const auto refuse = [this](int code, absl::string_view message) {
+    Answer({.code = code, .content_type = "application/json", .body = HttpErrorBody(message)});
+  };
+  // A browser sends the header with what a page of any site lets it send.
+  if (headers.count(http::field::origin) > 0) {
+    return refuse(403, "Origin: expected none, because pages send no POST");
+  }
+  auto accepted = owner_->AcceptBody(request_);
+  if (const auto* refusal = std::get_if<HttpResponse>(&accepted)) return Answer(*refusal);
+  const auto length = parser_->content_length();
+  if (!length.has_value()) {
+    return refuse(411, "Content-Length: expected the length of the body, received none");
+  }
+  if (headers.count(http::field::content_encoding) > 0) {
+    return refuse(415, "Content-Encoding: expected none");
+  }
+  const size_t longest = std::get<size_t>(accepted);
+  if (*length > longest) {
+    return refuse(413, absl::StrCat("Content-Length: expected at most ", longest,
+                                    " (--max_message_bytes), received ", *length));
+  }
+  body_length_ = static_cast<size_t>(*length);
+  const bool waits = absl::EqualsIgnoreCase(ToView(headers[http::field::expect]), "100-continue");
+  Enter(State::kReadingBody, kBodyTimeout, EPOLLIN);
+  if (waits && input_.empty() && body_length_ > 0) {
+    // Nothing was written before, so there is room for these bytes.
+    if (socket_->Write(kContinue).bytes != kContinue.size()) return Close();
+  }
+  TakeBody();
+}
+
+void HttpConnection::TakeBody() {
+  CountBody(input_.size());
+  if (state_ != State::kReadingBody || input_.size() < body_length_) return;
+  input_.resize(body_length_);
+  request_.body = std::exchange(input_, {});
+  CountBody(0);
+  Submit();
+}
+
+void HttpConnection::CountBody(size_t bytes) {
+  const auto added =
+      static_cast<int64_t>(bytes) - static_cast<int64_t>(std::exchange(counted_body_, bytes));
+  if (owner_->CountBody(added) || state_ == State::kClosed) return;
+  Answer(
+      {.code = 503, .body = "body: the server holds as many bytes as it may; try again later\n"});
+}
+
+void HttpConnection::Submit() {
   parser_.reset();
   slot_->MarkCaller();
   Enter(State::kAnswering, kAnswerTimeout, 0);
-  owner_->OnRequest(this, std::move(request));
+  owner_->OnRequest(this, std::exchange(request_, {}));
 }
 
 void HttpConnection::Answer(const HttpResponse& response) {
   if (state_ == State::kClosed) return;
   output_ = ToBytes(response, !is_head_);
+  input_ = std::string();
   Enter(State::kWriting, kWriteTimeout, EPOLLOUT);
   Write();
 }

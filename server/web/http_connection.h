@@ -9,6 +9,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <variant>
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
@@ -20,15 +21,19 @@
 
 namespace spikeserve {
 
-// The client has five seconds for its request, a TLS handshake included, and thirty to take the
-// answer, however it divides the bytes. A request has at most 16 KiB of headers; its body is not
-// read.
+// The client has five seconds for the headers of its request, a TLS handshake included, thirty for
+// the body of a POST, and thirty to take the answer, however it divides the bytes. A request has at
+// most 16 KiB of headers; the body of a GET is not read.
 class HttpConnection final : public EventLoop::Source {
  public:
   // Who owns the connection.
   class Owner {
    public:
     virtual EventLoop& events() = 0;
+    // See HttpServer::AcceptBody.
+    virtual std::variant<size_t, HttpResponse> AcceptBody(const HttpRequest& request) = 0;
+    // Counts bytes of bodies; fewer than 0 were freed. Returns false if there are too many.
+    virtual bool CountBody(int64_t bytes) = 0;
     // Computes the answer to a request, and calls Answer() of the connection later.
     virtual void OnRequest(HttpConnection* connection, HttpRequest request) = 0;
     // Destroys the connection at the end of the turn.
@@ -58,13 +63,19 @@ class HttpConnection final : public EventLoop::Source {
   uint64_t number() const { return slot_->number(); }
 
  private:
-  enum class State { kReading, kAnswering, kWriting, kClosing, kClosed };
+  enum class State { kReading, kReadingBody, kAnswering, kWriting, kClosing, kClosed };
   struct Parser;  // of the library
 
   void Read();
   // Parses what was received. Calls the owner, or answers an invalid request.
   void Parse();
   void ParseHeaders();
+  // Reads the body of a POST, if it is accepted.
+  void StartBody();
+  void TakeBody();
+  // Passes `request_` on to the owner.
+  void Submit();
+  void CountBody(size_t bytes);
   void Write();
   // Reads and drops what arrives, so that the client can read the answer before the system resets
   // the connection for unread bytes.
@@ -81,6 +92,9 @@ class HttpConnection final : public EventLoop::Source {
   State state_ = State::kReading;
   EventLoop::Timer timer_;
   std::string input_;  // received and not yet parsed
+  HttpRequest request_;
+  size_t body_length_ = 0;
+  size_t counted_body_ = 0;  // bytes
   std::string output_;
   size_t written_ = 0;  // bytes of `output_`
   size_t dropped_ = 0;  // bytes

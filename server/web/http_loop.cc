@@ -73,6 +73,15 @@ void HttpLoop::CloseSoon(uint64_t number) {
   });
 }
 
+std::variant<size_t, HttpResponse> HttpLoop::AcceptBody(const HttpRequest& request) {
+  if (options_.accept_body != nullptr) return options_.accept_body(request);
+  return HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+}
+
+bool HttpLoop::CountBody(int64_t bytes) {
+  return options_.bodies == nullptr || options_.bodies->Count(bytes, options_.max_body_bytes);
+}
+
 void HttpLoop::OnRequest(HttpConnection* connection, HttpRequest request) {
   const uint64_t number = connection->number();
   // What is posted after the loop has stopped does not run, so `this` is alive when it is used.

@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <thread>
+#include <variant>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -45,6 +46,8 @@ class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
   void CloseSoon(uint64_t number) override;
 
   // HttpConnection::Owner
+  std::variant<size_t, HttpResponse> AcceptBody(const HttpRequest& request) override;
+  bool CountBody(int64_t bytes) override;
   void OnRequest(HttpConnection* connection, HttpRequest request) override;
   void OnClosed(HttpConnection* connection) override;
 

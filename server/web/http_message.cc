@@ -38,6 +38,27 @@ std::optional<std::string> Decode(absl::string_view text, bool is_query) {
 
 }  // namespace
 
+int HttpCode(absl::StatusCode code) {
+  switch (code) {
+    case absl::StatusCode::kInvalidArgument:
+      return 400;
+    case absl::StatusCode::kUnauthenticated:
+      return 401;
+    case absl::StatusCode::kPermissionDenied:
+      return 403;
+    case absl::StatusCode::kNotFound:
+      return 404;
+    case absl::StatusCode::kFailedPrecondition:
+      return 409;
+    case absl::StatusCode::kResourceExhausted:
+      return 429;
+    case absl::StatusCode::kUnavailable:
+      return 503;
+    default:
+      return 500;
+  }
+}
+
 absl::Status DecodeTarget(absl::string_view target, HttpRequest* request) {
   const absl::Status invalid = absl::InvalidArgumentError(
       "target: expected a path that begins with / and percent-encoded bytes");
@@ -64,8 +85,9 @@ std::string ToBytes(const HttpResponse& response, bool with_body) {
   return absl::StrCat(
       "HTTP/1.1 ", response.code, " ", absl::string_view(reason.data(), reason.size()), "\r\n",
       kPageHeaders, response.code == 401 ? "WWW-Authenticate: Basic realm=\"spikeserve\"\r\n" : "",
-      "Content-Type: ", response.content_type, "\r\nContent-Length: ", response.body.size(),
-      "\r\n\r\n", with_body ? absl::string_view(response.body) : absl::string_view());
+      response.headers, "Content-Type: ", response.content_type,
+      "\r\nContent-Length: ", response.body.size(), "\r\n\r\n",
+      with_body ? absl::string_view(response.body) : absl::string_view());
 }
 
 }  // namespace spikeserve

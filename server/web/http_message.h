@@ -10,19 +10,26 @@
 
 namespace spikeserve {
 
-// A GET or HEAD request. The server leaves out the body of the answer to a HEAD.
+// A GET, HEAD or POST request. The server leaves out the body of the answer to a HEAD.
 struct HttpRequest {
+  bool is_post = false;
   std::string path;                                    // decoded
   std::multimap<std::string, std::string> parameters;  // of the query, decoded
   std::string authorization;                           // the header; empty if absent
   std::string client;                                  // IP address
+  std::string json_length;  // the header Inference-Header-Content-Length; empty if absent
+  std::string body;         // of a POST
 };
 
 struct HttpResponse {
   int code = 200;  // with 401 the server asks for HTTP Basic authentication
   std::string content_type = "text/plain; charset=utf-8";
   std::string body;
+  std::string headers = "";  // further ones; each ends in "\r\n"
 };
+
+// Returns the code of HTTP that says what `code` does.
+int HttpCode(absl::StatusCode code);
 
 // Decodes the target of a request line, such as "/sessions.json?sort=steps", into `path` and
 // `parameters`. Returns INVALID_ARGUMENT if the target does not begin with a slash, or if a percent

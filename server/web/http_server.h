@@ -13,13 +13,17 @@
 #ifndef SERVER_WEB_HTTP_SERVER_H_
 #define SERVER_WEB_HTTP_SERVER_H_
 
+#include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <memory>
+#include <variant>
 
 #include "absl/status/statusor.h"
 #include "core/base/clock.h"
 #include "server/access/tls_context.h"
 #include "server/base/address.h"
+#include "server/base/byte_budget.h"
 #include "server/web/http_message.h"
 
 namespace spikeserve {
@@ -33,12 +37,19 @@ class HttpServer {
   using Done = std::function<void(HttpResponse response)>;
   // Answers a request. Called on the loop's thread: work that takes long belongs on another.
   using Page = std::function<void(const HttpRequest& request, Done done)>;
+  // Returns the length of the longest body that a POST may have, before any of it is read, or the
+  // answer to a POST that is refused. Called on the loop's thread.
+  using AcceptBody = std::function<std::variant<size_t, HttpResponse>(const HttpRequest& request)>;
 
   struct Options {
     Address listen;
     TlsContext* tls = nullptr;      // null: plain text; must outlive the server
     bool local_names_only = false;  // answers 403 unless the header Host names this machine
     const Clock* clock = nullptr;   // monotonic; must outlive the server
+    AcceptBody accept_body = {};    // empty: every POST is answered with 405
+    // Counts the bodies that are being read, at most `max_body_bytes`. Must outlive the server.
+    ByteBudget* bodies = nullptr;
+    int64_t max_body_bytes = 0;
   };
 
   // Returns UNAVAILABLE if it cannot listen on the address.

@@ -50,23 +50,6 @@ HttpResponse FileResponse(absl::string_view path) {
           .body = std::string(file->second)};
 }
 
-int HttpCode(absl::StatusCode code) {
-  switch (code) {
-    case absl::StatusCode::kInvalidArgument:
-      return 400;
-    case absl::StatusCode::kNotFound:
-      return 404;
-    case absl::StatusCode::kFailedPrecondition:
-      return 409;
-    case absl::StatusCode::kResourceExhausted:
-      return 429;
-    case absl::StatusCode::kUnavailable:
-      return 503;
-    default:
-      return 500;
-  }
-}
-
 HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
   return {.code = json.ok() ? 200 : HttpCode(json.status().code()),
           .content_type = "application/json",
@@ -103,7 +86,7 @@ void StatusPages::AnswerPage(const HttpRequest& request, absl::Duration arrived,
                  .content_type = "text/plain; version=0.0.4; charset=utf-8",
                  .body = parts_.metrics->ToText()});
   }
-  if (path == "/status.json") return done(JsonResponse(Status(request)));
+  if (path == "/status.json") return done(JsonResponse(Status(**caller, request)));
   if (path == "/history.json") return done(JsonResponse(History(request)));
   if (path == "/sessions.json") return done(JsonResponse(Sessions(*caller, request, arrived)));
   if (path == "/session.json") return done(JsonResponse(Session(**caller, request)));
@@ -116,7 +99,8 @@ HttpResponse StatusPages::Health() const {
   return {.code = serving ? 200 : 503, .body = serving ? "SERVING\n" : "NOT_SERVING\n"};
 }
 
-absl::StatusOr<std::string> StatusPages::Status(const HttpRequest& request) const {
+absl::StatusOr<std::string> StatusPages::Status(const Credential& caller,
+                                                const HttpRequest& request) const {
   const auto query = HttpQuery::Parse(request.parameters, {"window", "metrics"});
   if (!query.ok()) return query.status();
   const auto window = query->GetInteger("window", kDefaultWindow, 1, kLongestWindow);
@@ -126,10 +110,13 @@ absl::StatusOr<std::string> StatusPages::Status(const HttpRequest& request) cons
     return absl::InvalidArgumentError(
         absl::StrCat("metrics: expected true or false, received ", Quoted(metrics)));
   }
+  CallContext context{.caller = &caller};
   v1::ListPoliciesResponse policies;
-  if (auto status = parts_.handler->ListPolicies({}, &policies); !status.ok()) return status;
+  if (auto status = parts_.handler->ListPolicies(context, {}, &policies); !status.ok())
+    return status;
   v1::ListRolloutsResponse rollouts;
-  if (auto status = parts_.rollouts->ListRollouts({}, &rollouts); !status.ok()) return status;
+  if (auto status = parts_.rollouts->ListRollouts(context, {}, &rollouts); !status.ok())
+    return status;
   std::vector<prometheus::MetricFamily> families;
   if (metrics == "true") families = parts_.metrics->Collect();
   return StatusJson(parts_.history->Status(absl::Seconds(*window)), families, policies, rollouts,
@@ -185,7 +172,8 @@ void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
   explain.set_session_id(parsed->Get("session"));
   const auto work = [handler = parts_.handler, caller, explain, done] {
     v1::ExplainResponse response;
-    const absl::Status explained = handler->Explain(*caller, explain, &response);
+    CallContext context{.caller = caller.get()};
+    const absl::Status explained = handler->Explain(context, explain, &response);
     done(JsonResponse(explained.ok() ? MessageToJson(response) : explained));
   };
   const absl::Status accepted = parts_.worker->Submit(caller->tenant()->name(), work);

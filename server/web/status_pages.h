@@ -62,7 +62,7 @@ class StatusPages {
   // `arrived` is the time of the clock at which the server received the request.
   void AnswerPage(const HttpRequest& request, absl::Duration arrived, const HttpServer::Done& done);
   HttpResponse Health() const;
-  absl::StatusOr<std::string> Status(const HttpRequest& request) const;
+  absl::StatusOr<std::string> Status(const Credential& caller, const HttpRequest& request) const;
   absl::StatusOr<std::string> History(const HttpRequest& request) const;
   absl::StatusOr<std::string> Session(const Credential& caller, const HttpRequest& request) const;
   // A request that waited while the list for an equal one was made gets that list. Therefore many

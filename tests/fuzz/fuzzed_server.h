@@ -28,9 +28,13 @@ class FuzzedServer {
   FuzzedServer& operator=(const FuzzedServer&) = delete;
 
   const Credential& caller() const { return *caller_; }
+  CallContext NewContext(DeferredWork* deferred = nullptr) const {
+    return {.caller = caller_.get(), .deferred = deferred};
+  }
   const std::shared_ptr<const Credential>& shared_caller() const { return caller_; }
   PolicyRegistry* registry() { return Shared().registry.get(); }
   SessionStore& store() { return store_; }
+  const SessionGate& gate() const { return gate_; }
   FakeClock& clock() { return clock_; }
   const PolicyHandler& handler() const { return handler_; }
 
@@ -52,7 +56,8 @@ class FuzzedServer {
   FakeClock clock_;
   const std::shared_ptr<const Credential> caller_ = *Shared().authenticator->Authenticate("");
   SessionStore store_{kMaxSessions, &clock_};
-  PolicyHandler handler_{Shared().registry.get(), &store_, &Shared().shadows, &clock_};
+  SessionGate gate_{&store_};
+  PolicyHandler handler_{Shared().registry.get(), &gate_, &Shared().shadows, &clock_};
 };
 
 }  // namespace spikeserve

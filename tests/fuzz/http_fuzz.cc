@@ -1,6 +1,8 @@
 // Requests to the HTTP port: whatever a client sends, it gets one answer or none.
 #include <sys/epoll.h>
 
+#include <variant>
+
 #include "absl/strings/match.h"
 #include "server/web/http_connection.h"
 #include "tests/fuzz/fuzz_target.h"
@@ -11,21 +13,36 @@
 namespace spikeserve {
 namespace {
 
+constexpr size_t kLongestBody = 64;
+
 class Owner final : public HttpConnection::Owner {
  public:
   explicit Owner(EventLoop* loop) : loop_(*loop) {}
 
   EventLoop& events() override { return loop_; }
+  std::variant<size_t, HttpResponse> AcceptBody(const HttpRequest& request) override {
+    FUZZ_CHECK(request.is_post && request.body.empty());
+    if (request.path == "/refused") return HttpResponse{.code = 405, .body = "no"};
+    return kLongestBody;
+  }
+  bool CountBody(int64_t bytes) override {
+    body_bytes_ += bytes;
+    FUZZ_CHECK(body_bytes_ >= 0);
+    return true;
+  }
   void OnRequest(HttpConnection* connection, HttpRequest request) override {
     FUZZ_CHECK(request.path.front() == '/');
+    FUZZ_CHECK(request.body.size() <= (request.is_post ? kLongestBody : 0));
     connection->Answer({.body = request.path});
   }
   void OnClosed(HttpConnection* /*connection*/) override { closed_ = true; }
   bool closed() const { return closed_; }
+  int64_t body_bytes() const { return body_bytes_; }
 
  private:
   EventLoop& loop_;
   bool closed_ = false;
+  int64_t body_bytes_ = 0;
 };
 
 }  // namespace
@@ -44,6 +61,7 @@ void FuzzOne(absl::string_view input) {
                             table.Admit(OneClient(), &closer), /*local_names_only=*/true, &owner);
   FUZZ_CHECK(connection.Start().ok());
   while (!owner.closed()) connection.OnReady(EPOLLIN);
+  FUZZ_CHECK(owner.body_bytes() == 0);
   if (!answer.empty()) FUZZ_CHECK(absl::StartsWith(answer, "HTTP/1.1 "));
 }
 
@@ -51,7 +69,10 @@ std::vector<std::string> Seeds() {
   return {
       "\x40GET /sessions.json?sort=steps&order=%64esc HTTP/1.1\r\nHost: localhost\r\n\r\n",
       "\x01HEAD / HTTP/1.0\r\nAuthorization: Basic eDp5\r\nRange: bytes=0-1,2-3\r\n\r\n",
-      "\x02POST /explain.json HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n"};
+      "\x02POST /explain.json HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n",
+      "\x02POST /v2/models/a/infer HTTP/1.1\r\nExpect: 100-continue\r\nContent-Length: "
+      "7\r\n\r\n{\"a\":1}",
+      "\x01POST /refused HTTP/1.1\r\nContent-Length: 999999999999\r\n\r\n{}"};
 }
 
 }  // namespace spikeserve

@@ -53,7 +53,7 @@ inference::ModelInferRequest Request(int64_t sequence, bool raw) {
 void FuzzOne(absl::string_view input) {
   InputReader reader(input);
   FuzzedServer server;
-  InferenceHandler handler(server.registry(), &server.store(), &server.handler(), &server.clock(),
+  InferenceHandler handler(server.registry(), &server.gate(), &server.handler(), &server.clock(),
                            absl::Minutes(1));
   for (int i = 0; i < kMostMessages && !reader.empty(); ++i) {
     const size_t high = reader.Byte();
@@ -63,7 +63,8 @@ void FuzzOne(absl::string_view input) {
     const auto before = Decisions(server.store());
     inference::ModelInferResponse response;
     DeferredWork deferred;
-    const auto status = handler.ModelInfer(server.caller(), request, &response, &deferred);
+    CallContext context = server.NewContext(&deferred);
+    const auto status = handler.ModelInfer(context, request, &response);
     deferred.Run();
     const auto after = Decisions(server.store());
     int changed = 0;

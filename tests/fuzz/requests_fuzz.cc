@@ -112,7 +112,8 @@ class Game {
     v1::GetSessionRequest request;
     request.set_session_id(IdOf(slot));
     v1::GetSessionResponse response;
-    if (!server_.handler().GetSession(server_.caller(), request, &response).ok()) {
+    CallContext context = server_.NewContext();
+    if (!server_.handler().GetSession(context, request, &response).ok()) {
       return std::nullopt;
     }
     return response;
@@ -128,7 +129,8 @@ class Game {
     if ((flags & 4) != 0) request.mutable_learning()->set_scope(v1::LearningConfig::FLEET);
     v1::OpenSessionResponse response;
     const bool full = server_.store().size() == FuzzedServer::kMaxSessions;
-    const auto status = server_.handler().OpenSession(server_.caller(), request, &response);
+    CallContext context = server_.NewContext();
+    const auto status = server_.handler().OpenSession(context, request, &response);
     if (models_[slot].has_value()) return;  // answered again, or refused, and unchanged
     FUZZ_CHECK(status.ok() == !full);
     if (status.ok()) models_[slot] = Model{.target = 20.0};
@@ -170,7 +172,8 @@ class Game {
     const v1::ActRequest request = Request(slot, step, argument);
     v1::ActResponse response;
     DeferredWork deferred;
-    const auto status = server_.handler().Act(server_.caller(), request, &response, &deferred);
+    CallContext context = server_.NewContext(&deferred);
+    const auto status = server_.handler().Act(context, request, &response);
     Expect(request, status.ok(), response);
     if (argument % 2 == 0) deferred.Run();  // it may also never run
   }
@@ -190,11 +193,10 @@ class Game {
     FUZZ_CHECK(PolicyHandler::CheckBatch(request).ok());
     v1::ActBatchResponse response;
     DeferredWork deferred;
-    Commits commits;
+    CallContext context = server_.NewContext(&deferred);
     for (int next = 0; next < request.requests_size();) {
       const int first = next;
-      next = server_.handler().ActBatchGroup(server_.caller(), request, next, &response, &deferred,
-                                             &commits);
+      next = server_.handler().ActBatchGroup(context, request, next, &response);
       FUZZ_CHECK(next > first);
     }
     FUZZ_CHECK(response.results_size() == request.requests_size());
@@ -214,7 +216,8 @@ class Game {
     const int64_t episode = model.has_value() ? model->episode - (again ? 1 : 0) : 0;
     if (argument % 3 == 0) request.set_episode(episode);
     v1::EndEpisodeResponse response;
-    const auto status = server_.handler().EndEpisode(server_.caller(), request, &response);
+    CallContext context = server_.NewContext();
+    const auto status = server_.handler().EndEpisode(context, request, &response);
     if (!model.has_value()) return FUZZ_CHECK(!status.ok());
     if (model->step == 0) {
       if (!status.ok()) return;
@@ -240,7 +243,8 @@ class Game {
     v1::CloseSessionRequest request;
     request.set_session_id(IdOf(slot));
     v1::CloseSessionResponse response;
-    const auto status = server_.handler().CloseSession(server_.caller(), request, &response);
+    CallContext context = server_.NewContext();
+    const auto status = server_.handler().CloseSession(context, request, &response);
     FUZZ_CHECK(status.ok() == models_[slot].has_value());
     models_[slot].reset();
   }
@@ -259,28 +263,29 @@ class Game {
   void SendBytes(uint8_t method, absl::string_view bytes) {
     const std::string body(bytes);
     DeferredWork deferred;
+    CallContext context = server_.NewContext(&deferred);
     switch (method % 4) {
       case 0:
         Send<v1::OpenSessionRequest, v1::OpenSessionResponse>(
             body, [&](const auto& request, auto* response) {
-              return server_.handler().OpenSession(server_.caller(), request, response);
+              return server_.handler().OpenSession(context, request, response);
             });
         break;
       case 1:
         Send<v1::ActRequest, v1::ActResponse>(body, [&](const auto& request, auto* response) {
-          return server_.handler().Act(server_.caller(), request, response, &deferred);
+          return server_.handler().Act(context, request, response);
         });
         break;
       case 2:
         Send<v1::EndEpisodeRequest, v1::EndEpisodeResponse>(
             body, [&](const auto& request, auto* response) {
-              return server_.handler().EndEpisode(server_.caller(), request, response);
+              return server_.handler().EndEpisode(context, request, response);
             });
         break;
       default:
         Send<v1::ExplainRequest, v1::ExplainResponse>(
             body, [&](const auto& request, auto* response) {
-              return server_.handler().Explain(server_.caller(), request, response);
+              return server_.handler().Explain(context, request, response);
             });
     }
     deferred.Run();

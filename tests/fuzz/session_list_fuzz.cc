@@ -23,15 +23,16 @@ FuzzedServer& ServerWithSessions() {
       request.set_policy("small");
       (*request.mutable_labels())["robot"] = std::string(1, static_cast<char>('a' + i));
       v1::OpenSessionResponse opened;
-      FUZZ_CHECK(made->handler().OpenSession(made->caller(), request, &opened).ok());
+      DeferredWork deferred;
+      CallContext context = made->NewContext(&deferred);
+      FUZZ_CHECK(made->handler().OpenSession(context, request, &opened).ok());
       for (int step = 0; step < i; ++step) {
         v1::ActRequest act;
         act.set_session_id(opened.session_id());
         act.set_step(step);
         for (const float value : ObservationAt(step)) act.add_observation(value);
         v1::ActResponse response;
-        DeferredWork deferred;
-        FUZZ_CHECK(made->handler().Act(made->caller(), act, &response, &deferred).ok());
+        FUZZ_CHECK(made->handler().Act(context, act, &response).ok());
       }
     }
     return made;

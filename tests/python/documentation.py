@@ -12,6 +12,7 @@ DOCS = pathlib.Path(__file__).parents[2] / "docs"
 PAGES_SERVER = "127.0.0.1:50051"
 PAGES_GRPC_PORT = "50051"
 PAGES_HTTP_PORT = "9464"
+PAGES_HTTP = f"127.0.0.1:{PAGES_HTTP_PORT}"
 
 
 def python_blocks(page):
@@ -31,14 +32,18 @@ def files_of(page):
     return {name: text for name, text in python_blocks(page) if name}
 
 
-def run_examples(page, address):
-    """Runs every Python example of docs/<page> that is not a file, in order, against the server at `address`."""
+def run_examples(page, address, http=PAGES_HTTP):
+    """Runs every Python example of docs/<page> that is not a file, in order.
+
+    The server is at `address` for gRPC, and at `http`.
+    """
     path = DOCS / page
     examples = [text for name, text in python_blocks(page) if name is None]
     assert examples
     names = {}
     for example in examples:
-        exec(compile(example.replace(PAGES_SERVER, address), path, "exec"), names)
+        example = example.replace(PAGES_SERVER, address).replace(PAGES_HTTP, http)
+        exec(compile(example, path, "exec"), names)
 
 
 class Shell:

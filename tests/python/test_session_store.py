@@ -101,6 +101,16 @@ def test_opening_is_idempotent(server):
     assert error.value.code() == grpc.StatusCode.ALREADY_EXISTS
 
 
+def test_a_session_over_the_limit_is_refused_at_once(tmp_path):
+    """A session that was not opened is never written, so its refusal waits for nothing."""
+    with Restartable(f"file:{tmp_path}/store", flags=["--max_sessions=1"]) as full:
+        for durability in ("ASYNC", "SYNC"):
+            full.OpenSession(**opening(0))
+            refused = code_of(full.OpenSession, policy="cartpole", durability=durability)
+            assert refused == grpc.StatusCode.RESOURCE_EXHAUSTED
+        full.close()
+
+
 def test_a_closed_session_stays_closed(server):
     session = server.OpenSession(policy="cartpole", durability="SYNC").session_id
     server.restart()

@@ -320,6 +320,8 @@ def compare(ours, theirs, compared):
                 assert numbers[value.name].number == value.number, value.name
 
 
-def test_the_pages_example_runs(address, capsys):
-    run_examples("triton.md", address)
-    assert float(capsys.readouterr().out) >= 495
+def test_the_pages_examples_run(capsys):
+    with running_server() as server:
+        run_examples("triton.md", server.grpc, server.http)
+    by_grpc, by_http = capsys.readouterr().out.split()
+    assert float(by_grpc) == float(by_http) == 500

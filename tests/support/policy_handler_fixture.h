@@ -23,9 +23,16 @@ class PolicyHandlerFixture : public ::testing::Test {
   std::string MustOpen(v1::OpenSessionRequest request = {}) {
     request.set_policy("small");
     v1::OpenSessionResponse response;
-    const auto status = handler_.OpenSession(*caller_, request, &response);
+    CallContext context{.caller = caller_.get()};
+    const auto status = handler_.OpenSession(context, request, &response);
     EXPECT_TRUE(status.ok()) << status;
     return response.session_id();
+  }
+
+  absl::Status Decide(const v1::ActRequest& request, v1::ActResponse* response,
+                      DeferredWork* deferred) {
+    CallContext context{.caller = caller_.get(), .deferred = deferred};
+    return handler_.Act(context, request, response);
   }
 
   static v1::ActRequest MakeRequest(const std::string& session, int64_t step) {
@@ -42,7 +49,8 @@ class PolicyHandlerFixture : public ::testing::Test {
   SmallRegistry registry_{"small"};
   ShadowRunner shadows_{registry_.metrics().registry()};
   SessionStore store_{100, &clock_};
-  PolicyHandler handler_{registry_.get(), &store_, &shadows_, &clock_};
+  SessionGate gate_{&store_};
+  PolicyHandler handler_{registry_.get(), &gate_, &shadows_, &clock_};
 };
 
 }  // namespace spikeserve

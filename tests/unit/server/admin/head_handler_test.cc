@@ -36,7 +36,7 @@ class HeadHandlerTest : public ::testing::Test {
     request.set_policy(name);
     request.set_version(version);
     v1::PromoteHeadResponse response;
-    if (auto status = admin_.PromoteHead(*caller_, request, &response); !status.ok()) return status;
+    if (auto status = admin_.PromoteHead(context_, request, &response); !status.ok()) return status;
     return response;
   }
 
@@ -45,6 +45,7 @@ class HeadHandlerTest : public ::testing::Test {
   SessionStore store_{10, &clock_};
   const std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
   const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
+  CallContext context_{.caller = caller_.get()};
   HeadHandler admin_{registry_.get(), &store_};
 };
 
@@ -78,7 +79,7 @@ TEST_F(HeadHandlerTest, ARollbackIsOfOneVersion) {
   request.set_policy("a");
   request.set_version(1);
   v1::RollbackHeadResponse response;
-  ASSERT_TRUE(admin_.RollbackHead(*caller_, request, &response).ok());
+  ASSERT_TRUE(admin_.RollbackHead(context_, request, &response).ok());
   EXPECT_GT(response.drift(), 0.0);
   EXPECT_EQ(Served("a", 1)->fleet->Read()->drift, 0.0);
   EXPECT_EQ(Served("a", 2)->fleet->Read()->rollbacks, 0);
@@ -92,7 +93,7 @@ TEST_F(HeadHandlerTest, APauseIsOfOnePolicyOrAllAndOfVersionsYetToCome) {
   v1::PauseLearningRequest pause;
   v1::PauseLearningResponse answer;
   pause.set_policy("a");
-  ASSERT_TRUE(admin_.PauseLearning(pause, &answer).ok());
+  ASSERT_TRUE(admin_.PauseLearning(context_, pause, &answer).ok());
   EXPECT_TRUE(paused("a"));
   EXPECT_FALSE(paused("b"));
 
@@ -101,10 +102,10 @@ TEST_F(HeadHandlerTest, APauseIsOfOnePolicyOrAllAndOfVersionsYetToCome) {
   EXPECT_TRUE(paused("a", 2));
 
   v1::ResumeLearningResponse resumed;
-  ASSERT_TRUE(admin_.ResumeLearning({}, &resumed).ok());
+  ASSERT_TRUE(admin_.ResumeLearning(context_, {}, &resumed).ok());
   EXPECT_FALSE(paused("a") || paused("a", 2) || paused("b"));
   pause.clear_policy();
-  ASSERT_TRUE(admin_.PauseLearning(pause, &answer).ok());
+  ASSERT_TRUE(admin_.PauseLearning(context_, pause, &answer).ok());
   EXPECT_TRUE(paused("a") && paused("a", 2) && paused("b"));
 }
 
@@ -112,7 +113,7 @@ TEST_F(HeadHandlerTest, NamesWhatIsNotServed) {
   v1::PauseLearningRequest pause;
   v1::PauseLearningResponse answer;
   pause.set_policy("nobody");
-  const auto status = admin_.PauseLearning(pause, &answer);
+  const auto status = admin_.PauseLearning(context_, pause, &answer);
   EXPECT_TRUE(absl::IsNotFound(status));
   EXPECT_THAT(std::string(status.message()), HasSubstr("nobody"));
   EXPECT_TRUE(absl::IsNotFound(Promote("a", 5).status()));

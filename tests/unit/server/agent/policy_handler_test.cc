@@ -19,9 +19,9 @@ class PolicyHandlerTest : public PolicyHandlerFixture {
   void ActBatch(const v1::ActBatchRequest& batch, v1::ActBatchResponse* answers,
                 DeferredWork* deferred) {
     ASSERT_TRUE(PolicyHandler::CheckBatch(batch).ok());
-    Commits commits;
+    CallContext context{.caller = caller_.get(), .deferred = deferred};
     for (int next = 0; next < batch.requests_size();) {
-      next = handler_.ActBatchGroup(*caller_, batch, next, answers, deferred, &commits);
+      next = handler_.ActBatchGroup(context, batch, next, answers);
     }
   }
 };
@@ -34,9 +34,9 @@ TEST_F(PolicyHandlerTest, AnswersDoNotDependOnDeferredWork) {
     v1::ActResponse actual;
     DeferredWork done;
     DeferredWork dropped;
-    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(prompt, step), &expected, &done).ok());
+    ASSERT_TRUE(Decide(MakeRequest(prompt, step), &expected, &done).ok());
     done.Run();
-    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(lazy, step), &actual, &dropped).ok());
+    ASSERT_TRUE(Decide(MakeRequest(lazy, step), &actual, &dropped).ok());
     actual.set_session_id(prompt);
     EXPECT_EQ(actual.SerializeAsString(), expected.SerializeAsString()) << step;
   }
@@ -47,16 +47,17 @@ TEST_F(PolicyHandlerTest, DeferredWorkMayComeLate) {
   DeferredWork first;
   DeferredWork second;
   v1::ActResponse response;
-  ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
-  ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 1), &response, &second).ok());
+  ASSERT_TRUE(Decide(MakeRequest(session, 0), &response, &first).ok());
+  ASSERT_TRUE(Decide(MakeRequest(session, 1), &response, &second).ok());
   first.Run();
   v1::EndEpisodeRequest end;
   end.set_session_id(session);
   v1::EndEpisodeResponse ended;
-  ASSERT_TRUE(handler_.EndEpisode(*caller_, end, &ended).ok());
+  CallContext context{.caller = caller_.get()};
+  ASSERT_TRUE(handler_.EndEpisode(context, end, &ended).ok());
   second.Run();
   response.Clear();
-  EXPECT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &first).ok());
+  EXPECT_TRUE(Decide(MakeRequest(session, 0), &response, &first).ok());
 }
 
 TEST_F(PolicyHandlerTest, ASessionWithWorkLeftIsNotReaped) {
@@ -64,7 +65,7 @@ TEST_F(PolicyHandlerTest, ASessionWithWorkLeftIsNotReaped) {
   v1::ActResponse response;
   {
     DeferredWork deferred;
-    ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(session, 0), &response, &deferred).ok());
+    ASSERT_TRUE(Decide(MakeRequest(session, 0), &response, &deferred).ok());
     clock_.Advance(absl::Hours(1));
     EXPECT_EQ(store_.RemoveIdle(absl::Minutes(1)), 0);
     deferred.Run();
@@ -102,7 +103,7 @@ TEST_F(PolicyHandlerTest, ABatchEqualsOneAfterTheOther) {
       const auto& [i, step] = order[k];
       v1::ActResponse expected;
       DeferredWork done;
-      ASSERT_TRUE(handler_.Act(*caller_, MakeRequest(alone[i], step), &expected, &done).ok());
+      ASSERT_TRUE(Decide(MakeRequest(alone[i], step), &expected, &done).ok());
       done.Run();
       expected.set_session_id(batched[i]);
       EXPECT_EQ(answers.results(k).response().SerializeAsString(), expected.SerializeAsString())
@@ -161,15 +162,15 @@ TEST_F(PolicyHandlerTest, OpenSessionsAreCountedByPolicy) {
   v1::CloseSessionRequest close;
   close.set_session_id(session);
   v1::CloseSessionResponse closed;
-  ASSERT_TRUE(handler_.CloseSession(*caller_, close, &closed).ok());
+  CallContext context{.caller = caller_.get()};
+  ASSERT_TRUE(handler_.CloseSession(context, close, &closed).ok());
   EXPECT_THAT(registry_.metrics().ToText(), ::testing::HasSubstr(gauge + "1\n"));
 }
 
 TEST_F(PolicyHandlerTest, LongNamesAreCutInMessages) {
   v1::ActResponse response;
   DeferredWork deferred;
-  const auto status =
-      handler_.Act(*caller_, MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
+  const auto status = Decide(MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
   EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
   EXPECT_LT(status.message().size(), 200u);
 }

@@ -32,7 +32,7 @@ class SessionListTest : public PolicyHandlerFixture {
     request.set_reward(reward);
     v1::ActResponse response;
     DeferredWork deferred;
-    const auto status = handler_.Act(*caller_, request, &response, &deferred);
+    const auto status = Decide(request, &response, &deferred);
     ASSERT_TRUE(status.ok()) << status;
     deferred.Run();
   }

@@ -1,0 +1,32 @@
+// What the handler of a request knows of the call beside its message, and what it leaves to the
+// call. Every method of every handler has one form:
+//
+//   absl::Status Method(CallContext& context, const Request& request, Response* response) const;
+//
+// Not thread-safe: belongs to one request, whose handler has it for itself until it returns.
+#ifndef SERVER_AGENT_CALL_CONTEXT_H_
+#define SERVER_AGENT_CALL_CONTEXT_H_
+
+#include "server/access/authenticator.h"
+#include "server/agent/deferred_work.h"
+#include "server/agent/durable_answer.h"
+#include "server/base/peer.h"
+
+namespace spikeserve {
+
+struct CallContext {
+  const Credential* caller = nullptr;  // never null for a handler; outlives the request
+  // Set for methods whose calls are recorded in the audit log.
+  Peer peer = {};
+  // Receives what is done after the answer was sent. Null for methods that defer nothing.
+  DeferredWork* deferred = nullptr;
+  // Gathers what the answer must wait for. Callers that send no answer ignore it.
+  Commits commits = {};
+  // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
+  // that the session is claimed again. Another server may have decided in between.
+  bool may_claim = false;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_AGENT_CALL_CONTEXT_H_

@@ -1,0 +1,131 @@
+#include "server/agent/session_gate.h"
+
+#include <atomic>
+#include <cstddef>
+#include <functional>
+#include <utility>
+
+#include "server/base/expected_decision.h"
+
+namespace spikeserve {
+namespace {
+
+// Gathers the outcomes of what one answer waits for.
+struct Gathering {
+  std::atomic<size_t> missing;
+  std::vector<absl::Status> outcomes;
+  std::function<void(const std::vector<absl::Status>&)> done;
+};
+
+// Calls `done` once, on any thread, with the outcome of each of `commits`; see
+// SessionJournal::WhenDurable() and FleetContribution::WhenMerged().
+void WhenDurable(const Commits& commits,
+                 std::function<void(const std::vector<absl::Status>& outcomes)> done) {
+  const auto gathering = std::make_shared<Gathering>();
+  gathering->missing = commits.size();
+  gathering->outcomes.resize(commits.size());
+  gathering->done = std::move(done);
+  for (size_t i = 0; i < commits.size(); ++i) {
+    const auto finish = [gathering, i](const absl::Status& status) {
+      gathering->outcomes[i] = status;
+      if (gathering->missing.fetch_sub(1) == 1) gathering->done(gathering->outcomes);
+    };
+    commits[i].journal->WhenDurable(
+        commits[i].position,
+        [finish, contribution = commits[i].contribution](const absl::Status& status) {
+          if (!status.ok() || contribution == nullptr) return finish(status);
+          contribution->WhenMerged(finish);
+        });
+  }
+}
+
+}  // namespace
+
+struct SessionGate::Search {
+  std::shared_ptr<GatedRequest> request;
+  absl::Status status;  // of the request, which has found no session
+  size_t missing;       // sessions that are being looked for
+  std::map<std::string, absl::Status> unclaimed = {};
+};
+
+void SessionGate::Enter(CallContext* context) const { context->may_claim = recovery_ != nullptr; }
+
+absl::Status SessionGate::Refused(const CallContext& context, const Place& place,
+                                  const absl::Status& refusal, SessionEntry& entry) {
+  const Session& session = entry.agent.session();
+  SessionJournal* const journal = entry.journal.get();
+  // A request that does not name its place in the session may be right for a newer copy, whatever
+  // its step is.
+  const bool may_be_outdated =
+      context.may_claim && journal != nullptr &&
+      (IsAhead(place, session) || (!place.is_of_session && journal->is_shared()));
+  if (!may_be_outdated) return WithExpectedDecision(refusal, session.decisions, session.step);
+  journal->Abandon();
+  return NoSuchSession(session.id);
+}
+
+void SessionGate::Leave(GatedRequest& request, const absl::Status& status) const {
+  if (request.call_context().may_claim && Claim(request, status)) return;
+  if (request.call_context().commits.empty() || request.is_over()) return request.Answer(status);
+  if (status.ok()) request.OnGranted();
+  Await(request, status);
+}
+
+bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const {
+  if (request.is_over()) return false;
+  const std::vector<std::string> missing = request.MissingSessions(status);
+  if (missing.empty()) return false;
+  CallContext& context = request.call_context();
+  context.may_claim = false;
+  const SessionRecovery::Post post = request.post();
+  const auto search = std::make_shared<Search>(
+      Search{.request = request.Self(), .status = status, .missing = missing.size()});
+  for (const std::string& id : missing) {
+    recovery_->Recover(*context.caller, id, post, [search, id](const absl::Status& claimed) {
+      OnClaimed(*search, id, claimed);
+    });
+  }
+  return true;
+}
+
+void SessionGate::OnClaimed(Search& search, const std::string& id, const absl::Status& claimed) {
+  const bool failed = !claimed.ok() && !absl::IsNotFound(claimed);
+  if (failed) search.unclaimed.emplace(id, claimed);
+  if (--search.missing > 0) return;
+  GatedRequest& request = *search.request;
+  if (request.is_over()) return request.Answer(search.status);
+  if (!claimed.ok() && !request.has_items()) {
+    return request.Answer(failed ? claimed : search.status);
+  }
+  request.call_context().commits.clear();
+  request.HandleAgain(search.unclaimed);
+}
+
+void SessionGate::Await(GatedRequest& request, const absl::Status& status) const {
+  // The request is moved on, because it must be destroyed on the thread of its loop.
+  WhenDurable(request.call_context().commits,
+              [this, self = request.Self(), post = request.post(),
+               status](const std::vector<absl::Status>& outcomes) mutable {
+                post([this, self = std::move(self), status, outcomes] {
+                  OnDurable(*self, status, outcomes);
+                });
+              });
+}
+
+void SessionGate::OnDurable(GatedRequest& request, const absl::Status& status,
+                            const std::vector<absl::Status>& outcomes) const {
+  const Commits commits = std::exchange(request.call_context().commits, {});
+  absl::Status ended = status;
+  for (size_t i = 0; i < commits.size(); ++i) {
+    if (outcomes[i].ok()) {
+      if (commits[i].contribution != nullptr) request.TakeMerged(*commits[i].contribution);
+    } else if (commits[i].item >= 0) {
+      request.FailItem(commits[i].item, outcomes[i]);
+    } else if (status.ok()) {
+      ended = outcomes[i];
+    }
+  }
+  Leave(request, ended);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,109 @@
+// Leads the requests of sessions through one gate. On the way in, a handler finds the session. On
+// the way out, an answer is sent when the store has what it tells; if it tells that a session is
+// not here, the session is taken over from the store first, and the request is handled again, once.
+//
+//   gate.Enter(&request.call_context());
+//   gate.Leave(request, handler.EndEpisode(request.call_context(), ...));  // calls Answer()
+//
+// Thread-safe. Leave() and the functions of one GatedRequest run on the thread of its loop.
+#ifndef SERVER_AGENT_SESSION_GATE_H_
+#define SERVER_AGENT_SESSION_GATE_H_
+
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/session/head_log.h"
+#include "core/session/session_store.h"
+#include "server/agent/call_context.h"
+#include "server/agent/request_order.h"
+#include "server/agent/session_recovery.h"
+
+namespace spikeserve {
+
+// A request whose answer leaves by the gate: a call, or a message of a stream.
+class GatedRequest {
+ public:
+  virtual ~GatedRequest() = default;
+
+  CallContext& call_context() { return call_context_; }
+
+  // Returns what keeps the request alive.
+  virtual std::shared_ptr<GatedRequest> Self() = 0;
+  // Returns a function that runs work on the thread of the request's loop, also after the call is
+  // over.
+  virtual SessionRecovery::Post post() = 0;
+  // Returns true if nobody waits for the answer, so that nothing is taken over or awaited for it.
+  virtual bool is_over() = 0;
+
+  // Returns the sessions that `status`, or the response, says are not here.
+  virtual std::vector<std::string> MissingSessions(const absl::Status& status) = 0;
+  // Returns true for a batch: its items fail alone.
+  virtual bool has_items() const { return false; }
+  // Handles the request from its start. `unclaimed` tells why sessions could not be taken over; it
+  // is empty unless the request has items.
+  virtual void HandleAgain(const std::map<std::string, absl::Status>& unclaimed) = 0;
+
+  // The request is granted, and its answer waits for the store.
+  virtual void OnGranted() {}
+  // Replaces the result of an item by an error.
+  virtual void FailItem(int /*item*/, const absl::Status& /*status*/) {}
+  // Completes the response with the outcome of a contribution to the head of a fleet.
+  virtual void TakeMerged(const FleetContribution& /*contribution*/) {}
+  // Sends the response, or the error.
+  virtual void Answer(const absl::Status& status) = 0;
+
+ private:
+  CallContext call_context_;
+};
+
+class SessionGate {
+ public:
+  // Both must outlive the gate. If `recovery` is null, no session is stored.
+  explicit SessionGate(SessionStore* store, SessionRecovery* recovery = nullptr)
+      : store_(*store), recovery_(recovery) {}
+
+  SessionStore& store() const { return store_; }
+
+  // To be called before a request is handled for the first time.
+  void Enter(CallContext* context) const;
+
+  // Returns an open session of the caller's tenant, and counts it as used. NOT_FOUND: it is not
+  // here.
+  absl::StatusOr<std::shared_ptr<SessionEntry>> Find(const CallContext& context,
+                                                     const std::string& id) const {
+    return store_.Find(id, context.caller->tenant()->name());
+  }
+
+  // Returns the error for a request at `place` that the session has refused with the
+  // FAILED_PRECONDITION `refusal`: what the session expects, or, if this copy of it may be an old
+  // one and may be claimed, NOT_FOUND. The copy is lost then.
+  static absl::Status Refused(const CallContext& context, const Place& place,
+                              const absl::Status& refusal, SessionEntry& entry)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);
+
+  // Sends the answer of a request whose handler has returned `status`, now or later.
+  void Leave(GatedRequest& request, const absl::Status& status) const;
+
+ private:
+  // Of one request, for the sessions that are not here.
+  struct Search;
+
+  // Returns true if the request is handled again when the store has answered.
+  bool Claim(GatedRequest& request, const absl::Status& status) const;
+  static void OnClaimed(Search& search, const std::string& id, const absl::Status& claimed);
+  void Await(GatedRequest& request, const absl::Status& status) const;
+  void OnDurable(GatedRequest& request, const absl::Status& status,
+                 const std::vector<absl::Status>& outcomes) const;
+
+  SessionStore& store_;
+  SessionRecovery* const recovery_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_AGENT_SESSION_GATE_H_

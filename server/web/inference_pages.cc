@@ -1,0 +1,198 @@
+#include "server/web/inference_pages.h"
+
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "core/base/json.h"
+#include "inference/grpc_service.pb.h"
+#include "nlohmann/json.hpp"
+#include "server/access/admission.h"
+#include "server/inference/inference_json.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kPaths[] =
+    "/v2, /v2/health/live, /v2/health/ready, or /v2/models/NAME[/versions/V], which /ready or "
+    "/infer may follow";
+
+// What a path names.
+struct Route {
+  Method method = Method::kServerMetadata;
+  std::string model = "";
+  std::string version = "";  // empty: the default
+};
+
+// Returns nothing if `path` names nothing.
+std::optional<Route> RouteOf(absl::string_view path) {
+  std::vector<std::string> parts = absl::StrSplit(path, '/');  // of "/v2/x": "", "v2", "x"
+  if (parts.size() == 3 && parts.back().empty()) parts.pop_back();
+  if (parts.size() == 2) return Route{};
+  if (parts[2] == "health" && parts.size() == 4) {
+    if (parts[3] == "live") return Route{.method = Method::kServerLive};
+    if (parts[3] == "ready") return Route{.method = Method::kServerReady};
+  }
+  if (parts[2] != "models" || parts.size() < 4 || parts[3].empty()) return std::nullopt;
+  Route route = {.method = Method::kModelMetadata, .model = parts[3]};
+  size_t next = 4;
+  if (parts.size() >= 6 && parts[4] == "versions" && !parts[5].empty()) {
+    route.version = parts[5];
+    next = 6;
+  }
+  if (parts.size() == next) return route;
+  if (parts.size() != next + 1) return std::nullopt;
+  if (parts[next] == "ready") {
+    route.method = Method::kModelReady;
+  } else if (parts[next] == "infer") {
+    route.method = Method::kModelInfer;
+  } else {
+    return std::nullopt;
+  }
+  return route;
+}
+
+HttpResponse JsonResponse(int code, std::string body) {
+  return {.code = code, .content_type = "application/json", .body = std::move(body)};
+}
+
+HttpResponse ErrorResponse(const absl::Status& status) {
+  return JsonResponse(HttpCode(status.code()), HttpErrorBody(status.message()));
+}
+
+HttpResponse UnknownPath() {
+  return JsonResponse(404, HttpErrorBody(absl::StrCat("path: expected ", kPaths)));
+}
+
+// Returns the serialized message of a request without a body.
+std::string MessageOf(const Route& route) {
+  switch (route.method) {
+    case Method::kModelReady: {
+      inference::ModelReadyRequest message;
+      message.set_name(route.model);
+      message.set_version(route.version);
+      return message.SerializeAsString();
+    }
+    case Method::kModelMetadata: {
+      inference::ModelMetadataRequest message;
+      message.set_name(route.model);
+      message.set_version(route.version);
+      return message.SerializeAsString();
+    }
+    default:  // the others are empty
+      return "";
+  }
+}
+
+absl::StatusOr<HttpInferRequest> ReadInfer(const HttpRequest& request, const Route& route) {
+  std::optional<size_t> json_bytes;
+  if (!request.json_length.empty() &&
+      !absl::SimpleAtoi(request.json_length, &json_bytes.emplace())) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("Inference-Header-Content-Length: expected a "
+                     "length in bytes, received ",
+                     Quoted(request.json_length)));
+  }
+  auto infer = ReadHttpInfer(request.body, json_bytes);
+  if (!infer.ok()) return infer;
+  infer->message.set_model_name(route.model);
+  infer->message.set_model_version(route.version);
+  return infer;
+}
+
+template <typename Message>
+Message Parse(const std::string& bytes) {
+  Message message;
+  message.ParseFromString(bytes);  // our own
+  return message;
+}
+
+HttpResponse InferResponse(const std::string& bytes, const BinaryOutputs& outputs) {
+  auto written = WriteHttpInfer(Parse<inference::ModelInferResponse>(bytes), outputs);
+  HttpResponse response = JsonResponse(200, std::move(written.body));
+  if (written.json_bytes.has_value()) {
+    response.content_type = "application/octet-stream";
+    response.headers =
+        absl::StrCat("Inference-Header-Content-Length: ", *written.json_bytes, "\r\n");
+  }
+  return response;
+}
+
+// Returns the answer to a request without a body.
+HttpResponse ResponseOf(const Route& route, const std::string& bytes) {
+  using Json = nlohmann::ordered_json;
+  switch (route.method) {
+    case Method::kServerLive: {
+      const bool live = Parse<inference::ServerLiveResponse>(bytes).live();
+      return JsonResponse(live ? 200 : 503, Json{{"live", live}}.dump());
+    }
+    case Method::kServerReady: {
+      const bool ready = Parse<inference::ServerReadyResponse>(bytes).ready();
+      return JsonResponse(ready ? 200 : 503, Json{{"ready", ready}}.dump());
+    }
+    case Method::kModelReady: {
+      const bool ready = Parse<inference::ModelReadyResponse>(bytes).ready();
+      const Json json = {{"name", route.model}, {"ready", ready}};
+      return JsonResponse(ready ? 200 : 404,
+                          json.dump(-1, ' ', false, Json::error_handler_t::replace));
+    }
+    case Method::kModelMetadata:
+      return JsonResponse(200, ToHttpBody(Parse<inference::ModelMetadataResponse>(bytes)));
+    default:
+      return JsonResponse(200, ToHttpBody(Parse<inference::ServerMetadataResponse>(bytes)));
+  }
+}
+
+}  // namespace
+
+bool InferencePages::Has(absl::string_view path) {
+  return path == "/v2" || absl::StartsWith(path, "/v2/");
+}
+
+std::variant<size_t, HttpResponse> InferencePages::AcceptBody(const HttpRequest& request) const {
+  if (!Has(request.path)) return HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+  const auto route = RouteOf(request.path);
+  if (!route.has_value()) return UnknownPath();
+  if (route->method != Method::kModelInfer) {
+    return JsonResponse(405, HttpErrorBody("method: expected GET"));
+  }
+  const auto caller = Admit(authenticator_, request.authorization, route->method);
+  if (!caller.ok()) return ErrorResponse(caller.status());
+  return max_message_bytes_;
+}
+
+void InferencePages::Answer(const HttpRequest& request, const HttpServer::Done& done) const {
+  const auto route = RouteOf(request.path);
+  if (!route.has_value()) return done(UnknownPath());
+  const bool infers = route->method == Method::kModelInfer;
+  if (infers != request.is_post) {
+    return done(JsonResponse(405, HttpErrorBody("method: expected POST")));
+  }
+  const auto* service = inference::ServerLiveRequest::descriptor()->file()->service(0);
+  CallHead head = {
+      .path = absl::StrCat("/", service->full_name(), "/", GetMethodInfo(route->method).name),
+      .authorization = request.authorization};
+  if (!infers) {
+    return calls_.Start(
+        std::move(head), request.client, MessageOf(*route),
+        [route = *route, done](const absl::StatusOr<std::string>& response) {
+          done(response.ok() ? ResponseOf(route, *response) : ErrorResponse(response.status()));
+        });
+  }
+  auto infer = ReadInfer(request, *route);
+  // The caller is admitted and counted before an error of the body is told.
+  auto message =
+      infer.ok() ? absl::StatusOr<std::string>(infer->message.SerializeAsString()) : infer.status();
+  auto outputs = infer.ok() ? std::move(infer->outputs) : BinaryOutputs{};
+  calls_.Start(
+      std::move(head), request.client, std::move(message),
+      [outputs = std::move(outputs), done](const absl::StatusOr<std::string>& response) {
+        done(response.ok() ? InferResponse(*response, outputs) : ErrorResponse(response.status()));
+      });
+}
+
+}  // namespace spikeserve

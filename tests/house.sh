@@ -1,0 +1,43 @@
+#!/usr/bin/env bash
+# Prints how the house is built, and fails if it gets heavier than was agreed: each line is a measure, its value and the
+# most that is allowed.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+failed=0
+
+# at_most LIMIT WHAT VALUE
+at_most() {
+  printf '%-78s %3d  (at most %d)\n' "$2" "$3" "$1"
+  if (($3 > $1)); then
+    echo "  FAILED: expected at most $1, received $3" >&2
+    failed=1
+  fi
+}
+
+# count PATTERN FILE...: lines of C++ that match. files PATTERN FOLDER...: files that match.
+count() { { grep -hE "$@" || true; } | wc -l; }
+files() { { grep -rlE --include='*.h' --include='*.cc' "$@" || true; } | wc -l; }
+
+# structs_with PATTERN FILE...: structs that have a member which matches.
+structs_with() {
+  awk -v pattern="$1" '
+    /^ *(struct|class) [A-Za-z]+[^;]*\{$/ { name = $2; seen = 0 }
+    name != "" && !seen && $0 ~ pattern { seen = 1; print name }
+    /^ *\};/ { name = "" }' "${@:2}" | wc -l
+}
+
+mapfile -t headers < <(git ls-files 'core/*.h' 'server/*.h')
+
+# One request is one object, and one gate leads it.
+at_most 4 'files of server/ that know how a session is claimed and awaited' \
+  "$(files 'may_claim|WhenDurable|Recover\(' server)"
+at_most 0 'files of server/ with a handler that is invoked by its form' "$(files '\bMessagesOf\b|\bInvoke\(' server)"
+at_most 0 'methods of handlers without a CallContext' \
+  "$(count '^  absl::Status [A-Z][A-Za-z]*\(const (v1|inference)::' server/*/*_handler.h)"
+at_most 3 'structs that one Act is packed into' \
+  "$(structs_with '^ +(const )?(v1::ActRequest[*]|absl::Span<const float>|std::shared_ptr<ActMessages>) (request|messages|observation|tokens)[ ;=]' "${headers[@]}")"
+at_most 1 'functions named ActTogether' "$(count '\bActTogether\(' "${headers[@]}")"
+at_most 1 'types named ActCall' "$(count '(struct|class) ActCall\b' "${headers[@]}")"
+at_most 1 'functions named IsAhead' "$(count '\bIsAhead\(' "${headers[@]}")"
+
+exit "$failed"
