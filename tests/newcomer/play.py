@@ -49,6 +49,9 @@ SERVERS = ("spikeserve ", "build/release/bin/spikeserve ", "prometheus ")
 EDITS = {
     "training.md": [("--resume", "--resume --iterations=2"), ("--episodes=1000", "--episodes=2")],
     "recording.md": [("--iterations=300", "--iterations=2")],
+    "imitation.md": [
+        ("--expert reacher:reach", "--expert reacher:reach --steps=3000 --iterations=20 --rounds=0 --silence= --episodes=4"),
+    ],
     # The page expects the programs where a package installs them.
     "security.md": [("openssl req -x509", "export PATH=$PWD/build/release/bin:$PATH\nopenssl req -x509")],
     # A robot with a deadline of 20 ms needs a machine with nothing else to do.

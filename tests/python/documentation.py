@@ -4,6 +4,7 @@ import os
 import pathlib
 import re
 import subprocess
+import sys
 
 from serving import DEPLOY
 
@@ -14,10 +15,30 @@ PAGES_HTTP_PORT = "9464"
 PAGES_HTTP = f"127.0.0.1:{PAGES_HTTP_PORT}"
 
 
+def python_blocks(page):
+    """Returns the Python blocks of docs/<page>: (name of the file that the text before it names, or None; text)."""
+    text = (DOCS / page).read_text()
+    blocks, end = [], 0
+    for block in re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        named = re.findall(r"^`(\w+\.py)`|\s`(\w+\.py)` (?:is|stands|writes)", text[end : block.start()], re.MULTILINE)
+        end = block.end()
+        if block[1] == "python":
+            blocks.append((next(filter(None, named[-1])) if named else None, block[2]))
+    return blocks
+
+
+def files_of(page):
+    """Returns the files that docs/<page> prints, by name."""
+    return {name: text for name, text in python_blocks(page) if name}
+
+
 def run_examples(page, address, http=PAGES_HTTP):
-    """Runs every Python example of docs/<page>, in order, against a server at `address` for gRPC, and `http`."""
+    """Runs every Python example of docs/<page> that is not a file, in order.
+
+    The server is at `address` for gRPC, and at `http`.
+    """
     path = DOCS / page
-    examples = re.findall(r"^```python\n(.*?)^```$", path.read_text(), re.MULTILINE | re.DOTALL)
+    examples = [text for name, text in python_blocks(page) if name is None]
     assert examples
     names = {}
     for example in examples:
@@ -48,6 +69,7 @@ class Shell:
             f'case "$*" in *--server=*) exec {spikectl} "$@" ;; esac\nexec {spikectl} "$@" --server=$PAGES_SERVER',
         )
         self._write(programs / "spiketrain", f'exec {os.environ.get("SPIKETRAIN_PROGRAM", "false")} "$@"')
+        self._write(programs / "python", f'exec {sys.executable} "$@"')
         self._environment = os.environ | {"PATH": f"{programs}:{os.environ['PATH']}"}
 
     @staticmethod

@@ -1,6 +1,6 @@
 """Environments whose observation lacks a part of the state, and experts that know it.
 
-Registers Reacher2D-v0, Spring-v0, Vehicle-v0 and Thermostat-v0. An expert is a function of the
+Registers Reacher2D-v0, Spring-v0, Vehicle-v0, Thermostat-v0 and AnglePendulum-v0. An expert is a function of the
 environment and the observation. What is hidden shows only in how the observation changes, or in
 what happened many steps ago.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.classic_control.pendulum import PendulumEnv, angle_normalize
 
 
 class _Hidden(gymnasium.Env):
@@ -109,6 +110,17 @@ class Thermostat(_Hidden):
         return self.air, self.wanted
 
 
+class AnglePendulum(gymnasium.ObservationWrapper):
+    """Gymnasium's Pendulum-v1. Its angular velocity is hidden."""
+
+    def __init__(self):
+        super().__init__(PendulumEnv())
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def observation(self, observation):
+        return observation[:2]
+
+
 def reach(environment, _):
     """Pushes towards the target and against the velocity, with noise."""
     wanted = 3 * (environment.target - environment.position) - 1.1 * environment.velocity
@@ -133,10 +145,21 @@ def heat(environment, _):
     return np.clip(2 * needed / 3 - 1, -1, 1)
 
 
+def swing_up(environment, _):
+    """Pumps energy until the pendulum is nearly upright, then balances."""
+    angle, speed = angle_normalize(environment.state[0]), environment.state[1]
+    if abs(angle) < 0.6 and abs(speed) < 3:
+        return np.clip([-12 * angle - 3.2 * speed], -2, 2)
+    energy = speed**2 / 2 + 15 * (np.cos(angle) - 1)  # 0 at rest upright
+    push = speed if abs(speed) > 0.3 else np.copysign(0.3, speed)
+    return np.clip([-energy * push], -2, 2)
+
+
 for _name, _class, _steps in (
     ("Reacher2D-v0", Reacher2D, 150),
     ("Spring-v0", Spring, 150),
     ("Vehicle-v0", Vehicle, 200),
     ("Thermostat-v0", Thermostat, 200),
+    ("AnglePendulum-v0", AnglePendulum, 200),
 ):
     gymnasium.register(_name, entry_point=_class, max_episode_steps=_steps)

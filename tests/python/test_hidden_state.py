@@ -34,6 +34,7 @@ EXPERTS = {
     "Spring-v0": hidden_state.hold,
     "Vehicle-v0": hidden_state.brake,
     "Thermostat-v0": hidden_state.heat,
+    "AnglePendulum-v0": hidden_state.swing_up,
 }
 
 
@@ -240,6 +241,29 @@ gymnasium.register("Vector-v0", entry_point=lambda: gymnasium.make_vec("CartPole
 def test_environments_of_other_kinds_get_a_hint(name, reason):
     with pytest.raises(ValueError, match=f"env_id: expected an environment of Gymnasium with one agent.*{reason}"):
         EnvironmentFactory(name).make()
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("Nothing-v0", "an id of Gymnasium, .* received Nothing-v0: Environment `Nothing` doesn't exist"),
+        ("nothing:Nothing-v0", "an id of Gymnasium, .* received nothing:Nothing-v0: No module named 'nothing'"),
+        ("pettingzoo.mpe:simple_v3", "an id of Gymnasium, .*; for one of PettingZoo, write a gymnasium.Env"),
+    ],
+)
+def test_unknown_environments_are_named(name, reason):
+    with pytest.raises(ValueError, match=f"env_id: expected {reason}"):
+        EnvironmentFactory(name).make()
+
+
+def test_environments_in_the_place_of_ids_are_refused():
+    """With the hints that their ids would get."""
+    with pytest.raises(ValueError, match="env_id: expected an id of Gymnasium, .* received an environment, TimeLimit"):
+        EnvironmentFactory(gymnasium.make("hidden_state:Spring-v0"))
+    with pytest.raises(ValueError, match="not a vector of them: --environments says"):
+        EnvironmentFactory(gymnasium.make_vec("CartPole-v1", num_envs=2))
+    with pytest.raises(ValueError, match="for one of PettingZoo, write a gymnasium.Env"):
+        EnvironmentFactory(Parallel())
 
 
 def test_an_interrupted_run_continues(tmp_path):

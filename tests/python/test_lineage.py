@@ -83,7 +83,9 @@ def imitation(recipe):
     parser = argparse.ArgumentParser()
     add_command(parser.add_subparsers())
     words = shlex.split(recipe.replace("\\\n", " "), comments=True)
-    arguments = parser.parse_args([*words[words.index("imitate") :], "--out=."])
+    common = re.search(r"^settings=\((.*?)\)$", (ROOT / "train/recipes/imitation.sh").read_text(), re.MULTILINE | re.DOTALL)
+    flags = [*common[1].split(), *words[words.index("imitate") + 2 :]]
+    arguments = parser.parse_args(["imitate", words[words.index("imitate") + 1], *flags, "--out=."])
     settings = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(ImitationOptions)}
     names = [name.rpartition(":")[2] for name in (arguments.env_id, *arguments.wrapper)]
     return json.loads(json.dumps({"environment": "-".join(names)} | settings))

@@ -2,20 +2,11 @@
 
 import os
 import re
-import sys
 
 import pytest
-from documentation import DOCS, Shell
+from documentation import Shell, files_of
 
 PAGE = "your-robot.md"
-
-
-def files_of(page):
-    """Returns the Python blocks of a page by the name of the file that the text before each one names."""
-    text = (DOCS / page).read_text()
-    blocks = list(re.finditer(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL))
-    names = [re.findall(r"^`(\w+\.py)`|\s`(\w+\.py)` (?:is|stands|writes)", text[: block.start()], re.MULTILINE) for block in blocks]
-    return {(found[-1][0] or found[-1][1]): block[1] for found, block in zip(names, blocks, strict=True)}
 
 
 @pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
@@ -25,9 +16,6 @@ def test_from_data_to_a_robot_that_learns(tmp_path):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     with Shell(tmp_path) as shell:
-        python = tmp_path / "build/release/bin/python"
-        python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-        python.chmod(0o755)
         # A deadline of 20 ms and 50 Hz say nothing about a machine that runs other tests at the same time. The training
         # is as long as the page's, because the return at its end shows that the data were understood.
         edits = [("timeout=PERIOD", "timeout=30"), ("PERIOD = 0.02", "PERIOD = 0.0")]

@@ -84,3 +84,8 @@ def land(observation):
     if abs(turn) <= 0.05:
         return NO_ENGINE
     return RIGHT_ENGINE if turn < 0 else LEFT_ENGINE
+
+
+def rock(observation):
+    """The expert of MountainCarContinuous-v0: pushes in the direction of the speed."""
+    return np.array([1.0 if observation[1] >= 0 else -1.0], np.float32)

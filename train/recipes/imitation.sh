@@ -10,7 +10,12 @@ out=${2:?$usage}
 PYTHONPATH=$(dirname "$0")${PYTHONPATH:+:$PYTHONPATH}
 export PYTHONPATH
 
+# What the recipes do not say themselves. `imitate` alone would choose most of it by the environment and the data.
+settings=(--steps=60000 --burst-rate=0.3 --longest-burst=8 --held-bursts=0 --context=5 --clip-steps=5 --action-noise=0.5
+  --learning-rate=0.003 --iterations=1500 --rounds=4 --round-disturbed=0 --round-steps=30000 --round-iterations=800
+  --silence-iterations=500 --tolerance=0.02)
+
 # imitate ENVIRONMENT FLAGS...: runs `python -m spikeserve imitate` into OUT_DIR.
 imitate() {
-  "${PYTHON:-python3}" -m spikeserve imitate "$@" --spiketrain="$spiketrain" --out="$out"
+  "${PYTHON:-python3}" -m spikeserve imitate "$1" "${settings[@]}" "${@:2}" --spiketrain="$spiketrain" --out="$out"
 }

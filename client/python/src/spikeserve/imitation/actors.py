@@ -36,6 +36,7 @@ class Bursts:
     disturbed: float  # share of the episodes with bursts
     rate: float  # largest probability that a burst begins at a step
     longest: int  # steps
+    held: float = 0.0  # share of the bursts that hold one random action
 
 
 class _Disturbance:
@@ -46,16 +47,42 @@ class _Disturbance:
         disturbed = self._random.random() < bursts.disturbed
         self._rate = bursts.rate * self._random.random() if disturbed else 0.0
         self._longest = bursts.longest
+        self._held_share = bursts.held
+        self._held: FlatAction | None = None
         self._left = 0
 
     def action(self, row: Row) -> FlatAction | None:
         """Returns the random action of this step; None outside of a burst."""
         if self._left == 0 and self._random.random() < self._rate:
             self._left = int(self._random.integers(1, self._longest, endpoint=True))
+            held = self._held_share > 0 and self._random.random() < self._held_share
+            self._held = row.environment.actions.sample(self._random) if held else None
         if self._left == 0:
             return None
         self._left -= 1
+        if self._held is not None:
+            return self._held
         return row.environment.actions.sample(self._random)
+
+
+class _Disturbances:
+    """The disturbance of each running episode; none without bursts."""
+
+    def __init__(self, bursts: Bursts | None) -> None:
+        self._bursts = bursts
+        self._running: dict[int, _Disturbance] = {}
+
+    def action(self, row: Row) -> FlatAction | None:
+        """Returns the random action of this step; None outside of a burst."""
+        if self._bursts is None:
+            return None
+        if row.index not in self._running:
+            self._running[row.index] = _Disturbance(self._bursts, row)
+        return self._running[row.index].action(row)
+
+    def end(self, row: Row) -> None:
+        """Forgets the disturbance of the episode."""
+        self._running.pop(row.index, None)
 
 
 class ExpertActor:
@@ -63,8 +90,7 @@ class ExpertActor:
 
     def __init__(self, expert: Expert, bursts: Bursts | None = None) -> None:
         self._expert = expert
-        self._bursts = bursts
-        self._disturbances: dict[int, _Disturbance] = {}
+        self._disturbances = _Disturbances(bursts)
 
     def choose(self, rows: list[Row]) -> list[Choice]:
         """Returns the expert's action as label, and the action to execute."""
@@ -72,24 +98,27 @@ class ExpertActor:
 
     def end(self, row: Row) -> None:
         """Forgets the disturbance of the episode."""
-        self._disturbances.pop(row.index, None)
+        self._disturbances.end(row)
 
     def _choose(self, row: Row) -> Choice:
         label = row.environment.actions.to_flat(self._expert(row.environment))
-        if self._bursts is None:
-            return Choice(label)
-        if row.index not in self._disturbances:
-            self._disturbances[row.index] = _Disturbance(self._bursts, row)
-        action = self._disturbances[row.index].action(row)
+        action = self._disturbances.action(row)
         return Choice(label if action is None else action, label)
 
 
 class StudentActor:
-    """Plays a policy with the engine. An expert, if there is one, labels the states it reaches."""
+    """Plays a policy with the engine. An expert, if there is one, labels the states it reaches.
 
-    def __init__(self, engine: Engine, expert: Expert | None = None) -> None:
+    Bursts of random actions replace the policy's actions, but not what the policy remembers of
+    them.
+    """
+
+    def __init__(
+        self, engine: Engine, expert: Expert | None = None, bursts: Bursts | None = None
+    ) -> None:
         self._engine = engine
         self._expert = expert
+        self._disturbances = _Disturbances(bursts)
         self._sessions: dict[int, Session] = {}
 
     def choose(self, rows: list[Row]) -> list[Choice]:
@@ -102,12 +131,17 @@ class StudentActor:
         )
         discrete = batch.actions.ndim == 1
         return [
-            Choice(int(action) if discrete else action, self._label(row), int(spikes))
+            self._choice(row, int(action) if discrete else action, int(spikes))
             for row, action, spikes in zip(rows, batch.actions, batch.spikes, strict=True)
         ]
 
+    def _choice(self, row: Row, action: FlatAction, spikes: int) -> Choice:
+        disturbed = self._disturbances.action(row)
+        return Choice(action if disturbed is None else disturbed, self._label(row), spikes)
+
     def end(self, row: Row) -> None:
         """Ends the episode of the row's session."""
+        self._disturbances.end(row)
         self._sessions[row.index].end_episode(
             row.reward, row.episode.terminated, row.episode.truncated
         )

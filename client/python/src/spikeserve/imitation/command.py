@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from spikeserve.imitation.options import ImitationOptions
+from spikeserve.imitation.options import CHOSEN, ImitationOptions
 
 
 def add_command(subcommands: Any) -> None:
@@ -73,9 +73,11 @@ def _add_setting(parser: argparse.ArgumentParser, setting: dataclasses.Field[Any
     elif setting.name == "train_flags":
         shown = shlex.join(ImitationOptions.train_flags)
     suffix = f" [{shown}]" if shown not in (None, ()) else ""
+    if setting.name in CHOSEN:
+        suffix = " [chosen]"
     parser.add_argument(
         "--" + setting.name.replace("_", "-"),
-        type=_PARSERS.get(setting.name, type(setting.default)),
+        type=_PARSERS.get(setting.name) or CHOSEN.get(setting.name) or type(setting.default),
         default=setting.default,
         metavar="VALUE",
         help=setting.metadata["help"].replace("%", "%%") + suffix,

@@ -12,6 +12,12 @@ import gymnasium
 from spikeserve.check import check
 from spikeserve.flat_spaces import FlatEnvironment
 
+_AN_ID = "an id of Gymnasium, or `module:id` if a module registers it"
+_FOR_PETTINGZOO = (
+    "; for one of PettingZoo, write a gymnasium.Env whose step() plays one agent, with fixed "
+    "policies for the others"
+)
+
 
 def load_object(path: str, field: str) -> Any:
     """Imports `module:name`. ValueError, which names `field`, if there is no such object."""
@@ -38,6 +44,9 @@ class EnvironmentFactory:
         wrappers: Sequence[Callable[[Any], Any]] = (),
         max_episode_steps: int | None = None,
     ) -> None:
+        if not isinstance(env_id, str):
+            _check_single("the argument", env_id)
+            check(False, "env_id", _AN_ID, f"an environment, {type(env_id).__name__}")
         self._env_id = env_id
         self._wrappers = list(wrappers)
         self._max_episode_steps = max_episode_steps
@@ -61,6 +70,11 @@ class EnvironmentFactory:
         except TypeError:
             _check_single(self._env_id, _unchecked(self._env_id))
             raise
+        except (gymnasium.error.Error, ImportError) as error:
+            expected = _AN_ID + (_FOR_PETTINGZOO if "pettingzoo" in self._env_id.lower() else "")
+            raise ValueError(
+                f"env_id: expected {expected}, received {self._env_id}: {error}"
+            ) from error
         for wrapper in self._wrappers:
             environment = wrapper(environment)
         _check_single(self._env_id, environment)
@@ -81,10 +95,7 @@ def _check_single(env_id: str, environment: Any) -> None:
     """ValueError, with what to do, unless the environment is one of Gymnasium with one agent."""
     expected = "an environment of Gymnasium with one agent"
     if hasattr(environment, "possible_agents"):  # of PettingZoo's AECEnv and ParallelEnv
-        expected += (
-            "; for one of PettingZoo, write a gymnasium.Env whose step() plays one agent, with "
-            "fixed policies for the others"
-        )
+        expected += _FOR_PETTINGZOO
     elif isinstance(environment, gymnasium.vector.VectorEnv):
         expected += ", not a vector of them: --environments says how many are played at once"
     received = f"{type(environment).__name__} from {env_id}"

@@ -74,7 +74,7 @@ class Journal:
 
 def _delete_run(folder: pathlib.Path) -> None:
     """Deletes what a run has written into its folder, the settings last."""
-    for name in ("data", "stages", "evaluations", "policies"):
+    for name in ("data", "plans", "stages", "evaluations", "policies"):
         shutil.rmtree(folder / name, ignore_errors=True)
     for name in ("report.md", "metadata.json", "settings.json"):
         (folder / name).unlink(missing_ok=True)

@@ -20,6 +20,21 @@ _SET_BY_STAGES = (
 )
 _OWN_SETTINGS = ("lookback", "image_shape", "patch_size")  # only for a policy without --init
 
+# The settings that are chosen where they are None, and their types.
+CHOSEN: dict[str, type[int] | type[float]] = {
+    "steps": int,
+    "burst_rate": float,
+    "longest_burst": int,
+    "round_steps": int,
+    "context": int,
+    "clip_steps": int,
+    "action_noise": float,
+    "learning_rate": float,
+    "iterations": int,
+    "round_iterations": int,
+    "silence_iterations": int,
+}
+
 
 def _setting(default: Any, text: str) -> Any:
     return field(default=default, metadata={"help": text})
@@ -27,36 +42,41 @@ def _setting(default: Any, text: str) -> Any:
 
 @dataclass(frozen=True)
 class ImitationOptions:
-    """How `imitate` records, trains and evaluates. The defaults suit small control tasks."""
+    """How `imitate` records, trains and evaluates.
+
+    A setting that is None is chosen by how the expert plays and by the recorded data. A run prints
+    what it has chosen and why.
+    """
 
     seed: int = _setting(0, "seed of every random draw")
     environments: int = _setting(16, "environments that are played at the same time")
     max_episode_steps: int | None = _setting(None, "longest episode; default: the environment's")
 
-    steps: int = _setting(60_000, "steps of the expert to record")
+    steps: int | None = _setting(None, "steps of the expert to record")
     disturbed: float = _setting(0.8, "share of its episodes with bursts of random actions")
-    burst_rate: float = _setting(0.3, "largest probability that a burst begins at a step")
-    longest_burst: int = _setting(8, "most steps of a burst")
+    burst_rate: float | None = _setting(None, "largest probability that a burst begins at a step")
+    longest_burst: int | None = _setting(None, "most steps of a burst")
+    held_bursts: float = _setting(0.5, "share of the bursts that hold one random action")
 
     mode: str = _setting("baseline", "attention of the policy: baseline, pos, route, full or dense")
     hidden_size: int = _setting(64, "hidden size d of the policy")
     layers: int = _setting(2, "layers of the policy")
     ticks: int = _setting(8, "ticks of a token")
-    context: int = _setting(5, "timesteps that the policy remembers")
+    context: int | None = _setting(None, "timesteps that the policy remembers")
     lookback: int | None = _setting(
         None,
         "timesteps back at which attention looks first, if the action depends on that observation; "
         "needs --mode=pos or full",
     )
-    clip_steps: int = _setting(5, "timesteps of a training clip; 0: the whole context")
+    clip_steps: int | None = _setting(None, "timesteps of a training clip; 0: the whole context")
     batch: int = _setting(64, "clips of an iteration")
-    action_noise: float = _setting(
-        0.5,
+    action_noise: float | None = _setting(
+        None,
         "share of the policy's past actions replaced by random ones in training, so that it does "
         "not learn to repeat them; 0 where past actions are its memory",
     )
-    learning_rate: float = _setting(3e-3, "peak learning rate")
-    iterations: int = _setting(1500, "iterations of the first training")
+    learning_rate: float | None = _setting(None, "peak learning rate")
+    iterations: int | None = _setting(None, "iterations of the first training")
     seeds: int = _setting(
         1, "first trainings, from other random weights each; the one with the best return is kept"
     )
@@ -70,9 +90,10 @@ class ImitationOptions:
     )
     threads: int = _setting(1, "threads of a training; the last bits of the weights depend on it")
 
-    rounds: int = _setting(4, "rounds in which the policy plays and the expert labels its states")
-    round_steps: int = _setting(30_000, "steps of a round")
-    round_iterations: int = _setting(800, "iterations of the training after a round")
+    rounds: int = _setting(3, "rounds in which the policy plays and the expert labels its states")
+    round_disturbed: float = _setting(0.5, "share of a round's episodes with bursts")
+    round_steps: int | None = _setting(None, "steps of a round")
+    round_iterations: int | None = _setting(None, "iterations of the training after a round")
     patience: int = _setting(
         0, "rounds without a better return after which the rounds end; 0: never"
     )
@@ -80,9 +101,9 @@ class ImitationOptions:
     silence: tuple[tuple[float, float], ...] = _setting(
         _SILENCE, "target firing rates of the steps to silence, in percent: HIDDEN:READOUT,..."
     )
-    silence_iterations: int = _setting(500, "iterations of a step to silence")
+    silence_iterations: int | None = _setting(None, "iterations of a step to silence")
     tolerance: float = _setting(
-        0.02, "largest loss of return by silence, as a share of the distance from random to expert"
+        0.005, "largest loss of return by silence, as a share of the distance from random to expert"
     )
 
     selection_episodes: int = _setting(100, "episodes of an evaluation between trainings")
@@ -108,18 +129,29 @@ class ImitationOptions:
             "episodes",
         )
         for name in at_least_one:
-            check(getattr(self, name) >= 1, name, "at least 1", getattr(self, name))
+            value = getattr(self, name)
+            check(value is None or value >= 1, name, "at least 1", value)
         for name in ("seed", "clip_steps", "rounds", "patience", "tolerance"):
-            check(getattr(self, name) >= 0, name, "at least 0", getattr(self, name))
+            value = getattr(self, name)
+            check(value is None or value >= 0, name, "at least 0", value)
         if self.patch_size is not None:
             check(self.patch_size >= 0, "patch_size", "at least 0", self.patch_size)
         if self.lookback is not None:
-            below = f"1 to {self.context - 1}, below the context"
-            check(1 <= self.lookback < self.context, "lookback", below, self.lookback)
+            check(self.lookback >= 1, "lookback", "at least 1", self.lookback)
+            if self.context is not None:
+                below = f"1 to {self.context - 1}, below the context"
+                check(self.lookback < self.context, "lookback", below, self.lookback)
             check(self.mode in ("pos", "full"), "mode", "pos or full beside lookback", self.mode)
         check(self.rounds <= 10, "rounds", "at most 10", self.rounds)
-        for name in ("disturbed", "burst_rate", "action_noise"):
-            check(0 <= getattr(self, name) <= 1, name, "a share from 0 to 1", getattr(self, name))
+        for name in ("disturbed", "burst_rate", "held_bursts", "action_noise", "round_disturbed"):
+            value = getattr(self, name)
+            check(value is None or 0 <= value <= 1, name, "a share from 0 to 1", value)
+        check(
+            self.learning_rate is None or self.learning_rate > 0,
+            "learning_rate",
+            "a number above 0",
+            self.learning_rate,
+        )
         for flag in self.train_flags:
             _check_train_flag(flag)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import pathlib
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -24,10 +26,12 @@ from spikeserve.imitation.figures import Evaluator, Figures
 from spikeserve.imitation.images import image_flags
 from spikeserve.imitation.insight import Insight, drift, learning_curves, noise_floor
 from spikeserve.imitation.journal import Journal
+from spikeserve.imitation.memory import TrainingPlan, plan_training
 from spikeserve.imitation.options import FIRST_SELECTION_SEED, FIRST_UNSEEN_SEED, ImitationOptions
+from spikeserve.imitation.pace import RecordingPlan, plan_recording
 from spikeserve.imitation.policy_record import write_with_record
 from spikeserve.imitation.progress import progress_bar
-from spikeserve.imitation.report import write_report
+from spikeserve.imitation.report import Account, write_report
 from spikeserve.imitation.training import Spiketrain, Training, find_spiketrain
 
 # Every round of data has environment seeds of its own.
@@ -113,10 +117,22 @@ class _Run:
         self._evaluator = Evaluator(factory, options.environments)
         self._data: list[pathlib.Path] = []
         self._stages: list[_Candidate] = []
+        self._recording = RecordingPlan(
+            **self._chosen(
+                "recording", lambda: plan_recording(options, self._expert, self._evaluator)
+            )
+        )
+        self._training: TrainingPlan
 
     def run(self) -> ImitationResult:
         """Runs every part and writes policies and report."""
         self._record_expert()
+        environment = self._factory.make()
+        environment.close()
+        space = environment.actions.space
+        self._training = TrainingPlan(
+            **self._chosen("training", lambda: plan_training(self._options, self._data[0], space))
+        )
         best = self._learn_to_play()
         # A dense policy has no spikes to save, and no integer form.
         return self._publish(best if self._is_dense else self._silence(best))
@@ -125,7 +141,31 @@ class _Run:
     def _is_dense(self) -> bool:
         return self._options.mode == "dense"
 
+    def _chosen(
+        self, name: str, choose: Callable[[], RecordingPlan | TrainingPlan]
+    ) -> dict[str, Any]:
+        """Returns the fields of a plan, and says on standard error why they are so."""
+        plan = self._journal.part(f"plans/{name}", lambda: asdict(choose()))
+        for reason in plan["reasons"]:
+            print(f"chosen: {reason}", file=sys.stderr)
+        return {key: value for key, value in plan.items() if key != "seconds"}
+
+    def _settings(self) -> dict[str, Any]:
+        """Returns all settings, with those that were chosen."""
+        chosen = asdict(self._recording) | asdict(self._training)
+        del chosen["reasons"]
+        return asdict(self._options) | chosen
+
     # Data
+
+    def _bursts(self, disturbed: float) -> Bursts:
+        return Bursts(
+            self._options.seed,
+            disturbed,
+            self._recording.burst_rate,
+            self._recording.longest_burst,
+            self._options.held_bursts,
+        )
 
     def _record_expert(self) -> None:
         if self._expert is None:
@@ -133,20 +173,18 @@ class _Run:
             source = self._dataset
             self._write_data("expert", lambda: list(read_dataset(source)))
             return
-        options = self._options
-        bursts = Bursts(options.seed, options.disturbed, options.burst_rate, options.longest_burst)
-        actor = ExpertActor(self._expert, bursts)
-        self._write_data(
-            "expert", lambda: self._play_steps(actor, options.steps, 0, "expert plays")
-        )
+        actor = ExpertActor(self._expert, self._bursts(self._options.disturbed))
+        steps = self._recording.steps
+        self._write_data("expert", lambda: self._play_steps(actor, steps, 0, "expert plays"))
 
     def _record_round(self, number: int, student: pathlib.Path) -> None:
-        actor = StudentActor(Engine(student), self._expert)
+        bursts = self._bursts(self._options.round_disturbed)
+        actor = StudentActor(Engine(student), self._expert, bursts)
         first_seed = number * _SEEDS_OF_A_ROUND
         title = f"round {number}: policy plays, expert labels"
         self._write_data(
             f"round{number}",
-            lambda: self._play_steps(actor, self._options.round_steps, first_seed, title),
+            lambda: self._play_steps(actor, self._recording.round_steps, first_seed, title),
         )
 
     def _play_steps(self, actor: Actor, steps: int, first_seed: int, title: str) -> list[Episode]:
@@ -173,15 +211,15 @@ class _Run:
     def _train(
         self, name: str, iterations: int, init: _Candidate | None, flags: Sequence[str] = ()
     ) -> _Candidate:
-        options = self._options
+        options, plan = self._options, self._training
         number = len(self._stages) + 1
         stage = f"{number}-{name}"
         common = [
-            f"--clip_steps={options.clip_steps}",
+            f"--clip_steps={plan.clip_steps}",
             f"--batch={options.batch}",
-            f"--learning_rate={options.learning_rate}",
-            f"--action_noise={options.action_noise}",
-            *([] if init else [*_shape_flags(options), *self._image_flags()]),
+            f"--learning_rate={plan.learning_rate}",
+            f"--action_noise={plan.action_noise}",
+            *([] if init else [*self._shape_flags(), *self._image_flags()]),
             *flags,
             *options.train_flags,
         ]
@@ -203,6 +241,14 @@ class _Run:
         self._stages.append(candidate)
         return candidate
 
+    def _shape_flags(self) -> list[str]:
+        """Returns the flags of `spiketrain train` for the shape of a new policy."""
+        options = self._options
+        names = ("mode", "hidden_size", "layers", "ticks")
+        flags = [f"--{name}={getattr(options, name)}" for name in names]
+        flags.append(f"--context={self._training.context}")
+        return flags if options.lookback is None else [*flags, f"--lookback={options.lookback}"]
+
     def _image_flags(self) -> list[str]:
         environment = self._factory.make()
         environment.close()
@@ -212,13 +258,13 @@ class _Run:
         """Trains on the expert's data, then on the policy's own states. Returns the best policy."""
         # Every stage has another seed.
         for _ in range(self._options.seeds):
-            self._train("play", self._options.iterations, None)
+            self._train("play", self._training.iterations, None)
         candidate = max(self._stages, key=lambda stage: stage.figures.mean)
         returns = [candidate.figures.mean]
         rounds = 0 if self._expert is None else self._options.rounds
         for number in range(1, rounds + 1):
             self._record_round(number, candidate.policy)
-            candidate = self._train(f"round{number}", self._options.round_iterations, candidate)
+            candidate = self._train(f"round{number}", self._training.round_iterations, candidate)
             returns.append(candidate.figures.mean)
             if has_stalled(returns, self._options.patience):
                 break
@@ -230,7 +276,8 @@ class _Run:
         kept = loud
         for hidden, readout in self._options.silence:
             flags = [f"--target_rate={hidden}", f"--readout_rate={readout}"]
-            step = self._train(f"silence-{hidden:g}", self._options.silence_iterations, kept, flags)
+            iterations = self._training.silence_iterations
+            step = self._train(f"silence-{hidden:g}", iterations, kept, flags)
             fall, error = step.figures.falls_by(loud.figures)
             if fall - error > allowed:
                 break
@@ -291,7 +338,14 @@ class _Run:
         )
         stages = {stage.name: stage.figures for stage in self._stages}
         name = self._factory.policy_name
-        write_report(result.report, self._journal, name, chosen.name, stages, result, insight)
+        reasons = [*self._recording.reasons, *self._training.reasons]
+        settings = json.loads((folder / "settings.json").read_text()) | self._settings()
+        write_report(
+            result.report,
+            Account(self._journal, settings, reasons, name, chosen.name, stages),
+            result,
+            insight,
+        )
         return result
 
     def _publish_version(self, version: int, source: pathlib.Path) -> tuple[pathlib.Path, Figures]:
@@ -307,7 +361,7 @@ class _Run:
         name = self._factory.policy_name
         folder = self._journal.folder / "policies" / name / str(version)
         evaluation = {key: value for key, value in figures.to_json().items() if key != "returns"}
-        settings = {"environment": self._factory.name, **asdict(options)}
+        settings = {"environment": self._factory.name, **self._settings()}
         target = folder / "policy.safetensors"
         if not target.is_file():  # a second writing would order the metadata differently
             write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
@@ -371,10 +425,3 @@ def has_stalled(returns: Sequence[float], patience: int) -> bool:
     A patience of 0 never ends.
     """
     return 0 < patience < len(returns) and max(returns[-patience:]) <= max(returns[:-patience])
-
-
-def _shape_flags(options: ImitationOptions) -> list[str]:
-    """Returns the flags of `spiketrain train` for the shape of a new policy."""
-    names = ("mode", "hidden_size", "layers", "ticks", "context")
-    flags = [f"--{name}={getattr(options, name)}" for name in names]
-    return flags if options.lookback is None else [*flags, f"--lookback={options.lookback}"]

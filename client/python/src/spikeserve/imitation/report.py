@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pathlib
 import statistics
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import safetensors
@@ -31,25 +32,31 @@ class _Result(Protocol):
     def expert_figures(self) -> Figures: ...
 
 
-def write_report(
-    path: pathlib.Path,
-    journal: Journal,
-    name: str,
-    chosen: str,
-    stages: dict[str, Figures],
-    result: _Result,
-    insight: Insight,
-) -> None:
+@dataclass(frozen=True)
+class Account:
+    """How a run went."""
+
+    journal: Journal
+    settings: dict[str, Any]
+    reasons: list[str]  # of the settings that were chosen
+    name: str  # of the policy
+    chosen: str  # the stage whose policy it is
+    stages: dict[str, Figures]
+
+
+def write_report(path: pathlib.Path, account: Account, result: _Result, insight: Insight) -> None:
     """Writes the report, and beside it metadata.json with the same figures and all settings."""
-    settings = json.loads((journal.folder / "settings.json").read_text())
+    name, chosen, stages = account.name, account.chosen, account.stages
+    settings, journal = account.settings, account.journal
     figures = {
         "expert": result.expert_figures,
         f"{name}/1, float32": result.figures,
     }
     if result.quantized_figures is not None:
         figures[f"{name}/2, 8-bit weights"] = result.quantized_figures
-    metadata = {
+    metadata: dict[str, Any] = {
         "settings": settings,
+        "reasons": account.reasons,
         "chosen_stage": chosen,
         "figures": {title: value.to_json() for title, value in figures.items()},
         "stages": {stage: value.to_json() for stage, value in stages.items()},
@@ -99,6 +106,8 @@ def write_report(
         "",
         "## Settings",
         "",
+        *[f"- {reason}" for reason in account.reasons],
+        *([""] if account.reasons else []),
         *_table(
             ("setting", "value"), [(f"`{key}`", f"`{value}`") for key, value in settings.items()]
         ),
