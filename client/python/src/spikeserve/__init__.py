@@ -13,8 +13,8 @@ from spikeserve.async_client import AsyncClient
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
 from spikeserve.async_vector_session import AsyncVectorSession
+from spikeserve.channels import ClientOptions
 from spikeserve.client import Client
-from spikeserve.connection import ClientOptions
 from spikeserve.errors import (
     DeadlineExceededError,
     DivergedError,
