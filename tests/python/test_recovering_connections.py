@@ -4,12 +4,14 @@ import asyncio
 import inspect
 import os
 import socket
+import subprocess
 import time
 
 import pytest
 import spikeserve
 from links import Link
 from security import until
+from spikeserve.wire import message_class
 from restartable_server import restartable_server
 
 OBSERVATION = [0.01, -0.02, 0.03, 0.04]
@@ -147,6 +149,36 @@ def test_the_acknowledgement_of_bytes_has_a_time_limit(link, play):
         assert limits == {7000}
 
     play(scenario, spikeserve.ClientOptions(keepalive_timeout=7))
+
+
+@pytest.mark.parametrize("mode", ["calls", "batch", "stream"])
+def test_the_cpp_client_replaces_a_connection_that_a_nat_has_forgotten(link, mode):
+    command = [os.environ["CLIENT_PLAYER_PROGRAM"], link.address, mode]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as player:
+
+        def ask(*words):
+            print(*words, file=player.stdin, flush=True)
+            return player.stdout.readline().strip()
+
+        opening = message_class("OpenSessionRequest")(policy="cartpole")
+        assert not ask("open", opening.SerializeToString().hex()).startswith("error")
+        act = message_class("ActBatchRequest")()
+        act.requests.add(observation=OBSERVATION, reward=1.0)
+        for step in range(6):
+            if step == 3:
+                link.forget()
+                began = time.monotonic()
+            answer = ask("act", act.SerializeToString().hex())
+            assert not answer.startswith("error"), answer
+            result = message_class("ActBatchResponse").FromString(bytes.fromhex(answer)).results[0]
+            assert result.response.step == step
+        # The keepalive of HTTP/2 would take 15 s.
+        assert time.monotonic() - began < 10
+        assert link.accepted == 2
+        assert ask("close", 0) == "ok"
+        player.stdin.close()
+        assert player.wait() == 0
 
 
 def test_a_session_that_was_lost_closes_in_silence():
