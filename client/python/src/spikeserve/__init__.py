@@ -1,9 +1,10 @@
 """Client of spikeserve, the inference service for Spiking Decision Transformers.
 
-Start with `Client` and `Session`, on a robot with `Pilot`. `VectorSession` acts in Gymnasium vector environments.
-`AsyncClient` is the client for asyncio. `evaluate` plays whole episodes. `AdminClient` has the
-calls of operators. The module `spikeserve.export` writes policy files. `spikeserve.engine` plays
-them without a server, and `imitate` trains them for any Gymnasium environment.
+Start with `Client` and `Session`, on a robot with `Pilot`. `VectorSession` acts in Gymnasium
+vector environments. `AsyncClient` is the client for asyncio. `evaluate` plays whole episodes.
+`AdminClient` has the calls of operators. The module `spikeserve.export` writes policy files.
+`spikeserve.engine` plays them without a server, and `imitate` trains them for any Gymnasium
+environment.
 """
 
 import importlib.metadata

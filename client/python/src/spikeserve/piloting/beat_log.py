@@ -5,7 +5,7 @@ counted twice, whatever the link does. An episode goes through these states, and
 
     running    beats are added at the robot. The server is asked for decisions if it is the oldest.
     ended      the robot has ended it. The server still misses beats, or an older episode's end.
-    complete   the server has acknowledged every beat; EndEpisode may be called, any number of times.
+    complete   the server has acknowledged every beat; EndEpisode may be called, again and again.
     settled    the server has answered EndEpisode. The episode leaves the log.
 
 Only the oldest episode is known to the server's session: it has no beat of a later one before the
@@ -54,7 +54,7 @@ class Beat:
 
 @dataclass
 class Ending:
-    """How an episode has ended, and who waits for its summary."""
+    """How an episode has ended, and who waits for its summary, which cannot be cancelled."""
 
     reward: float
     terminated: bool
@@ -62,6 +62,9 @@ class Ending:
     target_return: float | None
     observation: NDArray[np.float32] | None
     summary: Future[EpisodeSummary] = field(default_factory=Future)
+
+    def __post_init__(self) -> None:
+        self.summary.set_running_or_notify_cancel()
 
 
 class Episode:

@@ -235,8 +235,7 @@ class Link:
             ended = self.log.settle()
             self.session.episode_ended()
             self._succeeded()
-        if not ended.summary.cancelled():
-            ended.summary.set_result(summary)
+        ended.summary.set_result(summary)
 
     def _stop(self) -> None:
         with self.changed:
@@ -366,8 +365,7 @@ class Link:
     @staticmethod
     def _fail(endings: list[Ending], reason: str) -> None:
         for ending in endings:
-            if not ending.summary.cancelled():
-                ending.summary.set_exception(lost_episode(reason))
+            ending.summary.set_exception(lost_episode(reason))
 
     def _log_failure(self, error: SpikeserveError) -> None:
         if self._pause == FIRST_PAUSE:  # the first of several

@@ -137,7 +137,7 @@ class LocalCopy:
             return self._answer
 
     def value(self) -> bytes:
-        """Returns the value of the session, as the server's ExportSession. Plays all beats before."""
+        """Plays all beats, and returns the value of the session, as ExportSession of the server."""
         self.catch_up()
         with self._lock:
             return bytes(self._session.export())

@@ -171,9 +171,9 @@ class Pilot:
         return self._action(chosen, age)
 
     def _await_answer(self, deadline: float) -> tuple[Action, int] | None:
-        """Returns the newest answer that was not executed and is not stale, waiting for a better one.
+        """Returns the newest answer that was not executed and is not stale, and its time.
 
-        Waits only for an answer that should arrive in time.
+        Waits for a newer answer if it should arrive in time.
         """
         link = self._link
         while True:

@@ -34,12 +34,12 @@ class PilotOptions:
 
     period: float  # seconds between two beats
     budget: float | None = None  # seconds that a beat may wait for an answer; None: half a period
-    # Seconds from an observation on, after which an answer to it is stale, and never executed. None:
+    # Seconds after its observation from which on an answer is stale, and never executed. None:
     # 0.25, or three periods if that is more.
     max_age: float | None = None
     hold_beats: int = 3
-    # Whether to use the engine on the robot. None: if the package spikeserve-engine is installed and
-    # the policy file is here: at `local_policy`, or sent by the server.
+    # Whether to use the engine on the robot. None: if the package spikeserve-engine is installed,
+    # and the policy file is at `local_policy` or comes from the server.
     local: bool | None = None
     # The policy file, or the folder DIR of DIR/<policy>/<version>/policy.safetensors.
     local_policy: str | os.PathLike[str] | None = None

@@ -56,12 +56,12 @@ class Ages:
         self._total += 1
 
     def quantile(self, share: float) -> float:
-        """Returns the age in seconds that `share` of the ages do not exceed; 0 if there are none."""
+        """Returns the age in seconds that `share` of the ages do not exceed; 0: there are none."""
         left = math.ceil(share * self._total)
         for index, count in enumerate(self._counts):
             left -= count
             if count and left <= 0:
-                return _FIRST * _GROWTH ** (index + 0.5)
+                return float(_FIRST * _GROWTH ** (index + 0.5))
         return 0.0
 
 

@@ -60,7 +60,7 @@ class ServerSession:
             raise make_error(
                 "OpenSession",
                 grpc.StatusCode.UNIMPLEMENTED,
-                "server: expected a release that appends beats (history_limit), received an older one",
+                "server: expected a release that appends beats, received an older one",
             )
         with contextlib.suppress(SpikeserveError):
             self._export()
@@ -87,7 +87,7 @@ class ServerSession:
         return learning is not None and learning.scope == "FLEET"
 
     def open(self) -> None:
-        """Opens the session if it is not open, and brings its value to the robot if it is wanted."""
+        """Opens the session if it is not open; otherwise brings its value to the robot."""
         if not self.is_open:
             self.opener.route.is_pinned = False
             self._call = self._call or self._opening(_TIMEOUT)
