@@ -14,6 +14,7 @@
 #include "server/admin/head_metrics.h"
 #include "server/base/log.h"
 #include "server/certificate_metrics.h"
+#include "server/metrics/robot_metrics.h"
 #include "server/rollouts/traffic_metrics.h"
 #include "server/services/service_name.h"
 #include "server/store/open_store.h"
@@ -245,6 +246,7 @@ absl::Status Server::StartTransport() {
     certificates_.Add(tls_.get());
   }
   metrics_->AddSource([this] { return CollectCertificates(certificates_); });
+  metrics_->AddSource([this] { return CollectRobots(store_); });
   auto transport = Transport::Create(
       {.listen = *std::move(address),
        .limits = options_.transport_limits,

@@ -7,6 +7,7 @@
 #include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
+#include "core/session/beats.h"
 #include "nlohmann/json.hpp"
 #include "server/base/expected_decision.h"
 #include "server/base/retry_delay.h"
@@ -181,6 +182,7 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
     proto.set_traffic_percent(entry.settings.PercentOf(served.version));
   }
   proto.set_is_shadow(served.version == entry.settings.shadow_version);
+  ToProto(policy.Neutral(), policy.action_space.is_discrete(), proto.mutable_neutral_action());
   return proto;
 }
 
@@ -270,6 +272,8 @@ void ToProto(const std::string& session_id, const SessionOptions& options,
   response->set_target_return(options.target_return);
   response->set_recording(options.recording);
   response->set_durability(ToProto(options.durability));
+  response->set_history_limit(kHistoryLimit);
+  ToProto(policy.Neutral(), policy.action_space.is_discrete(), response->mutable_neutral_action());
 }
 
 void ErrorToProto(const absl::Status& status, v1::ActResult* result) {

@@ -10,6 +10,7 @@
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/session/session_export.h"
 #include "core/session/session_value.h"
 #include "server/agent/act_together.h"
 #include "server/agent/convert.h"
@@ -41,6 +42,12 @@ absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& 
   return absl::OkStatus();
 }
 
+absl::Status CheckPeriod(double seconds) {
+  if (seconds >= 0.0001 && seconds <= 3600.0) return absl::OkStatus();  // false for NaN
+  return absl::InvalidArgumentError(
+      absl::StrCat("period_seconds: expected 0.0001 to 3600, received ", seconds));
+}
+
 absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
                                                 const ServedPolicy& served) {
   auto settings = RequestFromProto(request);
@@ -50,6 +57,9 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   options->policy_sha256 = served.sha256;
   if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
   options->labels.insert(request.labels().begin(), request.labels().end());
+  if (!request.has_period_seconds()) return options;
+  if (auto status = CheckPeriod(request.period_seconds()); !status.ok()) return status;
+  options->labels[kPeriodLabel] = absl::StrCat(request.period_seconds());
   return options;
 }
 
@@ -287,14 +297,26 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
   return RetryDelay(writable).has_value() ? writable : WithRetryDelay(writable, kStoreRetryDelay);
 }
 
+void PolicyHandler::CountBeats(const Credential& caller, int64_t beats) const {
+  if (!caller.tenant()->limits_decisions()) return;
+  const absl::Duration now = clock_->Now();
+  for (; beats > 0 && caller.tenant()->AcquireDecision(now).ok(); --beats) {
+  }
+}
+
 absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_t> step,
                                   const v1::ActRequest& request, v1::ActResponse* response,
                                   DeferredWork* deferred) const {
   auto entry = FindForDecision(caller, request);
   if (!entry.ok()) return entry.status();
-  ActItem item = {
-      .request = &request, .step = step, .entry = *std::move(entry), .response = response};
-  ActTogether(absl::MakeSpan(&item, 1));
+  ActItem item = {.request = &request,
+                  .step = step,
+                  .entry = *std::move(entry),
+                  .response = response,
+                  .received = clock_->Now()};
+  do {
+    ActTogether(absl::MakeSpan(&item, 1), *clock_);
+  } while (item.status.ok() && !item.beats.finished);
   if (item.status.ok()) deferred->Add(std::move(item.entry), shadows_);
   return item.status;
 }
@@ -303,14 +325,20 @@ absl::Status PolicyHandler::ActAt(const Credential& caller, std::optional<int64_
 // session are made in order.
 void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
                             absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const {
-  absl::InlinedVector<ActItem, 1> items;     // of the group, without requests that were refused
-  absl::InlinedVector<size_t, 1> positions;  // of `items` in `acts`
-  size_t begin = 0;                          // of the group
+  absl::InlinedVector<ActItem, 1> items;        // of the group, without requests that were refused
+  absl::InlinedVector<size_t, 1> positions;     // of `items` in `acts`
+  size_t begin = 0;                             // of the group
+  std::vector<const SessionEntry*> unfinished;  // sessions of requests that have not finished
   const auto answer_group = [&](size_t end) {
-    ActTogether(absl::MakeSpan(items));
+    ActTogether(absl::MakeSpan(items), *clock_);
     for (size_t i = 0; i < items.size(); ++i) {
-      acts[positions[i]].status = items[i].status;
-      acts[positions[i]].commits = std::move(items[i].commits);
+      AgentAct& act = acts[positions[i]];
+      act.status = items[i].status;
+      act.commits = std::move(items[i].commits);
+      const int64_t appended = items[i].beats.appended - act.beats.appended;
+      if (appended > 0) CountBeats(*act.caller, appended);
+      act.beats = items[i].beats;
+      if (!act.beats.finished) unfinished.push_back(items[i].entry.get());
       if (items[i].status.ok()) deferred->Add(std::move(items[i].entry), shadows_);
     }
     answered(acts.subspan(begin, end - begin));
@@ -326,10 +354,16 @@ void PolicyHandler::ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
     const bool again =
         absl::c_any_of(items, [&](const ActItem& item) { return item.entry == *entry; });
     if (again || items.size() == kMaxSessionsPerGroup) answer_group(i);
+    if (!unfinished.empty() && absl::c_linear_search(unfinished, entry->get())) {
+      act.beats.finished = false;
+      continue;
+    }
     items.push_back({.request = act.request,
                      .step = act.request->step(),
                      .entry = *std::move(entry),
                      .response = act.response,
+                     .received = act.received,
+                     .beats = act.beats,
                      .may_claim = act.may_claim});
     positions.push_back(i);
   }
@@ -344,18 +378,24 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 
 int PolicyHandler::ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request,
                                  int first, v1::ActBatchResponse* response, DeferredWork* deferred,
-                                 Commits* commits, bool may_claim) const {
+                                 Commits* commits, bool may_claim, absl::Duration received) const {
   const int end = std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   absl::InlinedVector<AgentAct, kMaxSessionsPerGroup> acts;
   for (int i = first; i < end; ++i) {
     acts.push_back({.caller = &caller,
                     .request = &request.requests(i),
                     .response = response->add_results()->mutable_response(),
-                    .may_claim = may_claim});
+                    .may_claim = may_claim,
+                    .received = received});
   }
   ActMany(absl::MakeSpan(acts), deferred, [](absl::Span<AgentAct> /*group*/) {});
   for (int i = first; i < end; ++i) {
     AgentAct& act = acts[static_cast<size_t>(i - first)];
+    if (act.status.ok() && !act.beats.finished) {
+      // Those behind it that have an answer get it again, as retries.
+      while (response->results_size() > i) response->mutable_results()->RemoveLast();
+      return i;
+    }
     if (!act.status.ok()) {
       ErrorToProto(act.status, response->mutable_results(i));
     } else if (!act.commits.empty()) {
@@ -443,6 +483,26 @@ absl::Status PolicyHandler::Explain(const Credential& caller, const v1::ExplainR
   const auto entry = FindReadable(caller, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
+}
+
+absl::Status PolicyHandler::ExportSession(const Credential& caller,
+                                          const v1::ExportSessionRequest& request,
+                                          v1::ExportSessionResponse* response) const {
+  const auto entry = store_->Find(request.session_id(), caller.tenant()->name());
+  if (!entry.ok()) return entry.status();
+  if (auto status = CheckMayPlay(caller, **entry); !status.ok()) return status;
+  absl::MutexLock lock(&(*entry)->mutex);
+  const AgentSession& agent = (*entry)->agent;
+  const Session& session = agent.session();
+  response->set_value(spikeserve::ExportSession(agent));
+  response->set_policy((*entry)->served->name);
+  response->set_version((*entry)->served->version);
+  response->set_policy_sha256(session.options.policy_sha256);
+  response->set_decision(session.decisions);
+  response->set_episode(session.episode);
+  response->set_step(session.step);
+  response->set_frozen(IsFrozenByExport(session));
+  return absl::OkStatus();
 }
 
 absl::Status PolicyHandler::CloseSession(const Credential& caller,

@@ -11,9 +11,11 @@
 
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
+#include "absl/time/time.h"
 #include "absl/types/span.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/agent/beat_requests.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/durable_answer.h"
 #include "server/agent/policy_list.h"
@@ -38,9 +40,13 @@ struct AgentAct {
   const Credential* caller = nullptr;
   const v1::ActRequest* request = nullptr;
   v1::ActResponse* response = nullptr;
-  absl::Status status = absl::OkStatus();  // set with `response`
-  Commits commits = {};                    // what the answer waits for; set with `response`
-  bool may_claim = false;                  // as ActItem::may_claim
+  absl::Status status = absl::OkStatus();          // set with `response`
+  Commits commits = {};                            // what the answer waits for; set with `response`
+  bool may_claim = false;                          // as ActItem::may_claim
+  absl::Duration received = absl::ZeroDuration();  // as ActItem::received
+  // Of a request with beats (beat_requests.h). If it has not finished, it has no answer yet, and is
+  // to be passed to ActMany() again, before later requests for its session.
+  BeatProgress beats = {};
 };
 
 // How sessions are stored.
@@ -80,18 +86,18 @@ class PolicyHandler {
                        v1::ActResponse* response, DeferredWork* deferred) const;
   // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
   // session are made in the order of `acts`. Calls `answered` for each group, which is the next
-  // part of `acts`, so that its answers can be sent before the next group is decided.
+  // part of `acts`, so that its answers can be sent before the next group is decided. A request
+  // with many beats may be left unfinished, and then those behind it for the same session are, too.
   void ActMany(absl::Span<AgentAct> acts, DeferredWork* deferred,
                absl::FunctionRef<void(absl::Span<AgentAct> group)> answered) const;
   // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
   static absl::Status CheckBatch(const v1::ActBatchRequest& request);
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
-  // after the last one. An item that fails has its own code in `response`. `may_claim` as
-  // ActItem::may_claim.
-  // REQUIRES: CheckBatch returned OK.
+  // after the last one, or of the first one that has not finished. An item that fails has its own
+  // code in `response`. `may_claim` as ActItem::may_claim. REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(const Credential& caller, const v1::ActBatchRequest& request, int first,
                     v1::ActBatchResponse* response, DeferredWork* deferred, Commits* commits,
-                    bool may_claim = false) const;
+                    bool may_claim = false, absl::Duration received = absl::ZeroDuration()) const;
   absl::Status EndEpisode(const Credential& caller, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response, Commits* commits = nullptr,
                           bool may_claim = false) const;
@@ -100,6 +106,8 @@ class PolicyHandler {
   // Takes about a thousand times as long as a decision; see ExplainSession.
   absl::Status Explain(const Credential& caller, const v1::ExplainRequest& request,
                        v1::ExplainResponse* response) const;
+  absl::Status ExportSession(const Credential& caller, const v1::ExportSessionRequest& request,
+                             v1::ExportSessionResponse* response) const;
   absl::Status CloseSession(const Credential& caller, const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response, Commits* commits = nullptr) const;
 
@@ -126,6 +134,9 @@ class PolicyHandler {
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
       const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;
 
+  // Counts the beats that were appended as decisions of the caller's tenant, as far as its limit
+  // goes.
+  void CountBeats(const Credential& caller, int64_t beats) const;
   // Counts one decision of the caller's tenant and returns the session of `request`. Returns
   // RESOURCE_EXHAUSTED if the tenant exceeds its limit.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindForDecision(

@@ -30,8 +30,8 @@ void ActCall::Handle() {
   queue_.Add({.client = self,
               .messages = std::shared_ptr<ActMessages>(self, &messages()),
               .caller = &caller(),
-              .request_bytes = 0,                  // the call knows its own
-              .received = absl::ZeroDuration()});  // as above
+              .request_bytes = 0,  // the call knows its own
+              .received = context().clock->Now()});
 }
 
 void ActCall::OnDecided(ActMessages& /*messages*/, const absl::Status& status,
@@ -48,13 +48,14 @@ void ActBatchCall::Handle() {
   if (status.ok()) status = HoldMessages(request().requests_size() * kAnswerBytes);
   if (!status.ok()) return End(status);
   decided_ = 0;
+  received_at_ = context().clock->Now();
   queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
 }
 
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
   if (call() == nullptr) return true;
   decided_ = handler.ActBatchGroup(caller(), request(), decided_, response(), deferred, commits(),
-                                   may_claim());
+                                   may_claim(), received_at_);
   if (decided_ < request().requests_size()) return false;
   EndWhenDurable({absl::OkStatus(), RefusalWithin(*response())});
   return true;

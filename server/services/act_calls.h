@@ -45,6 +45,7 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
 
   ActQueue& queue_;
   int decided_ = 0;  // requests
+  absl::Duration received_at_;
 };
 
 // Answers any number of requests. A request that fails is answered with its error, and the stream

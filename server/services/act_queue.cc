@@ -19,12 +19,16 @@ void DecideGroups(const PolicyHandler& handler, absl::Span<const ActQueue::Act> 
     requests.push_back({.caller = act.caller,
                         .request = act.messages->request(),
                         .response = act.messages->response(),
-                        .may_claim = may_claim && !act.recovered});
+                        .may_claim = may_claim && !act.recovered,
+                        .received = act.received,
+                        .beats = act.beats});
   }
   handler.ActMany(absl::MakeSpan(requests), deferred, [&](absl::Span<AgentAct> group) {
     answered(static_cast<size_t>(group.data() - requests.data()), group);
   });
 }
+
+bool IsFinished(const AgentAct& act) { return act.beats.finished || !act.status.ok(); }
 
 }  // namespace
 
@@ -66,7 +70,8 @@ void ActQueue::Run() {
   }
   for (const auto& batch : std::exchange(foreign_, {})) DecideForeign(batch);
   if (!batches_.empty()) DecideBatchGroup();
-  if (!batches_.empty()) AskForTurn();
+  if (!turns_.empty()) DecideWaiting();
+  if (!batches_.empty() || !turns_.empty()) AskForTurn();
   running_ = false;
 }
 
@@ -80,12 +85,72 @@ void ActQueue::DecideBatchGroup() {
   if (!done) batches_.push_back(batch);
 }
 
-void ActQueue::Decide(std::vector<Act> acts) {
+void ActQueue::Wait(ActQueue* from, Act act) {
+  const std::string& id = act.messages->request()->session_id();
+  std::deque<Waiting>& behind = waiting_[id];
+  if (behind.empty()) turns_.push_back(id);
+  behind.push_back({from, std::move(act)});
+}
+
+std::vector<ActQueue::Act> ActQueue::HoldBack(ActQueue* from, std::vector<Act> acts) {
+  if (waiting_.empty()) return acts;
+  std::vector<Act> others;
+  for (Act& act : acts) {
+    if (waiting_.contains(act.messages->request()->session_id())) {
+      Wait(from, std::move(act));
+    } else {
+      others.push_back(std::move(act));
+    }
+  }
+  return others;
+}
+
+void ActQueue::DecideWaiting() {
+  const std::string id = std::move(turns_.front());
+  turns_.pop_front();
+  std::deque<Waiting>& behind = waiting_[id];
+  Waiting first = std::move(behind.front());
+  behind.pop_front();
+  DeferredWork deferred;
+  DecideGroups(handler_, absl::MakeConstSpan(&first.act, 1), recovery_ != nullptr, &deferred,
+               [&](size_t /*first*/, absl::Span<const AgentAct> group) {
+                 if (group.empty()) return;
+                 const AgentAct& act = group[0];
+                 if (!IsFinished(act)) {
+                   first.act.beats = act.beats;
+                   behind.push_front(std::move(first));
+                 } else if (first.from == this) {
+                   Answer(first.act, act.status, act.commits);
+                 } else {
+                   // The call is destroyed on the thread of its loop.
+                   first.from->loop_.events().Post(
+                       [from = first.from, act = std::move(first.act), status = act.status,
+                        commits = act.commits] { from->Answer(act, status, commits); });
+                 }
+               });
+  if (behind.empty()) {
+    waiting_.erase(id);
+  } else {
+    turns_.push_back(id);
+  }
+  loop_.FlushWrites();
+  deferred.Run();
+}
+
+void ActQueue::Decide(std::vector<Act> added) {
+  const std::vector<Act> acts = HoldBack(this, std::move(added));
   DeferredWork deferred;
   DecideGroups(handler_, acts, recovery_ != nullptr, &deferred,
                [&](size_t first, absl::Span<const AgentAct> group) {
                  for (size_t i = 0; i < group.size(); ++i) {
-                   Answer(acts[first + i], group[i].status, group[i].commits);
+                   const Act& act = acts[first + i];
+                   if (IsFinished(group[i])) {
+                     Answer(act, group[i].status, group[i].commits);
+                   } else {
+                     Act again = act;
+                     again.beats = group[i].beats;
+                     Wait(this, std::move(again));
+                   }
                  }
                  loop_.FlushWrites();
                  deferred.Run();
@@ -93,12 +158,20 @@ void ActQueue::Decide(std::vector<Act> acts) {
 }
 
 void ActQueue::DecideForeign(const std::shared_ptr<Batch>& batch) {
+  std::vector<Act> acts = HoldBack(batch->from, std::exchange(batch->acts, {}));
   DeferredWork deferred;
-  DecideGroups(handler_, batch->acts, recovery_ != nullptr, &deferred,
-               [&](size_t /*first*/, absl::Span<const AgentAct> group) {
-                 for (const AgentAct& act : group) {
-                   batch->statuses.push_back(act.status);
-                   batch->commits.push_back(act.commits);
+  DecideGroups(handler_, acts, recovery_ != nullptr, &deferred,
+               [&](size_t first, absl::Span<const AgentAct> group) {
+                 for (size_t i = 0; i < group.size(); ++i) {
+                   Act& act = acts[first + i];
+                   if (IsFinished(group[i])) {
+                     batch->acts.push_back(std::move(act));
+                     batch->statuses.push_back(group[i].status);
+                     batch->commits.push_back(group[i].commits);
+                   } else {
+                     act.beats = group[i].beats;
+                     Wait(batch->from, std::move(act));
+                   }
                  }
                });
   batch->from->loop_.events().Post([batch] {

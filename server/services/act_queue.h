@@ -11,8 +11,10 @@
 
 #include <deque>
 #include <memory>
+#include <string>
 #include <vector>
 
+#include "absl/container/flat_hash_map.h"
 #include "absl/status/status.h"
 #include "absl/time/time.h"
 #include "server/access/authenticator.h"
@@ -59,6 +61,7 @@ class ActQueue {
     size_t request_bytes;
     absl::Duration received;  // of the server's clock
     bool recovered = false;   // the session was looked for in the store
+    BeatProgress beats = {};  // as AgentAct::beats
   };
 
   // All must outlive the queue. If `recovery` is null, no session is stored.
@@ -88,11 +91,23 @@ class ActQueue {
     std::vector<Commits> commits;
   };
 
+  // A request that came from the loop of `from`.
+  struct Waiting {
+    ActQueue* from;
+    Act act;
+  };
+
   void Decide(std::vector<Act> acts);
   void DecideBatchGroup();
   // Makes sure that Run() is called for what was added.
   void AskForTurn();
   void DecideForeign(const std::shared_ptr<Batch>& batch);
+  // Lets a request wait for its turn, behind the others of its session.
+  void Wait(ActQueue* from, Act act);
+  // Lets those of `acts` wait whose session has a request that waits. Returns the others.
+  std::vector<Act> HoldBack(ActQueue* from, std::vector<Act> acts);
+  // Handles a part of the first request of one session that waits.
+  void DecideWaiting();
 
   // Gives the answer to its client, or waits until the store has the session or the decision.
   void Answer(const Act& act, const absl::Status& status, const Commits& commits);
@@ -105,6 +120,10 @@ class ActQueue {
   std::vector<std::vector<Act>> added_;  // by the loop that the session belongs to
   std::vector<std::shared_ptr<Batch>> foreign_;
   std::deque<std::shared_ptr<ActBatchClient>> batches_;
+  // Requests with many beats, of which each turn handles a part of one, and the requests behind
+  // them, by session; and the sessions in the order of their turns.
+  absl::flat_hash_map<std::string, std::deque<Waiting>> waiting_;
+  std::deque<std::string> turns_;
   bool running_ = false;  // in Run(), and no further turn was asked for
 };
 

@@ -121,6 +121,11 @@ void Services::AddAdmin(Method method, Handler* handler, HandlerMethod handler_m
   if (GetMethodInfo(method).access != Access::kOperatorOnly) {
     return AddBackground(method, handler, handler_method, handlers_.admin_worker);
   }
+  AddRecorded(method, handler, handler_method);
+}
+
+template <typename Handler, typename HandlerMethod>
+void Services::AddRecorded(Method method, Handler* handler, HandlerMethod handler_method) {
   using Types = decltype(MessagesOf(handler_method));
   using Request = typename Types::Request;
   using Response = typename Types::Response;
@@ -150,6 +155,7 @@ void Services::AddPolicyService() {
   Add(Method::kGetSession, policy, &PolicyHandler::GetSession);
   Add(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
   Add(Method::kExplain, policy, &PolicyHandler::Explain);
+  AddRecorded(Method::kExportSession, policy, &PolicyHandler::ExportSession);
   table_.Add(absl::StrCat(service_, GetMethodInfo(Method::kAct).name),
              [this](Call* call, LoopServices* loop) {
                return Started(std::make_shared<ActCall>(&context_, call, &loop->acts()));

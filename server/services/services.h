@@ -64,6 +64,9 @@ class Services {
   // means that it changes something, the call is recorded in the audit log.
   template <typename Handler, typename HandlerMethod>
   void AddAdmin(Method method, Handler* handler, HandlerMethod handler_method);
+  // Adds a method whose calls are recorded in the audit log.
+  template <typename Handler, typename HandlerMethod>
+  void AddRecorded(Method method, Handler* handler, HandlerMethod handler_method);
 
   const ServiceContext context_;
   const Handlers handlers_;
