@@ -90,7 +90,7 @@ class LocalCopy:
                 played = engine.Engine(file.name)
         else:
             played = engine.Engine(policy)
-        session = played.open(export.value)
+        session = played.resume(export.value)
         with self._lock:
             position = (export.episode, export.step)
             beats = [*self._played, *self._pending]
