@@ -112,6 +112,8 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& se
   // TCP_USER_TIMEOUT to the timeout.
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, Milliseconds(security.keepalive));
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, Milliseconds(security.keepalive_timeout));
+  // Newer releases of gRPC wait for the answer to a PING for a minute unless told otherwise.
+  arguments.SetInt("grpc.http2.ping_timeout_ms", Milliseconds(security.keepalive_timeout));
   arguments.SetInt(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
   if (security.token.empty()) return grpc::CreateCustomChannel(server, *credentials, arguments);
   std::vector<std::unique_ptr<interception::ClientInterceptorFactoryInterface>> interceptors;

@@ -47,6 +47,7 @@ def channel_options(keepalive: float, keepalive_timeout: float) -> list[tuple[st
         ("grpc.min_reconnect_backoff_ms", 2000),
         ("grpc.keepalive_time_ms", round(1000 * keepalive)),
         ("grpc.keepalive_timeout_ms", round(1000 * keepalive_timeout)),
+        ("grpc.http2.ping_timeout_ms", round(1000 * keepalive_timeout)),
         ("grpc.http2.max_pings_without_data", 0),
     ]
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import secrets
 import time
+import weakref
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from spikeserve.check import check
 from spikeserve.lines import Doubt, Line
@@ -22,6 +23,13 @@ AFFINITY_KEY = "spikeserve-affinity"  # the metadata by which proxies choose a s
 PROBE_SECONDS = 1.0
 
 
+class Cancellable(Protocol):
+    """A call that can be cancelled."""
+
+    def cancel(self) -> Any:
+        """Ends the call, if it has not ended."""
+
+
 class Replica:
     """One server of a client: its address and the line to it, which a fresh one may replace."""
 
@@ -29,6 +37,8 @@ class Replica:
         self.address = address
         self.line = line
         self.doubt = Doubt()  # of the line
+        # Those on the line. A fresh line cancels them: grpc.aio does not when it closes a channel.
+        self.streams: weakref.WeakSet[Cancellable] = weakref.WeakSet()
         self.renewals = 0  # how often a fresh line has replaced one that did not answer
         self.is_away = False
         self.is_probed = False  # a probe is under way
@@ -39,6 +49,8 @@ class Replica:
         """Replaces the line by a fresh one. Calls that begin from now on go there."""
         self.line = line
         self.renewals += 1
+        for stream in list(self.streams):
+            stream.cancel()
 
 
 class Route:

@@ -26,7 +26,9 @@ class StreamOpener:
         self._replica = self._channels.replicas.choose(self.route)
         metadata = self._channels.metadata(self.route)
         self._line = self._replica.line
-        return self._line.methods[ACT_STREAM.name](*requests, metadata=metadata)
+        call = self._line.methods[ACT_STREAM.name](*requests, metadata=metadata)
+        self._replica.streams.add(call)
+        return call
 
     def take(self, cursor: SessionCursor) -> None:
         """Lets all calls of a session go to the server of the stream from now on.
