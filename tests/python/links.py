@@ -12,7 +12,7 @@ SEGMENT = 1448  # bytes
 
 
 class Link:
-    """Forwards connections to `target`, HOST:PORT, and listens at `address`.
+    """Forwards connections to `target`, HOST:PORT, which may change, and listens at `address`.
 
     `delay` is that of one direction in seconds. Of the segments, `loss` are lost and sent again: those that follow
     them wait, as with TCP. `cut` keeps everything back until `heal`. `forget` keeps back for ever what comes on the
@@ -20,8 +20,7 @@ class Link:
     """
 
     def __init__(self, target, delay=0.0, loss=0.0, seed=0):
-        host, _, port = target.rpartition(":")
-        self._target = (host, int(port))
+        self.target = target
         self.delay, self.loss = delay, loss
         self.random = random.Random(seed)
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -64,7 +63,8 @@ class Link:
             while True:
                 client, _ = self._listener.accept()
                 try:
-                    server = socket.create_connection(self._target)
+                    host, _, port = self.target.rpartition(":")
+                    server = socket.create_connection((host, int(port)))
                 except OSError:
                     client.close()
                     continue

@@ -101,7 +101,10 @@ class Ladder:
 
     def _enter(self, source: str) -> None:
         if self._rung:
-            level = logging.INFO if source in ("fresh", "held") else logging.WARNING
+            # Beats between two answers are held for a moment on every link.
+            level = logging.WARNING
+            if source in ("fresh", "held"):
+                level = logging.DEBUG if self._rung in ("fresh", "held") else logging.INFO
             LOGGER.log(level, "%s after %d beats %s", source, self._rung_beats, self._rung)
         self._rung, self._rung_beats = source, 0
         self.entries[source] += 1

@@ -62,8 +62,9 @@ class ServerSession:
                 grpc.StatusCode.UNIMPLEMENTED,
                 "server: expected a release that appends beats, received an older one",
             )
-        with contextlib.suppress(SpikeserveError):
-            self._export()
+        if self._wants_export:
+            with contextlib.suppress(SpikeserveError):  # the link tries again
+                self._export()
 
     @property
     def wants_export(self) -> bool:
