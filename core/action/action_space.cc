@@ -59,15 +59,6 @@ absl::Status ActionSpace::Contains(const Action& action) const {
   return absl::OkStatus();
 }
 
-Action ActionSpace::Neutral() const {
-  Action neutral;
-  for (size_t i = 0; i < low.size(); ++i) {
-    const bool admits_zero = low[i] <= 0.0f && high[i] >= 0.0f;
-    neutral.continuous.push_back(admits_zero ? 0.0f : 0.5f * low[i] + 0.5f * high[i]);
-  }
-  return neutral;
-}
-
 absl::Status ActionSpace::Validate() const {
   if (low.empty() && high.empty()) {
     if (n >= 1) return absl::OkStatus();

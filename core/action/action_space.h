@@ -49,10 +49,6 @@ struct ActionSpace {
   // bounds. INVALID_ARGUMENT otherwise.
   absl::Status Contains(const Action& action) const;
 
-  // Returns the action nearest to doing nothing: index 0, or in each element of a Box 0, if the bounds
-  // admit it, and otherwise their middle.
-  Action Neutral() const;
-
   // Returns INVALID_ARGUMENT unless the space has either n >= 1 and no bounds, or n = 0 and finite
   // bounds of equal length with low < high.
   absl::Status Validate() const;

@@ -28,13 +28,8 @@ struct Policy {
   float modulator_mean = 0.0f;  // mu and sigma of eq. 4.2
   float modulator_std = 1.0f;
 
-  // What a robot does when it has no other action; absent: action_space.Neutral().
-  std::optional<Action> neutral_action;
-
   std::string environment;      // Gymnasium id, for example "CartPole-v1"
   std::string training = "{}";  // JSON object: command, seed, data recipe, evaluation
-
-  Action Neutral() const { return neutral_action.value_or(action_space.Neutral()); }
 
   int observation_size() const { return static_cast<int>(weights.observation_mean.values.size()); }
 

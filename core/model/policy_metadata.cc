@@ -2,9 +2,7 @@
 
 #include <charconv>
 #include <cmath>
-#include <optional>
 #include <type_traits>
-#include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -141,35 +139,6 @@ absl::Status ParseActionSpace(const std::string& text, ActionSpace* space) {
   return reader.Finish();
 }
 
-std::string FormatAction(const Action& action, const ActionSpace& space) {
-  return space.is_discrete() ? json(action.discrete).dump() : json(action.continuous).dump();
-}
-
-// Parses an index, or a list of values.
-absl::Status ParseNeutralAction(const std::string& text, const ActionSpace& space,
-                                std::optional<Action>* action) {
-  constexpr char kField[] = "neutral_action";
-  const json value = json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
-  Action parsed;
-  if (space.is_discrete()) {
-    if (!value.is_number_integer()) return FieldError(kField, "an index", Quoted(text));
-    const auto index = value.get<int64_t>();
-    // Contains() names the range; this one does not fit an int.
-    parsed.discrete = index < 0 || index >= space.n ? -1 : static_cast<int>(index);
-  } else {
-    if (!value.is_array()) return FieldError(kField, "a list of numbers", Quoted(text));
-    for (const json& element : value) {
-      if (!element.is_number()) return FieldError(kField, "a list of numbers", Quoted(text));
-      parsed.continuous.push_back(element.get<float>());
-    }
-  }
-  if (auto status = space.Contains(parsed); !status.ok()) {
-    return FieldError(kField, "an action of the action space", Quoted(text));
-  }
-  *action = std::move(parsed);
-  return absl::OkStatus();
-}
-
 }  // namespace
 
 std::map<std::string, std::string> FormatPolicyMetadata(const Policy& policy) {
@@ -182,9 +151,6 @@ std::map<std::string, std::string> FormatPolicyMetadata(const Policy& policy) {
   };
   VisitNumbers(policy,
                [&metadata](const char* key, float number) { metadata[key] = Format(number); });
-  if (policy.neutral_action.has_value()) {
-    metadata["neutral_action"] = FormatAction(*policy.neutral_action, policy.action_space);
-  }
   return metadata;
 }
 
@@ -211,10 +177,6 @@ absl::Status ParsePolicyMetadata(const std::map<std::string, std::string>& metad
   });
   status.Update(ParseConfig(config, &policy->config));
   status.Update(ParseActionSpace(action_space, &policy->action_space));
-  const auto neutral = metadata.find("neutral_action");
-  if (status.ok() && neutral != metadata.end()) {
-    status = ParseNeutralAction(neutral->second, policy->action_space, &policy->neutral_action);
-  }
   return status;
 }
 
