@@ -90,6 +90,8 @@ void AddFlags(Command program, ServerOptions* options) {
   program.Flags("Advanced: policies and sessions")
       .AddSwitch("allow_unrecorded_changes", &options->allow_unrecorded_changes,
                  "Let operators change things while --audit_log cannot be written")
+      .AddSwitch("withhold_policies", &options->withhold_policies,
+                 "Do not send policy files to robots (ExportSession)")
       .AddSwitch("allow_no_policies", &options->allow_no_policies,
                  "Start although no policy can be served")
       .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,

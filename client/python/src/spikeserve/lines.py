@@ -49,6 +49,7 @@ def channel_options(keepalive: float, keepalive_timeout: float) -> list[tuple[st
         ("grpc.keepalive_timeout_ms", round(1000 * keepalive_timeout)),
         ("grpc.http2.ping_timeout_ms", round(1000 * keepalive_timeout)),
         ("grpc.http2.max_pings_without_data", 0),
+        ("grpc.max_receive_message_length", 1 << 28),  # a policy file may be large
     ]
 
 
