@@ -54,8 +54,7 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
            "Time in which a client takes no answers")
       .Add("keepalive_interval", "DURATION", &limits->keepalive_interval,
            "Silence of a client with an open call before a PING")
-      .Add("keepalive_timeout", "DURATION", &limits->keepalive_timeout,
-           "Time to answer the PING")
+      .Add("keepalive_timeout", "DURATION", &limits->keepalive_timeout, "Time to answer the PING")
       .Add("max_connection_age", "DURATION", &limits->max_connection_age,
            "Age at which clients are asked to connect again");
 }

@@ -4,9 +4,9 @@
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
-#include "core/base/file.h"
 #include "core/model/policy_file.h"
 #include "server/policies/version_writer.h"
 
