@@ -65,8 +65,9 @@ struct ExecutedAction {
 ExecutedAction ToExecuted(const nb::handle& given) {
   ExecutedAction executed;
   if (given.is_none()) return executed;
-  if (int64_t index = 0; nb::try_cast(given, index)) {
-    executed.action = index;
+  // An array of one element converts to an integer, too, and is no index.
+  if (PyIndex_Check(given.ptr()) != 0 && PySequence_Check(given.ptr()) == 0) {
+    executed.action = nb::cast<int64_t>(nb::int_(given));
     return executed;
   }
   executed.values = ToArray<float>("executed_action", given, 1);

@@ -361,6 +361,8 @@ class Link:
         self.session.lose()
         self.answer = None
         self._fail(self.log.begin_again(), reason)
+        if self.session.local is not None:
+            self.session.local.begin_again(self.log.running.beats)
 
     @staticmethod
     def _fail(endings: list[Ending], reason: str) -> None:

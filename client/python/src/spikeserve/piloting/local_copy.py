@@ -9,13 +9,15 @@ import logging
 import pathlib
 import tempfile
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikeserve.piloting.beat_log import Ending
+from spikeserve.check import check
+from spikeserve.piloting.beat_log import Beat, Ending
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.values import Action
 from spikeserve.wire import Message
@@ -52,6 +54,7 @@ class LocalCopy:
 
     def __init__(self, most_pending: int) -> None:
         self._lock = threading.Lock()  # of the session
+        self._queue = threading.Lock()  # of what waits to be played
         self._session: Any = None
         self._pending: collections.deque[_Beat] = collections.deque()
         self._played: collections.deque[_Beat] = collections.deque(maxlen=most_pending)
@@ -63,6 +66,11 @@ class LocalCopy:
     def is_ready(self) -> bool:
         """Returns whether the copy can decide."""
         return self._session is not None and not self._is_broken
+
+    @property
+    def is_broken(self) -> bool:
+        """Returns whether the copy needs the value of the session again."""
+        return self._is_broken
 
     @property
     def is_behind(self) -> bool:
@@ -91,7 +99,7 @@ class LocalCopy:
         else:
             played = engine.Engine(policy)
         session = played.resume(export.value)
-        with self._lock:
+        with self._lock, self._queue:
             position = (export.episode, export.step)
             beats = [*self._played, *self._pending]
             while beats and beats[0].position < position:
@@ -113,10 +121,21 @@ class LocalCopy:
         ending: Ending | None,
     ) -> None:
         """Adds a beat, and the executed action of the beat before. `ending` ends its episode."""
-        self._pending.append(_Beat(observation, reward, before, position, ending))
-        if len(self._pending) > self._most_pending:
-            self._is_broken = True
+        with self._queue:
+            self._pending.append(_Beat(observation, reward, before, position, ending))
+            if len(self._pending) > self._most_pending:
+                self._pending.popleft()  # the session cannot be continued without it
+
+    def begin_again(self, beats: Iterable[Beat]) -> None:
+        """Waits for the value of a new session, whose first episode begins with `beats`."""
+        with self._lock, self._queue:
+            self._session, self._answer = None, None
+            self._played.clear()
             self._pending.clear()
+            before = None
+            for step, beat in enumerate(beats):
+                self._pending.append(_Beat(beat.observation, beat.reward, before, (0, step)))
+                before = beat.executed
 
     def catch_up(self) -> Action | None:
         """Plays what was added. Returns the decision for the newest beat; None: there is none."""
@@ -124,8 +143,7 @@ class LocalCopy:
             if not self.is_ready:
                 return None
             try:
-                while self._pending:
-                    beat = self._pending.popleft()
+                while (beat := self._next()) is not None:
                     if beat.ending is not None:
                         self._played.clear()
                     self._played.append(beat)
@@ -135,6 +153,10 @@ class LocalCopy:
                 self._is_broken = True
                 return None
             return self._answer
+
+    def _next(self) -> _Beat | None:
+        with self._queue:
+            return self._pending.popleft() if self._pending else None
 
     def value(self) -> bytes:
         """Plays all beats, and returns the value of the session, as ExportSession of the server."""
@@ -154,5 +176,7 @@ class LocalCopy:
                 executed_action=executed,
             )
             executed = None
+        step = self._session.step
+        check(step == beat.position[1], "beat", f"step {step}", beat.position[1])
         decision = self._session.act(beat.observation, beat.reward, executed_action=executed)
         self._answer = decision.action

@@ -69,7 +69,8 @@ class ServerSession:
     @property
     def wants_export(self) -> bool:
         """Returns whether the engine on the robot needs the session's value."""
-        return self._wants_export and not self._local_failed
+        is_broken = self.local is not None and self.local.is_broken
+        return (self._wants_export or is_broken) and not self._local_failed
 
     @property
     def local_is_behind(self) -> bool:
@@ -95,12 +96,13 @@ class ServerSession:
             opened, response = self._client.run(self._call)
             self._call = None
             self._begin(opened, response)
-        elif self._wants_export:
+        elif self.wants_export:
             self._export()
 
     def lose(self) -> None:
         """Notes that the server does not have the session any more."""
         self.is_open = False
+        self._wants_export = self.local is not None
 
     def episode_ended(self) -> None:
         """Notes that the server has ended an episode. A shared head may be another one now."""
