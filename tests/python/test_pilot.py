@@ -9,7 +9,8 @@ import pytest
 import spikeserve
 from links import Link
 from restartable_server import RestartableServer, restartable_server
-from serving import SHIPPED_POLICIES
+from security import until
+from serving import SHIPPED_POLICIES, running_server
 from spikeserve.wire import METHODS
 
 PERIOD = 0.01
@@ -151,6 +152,34 @@ def test_a_cable_that_is_pulled_costs_nothing(client, link, local, policy, optio
         flight.end()
         flight.check_session(client)
         assert flight.pilot.stats().failures == 0
+
+
+def test_the_engine_on_the_robot_plays_the_same_session(client, link):
+    with Flight(client, "cartpole", session=LEARNING) as flight:
+        assert flight.pilot.stats().has_local  # the server has sent the policy
+        flight.until("fresh")
+        link.cut()
+        flight.until("local")
+        flight.end()
+        flight.fly(10)
+        link.heal()
+        flight.until("fresh")
+        copy = flight.pilot._session.local
+        until(lambda: copy.value() == exported(client, flight.pilot.session_id))
+
+
+def test_a_server_may_withhold_its_policies():
+    with running_server(flags=["--withhold_policies"]) as server, spikeserve.Client(server.grpc) as client:
+        with Flight(client) as flight:
+            flight.until("fresh")
+            assert not flight.pilot.stats().has_local
+        with Flight(client, local_policy=SHIPPED_POLICIES) as flight:
+            assert flight.pilot.stats().has_local
+        with pytest.raises(ValueError, match="local_policy: expected the policy file, received none"):
+            Flight(client, local=True)
+        wrong = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
+        with pytest.raises(ValueError, match="local_policy: expected the file with SHA-256"):
+            Flight(client, local=True, local_policy=wrong)
 
 
 def test_a_connection_that_a_nat_has_forgotten_is_replaced(client, link):

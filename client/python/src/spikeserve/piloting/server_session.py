@@ -181,7 +181,7 @@ class ServerSession:
         return path
 
     def _fail_local(self, reason: str) -> None:
+        self._local_failed = True
         if self._options.local:
             raise ValueError(reason)
-        self._local_failed = True
         LOGGER.warning("the engine on the robot is not used: %s", reason)
