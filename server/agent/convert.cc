@@ -15,8 +15,8 @@
 namespace spikeserve {
 namespace {
 
-// Returns the action nearest to doing nothing: index 0, or in each element of a Box 0, if the bounds
-// admit it, and otherwise their middle.
+// Returns the action nearest to doing nothing: index 0, or in each element of a Box 0, if the
+// bounds admit it, and otherwise their middle.
 Action NeutralAction(const ActionSpace& space) {
   Action neutral;
   for (size_t i = 0; i < space.low.size(); ++i) {
@@ -193,7 +193,8 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
     proto.set_traffic_percent(entry.settings.PercentOf(served.version));
   }
   proto.set_is_shadow(served.version == entry.settings.shadow_version);
-  ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(), proto.mutable_neutral_action());
+  ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(),
+          proto.mutable_neutral_action());
   return proto;
 }
 
@@ -284,7 +285,8 @@ void ToProto(const std::string& session_id, const SessionOptions& options,
   response->set_recording(options.recording);
   response->set_durability(ToProto(options.durability));
   response->set_history_limit(kHistoryLimit);
-  ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(), response->mutable_neutral_action());
+  ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(),
+          response->mutable_neutral_action());
 }
 
 void ErrorToProto(const absl::Status& status, v1::ActResult* result) {

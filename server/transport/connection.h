@@ -171,7 +171,7 @@ class Connection final : public EventLoop::Source,
   bool waits_for_turn_ = false;  // in the queue of strangers
   uint32_t watched_ = 0;         // events
   absl::Duration closing_since_ = absl::InfiniteDuration();
-  size_t dropped_ = 0;  // bytes received since then
+  size_t dropped_ = 0;     // bytes received since then
   int silent_checks_ = 0;  // calls of CheckTimes() since the last bytes of the client
   bool wants_flush_ = false;
   bool continues_ = false;
