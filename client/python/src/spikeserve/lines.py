@@ -12,15 +12,12 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Generic, TypeVar
 
 import grpc
 
 from spikeserve.errors import is_retryable_code
 from spikeserve.wire import Method
-
-if TYPE_CHECKING:
-    from spikeserve.replicas import Replica
 
 # grpc.health.v1.Health.Check, with serialized messages: an empty request, and status = SERVING.
 HEALTH_CHECK = "/grpc.health.v1.Health/Check"
@@ -145,23 +142,26 @@ def has_answered(check: Any) -> bool:
     return error is None or is_answer(error.code())
 
 
-class LineWatch:
+Place = TypeVar("Place")
+
+
+class LineWatch(Generic[Place]):
     """Watches blocking calls under way, on a thread that ends when there are none for a while.
 
-    Calls `suspect` with the replica of a call that has waited for SILENCE_SECONDS, and the time at
-    which it began. Thread-safe.
+    Calls `suspect` with the place of a call (its server) that has waited for SILENCE_SECONDS, and
+    the time at which it began. Thread-safe.
     """
 
-    def __init__(self, suspect: Callable[[Replica, float], None]) -> None:
+    def __init__(self, suspect: Callable[[Place, float], None]) -> None:
         self._suspect = suspect
-        self._calls: dict[object, tuple[Replica, float]] = {}
+        self._calls: dict[object, tuple[Place, float]] = {}
         self._lock = threading.Lock()
         self._is_running = False
 
-    def begin(self, replica: Replica, began: float) -> object:
+    def begin(self, place: Place, began: float) -> object:
         """Notes a call that begins. Returns what `end` takes."""
         call = object()
-        self._calls[call] = (replica, began)
+        self._calls[call] = (place, began)
         if not self._is_running:
             with self._lock:
                 if not self._is_running:
@@ -187,6 +187,6 @@ class LineWatch:
                     if not self._calls:
                         self._is_running = False
                         return
-            for replica, began in calls:
+            for place, began in calls:
                 if now - began >= SILENCE_SECONDS:
-                    self._suspect(replica, began)
+                    self._suspect(place, began)
