@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 import spikeserve
+from spikeserve.distance import Arrivals, Distance, neutral_action
 from spikeserve.lines import MISSES, SILENCE_SECONDS, Doubt
 from spikeserve.piloting.beat_log import Beat, BeatLog, Ending
 from spikeserve.piloting.ladder import Ladder
@@ -224,3 +225,20 @@ def test_percentiles_are_exact_to_two_percent():
         assert ages.quantile(share) == pytest.approx(share, rel=0.02)
     ages.add(1e9)
     assert ages.quantile(1.0) > 3000
+
+
+def test_decisions_of_a_far_server_arrive_later():
+    arrivals = Arrivals(Distance(delay=2), spikeserve.Discrete(9), seed=0)
+    assert [arrivals.executed(beat, beat + 1) for beat in range(6)] == [0, 0, 1, 2, 3, 4]
+    late = Arrivals(Distance(delay=1, jitter=3, loss=0.3), spikeserve.Discrete(99), seed=0)
+    executed = [late.executed(beat, beat + 1) for beat in range(60)]
+    assert executed == sorted(executed)  # an older decision never follows a newer one
+    assert all(action <= beat for beat, action in enumerate(executed))
+    assert executed[-1] > 50
+    assert neutral_action(spikeserve.Box((-1.0, 2.0), (1.0, 4.0))).tolist() == [0.0, 3.0]
+
+
+@pytest.mark.parametrize("options", [{"delay": -1}, {"jitter": -1}, {"loss": 1.0}])
+def test_a_distance_is_checked(options):
+    with pytest.raises(ValueError, match=f"{next(iter(options))}: expected "):
+        Distance(**options)
