@@ -14,9 +14,10 @@ std::vector<prometheus::MetricFamily> CollectRobots(SessionStore& store) {
                 });
   std::vector<prometheus::MetricFamily> families = {
       GaugeFamily("spikeserve_robots", "Open sessions whose robot has declared its period."),
-      GaugeFamily("spikeserve_silent_robots",
-                  "Those of spikeserve_robots that have sent nothing for longer than 50 periods and "
-                  "2 seconds.")};
+      GaugeFamily(
+          "spikeserve_silent_robots",
+          "Those of spikeserve_robots that have sent nothing for longer than 50 periods and "
+          "2 seconds.")};
   AddGauge(families[0], {}, static_cast<double>(robots));
   AddGauge(families[1], {}, static_cast<double>(silent));
   return families;

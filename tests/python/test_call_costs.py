@@ -31,6 +31,7 @@ METHODS = {
         "EndEpisode": ("light", {"session_id": "SESSION"}),
         "GetSession": ("light", {"session_id": "SESSION"}),
         "Explain": ("explain", {"session_id": "SESSION"}),
+        "ExportSession": ("operator", {"session_id": "SESSION"}),
         "CloseSession": ("light", {"session_id": "0" * 32}),
     },
     ADMIN: {

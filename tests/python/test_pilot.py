@@ -14,7 +14,7 @@ from serving import SHIPPED_POLICIES, running_server
 from spikeserve.wire import METHODS
 
 PERIOD = 0.01
-WAIT = 60  # seconds for what takes a moment
+WAIT = 100  # seconds for what takes a moment
 SIZES = {"cartpole": 4, "pendulum": 3}
 LEARNING = spikeserve.SessionOptions(
     seed=5, sample=True, temperature=0.7, learning=spikeserve.Learning(learning_rate=0.5)
@@ -25,6 +25,8 @@ class Flight:
     """Flies a pilot with made-up observations, and remembers what was executed."""
 
     def __init__(self, client, policy="pendulum", period=PERIOD, **options):
+        # On a busy machine answers are late. Only the test of stale answers is about that.
+        options.setdefault("max_age", 30.0)
         self.policy, self.period = policy, period
         self.session = options.get("session", spikeserve.SessionOptions())
         self.pilot = spikeserve.Pilot(client, policy, period=period, **options)
@@ -212,16 +214,14 @@ def test_episodes_that_end_while_the_link_is_cut_are_not_lost(client, link):
 
 
 def test_an_answer_that_is_stale_is_never_executed(client, link):
-    with Flight(client, local=False, max_age=0.05) as flight:
-        flight.until("fresh")
-        link.delay = 0.2
-        flight.fly(60)
-        before = flight.pilot.stats()
-        assert set(flight.fly(30)) <= {"safe"}
-        assert flight.pilot.stats().fresh == before.fresh
-        link.delay = 0.0
-        flight.until("fresh")
+    with Flight(client, local=False, max_age=0.2) as flight:
+        link.delay = 0.25
+        end = time.monotonic() + WAIT
+        while flight.pilot.stats().stale < 3 and time.monotonic() < end:
+            assert flight.beat().source == "safe"
+        assert flight.pilot.stats().stale >= 3
         flight.end()
+        link.delay = 0.0
         flight.check_session(client)
 
 

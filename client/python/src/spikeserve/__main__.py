@@ -1,11 +1,12 @@
-"""The commands of the package: `python -m spikeserve imitate`."""
+"""The commands of the package: `python -m spikeserve imitate` and `convert`."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from spikeserve.imitation import command
+from spikeserve.conversion import command as convert_command
+from spikeserve.imitation import command as imitate_command
 
 
 def main() -> int:
@@ -13,7 +14,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m spikeserve", description="Commands of spikeserve"
     )
-    command.add_command(parser.add_subparsers(required=True, metavar="COMMAND"))
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    imitate_command.add_command(commands)
+    convert_command.add_command(commands)
     arguments = parser.parse_args()
     status: int = arguments.run(arguments)
     return status

@@ -38,16 +38,32 @@ def write_dataset(
     """
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
-    (partial / "data").mkdir(parents=True)
+    partial.mkdir(parents=True)
+    write_storage(partial, episodes, environment.action_space, name, folder.name)
+    partial.rename(folder)
+
+
+def write_storage(
+    folder: pathlib.Path,
+    episodes: Sequence[Episode],
+    action_space: spaces.Space[Any],
+    name: str,
+    dataset_id: str,
+    infos: Sequence[dict[str, Any]] | None = None,
+) -> MinariStorage:
+    """Writes the files of a dataset to `folder` and returns them. `infos` are further infos."""
+    (folder / "data").mkdir()
     storage = MinariStorage.new(
-        partial / "data",
+        folder / "data",
         observation_space=_space_of(episodes[0].observations[0]),
-        action_space=environment.action_space,
+        action_space=action_space,
         env_spec=gymnasium.envs.registration.EnvSpec(name),
     )
-    storage.update_episodes([_buffer(index, episode) for index, episode in enumerate(episodes)])
-    storage.update_metadata({"dataset_id": folder.name, "minari_version": minari.__version__})
-    partial.rename(folder)
+    further = [{} for _ in episodes] if infos is None else infos
+    buffers = zip(episodes, further, strict=True)
+    storage.update_episodes([_buffer(i, *buffer) for i, buffer in enumerate(buffers)])
+    storage.update_metadata({"dataset_id": dataset_id, "minari_version": minari.__version__})
+    return storage
 
 
 def _space_of(observation: NDArray[Any]) -> spaces.Box:
@@ -55,9 +71,10 @@ def _space_of(observation: NDArray[Any]) -> spaces.Box:
     return spaces.Box(low, high, observation.shape, observation.dtype.type)
 
 
-def _buffer(index: int, episode: Episode) -> EpisodeBuffer:
+def _buffer(index: int, episode: Episode, further: dict[str, Any]) -> EpisodeBuffer:
     last = episode.steps - 1
-    infos: dict[str, Any] = {}
+    ended_early = episode.truncated or not episode.terminated
+    infos = dict(further)
     # Infos belong to observations, of which there is one more than actions.
     if episode.labels:
         infos["label"] = [*episode.labels, episode.labels[-1]]
@@ -71,9 +88,17 @@ def _buffer(index: int, episode: Episode) -> EpisodeBuffer:
         episode.actions,
         episode.rewards,
         [episode.terminated and step == last for step in range(episode.steps)],
-        [not episode.terminated and step == last for step in range(episode.steps)],
+        [ended_early and step == last for step in range(episode.steps)],
         infos or None,
     )
+
+
+def open_dataset(source: str | pathlib.Path) -> minari.MinariDataset:
+    """Opens a dataset, an id or a folder."""
+    folder = pathlib.Path(source)
+    if (folder / "data/metadata.json").is_file():
+        return minari.MinariDataset(folder / "data")
+    return minari.load_dataset(str(source))
 
 
 def read_dataset(source: str | pathlib.Path) -> Iterator[Episode]:
@@ -81,11 +106,7 @@ def read_dataset(source: str | pathlib.Path) -> Iterator[Episode]:
 
     ValueError if its spaces cannot be mapped.
     """
-    folder = pathlib.Path(source)
-    if (folder / "data/metadata.json").is_file():
-        dataset = minari.MinariDataset(folder / "data")
-    else:
-        dataset = minari.load_dataset(str(source))
+    dataset = open_dataset(source)
     observations = ObservationMap(dataset.observation_space)
     actions = ActionMap(dataset.action_space)
     for stored in dataset.iterate_episodes():

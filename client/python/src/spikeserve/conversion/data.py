@@ -1,0 +1,221 @@
+"""Episodes of a robot, as every format is read into and written from.
+
+Plain values. Thread-safe on distinct data.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spikeserve.check import check
+from spikeserve.spaces import ActionSpace, Box, Discrete
+
+LARGEST_OBSERVATION = 1 << 20  # numbers; as in `spiketrain train --data`
+LARGEST_DISCRETE = 4096  # actions; as in `spiketrain train --data`
+
+
+@dataclass
+class Episode:
+    """One episode of T steps."""
+
+    observations: NDArray[np.float32]  # [T + 1, obs]; the last row is NaN if it is unknown
+    actions: NDArray[Any]  # as executed: int64 [T], or float32 [T, size] of a Box
+    rewards: NDArray[np.float64]  # [T]
+    terminated: bool = False
+    truncated: bool = True
+    seed: int = 0
+    actor: str = "unknown"
+    task: str = ""
+    labels: NDArray[Any] | None = None  # actions to imitate, like `actions`; None: the actions
+    weights: NDArray[np.float32] | None = None  # [T], of the labels in the loss; None: all 1
+    asked_return: float | None = None  # return that the actor was asked to reach
+    # What a server added to its recording: the fields of `served` in docs/recording.md.
+    served: Mapping[str, Any] | None = None
+
+    @property
+    def steps(self) -> int:
+        """Returns the number of actions."""
+        return len(self.actions)
+
+    @property
+    def has_last_observation(self) -> bool:
+        """Returns whether the observation after the last action is known."""
+        return bool(np.isfinite(self.observations[-1]).all())
+
+
+@dataclass
+class RobotData:
+    """Episodes of one environment or robot. They are in memory."""
+
+    environment: str
+    action_space: ActionSpace
+    episodes: list[Episode]
+    fps: float | None = None  # steps a second; None: unknown
+    observation_names: tuple[str, ...] = ()  # of the elements; empty: unknown
+    action_names: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list)  # what the reader decided or left out
+
+    @property
+    def observation_size(self) -> int:
+        """Returns the number of elements of an observation."""
+        return int(self.episodes[0].observations.shape[1])
+
+    @property
+    def steps(self) -> int:
+        """Returns the number of actions of all episodes."""
+        return sum(episode.steps for episode in self.episodes)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What to read from formats that do not say which numbers are an observation or an action.
+
+    None or an empty value selects what the format declares.
+    """
+
+    observation: tuple[str, ...] = ()  # columns of LeRobot or topics of MCAP, concatenated
+    action: str = ""
+    reward: str = ""
+    actions: int | None = None  # number of discrete actions
+    action_low: tuple[float, ...] = ()  # bounds of a continuous action, one or one an element
+    action_high: tuple[float, ...] = ()
+    environment: str = ""
+    fps: float | None = None
+    task: str = ""
+
+
+def check_episode(data: RobotData, episode: Episode, where: str) -> None:
+    """ValueError, which names `where`, the array and the step, for an episode that is not valid."""
+    steps = episode.steps
+    check(steps >= 1, f"{where}: actions", "at least one", "none")
+    expected = (steps + 1, data.observation_size)
+    shape = episode.observations.shape
+    check(shape == expected, f"{where}: observations", f"shape {expected}", shape)
+    check(len(episode.rewards) == steps, f"{where}: rewards", f"{steps}", len(episode.rewards))
+    _check_finite(episode.observations[:-1], f"{where}: observations")
+    _check_finite(episode.rewards, f"{where}: rewards")
+    for name, actions in (("actions", episode.actions), ("labels", episode.labels)):
+        if actions is not None:
+            _check_actions(data.action_space, actions, steps, f"{where}: {name}")
+    if episode.weights is not None:
+        received = episode.weights.shape
+        check(received == (steps,), f"{where}: weights", f"shape {(steps,)}", received)
+        _check_finite(episode.weights, f"{where}: weights")
+
+
+def _check_finite(values: NDArray[Any], where: str) -> None:
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        at = ", element ".join(str(index) for index in bad[0])
+        check(False, f"{where}: step {at}", "a finite number", values[tuple(bad[0])])
+
+
+def _check_actions(space: ActionSpace, actions: NDArray[Any], steps: int, where: str) -> None:
+    if isinstance(space, Discrete):
+        check(actions.shape == (steps,), where, f"shape {(steps,)}", actions.shape)
+        bad = np.flatnonzero((actions < 0) | (actions >= space.n))
+        if len(bad):
+            expected = f"an index in [0, {space.n})"
+            check(False, f"{where}: step {bad[0]}", expected, actions[bad[0]])
+        return
+    expected_shape = (steps, len(space.low))
+    check(actions.shape == expected_shape, where, f"shape {expected_shape}", actions.shape)
+    _check_finite(actions, where)
+    outside = np.argwhere(
+        (actions < np.asarray(space.low, np.float32))
+        | (actions > np.asarray(space.high, np.float32))
+    )
+    if len(outside):
+        step, element = outside[0]
+        bounds = f"a number in [{space.low[element]:g}, {space.high[element]:g}]"
+        where = f"{where}: step {step}, element {element}"
+        check(False, where, bounds, actions[step, element])
+
+
+def action_space_of(
+    actions: list[NDArray[Any]], selection: Selection, where: str
+) -> tuple[ActionSpace, list[NDArray[Any]], list[str]]:
+    """Returns the action space of recorded actions, the actions in its form, and notes.
+
+    Each array is [T, size]. Integers of one element are Discrete; everything else is a Box. Bounds
+    that `selection` does not give are the smallest and largest recorded values.
+    """
+    integers = all(np.issubdtype(a.dtype, np.integer) and a.shape[1] == 1 for a in actions)
+    if selection.actions is not None or (integers and not selection.action_low):
+        whole = integers or all(a.shape[1] == 1 and bool((a == np.rint(a)).all()) for a in actions)
+        check(whole, where, "one integer a step, because of --actions", "other numbers")
+        indices = [a[:, 0].astype(np.int64) for a in actions]
+        largest = max(int(a.max()) for a in indices)
+        space = Discrete(selection.actions or max(2, largest + 1))
+        in_range = 2 <= space.n <= LARGEST_DISCRETE
+        check(in_range, where, f"2 to {LARGEST_DISCRETE} discrete actions", space.n)
+        guessed = f"{where}: {space.n} discrete actions, by the largest index; --actions gives it"
+        return space, indices, [] if selection.actions else [guessed]
+    values = [a.astype(np.float32) for a in actions]
+    for index, array in enumerate(values):
+        _check_finite(array, f"{where}: episode {index}")
+    notes = []
+    size = values[0].shape[1]
+    low = _bounds(selection.action_low, size, "--action-low")
+    high = _bounds(selection.action_high, size, "--action-high")
+    if low is None or high is None:
+        notes.append(
+            f"{where}: missing bounds are the smallest and largest recorded values; "
+            "--action-low and --action-high give them"
+        )
+    low = np.min([a.min(axis=0) for a in values], axis=0) if low is None else low
+    high = np.max([a.max(axis=0) for a in values], axis=0) if high is None else high
+    for element in np.flatnonzero(low >= high):
+        name = f"{where}: element {element}"
+        expected = "values that differ, or --action-low below --action-high"
+        check(False, name, expected, f"bounds {low[element]:g} and {high[element]:g}")
+    return Box(tuple(low.tolist()), tuple(high.tolist())), values, notes
+
+
+def _bounds(bounds: tuple[float, ...], size: int, flag: str) -> NDArray[np.float32] | None:
+    if not bounds:
+        return None
+    check(len(bounds) in (1, size), flag, f"1 or {size} numbers", len(bounds))
+    check(bool(np.isfinite(bounds).all()), flag, "finite numbers", bounds)
+    return np.broadcast_to(np.asarray(bounds, np.float32), (size,)).copy()
+
+
+def environment_name(selection: Selection, default: str) -> str:
+    """Returns the name of an environment, with the characters that Gymnasium allows in an id."""
+    if selection.environment:
+        allowed = re.fullmatch(r"([\w:-]+/)?[\w:.-]+", selection.environment) is not None
+        check(allowed, "--env", "an id of Gymnasium, such as Name-v0", selection.environment)
+        return selection.environment
+    return re.sub(r"[^\w.-]+", "-", default).strip("-.") or "robot"
+
+
+def space_to_json(space: ActionSpace) -> dict[str, Any]:
+    """Returns an action space as in the files of spiketrain."""
+    if isinstance(space, Discrete):
+        return {"n": space.n}
+    return {"low": list(space.low), "high": list(space.high)}
+
+
+def space_from_json(value: Any, where: str) -> ActionSpace:
+    """Reads what space_to_json() returns. ValueError, which names `where`, for anything else."""
+    expected = '{"n": N}, or {"low": [...], "high": [...]} with low below high'
+    check(isinstance(value, dict), where, expected, value)
+    if value.keys() == {"n"}:
+        n = value["n"]
+        check(type(n) is int and 1 <= n <= LARGEST_DISCRETE, where, expected, value)
+        return Discrete(n)
+    check(value.keys() == {"low", "high"}, where, expected, value)
+    try:
+        low, high = (np.asarray(value[key], np.float32) for key in ("low", "high"))
+    except (TypeError, ValueError):
+        low = high = np.zeros(0, np.float32)
+    ordered = low.ndim == 1 and low.shape == high.shape and len(low) and bool(np.all(low < high))
+    finite = bool(np.isfinite(low).all() and np.isfinite(high).all())
+    check(bool(ordered and finite), where, expected, value)
+    return Box(tuple(low.tolist()), tuple(high.tolist()))

@@ -1,0 +1,6 @@
+"""Answers clients of other robot stacks from policies of a spikeserve server.
+
+    python -m spikeserve.gateway --openpi --policy=cartpole --mapping=mapping.json
+
+docs/openpi.md describes the protocol and the mapping file. Needs `spikeserve[gateway]`.
+"""

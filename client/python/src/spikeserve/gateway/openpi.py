@@ -1,0 +1,267 @@
+"""The server of the protocol of openpi: `websocket_policy_server.py` of Physical Intelligence.
+
+A client connects, receives the metadata, and sends one observation for each action. Frames are
+binary, MessagePack with arrays. A text frame is an error.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http
+import sys
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import grpc
+import numpy as np
+import websockets
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.frames import CloseCode
+
+from spikeserve.async_client import AsyncClient
+from spikeserve.async_session import AsyncSession
+from spikeserve.check import check
+from spikeserve.connection import ClientOptions
+from spikeserve.errors import (
+    PermissionDeniedError,
+    SessionLostError,
+    SpikeserveError,
+    UnauthenticatedError,
+)
+from spikeserve.gateway.mapping import ObservationMapping, Step
+from spikeserve.gateway.numpy_msgpack import pack, unpack
+from spikeserve.spaces import Discrete
+from spikeserve.values import Decision, EpisodeSummary, Policy, SessionOptions
+
+_API_KEY = "Api-Key "  # of the header Authorization, as openpi-client sends it
+_LONGEST_REASON = 120  # bytes, of a close frame
+
+
+@dataclass(frozen=True)
+class GatewaySettings:
+    """What a gateway serves."""
+
+    policy: str
+    session: SessionOptions = field(default_factory=SessionOptions)
+    mapping: ObservationMapping = field(default_factory=ObservationMapping)
+    server: str | None = None  # None: as Client
+    credentials: grpc.ChannelCredentials | None = None
+    max_connections: int = 256
+    max_message_bytes: int = 16 << 20
+    # The token of clients that send no API key. An API key is the token of its own connection.
+    token: str = ""
+
+
+class OpenpiGateway:
+    """Answers clients of openpi. A connection is a session. Belongs to one event loop."""
+
+    def __init__(self, settings: GatewaySettings) -> None:
+        self._settings = settings
+        self._clients: dict[str, tuple[AsyncClient, int]] = {}  # by token, with their users
+        self._connections = 0
+
+    async def listen(self, host: str, port: int) -> Server:
+        """Starts to listen. Port 0 picks one."""
+        return await serve(
+            self._handle,
+            host,
+            port,
+            origins=[None],  # no web page: openpi-client sends no Origin
+            process_request=self._admit,
+            compression=None,
+            max_size=self._settings.max_message_bytes,
+            server_header=None,
+        )
+
+    async def _admit(self, connection: ServerConnection, request: Any) -> Any:
+        """Answers a request that does not become a connection, with the reason as its body."""
+        if request.path == "/healthz":
+            return connection.respond(http.HTTPStatus.OK, "OK\n")
+        if self._connections >= self._settings.max_connections:
+            text = f"connections: expected at most {self._settings.max_connections}\n"
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, text)
+        try:
+            token = self._token_of(request)
+            async with self._client(token) as client:
+                await self._find_policy(client)
+        except UnauthenticatedError as error:
+            return connection.respond(http.HTTPStatus.UNAUTHORIZED, f"{error}\n")
+        except PermissionDeniedError as error:
+            return connection.respond(http.HTTPStatus.FORBIDDEN, f"{error}\n")
+        except (SpikeserveError, ValueError) as error:
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{error}\n")
+        return None
+
+    def _token_of(self, request: Any) -> str:
+        header = request.headers.get("Authorization", "")
+        return header[len(_API_KEY) :] if header.startswith(_API_KEY) else self._settings.token
+
+    @contextlib.asynccontextmanager
+    async def _client(self, token: str) -> AsyncIterator[AsyncClient]:
+        """Yields the client of a token, which connections with the same token share."""
+        settings = self._settings
+        client, users = self._clients.get(token, (None, 0))
+        if client is None:
+            client = AsyncClient(settings.server, ClientOptions(token=token), settings.credentials)
+        self._clients[token] = (client, users + 1)
+        try:
+            yield client
+        finally:
+            _, users = self._clients[token]
+            if users > 1:
+                self._clients[token] = (client, users - 1)
+            else:
+                del self._clients[token]
+                await client.close()
+
+    async def check_policy(self) -> None:
+        """ValueError unless the server serves the policy, and the mapping fits it."""
+        async with self._client(self._settings.token) as client:
+            await self._find_policy(client)
+
+    async def _find_policy(self, client: AsyncClient) -> Policy:
+        name, version = self._settings.policy, self._settings.session.version
+        policies = await client.list_policies()
+        for policy in policies:
+            if policy.name == name and (policy.version == version or not version):
+                size, length = policy.observation_size, self._settings.mapping.length
+                expected = f"{size} numbers, as {name} observes"
+                check(length in (None, size), "mapping: observation", expected, length)
+                return policy
+        served = ", ".join(sorted({policy.name for policy in policies}))
+        wanted = f"{name}/{version}" if version else name
+        raise ValueError(f"policy: expected one that is served ({served}), received {wanted}")
+
+    async def _handle(self, connection: ServerConnection) -> None:
+        self._connections += 1
+        try:
+            async with self._client(self._token_of(connection.request)) as client:
+                session = await client.open_session(self._settings.policy, self._settings.session)
+                try:
+                    await self._converse(connection, session)
+                finally:
+                    await session.close()
+        except websockets.ConnectionClosed:
+            pass
+        except SpikeserveError as error:
+            await _fail(connection, error)
+        finally:
+            self._connections -= 1
+
+    async def _converse(self, connection: ServerConnection, session: AsyncSession) -> None:
+        await connection.send(pack(self._metadata(session)))
+        previous = None
+        async for frame in connection:
+            began = time.monotonic()
+            try:
+                reply = await self._answer(session, frame)
+            except SessionLostError:
+                raise
+            except (ValueError, SpikeserveError) as error:
+                # The session is as it was, so the client may go on.
+                await connection.send(str(error))
+                continue
+            reply["server_timing"] = {"infer_ms": (time.monotonic() - began) * 1000}
+            if previous is not None:
+                reply["server_timing"]["prev_total_ms"] = previous * 1000
+            await connection.send(pack(reply))
+            previous = time.monotonic() - began
+
+    async def _answer(self, session: AsyncSession, frame: str | bytes) -> dict[str, Any]:
+        check(isinstance(frame, bytes), "message", "a binary frame", "a text frame")
+        assert isinstance(frame, bytes)
+        assert session.opening is not None
+        step = self._settings.mapping.read(unpack(frame), session.opening.observation_size)
+        if step.terminated or step.truncated:
+            check(session.step > 0, "episode", "an action before its end", "none")
+            return _ended(await _end(session, step))
+        if step.reset and session.step > 0:
+            cut_off = Step(step.observation, step.reward, truncated=True)
+            await _end(session, cut_off, with_observation=False)
+        return _acted(await session.act(step.observation, step.reward))
+
+    def _metadata(self, session: AsyncSession) -> dict[str, Any]:
+        opening = session.opening
+        assert opening is not None
+        space: dict[str, Any]
+        if isinstance(opening.action_space, Discrete):
+            space = {"type": "Discrete", "n": opening.action_space.n}
+        else:
+            low, high = (
+                np.asarray(bound, np.float32)
+                for bound in (opening.action_space.low, opening.action_space.high)
+            )
+            space = {"type": "Box", "low": low, "high": high}
+        mapping = self._settings.mapping
+        return {
+            "server": "spikeserve",
+            "policy": opening.policy,
+            "version": opening.version,
+            "session_id": session.session_id,
+            "observation_size": opening.observation_size,
+            "observation_keys": [part.key for part in mapping.observation],
+            "reset_key": mapping.reset,
+            "reward_key": mapping.reward,
+            "action_space": space,
+            "action_horizon": 1,
+            "context_length": opening.context_length,
+            "target_return": opening.target_return,
+            "recording": opening.recording,
+        }
+
+
+async def _end(session: AsyncSession, step: Step, with_observation: bool = True) -> EpisodeSummary:
+    return await session.end_episode(
+        step.reward,
+        step.terminated,
+        step.truncated,
+        observation=step.observation if with_observation else None,
+    )
+
+
+def _acted(decision: Decision) -> dict[str, Any]:
+    """Returns an answer. Arrays have a leading dimension, the horizon of openpi, which is 1."""
+    discrete = isinstance(decision.action, int)
+    action = np.asarray(decision.action, np.int64 if discrete else np.float32)
+    reply: dict[str, Any] = {
+        "actions": action.reshape(1, -1),
+        "step": decision.step,
+        "return_to_go": decision.return_to_go,
+        "spikes": decision.stats.spikes,
+        "policy_timing": {"infer_ms": decision.stats.compute_seconds * 1000},
+    }
+    if decision.action_probabilities is not None:
+        reply["action_probabilities"] = decision.action_probabilities.reshape(1, -1)
+    return reply
+
+
+def _ended(summary: EpisodeSummary) -> dict[str, Any]:
+    return {
+        "episode_return": summary.episode_return,
+        "steps": summary.steps,
+        "spikes": summary.spikes,
+        "recording": summary.recording,
+    }
+
+
+async def _fail(connection: ServerConnection, error: SpikeserveError) -> None:
+    """Sends an error and closes the connection, as openpi's server does."""
+    print(f"spikeserve gateway: {error}", file=sys.stderr, flush=True)
+    with contextlib.suppress(websockets.ConnectionClosed):
+        await connection.send(str(error))
+    await connection.close(CloseCode.INTERNAL_ERROR, str(error)[:_LONGEST_REASON])
+
+
+async def run(gateway: OpenpiGateway, host: str, port: int, stop: asyncio.Event) -> None:
+    """Serves until `stop` is set, and closes the sessions. Prints the address."""
+    await gateway.check_policy()
+    server = await gateway.listen(host, port)
+    actual = server.sockets[0].getsockname()
+    shown = f"[{actual[0]}]" if ":" in actual[0] else actual[0]
+    print(f"spikeserve gateway: serving openpi on ws://{shown}:{actual[1]}", flush=True)
+    await stop.wait()
+    server.close()
+    await server.wait_closed()

@@ -1,0 +1,43 @@
+"""Python environments of packages that conflict with those of the tests."""
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+FOLDER = pathlib.Path(os.environ.get("OWN_ENVIRONMENTS", "/tmp/spikeserve-environments"))
+DEADLINE_SECONDS = 3000
+
+
+def python_with(*requirements):
+    """Returns the Python of a virtual environment with `requirements`, made once. Skips the test if pip cannot."""
+    name = "-".join("".join(c for c in r if c.isalnum() or c in "._") for r in requirements)
+    folder = FOLDER / name
+    python = folder / "bin/python"
+    complete = folder / "complete"
+    if complete.exists():
+        return python
+    subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
+    command = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements]
+    installed = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+    if installed.returncode != 0:
+        reason = installed.stderr.strip().splitlines()[-1:] or ["no reason given"]
+        pytest.skip(f"pip install {' '.join(requirements)}: {reason[0]}")
+    complete.touch()
+    return python
+
+
+def run_in(python, script, *arguments):
+    """Runs a script and returns what it printed."""
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"} | {"HF_HUB_OFFLINE": "1"}
+    finished = subprocess.run(
+        [python, "-c", script, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_SECONDS,
+        env=environment,
+    )
+    assert finished.returncode == 0, finished.stderr
+    return finished.stdout

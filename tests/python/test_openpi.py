@@ -1,0 +1,262 @@
+"""`python -m spikeserve.gateway --openpi` in front of a real server, called as openpi-client calls it."""
+
+import contextlib
+import io
+import json
+import subprocess
+import sys
+import unittest.mock
+import urllib.request
+
+import gymnasium
+import msgpack
+import numpy as np
+import pytest
+import spikeserve
+import websockets
+from gateways import running_gateway
+from openpi_protocol import WebsocketClientPolicy, packb
+from serving import running_server
+from spikeserve.gateway.__main__ import main
+from websockets.sync.client import connect
+
+SEED = 1_000_000
+MAPPING = {
+    "observation": [
+        {"key": "state/cart", "size": 2},
+        {"key": "pole", "elements": [2, 0], "size": 3, "scale": 0.5},
+    ],
+    "reward": "score",
+}
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    return tmp_path_factory.mktemp("recordings")
+
+
+@pytest.fixture(scope="module")
+def server(recordings):
+    with running_server(flags=[f"--record_dir={recordings}"]) as started:
+        yield started.grpc
+
+
+@pytest.fixture(scope="module")
+def gateway(server):
+    with running_gateway(server, "--policy=cartpole", "--record", "--max-connections=3") as address:
+        yield address
+
+
+def play(policy, environment, seed, **first):
+    """Plays an episode. Returns its return and the answers."""
+    observation, _ = environment.reset(seed=seed)
+    message = {"observation": observation, **first}
+    answers, total, over = [], 0.0, False
+    while not over:
+        answers.append(policy.infer(message))
+        action = int(answers[-1]["actions"][0, 0])
+        observation, reward, terminated, truncated, _ = environment.step(action)
+        total += reward
+        message = {"observation": observation, "reward": reward}
+        over = terminated or truncated
+    ended = policy.infer(message | {"terminated": terminated, "truncated": truncated})
+    assert (ended["episode_return"], ended["steps"]) == (total, len(answers))
+    return total, answers
+
+
+def test_cartpole_is_played(gateway, server):
+    """The answers are those of the Python client, and the server has recorded whole episodes."""
+    with gymnasium.make("CartPole-v1") as environment, WebsocketClientPolicy(gateway) as policy:
+        assert policy.metadata["policy"] == "cartpole"
+        assert policy.metadata["observation_size"] == 4
+        assert policy.metadata["action_space"] == {"type": "Discrete", "n": 2}
+        total, answers = play(policy, environment, SEED)
+        assert total == 500
+        assert answers[0]["actions"].shape == (1, 1) and answers[0]["actions"].dtype == np.int64
+        assert "prev_total_ms" not in answers[0]["server_timing"]
+        assert answers[1]["server_timing"]["prev_total_ms"] >= answers[0]["server_timing"]["infer_ms"] > 0
+        assert answers[0]["policy_timing"]["infer_ms"] > 0
+        with spikeserve.Client(server) as client, client.open_session("cartpole") as session:
+            observation, _ = environment.reset(seed=SEED)
+            for answer in answers[:20]:
+                decision = session.act(observation, 1.0)
+                assert answer["actions"][0, 0] == decision.action
+                assert (answer["step"], answer["return_to_go"]) == (decision.step, decision.return_to_go)
+                np.testing.assert_array_equal(answer["action_probabilities"][0], decision.action_probabilities)
+                observation, *_ = environment.step(decision.action)
+        again, _ = play(policy, environment, SEED)  # the next episode of the same session
+        assert again == total
+
+
+def test_a_reset_begins_an_episode(gateway):
+    with WebsocketClientPolicy(gateway) as policy:
+        observation = {"observation": np.zeros(4)}
+        assert [policy.infer(observation)["step"] for _ in range(3)] == [0, 1, 2]
+        assert policy.infer(observation | {"reset": True, "reward": 1.0})["step"] == 0
+        assert policy.infer(observation | {"reset": np.bool_(False)})["step"] == 1
+    with WebsocketClientPolicy(gateway) as another:
+        assert another.metadata["session_id"] != policy.metadata["session_id"]
+        assert another.infer(observation)["step"] == 0
+
+
+def test_boxes_have_their_units(server):
+    with running_gateway(server, "--policy=pendulum") as address, WebsocketClientPolicy(address) as policy:
+        (high,) = policy.metadata["action_space"]["high"]
+        assert high == 2.0
+        answer = policy.infer({"observation": [1.0, 0.0, 0.0]})
+        assert answer["actions"].shape == (1, 1) and answer["actions"].dtype == np.float32
+        assert abs(answer["actions"][0, 0]) <= 2
+        assert "action_probabilities" not in answer
+
+
+def test_a_mapping_file_makes_the_vector(server, gateway, tmp_path):
+    path = tmp_path / "mapping.json"
+    path.write_text(json.dumps(MAPPING))
+    cart, pole = np.float32([0.01, -0.02]), np.array([0.08, 99.0, 0.06])
+    with running_gateway(server, "--policy=cartpole", f"--mapping={path}") as address:
+        with WebsocketClientPolicy(address) as mapped, WebsocketClientPolicy(gateway) as plain:
+            assert mapped.metadata["observation_keys"] == ["state/cart", "pole"]
+            image = np.zeros((32, 32, 3), np.uint8)
+            for step in range(3):
+                entries = {"state": {"cart": cart}, "pole": pole, "score": 1.0, "image": image, "prompt": "balance"}
+                answer = mapped.infer(entries)
+                expected = plain.infer({"observation": [*cart, np.float32(0.03), np.float32(0.04)], "reward": 1})
+                np.testing.assert_array_equal(answer["action_probabilities"], expected["action_probabilities"])
+                assert answer["return_to_go"] == expected["return_to_go"]
+            # A key with a slash, as most users of openpi write it.
+            assert mapped.infer({"state/cart": cart, "pole": pole})["step"] == 3
+            with pytest.raises(RuntimeError, match="pole: expected 3 numbers, received shape"):
+                mapped.infer({"state/cart": cart, "pole": pole[:2]})
+
+
+def array(dtype=b"<f4", data=b"\0" * 16, shape=(4,)):
+    """Returns an array that no NumPy would encode like this."""
+    return {b"__ndarray__": True, b"data": data, b"dtype": dtype.decode(), b"shape": list(shape)}
+
+
+BAD = {
+    "missing": ({"state": [0.0]}, "observation: expected an entry, received a dictionary of state"),
+    "short": ({"observation": np.zeros(3)}, "observation: expected 4 numbers, as the policy observes, received 3"),
+    "nan": ({"observation": np.array([0, np.nan, 0, 0])}, "observation: expected finite numbers"),
+    "text": ({"observation": "up"}, "observation: expected numbers, received str"),
+    "ragged": ({"observation": [[1], [1, 2]]}, "observation: expected numbers, received list"),
+    "list": ([1, 2], "observation: expected a dictionary, received list"),
+    "reward": ({"observation": np.zeros(4), "reward": "much"}, "reward: expected a number, received str"),
+    "infinite": ({"observation": np.zeros(4), "reward": np.inf}, "reward: expected a finite number, received inf"),
+    "objects": ({"observation": array(b"|O")}, "array: dtype: expected numbers, such as <f4, received |O"),
+    "dtype": ({"observation": array(b"<f9")}, "array: dtype: expected numbers, such as <f4, received '<f9'"),
+    "bytes": ({"observation": array(data=b"\0" * 15)}, "array: data: expected 16 bytes, received 15"),
+    "shape": ({"observation": array(shape=(-4,))}, "array: shape: expected sizes, received [-4]"),
+    "huge": ({"observation": array(shape=(1 << 62, 1 << 62))}, "array: data: expected "),
+    "end": ({"observation": np.zeros(4), "terminated": True}, "episode: expected an action before its end"),
+}
+
+
+def test_bad_input_gets_the_error_of_the_protocol(gateway):
+    """A text frame. The session is as it was, so the client goes on."""
+    with WebsocketClientPolicy(gateway) as policy:
+        for message, reason in BAD.values():
+            with pytest.raises(RuntimeError) as refused:
+                policy.infer(message)
+            assert reason in str(refused.value)
+        frames = (b"", b"\xc1", packb({}) + b"\0", b"\x91" * 5000, b"\xa1\xff", "text", msgpack.packb({1: 2}))
+        for frame in frames:
+            policy.ws.send(frame)
+            assert isinstance(policy.ws.recv(), str)
+        assert policy.infer({"observation": np.zeros(4)})["step"] == 0
+
+
+def test_what_is_too_much_is_refused(server):
+    with running_gateway(server, "--policy=cartpole", "--max-connections=1", "--max-message-bytes=999") as address:
+        with WebsocketClientPolicy(address) as policy:
+            with pytest.raises(websockets.InvalidStatus) as refused:
+                WebsocketClientPolicy(address)
+            assert refused.value.response.status_code == 503
+            assert b"connections: expected at most 1" in refused.value.response.body
+            with pytest.raises(websockets.ConnectionClosedError) as closed:
+                policy.infer({"observation": np.zeros(4), "image": np.zeros(999)})
+            assert closed.value.rcvd.code == 1009
+
+
+def test_health_and_web_pages(gateway):
+    with urllib.request.urlopen(gateway.replace("ws://", "http://") + "/healthz") as answer:
+        assert answer.read() == b"OK\n"
+    with pytest.raises(websockets.InvalidStatus) as refused:
+        connect(gateway, origin="http://example.org")
+    assert refused.value.response.status_code == 403
+
+
+def test_api_keys_are_the_tokens_of_the_server(tokens):
+    with running_server(flags=[f"--tokens={tokens}"]) as server:
+        with running_gateway(server.grpc, "--policy=cartpole", token="agent") as address:
+            with WebsocketClientPolicy(address) as policy:  # on this machine with the gateway's own
+                assert policy.infer({"observation": np.zeros(4)})["step"] == 0
+            with WebsocketClientPolicy(address, api_key="agent") as policy:
+                assert policy.infer({"observation": np.zeros(4)})["step"] == 0
+            with pytest.raises(websockets.InvalidStatus) as refused:
+                WebsocketClientPolicy(address, api_key="wrong")
+            assert refused.value.response.status_code == 401
+
+
+def test_a_lost_session_ends_the_connection(tmp_path):
+    with running_server(status=-9) as server, running_gateway(server.grpc, "--policy=cartpole") as address:
+        with WebsocketClientPolicy(address) as policy:
+            policy.infer({"observation": np.zeros(4)})
+            with spikeserve.Client(server.grpc) as client:
+                client.run(spikeserve.Session(client, policy.metadata["session_id"]).cursor.close())
+            with pytest.raises(RuntimeError, match="NOT_FOUND"):
+                policy.infer({"observation": np.zeros(4)})
+            with pytest.raises(websockets.ConnectionClosedError) as closed:
+                policy.infer({"observation": np.zeros(4)})
+            assert closed.value.rcvd.code == 1011
+        server.process.kill()
+
+
+def test_the_connection_closes_its_session(gateway, server):
+    with WebsocketClientPolicy(gateway) as policy:
+        session_id = policy.metadata["session_id"]
+        with spikeserve.Client(server) as client:
+            assert spikeserve.Session(client, session_id).state().step == 0
+            policy.ws.close()
+            with pytest.raises(spikeserve.errors.SessionLostError):
+                while True:  # until the gateway has seen the end of the connection
+                    spikeserve.Session(client, session_id).state()
+
+
+MAPPINGS = {
+    "json": ("{", "mapping.json: expected a JSON file"),
+    "empty": ('{"observation": []}', "observation: expected a list of keys or objects, received []"),
+    "unknown": ('{"observations": ["a"]}', "expected any of observation, reward, reset, terminated, truncated"),
+    "key": ('{"observation": [{"size": 3}]}', "observation[0].key: expected the key of an entry, received None"),
+    "elements": ('{"observation": [{"key": "a", "elements": [-1]}]}', "observation[0].elements: expected indices"),
+    "size": ('{"observation": [{"key": "a", "size": 3}]}', "mapping: observation: expected 4 numbers, as cartpole"),
+}
+
+
+@pytest.mark.parametrize(("text", "reason"), MAPPINGS.values(), ids=MAPPINGS)
+def test_bad_mappings_are_refused_by_name(text, reason, server, tmp_path):
+    (tmp_path / "mapping.json").write_text(text)
+    assert reason in refused(server, "--policy=cartpole", f"--mapping={tmp_path}/mapping.json")
+
+
+def test_bad_flags_are_refused_by_name(server):
+    assert "policy: expected one that is served (" in refused(server, "--policy=cart")
+    assert "--listen: expected HOST:PORT, received 8000" in refused(server, "--policy=cartpole", "--listen=8000")
+    assert "--max-connections: expected a positive number" in refused(server, "--policy=x", "--max-connections=0")
+
+
+def refused(server, *flags):
+    """Returns why a gateway does not start."""
+    command = ["gateway", "--openpi", f"--server={server}", "--listen=127.0.0.1:0", *flags]
+    errors = io.StringIO()
+    with unittest.mock.patch.object(sys, "argv", command), contextlib.redirect_stderr(errors):
+        assert main() == 1
+    return errors.getvalue()
+
+
+def test_missing_packages_name_the_extra(server):
+    blocked = "import sys; sys.modules['websockets'] = None; from spikeserve.gateway.__main__ import main; exit(main())"
+    command = [sys.executable, "-c", blocked, "--openpi", "--policy=cartpole", f"--server={server}"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    expected = "websockets: expected the package, which `pip install 'spikeserve[gateway]'` installs, received none\n"
+    assert (done.returncode, done.stderr) == (1, f"spikeserve gateway: {expected}")
