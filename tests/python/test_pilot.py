@@ -9,8 +9,6 @@ import pytest
 import spikeserve
 from links import Link
 from restartable_server import RestartableServer, restartable_server
-from security import until
-from serving import SHIPPED_POLICIES, running_server
 from spikeserve.wire import METHODS
 
 PERIOD = 0.01
@@ -131,7 +129,6 @@ def test_a_quick_link_gives_fresh_actions(client):
         assert 0 < stats.age_p50 <= stats.age_p99 <= stats.age_p999
 
 
-@pytest.mark.parametrize("local", [False, None])
 @pytest.mark.parametrize(
     ("policy", "options"),
     [
@@ -140,48 +137,19 @@ def test_a_quick_link_gives_fresh_actions(client):
     ],
     ids=["float", "learning"],
 )
-def test_a_cable_that_is_pulled_costs_nothing(client, link, local, policy, options):
-    chosen = {"local": local, "local_policy": None if local is False else SHIPPED_POLICIES}
-    with Flight(client, policy, session=options, **chosen) as flight:
+def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options):
+    with Flight(client, policy, session=options, local=False) as flight:
         for _ in range(2):
             flight.until("fresh")
             flight.fly(5)
             link.cut()
-            flight.until("safe" if local is False else "local")
+            flight.until("safe")
             flight.fly(40)
             link.heal()
             flight.until("fresh")
         flight.end()
         flight.check_session(client)
         assert flight.pilot.stats().failures == 0
-
-
-def test_the_engine_on_the_robot_plays_the_same_session(client, link):
-    with Flight(client, "cartpole", session=LEARNING) as flight:
-        assert flight.pilot.stats().has_local  # the server has sent the policy
-        flight.until("fresh")
-        link.cut()
-        flight.until("local")
-        flight.end()
-        flight.fly(10)
-        link.heal()
-        flight.until("fresh")
-        copy = flight.pilot._session.local
-        until(lambda: copy.value() == exported(client, flight.pilot.session_id))
-
-
-def test_a_server_may_withhold_its_policies():
-    with running_server(flags=["--withhold_policies"]) as server, spikeserve.Client(server.grpc) as client:
-        with Flight(client) as flight:
-            flight.until("fresh")
-            assert not flight.pilot.stats().has_local
-        with Flight(client, local_policy=SHIPPED_POLICIES) as flight:
-            assert flight.pilot.stats().has_local
-        with pytest.raises(ValueError, match="local_policy: expected the policy file, received none"):
-            Flight(client, local=True)
-        wrong = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
-        with pytest.raises(ValueError, match="local_policy: expected the file with SHA-256"):
-            Flight(client, local=True, local_policy=wrong)
 
 
 def test_a_connection_that_a_nat_has_forgotten_is_replaced(client, link):
