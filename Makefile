@@ -11,7 +11,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site train bench attacks chaos soak sanitize fuzz format clean \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site train bench bench-beats attacks chaos soak sanitize fuzz format clean \
   setup configure
 
 # Installs and builds only the server and spikectl. A build folder that is configured already keeps its other targets.
@@ -83,6 +83,14 @@ bench: build setup
 	loadtest/bench/setup.sh $(BUILD)/bench_venv
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
 	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
+
+# Counts the beats of a robot without a fresh action over links with delay, loss and cuts, in about twelve minutes.
+# BEATS_FLAGS="--seconds=60" makes the runs longer.
+bench-beats: build setup
+	build/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --upgrade \
+	  --target $(BUILD)/beats_client client/python
+	PYTHONPATH=$(BUILD)/beats_client:$(BUILD)/python build/venv/bin/python loadtest/bench/beats_bench.py \
+	  --server=$(BIN)/spikeserve $(BEATS_FLAGS)
 
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.

@@ -52,6 +52,9 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
       .Add("idle_timeout", "DURATION", &limits->idle_timeout, "Time without a call")
       .Add("write_timeout", "DURATION", &limits->write_timeout,
            "Time in which a client takes no answers")
+      .Add("keepalive_interval", "DURATION", &limits->keepalive_interval,
+           "Silence of a client with an open call before a PING")
+      .Add("keepalive_timeout", "DURATION", &limits->keepalive_timeout, "Time to answer the PING")
       .Add("max_connection_age", "DURATION", &limits->max_connection_age,
            "Age at which clients are asked to connect again");
 }
@@ -86,6 +89,8 @@ void AddFlags(Command program, ServerOptions* options) {
   program.Flags("Advanced: policies and sessions")
       .AddSwitch("allow_unrecorded_changes", &options->allow_unrecorded_changes,
                  "Let operators change things while --audit_log cannot be written")
+      .AddSwitch("withhold_policies", &options->withhold_policies,
+                 "Do not send policy files to robots (ExportSession)")
       .AddSwitch("allow_no_policies", &options->allow_no_policies,
                  "Start although no policy can be served")
       .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,

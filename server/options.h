@@ -29,6 +29,7 @@ struct ServerOptions {
   std::string policies;          // directory of <policy>/<version>/policy.safetensors
   absl::Duration poll_policies;  // interval of looking for changed policies; 0: on request only
   DefaultRule default_version = DefaultRule::kStay;  // unless an operator sets it
+  bool withhold_policies = false;                    // never send their files to robots
   bool allow_no_policies = false;                    // start although nothing can be served
   std::string policy_settings;               // file that keeps what operators set; empty: not kept
   std::string audit_log;                     // file that keeps what operators did; empty: not kept

@@ -97,6 +97,7 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
        .settings_path = options.policy_settings,
        .default_rule = options.default_version,
        .share_heads = options.share_heads_across_tenants,
+       .withhold_files = options.withhold_policies,
        .shared = store.shared.get(),
        .head_logs = store.heads.get(),
        .signatures = std::move(signatures)},

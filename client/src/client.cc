@@ -14,6 +14,7 @@
 #include "client/src/diagnosis.h"
 #include "client/src/item_status.h"
 #include "client/src/replicas.h"
+#include "client/src/steady_time.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
@@ -68,7 +69,12 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Create(const std::string& server
   for (const std::string& address : *addresses) {
     auto channel = MakeChannel(address, options.security);
     if (!channel.ok()) return channel.status();
-    replicas.push_back(std::make_unique<Replica>(address, *std::move(channel)));
+    // The credentials were read from files that may be new ones by now.
+    Connector connect = [address, security = options.security] {
+      auto fresh = MakeChannel(address, security);
+      return fresh.ok() ? *std::move(fresh) : nullptr;
+    };
+    replicas.push_back(std::make_unique<Replica>(address, *std::move(channel), std::move(connect)));
   }
   auto all = MakeReplicas(std::move(replicas), options.retry);
   return absl::WrapUnique(new Client(std::move(all), std::move(options)));
@@ -78,7 +84,7 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Create(std::shared_ptr<grpc::Cha
                                                        ClientOptions options) {
   if (absl::Status status = options.Validate(); !status.ok()) return status;
   std::vector<std::unique_ptr<Replica>> replicas;
-  replicas.push_back(std::make_unique<Replica>("", std::move(channel)));
+  replicas.push_back(std::make_unique<Replica>("", std::move(channel), nullptr));
   auto all = MakeReplicas(std::move(replicas), options.retry);
   return absl::WrapUnique(new Client(std::move(all), std::move(options)));
 }
@@ -96,7 +102,8 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& serve
     grpc::ClientContext context;
     Prepare(Route(""), (*client)->options_.call_timeout, &context);
     v1::ListPoliciesResponse ignored;
-    const grpc::Status status = replica.stub->ListPolicies(&context, {}, &ignored);
+    const grpc::Status status =
+        replica.connection.line()->stub->ListPolicies(&context, {}, &ignored);
     const std::string cause = DiagnoseConnection(
         replica.address, (*client)->options_.security.use_tls(), status.error_message());
     if (cause.empty()) return;
@@ -113,11 +120,13 @@ Client::Client(std::unique_ptr<Replicas> replicas, ClientOptions options)
 Client::~Client() = default;
 
 absl::Status Client::Run(const Rules& rules, Attempts& attempts,
-                         absl::FunctionRef<grpc::Status(Replica&, grpc::ClientContext*)> attempt) {
+                         absl::FunctionRef<grpc::Status(Line&, grpc::ClientContext*)> attempt) {
   for (bool is_first = true;; is_first = false) {
     grpc::ClientContext context;
     Prepare(attempts.route(), rules.timeout, &context);
-    const absl::Status status = StatusFromGrpc(attempt(attempts.replica(), &context));
+    const Connection::Watched watched(&attempts.replica().connection, &context,
+                                      /*expects_answer=*/true);
+    const absl::Status status = watched.Note(StatusFromGrpc(attempt(watched.line(), &context)));
     if (status.ok()) {
       attempts.Answered();
       return status;
@@ -135,10 +144,9 @@ absl::Status Client::CallOther(
         attempt) {
   Route route("");
   Attempts attempts(replicas_.get(), &route, options_.retry, /*names_session=*/false);
-  return Run({.timeout = timeout, .repeatable = repeatable}, attempts,
-             [&](Replica& replica, grpc::ClientContext* context) {
-               return attempt(replica.channel, context);
-             });
+  return Run(
+      {.timeout = timeout, .repeatable = repeatable}, attempts,
+      [&](Line& line, grpc::ClientContext* context) { return attempt(line.channel, context); });
 }
 
 template <typename Request, typename Response>
@@ -149,8 +157,8 @@ absl::StatusOr<Response> Client::CallOfSession(
   Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/true);
   Response response;
   const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
-                                  [&](Replica& replica, grpc::ClientContext* context) {
-                                    return ((*replica.stub).*method)(context, request, &response);
+                                  [&](Line& line, grpc::ClientContext* context) {
+                                    return ((*line.stub).*method)(context, request, &response);
                                   });
   if (!status.ok()) return ForSession(status);
   return response;
@@ -176,8 +184,8 @@ absl::StatusOr<v1::OpenSessionResponse> Client::OpenSession(const v1::OpenSessio
   Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/false);
   v1::OpenSessionResponse response;
   const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
-                                  [&](Replica& replica, grpc::ClientContext* context) {
-                                    return replica.stub->OpenSession(context, named, &response);
+                                  [&](Line& line, grpc::ClientContext* context) {
+                                    return line.stub->OpenSession(context, named, &response);
                                   });
   if (!status.ok()) return status;
   return response;
@@ -193,6 +201,8 @@ void Client::ActAsync(const v1::ActRequest& request,
                       const std::shared_ptr<Route>& route) {
   struct PendingCall {
     std::shared_ptr<Route> route;
+    std::shared_ptr<Line> line;
+    absl::Duration began = SteadyNow();
     grpc::ClientContext context;
     v1::ActRequest request;
     v1::ActResponse response;
@@ -203,24 +213,30 @@ void Client::ActAsync(const v1::ActRequest& request,
   call->request = request;
   auto* pending = call.get();
   Replica& replica = *replicas_->Choose(*call->route);
-  replica.stub->async()->Act(&pending->context, &pending->request, &pending->response,
-                             [this, &replica, call = std::move(call),
-                              done = std::move(done)](const grpc::Status& status) mutable {
-                               absl::StatusOr<v1::ActResponse> response = std::move(call->response);
-                               if (!status.ok()) response = ForSession(StatusFromGrpc(status));
-                               if (status.ok()) {
-                                 replicas_->Answered(*call->route, replica);
-                               } else if (absl::IsDeadlineExceeded(response.status())) {
-                                 replicas_->Failed(replica, options_.call_timeout);
-                               } else if (IsRetryable(response.status())) {
-                                 replicas_->Failed(replica);
-                               }
-                               // Releases the context, which holds a reference to the channel,
-                               // before calling `done`. After `done` the client may be destroyed,
-                               // and a channel must not be destroyed on a thread of gRPC.
-                               call.reset();
-                               done(std::move(response));
-                             });
+  pending->line = replica.connection.line();
+  pending->line->stub->async()->Act(&pending->context, &pending->request, &pending->response,
+                                    [this, &replica, call = std::move(call),
+                                     done = std::move(done)](const grpc::Status& status) mutable {
+                                      absl::StatusOr<v1::ActResponse> response =
+                                          std::move(call->response);
+                                      if (!status.ok())
+                                        response = ForSession(StatusFromGrpc(status));
+                                      if (status.ok()) {
+                                        replica.connection.Answered();
+                                        replicas_->Answered(*call->route, replica);
+                                      } else if (absl::IsDeadlineExceeded(response.status())) {
+                                        replica.connection.Missed(call->began);
+                                        replicas_->Failed(replica, options_.call_timeout);
+                                      } else if (IsRetryable(response.status())) {
+                                        replicas_->Failed(replica);
+                                      }
+                                      // Releases the context, which holds a reference to the
+                                      // channel, before calling `done`. After `done` the client may
+                                      // be destroyed, and a channel must not be destroyed on a
+                                      // thread of gRPC.
+                                      call.reset();
+                                      done(std::move(response));
+                                    });
 }
 
 // Makes one decision for each of `requests` with one call.
@@ -230,8 +246,8 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOnce(absl::Span<const v1::A
   batch.mutable_requests()->Add(requests.begin(), requests.end());
   v1::ActBatchResponse answer;
   const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
-                                  [&](Replica& replica, grpc::ClientContext* context) {
-                                    return replica.stub->ActBatch(context, batch, &answer);
+                                  [&](Line& line, grpc::ClientContext* context) {
+                                    return line.stub->ActBatch(context, batch, &answer);
                                   });
   if (!status.ok()) return status;
   if (answer.results_size() != batch.requests_size()) {
@@ -336,9 +352,9 @@ absl::Status Client::CloseSession(const std::string& session_id,
   RouteOfCall route_of_call(route, session_id);
   Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/true);
   return Run({.timeout = options_.call_timeout, .not_found_is_done = true}, attempts,
-             [&](Replica& replica, grpc::ClientContext* context) {
+             [&](Line& line, grpc::ClientContext* context) {
                v1::CloseSessionResponse response;
-               return replica.stub->CloseSession(context, request, &response);
+               return line.stub->CloseSession(context, request, &response);
              });
 }
 

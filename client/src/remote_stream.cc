@@ -76,7 +76,7 @@ void RemoteStream::Start() {
   broken_.reset();
   reopens_at_.reset();
   replica_ = client_->replicas_->Choose(*route_);
-  call_ = std::make_shared<StreamCall>(*replica_->stub, *route_);
+  call_ = std::make_shared<StreamCall>(&replica_->connection, *route_);
   // A call that ends meanwhile has a status, which Receive finds.
   StreamCall& call = *call_;
   open_->SendAll([&call](const v1::ActRequest& request) { (void)call.Send(request); });
@@ -104,9 +104,15 @@ absl::Duration RemoteStream::Advance(absl::Duration deadline) {
   }
   StreamCall& call = *call_;
   open_->SendDue(now, [&call](const v1::ActRequest& request) { (void)call.Send(request); });
-  const absl::Duration until = std::min(deadline, open_->next_due());
+  const absl::Duration asked = open_->waits_since();
+  if (now >= std::max(asked, doubted_) + kLineSilence) {
+    doubted_ = now;
+    replica_->connection.Doubt(asked);
+  }
+  const absl::Duration until =
+      std::min({deadline, open_->next_due(), std::max(asked, doubted_) + kLineSilence});
   if (!client_->replicas_->MayMove(*route_)) return until;
-  return std::min(until, open_->waits_since() + client_->options().call_timeout);
+  return std::min(until, asked + client_->options().call_timeout);
 }
 
 absl::Status RemoteStream::TakeEnd(const absl::Status& end) {
@@ -186,6 +192,7 @@ std::optional<absl::StatusOr<ActReply>> RemoteStream::TakeResponse(
         "session_id: expected one with a request under way, received ", response.session_id()));
   }
   schedule_.reset();
+  replica_->connection.Answered();
   client_->replicas_->Answered(*route_, *replica_);
   RemoteSession* session = request->session;
   ActReply reply = {.session_id = response.session_id(),

@@ -24,11 +24,8 @@ bool IsPending(grpc_connectivity_state state) {
 
 }  // namespace
 
-Replica::Replica(std::string of_address, std::shared_ptr<grpc::Channel> to)
-    : address(std::move(of_address)),
-      channel(std::move(to)),
-      stub(v1::PolicyService::NewStub(channel)),
-      health(grpc::health::v1::Health::NewStub(channel)) {}
+Replica::Replica(std::string of_address, std::shared_ptr<grpc::Channel> channel, Connector connect)
+    : address(std::move(of_address)), connection(std::move(channel), std::move(connect)) {}
 
 std::string DrawId() {
   std::random_device random;
@@ -77,14 +74,15 @@ Replicas::~Replicas() {
 bool Replicas::AwaitConnection(absl::Duration timeout) {
   // gRPC takes times of day, which it converts at once.
   if (all_.size() == 1) {
-    return all_.front()->channel->WaitForConnected(absl::ToChronoTime(absl::Now() + timeout));
+    return all_.front()->connection.line()->channel->WaitForConnected(
+        absl::ToChronoTime(absl::Now() + timeout));
   }
   absl::Duration until = SteadyNow() + timeout;
   while (true) {
     bool is_connected = false;
     std::optional<std::pair<Replica*, grpc_connectivity_state>> pending;
     for (const auto& replica : all_) {
-      const auto state = replica->channel->GetState(/*try_to_connect=*/true);
+      const auto state = replica->connection.line()->channel->GetState(/*try_to_connect=*/true);
       is_connected = is_connected || state == GRPC_CHANNEL_READY;
       if (IsPending(state)) pending = {replica.get(), state};
     }
@@ -93,8 +91,8 @@ bool Replicas::AwaitConnection(absl::Duration timeout) {
     if (now >= until || (is_connected && !pending.has_value())) break;
     const absl::Duration pause = std::min(until - now, absl::Milliseconds(10));
     if (pending.has_value()) {
-      pending->first->channel->WaitForStateChange(pending->second,
-                                                  absl::ToChronoTime(absl::Now() + pause));
+      pending->first->connection.line()->channel->WaitForStateChange(
+          pending->second, absl::ToChronoTime(absl::Now() + pause));
     } else {
       absl::SleepFor(pause);
     }
@@ -102,7 +100,8 @@ bool Replicas::AwaitConnection(absl::Duration timeout) {
   absl::MutexLock lock(&mutex_);
   bool is_connected = false;
   for (const auto& replica : all_) {
-    const bool is_ready = replica->channel->GetState(/*try_to_connect=*/true) == GRPC_CHANNEL_READY;
+    const bool is_ready = replica->connection.line()->channel->GetState(
+                              /*try_to_connect=*/true) == GRPC_CHANNEL_READY;
     if (!is_ready) SetAway(*replica);
     is_connected = is_connected || is_ready;
   }
@@ -186,11 +185,12 @@ void Replicas::ProbeThoseDue() {
 void Replicas::StartProbe(Replica& replica) {
   if (replica.probe != nullptr) return;
   replica.probe = std::make_unique<Probe>();
+  replica.probe->line = replica.connection.line();
   ++probes_;
   Probe& probe = *replica.probe;
   probe.context.set_deadline(absl::ToChronoTime(absl::Now() + kProbeTimeout));
   // gRPC calls back on another thread, so the mutex may be held here.
-  replica.health->async()->Check(
+  probe.line->health->async()->Check(
       &probe.context, &probe.request, &probe.response,
       [this, &replica](const grpc::Status& status) { Probed(replica, status); });
 }

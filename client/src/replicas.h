@@ -21,8 +21,8 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "client/src/connection.h"
 #include "grpc/health/v1/health.grpc.pb.h"
-#include "spikeserve/v1/policy_service.grpc.pb.h"
 
 namespace spikeserve {
 
@@ -35,6 +35,7 @@ inline constexpr absl::Duration kProbeTimeout = absl::Seconds(1);
 
 // A health check that is under way.
 struct Probe {
+  std::shared_ptr<Line> line;
   grpc::ClientContext context;
   grpc::health::v1::HealthCheckRequest request;
   grpc::health::v1::HealthCheckResponse response;
@@ -42,12 +43,11 @@ struct Probe {
 
 // One server of a client.
 struct Replica {
-  Replica(std::string of_address, std::shared_ptr<grpc::Channel> to);
+  // Without `connect`, the connection is never replaced by a fresh one.
+  Replica(std::string of_address, std::shared_ptr<grpc::Channel> channel, Connector connect);
 
   const std::string address;
-  const std::shared_ptr<grpc::Channel> channel;
-  const std::unique_ptr<v1::PolicyService::Stub> stub;
-  const std::unique_ptr<grpc::health::v1::Health::Stub> health;
+  Connection connection;
 
   // The rest is guarded by the mutex of Replicas.
   bool is_away = false;

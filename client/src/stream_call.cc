@@ -3,32 +3,22 @@
 #include <algorithm>
 #include <utility>
 
+#include "client/src/lockable.h"
 #include "client/src/steady_time.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
 namespace {
 
-// Lets std::condition_variable_any unlock and lock a mutex of Abseil.
-class Lockable {
- public:
-  explicit Lockable(absl::Mutex* mutex) : mutex_(*mutex) {}
-
-  void lock() ABSL_NO_THREAD_SAFETY_ANALYSIS { mutex_.Lock(); }      // NOLINT: name of the library
-  void unlock() ABSL_NO_THREAD_SAFETY_ANALYSIS { mutex_.Unlock(); }  // NOLINT: name of the library
-
- private:
-  absl::Mutex& mutex_;
-};
-
 // The clock counts nanoseconds, so that a later time would overflow it.
 constexpr absl::Duration kLongestWait = absl::Hours(24 * 365);
 
 }  // namespace
 
-StreamCall::StreamCall(v1::PolicyService::Stub& stub, const Route& route) {
+StreamCall::StreamCall(Connection* connection, const Route& route)
+    : watched_(connection, &context_, /*expects_answer=*/false) {
   context_.AddMetadata(kAffinityKey, route.key);
-  stub.async()->ActStream(&context_, this);
+  watched_.line().stub->async()->ActStream(&context_, this);
   // Writes start outside of gRPC's callbacks. The hold keeps gRPC from ending the call before them.
   AddHold();
   StartRead(&incoming_);

@@ -17,6 +17,7 @@
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "client/src/connection.h"
 #include "client/src/replicas.h"
 
 namespace spikeserve {
@@ -30,7 +31,8 @@ class StreamCall : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespons
     std::chrono::steady_clock::time_point arrived;
   };
 
-  StreamCall(v1::PolicyService::Stub& stub, const Route& route);
+  // A fresh line of `connection`, which must outlive the call, cancels the call.
+  StreamCall(Connection* connection, const Route& route);
   // Cancels the call if it has not ended, and blocks until gRPC has called OnDone.
   ~StreamCall() override;
 
@@ -51,6 +53,7 @@ class StreamCall : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespons
 
  private:
   grpc::ClientContext context_;
+  Connection::Watched watched_;
   v1::ActResponse incoming_;  // written by gRPC between StartRead and OnReadDone
 
   absl::Mutex mutex_;

@@ -497,6 +497,9 @@ absl::Status PolicyHandler::ExportSession(CallContext& context,
   response->set_episode(session.episode);
   response->set_step(session.step);
   response->set_frozen(IsFrozenByExport(session));
+  if (!request.include_policy()) return absl::OkStatus();
+  auto file = registry_->ReadVersionFile({(*entry)->served->name, (*entry)->served->version});
+  if (file.ok()) response->set_policy_file(*std::move(file));
   return absl::OkStatus();
 }
 

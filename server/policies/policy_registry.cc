@@ -4,6 +4,7 @@
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/model/policy_file.h"
@@ -121,6 +122,13 @@ absl::Status PolicyRegistry::KeepDefaults(const PolicyCatalog& catalog) {
   auto status = Save(settings);
   if (!absl::IsAborted(status)) settings_ = std::move(settings);
   return status;
+}
+
+absl::StatusOr<std::string> PolicyRegistry::ReadVersionFile(const PolicyVersion& version) const {
+  if (options_.withhold_files) {
+    return absl::PermissionDeniedError("policy: files are withheld (--withhold_policies)");
+  }
+  return ReadFile(PolicyFilePath(options_.directory, version));
 }
 
 bool PolicyRegistry::HasUnloaded() {

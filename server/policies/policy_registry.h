@@ -55,6 +55,7 @@ struct RegistryOptions {
   std::string settings_path = "";  // empty: settings are not saved
   DefaultRule default_rule = DefaultRule::kStay;
   bool share_heads = false;          // see LoadPolicyVersion
+  bool withhold_files = false;       // see ReadVersionFile
   SharedSettings* shared = nullptr;  // null: the settings are those of this server
   HeadLogs* head_logs = nullptr;     // null: the shared heads are those of this server
   std::shared_ptr<const PolicySignatures> signatures = nullptr;  // null: versions need no signature
@@ -76,6 +77,10 @@ class PolicyRegistry {
   std::shared_ptr<const PolicyCatalog> catalog() const;
 
   const std::string& directory() const { return options_.directory; }
+
+  // Returns the content of a version's file, for the robots that play it, and PERMISSION_DENIED if
+  // files are withheld. The file may have been replaced since the version was loaded.
+  absl::StatusOr<std::string> ReadVersionFile(const PolicyVersion& version) const;
 
   // Returns true if operators have unloaded versions that are not loaded again.
   bool HasUnloaded();

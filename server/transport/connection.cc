@@ -110,6 +110,7 @@ void Connection::ReadAll() {
     const Socket::Result result = socket_->Read(absl::MakeSpan(buffer));
     if (result.outcome == Socket::Outcome::kClosed) return Close();
     if (result.outcome == Socket::Outcome::kBlocked) break;
+    silent_checks_ = 0;
     if (!Receive({buffer.data(), result.bytes})) return;
     // Less than asked for: nothing more is there, and the attempt to read it costs a system call.
     if (result.bytes < buffer.size() && !socket_->has_buffered_input()) break;
@@ -258,8 +259,23 @@ void Connection::CheckTimes() {
           "message: expected all of its bytes within --request_timeout, received a part"));
     }
   }
-  if (never_called || stuck) return Abort(NGHTTP2_NO_ERROR);
+  if (never_called || stuck || !KeepAlive()) return Abort(NGHTTP2_NO_ERROR);
   if (has_buffers_ && streams_.empty() && unsent_.empty()) ReleaseBuffers();
+}
+
+bool Connection::KeepAlive() {
+  // Checks are counted and not the time, because a process that was stopped has not listened.
+  ++silent_checks_;
+  if (streams_.empty()) return true;
+  const auto checks = [](absl::Duration time) {
+    return static_cast<int>(absl::Ceil(time, kCheckInterval) / kCheckInterval);
+  };
+  const int allowed = checks(shared_->limits->keepalive_interval);
+  if (silent_checks_ == allowed) {
+    nghttp2_submit_ping(session_.get(), NGHTTP2_FLAG_NONE, nullptr);
+    WantFlush();
+  }
+  return silent_checks_ <= allowed + checks(shared_->limits->keepalive_timeout);
 }
 
 void Connection::ReleaseBuffers() {

@@ -61,8 +61,9 @@ class Connection final : public EventLoop::Source,
   void Continue();
   // Sends what is ready to be sent, as far as the client takes it.
   void Flush();
-  // Closes the connection if it has exceeded a time limit. To be called about once a second.
+  // Closes the connection if it has exceeded a time limit. To be called once every kCheckInterval.
   void CheckTimes();
+  static constexpr absl::Duration kCheckInterval = absl::Seconds(1);
   // Tells the client to make no more calls here (GOAWAY) and lets those in progress finish.
   void GoAway();
   // Tells the handlers of all calls that the server stops.
@@ -111,6 +112,8 @@ class Connection final : public EventLoop::Source,
   void ContinueLater();
   // Returns false if the connection was closed.
   bool Receive(absl::string_view data);
+  // Asks a silent client for a sign of life. Returns false if it has not given one in time.
+  bool KeepAlive();
   // Gives back the memory that an idle connection does not need.
   void ReleaseBuffers();
   // Appends frames of the session to `unsent_`, up to a limit.
@@ -168,7 +171,8 @@ class Connection final : public EventLoop::Source,
   bool waits_for_turn_ = false;  // in the queue of strangers
   uint32_t watched_ = 0;         // events
   absl::Duration closing_since_ = absl::InfiniteDuration();
-  size_t dropped_ = 0;  // bytes received since then
+  size_t dropped_ = 0;     // bytes received since then
+  int silent_checks_ = 0;  // calls of CheckTimes() since the last bytes of the client
   bool wants_flush_ = false;
   bool continues_ = false;
   bool condemned_ = false;  // exceeded a limit: to be closed with ENHANCE_YOUR_CALM

@@ -38,6 +38,8 @@ absl::Status TransportLimits::Validate() const {
   status.Update(CheckPositive("--request_timeout", request_timeout));
   status.Update(CheckPositive("--idle_timeout", idle_timeout));
   status.Update(CheckPositive("--write_timeout", write_timeout));
+  status.Update(CheckPositive("--keepalive_interval", keepalive_interval));
+  status.Update(CheckPositive("--keepalive_timeout", keepalive_timeout));
   status.Update(CheckPositive("--max_connection_age", max_connection_age));
   return status;
 }

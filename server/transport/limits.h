@@ -37,6 +37,10 @@ struct TransportLimits {
   absl::Duration request_timeout = absl::Seconds(30);  // of one message that arrives in pieces
   absl::Duration idle_timeout = absl::Minutes(30);     // of a connection without a call
   absl::Duration write_timeout = absl::Seconds(30);    // of a client that reads no answers
+  // A client that has sent nothing for this time while a call is open gets a PING, which it answers
+  // within the timeout, or the connection is closed.
+  absl::Duration keepalive_interval = absl::Seconds(20);
+  absl::Duration keepalive_timeout = absl::Seconds(10);
   absl::Duration max_connection_age = absl::InfiniteDuration();
 
   // Returns INVALID_ARGUMENT, which names the flag, what was expected and what was received.

@@ -6,12 +6,6 @@
 #include <vector>
 
 namespace spikeserve {
-namespace {
-
-// The interval of checking time limits.
-constexpr absl::Duration kCheckInterval = absl::Seconds(1);
-
-}  // namespace
 
 absl::StatusOr<std::unique_ptr<TransportLoop>> TransportLoop::Create(const TransportLimits* limits,
                                                                      TransportBudgets* budgets,
@@ -78,7 +72,7 @@ void TransportLoop::CheckTimes() {
   connections.reserve(connections_.size());
   for (const auto& [key, connection] : connections_) connections.push_back(connection.get());
   for (Connection* connection : connections) connection->CheckTimes();
-  events_->After(kCheckInterval, [this] { CheckTimes(); });
+  events_->After(Connection::kCheckInterval, [this] { CheckTimes(); });
 }
 
 void TransportLoop::Drain() {

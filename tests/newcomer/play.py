@@ -54,8 +54,6 @@ EDITS = {
     ],
     # The page expects the programs where a package installs them.
     "security.md": [("openssl req -x509", "export PATH=$PWD/build/release/bin:$PATH\nopenssl req -x509")],
-    # A robot with a deadline of 20 ms needs a machine with nothing else to do.
-    "your-robot.md": [("timeout=PERIOD", "timeout=30")],
 }
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE_NAME = re.compile(r"(?:^|\. )`([\w.]+\.(?:py|cc|txt))`(?::| (?:is|opens|stands|writes)\b)", re.MULTILINE)

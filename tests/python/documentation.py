@@ -83,6 +83,11 @@ class Shell:
     def __exit__(self, *_):
         self._stop()
 
+    @property
+    def server(self):
+        """Returns the address of the server, or None before the page has started it."""
+        return self._addresses.get(PAGES_GRPC_PORT)
+
     def run(self, page, edits=()):
         """Runs every `bash` block of docs/<page>, in order, and yields the output of each.
 

@@ -163,6 +163,49 @@ def test_the_memory_of_strangers_is_bounded(tokens):
             assert code_of(agent.ListPolicies) == grpc.StatusCode.OK
 
 
+@contextlib.contextmanager
+def open_stream(address):
+    """Opens a call of ActStream by hand and yields its socket."""
+    host, _, port = address.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=30) as connection:
+        fields = frames.request(f"/{POLICY}/ActStream", ("authorization", "Bearer agent"))
+        connection.sendall(
+            frames.PREFACE
+            + frames.settings()
+            + frames.frame(frames.HEADERS, fields, frames.END_HEADERS, 1)
+        )
+        yield connection
+
+
+def read_frames(connection):
+    """Yields the frames that the server sends as (kind, flags, payload) until it ends the connection."""
+    received = b""
+    with contextlib.suppress(ConnectionError):
+        while chunk := connection.recv(1 << 16):
+            received += chunk
+            while len(received) >= 9 and len(received) >= 9 + int.from_bytes(received[:3]):
+                end = 9 + int.from_bytes(received[:3])
+                yield received[3], received[4], received[9:end]
+                received = received[end:]
+
+
+def test_a_silent_client_with_an_open_call_is_asked_for_a_sign_of_life(tokens):
+    flags = [f"--tokens={tokens}", "--keepalive_interval=1s", "--keepalive_timeout=1s"]
+    with running_server(flags=flags) as addresses:
+        with open_stream(addresses.grpc) as alive:
+            answered = 0
+            for kind, _, payload in read_frames(alive):
+                if kind == frames.PING:
+                    answered += 1
+                    alive.sendall(frames.frame(frames.PING, payload, frames.ACK))
+                if answered == 3:
+                    break
+            assert answered == 3
+        with open_stream(addresses.grpc) as dead:
+            kinds = [kind for kind, _, _ in read_frames(dead)]
+            assert kinds.count(frames.PING) == 1
+
+
 PREFIX = "fd00:5:1:4::"
 
 

@@ -12,17 +12,24 @@
 #include <string>
 
 #include "absl/status/statusor.h"
+#include "absl/time/time.h"
 
 namespace spikeserve {
 
-// Encryption and authentication. `ca`, `certificate` and `key` are paths of PEM files. The default
-// is plain text without a token.
+// Encryption, authentication and signs of life. `ca`, `certificate` and `key` are paths of PEM
+// files. The default is plain text without a token.
 struct SecurityOptions {
   bool tls = false;         // encrypt; implied by `ca` and `certificate`
   std::string ca;           // the authorities of the server's certificate; empty: the system's
   std::string certificate;  // the client's own, for servers that require one
   std::string key;          // the private key of `certificate`
   std::string token;        // sent in every call as "authorization: Bearer TOKEN"; empty: none
+
+  // While a call is under way, a server that has sent nothing for `keepalive` is asked for a sign
+  // of life (a PING of HTTP/2), which may take `keepalive_timeout`. So may the acknowledgement of
+  // sent bytes. After that, the connection is a broken one, and the next call opens another one.
+  absl::Duration keepalive = absl::Seconds(10);
+  absl::Duration keepalive_timeout = absl::Seconds(5);
 
   bool use_tls() const { return tls || !ca.empty() || !certificate.empty(); }
 };

@@ -52,6 +52,7 @@ std::shared_ptr<Route> MakeRoute();
 
 class Attempts;
 class Replicas;
+struct Line;
 struct Replica;
 
 class Client {
@@ -150,7 +151,7 @@ class Client {
 
   // Makes attempts of one call until one succeeds or `rules` and `attempts` allow no other one.
   absl::Status Run(const Rules& rules, Attempts& attempts,
-                   absl::FunctionRef<grpc::Status(Replica&, grpc::ClientContext*)> attempt);
+                   absl::FunctionRef<grpc::Status(Line&, grpc::ClientContext*)> attempt);
 
   // Calls the stub's `method` for a request that names a session.
   template <typename Request, typename Response>

@@ -103,8 +103,11 @@ class RemoteSession {
   // reopen, and the errors of Client::OpenSession.
   absl::Status OpenAgain();
 
-  // Ends the session on the server.
-  absl::Status Close() { return client_->CloseSession(session_id_, route_); }
+  // Ends the session on the server. Returns OK if it was lost.
+  absl::Status Close() {
+    const absl::Status status = client_->CloseSession(session_id_, route_);
+    return absl::IsNotFound(status) ? absl::OkStatus() : status;
+  }
 
   // The way of the calls of the session; null: that of its id.
   const std::shared_ptr<Route>& route() const { return route_; }

@@ -119,6 +119,8 @@ class RemoteStream {
   // By the monotonic clock; absent: the call is open.
   std::optional<absl::Duration> reopens_at_ ABSL_GUARDED_BY(mutex_);
   std::optional<absl::Status> broken_ ABSL_GUARDED_BY(mutex_);
+  // When the connection was last put in doubt, by the monotonic clock.
+  absl::Duration doubted_ ABSL_GUARDED_BY(mutex_) = -absl::InfiniteDuration();
   bool send_closed_ ABSL_GUARDED_BY(mutex_) = false;
 };
 

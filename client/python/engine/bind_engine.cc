@@ -56,22 +56,56 @@ std::shared_ptr<LocalSession> OpenSession(std::shared_ptr<PlayedPolicy> played,
   return ValueOrRaise(LocalSession::Open(std::move(played), std::move(request)));
 }
 
-BoundDecision Act(LocalSession& session, nb::handle observation, double reward) {
+// An executed action of a call, and the array that it refers to.
+struct ExecutedAction {
+  std::optional<ReportedAction> action;  // absent: as answered
+  InputArray<float> values;
+};
+
+ExecutedAction ToExecuted(const nb::handle& given) {
+  ExecutedAction executed;
+  if (given.is_none()) return executed;
+  // An array of one element converts to an integer, too, and is no index.
+  if (PyIndex_Check(given.ptr()) != 0 && PySequence_Check(given.ptr()) == 0) {
+    executed.action = nb::cast<int64_t>(nb::int_(given));
+    return executed;
+  }
+  executed.values = ToArray<float>("executed_action", given, 1);
+  executed.action = View(executed.values);
+  return executed;
+}
+
+std::shared_ptr<LocalSession> Resume(std::shared_ptr<PlayedPolicy> played, const nb::bytes& value) {
+  return ValueOrRaise(LocalSession::Resume(std::move(played), {value.c_str(), value.size()}));
+}
+
+nb::bytes Export(LocalSession& session) {
+  const std::string value = session.Export();
+  return nb::bytes(value.data(), value.size());
+}
+
+BoundDecision Act(LocalSession& session, nb::handle observation, double reward,
+                  nb::handle executed_action) {
   const auto values = ToArray<float>("observation", observation, 1);
+  const ExecutedAction executed = ToExecuted(executed_action);
   absl::StatusOr<Answer> answer = Answer();
   {
     const nb::gil_scoped_release release;
-    answer = session.Act(View(values), reward);
+    answer = session.Act(View(values), reward, executed.action);
   }
   return ToBound(ValueOrRaise(std::move(answer)), session.policy());
 }
 
 EpisodeSummary EndEpisode(LocalSession& session, double reward, bool terminated, bool truncated,
-                          std::optional<double> target_return) {
-  const EpisodeEnd end = {.reward = reward,
-                          .terminated = terminated,
-                          .target_return = target_return,
-                          .truncated = truncated};
+                          std::optional<double> target_return, nb::handle executed_action) {
+  EpisodeEnd end = {.reward = reward,
+                    .terminated = terminated,
+                    .target_return = target_return,
+                    .truncated = truncated};
+  if (const ExecutedAction executed = ToExecuted(executed_action); executed.action.has_value()) {
+    end.executed_action =
+        ValueOrRaise(ParseExecutedAction(*executed.action, session.policy().action_space));
+  }
   absl::StatusOr<EpisodeSummary> summary = EpisodeSummary();
   {
     const nb::gil_scoped_release release;
@@ -142,14 +176,19 @@ BoundBatch ActBatch(const PlayedPolicy& played,
 void BindSession(nb::module_& module) {
   nb::class_<LocalSession>(module, "Session",
                            "The session of one agent: its context window, return-to-go and step.")
-      .def("act", &Act, "observation"_a, "reward"_a = 0.0,
+      .def("act", &Act, "observation"_a, "reward"_a = 0.0, nb::kw_only(),
+           "executed_action"_a = nb::none(),
            "Returns the decision at this step and moves to the next step.\n\n"
            "`observation` is in environment units. `reward` is for the previous action; step 0\n"
-           "ignores it. After an error the session is unchanged.")
+           "ignores it. `executed_action` is what was executed at the previous step; None: as\n"
+           "answered. After an error the session is unchanged.")
       .def("end_episode", &EndEpisode, "reward"_a, "terminated"_a = false, "truncated"_a = false,
-           "target_return"_a = nb::none(),
+           "target_return"_a = nb::none(), nb::kw_only(), "executed_action"_a = nb::none(),
            "Takes the last reward, ends the episode and moves to step 0 of the next episode.\n\n"
-           "`target_return` is for the next episode; None: the target return of the session.")
+           "`target_return` is for the next episode; None: the target return of the session.\n"
+           "`executed_action` is the executed last action; None: as answered.")
+      .def("export", &Export,
+           "Returns the value of the session, with the bytes of the server's ExportSession.")
       .def("explain", &Explain,
            "Recomputes the last decision and returns its spikes, attention and gates.\n\n"
            "Takes about a thousand times as long as a decision.")
@@ -182,6 +221,9 @@ void BindEngine(nb::module_& module) {
            "head_delta"_a = nb::none(),
            "Opens a session. None selects the default of the policy.\n\n"
            "`learning` is a Learning of this package or of the client.")
+      .def("resume", &Resume, "value"_a,
+           "Continues a session from its value, bit for bit, that a server has exported.\n\n"
+           "The engine has to play the same policy file. ValueError if the value is damaged.")
       .def("act_batch", &ActBatch, "sessions"_a, "observations"_a, "rewards"_a = nb::none(),
            "Decides for different sessions of this engine at once, as `act` does for each.\n\n"
            "observations: [rows, observation_size]; rewards: [rows], None: all 0. After an error,\n"

@@ -8,6 +8,8 @@
 #include "absl/strings/str_cat.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
+#include "core/session/journal_entry.h"
+#include "core/session/session_export.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -67,6 +69,16 @@ absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Open(
   return std::make_shared<LocalSession>(std::move(played), NewSession("", *std::move(options)));
 }
 
+absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Resume(
+    std::shared_ptr<const PlayedPolicy> played, absl::string_view value) {
+  absl::StatusOr<Session> session = ImportSession(value);
+  if (!session.ok()) return session.status();
+  // A journal without entries: the session, after the checks that it belongs to the policy.
+  session = RestoreSession({.snapshot = *std::move(session), .entries = {}}, played->policy());
+  if (!session.ok()) return session.status();
+  return std::make_shared<LocalSession>(std::move(played), *std::move(session));
+}
+
 LocalSession::LocalSession(std::shared_ptr<const PlayedPolicy> played, Session session)
     : played_(std::move(played)),
       agent_(played_->served(), std::move(session), &played_->clock()) {}
@@ -90,10 +102,11 @@ class LocalSession::Locks {
   const absl::Span<LocalSession* const> sorted_;
 };
 
-absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward) {
+absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward,
+                                         const std::optional<ReportedAction>& executed) {
   const absl::MutexLock lock(&mutex_);
   const absl::StatusOr<const Answer*> answer =
-      agent_.Act(agent_.session().step, observation, reward);
+      agent_.Act(agent_.session().step, observation, reward, executed);
   if (!answer.ok()) return answer.status();
   return **answer;
 }
@@ -101,6 +114,10 @@ absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, do
 absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(const EpisodeEnd& end) {
   const absl::MutexLock lock(&mutex_);
   return agent_.EndEpisode(end);
+}
+
+std::string LocalSession::Export() {
+  return With([](const AgentSession& agent) { return ExportSession(agent); });
 }
 
 absl::StatusOr<LocalSession::Explained> LocalSession::Explain() {

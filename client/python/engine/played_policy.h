@@ -10,16 +10,19 @@
 #define CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
 #include "client/python/engine/batch_answers.h"
 #include "client/python/engine/policy_source.h"
+#include "core/action/reported_action.h"
 #include "core/base/clock.h"
 #include "core/session/agent_session.h"
 #include "core/session/explanation.h"
@@ -61,13 +64,19 @@ class LocalSession {
   static absl::StatusOr<std::shared_ptr<LocalSession>> Open(
       std::shared_ptr<const PlayedPolicy> played, SessionRequest request);
 
+  // Continues a session that a server, or Export, has exported. Returns INVALID_ARGUMENT if `value`
+  // is not one, and DATA_LOSS if it does not belong to a session of the policy.
+  static absl::StatusOr<std::shared_ptr<LocalSession>> Resume(
+      std::shared_ptr<const PlayedPolicy> played, absl::string_view value);
+
   LocalSession(std::shared_ptr<const PlayedPolicy> played, Session session);
 
   const PlayedPolicy& played() const { return *played_; }
   const Policy& policy() const { return played_->policy(); }
 
   // Errors of the methods: see AgentSession.
-  absl::StatusOr<Answer> Act(absl::Span<const float> observation, double reward);
+  absl::StatusOr<Answer> Act(absl::Span<const float> observation, double reward,
+                             const std::optional<ReportedAction>& executed = std::nullopt);
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
   // A recomputed decision, and the value of the session that made it.
   struct Explained {
@@ -76,6 +85,9 @@ class LocalSession {
   };
   // Takes about a thousand times as long as a decision. Holds the lock only for a copy.
   absl::StatusOr<Explained> Explain();
+
+  // Returns the value of the session, with the bytes of the server's ExportSession.
+  std::string Export();
 
   // Calls `read` with the session while no other call changes it.
   template <typename Read>

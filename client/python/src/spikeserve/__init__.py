@@ -1,9 +1,10 @@
 """Client of spikeserve, the inference service for Spiking Decision Transformers.
 
-Start with `Client` and `Session`. `VectorSession` acts in Gymnasium vector environments.
-`AsyncClient` is the client for asyncio. `evaluate` plays whole episodes. `AdminClient` has the
-calls of operators. The module `spikeserve.export` writes policy files. `spikeserve.engine` plays
-them without a server, and `imitate` trains them for any Gymnasium environment.
+Start with `Client` and `Session`, on a robot with `Pilot`. `VectorSession` acts in Gymnasium
+vector environments. `AsyncClient` is the client for asyncio. `evaluate` plays whole episodes.
+`AdminClient` has the calls of operators. The module `spikeserve.export` writes policy files.
+`spikeserve.engine` plays them without a server, and `imitate` trains them for any Gymnasium
+environment.
 """
 
 import importlib.metadata
@@ -14,8 +15,8 @@ from spikeserve.async_client import AsyncClient
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
 from spikeserve.async_vector_session import AsyncVectorSession
+from spikeserve.channels import ClientOptions
 from spikeserve.client import Client
-from spikeserve.connection import ClientOptions
 from spikeserve.errors import (
     DeadlineExceededError,
     DivergedError,
@@ -33,6 +34,9 @@ from spikeserve.errors import (
 from spikeserve.evaluation import Evaluation, EvaluationStoppedError, evaluate
 from spikeserve.explanation import Attention, Explanation, RoutingGates, SpikeRaster, Token
 from spikeserve.imitating import imitate
+from spikeserve.piloting.pilot import Pilot
+from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
+from spikeserve.piloting.pilot_stats import PilotStats
 from spikeserve.retry import RetryOptions
 from spikeserve.session import Session
 from spikeserve.spaces import ActionSpace, Box, Discrete
@@ -86,6 +90,10 @@ __all__ = [
     "NotFoundError",
     "Opening",
     "PermissionDeniedError",
+    "Pilot",
+    "PilotAction",
+    "PilotOptions",
+    "PilotStats",
     "Policy",
     "ResourceExhaustedError",
     "RetryOptions",

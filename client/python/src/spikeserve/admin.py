@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import grpc
 
+from spikeserve.async_connection import AsyncConnection
 from spikeserve.calls import Call
-from spikeserve.connection import AsyncConnection, ClientOptions, Connection
+from spikeserve.channels import ClientOptions
+from spikeserve.connection import Connection
 from spikeserve.wire import ADMIN_METHODS, ADMIN_SERVICE, Message, comment_of
 
 # Loading a version reads files and tries the policy, which takes longer than a decision.

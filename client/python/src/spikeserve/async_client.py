@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
+from spikeserve.async_connection import AsyncConnection
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
 from spikeserve.batches import ExecutedActions, act_each, by_server
 from spikeserve.calls import list_policies, open_session
-from spikeserve.connection import AsyncConnection
 from spikeserve.errors import SpikeserveError
 from spikeserve.replicas import Route
 from spikeserve.values import Decision, Policy, SessionOptions

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from spikeserve.connection import AsyncConnection
+from spikeserve.async_connection import AsyncConnection
 from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
@@ -84,5 +85,6 @@ class AsyncSession(SessionHandle[AsyncConnection]):
     async def close(self) -> None:
         """Asyncio form of Session.close."""
         if not self._closed:
-            await self._client.run(self.cursor.close())
+            with contextlib.suppress(SessionLostError):
+                await self._client.run(self.cursor.close())
             self._closed = True

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import grpc
 from numpy.typing import ArrayLike
 
+from spikeserve.async_connection import AsyncConnection, Watch, is_cancelled
 from spikeserve.async_session import AsyncSession
-from spikeserve.connection import AsyncConnection, StreamOpener
 from spikeserve.errors import SessionLostError, SpikeserveError, code_of_end, make_error
 from spikeserve.open_requests import (
     OpenRequest,
@@ -20,6 +20,7 @@ from spikeserve.open_requests import (
     stream_silent,
 )
 from spikeserve.replicas import Route
+from spikeserve.stream_opener import StreamOpener
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
 
@@ -142,8 +143,13 @@ class AsyncActStream:
     async def _read(self) -> Message | SpikeserveError:
         if self._call.cancelled():  # with a `receive` that was cancelled
             return stream_ended()
+        watch = Watch(self._open.doubt)
         try:
             reply = await self._read_in_time()
+        except asyncio.CancelledError:
+            if self._opener.is_renewed and not is_cancelled():
+                return stream_ended()
+            raise
         except grpc.RpcError:
             # The error of a read may only say that the call has ended; its status says why.
             code, details = await self._call.code(), await self._call.details()
@@ -152,6 +158,8 @@ class AsyncActStream:
                 code = grpc.StatusCode.UNAVAILABLE
             details = details or ""
             return make_error("ActStream", code_of_end(code, details), details)
+        finally:
+            watch.stop()
         return stream_ended() if reply is grpc.aio.EOF else reply
 
     async def _read_in_time(self) -> Any:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.client import Client
+from spikeserve.distance import Arrivals, Distance
 from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.session import Session
 from spikeserve.spaces import as_action_space, check_observation_space
@@ -91,6 +92,9 @@ def evaluate(
     wrappers: Sequence[Callable[[Any], Any]] = (),
     version: int | None = None,
     options: SessionOptions | None = None,
+    delay: int = 0,
+    jitter: int = 0,
+    loss: float = 0.0,
 ) -> Evaluation:
     """Plays episodes of a Gymnasium environment, with the most probable actions by default.
 
@@ -103,6 +107,10 @@ def evaluate(
     `policy`, plays the served policy that was made for this environment. `options` are those of
     the session; `version` replaces its version.
 
+    With `delay`, each decision is executed that many beats after its observation, and up to
+    `jitter` beats later; the share `loss` of the decisions never arrives. Meanwhile the last action
+    is executed, which the policy is told.
+
     An episode whose session was lost is played again in a new session, unless the session learns.
     If a call fails after some episodes, raises EvaluationStoppedError with the result so far.
     LookupError if no such policy is served. ValueError if `episodes` is less than 1, or if a space
@@ -111,6 +119,7 @@ def evaluate(
     from spikeserve.flat_spaces import FlatEnvironment  # needs Gymnasium, as an environment does
 
     check(episodes >= 1, "episodes", "at least 1", episodes)
+    distance = Distance(delay, jitter, loss)
     settings = options or SessionOptions()
     if version is not None:
         settings = replace(settings, version=version)
@@ -132,7 +141,7 @@ def evaluate(
         result = Evaluation(env_id, name, opening.version, [])
         try:
             for episode in range(episodes):
-                result.episodes.append(_play(environment, session, seed + episode))
+                result.episodes.append(_play(environment, session, seed + episode, distance))
         except SpikeserveError as error:
             if not result.episodes:
                 raise
@@ -155,12 +164,12 @@ def _make_environment(
     return environment
 
 
-def _play(environment: Any, session: Session, seed: int) -> EpisodeSummary:
+def _play(environment: Any, session: Session, seed: int, distance: Distance) -> EpisodeSummary:
     """Plays an episode, again from its start if its session was lost and reopened on the way."""
     for _ in range(_TRIES):
         before = session.reopened
         try:
-            summary = play_episode(environment, session, seed)
+            summary = play_episode(environment, session, seed, distance)
         except SessionLostError:
             if not session.reopens:
                 raise
@@ -183,11 +192,31 @@ def choose_policy(policies: list[Policy], env_id: str) -> Policy:
     )
 
 
-def play_episode(environment: Any, session: Session, seed: int) -> EpisodeSummary:
+def play_episode(
+    environment: Any, session: Session, seed: int, distance: Distance | None = None
+) -> EpisodeSummary:
     """Plays one episode of a Gymnasium environment."""
+    if distance is not None and not distance.is_none:
+        return _play_far_away(environment, session, seed, distance)
     observation, _ = environment.reset(seed=seed)
     reward, terminated, truncated = 0.0, False, False
     while not (terminated or truncated):
         action = session.act(observation, reward).action
         observation, reward, terminated, truncated, _ = environment.step(action)
     return session.end_episode(float(reward), terminated, truncated, observation=observation)
+
+
+def _play_far_away(
+    environment: Any, session: Session, seed: int, distance: Distance
+) -> EpisodeSummary:
+    arrivals = Arrivals(distance, as_action_space(environment.action_space), seed)
+    observation, _ = environment.reset(seed=seed)
+    reward, terminated, truncated, beat, executed = 0.0, False, False, 0, None
+    while not (terminated or truncated):
+        decided = session.act(observation, reward, executed_action=executed).action
+        executed = arrivals.executed(beat, decided)
+        observation, reward, terminated, truncated, _ = environment.step(executed)
+        beat += 1
+    return session.end_episode(
+        float(reward), terminated, truncated, observation=observation, executed_action=executed
+    )

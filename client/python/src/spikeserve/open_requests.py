@@ -11,8 +11,8 @@ import grpc
 from numpy.typing import ArrayLike
 
 from spikeserve.calls import Call
+from spikeserve.channels import ClientOptions
 from spikeserve.check import check
-from spikeserve.connection import ClientOptions, StreamOpener
 from spikeserve.errors import (
     SessionLostError,
     SpikeserveError,
@@ -22,8 +22,10 @@ from spikeserve.errors import (
     make_error,
     was_refused,
 )
+from spikeserve.lines import SILENCE_SECONDS
 from spikeserve.retry import Patience
 from spikeserve.session_handle import AnySession
+from spikeserve.stream_opener import StreamOpener
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
 
@@ -60,6 +62,7 @@ class OpenRequests(Generic[AnySession]):
         self._new_patience = new_patience  # of a stream that breaks
         self._open: dict[str, OpenRequest[AnySession]] = {}
         self._stream_patience: Patience | None = None  # None: the stream is whole
+        self._doubted = 0.0  # when `doubt` was called last, of time.monotonic()
         self.broken: SpikeserveError | None = None  # why the stream broke; None: it is open
 
     def __len__(self) -> int:
@@ -129,13 +132,30 @@ class OpenRequests(Generic[AnySession]):
         """Returns the seconds until `is_silent` may be true; None: it never will be."""
         if not self._opener.has_others:
             return None
-        sent = [request.sent for request in self._open.values() if request.due is None]
-        oldest = min(sent, default=time.monotonic())
+        oldest = self._oldest() or time.monotonic()
         return max(0.0, oldest + self._timeout - time.monotonic())
 
     def is_silent(self) -> bool:
         """Returns whether a request has had no answer for too long, and another server may have."""
         return bool(self._open) and self.seconds_until_silent() == 0.0
+
+    def seconds_until_doubt(self) -> float | None:
+        """Returns the seconds until `doubt` is to be called; None: no answer is awaited."""
+        oldest = self._oldest()
+        if oldest is None:
+            return None
+        return max(0.0, max(oldest, self._doubted) + SILENCE_SECONDS - time.monotonic())
+
+    def doubt(self) -> None:
+        """Races a fresh connection if the oldest request has waited for too long."""
+        oldest = self._oldest()
+        if oldest is not None and self.seconds_until_doubt() == 0.0:
+            self._doubted = time.monotonic()
+            self._opener.suspect(oldest)
+
+    def _oldest(self) -> float | None:
+        sent = (request.sent for request in self._open.values() if request.due is None)
+        return min(sent, default=None)
 
     def restart(self, request: OpenRequest[AnySession]) -> Message:
         """Returns the request to send after its session was opened again."""

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import secrets
 import time
+import weakref
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from spikeserve.check import check
+from spikeserve.lines import Doubt, Line
 
 AFFINITY_KEY = "spikeserve-affinity"  # the metadata by which proxies choose a server
 
@@ -21,18 +23,34 @@ AFFINITY_KEY = "spikeserve-affinity"  # the metadata by which proxies choose a s
 PROBE_SECONDS = 1.0
 
 
-class Replica:
-    """One server of a client: its address and its methods on a channel."""
+class Cancellable(Protocol):
+    """A call that can be cancelled."""
 
-    def __init__(self, address: str, channel: Any, methods: dict[str, Any], health: Any) -> None:
+    def cancel(self) -> Any:
+        """Ends the call, if it has not ended."""
+
+
+class Replica:
+    """One server of a client: its address and the line to it, which a fresh one may replace."""
+
+    def __init__(self, address: str, line: Line) -> None:
         self.address = address
-        self.channel = channel
-        self.methods = methods
-        self.health = health  # grpc.health.v1.Health.Check, of serialized messages
+        self.line = line
+        self.doubt = Doubt()  # of the line
+        # Those on the line. A fresh line cancels them: grpc.aio does not when it closes a channel.
+        self.streams: weakref.WeakSet[Cancellable] = weakref.WeakSet()
+        self.renewals = 0  # how often a fresh line has replaced one that did not answer
         self.is_away = False
         self.is_probed = False  # a probe is under way
         self.probe_at = 0.0  # of time.monotonic()
         self.pause = 0.0  # seconds between the last failure and the next probe
+
+    def renew(self, line: Line) -> None:
+        """Replaces the line by a fresh one. Calls that begin from now on go there."""
+        self.line = line
+        self.renewals += 1
+        for stream in list(self.streams):
+            stream.cancel()
 
 
 class Route:

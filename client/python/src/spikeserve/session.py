@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
@@ -118,7 +119,8 @@ class Session(SessionHandle[Connection]):
         self._move_to(self._client.run(self._reopening()))
 
     def close(self) -> None:
-        """Ends the session on the server. Does nothing if it was closed before."""
+        """Ends the session on the server. Does nothing if it was closed before, or lost."""
         if not self._closed:
-            self._client.run(self.cursor.close())
+            with contextlib.suppress(SessionLostError):
+                self._client.run(self.cursor.close())
             self._closed = True

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import grpc
 from numpy.typing import ArrayLike
 
-from spikeserve.connection import Connection, StreamOpener
+from spikeserve.connection import Connection
 from spikeserve.errors import SessionLostError, SpikeserveError, error_of_call, make_error
 from spikeserve.open_requests import (
     OpenRequest,
@@ -22,6 +22,7 @@ from spikeserve.open_requests import (
 )
 from spikeserve.replicas import Route
 from spikeserve.session import Session
+from spikeserve.stream_opener import StreamOpener
 from spikeserve.values import ActionLike, Decision
 from spikeserve.wire import Message
 
@@ -203,8 +204,11 @@ class ActStream:
         until_due = self._open.seconds_until_due()
         until_end = None if deadline is None else max(0.0, deadline - time.monotonic())
         until_silent = self._open.seconds_until_silent()
-        waits = [s for s in (until_due, until_end, until_silent) if s is not None]
+        until_doubt = self._open.seconds_until_doubt()
+        waits = [s for s in (until_due, until_end, until_silent, until_doubt) if s is not None]
         reply = self._call.receive(min(waits) if waits else None)
+        if reply is None:
+            self._open.doubt()
         return stream_silent() if reply is None and self._open.is_silent() else reply
 
     def _reopen_if_broken(self) -> None:

@@ -1,0 +1,254 @@
+"""`Pilot`: every beat of a robot has an action, whatever the link does."""
+
+from __future__ import annotations
+
+import logging
+import time
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spikeserve.connection import Connection
+from spikeserve.piloting.beat_log import Beat, Ending
+from spikeserve.piloting.ladder import Chosen, Ladder
+from spikeserve.piloting.link import Link
+from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
+from spikeserve.piloting.pilot_stats import PilotStats
+from spikeserve.piloting.server_session import ServerSession
+from spikeserve.values import Action, ActionLike, EpisodeSummary
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # typing has it from Python 3.11 on
+
+LOGGER = logging.getLogger("spikeserve.pilot")
+
+
+class Pilot:
+    """Flies one robot: returns an action for each beat in time, fresh from the server if possible.
+
+        with Client(address) as client, Pilot(client, "pendulum", period=0.02) as pilot:
+            action = pilot.beat(observation, reward)
+
+    The further arguments are the fields of PilotOptions. The constructor opens the session and
+    waits for the server, and raises SpikeserveError; `beat` never waits longer than the budget and
+    never raises. A background thread brings the server all beats, in order and once, whoever chose
+    their actions: the server's session is that of the robot. Answers that come too late are not
+    executed, and neither are those from before a reconnection.
+
+    For one thread; `stats` may be called from any.
+    """
+
+    def __init__(self, client: Connection, policy: str, period: float, **options: Any) -> None:
+        self._options = PilotOptions(period=period, **options)
+        self._session = ServerSession(client, policy, self._options)
+        opening = self._session.opening
+        neutral = self._options.neutral
+        if neutral is None:
+            wire = self._session.neutral
+            is_discrete = wire.WhichOneof("kind") != "continuous"
+            neutral = wire.discrete if is_discrete else list(wire.continuous.values)
+        self._observation = np.zeros(opening.observation_size, np.float32)  # the last valid one
+        self._ladder = Ladder(self._options, opening.action_space, neutral, time.monotonic_ns())
+        self._ladder.begin_episode()
+        self._link = Link(client, self._options, self._session)
+        self._executed_step = -1  # of the running episode: the newest answer that was executed
+        self._beats = 0
+        self._is_new_episode = True
+        self._ending: Ending | None = None  # of the episode before
+        self._last_executed: Action | None = None
+        self._logged: set[str] = set()
+        self._link.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def session_id(self) -> str:
+        """Returns the id of the session at the server."""
+        return self._session.session_id
+
+    def beat(
+        self,
+        observation: ArrayLike,
+        reward: float = 0.0,
+        *,
+        executed_action: ActionLike | None = None,
+    ) -> PilotAction:
+        """Returns the action for an observation, at most `budget` seconds later. Never raises.
+
+        `reward` is for the action of the beat before; the first beat of an episode ignores it.
+        `executed_action` is what the robot executed in the beat before, if it differs from the
+        returned action, for example because a safety layer clipped it.
+        """
+        began = time.monotonic()
+        try:
+            return self._beat(observation, reward, executed_action, began)
+        except Exception:
+            self._complain("beat", "the pilot failed; the neutral action is taken", exc_info=True)
+            with self._link.changed:
+                self._link.counters.count(failures=1)
+            self._beats += 1
+            return PilotAction(self._ladder.neutral, "safe", 0.0, self._beats - 1)
+
+    def end_episode(
+        self,
+        reward: float,
+        terminated: bool = False,
+        truncated: bool = False,
+        target_return: float | None = None,
+        observation: ArrayLike | None = None,
+        *,
+        executed_action: ActionLike | None = None,
+    ) -> Future[EpisodeSummary]:
+        """Ends the episode; the next beat begins another one. Never waits, and never raises.
+
+        The arguments are those of Session.end_episode. The result of the future is the summary of
+        the server, once it has all beats of the episode. Its exception is SpikeserveError if the
+        session was lost, or the pilot closed before.
+        """
+        with self._link.changed:
+            self._note_executed(executed_action)
+            last = None if observation is None else self._valid(observation)
+            ending = Ending(
+                self._number(reward), bool(terminated), bool(truncated), target_return, last
+            )
+            if self._is_new_episode:  # it has no beat
+                ending.summary.set_result(EpisodeSummary(0.0, 0, 0, 0.0))
+                return ending.summary
+            self._link.end_episode(ending)
+        self._ending, self._is_new_episode, self._executed_step = ending, True, -1
+        self._ladder.begin_episode()
+        return ending.summary
+
+    def stats(self) -> PilotStats:
+        """Returns what the pilot has done so far."""
+        with self._link.changed:
+            return self._link.counters.snapshot(
+                entries=dict(self._ladder.entries),
+                dropped=self._link.log.dropped,
+                lost_episodes=self._link.log.lost_episodes,
+                has_local=self._session.has_local,
+                local_head_is_copy=self._session.has_local and self._session.shares_head,
+            )
+
+    def close(self) -> None:
+        """Waits until the server has the ends of all episodes, then closes the session.
+
+        Waits for at most `close_timeout` seconds. Futures of episodes whose end the server does not
+        have then fail.
+        """
+        self._link.close(self._options.close_timeout)
+
+    def _beat(
+        self, given: ArrayLike, reward: float, executed: ActionLike | None, began: float
+    ) -> PilotAction:
+        link, now_ns = self._link, time.monotonic_ns()
+        with link.changed:
+            self._note_executed(executed)
+            observation = self._valid(given)
+            earned = 0.0 if self._is_new_episode else self._number(reward)
+            step = link.log.add(Beat(observation, earned, now_ns))
+            episode = link.log.running
+            if self._session.local is not None:
+                position = (episode.index, step)
+                before, ending = self._last_executed, self._ending
+                self._session.local.add(observation, earned, before, position, ending)
+                link.changed.notify_all()
+            self._is_new_episode, self._ending = False, None
+            link.send_newest()
+            fresh = self._await_answer(began + self._options.wait)
+        chosen = self._ladder.choose(fresh, self._ask_local, observation, now_ns)
+        with link.changed:
+            age = max(0.0, (time.monotonic_ns() - chosen.observed_at) / 1e9)
+            self._log_executed(chosen.action)
+            link.counters.beat(chosen.source, age, time.monotonic())
+        self._beats += 1
+        return self._action(chosen, age)
+
+    def _await_answer(self, deadline: float) -> tuple[Action, int] | None:
+        """Returns the newest answer that was not executed and is not stale, and its time.
+
+        Waits for a newer answer if it should arrive in time.
+        """
+        link = self._link
+        while True:
+            answer, wanted = link.answer, link.expected_answer(deadline)
+            if answer is not None and answer.episode is not link.log.running:
+                answer = None
+            step = -1 if answer is None else answer.step
+            left = deadline - time.monotonic()
+            if wanted is None or wanted <= step or left <= 0:
+                break
+            link.changed.wait(left)
+        if answer is None or answer.step <= self._executed_step:
+            return None
+        if time.monotonic_ns() - answer.observed_at > self._options.oldest * 1e9:
+            link.counters.count(stale=1)
+            self._executed_step = answer.step
+            return None
+        self._executed_step = answer.step
+        return answer.action, answer.observed_at
+
+    def _ask_local(self) -> Action | None:
+        local = self._session.local
+        return None if local is None else local.catch_up()
+
+    def _action(self, chosen: Chosen, age: float) -> PilotAction:
+        action = chosen.action
+        copy = action if isinstance(action, int) else np.array(action)  # the caller may change it
+        return PilotAction(copy, chosen.source, age, self._beats - 1)
+
+    def _log_executed(self, action: Action) -> None:
+        self._last_executed = action
+        beats = self._link.log.running.beats
+        if beats:
+            beats[-1].executed, beats[-1].message = action, None
+
+    def _note_executed(self, executed: ActionLike | None) -> None:
+        if executed is None or self._is_new_episode:
+            return
+        try:
+            action = self._ladder.fitted(executed)
+        except (TypeError, ValueError) as error:
+            self._replaced("executed_action", str(error))
+            return
+        self._ladder.executed(action)
+        self._log_executed(action)
+
+    def _valid(self, given: ArrayLike) -> NDArray[np.float32]:
+        """Returns the observation, or the last valid one if it has a wrong size or NaN."""
+        try:
+            array = np.array(given, np.float32)
+        except (TypeError, ValueError) as error:
+            self._replaced("observation", str(error))
+            return self._observation
+        if array.shape == self._observation.shape and np.isfinite(array).all():
+            self._observation = array
+        else:
+            expected = f"{self._observation.size} finite values"
+            self._replaced("observation", f"expected {expected}, received {given!r}")
+        return self._observation
+
+    def _number(self, given: float) -> float:
+        try:
+            reward = float(given)
+        except (TypeError, ValueError):
+            reward = float("nan")
+        if np.isfinite(reward):
+            return reward
+        self._replaced("reward", f"expected a finite number, received {given!r}")
+        return 0.0
+
+    def _replaced(self, field: str, message: str) -> None:
+        self._link.counters.count(invalid=1)
+        self._complain(field, f"{field}: {message}")
+
+    def _complain(self, kind: str, message: str, exc_info: bool = False) -> None:
+        if kind not in self._logged:
+            self._logged.add(kind)
+            LOGGER.error("%s (reported once)", message, exc_info=exc_info)

@@ -1,0 +1,135 @@
+"""A TCP route to a server, in the process of the test: with delay and loss, cut, or forgotten by a NAT."""
+
+import collections
+import contextlib
+import random
+import socket
+import threading
+import time
+
+RETRANSMISSION = 0.2  # seconds, the least that Linux waits before it sends a lost segment again
+SEGMENT = 1448  # bytes
+
+
+class Link:
+    """Forwards connections to `target`, HOST:PORT, which may change, and listens at `address`.
+
+    `delay` is that of one direction in seconds. Of the segments, `loss` are lost and sent again: those that follow
+    them wait, as with TCP. `cut` keeps everything back until `heal`. `forget` keeps back for ever what comes on the
+    connections that are open, as a NAT that has forgotten them, while new ones work.
+    """
+
+    def __init__(self, target, delay=0.0, loss=0.0, seed=0):
+        self.target = target
+        self.delay, self.loss = delay, loss
+        self.random = random.Random(seed)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self.accepted = 0  # connections
+        self.changed = threading.Condition()
+        self.is_cut = False
+        self._pipes = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._listener.close()
+        with self.changed:
+            pipes, self._pipes = self._pipes, []
+        for pipe in pipes:
+            pipe.close()
+
+    def cut(self):
+        """Keeps everything back, in both directions, until `heal`."""
+        with self.changed:
+            self.is_cut = True
+
+    def heal(self):
+        """Forwards what was kept back, and what comes."""
+        with self.changed:
+            self.is_cut = False
+            self.changed.notify_all()
+
+    def forget(self):
+        """Forwards nothing more on the connections that are open."""
+        with self.changed:
+            for pipe in self._pipes:
+                pipe.is_forgotten = True
+
+    def _accept(self):
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                try:
+                    host, _, port = self.target.rpartition(":")
+                    server = socket.create_connection((host, int(port)))
+                except OSError:
+                    client.close()
+                    continue
+                for side in (client, server):
+                    side.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                with self.changed:
+                    self.accepted += 1
+                    self._pipes += [_Pipe(self, client, server), _Pipe(self, server, client)]
+
+
+class _Pipe:
+    """One direction of a connection: one thread reads, one writes when the time of a chunk has come."""
+
+    def __init__(self, link, source, sink):
+        self._link, self._source, self._sink = link, source, sink
+        self.is_forgotten = False
+        self._chunks = collections.deque()  # (time.monotonic() of its delivery, bytes; empty: the end)
+        self._last = 0.0
+        self._is_closed = False
+        for work in (self._read, self._write):
+            threading.Thread(target=work, daemon=True).start()
+
+    def close(self):
+        with self._link.changed:
+            self._is_closed = True
+            self._link.changed.notify_all()
+        for side in (self._source, self._sink):
+            with contextlib.suppress(OSError):
+                side.shutdown(socket.SHUT_RDWR)
+            side.close()
+
+    def _read(self):
+        data = b"first"
+        while data:
+            try:
+                data = self._source.recv(1 << 16)
+            except OSError:
+                data = b""
+            delay = self._link.delay
+            for _ in range(0, len(data), SEGMENT):
+                if self._link.random.random() < self._link.loss:
+                    delay += max(RETRANSMISSION, 2.5 * self._link.delay)
+            with self._link.changed:
+                self._last = max(self._last, time.monotonic() + delay)
+                self._chunks.append((self._last, data))
+                self._link.changed.notify_all()
+
+    def _write(self):
+        while True:
+            with self._link.changed:
+                self._link.changed.wait_for(lambda: self._is_closed or self._may_write())
+                if self._is_closed:
+                    return
+                due, data = self._chunks[0]
+            if (wait := due - time.monotonic()) > 0:
+                time.sleep(wait)
+            with self._link.changed:
+                if not self._may_write():
+                    continue
+                self._chunks.popleft()
+            with contextlib.suppress(OSError):
+                if not data:
+                    self._sink.shutdown(socket.SHUT_WR)
+                    return
+                self._sink.sendall(data)
+
+    def _may_write(self):
+        return bool(self._chunks) and not (self.is_forgotten or self._link.is_cut)

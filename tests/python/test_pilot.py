@@ -1,0 +1,317 @@
+"""A pilot gives every beat an action, and the server's session is what happened on the robot."""
+
+import logging
+import math
+import time
+
+import numpy as np
+import pytest
+import spikeserve
+from links import Link
+from restartable_server import RestartableServer, restartable_server
+from spikeserve.wire import METHODS
+
+PERIOD = 0.01
+WAIT = 100  # seconds for what takes a moment
+SIZES = {"cartpole": 4, "pendulum": 3}
+LEARNING = spikeserve.SessionOptions(
+    seed=5, sample=True, temperature=0.7, learning=spikeserve.Learning(learning_rate=0.5)
+)
+
+
+class Flight:
+    """Flies a pilot with made-up observations, and remembers what was executed."""
+
+    def __init__(self, client, policy="pendulum", period=PERIOD, **options):
+        # On a busy machine answers are late. Only the test of stale answers is about that.
+        options.setdefault("max_age", 30.0)
+        self.policy, self.period = policy, period
+        self.session = options.get("session", spikeserve.SessionOptions())
+        self.pilot = spikeserve.Pilot(client, policy, period=period, **options)
+        self.episodes = [[]]  # lists of (observation, reward, action)
+        self.endings = []
+        self.summaries = []
+        self.actions = []
+        self.due = time.monotonic()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.pilot.close()
+
+    def beat(self):
+        """Plays one beat at its time."""
+        t = len(self.actions)
+        observation = [0.3 * math.sin(0.7 * t + k) for k in range(SIZES[self.policy])]
+        reward = 0.1 * (t % 7)
+        began = time.monotonic()
+        action = self.pilot.beat(observation, reward)
+        self.longest = max(getattr(self, "longest", 0.0), time.monotonic() - began)
+        assert action.source in ("fresh", "held", "local", "safe")
+        assert action.beat == t
+        self.episodes[-1].append((observation, reward, action.action))
+        self.actions.append(action)
+        self.due = max(self.due + self.period, time.monotonic() - self.period)
+        time.sleep(max(0.0, self.due - time.monotonic()))
+        return action
+
+    def fly(self, beats):
+        """Plays beats. Returns their sources."""
+        return [self.beat().source for _ in range(beats)]
+
+    def until(self, *sources):
+        """Plays beats until one of them has one of the sources."""
+        end = time.monotonic() + WAIT
+        while self.beat().source not in sources:
+            assert time.monotonic() < end
+
+    def end(self, reward=1.0):
+        self.endings.append(reward)
+        self.episodes.append([])
+        self.summaries.append(self.pilot.end_episode(reward, terminated=True))
+
+    def check_summaries(self):
+        """Checks that the server has counted every reward of every episode once."""
+        ended = zip(self.episodes, self.endings, self.summaries, strict=False)
+        for beats, last, summary in ended:
+            result = summary.result(WAIT)
+            assert result.steps == len(beats)
+            rewards = sum(reward for _, reward, _ in beats[1:]) + last
+            assert result.episode_return == pytest.approx(rewards)
+
+    def check_session(self, client):
+        """Checks that the session at the server equals one that was never disturbed, bit for bit."""
+        self.check_summaries()
+        with restartable_server() as server, spikeserve.Client(server.address) as other:
+            opening = self.session.to_wire(self.policy)
+            opening.session_id, opening.period_seconds = self.pilot.session_id, self.period
+            other.call("OpenSession", opening)
+            session = spikeserve.Session(other, self.pilot.session_id)
+            for beats, last in zip(self.episodes, self.endings, strict=False):
+                before = None
+                for observation, reward, action in beats:
+                    session.act(observation, reward, executed_action=before)
+                    before = action
+                session.end_episode(last, terminated=True, executed_action=before)
+            assert exported(client, self.pilot.session_id) == exported(other, session.session_id)
+
+
+def exported(client, session_id):
+    """Returns the value of a session at the server."""
+    request = METHODS["ExportSession"].request(session_id=session_id)
+    return client.call("ExportSession", request).value
+
+
+@pytest.fixture
+def link(address):
+    with Link(address) as link:
+        yield link
+
+
+@pytest.fixture
+def client(link):
+    with spikeserve.Client(link.address) as client:
+        yield client
+
+
+def test_a_quick_link_gives_fresh_actions(client):
+    with Flight(client, local=False) as flight:
+        flight.until("fresh")
+        flight.fly(30)
+        flight.end()
+        flight.until("fresh")
+        flight.end()
+        flight.check_session(client)
+        stats = flight.pilot.stats()
+        assert stats.beats == len(flight.actions) == stats.fresh + stats.held + stats.safe
+        assert stats.failures == stats.dropped == stats.lost_episodes == stats.invalid == 0
+        assert 0 < stats.age_p50 <= stats.age_p99 <= stats.age_p999
+
+
+@pytest.mark.parametrize(
+    ("policy", "options"),
+    [
+        ("pendulum", spikeserve.SessionOptions()),
+        ("cartpole", LEARNING),
+    ],
+    ids=["float", "learning"],
+)
+def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options):
+    with Flight(client, policy, session=options, local=False) as flight:
+        for _ in range(2):
+            flight.until("fresh")
+            flight.fly(5)
+            link.cut()
+            flight.until("safe")
+            flight.fly(40)
+            link.heal()
+            flight.until("fresh")
+        flight.end()
+        flight.check_session(client)
+        assert flight.pilot.stats().failures == 0
+
+
+def test_a_connection_that_a_nat_has_forgotten_is_replaced(client, link):
+    with Flight(client, local=False) as flight:
+        flight.until("fresh")
+        flight.fly(5)
+        link.forget()
+        flight.until("safe")
+        flight.until("fresh")
+        assert link.accepted == 2
+        flight.end()
+        flight.check_session(client)
+        assert flight.pilot.stats().reconnects >= 1
+
+
+def test_episodes_that_end_while_the_link_is_cut_are_not_lost(client, link):
+    with Flight(client, local=False) as flight:
+        flight.until("fresh")
+        flight.fly(3)
+        link.cut()
+        for beats in (4, 1, 20):
+            flight.fly(beats)
+            flight.end()
+        flight.fly(7)
+        assert not any(summary.done() for summary in flight.summaries)
+        link.heal()
+        flight.until("fresh")
+        flight.end()
+        flight.check_session(client)
+
+
+def test_an_answer_that_is_stale_is_never_executed(client, link):
+    with Flight(client, local=False, max_age=0.2) as flight:
+        link.delay = 0.25
+        end = time.monotonic() + WAIT
+        while flight.pilot.stats().stale < 3 and time.monotonic() < end:
+            assert flight.beat().source == "safe"
+        assert flight.pilot.stats().stale >= 3
+        flight.end()
+        link.delay = 0.0
+        flight.check_session(client)
+
+
+def test_a_slow_link_is_used_with_requests_in_flight(client, link):
+    link.delay = 0.03  # a round trip takes six beats
+    with Flight(client, local=False) as flight:
+        flight.until("fresh")
+        flight.fly(50)
+        flight.end()
+        flight.check_session(client)
+
+
+def test_a_server_that_loses_its_sessions_gets_a_new_one(tmp_path):
+    with restartable_server() as server, spikeserve.Client(server.address) as client:
+        with Flight(client, local=False) as flight:
+            flight.until("fresh")
+            first = flight.pilot.session_id
+            flight.end()
+            flight.check_summaries()
+            flight.fly(5)
+            server.kill()
+            flight.until("safe")
+            flight.end()
+            flight.fly(3)
+            server.start()
+            flight.until("fresh")
+            assert flight.pilot.session_id != first
+            with pytest.raises(spikeserve.UnavailableError):
+                flight.summaries[1].result(WAIT)
+            assert flight.pilot.stats().reopened == 1
+            ended = flight.pilot.end_episode(1.0)
+            assert ended.result(WAIT).steps > 0
+
+
+def test_a_stored_session_goes_on_after_its_server_was_killed(tmp_path):
+    server = RestartableServer(f"--session_store=file:{tmp_path}")
+    server.start()
+    try:
+        options = spikeserve.SessionOptions(durability="ASYNC")
+        with spikeserve.Client(server.address) as client:
+            with Flight(client, local=False, session=options) as flight:
+                flight.until("fresh")
+                flight.fly(20)
+                server.kill()
+                flight.until("safe")
+                flight.fly(20)
+                server.start()
+                flight.until("fresh")
+                flight.end()
+                flight.check_summaries()
+                assert flight.pilot.stats().reopened == 0
+    finally:
+        server.kill()
+
+
+def test_what_a_safety_layer_executes_is_what_the_server_remembers(client):
+    with Flight(client, local=False) as flight:
+        flight.until("fresh")
+        torque = np.float32([0.125])
+        observation, reward, _ = flight.episodes[-1].pop()
+        flight.episodes[-1].append((observation, reward, torque))
+        flight.actions.append(flight.pilot.beat([0.1, 0.2, 0.3], 0.5, executed_action=torque))
+        flight.episodes[-1].append(([0.1, 0.2, 0.3], 0.5, flight.actions[-1].action))
+        flight.end()
+        flight.check_session(client)
+
+
+def test_nothing_that_a_robot_passes_makes_a_beat_fail(client):
+    with Flight(client, local=False) as flight:
+        flight.until("fresh")
+        for observation, reward in [([1.0], 0.0), ([math.nan] * 3, 0.0), ("x", 0.0), ([0.0] * 3, math.inf)]:
+            assert flight.pilot.beat(observation, reward).action.shape == (1,)
+        assert flight.pilot.beat([0.0] * 3, None, executed_action=[9.0, 9.0]).action.shape == (1,)
+        stats = flight.pilot.stats()
+        assert (stats.invalid, stats.failures) == (6, 0)
+        summary = flight.pilot.end_episode(1.0).result(WAIT)
+        assert summary.steps == stats.beats
+
+
+def test_a_pilot_that_closes_fails_what_the_server_does_not_have(client, link):
+    with Flight(client, local=False, close_timeout=0.1) as flight:
+        flight.until("fresh")
+        link.cut()
+        flight.fly(3)
+        flight.end()
+    with pytest.raises(spikeserve.UnavailableError, match="closed"):
+        flight.summaries[0].result(WAIT)
+
+
+def test_rungs_are_logged_once(client, link, caplog):
+    with caplog.at_level(logging.INFO, "spikeserve.pilot"), Flight(client, local=False) as flight:
+        flight.until("fresh")
+        link.cut()
+        flight.until("safe")
+        flight.fly(50)
+        entries = flight.pilot.stats().entries
+        lines = [record.message for record in caplog.records if record.message.startswith("safe after")]
+        assert len(lines) <= entries["safe"] < 10
+        link.heal()
+
+
+def test_the_server_must_be_there_when_a_pilot_is_made():
+    options = spikeserve.ClientOptions(connect_timeout=0.1)
+    with spikeserve.Client("127.0.0.1:1", options) as client:
+        with pytest.raises(spikeserve.UnavailableError):
+            spikeserve.Pilot(client, "pendulum", period=PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"period": 0}, "period: expected 0.0001 to 3600 s, received 0"),
+        ({"budget": 1}, r"budget: expected 0 to period \(0.01\), received 1"),
+        ({"max_age": 0}, "max_age: expected more than 0, received 0"),
+        ({"hold_beats": -1}, "hold_beats: expected at least 0, received -1"),
+        ({"ramp_beats": -1}, "ramp_beats: expected at least 0, received -1"),
+        ({"in_flight": 65}, "in_flight: expected 1 to 64, received 65"),
+        ({"kept_beats": 1}, "kept_beats: expected at least 2, received 1"),
+        ({"close_timeout": -1}, "close_timeout: expected at least 0, received -1"),
+        ({"local": False, "local_policy": "x"}, "local_policy: expected none with local=False"),
+    ],
+)
+def test_the_options_are_checked(options, message):
+    with pytest.raises(ValueError, match=message):
+        spikeserve.PilotOptions(**{"period": PERIOD} | options)

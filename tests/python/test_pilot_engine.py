@@ -1,0 +1,68 @@
+"""A pilot with the engine on the robot, which goes on in the same session while the link is cut."""
+
+import pytest
+import spikeserve
+from links import Link
+from security import until
+from serving import SHIPPED_POLICIES, running_server
+from test_pilot import LEARNING, Flight, exported
+
+
+@pytest.fixture
+def link(address):
+    with Link(address) as link:
+        yield link
+
+
+@pytest.fixture
+def client(link):
+    with spikeserve.Client(link.address) as client:
+        yield client
+
+
+@pytest.mark.parametrize(
+    ("policy", "options"),
+    [("pendulum", spikeserve.SessionOptions()), ("cartpole", LEARNING)],
+    ids=["float", "learning"],
+)
+def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options):
+    with Flight(client, policy, session=options, local_policy=SHIPPED_POLICIES) as flight:
+        for _ in range(2):
+            flight.until("fresh")
+            flight.fly(5)
+            link.cut()
+            flight.until("local")
+            flight.fly(40)
+            link.heal()
+            flight.until("fresh")
+        flight.end()
+        flight.check_session(client)
+        assert flight.pilot.stats().failures == 0
+
+
+def test_the_engine_on_the_robot_plays_the_same_session(client, link):
+    with Flight(client, "cartpole", session=LEARNING) as flight:
+        assert flight.pilot.stats().has_local  # the server has sent the policy
+        flight.until("fresh")
+        link.cut()
+        flight.until("local")
+        flight.end()
+        flight.fly(10)
+        link.heal()
+        flight.until("fresh")
+        copy = flight.pilot._session.local
+        until(lambda: copy.value() == exported(client, flight.pilot.session_id))
+
+
+def test_a_server_may_withhold_its_policies():
+    with running_server(flags=["--withhold_policies"]) as server, spikeserve.Client(server.grpc) as client:
+        with Flight(client) as flight:
+            flight.until("fresh")
+            assert not flight.pilot.stats().has_local
+        with Flight(client, local_policy=SHIPPED_POLICIES) as flight:
+            assert flight.pilot.stats().has_local
+        with pytest.raises(ValueError, match="local_policy: expected the policy file, received none"):
+            Flight(client, local=True)
+        wrong = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
+        with pytest.raises(ValueError, match="local_policy: expected the file with SHA-256"):
+            Flight(client, local=True, local_policy=wrong)

@@ -1,0 +1,244 @@
+"""The parts of a pilot that wait for nothing: the ladder, the log of beats, the doubt of a connection."""
+
+import itertools
+import time
+
+import numpy as np
+import pytest
+import spikeserve
+from spikeserve.distance import Arrivals, Distance, neutral_action
+from spikeserve.lines import MISSES, SILENCE_SECONDS, Doubt
+from spikeserve.piloting.beat_log import Beat, BeatLog, Ending
+from spikeserve.piloting.ladder import Ladder
+from spikeserve.piloting.pilot_stats import Ages
+
+BOX = spikeserve.Box((-2.0, -1.0), (2.0, 1.0))
+OBSERVATION = np.zeros(3, np.float32)
+
+
+def make_ladder(space=BOX, neutral=(0.0, 0.0), **options):
+    options = spikeserve.PilotOptions(period=0.05, **options)
+    ladder = Ladder(options, space, neutral, began_at=0)
+    ladder.begin_episode()
+    return ladder
+
+
+def choose(ladder, fresh=None, local=None):
+    chosen = ladder.choose(None if fresh is None else (np.float32(fresh), 7), lambda: local, OBSERVATION, 9)
+    return chosen.source, np.asarray(chosen.action).tolist(), chosen.observed_at
+
+
+def test_the_rungs_follow_each_other():
+    ladder = make_ladder(hold_beats=2, ramp_beats=4)
+    assert choose(ladder) == ("safe", [0.0, 0.0], 0)
+    assert choose(ladder, fresh=[1.0, 1.0]) == ("fresh", [1.0, 1.0], 7)
+    assert [choose(ladder) for _ in range(2)] == [("held", [1.0, 1.0], 7)] * 2
+    assert choose(ladder, local=np.float32([0.8, -0.4])) == ("local", [np.float32(0.8), np.float32(-0.4)], 9)
+    ramp = [choose(ladder)[1] for _ in range(6)]
+    assert np.allclose(ramp, np.outer([0.75, 0.5, 0.25, 0, 0, 0], [0.8, -0.4]))
+    assert choose(ladder, local=np.float32([0.5, 0.5]))[0] == "local"
+    assert choose(ladder, fresh=[1.0, 0.0])[0] == "fresh"
+    assert ladder.entries == {"fresh": 2, "held": 1, "local": 2, "safe": 2}
+
+
+def test_a_held_action_is_what_the_robot_executed():
+    ladder = make_ladder()
+    choose(ladder, fresh=[1.0, 1.0])
+    ladder.executed(np.float32([0.5, 0.25]))
+    assert choose(ladder) == ("held", [0.5, 0.25], 7)
+
+
+def test_nothing_is_held_over_the_end_of_an_episode():
+    ladder = make_ladder()
+    choose(ladder, fresh=[1.0, 1.0])
+    ladder.begin_episode()
+    assert choose(ladder)[:2] == ("safe", [0.0, 0.0])
+
+
+def test_the_fall_back_of_the_robot_follows_the_ramp():
+    answers = iter([[9.0, 0.5], "wrong", [1.0], [0.25, 0.25]])
+    ladder = make_ladder(hold_beats=0, ramp_beats=1, neutral=(0.5, 0.0), fallback=lambda _: next(answers))
+    choose(ladder, fresh=[1.0, 1.0])
+    actions = [choose(ladder)[1] for _ in range(5)]
+    assert actions == [[0.5, 0.0], [2.0, 0.5], [0.5, 0.0], [0.5, 0.0], [0.25, 0.25]]
+    assert ladder.fallback_failures == 2
+
+
+def test_an_index_has_no_ramp():
+    ladder = make_ladder(spikeserve.Discrete(3), neutral=2, hold_beats=1)
+    assert choose(ladder) == ("safe", 2, 0)
+    ladder.choose((1, 7), lambda: None, OBSERVATION, 9)
+    assert [choose(ladder)[:2] for _ in range(2)] == [("held", 1), ("safe", 2)]
+
+
+class Robot:
+    """Adds beats to a log, and does with its requests what the server does."""
+
+    def __init__(self, kept=100, size=3):
+        self.log = BeatLog(kept, size)
+        self.numbers = itertools.count()
+        self.session = []  # (observation, reward) of the running episode at the server
+        self.rewards = []
+
+    def beat(self):
+        n = next(self.numbers)
+        beats = self.log.running.beats
+        if beats and self.log.running.ending is None:
+            beats[-1].executed = np.float32([n])
+        self.log.add(Beat(np.full(3, n, np.float32), float(n), n))
+
+    def end(self):
+        self.log.running.beats[-1].executed = np.float32([-1])
+        ending = Ending(1.0, True, False, None, None)
+        self.log.end(ending)
+        return ending
+
+    def ask(self):
+        """Sends the request of the oldest episode. Returns whether it asks for a decision."""
+        episode = self.log.oldest
+        request = episode.request("id", self.log.most)
+        assert request.decision == episode.first_decision + request.step
+        begin = request.step - len(request.history)
+        assert begin - len(request.skipped_rewards) <= len(self.session)
+        for reward in request.skipped_rewards[len(self.session) - begin :] if begin > len(self.session) else ():
+            self.session.append((None, reward))
+        for beat in request.history:
+            assert beat.HasField("executed")
+            if beat.step >= len(self.session):
+                assert beat.step == len(self.session)
+                self.session.append((beat.observation[0], beat.reward))
+        if request.observation:
+            self.session.append((request.observation[0], request.reward))
+        episode.acknowledge(len(self.session), self.log.retained)
+        return bool(request.observation)
+
+
+def test_every_beat_travels_once():
+    robot = Robot()
+    for asks in [True, False, False, True, False, True, True, False]:
+        robot.beat()
+        if asks:
+            assert robot.ask()
+    ending = robot.end()
+    assert not robot.log.oldest.is_complete
+    assert not robot.ask()
+    assert robot.log.oldest.is_complete
+    assert robot.session == [(n, n) for n in range(8)]
+    assert robot.log.oldest.end_request("id").steps == 8
+    assert robot.log.settle() is ending
+    assert robot.log.is_current and robot.log.running.index == 1 and robot.log.running.first_decision == 8
+
+
+def test_a_long_history_travels_in_parts():
+    robot = Robot(kept=1000)
+    robot.log.history_limit = 100
+    for _ in range(250):
+        robot.beat()
+    assert [robot.ask() for _ in range(3)] == [False, False, True]
+    assert robot.session == [(n, n) for n in range(250)]
+    wide = BeatLog(1000, 100_000)
+    assert wide.most == 2
+
+
+def test_of_beats_that_are_not_kept_the_rewards_travel():
+    robot = Robot(kept=10)
+    for _ in range(30):
+        robot.beat()
+    assert robot.log.dropped == 20
+    assert robot.ask()
+    assert robot.session == [(None, n) for n in range(20)] + [(n, n) for n in range(20, 30)]
+
+
+def test_a_server_that_lost_beats_gets_them_again():
+    robot = Robot()
+    robot.log.retained = 5
+    for _ in range(20):
+        robot.beat()
+        robot.ask()
+    del robot.session[16:]
+    assert robot.log.oldest.rewind(16)
+    robot.beat()
+    robot.ask()
+    assert robot.session == [(n, n) for n in range(21)]
+    assert not robot.log.oldest.rewind(3)
+    assert not robot.log.oldest.rewind(22)
+
+
+def test_episodes_wait_for_the_end_of_older_ones():
+    robot = Robot()
+    endings = []
+    for _ in range(3):
+        robot.beat()
+        robot.beat()
+        endings.append(robot.end())
+    robot.beat()
+    assert [episode.index for episode in robot.log.episodes] == [0, 1, 2, 3]
+    assert not robot.log.is_current
+    for ending in endings:
+        robot.session = []
+        assert not robot.ask()
+        assert robot.log.settle() is ending
+    robot.session = []
+    assert robot.log.is_current and robot.ask()
+    assert robot.log.running.first_decision == 6
+
+
+def test_a_new_session_goes_on_with_the_beats_that_are_kept():
+    robot = Robot()
+    robot.beat()
+    ending = robot.end()
+    for _ in range(5):
+        robot.beat()
+    assert robot.log.begin_again() == [ending]
+    assert robot.ask()
+    assert [observation for observation, _ in robot.session] == [1, 2, 3, 4, 5]
+    assert robot.log.lost_episodes == 1
+
+
+def test_an_episode_without_a_beat_has_an_empty_summary():
+    log = BeatLog(10, 3)
+    ending = Ending(1.0, True, False, None, None)
+    log.end(ending)
+    assert ending.summary.result(0).steps == 0
+
+
+def test_a_race_begins_after_a_silence_and_some_misses():
+    doubt = Doubt()
+    now = time.monotonic()
+    long_ago = now - 2 * SILENCE_SECONDS
+    assert not doubt.waits(now)
+    assert not any(doubt.missed(long_ago) for _ in range(MISSES - 1))
+    assert doubt.missed(long_ago)
+    assert not doubt.missed(long_ago)  # while the race is on
+    doubt.raced(fresh_won=False)
+    assert not doubt.waits(long_ago)  # in the pause after it
+    doubt.answered()
+    assert not any(doubt.missed(long_ago) for _ in range(MISSES))  # they began before the answer
+
+
+def test_percentiles_are_exact_to_two_percent():
+    ages = Ages()
+    assert ages.quantile(0.5) == 0.0
+    for i in range(1, 1001):
+        ages.add(i / 1000)
+    for share in (0.5, 0.99, 0.999):
+        assert ages.quantile(share) == pytest.approx(share, rel=0.02)
+    ages.add(1e9)
+    assert ages.quantile(1.0) > 3000
+
+
+def test_decisions_of_a_far_server_arrive_later():
+    arrivals = Arrivals(Distance(delay=2), spikeserve.Discrete(9), seed=0)
+    assert [arrivals.executed(beat, beat + 1) for beat in range(6)] == [0, 0, 1, 2, 3, 4]
+    late = Arrivals(Distance(delay=1, jitter=3, loss=0.3), spikeserve.Discrete(99), seed=0)
+    executed = [late.executed(beat, beat + 1) for beat in range(60)]
+    assert executed == sorted(executed)  # an older decision never follows a newer one
+    assert all(action <= beat for beat, action in enumerate(executed))
+    assert executed[-1] > 50
+    assert neutral_action(spikeserve.Box((-1.0, 2.0), (1.0, 4.0))).tolist() == [0.0, 3.0]
+
+
+@pytest.mark.parametrize("options", [{"delay": -1}, {"jitter": -1}, {"loss": 1.0}])
+def test_a_distance_is_checked(options):
+    with pytest.raises(ValueError, match=f"{next(iter(options))}: expected "):
+        Distance(**options)
