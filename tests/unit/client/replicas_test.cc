@@ -44,8 +44,8 @@ class FakeReplicasTest : public ::testing::Test {
     std::vector<std::unique_ptr<Replica>> all;
     int i = 0;
     for (const FakePolicyService& fake : fakes_) {
-      all.push_back(
-          std::make_unique<Replica>(std::string(1, static_cast<char>('a' + i++)), fake.channel()));
+      all.push_back(std::make_unique<Replica>(std::string(1, static_cast<char>('a' + i++)),
+                                              fake.channel(), nullptr));
       present_.insert(all.back().get());
     }
     replicas_ = std::make_unique<Replicas>(std::move(all), absl::Hours(1), absl::Hours(1));
