@@ -380,8 +380,8 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 }
 
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
-                                 int first, v1::ActBatchResponse* response,
-                                 absl::Duration received, BeatProgress* beats) const {
+                                 int first, v1::ActBatchResponse* response, absl::Duration received,
+                                 BeatProgress* beats) const {
   const int limit =
       std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   int end = std::min(first + 1, limit);

@@ -97,8 +97,8 @@ void ActBatchCall::Handle() {
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
   if (call() == nullptr) return true;
   call_context().deferred = deferred;
-  decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_,
-                                   &beats_);
+  decided_ =
+      handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_, &beats_);
   if (decided_ < request().requests_size()) return false;
   refusal_ = RefusalWithin(*response());
   ExplainMissing();

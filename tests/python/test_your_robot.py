@@ -31,7 +31,7 @@ def test_from_data_to_a_robot_that_learns(tmp_path):
     # All beats of both episodes are in the session, whoever has chosen their actions, and each is there once.
     returns = re.findall(r"episode \d: return (-\d+\.\d) in 200 beats", flown)
     assert len(returns) == 2, flown
-    beats, *sources = map(int, re.search(r"(\d+) beats: (\d+) fresh, (\d+) held, (\d+) safe", flown).groups())
+    beats, *sources = map(int, re.search(r"(\d+) beats: (\d+) fresh, (\d+) held, (\d+) local, (\d+) safe", flown).groups())
     assert beats == 400 == sum(sources)
     assert sources[0] > 0
     elements = re.findall(r'unusual_observations_total\{element="(\d+)",policy="quad"', watched)
