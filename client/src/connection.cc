@@ -41,11 +41,9 @@ class HealthRace {
   // Returns the index of the winner, or -1. All checks have ended then.
   int Await() {
     absl::MutexLock lock(&mutex_);
-    mutex_.Await(absl::Condition(
-        +[](HealthRace* race) { return race->winner_ >= 0 || race->ended_ == 2; }, this));
+    mutex_.Await(absl::Condition(this, &HealthRace::IsDecided));
     for (Check& check : checks_) check.context.TryCancel();
-    mutex_.Await(absl::Condition(
-        +[](HealthRace* race) { return race->ended_ == 2; }, this));
+    mutex_.Await(absl::Condition(this, &HealthRace::IsOver));
     return winner_;
   }
 
@@ -55,6 +53,9 @@ class HealthRace {
     grpc::health::v1::HealthCheckRequest request;
     grpc::health::v1::HealthCheckResponse response;
   };
+
+  bool IsDecided() const ABSL_SHARED_LOCKS_REQUIRED(mutex_) { return winner_ >= 0 || IsOver(); }
+  bool IsOver() const ABSL_SHARED_LOCKS_REQUIRED(mutex_) { return ended_ == 2; }
 
   void Ended(int i, const grpc::Status& status) {
     absl::MutexLock lock(&mutex_);

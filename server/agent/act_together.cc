@@ -76,6 +76,7 @@ bool TakeBeatsOf(DecisionRequest& act, const Clock& clock, int64_t* budget)
 // Sets what follows from `act.status`. `is_new` is true if the session has changed.
 void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
   SessionEntry& entry = *act.entry;
+  entry.mutex.AssertHeld();
   const Place place = PlaceOf(*act.request);
   if (absl::IsFailedPrecondition(act.status)) {
     act.status = SessionGate::Refused(*act.context, place, act.status, entry);
@@ -130,6 +131,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
     DecisionRequest& act = *deciding[i];
     SessionEntry& entry = *act.entry;
     entry.mutex.AssertHeld();
+    act.entry->mutex.AssertHeld();
     act.status = calls[i].answer.status();
     Conclude(act, /*is_new=*/!calls[i].is_retry);
     if (!act.status.ok()) continue;

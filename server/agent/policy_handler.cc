@@ -486,20 +486,22 @@ absl::Status PolicyHandler::ExportSession(CallContext& context,
   const auto entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry.status();
   if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
-  absl::MutexLock lock(&(*entry)->mutex);
-  const AgentSession& agent = (*entry)->agent;
-  const Session& session = agent.session();
-  response->set_value(spikeserve::ExportSession(agent));
-  response->set_policy((*entry)->served->name);
-  response->set_version((*entry)->served->version);
+  const ServedPolicy& served = *(*entry)->served;
+  if (request.include_policy()) {
+    auto file = registry_->ReadVersionFile({served.name, served.version});
+    if (file.ok()) response->set_policy_file(*std::move(file));
+  }
+  response->set_policy(served.name);
+  response->set_version(served.version);
+  SessionEntry& exported = **entry;
+  absl::MutexLock lock(&exported.mutex);
+  const Session& session = exported.agent.session();
+  response->set_value(spikeserve::ExportSession(exported.agent));
   response->set_policy_sha256(session.options.policy_sha256);
   response->set_decision(session.decisions);
   response->set_episode(session.episode);
   response->set_step(session.step);
   response->set_frozen(IsFrozenByExport(session));
-  if (!request.include_policy()) return absl::OkStatus();
-  auto file = registry_->ReadVersionFile({(*entry)->served->name, (*entry)->served->version});
-  if (file.ok()) response->set_policy_file(*std::move(file));
   return absl::OkStatus();
 }
 

@@ -282,12 +282,13 @@ absl::Status InferenceHandler::Start(CallContext& context, const ModelInferReque
 }
 
 // No other sequence of the same id has it: neither one of another server, nor one before this one.
-std::string InferenceHandler::TokenOf(const SessionEntry& entry) const {
+std::string InferenceHandler::TokenOf(SessionEntry& entry) const {
+  absl::MutexLock lock(&entry.mutex);
   return absl::StrCat(server_, "-", absl::ToInt64Nanoseconds(entry.agent.created()));
 }
 
 absl::Status InferenceHandler::CheckToken(const SequenceRequest& sequence,
-                                          const SessionEntry& entry) const {
+                                          SessionEntry& entry) const {
   if (server_.empty() || sequence.start || sequence.token == TokenOf(entry)) {
     return absl::OkStatus();
   }
@@ -295,8 +296,7 @@ absl::Status InferenceHandler::CheckToken(const SequenceRequest& sequence,
   return absl::FailedPreconditionError(
       absl::StrCat("parameters.", kSequenceToken,
                    ": expected the parameter of the answer to sequence_start, because several "
-                   "servers may have a "
-                   "sequence of this id, received none"));
+                   "servers may have a sequence of this id, received none"));
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(

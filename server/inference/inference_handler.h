@@ -94,9 +94,9 @@ class InferenceHandler {
       CallContext& context, const inference::ModelInferRequest& request,
       const SequenceRequest& sequence) const;
   // Returns the token of a sequence.
-  std::string TokenOf(const SessionEntry& entry) const;
+  std::string TokenOf(SessionEntry& entry) const;
   // Checks that the sequence here is the one that the request belongs to.
-  absl::Status CheckToken(const SequenceRequest& sequence, const SessionEntry& entry) const;
+  absl::Status CheckToken(const SequenceRequest& sequence, SessionEntry& entry) const;
   absl::Status Start(CallContext& context, const inference::ModelInferRequest& request,
                      const SequenceRequest& sequence,
                      inference::ModelInferResponse* response) const;

@@ -216,7 +216,7 @@ def test_a_long_history_keeps_the_order(addresses, service):
             requests.append(robot.request(2))
         robot.execute(neutral)
         # Without beats before its own.
-        requests.append(robot.request(0, executed_action=neutral))
+        requests.append(robot.request(0, executed_action=as_fields(neutral)))
         asked = [request(**fields) for fields in requests]
         asked.insert(1, request(session_id=other, observation=observation(4, 0)))
         answers = list(stream(iter(asked), timeout=DEADLINE_SECONDS))

@@ -11,8 +11,8 @@ import sys
 
 import grpc
 
+from spikeserve.channels import ClientOptions
 from spikeserve.check import check
-from spikeserve.connection import ClientOptions
 from spikeserve.errors import SpikeserveError
 from spikeserve.gateway.mapping import ObservationMapping, load_mapping
 from spikeserve.values import SessionOptions

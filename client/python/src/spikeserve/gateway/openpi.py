@@ -23,8 +23,8 @@ from websockets.frames import CloseCode
 
 from spikeserve.async_client import AsyncClient
 from spikeserve.async_session import AsyncSession
+from spikeserve.channels import ClientOptions
 from spikeserve.check import check
-from spikeserve.connection import ClientOptions
 from spikeserve.errors import (
     PermissionDeniedError,
     SessionLostError,
