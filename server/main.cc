@@ -116,6 +116,8 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("store_key", "FILE", &options->store.tls_files.key, "PEM private key of the former")
       .Add("store_replicas", "N", &options->store.replicas,
            "Replicas of Redis that must have a record before it counts")
+      .AddSwitch("allow_unconfirmed_sequences", &options->allow_unconfirmed_sequences,
+                 "Allow Open Inference sequences without sequence_token on a shared store")
       .AddSwitch("store_may_evict", &options->store.may_evict,
                  "Allow SYNC although Redis removes sessions when its memory is full")
       .Add("store_retention", "DURATION", &options->store.retention,

@@ -30,9 +30,10 @@ struct ServerOptions {
   absl::Duration poll_policies;  // interval of looking for changed policies; 0: on request only
   DefaultRule default_version = DefaultRule::kStay;  // unless an operator sets it
   bool allow_no_policies = false;                    // start although nothing can be served
-  std::string policy_settings;            // file that keeps what operators set; empty: not kept
-  std::string audit_log;                  // file that keeps what operators did; empty: not kept
-  bool allow_unrecorded_changes = false;  // of operators, if audit_log cannot be written
+  std::string policy_settings;               // file that keeps what operators set; empty: not kept
+  std::string audit_log;                     // file that keeps what operators did; empty: not kept
+  bool allow_unconfirmed_sequences = false;  // without a token, although servers share sessions
+  bool allow_unrecorded_changes = false;     // of operators, if audit_log cannot be written
   std::string trusted_keys;  // file of public keys, see PolicySignatures; empty: none is needed
   std::string signing_key;   // file of the private key of promoted versions; empty: none
 

@@ -14,6 +14,7 @@
 #include "server/admin/head_metrics.h"
 #include "server/base/log.h"
 #include "server/certificate_metrics.h"
+#include "server/metrics/robot_metrics.h"
 #include "server/rollouts/traffic_metrics.h"
 #include "server/services/service_name.h"
 #include "server/store/open_store.h"
@@ -180,6 +181,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       heads_(std::move(store.heads)),
       replicas_(store.replica),
       registry_(std::move(registry)),
+      files_(shared_ == nullptr ? nullptr
+                                : std::make_unique<SharedFiles>(registry_.get(), shared_.get())),
       audit_log_(std::move(audit_log)),
       recordings_(std::move(recordings)),
       journals_(std::move(store.journals)),
@@ -194,7 +197,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                                                         recordings_.get())),
       session_gate_(&store_, recovery_.get()),
       handler_(registry_.get(), &session_gate_, &shadows_, &clock_, recordings_.get(),
-               {.journals = journals_.get(), .level = options.durability}),
+               {.journals = journals_.get(), .level = options.durability, .files = files_.get()}),
       audit_(audit_log_.get(), registry_.get(), &store_, options.allow_unrecorded_changes),
       rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
                 [this](const RolloutManager::Change& change) { audit_.Record(change); }),
@@ -222,7 +225,11 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       list_worker_(kListsWaiting),
       admin_worker_(kOperatorCallsWaiting),
       head_handler_(registry_.get(), &store_),
-      inference_handler_(registry_.get(), &session_gate_, &handler_, &clock_, options.session_ttl),
+      inference_handler_(
+          registry_.get(), &session_gate_, &handler_, &clock_, options.session_ttl,
+          journals_ != nullptr && journals_->IsShared() && !options.allow_unconfirmed_sequences
+              ? store.replica
+              : ""),
       history_([this] { return metrics_->Collect(); }, &clock_),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
@@ -246,6 +253,7 @@ absl::Status Server::StartTransport() {
     certificates_.Add(tls_.get());
   }
   metrics_->AddSource([this] { return CollectCertificates(certificates_); });
+  metrics_->AddSource([this] { return CollectRobots(store_); });
   auto transport = Transport::Create(
       {.listen = *std::move(address),
        .limits = options_.transport_limits,
@@ -290,7 +298,11 @@ void Server::FollowReplicas() {
   if (status.ok()) {
     auto alive = shared_->Beat();
     status = alive.status();
-    if (alive.ok()) replicas_.SetAlive(*alive);
+    if (alive.ok()) {
+      replicas_.SetAlive(*alive);
+      std::ranges::sort(*alive);
+      status = files_->Follow(*alive);
+    }
   }
   authenticator_->SetReplicas(replicas_.count());
   if (transport_ != nullptr && !joined_ && has_joined()) {

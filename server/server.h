@@ -102,6 +102,7 @@ class Server {
   const std::unique_ptr<HeadLogStore> heads_;  // null as `shared_`
   Replicas replicas_;
   const std::unique_ptr<PolicyRegistry> registry_;
+  const std::unique_ptr<SharedFiles> files_;  // null as `shared_`
   const std::unique_ptr<AuditLog> audit_log_;
   const std::unique_ptr<Recordings> recordings_;  // null without --record_dir; outlives the store
   const std::unique_ptr<JournalStore> journals_;  // null: no session is stored

@@ -20,6 +20,11 @@ constexpr uint64_t kMostDecisions = 256;
 std::string Comparable(v1::ActResponse answer) {
   answer.mutable_stats()->clear_compute_seconds();
   answer.clear_durable_decision();
+  answer.clear_next_step();
+  answer.clear_appended();
+  answer.clear_dropped();
+  answer.clear_queue_seconds();
+  answer.clear_append_seconds();
   return answer.SerializeAsString();
 }
 

@@ -92,6 +92,15 @@ UpdateOutcome Learner::ApplyTarget(const LearningOptions& options, const Policy&
   return Apply(options, policy, options.learning_rate * modulator, trace);
 }
 
+void Learner::OnSkipped(const LearningOptions& options, double reward) {
+  if (suspended || episode.decisions == 0) return;
+  AddReward(reward);
+  episode.AddGap(Discount(options));
+  trace *= static_cast<float>(options.trace_decay);
+  discounted_trace *= options.discount;
+  post.resize(0);  // the executed action of the last decision comes too late
+}
+
 std::optional<UpdateOutcome> Learner::OnEpisodeEnd(const LearningOptions& options,
                                                    const Policy& policy, double reward,
                                                    bool terminated) {

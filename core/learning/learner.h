@@ -90,6 +90,10 @@ struct Learner {
                                           absl::Span<const float> logits, const Action& answered,
                                           const Action& executed, double return_to_go);
 
+  // Takes a step of which only the `reward` of the action before is known: the reward belongs to
+  // the decisions before it, and the traces decay, but no activity enters them.
+  void OnSkipped(const LearningOptions& options, double reward);
+
   // Takes the `reward` of the last decision. `terminated` is false if the episode was truncated.
   // For kRealized, applies eqs. 4.2 and 4.3 over the whole episode. Returns the outcome of the
   // update of the head, if there was one.

@@ -14,6 +14,12 @@ void EpisodeReturns::AddDecision(double discount) {
   projected *= discount;
 }
 
+void EpisodeReturns::AddGap(double discount) {
+  weights *= discount;
+  weights2 *= discount * discount;
+  projected *= discount;
+}
+
 void EpisodeReturns::AddReward(double reward) {
   rewards += reward;
   returns += reward * weights;

@@ -23,6 +23,8 @@ struct EpisodeReturns {
 
   // Adds a decision; its reward is zero until AddReward.
   void AddDecision(double discount);
+  // Adds a step without a decision, between two decisions; its reward is zero until AddReward.
+  void AddGap(double discount);
   // Adds a reward of the last decision. Several rewards of one decision add up.
   void AddReward(double reward);
 

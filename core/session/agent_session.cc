@@ -166,6 +166,9 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
     // Probabilities and actions are finite where the logits are.
     if (!AllFinite(choice.logits)) {
       session.DropContext();  // it holds the decision that was not made
+      if (const auto before = std::exchange(session.before_skipped_, nullptr)) {
+        session.session_ = *before;
+      }
       call.answer = session.NonFiniteError();
       continue;
     }
@@ -180,6 +183,10 @@ void AgentSession::Decide(absl::Span<ActCall* const> calls) {
     session.life_.OnDecision(chosen - session.created_, answered.counts.total_spikes(),
                              answered.compute_seconds);
     call.answer = &answered;
+    if (call.is_beat) {
+      served.observer->OnBeat(answered);
+      continue;
+    }
     served.observer->OnDecision(answered);
     if (session.evidence_ != nullptr) session.evidence_->OnDecision(answered.compute_seconds);
   }
@@ -279,7 +286,9 @@ void AgentSession::Record(Answer answer, absl::Span<const float> observation, do
 
 void AgentSession::WriteToJournal(const ActCall& call, double reward,
                                   absl::Span<const float> readout, absl::Span<const float> noise) {
+  const bool after_skipped = std::exchange(before_skipped_, nullptr) != nullptr;
   if (journal_ == nullptr) return;
+  if (after_skipped) return journal_->OnChange(session_);
   JournalEntryView entry = {.decision = session_.decisions - 1,
                             .reward = reward,
                             .observation = call.observation,

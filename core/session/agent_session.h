@@ -76,6 +76,8 @@ class AgentSession {
     // Number of the decision in the session, from 0; absent: `step` alone identifies the request.
     std::optional<uint64_t> decision = std::nullopt;
     std::optional<ReportedAction> executed = std::nullopt;
+    // True: nobody asked for the decision; it is a step that the agent took without the server.
+    bool is_beat = false;
     absl::StatusOr<const Answer*> answer = nullptr;  // what Act would return
     bool is_retry = false;                           // true: `answer` is the stored one
   };
@@ -85,6 +87,20 @@ class AgentSession {
   // divided evenly between the `compute_seconds` of their answers.
   static void ActTogether(absl::Span<ActCall> calls);
   static void AppendPendingActions(absl::Span<AgentSession* const> sessions);
+
+  // The methods below add what the agent did without the server; beats.h checks it and calls them.
+
+  // Adds the next step as Act decides it, but counts no decision for the observer.
+  absl::Status Append(absl::Span<const float> observation, double reward,
+                      const std::optional<ReportedAction>& executed);
+  // Counts the rewards of the next steps, whose observations are not known. The next step begins
+  // the context. REQUIRES: Append or Act follows; if it fails, the steps are not counted either.
+  void SkipSteps(absl::Span<const double> rewards);
+  // Puts `executed` in the place of the last answered action, without a further decision. REQUIRES:
+  // the running episode has a decision; `executed` belongs to the action space.
+  void ReportExecuted(const Action& executed);
+  // As if the agent had reported an executed action: see AppendPendingAction().
+  void ExpectExecutedActions() { reports_actions_ = true; }
 
   // Replaces the action of the last answer in the history by the action that was really executed,
   // so that later decisions take it into account. Does not change the stored answer, which retries
@@ -125,9 +141,12 @@ class AgentSession {
   void Compact();
 
   const Session& session() const { return session_; }
+  const Policy& policy() const { return served_->policy(); }
 
   // Returns a summary of what the session has done since this object was created.
   const SessionLife& life() const { return life_; }
+  // Returns when this object was created, of the clock. Not guarded by the lock of the session.
+  absl::Duration created() const { return created_; }
   // Returns the time since this object was created.
   absl::Duration Age() const { return clock_->Now() - created_; }
 
@@ -192,6 +211,8 @@ class AgentSession {
   std::unique_ptr<EpisodeRecorder> recorder_;        // null: nothing is recorded
   std::shared_ptr<SessionJournal> journal_;          // null: the session is not stored
   std::shared_ptr<SessionEvidence> evidence_;        // null: no roll-out compares the session
+  // The session before steps that were skipped, until the next decision; null: none were.
+  std::unique_ptr<const Session> before_skipped_;
   bool action_pending_ = false;   // true: the context lacks the last timestep's action
   bool reports_actions_ = false;  // true: the agent has reported an executed action
 };

@@ -51,6 +51,9 @@ class EpisodeRecorder {
   // Records that `executed` was executed in the place of the last answered action.
   void OnExecuted(const Action& executed);
 
+  // Cuts off the running episode, because steps of it are missing.
+  void OnGap() { CutOff(); }
+
   // Ends the running episode. `reward` and `observation` are the results of the last action; if
   // `observation` is empty, NaN is recorded in its place. An episode that has not terminated is
   // recorded as truncated.

@@ -18,6 +18,7 @@
 #include "core/learning/head_update.h"
 #include "core/learning/tenant_heads.h"
 #include "core/session/episode.h"
+#include "core/session/robot_link.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
@@ -53,6 +54,16 @@ class SessionObserver {
   // number.
   virtual uint32_t CountUnusual(absl::Span<const float> /*observation*/) { return 0; }
   virtual void OnDecision(const Answer& /*answer*/) {}
+  // A step that an agent took without the server was appended, as `answer`, which was not sent.
+  virtual void OnBeat(const Answer& /*answer*/) {}
+  // Steps of which only the rewards are known were counted.
+  virtual void OnSkippedBeats(int64_t /*beats*/) {}
+  // A request came too late for its answer to be of use.
+  virtual void OnExpired() {}
+  // A request asked again for an answer that was given.
+  virtual void OnRepeated() {}
+  // A robot reported what it did since its last report.
+  virtual void OnReport(const BeatCounts& /*beats*/) {}
   // A request for a decision was refused or failed; the session is unchanged.
   virtual void OnError() {}
   // The policy computed an answer with NaN or infinity, which was not sent.

@@ -57,6 +57,10 @@ void SessionJournal::OnDecision(const Session& session, const JournalEntryView& 
   }
 }
 
+void SessionJournal::OnChange(const Session& session) {
+  Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions);
+}
+
 void SessionJournal::OnEpisodeEnd(const Session& session,
                                   std::shared_ptr<FleetContribution> contribution) {
   Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions,

@@ -79,6 +79,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   void OnOpen(const Session& session);
   // Writes the decision that `session` has just made: `entry`, or a snapshot in its place.
   void OnDecision(const Session& session, const JournalEntryView& entry);
+  // Writes a snapshot, because `session` has changed otherwise than by one decision.
+  void OnChange(const Session& session);
   // Writes a snapshot, because the end of an episode is no entry. Appends `contribution`, which the
   // session holds, to the log of its head when the store has the snapshot.
   void OnEpisodeEnd(const Session& session,

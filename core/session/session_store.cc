@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -12,6 +13,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/session/session_value.h"
@@ -42,6 +44,13 @@ void NotifyClosed(const SessionEntry& entry) {
 }
 
 }  // namespace
+
+absl::Duration PeriodOf(const std::map<std::string, std::string>& labels) {
+  const auto label = labels.find(kPeriodLabel);
+  double seconds = 0.0;
+  if (label == labels.end() || !absl::SimpleAtod(label->second, &seconds)) return {};
+  return std::isfinite(seconds) && seconds > 0.0 ? absl::Seconds(seconds) : absl::ZeroDuration();
+}
 
 std::string LabelText(const std::map<std::string, std::string>& labels) {
   std::string text;

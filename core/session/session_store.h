@@ -25,6 +25,7 @@
 #include "absl/time/time.h"
 #include "core/base/clock.h"
 #include "core/session/agent_session.h"
+#include "core/session/robot_link.h"
 #include "core/session/served_policy.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_quota.h"
@@ -38,6 +39,12 @@ inline constexpr char kLabelEnd = '\xff';
 // Returns the labels as "key=value" in lower case, each followed by kLabelEnd.
 std::string LabelText(const std::map<std::string, std::string>& labels);
 
+// The label that holds the time between two beats of a robot, in seconds.
+inline constexpr char kPeriodLabel[] = "period_seconds";
+
+// Returns the time between two beats that the labels hold; zero if they hold none.
+absl::Duration PeriodOf(const std::map<std::string, std::string>& labels);
+
 // A session, and the lock that admits one request at a time. Outlives its place in the store as
 // long as a request holds a reference.
 struct SessionEntry {
@@ -45,11 +52,13 @@ struct SessionEntry {
       : served(policy),
         tenant(session.options.tenant),
         label_text(LabelText(session.options.labels)),
+        period(PeriodOf(session.options.labels)),
         agent(std::move(policy), std::move(session), clock) {}
 
   const std::shared_ptr<const ServedPolicy> served;
   const std::string tenant;      // owner of the session
   const std::string label_text;  // what filters search for labels, without the lock
+  const absl::Duration period;   // between two beats of the robot; zero: unknown
   // Null: none. Set before the entry is shared.
   std::shared_ptr<ShadowSession> shadow;
   std::shared_ptr<SessionQuota> quota;
@@ -58,6 +67,7 @@ struct SessionEntry {
   AgentSession agent ABSL_GUARDED_BY(mutex);
   // Steps that the shadow has not processed yet.
   std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);
+  RobotLink robot ABSL_GUARDED_BY(mutex);
 };
 
 // Optional properties of a new session, beside its policy and options.
@@ -69,6 +79,12 @@ struct SessionExtras {
   std::shared_ptr<SessionJournal> journal = nullptr;    // null: the session is not stored
   bool assigned = false;  // a roll-out has chosen the version of the session
 };
+
+// Returns whether the robot of a session with this period is silent, if it has sent nothing for
+// `idle`: neither a late beat nor a short pause counts.
+inline bool IsSilent(absl::Duration period, absl::Duration idle) {
+  return period > absl::ZeroDuration() && idle > 50 * period && idle > absl::Seconds(2);
+}
 
 // Returns NOT_FOUND: no session with this id is visible to the caller.
 absl::Status NoSuchSession(absl::string_view id);

@@ -64,6 +64,17 @@ void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> 
   session->last_end.reset();
 }
 
+void CountSkipped(double reward, Session* session) {
+  const double counted = session->step == 0 ? 0.0 : reward;
+  session->return_to_go = NextReturnToGo(*session, counted);
+  session->episode_return += counted;
+  ++session->step;
+  ++session->decisions;
+  if (session->learner.has_value()) {
+    session->learner->OnSkipped(*session->options.learning, counted);
+  }
+}
+
 absl::Status CheckTargetReturn(double target_return) {
   if (IsFiniteFloat(target_return)) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(

@@ -31,6 +31,10 @@ std::optional<UpdateOutcome> ReplaceLastAction(const Policy& policy, const Actio
 void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> observation,
                    double reward, Session* session);
 
+// Counts a step of which only the `reward` of the action before is known. Its timestep is missing
+// in the history, which must be cleared before the next one is added.
+void CountSkipped(double reward, Session* session);
+
 // Returns INVALID_ARGUMENT unless `target_return` is finite as a float32, the type that the model
 // reads.
 absl::Status CheckTargetReturn(double target_return);

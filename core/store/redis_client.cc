@@ -1,5 +1,6 @@
 #include "core/store/redis_client.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/numbers.h"
@@ -122,16 +123,32 @@ RedisClient::Node& RedisClient::NodeOf(absl::string_view key) {
   return node == nullptr ? nodes_.begin()->second : *node;  // which says where the slot is
 }
 
-absl::Status RedisClient::Connect(const Node& node, std::unique_ptr<RedisConnection>* connection) {
-  if (*connection != nullptr) return absl::OkStatus();
-  auto connected = RedisConnection::Connect(node.endpoint, options_, RedisPeer::kRedis);
-  if (!connected.ok()) return connected.status();
-  if (options_.address.database != 0) {
-    const auto reply = (*connected)->Run({"SELECT", absl::StrCat(options_.address.database)});
-    if (!reply.ok()) return reply.status();
-  }
-  *connection = *std::move(connected);
-  return absl::OkStatus();
+absl::StatusOr<std::unique_ptr<RedisConnection>> RedisClient::NewConnection(
+    const RedisEndpoint& endpoint) {
+  auto connected = RedisConnection::Connect(endpoint, options_, RedisPeer::kRedis);
+  if (!connected.ok() || options_.address.database == 0) return connected;
+  const auto reply = (*connected)->Run({"SELECT", absl::StrCat(options_.address.database)});
+  if (!reply.ok()) return reply.status();
+  return connected;
+}
+
+absl::Status RedisClient::Connect(Node& node, std::unique_ptr<RedisConnection>* connection) {
+  // One try: otherwise every command of a long pipeline would wait for a node that is away.
+  if (*connection != nullptr || !node.failure.ok()) return node.failure;
+  auto connected = NewConnection(node.endpoint);
+  node.failure = connected.status();
+  if (connected.ok()) *connection = *std::move(connected);
+  return node.failure;
+}
+
+bool RedisClient::Node::is_usable() const {
+  return failure.ok() && (connection == nullptr || connection->failure().ok()) &&
+         (redirected == nullptr || redirected->failure().ok());
+}
+
+bool RedisClient::is_usable() const {
+  return pending_.empty() && std::all_of(nodes_.begin(), nodes_.end(),
+                                         [](const auto& node) { return node.second.is_usable(); });
 }
 
 void RedisClient::Append(std::initializer_list<absl::string_view> arguments) {

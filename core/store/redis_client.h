@@ -45,18 +45,21 @@ class RedisClient {
   void Append(std::initializer_list<absl::string_view> arguments);
 
   // Returns the reply to the oldest command without one. Returns UNAVAILABLE if the server answers
-  // with an error or not at all; the client is of no further use then.
+  // with an error or not at all. If it does not answer, all later commands to it fail, too.
   absl::StatusOr<RedisReply> Read();
+
+  // Returns whether the replies to further commands can be told from those to earlier ones: all
+  // were read, and each server has answered. Otherwise the client is of no further use.
+  bool is_usable() const;
 
   absl::StatusOr<RedisReply> Run(std::initializer_list<absl::string_view> arguments);
 
-  // Calls `visit` for every key that matches the pattern, once or more. REQUIRES: all replies were
-  // read.
+  // Calls `visit` for every key that matches the pattern, once or more. REQUIRES: is_usable().
   absl::Status ScanKeys(absl::string_view pattern,
                         absl::FunctionRef<void(absl::string_view key)> visit);
 
   // Waits until RedisOptions::replicas replicas have all writes so far. UNAVAILABLE if fewer do.
-  // REQUIRES: all replies were read.
+  // REQUIRES: is_usable().
   absl::Status WaitForReplicas();
 
  private:
@@ -65,6 +68,9 @@ class RedisClient {
     std::unique_ptr<RedisConnection> connection;  // null: not connected yet
     // For commands that another node sent here, so that their replies do not mix with others.
     std::unique_ptr<RedisConnection> redirected;
+    absl::Status failure;  // of the last try to connect, which is the last one if it has failed
+
+    bool is_usable() const;
   };
   // A command whose reply was not read yet.
   struct Pending {
@@ -88,8 +94,9 @@ class RedisClient {
   bool is_cluster() const { return !slots_.empty(); }
   Node& NodeAt(const RedisEndpoint& endpoint);
   Node& NodeOf(absl::string_view key);
-  // Connects if `connection` is null.
-  absl::Status Connect(const Node& node, std::unique_ptr<RedisConnection>* connection);
+  // Connects if `connection` is null, one of `node`.
+  absl::Status Connect(Node& node, std::unique_ptr<RedisConnection>* connection);
+  absl::StatusOr<std::unique_ptr<RedisConnection>> NewConnection(const RedisEndpoint& endpoint);
   // Returns true if `reply` sends its command to another node.
   static bool ParseRedirection(const redisReply& reply, const RedisEndpoint& from,
                                Redirection* redirection);

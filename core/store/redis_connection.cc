@@ -118,6 +118,13 @@ absl::StatusOr<RedisReply> RedisConnection::Run(absl::Span<const absl::string_vi
 }
 
 absl::StatusOr<RedisReply> RedisConnection::Read() {
+  if (!failure_.ok()) return failure_;
+  auto reply = ReadNext();
+  failure_ = reply.status();
+  return reply;
+}
+
+absl::StatusOr<RedisReply> RedisConnection::ReadNext() {
   elements_left_ = kMostReplyElements;
   reply_bytes_ = 0;
   auto reply = Parse();

@@ -5,7 +5,9 @@
 //   auto reply = (*connection)->Read();
 //
 // Commands are sent together when the first reply is read. Each command has one reply, in order.
-// Whatever the server answers, replies are bounded in size and in the time that they take.
+// After a reply that did not come in time nobody can tell to which command the next one belongs, so
+// a connection that has failed once stays failed. Whatever the server answers, replies are bounded
+// in size and in the time that they take.
 //
 // Not thread-safe. Read() waits at most RedisOptions::timeout for each part of a reply, and at most
 // kTimeoutsOfReply times as long for all of it. Connect() waits as long for each of its steps.
@@ -61,8 +63,11 @@ class RedisConnection {
   void Append(absl::string_view command) { unsent_.append(command.data(), command.size()); }
 
   // Returns the reply to the oldest command without one, which may be an error. Returns UNAVAILABLE
-  // if the server does not answer; the connection is of no further use then.
+  // if the server does not answer, and from then on always.
   absl::StatusOr<RedisReply> Read();
+
+  // Returns why the connection has failed, or OK.
+  const absl::Status& failure() const { return failure_; }
 
   // Runs one command. Returns UNAVAILABLE also if the reply is an error.
   absl::StatusOr<RedisReply> Run(absl::Span<const absl::string_view> arguments);
@@ -75,6 +80,7 @@ class RedisConnection {
       : endpoint_(std::move(endpoint)), timeout_(timeout), context_(context) {}
 
   absl::Status Authenticate(const RedisOptions& options, RedisPeer peer);
+  absl::StatusOr<RedisReply> ReadNext();
   // Returns the next reply if all of it has arrived, and otherwise null.
   absl::StatusOr<RedisReply> Parse();
   absl::Status SendAll();
@@ -89,6 +95,7 @@ class RedisConnection {
   const std::unique_ptr<redisContext, ContextDeleter> context_;  // owns the socket and the reader
   SslConnection tls_;                                            // null: plain text
   std::string unsent_;
+  absl::Status failure_;      // of the first Read() that failed
   bool has_replied_ = false;  // at least once, in the protocol of Redis
   std::string first_bytes_;   // that the server has sent, until it has replied
   size_t reply_bytes_ = 0;    // received since the last reply

@@ -37,7 +37,7 @@ std::vector<std::string> RedisDurability::Warnings(int64_t replicas) const {
   return warnings;
 }
 
-RedisDurability ReadRedisDurability(RedisClient& client) {
+absl::StatusOr<RedisDurability> ReadRedisDurability(RedisClient& client) {
   RedisDurability redis;
   const std::pair<const char*, std::string*> settings[] = {
       {"maxmemory", &redis.max_memory},
@@ -46,11 +46,14 @@ RedisDurability ReadRedisDurability(RedisClient& client) {
       {"appendfsync", &redis.append_fsync},
       {"min-replicas-to-write", &redis.min_replicas_write}};
   for (const auto& [name, value] : settings) client.Append({"CONFIG", "GET", name});
+  absl::Status failure;
   for (const auto& [name, value] : settings) {
     const auto reply = client.Read();
+    failure.Update(reply.status());
     if (!reply.ok() || (*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements != 2) continue;
     *value = std::string(TextOf(*(*reply)->element[1]));
   }
+  if (!client.is_usable()) return failure;
   return redis;
 }
 

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "core/store/redis_client.h"
 
 namespace spikeserve {
@@ -33,8 +34,9 @@ struct RedisDurability {
   std::vector<std::string> Warnings(int64_t replicas) const;
 };
 
-// Asks the server; of a Cluster, one of its nodes.
-RedisDurability ReadRedisDurability(RedisClient& client);
+// Asks the server; of a Cluster, one of its nodes. Returns UNAVAILABLE if it does not answer; one
+// that refuses to tell a setting has answered.
+absl::StatusOr<RedisDurability> ReadRedisDurability(RedisClient& client);
 
 }  // namespace spikeserve
 

@@ -224,7 +224,9 @@ absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options) {
   auto client = RedisClient::Connect(options);
   if (!client.ok()) return client.status();
   StoreReport report;
-  report.warnings = ReadRedisDurability(**client).Warnings(options.replicas);
+  const auto durability = ReadRedisDurability(**client);
+  if (!durability.ok()) return durability.status();
+  report.warnings = durability->Warnings(options.replicas);
   const auto replicas =
       (*client)->Run({"EVAL", kLiving, "1", kRedisReplicas, absl::StrCat(kAliveMilliseconds)});
   if (!replicas.ok()) return replicas.status();

@@ -61,15 +61,18 @@ absl::Status Audit::RunAndRecord(Method method, const CallContext& context,
                       .tenant = context.caller->tenant()->name(),
                       .peer = context.peer,
                       .policy = PolicyOf(request),
-                      .request = MessageJson(request).dump(),
-                      .before = StateOf(request)};
+                      .request = MessageJson(request).dump()};
+  // An agent's call changes nothing that is served.
+  const bool changes = GetMethodInfo(method).access == Access::kOperatorOnly;
+  entry.remembered = changes;
+  if (changes) entry.before = StateOf(request);
   size_t reserved = kNamesBytes + kEscaped * (entry.request.size() + 2 * entry.before.size());
   if (auto room = log_->Reserve(reserved); !room.ok()) {
     if (!allow_unrecorded_) return room;
     reserved = 0;
   }
   entry.outcome = change();
-  entry.after = StateOf(request);
+  if (changes) entry.after = StateOf(request);
   auto outcome = entry.outcome;
   const auto recorded = log_->Record(std::move(entry), reserved);
   if (outcome.ok() && !allow_unrecorded_) outcome = recorded;

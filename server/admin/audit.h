@@ -28,9 +28,9 @@ class Audit {
         bool allow_unrecorded)
       : log_(log), registry_(registry), store_(store), allow_unrecorded_(allow_unrecorded) {}
 
-  // Runs `change`, the call of an operator, and records it with its outcome, which is returned. If
-  // it could not be recorded, it is not run, and UNAVAILABLE is returned, unless changes that are
-  // not recorded are allowed.
+  // Runs `change`, the call of an operator or one that an agent has to answer for, and records it
+  // with its outcome, which is returned. If it could not be recorded, it is not run, and
+  // UNAVAILABLE is returned, unless changes that are not recorded are allowed.
   absl::Status RunAndRecord(Method method, const CallContext& context,
                             const google::protobuf::Message& request,
                             absl::FunctionRef<absl::Status()> change) const;

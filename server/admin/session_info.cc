@@ -2,6 +2,7 @@
 
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "server/agent/beat_requests.h"
 #include "server/agent/convert.h"
 
 namespace spikeserve {
@@ -26,6 +27,14 @@ void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
   if (const auto& journal = listed.entry->journal; journal != nullptr) {
     info->set_epoch(journal->epoch());
     info->set_durable_decision(journal->durable_decisions());
+  }
+  const SessionEntry& entry = *listed.entry;
+  if (entry.period > absl::ZeroDuration()) {
+    info->set_period_seconds(absl::ToDoubleSeconds(entry.period));
+    info->set_silent(IsSilent(entry.period, listed.idle));
+  }
+  if (const auto& report = listed.entry->robot.report(); report.has_value()) {
+    ToProto(*report, info->mutable_beats());
   }
   info->mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
 }

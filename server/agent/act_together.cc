@@ -4,8 +4,10 @@
 #include <optional>
 #include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/container/inlined_vector.h"
 #include "core/session/session_locks.h"
+#include "server/agent/beat_requests.h"
 #include "server/agent/convert.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_gate.h"
@@ -13,21 +15,18 @@
 namespace spikeserve {
 namespace {
 
-std::optional<ReportedAction> ExecutedAction(const v1::ActRequest& request) {
-  if (!request.has_executed_action()) return std::nullopt;
-  return FromProto(request.executed_action());
-}
-
-// Returns the step that the session's shadow will replay for the decision that was just made.
-ShadowStep MakeShadowStep(const v1::ActRequest& request, const Session& session) {
+// Returns the step that the session's shadow will replay for the decision that was just made. If
+// the agent `reports` executed actions, the history has the one before it.
+ShadowStep MakeShadowStep(absl::Span<const float> observation, double reward, bool reports,
+                          const Session& session) {
   std::optional<Action> executed;
-  if (request.has_executed_action() && session.last_answer->step > 0) {
+  if (reports && session.last_answer->step > 0 && session.history.size() > 1) {
     executed = session.history.action(session.history.size() - 2);
   }
   return {.episode = session.episode,
           .step = session.last_answer->step,
-          .observation = {request.observation().begin(), request.observation().end()},
-          .reward = request.reward(),
+          .observation = {observation.begin(), observation.end()},
+          .reward = reward,
           .target_return = session.target_return,
           .executed = std::move(executed),
           .served = *session.last_answer};
@@ -57,48 +56,91 @@ void AddCommits(DecisionRequest& act, const Place& place, bool has_decided) {
   }
 }
 
+// Takes the beats of a request. Returns whether the decision is to be made now.
+bool TakeBeatsOf(DecisionRequest& act, const Clock& clock, int64_t* budget)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
+  SessionEntry& entry = *act.entry;
+  const bool is_new = entry.journal == nullptr || entry.journal->is_new();
+  const auto on_appended = [&](const Beat& beat) {
+    entry.mutex.AssertHeld();
+    if (entry.shadow == nullptr) return;
+    entry.shadow_steps.push_back(
+        MakeShadowStep(beat.observation, beat.reward, /*reports=*/true, entry.agent.session()));
+  };
+  const auto decides = TakeBeats(*act.request, act.received, clock, *entry.served->observer, is_new,
+                                 &entry.agent, &entry.robot, budget, &act.beats, on_appended);
+  act.status = decides.status();
+  return decides.ok() && *decides;
+}
+
+// Sets what follows from `act.status`. `is_new` is true if the session has changed.
+void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
+  SessionEntry& entry = *act.entry;
+  const Place place = PlaceOf(*act.request);
+  if (absl::IsFailedPrecondition(act.status)) {
+    act.status = SessionGate::Refused(*act.context, place, act.status, entry);
+    if (absl::IsNotFound(act.status)) return;
+  }
+  AddCommits(act, place, /*has_decided=*/act.status.ok() && is_new);
+  if (!act.status.ok()) return entry.served->observer->OnError();
+  if (const SessionJournal* journal = entry.journal.get(); journal != nullptr) {
+    act.response->set_durable_decision(journal->is_sync() ? entry.agent.session().decisions
+                                                          : journal->durable_decisions());
+  }
+}
+
 }  // namespace
 
-void DecideActs(absl::Span<DecisionRequest* const> acts) {
+void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries;
   for (const DecisionRequest* act : acts) entries.push_back(act->entry);
   const SessionLocks locks(entries);
   absl::InlinedVector<AgentSession::ActCall, 1> calls;
-  for (const DecisionRequest* act : acts) {
+  absl::InlinedVector<DecisionRequest*, 1> deciding;  // the requests of `calls`
+  int64_t budget = kBeatsPerGroup;
+  absl::Duration begun;  // of the decisions
+  for (DecisionRequest* act : acts) {
     act->entry->mutex.AssertHeld();
     AgentSession& agent = act->entry->agent;
     if (act->entry->journal != nullptr) act->entry->journal->WriteAgainIfMissing(agent.session());
+    if (HasBeats(*act->request)) {
+      const bool decides = TakeBeatsOf(*act, clock, &budget);
+      if (!act->is_finished()) continue;
+      begun = clock.Now();
+      if (!decides) {
+        Conclude(*act, /*is_new=*/act->beats.appended > 0);
+        if (act->status.ok()) {
+          FillBeats(*act->request, act->beats, agent.session(), act->received, begun,
+                    act->response);
+        }
+        continue;
+      }
+    }
     calls.push_back({.session = &agent,
                      .step = act->is_next ? agent.session().step : act->request->step(),
                      .observation = act->request->observation(),
                      .reward = act->request->reward(),
                      .decision = Decision(*act),
-                     .executed = ExecutedAction(*act->request)});
+                     .executed = ExecutedBefore(*act->request)});
+    deciding.push_back(act);
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
-  for (size_t i = 0; i < acts.size(); ++i) {
-    DecisionRequest& act = *acts[i];
+  for (size_t i = 0; i < calls.size(); ++i) {
+    DecisionRequest& act = *deciding[i];
     SessionEntry& entry = *act.entry;
     entry.mutex.AssertHeld();
     act.status = calls[i].answer.status();
+    Conclude(act, /*is_new=*/!calls[i].is_retry);
+    if (!act.status.ok()) continue;
     const Session& session = entry.agent.session();
-    const Place place = PlaceOf(*act.request);
-    if (absl::IsFailedPrecondition(act.status)) {
-      act.status = SessionGate::Refused(*act.context, place, act.status, entry);
-      if (absl::IsNotFound(act.status)) continue;
-    }
-    AddCommits(act, place, /*has_decided=*/act.status.ok() && !calls[i].is_retry);
-    if (!act.status.ok()) {
-      entry.served->observer->OnError();
-      continue;
-    }
+    if (calls[i].is_retry) entry.served->observer->OnRepeated();
     if (entry.shadow != nullptr && !calls[i].is_retry) {
-      entry.shadow_steps.push_back(MakeShadowStep(*act.request, session));
+      entry.shadow_steps.push_back(MakeShadowStep(act.request->observation(), act.request->reward(),
+                                                  calls[i].executed.has_value(), session));
     }
     ToProto(act.request->session_id(), **calls[i].answer, entry.served->policy(), act.response);
-    if (const SessionJournal* journal = entry.journal.get(); journal != nullptr) {
-      act.response->set_durable_decision(journal->is_sync() ? session.decisions
-                                                            : journal->durable_decisions());
+    if (HasBeats(*act.request)) {
+      FillBeats(*act.request, act.beats, session, act.received, begun, act.response);
     }
   }
 }

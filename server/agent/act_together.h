@@ -6,8 +6,11 @@
 #include <memory>
 
 #include "absl/status/status.h"
+#include "absl/time/time.h"
 #include "absl/types/span.h"
+#include "core/base/clock.h"
 #include "core/session/session_store.h"
+#include "server/agent/beat_requests.h"
 #include "server/agent/call_context.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -26,12 +29,19 @@ struct DecisionRequest {
   bool is_next = false;  // true: decides at the step that the session expects, so never a retry
   std::shared_ptr<SessionEntry> entry = nullptr;  // only while it is decided
   absl::Status status = absl::OkStatus();
+  // When the request was received, by the clock; used if it has beats (beat_requests.h).
+  absl::Duration received = absl::ZeroDuration();
+  BeatProgress beats = {};  // of a request with beats
+
+  // False: the request has no answer yet. It is to be decided again, before later requests for its
+  // session.
+  bool is_finished() const { return beats.finished || !status.ok(); }
 };
 
 // Computes the decision of each of `acts` and sets its `response`, or its `status` to the error,
 // and adds what the answer waits for to its context. The results equal those of deciding one after
 // the other, bit for bit. Thread-safe. REQUIRES: each has its `entry`, and no two the same.
-void DecideActs(absl::Span<DecisionRequest* const> acts);
+void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock);
 
 }  // namespace spikeserve
 

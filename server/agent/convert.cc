@@ -7,12 +7,24 @@
 #include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
+#include "core/session/beats.h"
 #include "nlohmann/json.hpp"
 #include "server/base/expected_decision.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
 namespace {
+
+// Returns the action nearest to doing nothing: index 0, or in each element of a Box 0, if the
+// bounds admit it, and otherwise their middle.
+Action NeutralAction(const ActionSpace& space) {
+  Action neutral;
+  for (size_t i = 0; i < space.low.size(); ++i) {
+    const bool admits_zero = space.low[i] <= 0.0f && space.high[i] >= 0.0f;
+    neutral.continuous.push_back(admits_zero ? 0.0f : 0.5f * space.low[i] + 0.5f * space.high[i]);
+  }
+  return neutral;
+}
 
 // Returns `evaluation.mean_return` of a policy file's training record, if the record has it.
 std::optional<double> TrainingReturn(const std::string& training) {
@@ -181,6 +193,8 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
     proto.set_traffic_percent(entry.settings.PercentOf(served.version));
   }
   proto.set_is_shadow(served.version == entry.settings.shadow_version);
+  ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(),
+          proto.mutable_neutral_action());
   return proto;
 }
 
@@ -270,6 +284,9 @@ void ToProto(const std::string& session_id, const SessionOptions& options,
   response->set_target_return(options.target_return);
   response->set_recording(options.recording);
   response->set_durability(ToProto(options.durability));
+  response->set_history_limit(kHistoryLimit);
+  ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(),
+          response->mutable_neutral_action());
 }
 
 void ErrorToProto(const absl::Status& status, v1::ActResult* result) {

@@ -10,6 +10,7 @@
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/session/session_export.h"
 #include "core/session/session_value.h"
 #include "server/agent/convert.h"
 #include "server/agent/explain_convert.h"
@@ -39,6 +40,12 @@ absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& 
   return absl::OkStatus();
 }
 
+absl::Status CheckPeriod(double seconds) {
+  if (seconds >= 0.0001 && seconds <= 3600.0) return absl::OkStatus();  // false for NaN
+  return absl::InvalidArgumentError(
+      absl::StrCat("period_seconds: expected 0.0001 to 3600, received ", seconds));
+}
+
 absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
                                                 const ServedPolicy& served) {
   auto settings = RequestFromProto(request);
@@ -48,6 +55,9 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   options->policy_sha256 = served.sha256;
   if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
   options->labels.insert(request.labels().begin(), request.labels().end());
+  if (!request.has_period_seconds()) return options;
+  if (auto status = CheckPeriod(request.period_seconds()); !status.ok()) return status;
+  options->labels[kPeriodLabel] = absl::StrCat(request.period_seconds());
   return options;
 }
 
@@ -210,6 +220,9 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
   }
   if (durability != Durability::kNone) {
     if (auto status = durability_.journals->CheckReachable(); !status.ok()) return status;
+    if (durability_.files != nullptr) {
+      if (auto status = durability_.files->Check(served); !status.ok()) return status;
+    }
     if (durability == Durability::kSync) {
       if (auto status = durability_.journals->CheckKeepsRecords(); !status.ok()) {
         return Annotate(status, "durability");
@@ -292,6 +305,13 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
   return RetryDelay(writable).has_value() ? writable : WithRetryDelay(writable, kStoreRetryDelay);
 }
 
+void PolicyHandler::CountBeats(const Credential& caller, int64_t beats) const {
+  if (!caller.tenant()->limits_decisions()) return;
+  const absl::Duration now = clock_->Now();
+  for (; beats > 0 && caller.tenant()->AcquireDecision(now).ok(); --beats) {
+  }
+}
+
 absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& request,
                                    bool is_next, v1::ActResponse* response) const {
   auto entry = FindForDecision(context, request);
@@ -300,8 +320,11 @@ absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& r
                          .request = &request,
                          .response = response,
                          .is_next = is_next,
-                         .entry = *std::move(entry)};
-  DecideActs({&act});
+                         .entry = *std::move(entry),
+                         .received = clock_->Now()};
+  do {
+    DecideActs({&act}, *clock_);
+  } while (!act.is_finished());
   if (act.status.ok()) context.deferred->Add(std::move(act.entry), shadows_);
   return act.status;
 }
@@ -312,17 +335,24 @@ void PolicyHandler::ActMany(
     absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
     absl::FunctionRef<void(absl::Span<DecisionRequest* const>)> answered) const {
   absl::InlinedVector<DecisionRequest*, 1>
-      found;         // of the group, without requests that were refused
-  size_t begin = 0;  // of the group
+      found;                                    // of the group, without requests that were refused
+  size_t begin = 0;                             // of the group
+  absl::InlinedVector<int64_t, 1> appended;     // by the requests of the group, before
+  std::vector<const SessionEntry*> unfinished;  // sessions of requests that have not finished
   const auto answer_group = [&](size_t end) {
-    DecideActs(found);
-    for (DecisionRequest* act : found) {
+    DecideActs(found, *clock_);
+    for (size_t i = 0; i < found.size(); ++i) {
+      DecisionRequest* const act = found[i];
       auto entry = std::exchange(act->entry, nullptr);
+      if (!act->is_finished()) unfinished.push_back(entry.get());
+      const int64_t beats = act->beats.appended - appended[i];
+      if (beats > 0) CountBeats(*act->context->caller, beats);
       if (act->status.ok()) deferred->Add(std::move(entry), shadows_);
     }
     answered(acts.subspan(begin, end - begin));
     begin = end;
     found.clear();
+    appended.clear();
   };
   for (size_t i = 0; i < acts.size(); ++i) {
     DecisionRequest& act = *acts[i];
@@ -332,8 +362,13 @@ void PolicyHandler::ActMany(
     const bool again =
         absl::c_any_of(found, [&](const DecisionRequest* other) { return other->entry == *entry; });
     if (again || found.size() == kMaxSessionsPerGroup) answer_group(i);
+    if (!unfinished.empty() && absl::c_linear_search(unfinished, entry->get())) {
+      act.beats.finished = false;
+      continue;
+    }
     act.entry = *std::move(entry);
     found.push_back(&act);
+    appended.push_back(act.beats.appended);
   }
   answer_group(acts.size());
 }
@@ -345,7 +380,8 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 }
 
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
-                                 int first, v1::ActBatchResponse* response) const {
+                                 int first, v1::ActBatchResponse* response,
+                                 absl::Duration received) const {
   const int end = std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   absl::InlinedVector<DecisionRequest, kMaxSessionsPerGroup> items;
   absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> acts;
@@ -353,11 +389,17 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
     items.push_back({.context = &context,
                      .request = &request.requests(i),
                      .response = response->add_results()->mutable_response(),
-                     .item = i});
+                     .item = i,
+                     .received = received});
   }
   for (DecisionRequest& item : items) acts.push_back(&item);
   ActMany(acts, context.deferred, [](absl::Span<DecisionRequest* const> /*group*/) {});
   for (const DecisionRequest& item : items) {
+    if (!item.is_finished()) {
+      // Those behind it that have an answer get it again, as retries.
+      while (response->results_size() > item.item) response->mutable_results()->RemoveLast();
+      return item.item;
+    }
     if (!item.status.ok()) ErrorToProto(item.status, response->mutable_results(item.item));
   }
   return end;
@@ -430,6 +472,26 @@ absl::Status PolicyHandler::Explain(CallContext& context, const v1::ExplainReque
   const auto entry = FindReadable(*context.caller, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
+}
+
+absl::Status PolicyHandler::ExportSession(CallContext& context,
+                                          const v1::ExportSessionRequest& request,
+                                          v1::ExportSessionResponse* response) const {
+  const auto entry = gate_->Find(context, request.session_id());
+  if (!entry.ok()) return entry.status();
+  if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
+  absl::MutexLock lock(&(*entry)->mutex);
+  const AgentSession& agent = (*entry)->agent;
+  const Session& session = agent.session();
+  response->set_value(spikeserve::ExportSession(agent));
+  response->set_policy((*entry)->served->name);
+  response->set_version((*entry)->served->version);
+  response->set_policy_sha256(session.options.policy_sha256);
+  response->set_decision(session.decisions);
+  response->set_episode(session.episode);
+  response->set_step(session.step);
+  response->set_frozen(IsFrozenByExport(session));
+  return absl::OkStatus();
 }
 
 absl::Status PolicyHandler::CloseSession(CallContext& context,

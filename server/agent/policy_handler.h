@@ -21,6 +21,7 @@
 #include "server/agent/session_gate.h"
 #include "server/agent/shadow_runner.h"
 #include "server/policies/policy_registry.h"
+#include "server/policies/shared_files.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -38,6 +39,7 @@ inline constexpr int kMaxBatch = 1024;
 struct SessionDurability {
   JournalWriter* journals = nullptr;      // null: no session is stored
   Durability level = Durability::kAsync;  // of sessions that ask for none and do not learn
+  const SharedFiles* files = nullptr;     // null: no other server goes on with them
 };
 
 class PolicyHandler {
@@ -70,16 +72,18 @@ class PolicyHandler {
                        v1::ActResponse* response) const;
   // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
   // session are made in the order of `acts`. Calls `answered` for each group, which is the next
-  // part of `acts`, so that its answers can be sent before the next group is decided.
+  // part of `acts`, so that its answers can be sent before the next group is decided. A request
+  // with many beats may be left unfinished, and then those behind it for the same session are, too.
   void ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
                absl::FunctionRef<void(absl::Span<DecisionRequest* const> group)> answered) const;
   // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
   static absl::Status CheckBatch(const v1::ActBatchRequest& request);
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
-  // after the last one. An item that fails has its own code in `response`.
-  // REQUIRES: CheckBatch returned OK.
+  // after the last one, or of the first one that has not finished. An item that fails has its own
+  // code in `response`. REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response) const;
+                    v1::ActBatchResponse* response,
+                    absl::Duration received = absl::ZeroDuration()) const;
   absl::Status EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(CallContext& context, const v1::GetSessionRequest& request,
@@ -87,6 +91,8 @@ class PolicyHandler {
   // Takes about a thousand times as long as a decision; see ExplainSession.
   absl::Status Explain(CallContext& context, const v1::ExplainRequest& request,
                        v1::ExplainResponse* response) const;
+  absl::Status ExportSession(CallContext& context, const v1::ExportSessionRequest& request,
+                             v1::ExportSessionResponse* response) const;
   absl::Status CloseSession(CallContext& context, const v1::CloseSessionRequest& request,
                             v1::CloseSessionResponse* response) const;
 
@@ -112,6 +118,9 @@ class PolicyHandler {
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
       const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;
 
+  // Counts the beats that were appended as decisions of the caller's tenant, as far as its limit
+  // goes.
+  void CountBeats(const Credential& caller, int64_t beats) const;
   // Counts one decision of the caller's tenant and returns the session of `request`. Returns
   // RESOURCE_EXHAUSTED if the tenant exceeds its limit.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindForDecision(

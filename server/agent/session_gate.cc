@@ -80,12 +80,25 @@ bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const
   const SessionRecovery::Post post = request.post();
   const auto search = std::make_shared<Search>(
       Search{.request = request.Self(), .status = status, .missing = missing.size()});
+  if (request.only_reads() && recovery_->is_shared()) {
+    recovery_->Read(*context.caller, missing[0], post,
+                    [search](const auto& session) { OnRead(*search, session); });
+    return true;
+  }
   for (const std::string& id : missing) {
     recovery_->Recover(*context.caller, id, post, [search, id](const absl::Status& claimed) {
       OnClaimed(*search, id, claimed);
     });
   }
   return true;
+}
+
+void SessionGate::OnRead(Search& search,
+                         const absl::StatusOr<std::shared_ptr<const AgentSession>>& session) {
+  GatedRequest& request = *search.request;
+  if (absl::IsNotFound(session.status())) return request.Answer(search.status);
+  if (session.ok()) request.TakeRead(**session);
+  request.Answer(session.status());
 }
 
 void SessionGate::OnClaimed(Search& search, const std::string& id, const absl::Status& claimed) {

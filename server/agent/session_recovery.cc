@@ -73,11 +73,7 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
   if (is_here) return done(absl::OkStatus());
   if (!is_first) return;
   const std::shared_ptr<SessionQuota> quota = caller.tenant();
-  JournalClaim claim = {
-      .id = id, .tenant = key.first, .has_policy = [this](const std::string& file) {
-        return HasPolicy(*registry_.catalog(), file);
-      }};
-  journals_.Claim(std::move(claim), [=, this](absl::StatusOr<ClaimedJournal> result) {
+  journals_.Claim(ClaimOf(key), [=, this](absl::StatusOr<ClaimedJournal> result) {
     const auto claimed = std::make_shared<absl::StatusOr<ClaimedJournal>>(std::move(result));
     post([=, this] {
       const absl::Status status = Restore(key, quota, std::move(*claimed));
@@ -90,10 +86,35 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
   });
 }
 
-absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
-                                      absl::StatusOr<ClaimedJournal> claimed) {
-  if (!claimed.ok()) return claimed.status();
-  const absl::Status cut = CutDamagedEnd(&claimed->records);
+JournalClaim SessionRecovery::ClaimOf(const Key& key) const {
+  return {.id = key.second, .tenant = key.first, .has_policy = [this](const std::string& file) {
+            return HasPolicy(*registry_.catalog(), file);
+          }};
+}
+
+void SessionRecovery::Read(const Credential& caller, const std::string& id, const Post& post,
+                           WhenRead done) {
+  if (!IsDrawnSessionId(id)) return done(NoSuchSession(id));
+  const Key key = {caller.tenant()->name(), id};
+  JournalClaim claim = ClaimOf(key);
+  claim.only_reads = true;
+  // `done` may hold a call, which must be destroyed on the thread of its loop.
+  journals_.Claim(std::move(claim), [this, key, post, done = std::move(done)](
+                                        absl::StatusOr<ClaimedJournal> result) mutable {
+    post([this, key, done = std::move(done), result = std::move(result)]() mutable {
+      if (!result.ok()) return done(result.status());
+      auto restored = Unfold(key, &*result);
+      if (!restored.ok()) return done(restored.status());
+      done(std::make_shared<AgentSession>(std::move(restored->served), std::move(restored->session),
+                                          &clock_));
+    });
+  });
+}
+
+absl::StatusOr<SessionRecovery::Restored> SessionRecovery::Unfold(const Key& key,
+                                                                  ClaimedJournal* claimed) const {
+  Restored restored;
+  restored.cut = CutDamagedEnd(&claimed->records);
   auto journal = ParseJournal(claimed->records);
   if (!journal.ok()) return journal.status();
   const SessionOptions options = journal->snapshot.options;
@@ -103,15 +124,28 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
   }
   auto served = FindPolicy(options, registry_);
   if (!served.ok()) return served.status();
+  restored.entries = journal->entries.size();
+  restored.after_gap = journal->after_gap;
+  auto session = RestoreSession(*std::move(journal), (*served)->policy());
+  if (!session.ok()) return session.status();
+  restored.served = *std::move(served);
+  restored.session = *std::move(session);
+  return restored;
+}
+
+absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
+                                      absl::StatusOr<ClaimedJournal> claimed) {
+  if (!claimed.ok()) return claimed.status();
+  auto restored = Unfold(key, &*claimed);
+  if (!restored.ok()) return restored.status();
   if (claimed->epoch == 0) {
     return absl::UnavailableError(
         "session_id: expected a session whose policy this server had when it asked the store; try "
         "again");
   }
-  journals_.CountReplayed(journal->entries.size());
-  const size_t after_gap = journal->after_gap;
-  auto session = RestoreSession(*std::move(journal), (*served)->policy());
-  if (!session.ok()) return session.status();
+  journals_.CountReplayed(restored->entries);
+  const auto& served = restored->served;
+  const SessionOptions options = restored->session.options;
 
   SessionExtras extras;
   extras.quota = std::move(quota);
@@ -119,20 +153,21 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
       SessionJournal::Key{.id = key.second,
                           .tenant = key.first,
                           .epoch = claimed->epoch,
-                          .policy_file = PolicyFileOf(**served),
+                          .policy_file = PolicyFileOf(*served),
                           .claimed_from = claimed->claimed_from},
-      options.durability, session->decisions, &journals_, claimed->records.size(),
-      /*is_whole=*/after_gap == 0);
+      options.durability, restored->session.decisions, &journals_, claimed->records.size(),
+      /*is_whole=*/restored->after_gap == 0);
   if (recordings_ != nullptr && !options.recording.empty()) {
-    extras.recorder = recordings_->Record(*served, options.recording);
+    extras.recorder = recordings_->Record(served, options.recording);
   }
-  auto status = sessions_.Restore(*served, *std::move(session), std::move(extras));
+  auto status = sessions_.Restore(served, std::move(restored->session), std::move(extras));
   if (!status.ok()) return status;
-  if (after_gap > 0) {
+  if (restored->after_gap > 0) {
     LogWarning("journal goes on before its gap", {{"session", key.second}});
   }
-  if (cut.ok()) return absl::OkStatus();
-  LogError("end of a journal cut off", {{"session", key.second}, {"error", cut.message()}});
+  if (restored->cut.ok()) return absl::OkStatus();
+  LogError("end of a journal cut off",
+           {{"session", key.second}, {"error", restored->cut.message()}});
   return absl::OkStatus();
 }
 

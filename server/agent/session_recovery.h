@@ -1,5 +1,5 @@
 // Takes over sessions that this server does not hold from the store: after a restart, or from
-// another server.
+// another server. Also reads them there, without taking them over.
 //
 // Thread-safe.
 #ifndef SERVER_AGENT_SESSION_RECOVERY_H_
@@ -7,15 +7,18 @@
 
 #include <functional>
 #include <map>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "core/base/clock.h"
+#include "core/session/agent_session.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/recordings.h"
@@ -36,6 +39,7 @@ class SessionRecovery {
   // Runs work on the thread of the caller's event loop.
   using Post = std::function<void(std::function<void()>)>;
   using Done = std::function<void(const absl::Status&)>;
+  using WhenRead = std::function<void(absl::StatusOr<std::shared_ptr<const AgentSession>>)>;
 
   // All must outlive the object; `recordings` may be null.
   SessionRecovery(JournalStore* journals, const PolicyRegistry* registry, SessionStore* sessions,
@@ -50,6 +54,13 @@ class SessionRecovery {
   void Recover(const Credential& caller, const std::string& id, const Post& post, Done done)
       ABSL_LOCKS_EXCLUDED(mutex_);
 
+  // Reads session `id` of the caller's tenant as the store has it. It stays with its owner, which
+  // may have decided since. Calls `done` by `post`. Errors: as Recover().
+  void Read(const Credential& caller, const std::string& id, const Post& post, WhenRead done);
+
+  // Returns whether other servers may own sessions of the store.
+  bool is_shared() const { return journals_.IsShared(); }
+
   // Forgets the callers that still wait. For the end of the server, when the event loops have
   // stopped and `done` would not be called any more.
   void ForgetWaiters() ABSL_LOCKS_EXCLUDED(mutex_);
@@ -61,6 +72,17 @@ class SessionRecovery {
     Done done;
   };
 
+  // What a journal says.
+  struct Restored {
+    std::shared_ptr<const ServedPolicy> served;
+    Session session;
+    size_t entries = 0;    // that were folded into the session
+    size_t after_gap = 0;  // records that were left out
+    absl::Status cut;      // why records at the end were left out
+  };
+  absl::StatusOr<Restored> Unfold(const Key& key, ClaimedJournal* claimed) const;
+
+  JournalClaim ClaimOf(const Key& key) const;
   absl::Status Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
                        absl::StatusOr<ClaimedJournal> claimed);
   void Finish(const Key& key, const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_);
@@ -69,6 +91,7 @@ class SessionRecovery {
   const PolicyRegistry& registry_;
   SessionStore& sessions_;
   Recordings* const recordings_;
+  const SteadyClock clock_;
 
   absl::Mutex mutex_;
   std::map<Key, std::vector<Waiter>> claims_ ABSL_GUARDED_BY(mutex_);

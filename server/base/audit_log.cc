@@ -253,7 +253,7 @@ absl::Status AuditLog::Record(AuditEntry entry, size_t reserved) {
                        ": ", status.message()));
     }
   }
-  Remember(std::move(entry));
+  if (entry.remembered) Remember(std::move(entry));
   return status;
 }
 

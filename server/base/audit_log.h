@@ -43,6 +43,8 @@ struct AuditEntry {
   absl::Status outcome = absl::OkStatus();
   std::string before = "";  // JSON
   std::string after = "";   // JSON
+  // False: the entry is in the file or the log alone, because such calls are frequent.
+  bool remembered = true;
 };
 
 class AuditLog {

@@ -23,6 +23,7 @@ enum class Method {
   kGetSession,
   kCloseSession,
   kExplain,
+  kExportSession,
   kLoadPolicy,
   kUnloadPolicy,
   kReloadPolicies,
@@ -79,7 +80,7 @@ struct MethodInfo {
   Cost cost;
 };
 
-inline constexpr std::array<MethodInfo, 41> kMethodTable = {{
+inline constexpr std::array<MethodInfo, 42> kMethodTable = {{
     {Method::kListPolicies, "ListPolicies", Access::kAnyRole, Cost::kListing},
     {Method::kOpenSession, "OpenSession", Access::kAgentOrOperator, Cost::kLight},
     {Method::kAct, "Act", Access::kAgentOrOperator, Cost::kDecision},
@@ -89,6 +90,7 @@ inline constexpr std::array<MethodInfo, 41> kMethodTable = {{
     {Method::kGetSession, "GetSession", Access::kAnyRole, Cost::kLight},
     {Method::kCloseSession, "CloseSession", Access::kAgentOrOperator, Cost::kLight},
     {Method::kExplain, "Explain", Access::kAnyRole, Cost::kExplain},
+    {Method::kExportSession, "ExportSession", Access::kAgentOrOperator, Cost::kOperator},
     {Method::kLoadPolicy, "LoadPolicy", Access::kOperatorOnly, Cost::kOperator},
     {Method::kUnloadPolicy, "UnloadPolicy", Access::kOperatorOnly, Cost::kOperator},
     {Method::kReloadPolicies, "ReloadPolicies", Access::kOperatorOnly, Cost::kOperator},

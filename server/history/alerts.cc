@@ -227,6 +227,37 @@ Instances ConnectionsRefused(const AlertRule& rule, const AlertInput& input) {
   return found;
 }
 
+// Robots that report no beats and ask again for answers that came too late.
+constexpr double kMostRepeated = 0.2;
+
+Instances RobotsWithoutActions(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const TimeSpan window = WindowOf(rule, input);
+  const auto increase = [&](const char* counter, const MetricLabels& labels) {
+    return Increase(input.history.Select(counter, labels), window);
+  };
+  const Selection decided = input.history.Select("spikeserve_decisions_total");
+  for (const auto& [labels, decisions] : GroupBy({"policy", "version"}, decided)) {
+    const double beats = increase("spikeserve_beats_total", labels);
+    MetricLabels fresh = labels;
+    fresh["source"] = "fresh";
+    const double missed = 1.0 - increase("spikeserve_beats_total", fresh) / beats;
+    const double repeated = increase("spikeserve_repeated_requests_total", labels);
+    const double share = repeated / (repeated + Increase(decisions, window));
+    if (missed > rule.threshold) {
+      found.push_back({labels, missed});
+    } else if (share > kMostRepeated) {
+      found.push_back({labels, share});
+    }
+  }
+  return found;
+}
+
+Instances RobotsSilent(const AlertRule& rule, const AlertInput& input) {
+  const double silent = Gauge(input.history.Select("spikeserve_silent_robots"));
+  return ServerIf(silent > rule.threshold, silent);
+}
+
 constexpr absl::Duration kNow = absl::ZeroDuration();
 
 const std::vector<AlertRule>& Rules() {
@@ -282,6 +313,12 @@ const std::vector<AlertRule>& Rules() {
       {"SpikeserveConnectionsRefused", "warning",
        "Connections are refused by the limit that the label names.", 0.0, absl::Minutes(5),
        absl::Minutes(5), ConnectionsRefused},
+      {"SpikeserveRobotsWithoutActions", "warning",
+       "Robots play beats without a fresh action, or ask again for answers that were late.", 0.05,
+       absl::Minutes(2), kNow, RobotsWithoutActions},
+      {"SpikeserveRobotsSilent", "warning",
+       "Robots that declared their period have sent nothing for 50 periods.", 0.0, kNow, kNow,
+       RobotsSilent},
   };
   return *rules;
 }

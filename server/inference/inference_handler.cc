@@ -274,7 +274,29 @@ absl::Status InferenceHandler::Start(CallContext& context, const ModelInferReque
   if (!opened.recording().empty()) {
     (*response->mutable_parameters())["recording"].set_string_param(opened.recording());
   }
+  if (server_.empty()) return absl::OkStatus();
+  const auto entry = gate_->Find(context, sequence.session_id);
+  if (!entry.ok()) return entry.status();
+  (*response->mutable_parameters())[kSequenceToken].set_string_param(TokenOf(**entry));
   return absl::OkStatus();
+}
+
+// No other sequence of the same id has it: neither one of another server, nor one before this one.
+std::string InferenceHandler::TokenOf(const SessionEntry& entry) const {
+  return absl::StrCat(server_, "-", absl::ToInt64Nanoseconds(entry.agent.created()));
+}
+
+absl::Status InferenceHandler::CheckToken(const SequenceRequest& sequence,
+                                          const SessionEntry& entry) const {
+  if (server_.empty() || sequence.start || sequence.token == TokenOf(entry)) {
+    return absl::OkStatus();
+  }
+  if (!sequence.token.empty()) return NoSuchSession(sequence.session_id);
+  return absl::FailedPreconditionError(
+      absl::StrCat("parameters.", kSequenceToken,
+                   ": expected the parameter of the answer to sequence_start, because several "
+                   "servers may have a "
+                   "sequence of this id, received none"));
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(
@@ -282,7 +304,9 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
   const auto version = ReadVersion(request.model_version());
   if (!version.ok()) return version.status();
   const auto entry = gate_->Find(context, sequence.session_id);
-  if (!entry.ok() || (*entry)->served->name != request.model_name()) {
+  const absl::Status known = entry.ok() ? CheckToken(sequence, **entry) : entry.status();
+  if (absl::IsFailedPrecondition(known)) return known;
+  if (!known.ok() || (*entry)->served->name != request.model_name()) {
     return absl::NotFoundError(absl::StrCat(
         "parameters.sequence_id: expected a running sequence of model ",
         Quoted(request.model_name()), ", received ", Quoted(sequence.id),

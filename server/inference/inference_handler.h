@@ -1,6 +1,10 @@
 // Answers the requests of the Open Inference Protocol v2 (KServe, Triton) through PolicyHandler: a
 // model is a policy, a sequence is a session of one episode.
 //
+// A sequence lives at the server that has started it. Where several servers share sessions,
+// requests of it may reach another one that still has an older sequence of the same id. Therefore
+// the answer to the start has a token there, which the other requests must have.
+//
 // The session id is derived from tenant, model and sequence id, so no table of sequences is needed,
 // and a sequence that is idle for the time-to-live is closed like any session. Requests carry no
 // step, so a request that is sent twice counts as two timesteps.
@@ -11,6 +15,7 @@
 
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -30,14 +35,17 @@ namespace spikeserve {
 class InferenceHandler {
  public:
   // The pointers must outlive the handler. `session_ttl` is the time without a request after which
-  // the store ends a sequence; it appears in ModelConfig and in messages.
+  // the store ends a sequence; it appears in ModelConfig and in messages. `server` is the name of
+  // this server among those that share its sessions; empty: it is alone, and sequences have no
+  // token.
   InferenceHandler(PolicyRegistry* registry, const SessionGate* gate, const PolicyHandler* sessions,
-                   const Clock* clock, absl::Duration session_ttl)
+                   const Clock* clock, absl::Duration session_ttl, std::string server = "")
       : registry_(registry),
         gate_(gate),
         sessions_(sessions),
         clock_(clock),
-        session_ttl_(session_ttl) {}
+        session_ttl_(session_ttl),
+        server_(std::move(server)) {}
 
   // Each method fills in `response` and returns OK. On an error it leaves all sequences unchanged,
   // except as ModelInfer describes.
@@ -85,6 +93,10 @@ class InferenceHandler {
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> FindRunning(
       CallContext& context, const inference::ModelInferRequest& request,
       const SequenceRequest& sequence) const;
+  // Returns the token of a sequence.
+  std::string TokenOf(const SessionEntry& entry) const;
+  // Checks that the sequence here is the one that the request belongs to.
+  absl::Status CheckToken(const SequenceRequest& sequence, const SessionEntry& entry) const;
   absl::Status Start(CallContext& context, const inference::ModelInferRequest& request,
                      const SequenceRequest& sequence,
                      inference::ModelInferResponse* response) const;
@@ -99,6 +111,7 @@ class InferenceHandler {
   const PolicyHandler* const sessions_;
   const Clock* const clock_;
   const absl::Duration session_ttl_;
+  const std::string server_;  // empty: sequences have no token
   mutable InferenceStatistics statistics_;
 };
 

@@ -57,6 +57,12 @@ absl::StatusOr<SequenceRequest> ReadSequence(const ModelInferRequest& request) {
   absl::Status status = ReadFlag(request, "sequence_start", &sequence.start);
   status.Update(ReadFlag(request, "sequence_end", &sequence.end));
   if (!status.ok()) return status;
+  if (const InferParameter* token = Find(request, kSequenceToken)) {
+    if (!token->has_string_param()) {
+      return BadParameter(kSequenceToken, "a string_param", *token);
+    }
+    sequence.token = token->string_param();
+  }
   return sequence;
 }
 

@@ -1,6 +1,6 @@
 // Reads the parameters of a ModelInfer request that describe its sequence: sequence_id (a string,
-// or an integer other than 0), sequence_start and sequence_end. A request that starts a sequence
-// may also have target_return, seed and record; see OpenSessionRequest.
+// or an integer other than 0), sequence_start, sequence_end and sequence_token. A request that
+// starts a sequence may also have target_return, seed and record; see OpenSessionRequest.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_INFERENCE_INFERENCE_SEQUENCE_H_
@@ -14,12 +14,15 @@
 
 namespace spikeserve {
 
+inline constexpr char kSequenceToken[] = "sequence_token";
+
 struct SequenceRequest {
   std::string id;  // as written in messages: 7, or "seven" in quotes
   // The id of the sequence's session: `sequence:<model>:<id>`. 7 and "7" are different sequences.
   std::string session_id;
   bool start = false;
   bool end = false;
+  std::string token;  // that the answer to the start had; empty: none
 };
 
 // Returns the sequence of a request, or INVALID_ARGUMENT that names the parameter, the expected and

@@ -31,6 +31,10 @@ Buckets RpcSeconds() {
   return buckets;
 }
 
+Buckets RobotSeconds() {
+  return {1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 60};
+}
+
 Buckets Spikes() { return {10, 25, 50, 100, 200, 350, 500, 1000, 2000, 3500, 5000, 10000, 100000}; }
 
 // Covers both signs: tasks that give a negative reward for each step have negative returns.
@@ -126,6 +130,31 @@ Metrics::Metrics()
           BuildHistogram(), "spikeserve_rpc_duration_seconds",
           "Time to handle one call, measured on the server, by method and gRPC status code. For "
           "ActStream and ModelStreamInfer: one request on the stream.")),
+      beats_(Register(BuildCounter(), "spikeserve_beats_total",
+                      "Beats of robots, as they report them, by the source of the action that was "
+                      "executed: fresh (an answer in time), held (the last action again), local "
+                      "(the engine on the robot) or safe.")),
+      late_answers_(Register(BuildCounter(), "spikeserve_late_answers_total",
+                             "Answers that arrived after their beat was over, as robots report.")),
+      cancelled_calls_(Register(BuildCounter(), "spikeserve_cancelled_calls_total",
+                                "Requests that robots gave up or that failed, as robots report.")),
+      reconnects_(Register(BuildCounter(), "spikeserve_robot_reconnects_total",
+                           "Connections that robots opened in the place of one that did not "
+                           "answer, as robots report.")),
+      appended_beats_(Register(
+          BuildCounter(), "spikeserve_appended_beats_total",
+          "Beats that were appended to sessions without a decision, by what is known of them: "
+          "observation, or reward alone.")),
+      expired_requests_(Register(BuildCounter(), "spikeserve_expired_requests_total",
+                                 "Requests that came too late for their answer to be of use.")),
+      repeated_requests_(Register(BuildCounter(), "spikeserve_repeated_requests_total",
+                                  "Requests for an answer that was given before: the first one was "
+                                  "late or lost.")),
+      action_age_(Register(BuildHistogram(), "spikeserve_action_age_seconds",
+                           "Time from the observation to the execution of the oldest action that "
+                           "a robot executed since its last report.")),
+      fresh_gap_(Register(BuildHistogram(), "spikeserve_fresh_gap_seconds",
+                          "Longest time of a robot without a fresh action since its last report.")),
       reaped_idle_(&Register(BuildCounter(), "spikeserve_sessions_reaped_total",
                              "Sessions that the server ended, by reason.")
                         .Add({{"reason", "idle"}})),
@@ -224,9 +253,36 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
                                                     .watched_return = add(watched_return_, of),
                                                     .rollbacks = add(rollbacks_, of)};
   }
-  return std::make_shared<PolicyMetrics>(key, handles, EvidenceOf(name, version), policy.config,
-                                         UsualObservations::Of(policy, unusual_deviations),
-                                         [this, key] { OnObserverEnd(key); });
+  return std::make_shared<PolicyMetrics>(
+      key, handles, EvidenceOf(name, version), policy.config,
+      UsualObservations::Of(policy, unusual_deviations),
+      [this, key, labels] { return AddRobots(key, labels); }, [this, key] { OnObserverEnd(key); });
+}
+
+RobotHandles Metrics::AddRobots(const std::string& version, const prometheus::Labels& labels) {
+  absl::MutexLock lock(&versions_mutex_);
+  VersionSeries& series = versions_[version];
+  const auto add = [&series](auto& family, const prometheus::Labels& of, auto... buckets) {
+    auto* metric = &family.Add(of, buckets...);
+    series.removals[metric] = [&family, metric] { family.Remove(metric); };
+    return metric;
+  };
+  const auto with = [&](const char* label, const char* value) {
+    prometheus::Labels more = labels;
+    more.emplace(label, value);
+    return more;
+  };
+  return {.beats = {add(beats_, with("source", "fresh")), add(beats_, with("source", "held")),
+                    add(beats_, with("source", "local")), add(beats_, with("source", "safe"))},
+          .late_answers = add(late_answers_, labels),
+          .cancelled_calls = add(cancelled_calls_, labels),
+          .reconnects = add(reconnects_, labels),
+          .appended = add(appended_beats_, with("known", "observation")),
+          .skipped = add(appended_beats_, with("known", "reward")),
+          .expired = add(expired_requests_, labels),
+          .repeated = add(repeated_requests_, labels),
+          .age = add(action_age_, labels, RobotSeconds()),
+          .gap = add(fresh_gap_, labels, RobotSeconds())};
 }
 
 VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {

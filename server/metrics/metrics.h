@@ -35,6 +35,8 @@
 
 namespace spikeserve {
 
+struct RobotHandles;
+
 // The outcome of recording one episode.
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
 inline constexpr int kRecordingOutcomes = 3;
@@ -109,6 +111,9 @@ class Metrics {
  private:
   static constexpr int kCodes = 17;  // gRPC status codes
 
+  // Adds the series of the robots of a version, which has an observer.
+  RobotHandles AddRobots(const std::string& version, const prometheus::Labels& labels)
+      ABSL_LOCKS_EXCLUDED(versions_mutex_);
   void OnObserverEnd(const std::string& version) ABSL_LOCKS_EXCLUDED(versions_mutex_);
 
   auto& Register(auto builder, const char* name, const char* help) {
@@ -145,6 +150,15 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& rollbacks_;
   prometheus::Family<prometheus::Gauge>& policy_info_;
   prometheus::Family<prometheus::Histogram>& rpc_duration_;
+  prometheus::Family<prometheus::Counter>& beats_;
+  prometheus::Family<prometheus::Counter>& late_answers_;
+  prometheus::Family<prometheus::Counter>& cancelled_calls_;
+  prometheus::Family<prometheus::Counter>& reconnects_;
+  prometheus::Family<prometheus::Counter>& appended_beats_;
+  prometheus::Family<prometheus::Counter>& expired_requests_;
+  prometheus::Family<prometheus::Counter>& repeated_requests_;
+  prometheus::Family<prometheus::Histogram>& action_age_;
+  prometheus::Family<prometheus::Histogram>& fresh_gap_;
   prometheus::Counter* reaped_idle_;
   prometheus::Gauge* sessions_limit_;
   std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;

@@ -28,12 +28,50 @@ uint32_t PolicyMetrics::CountUnusual(absl::Span<const float> observation) {
   return total;
 }
 
+const RobotHandles& PolicyMetrics::robots() {
+  const RobotHandles* handles = robots_.load(std::memory_order_acquire);
+  if (handles != nullptr) return *handles;
+  absl::MutexLock lock(&robots_mutex_);
+  if (own_robots_ == nullptr) own_robots_ = std::make_unique<const RobotHandles>(make_robots_());
+  robots_.store(own_robots_.get(), std::memory_order_release);
+  return *own_robots_;
+}
+
+void PolicyMetrics::OnBeat(const Answer& answer) {
+  CountWork(answer);
+  robots().appended->Increment();
+}
+
+void PolicyMetrics::OnSkippedBeats(int64_t beats) {
+  robots().skipped->Increment(static_cast<double>(beats));
+}
+
+void PolicyMetrics::OnReport(const BeatCounts& beats) {
+  const RobotHandles& handles = robots();
+  const uint64_t by_source[] = {beats.fresh, beats.held, beats.local, beats.safe};
+  for (size_t i = 0; i < handles.beats.size(); ++i) {
+    handles.beats[i]->Increment(static_cast<double>(by_source[i]));
+  }
+  handles.late_answers->Increment(static_cast<double>(beats.late_answers));
+  handles.cancelled_calls->Increment(static_cast<double>(beats.cancelled_calls));
+  handles.reconnects->Increment(static_cast<double>(beats.reconnects));
+  const bool is_news = beats.fresh + beats.held + beats.local + beats.safe > 0;
+  if (is_news && beats.oldest_age_seconds > 0.0) handles.age->Observe(beats.oldest_age_seconds);
+  if (is_news && beats.longest_gap_seconds > 0.0) handles.gap->Observe(beats.longest_gap_seconds);
+}
+
 void PolicyMetrics::OnDecision(const Answer& answer) {
+  handles_.decisions->Increment();
+  CountWork(answer);
+  handles_.spikes_per_decision->Observe(static_cast<double>(answer.counts.total_spikes()));
+  handles_.decision_duration->Observe(answer.compute_seconds);
+}
+
+void PolicyMetrics::CountWork(const Answer& answer) {
   const auto add = [](prometheus::Counter* counter, uint64_t count) {
     counter->Increment(static_cast<double>(count));
   };
   const Counts& counts = answer.counts;
-  add(handles_.decisions, 1);
   for (size_t i = 0; i < kStages; ++i) add(handles_.spikes[i], counts.spikes_by_stage[i]);
   add(handles_.accumulates, counts.accumulates);
   add(handles_.multiply_accumulates, counts.multiply_accumulates);
@@ -48,8 +86,6 @@ void PolicyMetrics::OnDecision(const Answer& answer) {
     const auto joules = EstimateEnergy(static_cast<EnergyModel>(i), counts, config_);
     if (joules.has_value()) handles_.energy[static_cast<size_t>(i)]->Increment(*joules);
   }
-  handles_.spikes_per_decision->Observe(static_cast<double>(counts.total_spikes()));
-  handles_.decision_duration->Observe(answer.compute_seconds);
 }
 
 void PolicyMetrics::OnNonFinite() {

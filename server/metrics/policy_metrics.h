@@ -6,8 +6,10 @@
 #define SERVER_METRICS_POLICY_METRICS_H_
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -32,6 +34,20 @@ struct UsualObservations {
   // Returns the ranges of `deviations` standard deviations on either side of the mean of the
   // training data, which the policy stores. 0: no ranges.
   static UsualObservations Of(const Policy& policy, double deviations);
+};
+
+// Time series about the robots of a policy version, as their links show it to the server.
+struct RobotHandles {
+  std::array<prometheus::Counter*, 4> beats;  // fresh, held, local, safe
+  prometheus::Counter* late_answers;
+  prometheus::Counter* cancelled_calls;
+  prometheus::Counter* reconnects;
+  prometheus::Counter* appended;  // beats
+  prometheus::Counter* skipped;   // beats
+  prometheus::Counter* expired;   // requests
+  prometheus::Counter* repeated;  // requests
+  prometheus::Histogram* age;
+  prometheus::Histogram* gap;
 };
 
 class PolicyMetrics final : public SessionObserver {
@@ -77,11 +93,14 @@ class PolicyMetrics final : public SessionObserver {
   };
 
   // `name` stands for the policy version in log lines. `config` is that of the policy. The
-  // handles and `evidence` must outlive this object. Calls `on_end` when it is destroyed.
+  // handles and `evidence` must outlive this object. Calls `robots` for the first request of a
+  // robot on a real link, and `on_end` when it is destroyed.
   PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence,
-                const ModelConfig& config, UsualObservations usual, std::function<void()> on_end)
+                const ModelConfig& config, UsualObservations usual,
+                std::function<RobotHandles()> robots, std::function<void()> on_end)
       : name_(std::move(name)),
         handles_(handles),
+        make_robots_(std::move(robots)),
         evidence_(*evidence),
         config_(config),
         usual_(std::move(usual)),
@@ -101,18 +120,31 @@ class PolicyMetrics final : public SessionObserver {
   void OnClose() override { handles_.sessions->Decrement(); }
   uint32_t CountUnusual(absl::Span<const float> observation) override;
   void OnDecision(const Answer& answer) override;
+  void OnBeat(const Answer& answer) override;
+  void OnSkippedBeats(int64_t beats) override;
+  void OnExpired() override { robots().expired->Increment(); }
+  void OnRepeated() override { robots().repeated->Increment(); }
+  void OnReport(const BeatCounts& beats) override;
   void OnNonFinite() override;
   void OnEpisodeEnd(double episode_return) override;
   void OnHeadUpdate(UpdateOutcome outcome) override;
   void OnLearned(const LearningSummary& summary) override;
 
  private:
+  // Counts what was computed for `answer`.
+  void CountWork(const Answer& answer);
+  const RobotHandles& robots() ABSL_LOCKS_EXCLUDED(robots_mutex_);
+
   const std::string name_;
   const Handles handles_;
+  const std::function<RobotHandles()> make_robots_;
   VersionEvidence& evidence_;
   const ModelConfig config_;
   const UsualObservations usual_;
   const std::function<void()> on_end_;
+  std::atomic<const RobotHandles*> robots_ = nullptr;
+  absl::Mutex robots_mutex_;
+  std::unique_ptr<const RobotHandles> own_robots_ ABSL_GUARDED_BY(robots_mutex_);
   absl::Mutex mutex_;
   int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;
   double return_mean_ ABSL_GUARDED_BY(mutex_) = 0.0;

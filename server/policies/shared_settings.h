@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -22,6 +23,16 @@ class SharedSettings {
     std::string json;
   };
 
+  // A version, as <policy>@<version>, and the SHA-256 of its file.
+  struct VersionFile {
+    std::string version;
+    std::string sha256;
+  };
+  struct ComparedFiles {
+    std::vector<std::string> different;  // versions of which other servers have another file
+    int64_t revision = 0;                // FilesRevision() afterwards
+  };
+
   virtual ~SharedSettings() = default;
 
   virtual absl::StatusOr<Document> Read() = 0;
@@ -34,6 +45,13 @@ class SharedSettings {
   virtual absl::Status PutFile(const std::string& name, const std::string& bytes) = 0;
   // Returns NOT_FOUND if the store does not have the file.
   virtual absl::StatusOr<std::string> GetFile(const std::string& name) = 0;
+
+  // Says which files this server has, and compares them with those of the other servers that are
+  // `alive`.
+  virtual absl::StatusOr<ComparedFiles> CompareFiles(const std::vector<VersionFile>& files,
+                                                     const std::vector<std::string>& alive) = 0;
+  // Returns a number that changes when a server says that it has another file than before.
+  virtual absl::StatusOr<int64_t> FilesRevision() = 0;
 };
 
 }  // namespace spikeserve

@@ -44,6 +44,8 @@ class ActStreamCall::Item final : public QueuedAct,
     act().context = &call_context();
     act().request = messages_.request();
     act().response = messages_.response();
+    act().received = received_;
+    act().beats = {};
     call_->queue_.Add(shared_from_this());
   }
   void OnDecided() override { call_->context().sessions->Leave(*this, act().status); }
@@ -73,6 +75,8 @@ void ActOneCall::Handle() {
   act().context = &call_context();
   act().request = &request();
   act().response = response();
+  act().received = context().clock->Now();
+  act().beats = {};
   queue_.Add(std::static_pointer_cast<ActOneCall>(shared_from_this()));
 }
 
@@ -85,13 +89,14 @@ void ActBatchCall::Handle() {
   if (status.ok()) status = HoldMessages(request().requests_size() * kAnswerBytes);
   if (!status.ok()) return End(status);
   decided_ = 0;
+  received_at_ = context().clock->Now();
   queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
 }
 
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
   if (call() == nullptr) return true;
   call_context().deferred = deferred;
-  decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response());
+  decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_);
   if (decided_ < request().requests_size()) return false;
   refusal_ = RefusalWithin(*response());
   ExplainMissing();

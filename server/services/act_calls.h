@@ -58,7 +58,8 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
   void ExplainMissing();
 
   ActQueue& queue_;
-  int decided_ = 0;                                // requests
+  int decided_ = 0;  // requests
+  absl::Duration received_at_;
   std::map<std::string, absl::Status> unclaimed_;  // why sessions could not be taken over
   absl::Status refusal_;  // of an item that exceeded a limit of its tenant; OK if there is none
 };

@@ -47,7 +47,7 @@ void ActQueue::Run() {
     if (added_[i].empty()) continue;
     Acts acts = std::exchange(added_[i], {});
     if (queues_[i] == this) {
-      Decide(acts);
+      Decide(std::move(acts));
       continue;
     }
     auto foreign = std::make_shared<Foreign>(Foreign{this, std::move(acts)});
@@ -56,7 +56,8 @@ void ActQueue::Run() {
   }
   for (const auto& foreign : std::exchange(foreign_, {})) DecideForeign(foreign);
   if (!batches_.empty()) DecideBatchGroup();
-  if (!batches_.empty()) AskForTurn();
+  if (!turns_.empty()) DecideWaiting();
+  if (!batches_.empty() || !turns_.empty()) AskForTurn();
   running_ = false;
 }
 
@@ -70,12 +71,67 @@ void ActQueue::DecideBatchGroup() {
   if (!done) batches_.push_back(batch);
 }
 
-void ActQueue::Decide(const Acts& acts) {
+void ActQueue::Wait(ActQueue* from, std::shared_ptr<QueuedAct> act) {
+  const std::string& id = act->act().request->session_id();
+  std::deque<Waiting>& behind = waiting_[id];
+  if (behind.empty()) turns_.push_back(id);
+  behind.push_back({from, std::move(act)});
+}
+
+ActQueue::Acts ActQueue::HoldBack(ActQueue* from, Acts acts) {
+  if (waiting_.empty()) return acts;
+  Acts others;
+  for (auto& act : acts) {
+    if (waiting_.contains(act->act().request->session_id())) {
+      Wait(from, std::move(act));
+    } else {
+      others.push_back(std::move(act));
+    }
+  }
+  return others;
+}
+
+void ActQueue::DecideWaiting() {
+  const std::string id = std::move(turns_.front());
+  turns_.pop_front();
+  std::deque<Waiting>& behind = waiting_[id];
+  Waiting first = std::move(behind.front());
+  behind.pop_front();
+  DeferredWork deferred;
+  handler_.ActMany({&first.act->act()}, &deferred,
+                   [](absl::Span<DecisionRequest* const> /*group*/) {});
+  if (!first.act->act().is_finished()) {
+    behind.push_front(std::move(first));
+  } else if (first.from == this) {
+    first.act->OnDecided();
+  } else {
+    // Moved on, because the call is destroyed on its loop's thread.
+    auto& loop = first.from->loop_.events();
+    loop.Post([act = std::move(first.act)] { act->OnDecided(); });
+  }
+  if (behind.empty()) {
+    waiting_.erase(id);
+  } else {
+    turns_.push_back(id);
+  }
+  loop_.FlushWrites();
+  deferred.Run();
+}
+
+void ActQueue::Decide(Acts added) {
+  const Acts acts = HoldBack(this, std::move(added));
   DeferredWork deferred;
   const auto requests = RequestsOf(acts);
   size_t answered = 0;
   handler_.ActMany(requests, &deferred, [&](absl::Span<DecisionRequest* const> group) {
-    for (size_t i = 0; i < group.size(); ++i) acts[answered + i]->OnDecided();
+    for (size_t i = 0; i < group.size(); ++i) {
+      const auto& act = acts[answered + i];
+      if (act->act().is_finished()) {
+        act->OnDecided();
+      } else {
+        Wait(this, act);
+      }
+    }
     answered += group.size();
     loop_.FlushWrites();
     deferred.Run();
@@ -83,9 +139,17 @@ void ActQueue::Decide(const Acts& acts) {
 }
 
 void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign) {
+  Acts acts = HoldBack(foreign->from, std::exchange(foreign->acts, {}));
   DeferredWork deferred;
-  handler_.ActMany(RequestsOf(foreign->acts), &deferred,
+  handler_.ActMany(RequestsOf(acts), &deferred,
                    [](absl::Span<DecisionRequest* const> /*group*/) {});
+  for (auto& act : acts) {
+    if (act->act().is_finished()) {
+      foreign->acts.push_back(std::move(act));
+    } else {
+      Wait(foreign->from, std::move(act));
+    }
+  }
   foreign->from->loop_.events().Post([foreign] {
     for (const auto& act : foreign->acts) act->OnDecided();
     foreign->acts.clear();  // the calls are destroyed on their loop's thread

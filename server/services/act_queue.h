@@ -11,6 +11,7 @@
 
 #include <deque>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "server/agent/deferred_work.h"
@@ -68,9 +69,21 @@ class ActQueue {
     Acts acts;
   };
 
-  void Decide(const Acts& acts);
+  // A request that came from the loop of `from`.
+  struct Waiting {
+    ActQueue* from;
+    std::shared_ptr<QueuedAct> act;
+  };
+
+  void Decide(Acts added);
   void DecideBatchGroup();
   void DecideForeign(const std::shared_ptr<Foreign>& foreign);
+  // Lets a request wait for its turn, behind the others of its session.
+  void Wait(ActQueue* from, std::shared_ptr<QueuedAct> act);
+  // Lets those of `acts` wait whose session has a request that waits. Returns the others.
+  Acts HoldBack(ActQueue* from, Acts acts);
+  // Handles a part of the first request of one session that waits.
+  void DecideWaiting();
   // Makes sure that Run() is called for what was added.
   void AskForTurn();
 
@@ -80,6 +93,10 @@ class ActQueue {
   std::vector<Acts> added_;  // by the loop that the session belongs to
   std::vector<std::shared_ptr<Foreign>> foreign_;
   std::deque<std::shared_ptr<QueuedBatch>> batches_;
+  // Requests with many beats, of which each turn handles a part of one, and the requests behind
+  // them, by session; and the sessions in the order of their turns.
+  absl::flat_hash_map<std::string, std::deque<Waiting>> waiting_;
+  std::deque<std::string> turns_;
   bool running_ = false;  // in Run(), and no further turn was asked for
 };
 

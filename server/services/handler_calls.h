@@ -70,15 +70,25 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
             // Destroyed on the loop's thread, like every call.
             return loop->Post([self = std::move(self)] {});
           }
-          const absl::Status answered =
+          CallOutcome outcome =
               self->handler_(self->call_context(), self->request(), self->response());
-          self->framed_.clear();
-          if (answered.ok()) AppendMessage(*self->response(), &self->framed_);
-          loop->Post([self = std::move(self), answered] { self->Leave(answered); });
+          self->CheckResponse(&outcome);
+          self->Frame(outcome.status);
+          loop->Post([self = std::move(self), status = outcome.status] { self->Leave(status); });
         });
     // A caller that asks again at once is delayed, as after any other refusal.
     if (!status.ok()) this->End({status, absl::ResourceExhaustedError(status.message())});
   }
+
+  // Leaves nothing to the loop that takes longer for a longer response, not even to free it.
+  void Frame(const absl::Status& status) {
+    framed_.clear();
+    if (!status.ok()) return;
+    AppendMessage(*this->response(), &framed_);
+    if (this->call_context().commits.empty()) this->messages().Free();
+  }
+
+  int64_t framed_bytes() const override { return static_cast<int64_t>(framed_.capacity()); }
 
   void SendResponse() override { this->call()->SendFramed(std::move(framed_)); }
 

@@ -100,6 +100,7 @@ void Services::AddPolicyService() {
   Add(Method::kGetSession, policy, &PolicyHandler::GetSession);
   Add(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
   Add(Method::kExplain, policy, &PolicyHandler::Explain);
+  AddRecorded(Method::kExportSession, policy, &PolicyHandler::ExportSession);
   AddCall(Method::kAct, [this](Call* call, LoopServices* loop) {
     return std::make_shared<ActOneCall>(&context_, call, &loop->acts());
   });

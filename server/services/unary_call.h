@@ -60,14 +60,12 @@ class UnaryCall : public ServiceCall, public GatedRequest {
 
   // Sends the response and the status of `outcome`, after a delay if the call was refused.
   void End(CallOutcome outcome) {
-    if constexpr (!kHoldsDecisions<Response>) {
-      if (outcome.status.ok()) CheckResponse(&outcome);
-    }
+    if (!checked_) CheckResponse(&outcome);
     Observe(outcome.status, start_);
     if (call() == nullptr) return;
     // A caller who has to wait for a refusal keeps nothing here, and an answer that waits counts.
     if (!outcome.status.ok()) messages_.Free();
-    HoldMessages().IgnoreError();
+    HoldMessages(framed_bytes()).IgnoreError();
     AfterDelay(outcome.refusal, request_bytes_, [this, status = outcome.status] {
       if (status.ok()) SendResponse();
       Finish(status);
@@ -80,6 +78,24 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     const int64_t held = messages_.extra_bytes() + more;
     return call()->Hold(held) ? absl::OkStatus() : TooManyBytesError();
   }
+
+  // Replaces a response with NaN or infinity by an error. Takes long for a long response, so that a
+  // worker which has made the response does this, too.
+  void CheckResponse(CallOutcome* outcome) {
+    if constexpr (!kHoldsDecisions<Response>) {
+      if (!outcome->status.ok()) return;
+      const std::string named = PolicyOf(*response());
+      const std::string policy = named.empty() ? PolicyOf(request()) : named;
+      auto status = CheckFinite(*response(), policy);
+      checked_ = true;
+      if (status.ok()) return;
+      context().metrics->CountNonFiniteAnswer(policy);
+      *outcome = CallOutcome(std::move(status));
+    }
+  }
+
+  // Returns what the response occupies beside the messages.
+  virtual int64_t framed_bytes() const { return 0; }
 
   virtual void SendResponse() { call()->Send(*response()); }
 
@@ -99,7 +115,14 @@ class UnaryCall : public ServiceCall, public GatedRequest {
   }
   void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) override {
     response()->Clear();
+    checked_ = false;
     Handle();
+  }
+  bool only_reads() const override { return std::is_same_v<Request, v1::GetSessionRequest>; }
+  void TakeRead(const AgentSession& session) override {
+    if constexpr (std::is_same_v<Request, v1::GetSessionRequest>) {
+      *response() = ToProto(session, request().include_head_delta());
+    }
   }
   void TakeMerged(const FleetContribution& contribution) override {
     if constexpr (std::is_same_v<Response, v1::EndEpisodeResponse>) {
@@ -139,20 +162,11 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     End(error);
   }
 
-  // Replaces a response with NaN or infinity by an error.
-  void CheckResponse(CallOutcome* outcome) {
-    const std::string named = PolicyOf(*response());
-    const std::string policy = named.empty() ? PolicyOf(request()) : named;
-    auto status = CheckFinite(*response(), policy);
-    if (status.ok()) return;
-    context().metrics->CountNonFiniteAnswer(policy);
-    *outcome = CallOutcome(std::move(status));
-  }
-
   CallMessages<Request, Response> messages_;
   absl::Duration start_;
   size_t request_bytes_ = 0;
   bool received_ = false;
+  bool checked_ = false;  // the response is finite
 };
 
 }  // namespace spikeserve

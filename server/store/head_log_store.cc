@@ -252,7 +252,7 @@ void HeadLogStore::Serve(VersionLog& log, Requests requests) {
 }
 
 absl::Status HeadLogStore::Connect() {
-  if (client_ != nullptr) return absl::OkStatus();
+  if (client_ != nullptr && client_->is_usable()) return absl::OkStatus();
   auto connected = RedisClient::Connect(options_);
   if (connected.ok()) client_ = *std::move(connected);
   return connected.status();

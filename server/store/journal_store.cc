@@ -186,9 +186,9 @@ bool JournalStore::KeepJournals() {
   const auto may_have_lost = backend_->Connect();
   absl::Status status = may_have_lost.status();
   if (status.ok()) {
-    if (*may_have_lost) {
-      must_check_ = true;
-      absl::Status keeps = backend_->CheckKeepsRecords();
+    if (*may_have_lost) must_check_ = true;
+    absl::Status keeps = backend_->CheckKeepsRecords();
+    {
       absl::MutexLock lock(&mutex_);
       may_lose_records_.store(!keeps.ok(), std::memory_order_relaxed);
       keeps_records_ = std::move(keeps);
@@ -370,7 +370,9 @@ void JournalStore::RunClaims(std::vector<ClaimRequest> requests) {
   auto results = reachable.ok() ? backend_->Claim(claims) : Results(claims.size(), reachable);
   for (size_t i = 0; i < requests.size(); ++i) {
     auto& result = results[i];
-    if (result.ok()) {
+    if (claims[i].only_reads) {
+      // The session stays with its owner.
+    } else if (result.ok()) {
       (result->epoch > 0 ? claimed_ : claims_failed_).Increment();
     } else if (!absl::IsNotFound(result.status())) {
       claims_failed_.Increment();

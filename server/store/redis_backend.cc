@@ -29,6 +29,9 @@ constexpr absl::Duration kTombstone = absl::Minutes(10);
 // A connection that was used within this time is not tried.
 constexpr absl::Duration kFresh = absl::Milliseconds(500);
 
+// How often the settings of Redis are read again, which operators may change while it runs.
+constexpr absl::Duration kLookInterval = absl::Seconds(5);
+
 // How often a claim is tried again that another server was faster than.
 constexpr int kMostClaims = 3;
 
@@ -116,8 +119,12 @@ class RedisBackend final : public JournalBackend {
   template <typename Exchange>
   absl::StatusOr<Outcomes> OnClient(Exchange exchange);
   absl::Status EnsureClient();
+  // Connects, reads the settings of Redis, and moves the journals whose records are uncertain.
+  absl::Status NewClient();
+  // Asks the server for an answer that it gives to no other command.
+  absl::Status Ping();
   // Reads the settings of Redis, and says what they mean if they are others than before.
-  void LookAtSettings();
+  absl::Status LookAtSettings();
   // Notes that some of `records` may have been written, or may be written later.
   void OnUncertain(absl::Span<const JournalRecord> records);
   // Moves the journals whose records are uncertain.
@@ -129,9 +136,9 @@ class RedisBackend final : public JournalBackend {
   // Reads the replies to Append(). Returns false if the record was refused, or stands behind a gap.
   absl::StatusOr<bool> ReadReplies(const JournalRecord& record);
   absl::StatusOr<bool> ReadPut(const JournalRecord& record);
-  // Returns why the store does not have what the owner of the journal expects: ABORTED if another
-  // owner has it, otherwise NOT_FOUND.
-  absl::StatusOr<absl::Status> ReasonOf(const SessionJournal& journal);
+  // Finds why the store does not have what the owner of the journal expects: ABORTED if another
+  // owner has it, otherwise NOT_FOUND. Returns UNAVAILABLE if the store does not answer.
+  absl::Status FindReason(const SessionJournal& journal, absl::Status* reason);
   // Begins claims: finds the sessions. Those that are done have a result afterwards.
   std::vector<ClaimState> FindClaims(std::vector<ClaimState> claims);
   // Runs the claims that were found, and returns those that are to be tried again.
@@ -146,8 +153,10 @@ class RedisBackend final : public JournalBackend {
   const SteadyClock clock_;
   std::unique_ptr<RedisClient> client_;
   bool is_new_ = false;         // `client_` was made since the last Connect()
+  uint64_t pings_ = 0;          // sent
   absl::Duration used_;         // when `client_` answered last
-  RedisDurability durability_;  // as of the last connection
+  RedisDurability durability_;  // as of `looked_`
+  absl::Duration looked_;       // when the settings were read last
   std::string settings_ = "";   // what was said about them
   absl::BitGen random_;
   std::map<std::shared_ptr<SessionJournal>, Move> uncertain_;
@@ -156,19 +165,33 @@ class RedisBackend final : public JournalBackend {
 };
 
 absl::Status RedisBackend::EnsureClient() {
-  if (client_ != nullptr) return absl::OkStatus();
+  if (client_ != nullptr && client_->is_usable()) return absl::OkStatus();
+  const absl::Status status = NewClient();
+  if (!status.ok()) client_ = nullptr;
+  return status;
+}
+
+absl::Status RedisBackend::NewClient() {
   auto connected = RedisClient::Connect(options_);
   if (!connected.ok()) return connected.status();
   client_ = *std::move(connected);
   is_new_ = true;
-  LookAtSettings();
-  const absl::Status moved = MoveUncertain();
-  if (!moved.ok()) client_ = nullptr;
-  return moved;
+  if (auto status = LookAtSettings(); !status.ok()) return status;
+  return MoveUncertain();
 }
 
-void RedisBackend::LookAtSettings() {
-  durability_ = ReadRedisDurability(*client_);
+absl::Status RedisBackend::Ping() {
+  const std::string expected = absl::StrCat(owner_, "-", ++pings_);
+  const auto reply = client_->Run({"PING", expected});
+  if (!reply.ok()) return reply.status();
+  return TextOf(**reply) == expected ? absl::OkStatus() : Unexpected("the answer to a PING");
+}
+
+absl::Status RedisBackend::LookAtSettings() {
+  auto durability = ReadRedisDurability(*client_);
+  if (!durability.ok()) return durability.status();
+  durability_ = *std::move(durability);
+  looked_ = clock_.Now();
   const std::vector<std::string> warnings = durability_.Warnings(options_.replicas);
   std::string settings = absl::StrJoin(warnings, "; ");
   if (settings != settings_) {
@@ -177,13 +200,17 @@ void RedisBackend::LookAtSettings() {
     }
   }
   settings_ = std::move(settings);
+  return absl::OkStatus();
 }
 
 absl::StatusOr<bool> RedisBackend::Connect() {
   if (client_ != nullptr && clock_.Now() - used_ > kFresh) {
-    if (const auto reply = client_->Run({"PING", owner_}); !reply.ok()) client_ = nullptr;
+    if (!Ping().ok()) client_ = nullptr;
   }
   if (auto status = EnsureClient(); !status.ok()) return status;
+  if (clock_.Now() - looked_ > kLookInterval) {
+    if (auto status = LookAtSettings(); !status.ok()) return status;
+  }
   used_ = clock_.Now();
   return std::exchange(is_new_, false);
 }
@@ -231,9 +258,8 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
   }
   Outcomes outcomes(journals.size());
   for (const size_t i : others) {
-    auto reason = ReasonOf(*journals[i].journal);
-    if (!reason.ok()) return reason.status();
-    outcomes[i] = *std::move(reason);
+    auto status = FindReason(*journals[i].journal, &outcomes[i]);
+    if (!status.ok()) return status;
   }
   return outcomes;
 }
@@ -304,9 +330,8 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
       outcomes[i] = absl::AlreadyExistsError("session_id: expected one that is not open");
       continue;
     }
-    auto reason = ReasonOf(*records[i].journal);
-    if (!reason.ok()) return reason.status();
-    outcomes[i] = *std::move(reason);
+    auto status = FindReason(*records[i].journal, &outcomes[i]);
+    if (!status.ok()) return status;
   }
   return outcomes;
 }
@@ -375,22 +400,25 @@ absl::StatusOr<bool> RedisBackend::ReadPut(const JournalRecord& record) {
   return true;
 }
 
-absl::StatusOr<absl::Status> RedisBackend::ReasonOf(const SessionJournal& journal) {
+absl::Status RedisBackend::FindReason(const SessionJournal& journal, absl::Status* reason) {
   const auto reply =
       client_->Run({"HMGET", RedisHashKey(journal.key().id), "epoch", "owner", "state"});
   if (!reply.ok()) return reply.status();
   if (!IsArray(**reply, 3)) return Unexpected("three fields");
   const std::string epoch = TextAt(**reply, 0);
-  if (epoch.empty()) return absl::NotFoundError("the store does not have the session");
+  if (epoch.empty()) {
+    *reason = absl::NotFoundError("the store does not have the session");
+    return absl::OkStatus();
+  }
   uint64_t number = 0;
   const bool is_mine = TextAt(**reply, 1) == owner_;
   const bool is_open = TextAt(**reply, 2) == "open";
   const bool is_older = absl::SimpleAtoi(epoch, &number) && number < journal.epoch() &&
                         (is_mine || (number != 0 && number == journal.key().claimed_from));
-  if (is_open && ((is_mine && number == journal.epoch()) || is_older)) {
-    return absl::NotFoundError("the store has lost records of the session");
-  }
-  return absl::AbortedError("another owner has claimed the session");
+  const bool is_known = is_open && ((is_mine && number == journal.epoch()) || is_older);
+  *reason = is_known ? absl::NotFoundError("the store has lost records of the session")
+                     : absl::AbortedError("another owner has claimed the session");
+  return absl::OkStatus();
 }
 
 std::vector<absl::StatusOr<ClaimedJournal>> RedisBackend::Claim(
@@ -404,8 +432,7 @@ std::vector<absl::StatusOr<ClaimedJournal>> RedisBackend::Claim(
       waiting = RunClaims(FindClaims(std::move(waiting)));
     }
     // A claim may have failed because of its keys alone, or because the connection did.
-    const auto reply = client_->Run({"PING", owner_});
-    if (!reply.ok()) return reply.status();
+    if (auto status = Ping(); !status.ok()) return status;
     return Outcomes();
   });
   if (outcome.ok()) return results;

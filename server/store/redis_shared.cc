@@ -4,6 +4,7 @@
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -25,7 +26,29 @@ redis.call('ZADD', KEYS[1], now, ARGV[1])
 redis.call('ZREMRANGEBYSCORE', KEYS[1], '-inf', now - ARGV[2])
 return redis.call('ZRANGE', KEYS[1], 0, -1))";
 
+// Notes the files of a server. What another one that is alive has noted stays. Returns the number
+// of changes so far, and the versions of which another server has another file. KEYS: hash. ARGV:
+// server, servers that are alive, lines of version and SHA-256.
+constexpr char kCompare[] = R"(
+local alive = {}
+for server in string.gmatch(ARGV[2], '%S+') do alive[server] = true end
+local different = {}
+local changed = false
+for version, file in string.gmatch(ARGV[3], '(%S+) (%S+)\n') do
+  local found = redis.call('HGET', KEYS[1], version) or ''
+  local server, other = string.match(found, '(%S+) (%S+)')
+  if server and server ~= ARGV[1] and alive[server] then
+    if other ~= file then different[#different + 1] = version end
+  elseif found ~= ARGV[1] .. ' ' .. file then
+    redis.call('HSET', KEYS[1], version, ARGV[1] .. ' ' .. file)
+    changed = changed or other ~= file
+  end
+end
+if changed then redis.call('HINCRBY', KEYS[1], 'changes', 1) end
+return {redis.call('HGET', KEYS[1], 'changes') or '0', different})";
+
 constexpr char kSettings[] = "cfg";
+constexpr char kVersions[] = "pf:versions";
 
 std::string FileKey(const std::string& name) { return absl::StrCat("pf:", name); }
 
@@ -83,6 +106,35 @@ absl::StatusOr<std::string> RedisShared::GetFile(const std::string& name) {
   if (!reply.ok()) return reply.status();
   if ((*reply)->type == REDIS_REPLY_STRING) return std::string(TextOf(**reply));
   return absl::NotFoundError(absl::StrCat("the store has no file ", name));
+}
+
+absl::StatusOr<SharedSettings::ComparedFiles> RedisShared::CompareFiles(
+    const std::vector<VersionFile>& files, const std::vector<std::string>& alive) {
+  std::string lines;
+  for (const VersionFile& file : files)
+    absl::StrAppend(&lines, file.version, " ", file.sha256, "\n");
+  const auto reply = Run(/*writes=*/true, {"EVAL", kCompare, "1", kVersions, replica_,
+                                           absl::StrJoin(alive, " "), lines});
+  if (!reply.ok()) return reply.status();
+  ComparedFiles compared;
+  if ((*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements != 2 ||
+      !absl::SimpleAtoi(TextOf(*(*reply)->element[0]), &compared.revision)) {
+    return Unexpected("the outcome of a comparison");
+  }
+  const redisReply& different = *(*reply)->element[1];
+  for (size_t i = 0; i < different.elements; ++i) {
+    compared.different.emplace_back(TextOf(*different.element[i]));
+  }
+  return compared;
+}
+
+absl::StatusOr<int64_t> RedisShared::FilesRevision() {
+  const auto reply = Run(/*writes=*/false, {"HGET", kVersions, "changes"});
+  if (!reply.ok()) return reply.status();
+  int64_t revision = 0;
+  const absl::string_view text = TextOf(**reply);
+  if (!text.empty() && !absl::SimpleAtoi(text, &revision)) return Unexpected("a number of changes");
+  return revision;
 }
 
 absl::StatusOr<std::vector<std::string>> RedisShared::Beat() {

@@ -3,6 +3,9 @@
 //
 // - cfg, a hash: revision and settings.
 // - pf:<SHA-256>: the file of a promoted version; pf:<SHA-256>.sig: its signature.
+// - pf:versions, a hash: of each policy version, the server that had it first and the SHA-256 of
+// its
+//   file; and the number of changes.
 // - r, a sorted set: the servers, by the time at which they were alive last.
 //
 // Thread-safe. All methods block for at most a few RedisOptions::timeout.
@@ -37,6 +40,9 @@ class RedisShared final : public SharedSettings {
   absl::Status Write(const Document& document) override;
   absl::Status PutFile(const std::string& name, const std::string& bytes) override;
   absl::StatusOr<std::string> GetFile(const std::string& name) override;
+  absl::StatusOr<ComparedFiles> CompareFiles(const std::vector<VersionFile>& files,
+                                             const std::vector<std::string>& alive) override;
+  absl::StatusOr<int64_t> FilesRevision() override;
 
   // Says that this server is alive, and returns all that are.
   absl::StatusOr<std::vector<std::string>> Beat();

@@ -292,6 +292,16 @@ std::string TextOf(const Json& json) {
 Json Integer(uint64_t value) { return absl::StrCat(value); }
 Json Integer(int64_t value) { return absl::StrCat(value); }
 
+Json BeatsJson(const v1::BeatReport& beats) {
+  return {{"fresh", Integer(beats.fresh())},
+          {"held", Integer(beats.held())},
+          {"local", Integer(beats.local())},
+          {"safe", Integer(beats.safe())},
+          {"late_answers", Integer(beats.late_answers())},
+          {"longest_gap_seconds", beats.longest_gap_seconds()},
+          {"oldest_age_seconds", beats.oldest_age_seconds()}};
+}
+
 // Returns a SessionInfo as JSON, with the returns of the ended episodes. Writes each field itself,
 // because protobuf's conversion takes five times as long.
 Json InfoJson(const ListedSession& listed) {
@@ -314,6 +324,9 @@ Json InfoJson(const ListedSession& listed) {
   json["durability"] = v1::Durability_Name(info.durability());
   json["epoch"] = Integer(info.epoch());
   json["durable_decision"] = Integer(info.durable_decision());
+  json["period_seconds"] = info.has_period_seconds() ? Json(info.period_seconds()) : Json();
+  json["silent"] = info.silent();
+  json["beats"] = info.has_beats() ? BeatsJson(info.beats()) : Json();
   Json& labels = json["labels"] = Json::object();
   for (const auto& [key, value] : info.labels()) labels[key] = value;
   absl::MutexLock lock(&listed.entry->mutex);

@@ -1,7 +1,7 @@
-"""Plays sessions on three replicas and one Redis while they are killed, stopped and cut off.
+"""Plays sessions on three replicas and one Redis, or a Cluster, while they are killed, stopped and cut off.
 
 usage: python -m tests.chaos [--sessions=N] [--learners=N] [--decisions=N] [--rate=N] [--timeout=SECONDS]
-  [--kinds=KIND,...] [--group=N] [--faults=KIND,...] [--period=SECONDS] [--pause=SECONDS] [--seed=N]
+  [--kinds=KIND,...] [--group=N] [--faults=KIND,...] [--period=SECONDS] [--pause=SECONDS] [--seed=N] [--cluster]
 
 Compares every answer, and the learned heads, bit for bit with a run on one server that nothing disturbs. Other sessions
 learn the head of the fleet meanwhile: it must be the same on all replicas in the end, with each contribution once. Needs
@@ -23,15 +23,15 @@ import time
 ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
 
-from redis_servers import DURABLE, Redis, stopping  # noqa: E402
 from replicated import REPLICAS  # noqa: E402
 from restartable_server import RestartableServer  # noqa: E402
 from serving import running_server  # noqa: E402
 
-from tests.chaos.faults import FAULTS, LOSES_TAIL, Chaos  # noqa: E402
-from tests.chaos.fleet_learners import FleetLearners, entries_in, heads_of  # noqa: E402
+from tests.chaos.faults import CLUSTER_FAULTS, EVICT, FAULTS, MAY_LOSE_ENTRIES, Chaos  # noqa: E402
+from tests.chaos.fleet_learners import FleetLearners, heads_of  # noqa: E402
 from tests.chaos.network import Host, enter_own_namespace  # noqa: E402
-from tests.chaos.workload import GROUP, KINDS, Workload  # noqa: E402
+from tests.chaos.stores import running_store  # noqa: E402
+from tests.chaos.workload import GROUP, KINDS, RAW_KINDS, Workload  # noqa: E402
 
 SKIPPED = 77
 
@@ -42,15 +42,21 @@ def parse_arguments():
     parser.add_argument("--learners", type=int, default=16, help="sessions that learn the head of the fleet")
     parser.add_argument("--decisions", type=int, default=2000, help="of each session")
     parser.add_argument("--rate", type=float, default=20.0, help="decisions a second of a session, at most")
-    parser.add_argument("--faults", default=",".join(FAULTS), help="kinds, separated by commas")
+    parser.add_argument("--faults", help=f"kinds, separated by commas; all but {EVICT} by default")
+    parser.add_argument("--cluster", action="store_true", help="Redis is a Cluster, whose slots move")
     parser.add_argument("--timeout", type=float, default=1.0, help="seconds until clients give a silent server up")
-    parser.add_argument("--kinds", default=",".join(KINDS), help="how sessions play, separated by commas")
+    parser.add_argument("--kinds", help=f"how sessions play, separated by commas; all without {EVICT}")
     parser.add_argument("--group", type=int, default=GROUP, help="sessions of a batch or a stream")
     parser.add_argument("--period", type=float, default=5.0, help="seconds between faults")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds that a replica is away")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    for name, known in (("faults", FAULTS), ("kinds", KINDS)):
+    faults = CLUSTER_FAULTS if arguments.cluster else FAULTS
+    arguments.faults = arguments.faults or ",".join(faults)
+    evicts = EVICT in arguments.faults.split(",")
+    kinds = tuple(kind for kind in KINDS if kind not in RAW_KINDS) if evicts else KINDS
+    arguments.kinds = arguments.kinds or ",".join(kinds)
+    for name, known in (("faults", faults if arguments.cluster else (*faults, EVICT)), ("kinds", kinds)):
         chosen = getattr(arguments, name).split(",")
         if unknown := set(chosen) - set(known):
             parser.error(f"--{name}: expected some of {', '.join(known)}, received {', '.join(unknown)}")
@@ -59,15 +65,15 @@ def parse_arguments():
 
 
 @contextlib.contextmanager
-def running_replicas():
+def running_replicas(cluster):
     """Starts Redis and the replicas, each in a namespace of its own, and yields all of them."""
-    with stopping([Redis(*DURABLE, password="", host="0.0.0.0")]) as [redis], contextlib.ExitStack() as stack:
+    with running_store(cluster) as store, contextlib.ExitStack() as stack:
         replicas, hosts = [], []
         for number in range(1, REPLICAS + 1):
             host = Host(number)
             stack.callback(host.close)
             replica = RestartableServer(
-                f"--session_store=redis://{host.store_address}:{redis.port}",
+                f"--session_store={store.url}",
                 "--insecure_network",
                 host=host.address,
                 prefix=host.prefix,
@@ -76,7 +82,7 @@ def running_replicas():
             replica.start()
             hosts.append(host)
             replicas.append(replica)
-        yield redis, replicas, hosts
+        yield store, replicas, hosts
 
 
 async def play_disturbed(workload, learners, chaos, replicas):
@@ -114,7 +120,7 @@ def report(workload, learners, entries, chaos, period, seconds):
     if learners.diverged:
         print(f"{learners.diverged} answers of its sessions depend on what Redis has lost, which their clients say")
     print(f"{'fault':22} {'times':>5} {'pauses':>7} {'p50':>9} {'p99':>9} {'max':>9}")
-    for kind in FAULTS:
+    for kind in dict.fromkeys((*FAULTS, *CLUSTER_FAULTS, EVICT)):
         made = [fault for fault in chaos.made if fault.kind == kind]
         pauses = sorted(
             pause for fault in made for pause in pauses_of(fault, period, workload.answers)
@@ -151,18 +157,18 @@ def play_both(arguments):
     disturbed.kinds, disturbed.group = arguments.kinds, arguments.group
     learners = FleetLearners(arguments.learners, *pace)
     begin = time.monotonic()
-    with running_replicas() as (redis, replicas, hosts):
+    with running_replicas(arguments.cluster) as (store, replicas, hosts):
         times = arguments.period, arguments.pause
         chaos = Chaos(
-            redis, replicas, hosts, arguments.faults, *times, random.Random(arguments.seed)
+            store, replicas, hosts, arguments.faults, *times, random.Random(arguments.seed)
         )
         heads = asyncio.run(play_disturbed(disturbed, learners, chaos, replicas))
-        entries = entries_in(redis) if learners.episodes else 0
+        entries = store.entries() if learners.episodes else 0
     report(disturbed, learners, entries, chaos, arguments.period, time.monotonic() - begin)
     different = [i for i, digest in undisturbed.digests.items() if disturbed.digests[i] != digest]
     print(f"{len(different)} of {arguments.sessions} sessions differ from the undisturbed run")
     made = {fault.kind for fault in chaos.made}
-    errors = head_errors(heads, entries, learners.episodes, bool(made & LOSES_TAIL))
+    errors = head_errors(heads, entries, learners.episodes, bool(made & MAY_LOSE_ENTRIES))
     errors += [f"session {i}: differs" for i in different]
     return errors + [f"not made: {kind}" for kind in arguments.faults if kind not in made]
 

@@ -24,12 +24,49 @@ FAULTS = (
     "set Redis back",
     "fail over late",
 )
+# Not among the others: a Redis that evicts may lose sessions that clients without affinity play. Two replicas that have
+# taken one from each other may both have given up their copies when it is gone.
+EVICT = "evict"
+CLUSTER_FAULTS = (
+    "kill",
+    "stop",
+    "cut from the store",
+    "cut from the clients",
+    "rolling restart",
+    "fill Redis",
+    "move slots",
+)
 LOSES_TAIL = {"set Redis back", "fail over late"}  # Redis forgets what it has acknowledged
-MEETS_ALL = {"kill Redis", "rolling restart", "fill Redis", *LOSES_TAIL}
+MAY_LOSE_ENTRIES = {EVICT, *LOSES_TAIL}  # of the log of the shared head, until a replica writes it again
+MEETS_ALL = {"kill Redis", "rolling restart", "fill Redis", "move slots", *MAY_LOSE_ENTRIES}
 
 
 FULL_SECONDS = 5.0
 LOST_SECONDS = 1.0
+EVICTED_BYTES = 32 << 10  # at once
+EVICTIONS = 5
+EVICTION_PAUSE = 0.2  # seconds
+
+
+def evict(redis):
+    """Redis removes some keys of those that have an expiry: hashes and journals of sessions, and markers."""
+
+    def number(section, name):
+        lines = redis.command(f"INFO {section}").decode().splitlines()
+        return int(next(line.partition(":")[2] for line in lines if line.startswith(f"{name}:")))
+
+    def is_evicted():
+        nonlocal limit
+        limit -= EVICTED_BYTES  # some of the memory in use does not count
+        redis.command(f"CONFIG SET maxmemory {max(limit, 1)}")
+        return number("stats", "evicted_keys") > before
+
+    before = number("stats", "evicted_keys")
+    limit = number("memory", "used_memory")
+    redis.command("CONFIG SET maxmemory-policy volatile-random")
+    until(is_evicted)
+    redis.command("CONFIG SET maxmemory 0")
+    redis.command("CONFIG SET maxmemory-policy noeviction")
 
 
 async def set_back(redis):
@@ -72,8 +109,9 @@ class Chaos:
     A stopped or cut-off replica comes back after `pause` seconds.
     """
 
-    def __init__(self, redis, replicas, hosts, kinds, period, pause, random):
-        self._redis = redis
+    def __init__(self, store, replicas, hosts, kinds, period, pause, random):
+        self._store = store
+        self._redis = store.nodes[0]
         self._replicas = replicas
         self._hosts = hosts
         self._kinds = kinds
@@ -117,9 +155,15 @@ class Chaos:
             for other in self._replicas:
                 await asyncio.to_thread(other.restart)
         elif kind == "fill Redis":
-            self._redis.command("CONFIG SET maxmemory 1")  # noeviction: writes are refused
+            self._store.command("CONFIG SET maxmemory 1")  # noeviction: writes are refused
             await asyncio.sleep(min(self._pause, FULL_SECONDS))
-            self._redis.command("CONFIG SET maxmemory 0")
+            self._store.command("CONFIG SET maxmemory 0")
+        elif kind == EVICT:
+            for _ in range(EVICTIONS):
+                await asyncio.to_thread(evict, self._redis)
+                await asyncio.sleep(EVICTION_PAUSE)
+        elif kind == "move slots":
+            await asyncio.to_thread(self._store.move_slots, self._random)
         elif kind == "set Redis back":
             await set_back(self._redis)
         elif kind == "fail over late":

@@ -68,11 +68,3 @@ async def heads_of(replicas):
             head = await admin.get_head(**POLICY, include_weights=True)
         heads.append((head.delta[:], head.updates, head.rejected_updates, head.rollbacks))
     return heads
-
-
-def entries_in(redis):
-    """Returns how many entries the log of the head has had: the number of the last one."""
-    [log] = redis.command("KEYS fl:*")
-    [[identifier, [name, number, *_]]] = redis.command(f"XREVRANGE {log.decode()} + - COUNT 1")
-    assert name == b"n", f"log {log}, entry {identifier}: expected n first, received {name}"
-    return int(number)

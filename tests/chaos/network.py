@@ -6,6 +6,7 @@ import sys
 
 CLIENTS = "clients"
 STORE = "store"
+STORE_ADDRESS = "10.2.0.1"  # of Redis, as all replicas reach it
 _LINKS = {CLIENTS: 0, STORE: 1}
 
 
@@ -13,6 +14,7 @@ def enter_own_namespace():
     """Runs this program again in a network namespace of its own, which needs root."""
     if os.environ.get("CHAOS_NAMESPACE"):
         _run("ip", "link", "set", "lo", "up")
+        _run("ip", "address", "add", f"{STORE_ADDRESS}/32", "dev", "lo")
         return
     environment = os.environ | {"CHAOS_NAMESPACE": "1"}
     command = ["unshare", "-n", sys.executable, "-m", "tests.chaos", *sys.argv[1:]]
@@ -41,6 +43,7 @@ class Host:
             _run("ip", "link", "set", outer, "up")
             self._inside("ip", "address", "add", f"10.{network}.{number}.2/24", "dev", inner)
             self._inside("ip", "link", "set", inner, "up")
+        self._route_to_store()
 
     @property
     def prefix(self):
@@ -52,11 +55,6 @@ class Host:
         """Returns the address at which clients reach the replica."""
         return f"10.{_LINKS[CLIENTS]}.{self._number}.2"
 
-    @property
-    def store_address(self):
-        """Returns the address at which the replica reaches Redis."""
-        return f"10.{_LINKS[STORE]}.{self._number}.1"
-
     def cut(self, link):
         """Drops all packets of CLIENTS or STORE until `heal`."""
         self._inside("ip", "link", "set", f"{link}-in", "down")
@@ -64,12 +62,17 @@ class Host:
     def heal(self, link):
         """Ends `cut`."""
         self._inside("ip", "link", "set", f"{link}-in", "up")
+        if link == STORE:
+            self._route_to_store()
 
     def close(self):
         """Removes the namespace."""
         self._holder.kill()
         self._holder.wait()
         self._holder.stdout.close()
+
+    def _route_to_store(self):
+        self._inside("ip", "route", "replace", STORE_ADDRESS, "via", f"10.{_LINKS[STORE]}.{self._number}.1")
 
     def _inside(self, *command):
         _run(*self.prefix, *command)

@@ -1,7 +1,8 @@
 """Sessions of clients that use the stubs alone: no affinity, and perhaps hedging.
 
 Each request goes to any replica, or to two at once. A request that fails goes to any replica again; if one expects an older
-decision, the requests from there on are sent again. This is all that a client of another language has to do.
+decision, the requests from there on are sent again. A session is lost only if no replica knows it: Redis may have removed
+it, and its owner writes it again when it is asked. This is all that a client of another language has to do.
 """
 
 import asyncio
@@ -15,6 +16,7 @@ from spikeserve.status_details import details_of
 from spikeserve.wire import SERVICE, message_class
 
 KEPT = 300  # requests
+MOST_UNKNOWN = 50  # tries at replicas that do not know a session, chosen at random
 SHORTEST_PAUSE, LONGEST_PAUSE = 0.01, 0.2  # seconds between tries
 RECONNECT = [("grpc.initial_reconnect_backoff_ms", 50), ("grpc.max_reconnect_backoff_ms", 200)]
 TRANSIENT = (
@@ -129,13 +131,18 @@ class RawSession:
         """Sends request `last` of those that are kept, and the ones before that a replica asks for."""
         give_up = time.monotonic() + self._patience
         at = last
+        unknown = 0
         while True:
             sent = self._kept[at]
             try:
                 answer, address = await self._try(sent)
             except grpc.aio.AioRpcError as error:
                 expected = details_of(error).expected_decision
-                if time.monotonic() > give_up or (error.code() not in TRANSIENT and expected is None):
+                unknown += error.code() == grpc.StatusCode.NOT_FOUND
+                is_transient = error.code() in TRANSIENT or (
+                    error.code() == grpc.StatusCode.NOT_FOUND and unknown < MOST_UNKNOWN
+                )
+                if time.monotonic() > give_up or (not is_transient and expected is None):
                     raise
                 at = last if expected is None else self._first_from(expected, at)
                 await asyncio.sleep(random.uniform(SHORTEST_PAUSE, LONGEST_PAUSE))
@@ -147,6 +154,8 @@ class RawSession:
 
     def _first_from(self, expected, at):
         """Returns the request from which a replica goes on that expects decision `expected`."""
+        if expected > self._kept[-1].decision:
+            return len(self._kept) - 1  # it has all of them, and answers the last one again
         first = next((i for i, sent in enumerate(self._kept) if sent.decision == expected), None)
         assert first is not None, f"expected a kept decision, received {expected} at {self._kept[at].decision}"
         # An end before it may be lost, too: it is answered once however often it is sent.

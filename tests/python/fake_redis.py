@@ -30,6 +30,7 @@ def primary(command):
         b"HMGET": array(*[NIL] * (len(command) - 2)),
         b"EVAL": integer(0),
         b"GET": NIL,
+        b"PING": string(command[-1]),
     }
     return answers.get(command[0], OK)
 

@@ -156,10 +156,10 @@ def is_watched(sentinel, replicas, sentinels):
     return (int(state[b"num-slaves"]), int(state[b"num-other-sentinels"])) == (replicas, sentinels)
 
 
-def start_cluster(servers, nodes=3):
+def start_cluster(servers, nodes=3, flags=(), **options):
     """Starts the nodes of a Cluster, adds them to `servers`, and divides the slots evenly."""
     for _ in range(nodes):
-        servers.append(Redis("--cluster-enabled", "yes", "--cluster-port", str(free_port())))
+        servers.append(Redis("--cluster-enabled", "yes", "--cluster-port", str(free_port()), *flags, **options))
     first = servers[0]
     for i, server in enumerate(servers):
         begin, end = SLOTS * i // nodes, SLOTS * (i + 1) // nodes - 1
@@ -196,7 +196,8 @@ def move_slot(slot, source, target, servers, finish=True, keys=None):
     source.command(f"CLUSTER SETSLOT {slot} MIGRATING {node_id(target)}")
     while moving := keys or source.command(f"CLUSTER GETKEYSINSLOT {slot} 100"):
         for key in moving:
-            moved = source.command(f"MIGRATE 127.0.0.1 {target.port} {key.decode()} 0 1000 AUTH {PASSWORD}")
+            secret = f" AUTH {target.password}" if target.password else ""
+            moved = source.command(f"MIGRATE 127.0.0.1 {target.port} {key.decode()} 0 1000{secret}")
             assert moved == b"OK", moved
         if keys:
             break

@@ -1,5 +1,6 @@
 """Several servers share the sessions in one Redis server."""
 
+import contextlib
 import json
 import os
 import queue
@@ -12,7 +13,7 @@ import urllib.request
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis
-from security import TOKENS, code_of, service_with, until
+from security import ADMIN, TOKENS, code_of, service_with, until
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, message_class, running_server
 from stored_sessions import (
     SESSIONS,
@@ -101,6 +102,23 @@ def test_replicas_take_turns(replicas):
     assert played("a" * 32, [first, second]) == played("b" * 32, [first, first])
     assert metric(first, 'spikeserve_store_claims_total{outcome="claimed"}') == 9
     assert metric(second, 'spikeserve_store_claims_total{outcome="claimed"}') == 10
+
+
+def test_reading_a_session_leaves_it_to_its_owner(redis, replicas):
+    owner, other = replicas
+    owner.OpenSession(**opening(5))
+    session = {"session_id": opening(5)["session_id"], "include_head_delta": True}
+    epoch = redis.command(f"HGET ss:{{{session['session_id']}}}:o epoch", database=1)
+    for step in range(20):
+        act(owner, 5, step)
+        views = [server.GetSession(**session).SerializeToString(deterministic=True) for server in (other, owner)]
+        assert views[0] == views[1]
+    assert redis.command(f"HGET ss:{{{session['session_id']}}}:o epoch", database=1) == epoch
+    claims = [metric(other, f'spikeserve_store_claims_total{{outcome="{outcome}"}}') for outcome in ("claimed", "failed")]
+    assert claims == [0, 0]
+    assert code_of(other.GetSession, session_id="f" * 32) == grpc.StatusCode.NOT_FOUND
+    owner.CloseSession(session_id=session["session_id"])
+    assert code_of(other.GetSession, **session) == grpc.StatusCode.NOT_FOUND
 
 
 def test_a_former_owner_sends_no_answer(replicas):
@@ -235,24 +253,89 @@ def test_a_replica_with_other_bytes_of_the_policy_leaves_the_session_to_its_owne
         other.close()
 
 
+def test_a_replica_with_other_bytes_of_the_policy_opens_no_session_on_it(redis, tmp_path):
+    redis.command("FLUSHALL")
+    password = tmp_path / "password"
+    password.write_text("secret\n")
+    policies = tmp_path / "policies"
+    shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", policies / "cartpole" / "1")
+    shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", policies / "cartpole" / "2")
+    store, flags = f"redis://127.0.0.1:{redis.port}", [f"--store_password_file={password}"]
+
+    def open_at(server, **fields):
+        server.OpenSession(**{"policy": "cartpole", "version": 1, "durability": "ASYNC"} | fields)
+
+    with Restartable(store, flags) as first, Restartable(store, flags, policies) as other:
+        with pytest.raises(grpc.RpcError, match="whose file is another one here") as error:
+            open_at(other)
+        assert error.value.code() == grpc.StatusCode.UNAVAILABLE
+        open_at(other, durability="NONE")
+        open_at(other, version=2)
+        open_at(first)
+        shutil.copy(SHIPPED_POLICIES / "cartpole" / "1" / "policy.safetensors", policies / "cartpole" / "1")
+        Service(other.channel, ADMIN).ReloadPolicies()
+        until(lambda: code_of(other.OpenSession, policy="cartpole", version=1) == grpc.StatusCode.OK)
+        first.close()
+        other.close()
+
+
 def commands_of(redis):
     """Returns how many commands Redis has run."""
     info = redis.command("INFO stats").decode().splitlines()
     return int(next(line for line in info if line.startswith("total_commands_processed:")).split(":")[1])
 
 
-def test_polling_does_not_grow_with_the_versions(redis, tmp_path):
-    """An idle server with 256 versions asks no more of Redis than one with 32."""
+@pytest.fixture
+def server_with(redis, tmp_path):
+    """Returns a function that makes a server with so many versions of a policy."""
     redis.command("FLUSHALL")
     password = tmp_path / "password"
     password.write_text("secret\n")
-    policies = tmp_path / "policies" / "cartpole"
-    shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "1")
-    for version in range(2, 257):
-        (policies / str(version)).mkdir()
-        (policies / str(version) / "policy.safetensors").hardlink_to(policies / "1" / "policy.safetensors")
-    flags = [f"--store_password_file={password}"]
-    with Restartable(f"redis://127.0.0.1:{redis.port}", flags, tmp_path / "policies") as server:
+
+    def make(versions):
+        policies = tmp_path / str(versions) / "cartpole"
+        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "1")
+        for version in range(2, versions + 1):
+            (policies / str(version)).mkdir()
+            (policies / str(version) / "policy.safetensors").hardlink_to(policies / "1" / "policy.safetensors")
+        flags = [f"--store_password_file={password}"]
+        return Restartable(f"redis://127.0.0.1:{redis.port}", flags, policies.parent)
+
+    return make
+
+
+@contextlib.contextmanager
+def monitored(redis, words):
+    """Yields a list, which has all commands with one of `words` afterwards, as MONITOR tells them."""
+    commands = []
+    with redis.connect() as connection:
+        connection.sendall(f"AUTH {redis.password}\r\nMONITOR\r\n".encode())
+        lines = connection.makefile("rb")
+        assert [lines.readline() for _ in range(2)] == [b"+OK\r\n"] * 2
+        yield commands
+        redis.command("ECHO the-end")
+        while b'"the-end"' not in (line := lines.readline()):
+            if any(word in line for word in words):
+                commands.append(line.partition(b"] ")[2])
+
+
+def test_claims_do_not_grow_with_the_versions(redis, server_with):
+    sizes = []
+    for versions in (1, 64):
+        with server_with(versions) as owner, server_with(versions + 1) as other:
+            session = owner.OpenSession(**opening(0) | {"session_id": f"{versions:032x}"}).session_id
+            with monitored(redis, [session.encode()]) as commands:
+                act(other, 0, 0, session)
+            sizes.append(sum(map(len, commands)))
+            owner.close()
+            other.close()
+    print(sizes)
+    assert abs(sizes[1] - sizes[0]) < 64  # numbers of different lengths
+
+
+def test_polling_does_not_grow_with_the_versions(redis, server_with):
+    """An idle server with 256 versions asks no more of Redis than one with 32."""
+    with server_with(256) as server:
         until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
         server.CloseSession(session_id=opening(0)["session_id"])
         begin, window = commands_of(redis), 5

@@ -190,6 +190,25 @@ def test_the_loss_of_a_part_of_a_session_is_noticed(redis, replicas, undisturbed
     assert play(second, i, 6, 10) == undisturbed[i][6:10]
 
 
+@pytest.mark.parametrize("policy", ["allkeys-random", "volatile-lru"])
+@pytest.mark.parametrize("i", KINDS)
+def test_a_redis_that_evicts_everything_refuses_and_loses_nothing(redis, replicas, undisturbed, i, policy):
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    answers = play(first, i, 0, 5)
+    hash_, list_ = hash_of(i), list_of(redis, i)
+    redis.command(f"CONFIG SET maxmemory-policy {policy}")
+    redis.command("CONFIG SET maxmemory 1")
+    until(lambda: redis.command(f"EXISTS {hash_} {list_}") == 0)
+    for _ in range(3):
+        assert code_of(first.Act, **acting(i, 0, 5)) == grpc.StatusCode.UNAVAILABLE
+    redis.command("CONFIG SET maxmemory 0")
+    answers += play(first, i, 5, 10)
+    first.kill()
+    answers += play(second, i, 10, 15)
+    assert answers == undisturbed[i][:15]
+
+
 def log_of(tmp_path):
     return (tmp_path / "log").read_text()
 
@@ -223,8 +242,7 @@ def test_a_session_that_redis_may_evict_now_is_refused(redis, replicas):
     redis.command("CONFIG SET maxmemory-policy allkeys-lru")
     redis.command("CLIENT KILL TYPE normal")
     until(lambda: code_of(first.Act, **acting(0, 0, 1)) == grpc.StatusCode.UNAVAILABLE)
-    redis.command("CONFIG SET maxmemory-policy noeviction")
-    redis.command("CLIENT KILL TYPE normal")
+    redis.command("CONFIG SET maxmemory-policy noeviction")  # is noticed without a new connection
     until(lambda: code_of(first.Act, **acting(0, 0, 1)) == grpc.StatusCode.OK)
 
 

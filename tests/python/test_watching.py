@@ -102,6 +102,19 @@ def running_prometheus(directory, target):
         process.stderr.close()
 
 
+def play_robot(service):
+    """Plays as a robot on a bad link. Its session stays open."""
+    session = service.OpenSession(policy="cartpole", period_seconds=0.02).session_id
+    report = {"fresh": 5, "held": 1, "local": 1, "safe": 1, "late_answers": 1, "oldest_age_seconds": 0.1}
+    times = {"observed_at": 10**12, "valid_until": 2 * 10**12}
+    beat = {"session_id": session, "step": 0, "decision": 0, "observation": OBSERVATION}
+    service.Act(**beat, **times, report=report)
+    service.Act(**beat)
+    history = [{"step": 0, "observation": OBSERVATION, "executed": {"discrete": 0}}]
+    late = {"observed_at": 10**12 - 5 * 10**9, "valid_until": 10**12 - 4 * 10**9}
+    service.Act(**(beat | {"step": 1, "decision": 1}), history=history, **late)
+
+
 def play(service):
     """Plays two episodes and makes one call for each kind of error. Leaves its session open."""
     session = service.OpenSession(policy="cartpole").session_id
@@ -109,6 +122,7 @@ def play(service):
         for step in range(5):
             service.Act(session_id=session, step=step, observation=OBSERVATION, reward=1.0)
         service.EndEpisode(session_id=session, reward=1.0, terminated=True)
+    play_robot(service)
     for mistake, code in (
         ({"session_id": "nobody"}, grpc.StatusCode.NOT_FOUND),
         ({"session_id": session, "step": 7}, grpc.StatusCode.FAILED_PRECONDITION),

@@ -12,6 +12,13 @@ const ORDERS = [
   ['Longest idle', 'idle_seconds', true],
 ];
 
+/** Returns how many beats of a robot had no fresh action, and whether it is silent. */
+function notFresh({beats, silent}) {
+  const missed = beats && Number(beats.held) + Number(beats.local) + Number(beats.safe);
+  const all = beats && missed + Number(beats.fresh);
+  return [beats && `${count(missed)} of ${count(all)}`, silent && 'silent'].filter(Boolean).join(', ') || NOTHING;
+}
+
 export class Sessions {
   constructor() {
     this.scope = '';  // policy/version, to which the list is limited; empty: all
@@ -43,6 +50,7 @@ export class Sessions {
        text: (row) => fixed(row.decisions > 0 ? row.spikes / row.decisions : undefined)},
       number('energy_joules', 'Energy so far', (x) => si(x, 'J')),
       number('head_drift', 'Head drift', (x) => fixed(x, 4)),
+      {key: 'beats', label: 'Beats not fresh', text: notFresh},
       number('idle_seconds', 'Idle', duration),
     ], {sort: 'energy_joules', descending: true, key: (row) => row.session_id, onSort: () => this.restart()});
     this.filter.addEventListener('input', () => this.restart());

@@ -7,6 +7,7 @@ them without a server, and `imitate` trains them for any Gymnasium environment.
 """
 
 import importlib.metadata
+import pkgutil
 
 from spikeserve.admin import AdminClient, AsyncAdminClient
 from spikeserve.async_client import AsyncClient
@@ -51,6 +52,10 @@ from spikeserve.values import (
 from spikeserve.vector_session import VectorSession
 
 __version__ = importlib.metadata.version("spikeserve")
+
+# Code that protoc generates from the wire contract is in folders spikeserve/v1 elsewhere on the
+# path. So it is importable beside this package, as spikeserve.v1.policy_service_pb2.
+__path__ = pkgutil.extend_path(__path__, __name__)
 
 __all__ = [
     "ActStream",

@@ -125,6 +125,8 @@ def _comparable(answer: Message) -> bytes:
     if copy.DESCRIPTOR.name == "ActResponse":
         copy.stats.ClearField("compute_seconds")
         copy.ClearField("durable_decision")
+        for field in ("next_step", "appended", "dropped", "queue_seconds", "append_seconds"):
+            copy.ClearField(field)
     else:
         copy.ClearField("recording")
     return bytes(copy.SerializeToString(deterministic=True))

@@ -1,0 +1,158 @@
+#include "server/agent/beat_requests.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "server/agent/convert.h"
+
+namespace spikeserve {
+namespace {
+
+// Returns views of the beats of a request.
+class RequestBeats {
+ public:
+  explicit RequestBeats(const v1::ActRequest& request) : request_(request) {}
+
+  Beat operator()(size_t i) const {
+    const v1::Beat& beat = request_.history(static_cast<int>(i));
+    return {.step = beat.step(),
+            .observation = beat.observation(),
+            .reward = beat.reward(),
+            .executed = FromProto(beat.executed())};
+  }
+
+ private:
+  const v1::ActRequest& request_;
+};
+
+// `beats` must outlive the result.
+BeatHistory HistoryOf(const v1::ActRequest& request, const RequestBeats& beats) {
+  return {.step = request.step(),
+          .decision =
+              request.has_decision() ? std::optional<uint64_t>(request.decision()) : std::nullopt,
+          .skipped_rewards = request.skipped_rewards(),
+          .size = static_cast<size_t>(request.history_size()),
+          .beat = beats,
+          .observation = request.observation(),
+          .reward = request.reward()};
+}
+
+double Finite(double value) { return std::isfinite(value) ? std::max(0.0, value) : 0.0; }
+
+// Notes the time and the report of a request. Returns the errors of the times.
+absl::Status TakeNews(const v1::ActRequest& request, absl::Duration received,
+                      SessionObserver& observer, bool is_new_session, RobotLink* robot) {
+  if (request.has_valid_until() && !request.has_observed_at()) {
+    return absl::InvalidArgumentError(
+        "observed_at: expected a time, because the request has valid_until, received none");
+  }
+  if (request.has_observed_at() && request.observed_at() < 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("observed_at: expected at least 0, received ", request.observed_at()));
+  }
+  if (request.has_observed_at()) {
+    robot->OnRequest(received, absl::Nanoseconds(request.observed_at()));
+  }
+  if (request.has_report()) {
+    observer.OnReport(robot->OnReport(FromProto(request.report()), is_new_session));
+  }
+  return absl::OkStatus();
+}
+
+bool IsExpired(const v1::ActRequest& request, absl::Duration now, const RobotLink& robot) {
+  if (!request.has_valid_until()) return false;
+  const absl::Duration observed_at = absl::Nanoseconds(request.observed_at());
+  return robot.LeastAge(now, observed_at) > absl::Nanoseconds(request.valid_until()) - observed_at;
+}
+
+}  // namespace
+
+std::optional<ReportedAction> ExecutedBefore(const v1::ActRequest& request) {
+  if (request.history_size() > 0) {
+    return FromProto(request.history(request.history_size() - 1).executed());
+  }
+  if (!request.has_executed_action()) return std::nullopt;
+  return FromProto(request.executed_action());
+}
+
+absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration received,
+                               const Clock& clock, SessionObserver& observer, bool is_new_session,
+                               AgentSession* agent, RobotLink* robot, int64_t* budget,
+                               BeatProgress* progress,
+                               absl::FunctionRef<void(const Beat&)> on_appended) {
+  const absl::Duration start = clock.Now();
+  if (!progress->started) {
+    if (auto status = TakeNews(request, received, observer, is_new_session, robot); !status.ok()) {
+      return status;
+    }
+    progress->started = true;
+  }
+  if (request.history_size() == 0 && request.skipped_rewards_size() == 0) {
+    progress->expired = IsExpired(request, start, *robot);
+    // A request for an answer that was given is answered.
+    if (progress->expired && request.step() < agent->session().step) progress->expired = false;
+    if (progress->expired) observer.OnExpired();
+    return !progress->expired;
+  }
+  const RequestBeats beats(request);
+  const BeatHistory history = HistoryOf(request, beats);
+  progress->finished = *budget > 0;
+  if (!progress->finished) return false;
+  const auto done = AppendBeats(history, agent, *budget, on_appended);
+  if (!done.ok()) return done.status();
+  *budget -= done->appended;
+  progress->appended += done->appended;
+  progress->dropped += done->dropped;
+  if (done->dropped > 0) observer.OnSkippedBeats(done->dropped);
+  const absl::Duration now = clock.Now();
+  progress->spent += now - start;
+  progress->finished = done->finished;
+  if (!progress->finished) return false;
+  if (request.step() < agent->session().step) return true;  // asks for an answer that was given
+  if (!request.observation().empty()) progress->expired = IsExpired(request, now, *robot);
+  if (progress->expired) observer.OnExpired();
+  if (!progress->expired && !request.observation().empty()) return true;
+  if (auto status = TakeLastExecuted(history, agent); !status.ok()) return status;
+  return false;
+}
+
+void FillBeats(const v1::ActRequest& request, const BeatProgress& progress, const Session& session,
+               absl::Duration received, absl::Duration begun, v1::ActResponse* response) {
+  response->set_session_id(request.session_id());
+  response->set_step(request.step());
+  if (request.has_observed_at()) response->set_observed_at(request.observed_at());
+  response->set_next_step(session.step);
+  response->set_appended(progress.appended);
+  response->set_dropped(progress.dropped);
+  response->set_expired(progress.expired);
+  const absl::Duration queued = begun - received - progress.spent;
+  response->set_queue_seconds(absl::ToDoubleSeconds(std::max(queued, absl::ZeroDuration())));
+  response->set_append_seconds(absl::ToDoubleSeconds(progress.spent));
+}
+
+BeatCounts FromProto(const v1::BeatReport& report) {
+  return {.fresh = report.fresh(),
+          .held = report.held(),
+          .local = report.local(),
+          .safe = report.safe(),
+          .late_answers = report.late_answers(),
+          .cancelled_calls = report.cancelled_calls(),
+          .reconnects = report.reconnects(),
+          .longest_gap_seconds = Finite(report.longest_gap_seconds()),
+          .oldest_age_seconds = Finite(report.oldest_age_seconds())};
+}
+
+void ToProto(const BeatCounts& counts, v1::BeatReport* report) {
+  report->set_fresh(counts.fresh);
+  report->set_held(counts.held);
+  report->set_local(counts.local);
+  report->set_safe(counts.safe);
+  report->set_late_answers(counts.late_answers);
+  report->set_cancelled_calls(counts.cancelled_calls);
+  report->set_reconnects(counts.reconnects);
+  report->set_longest_gap_seconds(counts.longest_gap_seconds);
+  report->set_oldest_age_seconds(counts.oldest_age_seconds);
+}
+
+}  // namespace spikeserve

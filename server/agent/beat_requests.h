@@ -1,0 +1,67 @@
+// Takes what a request of a robot on a real link has beside a request for one decision: the beats
+// before it, the time of its observation, and a report.
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef SERVER_AGENT_BEAT_REQUESTS_H_
+#define SERVER_AGENT_BEAT_REQUESTS_H_
+
+#include <cstdint>
+#include <optional>
+
+#include "absl/functional/function_ref.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "core/action/reported_action.h"
+#include "core/base/clock.h"
+#include "core/session/agent_session.h"
+#include "core/session/beats.h"
+#include "core/session/robot_link.h"
+#include "spikeserve/v1/policy_service.pb.h"
+
+namespace spikeserve {
+
+// What was done for a request so far. A request with a long history is handled in several parts, so
+// that others need not wait for all of it.
+struct BeatProgress {
+  int64_t appended = 0;  // beats
+  int64_t dropped = 0;   // beats
+  absl::Duration spent;  // on appending
+  bool started = false;
+  bool finished = true;  // false: the request goes on with its next part
+  bool expired = false;
+};
+
+// The most beats that one group of requests appends.
+inline constexpr int64_t kBeatsPerGroup = 32;
+
+// Returns whether `request` has any of it. The other functions are for these requests.
+inline bool HasBeats(const v1::ActRequest& request) {
+  return request.history_size() > 0 || request.has_observed_at() || request.has_report() ||
+         request.skipped_rewards_size() > 0 || request.has_valid_until();
+}
+
+// Returns the action that was executed before the request's step, if it says so.
+std::optional<ReportedAction> ExecutedBefore(const v1::ActRequest& request);
+
+// Takes the next part of a request that was received at `received`: appends at most `budget` beats,
+// which it reduces, and all but the last ones of the request if `budget` is too small. Sets
+// `progress`. Returns whether the decision is to be made now; false: it is not yet, or not at all.
+// Calls `on_appended` for each beat. Errors as for AppendBeats, and INVALID_ARGUMENT for
+// valid_until without observed_at.
+absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration received,
+                               const Clock& clock, SessionObserver& observer, bool is_new_session,
+                               AgentSession* agent, RobotLink* robot, int64_t* budget,
+                               BeatProgress* progress,
+                               absl::FunctionRef<void(const Beat&)> on_appended);
+
+// Fills in what the response to such a request says about it. `begun` is when the decision began.
+void FillBeats(const v1::ActRequest& request, const BeatProgress& progress, const Session& session,
+               absl::Duration received, absl::Duration begun, v1::ActResponse* response);
+
+// Returns the report as counts.
+BeatCounts FromProto(const v1::BeatReport& report);
+void ToProto(const BeatCounts& counts, v1::BeatReport* report);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_AGENT_BEAT_REQUESTS_H_

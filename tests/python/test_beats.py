@@ -1,0 +1,388 @@
+"""Robots on real links: what happened without the server is in the session afterwards, exactly once."""
+
+import contextlib
+import json
+import random
+import re
+
+import grpc
+import pytest
+from security import POLICY, TOKENS, code_of, http_body, service_with, until
+from serving import DEADLINE_SECONDS, Service, message_class, running_server
+from stored_sessions import Restartable
+
+STEPS = 60
+SECOND = 10**9  # nanoseconds
+START = 10**15  # of the robot's clock
+SESSION = "0" * 31 + "a"
+KINDS = {
+    "float": {"policy": "pendulum"},
+    "sampled": {"policy": "cartpole", "action_selection": "SAMPLE", "temperature": 0.7, "seed": 3},
+    "int8": {"policy": "pendulum-frugal"},
+    "learning": {
+        "policy": "cartpole",
+        "action_selection": "SAMPLE",
+        "learning": {"modulator": "target", "learning_rate": 0.05},
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def addresses():
+    with running_server() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def service(addresses):
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        yield Service(channel, POLICY)
+
+
+def observation(size, step):
+    return [0.05 * ((step * (k + 3)) % 7 - 3) for k in range(size)]
+
+
+def as_fields(action):
+    """Returns an action as keyword arguments, for the messages of any connection."""
+    if isinstance(action, dict):
+        return action
+    if action.WhichOneof("kind") == "discrete":
+        return {"discrete": action.discrete}
+    return {"continuous": {"values": list(action.continuous.values)}}
+
+
+class Robot:
+    """Plays one session, and remembers its beats."""
+
+    def __init__(self, service, **opening):
+        opening = {"session_id": SESSION} | opening
+        with contextlib.suppress(grpc.RpcError):
+            service.CloseSession(session_id=opening["session_id"])
+        self.service = service
+        self.opened = service.OpenSession(**opening)
+        self.id = self.opened.session_id
+        self.beats = []
+
+    def beat(self, step, executed=None):
+        fields = {
+            "step": step,
+            "observation": observation(self.opened.observation_size, step),
+            "reward": 0.1 * (step % 7),
+        }
+        return fields if executed is None else fields | {"executed": executed}
+
+    def request(self, history=0, **fields):
+        """Returns the request for the next step, with the last `history` beats."""
+        step = len(self.beats)
+        return {
+            "session_id": self.id,
+            "decision": step,
+            "history": self.beats[step - history :],
+            **self.beat(step),
+            **fields,
+        }
+
+    def act(self, history=0, executed=None, **fields):
+        """Asks for the next step and executes the answer, or `executed`."""
+        answer = self.service.Act(**self.request(history, **fields))
+        self.execute(answer.action if executed is None else executed)
+        return answer
+
+    def execute(self, action):
+        self.beats.append(self.beat(len(self.beats), as_fields(action)))
+
+    def value(self):
+        return self.service.ExportSession(session_id=self.id).value
+
+
+def undisturbed(service, steps=STEPS, **opening):
+    """Plays a session that is asked for every step. Returns its value after each step, and its beats."""
+    robot, values = Robot(service, **opening), []
+    for _ in range(steps):
+        robot.act()
+        values.append(robot.value())
+    return values, robot.beats
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_cut_session_equals_the_undisturbed_one(service, kind):
+    values, beats = undisturbed(service, **KINDS[kind])
+    robot, rng = Robot(service, **KINDS[kind]), random.Random(5)
+    acknowledged = 0
+    while len(robot.beats) < STEPS - 10:
+        for _ in range(rng.randrange(9)):
+            robot.execute(beats[len(robot.beats)]["executed"])  # without the server
+        known = len(robot.beats) - acknowledged
+        # Some requests have beats that the server has acknowledged.
+        history = min(len(robot.beats), known + rng.randrange(3))
+        answer = robot.act(history, observed_at=START)
+        acknowledged = answer.next_step
+        assert acknowledged == len(robot.beats)
+        assert as_fields(answer.action) == beats[len(robot.beats) - 1]["executed"]
+        assert answer.appended == known
+        assert robot.value() == values[len(robot.beats) - 1]
+
+
+def test_held_actions_count_as_reported_ones(service):
+    opening = KINDS["learning"]
+    told = Robot(service, **opening)
+    for step in range(20):
+        told.act(1 if step else 0, executed={"discrete": step // 4 % 2})
+    value = told.value()
+    again = Robot(service, **opening)
+    for step in range(19):
+        again.execute({"discrete": step // 4 % 2})
+    again.act(19)
+    assert again.value() == value
+
+
+def test_everything_counts_once(service):
+    values, beats = undisturbed(service, **KINDS["float"])
+    robot = Robot(service, **KINDS["float"])
+    for step in range(7):
+        robot.execute(beats[step]["executed"])
+    first = robot.request(7)
+    answers = [service.Act(**first) for _ in range(3)]
+    assert [answer.appended for answer in answers] == [7, 0, 0]
+    assert len({answer.action.SerializeToString() for answer in answers}) == 1
+    # A request that was overtaken by the next one.
+    robot.execute(answers[0].action)
+    robot.act(8)
+    assert service.Act(**robot.request(0, step=8, decision=8, observed_at=START)).next_step == 9
+    assert code_of(service.Act, **first) == grpc.StatusCode.FAILED_PRECONDITION
+    assert robot.value() == values[8]
+
+
+def test_the_history_alone_is_appended(service):
+    values, beats = undisturbed(service, **KINDS["learning"])
+    robot = Robot(service, **KINDS["learning"])
+    for step in range(STEPS):
+        robot.execute(beats[step]["executed"])
+    request = {
+        "session_id": robot.id,
+        "step": STEPS,
+        "decision": STEPS,
+        "history": robot.beats,
+    }
+    for appended in (STEPS, 0):
+        answer = service.Act(**request)
+        assert not answer.HasField("action") and not answer.HasField("stats") and not answer.expired
+        assert (answer.appended, answer.next_step) == (appended, STEPS)
+    assert robot.value() == values[-1]
+    ended = service.EndEpisode(session_id=robot.id, reward=1.0, terminated=True, episode=0, steps=STEPS)
+    assert ended.steps == STEPS
+    assert ended.episode_return == pytest.approx(sum(0.1 * (t % 7) for t in range(1, STEPS)) + 1)
+
+
+def test_an_expired_request_is_appended_and_not_decided(service):
+    values, beats = undisturbed(service, **KINDS["float"])
+    robot = Robot(service, **KINDS["float"])
+    # The fastest request so far shows the way from the observation to the server.
+    robot.act(observed_at=START, valid_until=START + 3600 * SECOND)
+    robot.execute(beats[1]["executed"])
+    # This one has waited for 5 s longer.
+    late = robot.request(2, observed_at=START - 5 * SECOND, valid_until=START - 4 * SECOND)
+    answer = service.Act(**late)
+    assert answer.expired and not answer.HasField("action")
+    assert (answer.appended, answer.next_step, answer.observed_at) == (1, 2, START - 5 * SECOND)
+    # Sent again, it is still too late; nothing is appended twice.
+    answer = service.Act(**late)
+    assert answer.expired and answer.appended == 0
+    robot.execute(beats[2]["executed"])
+    answer = robot.act(2, observed_at=START, valid_until=START + 3600 * SECOND)
+    assert not answer.expired and answer.appended == 1
+    assert robot.value() == values[3]
+
+
+def test_a_long_history_keeps_the_order(addresses, service):
+    """600 beats, which are appended in parts, the requests behind them on one stream, and another session."""
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        request = message_class(channel, "spikeserve.v1.ActRequest")
+        response = message_class(channel, "spikeserve.v1.ActResponse")
+        stream = channel.stream_stream(
+            f"/{POLICY}/ActStream",
+            request_serializer=request.SerializeToString,
+            response_deserializer=response.FromString,
+        )
+        robot = Robot(service, policy="pendulum")
+        neutral = robot.opened.neutral_action
+        for _ in range(600):
+            robot.execute(neutral)
+        other = service.OpenSession(policy="cartpole").session_id
+        requests = [robot.request(600)]
+        for _ in range(3):
+            robot.execute(neutral)
+            requests.append(robot.request(2))
+        asked = [request(**fields) for fields in requests]
+        asked.insert(1, request(session_id=other, observation=observation(4, 0)))
+        answers = list(stream(iter(asked), timeout=DEADLINE_SECONDS))
+    ours = [answer for answer in answers if answer.session_id == robot.id]
+    assert [answer.step for answer in ours] == [600, 601, 602, 603]
+    assert [answer.appended for answer in ours] == [600, 0, 0, 0]
+    assert not any(answer.HasField("error") for answer in answers)
+    for _ in range(41):
+        robot.execute(neutral)
+    # In a batch, too, a long history is appended in parts.
+    batch = service.ActBatch(requests=[robot.request(43), {"session_id": other, "step": 1, "observation": observation(4, 1)}])
+    assert [result.code for result in batch.results] == [0, 0]
+    assert service.GetSession(session_id=robot.id).step == 645
+
+
+def test_what_is_beyond_the_limit_counts_as_rewards(service):
+    robot = Robot(service, policy="pendulum")
+    limit = robot.opened.history_limit
+    for _ in range(limit + 30):
+        robot.execute(robot.opened.neutral_action)
+    answer = robot.act(limit + 20, skipped_rewards=[0.1 * (step % 7) for step in range(10)])
+    assert (answer.appended, answer.dropped) == (limit, 30)
+    rewards = sum(0.1 * (step % 7) for step in range(1, limit + 31))
+    state = service.GetSession(session_id=robot.id)
+    assert state.step == limit + 31
+    assert state.episode_return == pytest.approx(rewards)
+    assert state.return_to_go == pytest.approx(state.target_return - rewards)
+
+
+def with_wrong_step(request):
+    request["history"][2] = request["history"][2] | {"step": 4}
+
+
+def without_executed(request):
+    request["history"][4] = {key: request["history"][4][key] for key in ("step", "observation", "reward")}
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (with_wrong_step, r"history\[2\]: step: expected 3, received 4"),
+        (without_executed, r"history\[4\]: executed_action: expected 1 continuous values, received none"),
+        (lambda request: request.update(reward=float("nan")), "reward: expected a finite number"),
+        (lambda request: request.update(observation=[1.0]), "observation: expected 3 numbers, received 1"),
+        (lambda request: request.update(valid_until=5), "observed_at: expected a time"),
+        (lambda request: request.update(observed_at=-5), "observed_at: expected at least 0, received -5"),
+    ],
+)
+def test_a_request_that_is_wrong_appends_nothing(service, change, message):
+    robot = Robot(service, policy="pendulum")
+    robot.act()
+    before = robot.value()
+    for _ in range(5):
+        robot.execute(robot.opened.neutral_action)
+    request = robot.request(5)
+    change(request)
+    with pytest.raises(grpc.RpcError, match=message) as error:
+        service.Act(**request)
+    assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+    assert robot.value() == before
+
+
+def test_beats_need_their_decision_and_no_gap(service):
+    robot = Robot(service, policy="pendulum")
+    for _ in range(5):
+        robot.execute(robot.opened.neutral_action)
+    missing = robot.request(5)
+    del missing["decision"]
+    assert code_of(service.Act, **missing) == grpc.StatusCode.INVALID_ARGUMENT
+    assert code_of(service.Act, **robot.request(4)) == grpc.StatusCode.FAILED_PRECONDITION
+    assert code_of(service.Act, **robot.request(5)) == grpc.StatusCode.OK
+
+
+def test_old_requests_get_old_answers(service):
+    robot = Robot(service, policy="cartpole")
+    answer = service.Act(session_id=robot.id, observation=observation(4, 0))
+    set_fields = {field.name for field, _ in answer.ListFields()}
+    assert set_fields <= {"session_id", "step", "action", "action_probabilities", "return_to_go", "stats"}
+
+
+@pytest.mark.parametrize("durability", ["ASYNC", "SYNC"])
+def test_a_killed_server_has_lost_nothing(tmp_path, durability):
+    opening = KINDS["learning"] | {"durability": durability}
+    with Restartable(f"file:{tmp_path}/steady") as steady:
+        values, beats = undisturbed(steady, steps=30, **opening)
+        steady.kill()
+    with Restartable(f"file:{tmp_path}/cut") as cut:
+        robot = Robot(cut, **opening)
+        robot.act()
+        for end in (12, 29):
+            while len(robot.beats) < end:
+                robot.execute(beats[len(robot.beats)]["executed"])
+            appending = robot.request(end)
+            del appending["observation"]
+            # An answer that is sent again says how far the store is.
+            until(lambda request=appending, last=end: cut.Act(**request).durable_decision == last)
+            cut.restart()
+            assert cut.Act(**appending).appended == 0
+            robot.act(1)
+            assert robot.value() == values[end]
+        cut.kill()
+
+
+def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path):
+    tokens, log = tmp_path / "tokens.json", tmp_path / "audit.jsonl"
+    tokens.write_text(json.dumps(TOKENS))
+    with running_server(flags=[f"--tokens={tokens}", f"--audit_log={log}"]) as addresses:
+        with service_with(addresses, "agent") as agent:
+            session = agent.OpenSession(policy="cartpole").session_id
+            exported = agent.ExportSession(session_id=session)
+            assert exported.policy == "cartpole" and len(exported.policy_sha256) == 64
+            assert exported.value[:64].find(b"spikeserve.session.v1") >= 0
+        for token, code in (("viewer", "PERMISSION_DENIED"), ("rival", "NOT_FOUND")):
+            with service_with(addresses, token) as other:
+                assert code_of(other.ExportSession, session_id=session).name == code
+        lines = [json.loads(line) for line in log.read_text().splitlines()]
+        ours = [line for line in lines if line["tenant"] == "fleet"]
+        assert [(line["action"], line["request"]["session_id"]) for line in ours] == [("ExportSession", session)]
+
+
+def metric(addresses, name, **labels):
+    """Returns the sum of the series that have the labels."""
+    total = 0.0
+    for line in http_body(addresses.http, "/metrics", None).decode().splitlines():
+        if re.match(rf"{name}(\{{| )", line) and all(f'{k}="{v}"' in line for k, v in labels.items()):
+            total += float(line.rsplit(" ", 1)[1])
+    return total
+
+
+def alerts(addresses):
+    status = json.loads(http_body(addresses.http, "/status.json", None))
+    return {alert["name"] for alert in status["alerts"] if alert["state"] == "firing"}
+
+
+def test_the_server_sees_its_robots():
+    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, POLICY)
+        robot = Robot(service, policy="pendulum", period_seconds=0.02, labels={"robot": "arm-7"})
+        report = {"fresh": 10, "held": 5, "local": 3, "safe": 2, "late_answers": 4, "oldest_age_seconds": 0.3}
+        answer = robot.act(report=report)
+        assert answer.next_step == 1
+        service.Act(**robot.request(0, step=0, decision=0, report=report))  # sent again
+        for source, beats in (("fresh", 10), ("held", 5), ("local", 3), ("safe", 2)):
+            assert metric(addresses, "spikeserve_beats_total", policy="pendulum", source=source) == beats
+        assert metric(addresses, "spikeserve_late_answers_total") == 4
+        assert metric(addresses, "spikeserve_action_age_seconds_count") == 1
+        assert metric(addresses, "spikeserve_repeated_requests_total") == 1
+        for _ in range(3):
+            robot.execute(robot.opened.neutral_action)
+        decisions = metric(addresses, "spikeserve_decisions_total")
+        robot.act(4)
+        assert metric(addresses, "spikeserve_appended_beats_total", known="observation") == 3
+        assert metric(addresses, "spikeserve_decisions_total") == decisions + 1
+        assert metric(addresses, "spikeserve_robots") == 1
+
+        def misses_beats():
+            report["held"] += 1
+            robot.act(1, report=report)
+            return "SpikeserveRobotsWithoutActions" in alerts(addresses)
+
+        until(misses_beats)
+        until(lambda: metric(addresses, "spikeserve_silent_robots") == 1)
+        until(lambda: "SpikeserveRobotsSilent" in alerts(addresses))
+        listed = json.loads(http_body(addresses.http, "/sessions.json?filter=robot%3Darm-7", None))
+        [session] = listed["sessions"]
+        assert session["silent"] and session["beats"]["held"] == str(report["held"])
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, float("nan"), 3601.0])
+def test_a_period_is_checked(service, period):
+    with pytest.raises(grpc.RpcError, match="period_seconds: expected 0.0001 to 3600, received"):
+        service.OpenSession(policy="cartpole", period_seconds=period)
