@@ -31,7 +31,7 @@ test: build setup
 
 # The tests that `make test` excludes because they take hours; CONTRIBUTING.md lists them.
 test-slow: build setup
-	$(SETUP) chart
+	$(SETUP) chart ros
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 
 # Cross-builds everything for arm64 and runs the tests with qemu; then plays CartPole with the installed packages and with

@@ -13,12 +13,13 @@
 # | arm64   | cross compiler, emulator, and what makes the arm64 libraries of deploy/arm64_root.sh                |
 # | release | checks of packages, images, charts and pages: lintian, buildah, and BUILD_DIR/release-tools/venv    |
 # | chart   | helm and kube-apiserver, for slow tests of the chart, in BUILD_DIR/kubernetes; only when named      |
+# | ros     | rclpy from wheels for Python 3.11, for slow tests of the node, in BUILD_DIR/ros; only when named    |
 set -euo pipefail
 cd "$(dirname "$0")/.."
 build_dir=${1:-build}
 shift || true
 usual_parts=(server build clang tests chips interop arm64 release)
-all_parts=("${usual_parts[@]}" chart)
+all_parts=("${usual_parts[@]}" chart ros)
 
 packages_server=(
   g++ make cmake ninja-build ccache git pkg-config ca-certificates
@@ -42,6 +43,7 @@ packages_interop=(golang-go)
 packages_arm64=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)
 packages_release=(lintian debootstrap buildah uidmap qemu-user-static etcd-server golang-go)
 packages_chart=(etcd-server golang-go)
+packages_ros=(python3 python3-venv)
 # Other sources of Node.js bring npm along, and conflict with Debian's.
 command -v npm >/dev/null || packages_interop+=(nodejs npm)
 
@@ -96,5 +98,6 @@ for part in "$@"; do
     release) install_venv "$build_dir/release-tools/venv" deploy/release/requirements.txt ;;
     interop) tests/interop/install.sh "$build_dir" ;;
     chart) tests/kubernetes/install.sh "$build_dir" ;;
+    ros) install_venv "$build_dir/ros/venv" tests/ros/requirements.txt ;;
   esac
 done
