@@ -258,5 +258,5 @@ def test_missing_packages_name_the_extra(server):
     blocked = "import sys; sys.modules['websockets'] = None; from spikeserve.gateway.__main__ import main; exit(main())"
     command = [sys.executable, "-c", blocked, "--openpi", "--policy=cartpole", f"--server={server}"]
     done = subprocess.run(command, capture_output=True, text=True)
-    expected = "websockets: expected the package, which `pip install 'spikeserve[gateway]'` installs, received none\n"
+    expected = "websockets: expected the package, which the extra [gateway] of the client installs, received none\n"
     assert (done.returncode, done.stderr) == (1, f"spikeserve gateway: {expected}")

@@ -57,7 +57,7 @@ async def _serve(arguments: argparse.Namespace) -> None:
     try:
         from spikeserve.gateway.openpi import GatewaySettings, OpenpiGateway, run
     except ModuleNotFoundError as error:
-        extra = "the package, which `pip install 'spikeserve[gateway]'` installs"
+        extra = "the package, which the extra [gateway] of the client installs"
         check(error.name not in ("msgpack", "websockets"), str(error.name), extra, "none")
         raise
     host, port = _address(arguments.listen)
