@@ -43,6 +43,48 @@ TEST_F(PolicyHandlerTest, AnswersDoNotDependOnDeferredWork) {
   }
 }
 
+// A request without beats of its own that comes in the same turn as a long history waits for it.
+TEST_F(PolicyHandlerTest, ARequestBehindALongHistoryIsAnswered) {
+  constexpr int64_t kBeats = 2 * kBeatsPerGroup + 1;
+  const std::string session = MustOpen();
+  v1::ActResponse answer;
+  DeferredWork deferred;
+  ASSERT_TRUE(Decide(MakeRequest(MustOpen(), 0), &answer, &deferred).ok());
+  v1::ActRequest requests[] = {MakeRequest(session, kBeats), MakeRequest(session, kBeats + 1)};
+  requests[0].set_decision(kBeats);
+  for (int64_t step = 0; step < kBeats; ++step) {
+    v1::Beat& beat = *requests[0].add_history();
+    beat.set_step(step);
+    for (const float value : ObservationAt(step)) beat.add_observation(value);
+    *beat.mutable_executed() = answer.action();
+  }
+  CallContext context{.caller = caller_.get(), .deferred = &deferred};
+  v1::ActResponse responses[2];
+  DecisionRequest acts[2];
+  for (int i = 0; i < 2; ++i) {
+    acts[i].context = &context;
+    acts[i].request = &requests[i];
+    acts[i].response = &responses[i];
+  }
+  const auto decide = [&] {
+    std::vector<DecisionRequest*> waiting;
+    for (DecisionRequest& act : acts) {
+      if (act.response->next_step() == 0 && act.response->step() == 0) waiting.push_back(&act);
+    }
+    handler_.ActMany(waiting, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {});
+  };
+  decide();
+  EXPECT_FALSE(acts[0].is_finished());
+  EXPECT_FALSE(acts[1].is_finished());
+  decide();
+  decide();
+  for (const DecisionRequest& act : acts) {
+    EXPECT_TRUE(act.is_finished());
+    EXPECT_TRUE(act.status.ok()) << act.status;
+    EXPECT_EQ(act.response->step(), act.request->step());
+  }
+}
+
 TEST_F(PolicyHandlerTest, DeferredWorkMayComeLate) {
   const std::string session = MustOpen();
   DeferredWork first;
