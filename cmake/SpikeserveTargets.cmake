@@ -65,9 +65,10 @@ function(spikeserve_test name)
   if(ARG_LABEL STREQUAL "slow")
     set(timeout 7200)
   endif()
+  # One thread: those of two programs that compute at once wait for each other in spin loops, many times as long as the work.
   # NO_PRETTY_VALUES: names end with the name of the parameter. Its value prints as bytes, with addresses that vary.
   gtest_discover_tests(${name} NO_PRETTY_VALUES
-    DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout})
+    DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout} ENVIRONMENT OMP_NUM_THREADS=1)
 endfunction()
 
 # Links each library into a program with only the dependencies that its CMakeLists.txt names, so that a missing one
