@@ -5,7 +5,7 @@ import spikeserve
 from links import Link
 from security import until
 from serving import SHIPPED_POLICIES, running_server
-from test_pilot import LEARNING, Flight, exported
+from test_pilot import LEARNING, Flight, exported, fly_through_cuts
 
 
 @pytest.fixture
@@ -27,17 +27,7 @@ def client(link):
 )
 def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options):
     with Flight(client, policy, session=options, local_policy=SHIPPED_POLICIES) as flight:
-        for _ in range(2):
-            flight.until("fresh")
-            flight.fly(5)
-            link.cut()
-            flight.until("local")
-            flight.fly(40)
-            link.heal()
-            flight.until("fresh")
-        flight.end()
-        flight.check_session(client)
-        assert flight.pilot.stats().failures == 0
+        fly_through_cuts(flight, client, link, source="local")
 
 
 def test_the_engine_on_the_robot_plays_the_same_session(client, link):
