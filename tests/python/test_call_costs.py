@@ -14,9 +14,6 @@ from serving import Service, running_server
 
 INFERENCE = "inference.GRPCInferenceService"
 VERSIONS = 1000
-LOOP_SECONDS = 2e-4  # of processor time that a call may take of an event loop
-MOST_TIMES = 5
-MOST_TRIES = 60
 ON_THE_LOOP = {"decision", "light"}
 
 # By service: the class of each method, and a request that it accepts or refuses for its content. "SESSION" stands for
@@ -124,15 +121,6 @@ def times_run(pid, name):
     return total
 
 
-def loop_seconds(pid):
-    """Returns the processor time of the event loops so far."""
-    total = 0
-    for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
-        if (task / "comm").read_text().strip() == "loop":
-            total += int((task / "schedstat").read_text().split()[0])
-    return total / 1e9
-
-
 def wait_for_threads(pid):
     """Waits until loops and workers sleep: one that has answered may still be on its way to that."""
 
@@ -165,41 +153,6 @@ def test_the_table_has_every_method(servers, service):
         described = Service(channel, service)
     expected = {name for name, (_, request) in METHODS[service].items() if request is not None}
     assert {name for name in vars(described) if name[0].isupper()} == expected
-
-
-def test_no_call_takes_a_loop_for_long(servers):
-    """Processor time and not time by the clock, and the best of some tries: other programs disturb both.
-
-    They also empty the caches of the processor, so a call may take some times as long as the shortest one.
-    """
-    addresses = servers[1]
-    pid = addresses.process.pid
-    with contextlib.ExitStack() as stack:
-        services = {
-            service: stack.enter_context(service_with(addresses, "machine", service))
-            for service in METHODS
-        }
-
-        def best(service, name, request, limit):
-            tries = []
-            while len(tries) < MOST_TRIES and min(tries, default=1) > limit:
-                wait_for_threads(pid)
-                before = loop_seconds(pid)
-                called(services[service], name, request)
-                wait_for_threads(pid)
-                tries.append(loop_seconds(pid) - before)
-            print(f"{name:24} {1e6 * min(tries):7.0f} us {len(tries)}")
-            return min(tries)
-
-        limit = max(LOOP_SECONDS, MOST_TIMES * best(INFERENCE, "ServerLive", {}, 0))
-        took = {}
-        # Operators' calls last, because they make the history longer.
-        for service, name in sorted(UNARY, key=lambda call: METHODS[call[0]][call[1]][0] == "operator"):
-            if name == "Drain":
-                continue  # further tries would be refused
-            session = services[POLICY].OpenSession(policy="small").session_id
-            took[name] = best(service, name, with_session(METHODS[service][name][1], session), limit)
-    assert {name: seconds for name, seconds in took.items() if seconds > limit} == {}
 
 
 def test_what_grows_with_the_versions_is_answered_off_the_loops(servers):
