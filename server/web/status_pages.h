@@ -42,6 +42,7 @@ class StatusPages {
     std::function<bool()> serving;
     std::string store_address;  // of the session store, without a password
     const Replicas* replicas;
+    double unusual_deviations;  // of the metrics' observers
   };
 
   explicit StatusPages(Parts parts);
