@@ -136,7 +136,7 @@ export class SessionView {
   showFigures(session) {
     this.shown = session;
     const decisions = Number(session.decisions);
-    this.showObservation(session.observation);
+    if (!this.live && this.frames.length === 0) this.showObservation(session.observation);
     const labels = Object.entries(session.labels).map(([key, value]) => `${key}=${value}`).join(' ');
     const {history} = session;
     const seconds = history.decisions.reduce((sum, point) => sum + point.count * point.mean_seconds, 0);
@@ -237,6 +237,13 @@ export class SessionView {
   drawScene() {
     const playing = pressed(this.playButton);
     const decision = (!playing && this.live) || this.frames[Number(this.frame.value)];
-    if (decision) this.scene.show(decision, this.shown?.environment ?? '');
+    if (!decision) return;
+    this.scene.show(decision, this.shown?.environment ?? '');
+    const ranges = this.shown?.observation ?? [];
+    if (ranges.length !== decision.observation.length) return;
+    this.showObservation(ranges.map((range, i) => {
+      const value = decision.observation[i];
+      return {...range, value, unusual: range.low !== null && !(value >= range.low && value <= range.high)};
+    }));
   }
 }
