@@ -155,8 +155,8 @@ def engine_section(engine):
     ]
     header = ["contestant", "decisions/s", "µs a decision", "spikes a decision", "silent spikeserve is faster by"]
     text = "\nBoth cached dense models have the same weights. The benchmark stops unless their answers equal those of the "
-    text += "engine in dense mode. [docs/architecture.md](architecture.md#what-bounds-a-decision) explains what limits this "
-    text += "engine.\n"
+    text += "engine in dense mode. [architecture.md](../design/architecture.md#what-bounds-a-decision) explains what limits "
+    text += "this engine.\n"
     return "## Engine, one core\n\n" + table(header, rows) + text
 
 
@@ -343,7 +343,7 @@ def arm64_section():
     rows = json.loads(pathlib.Path(__file__).with_name("arm64_instructions.json").read_text())
     text = "## Instructions on arm64\n\nNot timed on real hardware: an emulator says nothing about time, but how many "
     text += "instructions a decision takes is the same on a robot. These are of CartPole in closed loop, counted in qemu by "
-    text += "[arm64_instructions.py](../loadtest/bench/arm64_instructions.py), not by `make bench`. A Cortex-A72 has no SDOT, "
+    text += "[arm64_instructions.py](../../loadtest/bench/arm64_instructions.py), not by `make bench`. A Cortex-A72 has no SDOT, "
     text += "so the difference between the lines of one policy with 8-bit weights is what SDOT saves. The float32 lines "
     text += "differ a little because the runs have different numbers of decisions.\n\n"
     header = ["policy", "processor", "instructions a decision", "of these, the maps of spike counts"]
