@@ -40,7 +40,7 @@ test-arm64: setup
 	deploy/arm64_root.sh
 	cmake --preset arm64 $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build build/arm64
-	tests/arm64/emulate.sh ctest --preset arm64
+	python3 tests/arm64/suite.py
 	python3 tests/arm64/packages.py
 	cmake --preset release --log-level=WARNING
 	cmake --build build/release --target spikeserve_python_engine_stub
