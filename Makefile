@@ -40,7 +40,7 @@ test-arm64: setup
 	deploy/arm64_root.sh
 	cmake --preset arm64 $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build build/arm64
-	tests/arm64/emulate.sh ctest --preset arm64
+	python3 tests/arm64/suite.py
 	python3 tests/arm64/packages.py
 	cmake --preset release --log-level=WARNING
 	cmake --build build/release --target spikeserve_python_engine_stub
@@ -82,7 +82,7 @@ train: build
 bench: build setup
 	loadtest/bench/setup.sh $(BUILD)/bench_venv
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
-	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
+	  --json=$(BUILD)/bench.json --markdown=docs/evidence/performance.md $(BENCH_FLAGS)
 
 # Counts the beats of a robot without a fresh action over links with delay, loss and cuts, in about twelve minutes.
 # BEATS_FLAGS="--seconds=60" makes the runs longer.
