@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "absl/status/statusor.h"
+#include "client/spikectl/distance.h"
 #include "client/tools/latency_histogram.h"
 #include "core/engine/energy.h"
 #include "core/environment/environment.h"
@@ -27,11 +28,12 @@ struct EpisodeRecord {
   EpisodeRecord& operator+=(const EpisodeRecord& other);
 };
 
-// Plays one episode from the environment's start state for `seed` and ends it on the server.
+// Plays one episode from the environment's start state for `seed` and ends it on the server. With a
+// `distance`, decisions are executed late or never, and the server is told what was executed.
 // Returns the errors of the session's calls, and INTERNAL if an action is invalid for the
 // environment.
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
-                                          uint64_t seed);
+                                          uint64_t seed, const Distance& distance = {});
 
 // Makes the first `steps` decisions of an episode, or fewer if it ends earlier, and does not end
 // the episode on the server. Errors as above.

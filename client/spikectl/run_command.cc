@@ -9,6 +9,7 @@
 #include "client/spikectl/agent.h"
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
+#include "client/spikectl/distance.h"
 #include "client/spikectl/run_report.h"
 
 namespace spikeserve {
@@ -19,16 +20,17 @@ constexpr int kTries = 3;  // of an episode whose session is lost
 struct RunFlags {
   AgentFlags agent;
   SessionFlags session;
+  Distance distance;
   int episodes = 1;
   bool reopen = false;
 };
 
 // Plays an episode, again from its start if its session was lost and replaced on the way.
 absl::StatusOr<EpisodeRecord> PlayWhole(Environment& environment, RemoteSession& session,
-                                        uint64_t seed) {
+                                        uint64_t seed, const Distance& distance) {
   for (int i = 1;; ++i) {
     const int before = session.reopened();
-    auto episode = PlayEpisode(environment, session, seed);
+    auto episode = PlayEpisode(environment, session, seed, distance);
     if (session.reopened() == before || i == kTries) return episode;
   }
 }
@@ -38,7 +40,7 @@ absl::Status PlayEpisodes(const RunFlags& flags, Environment& environment, Remot
                           bool as_text, std::vector<EpisodeRecord>* episodes) {
   for (int i = 0; i < flags.episodes; ++i) {
     const uint64_t seed = flags.agent.seed + static_cast<uint64_t>(i);
-    auto episode = PlayWhole(environment, session, seed);
+    auto episode = PlayWhole(environment, session, seed, flags.distance);
     if (!episode.ok()) return episode.status();
     if (as_text) std::cout << RunTableLine(seed, *episode) << std::flush;
     episodes->push_back(*std::move(episode));
@@ -57,6 +59,7 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
     return absl::InvalidArgumentError(
         absl::StrCat("--episodes: expected at least 1, received ", flags.episodes));
   }
+  if (absl::Status status = flags.distance.Validate(); !status.ok()) return status;
   const auto environment = MakeAgentEnvironment(flags.agent);
   if (!environment.ok()) return environment.status();
   const auto client = Connect(server);
@@ -100,6 +103,8 @@ void AddRunCommand(Command program, const ServerFlags& server) {
   playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
       .AddSwitch("reopen", &flags->reopen,
                  "Play an episode again in a new session if the server lost it");
+  FlagGroup far = command.Flags("Far away");
+  AddDistanceFlags(far, &flags->distance);
   AddSessionFlags(command, &flags->session);
   command.SetAction([flags, &server] { return Run(*flags, server); });
 }
