@@ -346,7 +346,7 @@ def to_markdown(result):
     text += f"before the run {machine['load_before']:.2f}. Each of {result['rounds']} rounds measures every contestant for "
     text += f"{result['seconds']:g} s. The figures are medians over the rounds. The run took "
     text += f"{result['duration_seconds'] / 60:.1f} minutes. The figures of engines use processor time. "
-    text += "No arm64 processor was timed: [robots.md](../guides/robots.md#instructions) counts instructions there.\n\n"
+    text += "No arm64 processor was timed: [arm64.md](arm64.md#instructions) counts instructions there.\n\n"
     sections = [
         (engine_section, ["engine"]),
         (server_section, ["server"]),
