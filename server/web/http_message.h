@@ -28,7 +28,7 @@ struct HttpResponse {
   std::string headers = "";  // further ones; each ends in "\r\n"
 };
 
-// Returns the code of HTTP that says what `code` does.
+// Returns the code of HTTP that shows what `code` does.
 int HttpCode(absl::StatusCode code);
 
 // Decodes the target of a request line, such as "/sessions.json?sort=steps", into `path` and
