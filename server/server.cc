@@ -241,7 +241,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .worker = &worker_,
               .serving = [this] { return serving() && TransportResponds(); },
               .store_address = store.address,
-              .replicas = &replicas_}) {}
+              .replicas = &replicas_,
+              .unusual_deviations = options.unusual_deviations}) {}
 
 absl::Status Server::StartTransport() {
   auto address = ParseAddressOrUnix("--listen", options_.listen);
