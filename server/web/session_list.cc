@@ -359,14 +359,13 @@ Json ObservationJson(const Session& session, const Policy& policy, double unusua
   const auto observation = session.history.observation(session.history.size() - 1);
   for (size_t i = 0; i < observation.size(); ++i) {
     const bool bounded = i < usual.low.size();
-    elements.push_back(
-        {{"value", observation[i]},
-         {"mean", policy.weights.observation_mean.values[i]},
-         {"deviation", policy.weights.observation_std.values[i]},
-         {"low", bounded ? Json(usual.low[i]) : Json()},
-         {"high", bounded ? Json(usual.high[i]) : Json()},
-         {"unusual",
-          bounded && !(observation[i] >= usual.low[i] && observation[i] <= usual.high[i])}});
+    elements.push_back({{"value", observation[i]},
+                        {"mean", policy.weights.observation_mean.values[i]},
+                        {"deviation", policy.weights.observation_std.values[i]},
+                        {"low", bounded ? Json(usual.low[i]) : Json()},
+                        {"high", bounded ? Json(usual.high[i]) : Json()},
+                        {"unusual", bounded && !(observation[i] >= usual.low[i] &&
+                                                 observation[i] <= usual.high[i])}});
   }
   return elements;
 }

@@ -142,8 +142,7 @@ absl::StatusOr<std::string> StatusPages::Session(const Credential& caller,
                                                  const HttpRequest& request) const {
   const auto query = HttpQuery::Parse(request.parameters, {"session"});
   if (!query.ok()) return query.status();
-  return SessionJson(*parts_.store, caller, query->Get("session"),
-                     parts_.unusual_deviations);
+  return SessionJson(*parts_.store, caller, query->Get("session"), parts_.unusual_deviations);
 }
 
 absl::StatusOr<std::string> StatusPages::Sessions(const std::shared_ptr<const Credential>& caller,
