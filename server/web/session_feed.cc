@@ -8,7 +8,7 @@
 #include "absl/time/time.h"
 #include "proto/json.h"
 #include "server/agent/explain_convert.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 #include "server/web/status_json.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
