@@ -1,7 +1,9 @@
 #include "client/spikectl/agent.h"
 
+#include <algorithm>
 #include <chrono>
 #include <limits>
+#include <thread>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -78,13 +80,18 @@ EpisodeRecord& EpisodeRecord::operator+=(const EpisodeRecord& other) {
 }
 
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
-                                          uint64_t seed, const Distance& distance) {
+                                          uint64_t seed, const PlayOptions& options) {
   EpisodeRecord record;
   const ActionSpace& space = environment.action_space();
-  Arrivals arrivals(distance, space, seed);
+  Arrivals arrivals(options.distance, space, seed);
   std::optional<v1::Action> executed;  // of the last beat; absent: as decided
+  const auto period = std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+      std::chrono::duration<double>(options.rate > 0.0 ? 1.0 / options.rate : 0.0));
+  auto next = std::chrono::steady_clock::now();
   StepResult result{.observation = environment.Reset(seed)};
   while (!result.done()) {
+    std::this_thread::sleep_until(next);
+    next = std::max(next, std::chrono::steady_clock::now() - period) + period;
     const auto start = std::chrono::steady_clock::now();
     const auto response = session.Act(result.observation, result.reward, executed);
     const std::chrono::duration<double> latency = std::chrono::steady_clock::now() - start;
@@ -93,7 +100,7 @@ absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSessio
     if (!action.ok()) return action.status();
     record.latency.Add(latency.count());
     Count(response->stats(), &record);
-    if (!distance.is_none()) {
+    if (!options.distance.is_none()) {
       action = arrivals.Executed(*std::move(action));
       executed = ToProto(*action, space);
     }

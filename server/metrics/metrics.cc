@@ -81,10 +81,9 @@ Metrics::Metrics()
                    "layer_norm_element, softmax_term, gate_product.")),
       energy_(Register(BuildCounter(), "spikeserve_energy_joules_total",
                        "Energy, estimated from counted events, not measured. The models are "
-                       "alternatives: do not "
-                       "add them. docs/energy.md says what each counts and leaves out. A policy to "
-                       "which a model "
-                       "does not apply has no series under it.")),
+                       "alternatives: do not add them. docs/reference/energy.md lists what each "
+                       "counts and leaves out. A policy to which a model does not apply has no "
+                       "series under it.")),
       decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
                                   "Time to compute one decision, without network and queueing.")),
       sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
@@ -160,7 +159,8 @@ Metrics::Metrics()
                         .Add({{"reason", "idle"}})),
       sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
                                 "Limit on the open sessions of all policies together.")
-                           .Add({})) {
+                           .Add({})),
+      rpc_durations_(AllMethods().size()) {
   recording_queue_episodes_ =
       &Register(BuildGauge(), "spikeserve_recording_queue_episodes",
                 "Recorded episodes that wait to be written. A crash loses them.")
@@ -305,15 +305,14 @@ void Metrics::KeepSeries() {
   keeps_series_ = true;
 }
 
-void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {
-  auto& slot = rpc_durations_[static_cast<size_t>(method)][static_cast<size_t>(code)];
+void Metrics::ObserveRpc(const Method& method, absl::StatusCode code, absl::Duration duration) {
+  auto& slot = rpc_durations_[method.index][static_cast<size_t>(code)];
   prometheus::Histogram* histogram = slot.load(std::memory_order_acquire);
   if (histogram == nullptr) {
     // Two threads may reach this at once; the family returns the same histogram to both. Abseil's
     // names of the codes are those of gRPC.
-    histogram = &rpc_duration_.Add({{"method", std::string(GetMethodInfo(method).name)},
-                                    {"code", absl::StatusCodeToString(code)}},
-                                   RpcSeconds());
+    histogram = &rpc_duration_.Add(
+        {{"method", method.name}, {"code", absl::StatusCodeToString(code)}}, RpcSeconds());
     slot.store(histogram, std::memory_order_release);
   }
   histogram->Observe(absl::ToDoubleSeconds(duration));

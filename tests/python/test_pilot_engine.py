@@ -1,4 +1,4 @@
-"""A pilot with the engine on the robot, which goes on in the same session while the link is cut."""
+"""A pilot with the engine on the robot, which continues in the same session while the link is cut."""
 
 import pytest
 import spikeserve

@@ -108,7 +108,8 @@ TEST_F(AgentTest, TellsTheServerWhatWasExecutedFarAway) {
   const auto environment = *MakeEnvironment("CartPole-v1");
   ASSERT_TRUE(PlayEpisode(*environment, session_, 5).ok());
   EXPECT_FALSE(fake_.last_end_episode().has_executed_action());
-  const auto far = PlayEpisode(*environment, session_, 5, {.delay = 2, .jitter = 3, .loss = 0.3});
+  const auto far =
+      PlayEpisode(*environment, session_, 5, {.distance = {.delay = 2, .jitter = 3, .loss = 0.3}});
   ASSERT_TRUE(far.ok()) << far.status();
   EXPECT_TRUE(fake_.last_end_episode().executed_action().has_discrete());
 }
