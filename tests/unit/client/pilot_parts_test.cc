@@ -121,7 +121,9 @@ TEST(BeatLogTest, EveryBeatTravelsOnce) {
   Robot robot(100);
   for (const bool asks : {true, false, false, true, false, true}) {
     robot.Beat();
-    if (asks) EXPECT_TRUE(robot.Ask());
+    if (asks) {
+      EXPECT_TRUE(robot.Ask());
+    }
   }
   robot.Beat();
   robot.Beat();
