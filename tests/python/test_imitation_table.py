@@ -13,7 +13,7 @@ import sys
 
 import pytest
 import spikeserve
-from documentation import DOCS
+from documentation import DOCS, page_of
 from serving import running_server
 from spikeserve.imitation import pipeline
 from spikeserve.imitation.options import ImitationOptions
@@ -49,7 +49,7 @@ SMALL = ImitationOptions(
 
 
 def test_the_page_has_figures_for_every_run_that_it_names():
-    rows = re.findall(r"^\| (\w+) \| ([^|]+) \|(.*)\|$", (DOCS / "imitation.md").read_text(), re.MULTILINE)
+    rows = re.findall(r"^\| (\w+) \| ([^|]+) \|(.*)\|$", page_of("imitation.md").read_text(), re.MULTILINE)
     rows = [(name, policy, cells) for name, policy, cells in rows if policy in MODES.values()]
     assert rows
     for name, policy, cells in rows:
