@@ -1,7 +1,7 @@
-"""The runs of the table of docs/imitation.md, in a small form: every environment is imitated to the end.
+"""The runs of the table of docs/guides/imitation.md, in a small form: every environment is imitated to the end.
 
-With SPIKESERVE_WHOLE_TABLE each runs with nothing but environment and expert, which takes hours, and has to come 95 % of
-the way from random actions to its expert, and be no worse than the baselines.
+With SPIKESERVE_WHOLE_TABLE each runs with nothing but environment and expert, which takes hours, and has to come 95 %
+of the way from random actions to its expert, and to be no worse than the baselines.
 """
 
 import dataclasses
@@ -54,17 +54,19 @@ def test_the_page_has_figures_for_every_run_that_it_names():
     assert rows
     for name, policy, cells in rows:
         assert name in map(short_name, ROWS)
-        random, expert, line, best, float32, eight_bit, spikes, way, minutes = (cell.strip() for cell in cells.split("|"))
-        assert all((random, expert, line, best, float32, minutes)) and way.endswith("%")
+        *figures, eight_bit, spikes, way, _ = [cell.strip() for cell in cells.split("|")]
+        assert len(figures) == 5 and all(figures) and way.endswith("%")
         assert bool(eight_bit and spikes) == (policy != "dense")
 
 
 def test_the_program_of_the_table_continues_and_prints(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
-    flags = "--environments=3 --steps=300 --hidden-size=16 --batch=2 --iterations=2 --rounds=0 --episodes=2 --selection-episodes=2"
-    arguments = [f"--out={tmp_path}", "--rows=Spring", "--modes=dense", f"--flags={flags} --train-flags=--heads=2"]
+    flags = "--environments=3 --steps=300 --hidden-size=16 --batch=2 --iterations=2 --rounds=0 --train-flags=--heads=2"
+    flags += " --episodes=2 --selection-episodes=2"
+    arguments = [f"--out={tmp_path}", "--rows=Spring", "--modes=dense", f"--flags={flags}"]
     assert main(arguments) == 0
-    assert "python -m spikeserve imitate hidden_state:Spring-v0 --expert=hidden_state:hold --mode=dense" in capsys.readouterr().out
+    printed = "python -m spikeserve imitate hidden_state:Spring-v0 --expert=hidden_state:hold --mode=dense"
+    assert printed in capsys.readouterr().out
     (record,) = (tmp_path / "processor.jsonl").read_text().splitlines()
     assert json.loads(record)["processor"] > 0
     assert main(arguments) == 0

@@ -1,10 +1,10 @@
-"""Measures the table of docs/imitation.md: one run of `imitate` after the other, with nothing but environment and expert.
+"""Measures the table of docs/guides/imitation.md: one `imitate` after the other, with environment and expert only.
 
     python train/recipes/imitation_table.py --out=FOLDER [--modes=dense,baseline] [--rows=Spring,Vehicle]
     python train/recipes/imitation_table.py --out=FOLDER --print
 
-The first form trains. It needs what docs/imitation.md installs, and PYTHONPATH as it is set there. The
-same command continues after an interruption, and leaves out what is finished. The second form prints
+The first form trains. It needs what docs/guides/imitation.md installs, and PYTHONPATH as it is set there.
+The same command continues after an interruption, and leaves out what is finished. The second form prints
 the runs that are finished, in Markdown.
 """
 
@@ -32,6 +32,7 @@ ROWS = {
     "InvertedDoublePendulum-v5": "experts:balance_double_pendulum",
 }
 MODES = {"dense": "dense", "baseline": "spiking", "full": "spiking, `--mode=full`"}
+INTERRUPTED = 130  # the status of `imitate` after Ctrl-C
 HEADER = (
     *("environment", "policy", "random", "expert", "best line", "best baseline", "float32", "8-bit"),
     *("spikes", "of the way", "minutes"),
@@ -44,7 +45,7 @@ def short_name(environment):
 
 
 def command(environment, mode, *further):
-    """Returns the command of a run as docs/imitation.md prints it. Spiking is the default."""
+    """Returns the command of a run as the page prints it. Spiking is the default."""
     flags = [] if mode == "baseline" else [f"--mode={mode}"]
     return ["-m", "spikeserve", "imitate", environment, f"--expert={ROWS[environment]}", *flags, *further]
 
@@ -54,7 +55,7 @@ def folder_of(out, environment, mode):
 
 
 def train(out, environment, mode, flags):
-    """Runs a command, and appends its processor time to OUT/processor.jsonl. Returns whether it ended well."""
+    """Runs a command, and appends its processor time to OUT/processor.jsonl. Returns whether it succeeded."""
     folder = folder_of(out, environment, mode)
     if (folder / "metadata.json").is_file():
         return True
@@ -63,7 +64,7 @@ def train(out, environment, mode, flags):
     begin = time.monotonic()
     with (out / f"{folder.name}.log").open("ab") as log:
         process = subprocess.Popen([sys.executable, *arguments], stdout=log, stderr=log)
-        _, status, usage = os.wait4(process.pid, 0)  # with the trainings that it waited for
+        status, usage = wait(process.pid)
     record = {
         "run": folder.name,
         "status": os.waitstatus_to_exitcode(status),
@@ -73,7 +74,21 @@ def train(out, environment, mode, flags):
     with (out / "processor.jsonl").open("a") as times:
         times.write(json.dumps(record) + "\n")
     print(json.dumps(record), flush=True)
+    if record["status"] == INTERRUPTED:
+        sys.exit(INTERRUPTED)
     return record["status"] == 0
+
+
+def wait(process):
+    """Returns the status of a process, and its usage with the trainings that it waited for.
+
+    Ctrl-C reaches the process, too, which then ends by itself.
+    """
+    while True:
+        try:
+            return os.wait4(process, 0)[1:]
+        except KeyboardInterrupt:
+            pass
 
 
 def processor_seconds(out, run):
