@@ -14,7 +14,7 @@ SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc'
 .PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats attacks chaos soak sanitize fuzz format clean \
   setup configure
 
-# Installs and builds only the server and spikectl. A build folder that is configured already keeps its other targets.
+# Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
 demo: export NINJA_STATUS = demo: 2/3 compiling, %f of %t files after %e s: $(EMPTY)
 demo:
 	@echo "demo: 1/3 installing the packages of the server, 1 to 2 minutes the first time"
@@ -23,7 +23,7 @@ demo:
 	@test -e $(BUILD)/build.ninja || cmake --preset $(PRESET) --log-level=WARNING -DSPIKESERVE_BUILD_TESTS=OFF \
 	  -DSPIKESERVE_BUILD_TRAIN=OFF -DSPIKESERVE_BUILD_PYTHON=OFF
 	@cmake --build $(BUILD) --target spikeserve spikectl
-	@echo "demo: 3/3 playing 20 episodes, a few seconds"
+	@echo "demo: 3/3 $(if $(PLAY),playing until Ctrl-C,playing 20 episodes: a few seconds)"
 	@deploy/demo.sh $(BIN)
 
 test: build setup
