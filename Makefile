@@ -101,7 +101,7 @@ bench-beats: build setup
 # Python. A few minutes.
 bench-parts: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
-	PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
+	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
 	  build/venv/bin/python loadtest/bench/call_costs.py --server=$(BIN)/spikeserve
 	build/venv/bin/python loadtest/bench/connection_memory.py --server=$(BIN)/spikeserve
 	build/venv/bin/python loadtest/bench/flood_bench.py --bin=$(BIN)
@@ -116,7 +116,7 @@ attacks: build setup
 # answer with an undisturbed run. Needs root. CHAOS_FLAGS="--decisions=200" makes it shorter.
 chaos: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
-	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
 	  build/venv/bin/python -m tests.chaos $(CHAOS_FLAGS)
 
 # Does all kinds of work for hours and prints what the server holds after each minute of it. Fails if memory grows by more
