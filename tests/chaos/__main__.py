@@ -1,7 +1,8 @@
 """Plays sessions on three replicas and one Redis, or a Cluster, while they are killed, stopped and cut off.
 
 usage: python -m tests.chaos [--sessions=N] [--learners=N] [--decisions=N] [--rate=N] [--timeout=SECONDS]
-  [--kinds=KIND,...] [--group=N] [--faults=KIND,...] [--period=SECONDS] [--pause=SECONDS] [--seed=N] [--cluster]
+  [--kinds=KIND,...] [--group=N] [--faults=KIND,...] [--period=SECONDS] [--pause=SECONDS] [--seed=N] [--rounds=N]
+  [--cluster]
 
 Compares every answer, and the learned heads, bit for bit with a run on one server that nothing disturbs. Other sessions
 learn the head of the fleet meanwhile: it must be the same on all replicas in the end, with each contribution once. Needs
@@ -49,7 +50,8 @@ def parse_arguments():
     parser.add_argument("--group", type=int, default=GROUP, help="sessions of a batch or a stream")
     parser.add_argument("--period", type=float, default=5.0, help="seconds between faults")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds that a replica is away")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1, help="of the faults of the first round")
+    parser.add_argument("--rounds", type=int, default=1, help="disturbed runs, each with the next seed")
     arguments = parser.parse_args()
     faults = CLUSTER_FAULTS if arguments.cluster else FAULTS
     arguments.faults = arguments.faults or ",".join(faults)
@@ -145,32 +147,42 @@ def head_errors(heads, entries, episodes, may_lose):
     return errors
 
 
-def play_both(arguments):
-    """Plays undisturbed and disturbed, prints what was made, and returns what is wrong."""
-    size = arguments.sessions, arguments.decisions
-    undisturbed = Workload(*size, stored=False)
-    with running_server() as server:
-        asyncio.run(undisturbed.play(server.grpc))
-    print(f"{undisturbed.decided} decisions without a disturbance", flush=True)
+def play_round(arguments, undisturbed, seed):
+    """Plays with faults, prints what was made, and returns what is wrong and how many decisions were made."""
     pace = arguments.rate, arguments.timeout
-    disturbed = Workload(*size, True, *pace, expected=undisturbed)
+    disturbed = Workload(arguments.sessions, arguments.decisions, True, *pace, expected=undisturbed)
     disturbed.kinds, disturbed.group = arguments.kinds, arguments.group
     learners = FleetLearners(arguments.learners, *pace)
     begin = time.monotonic()
     with running_replicas(arguments.cluster) as (store, replicas, hosts):
         times = arguments.period, arguments.pause
-        chaos = Chaos(
-            store, replicas, hosts, arguments.faults, *times, random.Random(arguments.seed)
-        )
+        chaos = Chaos(store, replicas, hosts, arguments.faults, *times, random.Random(seed))
         heads = asyncio.run(play_disturbed(disturbed, learners, chaos, replicas))
         entries = store.entries() if learners.episodes else 0
+    print(f"seed {seed}: ", end="")
     report(disturbed, learners, entries, chaos, arguments.period, time.monotonic() - begin)
     different = [i for i, digest in undisturbed.digests.items() if disturbed.digests[i] != digest]
-    print(f"{len(different)} of {arguments.sessions} sessions differ from the undisturbed run")
+    print(f"{len(different)} of {arguments.sessions} sessions differ from the undisturbed run", flush=True)
     made = {fault.kind for fault in chaos.made}
     errors = head_errors(heads, entries, learners.episodes, bool(made & MAY_LOSE_ENTRIES))
     errors += [f"session {i}: differs" for i in different]
-    return errors + [f"not made: {kind}" for kind in arguments.faults if kind not in made]
+    errors += [f"not made: {kind}" for kind in arguments.faults if kind not in made]
+    return [f"seed {seed}: {error}" for error in errors], disturbed.decided
+
+
+def play_all(arguments):
+    """Plays undisturbed, and disturbed in each round. Returns what is wrong."""
+    undisturbed = Workload(arguments.sessions, arguments.decisions, stored=False)
+    with running_server() as server:
+        asyncio.run(undisturbed.play(server.grpc))
+    print(f"{undisturbed.decided} decisions without a disturbance", flush=True)
+    errors, decided = [], 0
+    for seed in range(arguments.seed, arguments.seed + arguments.rounds):
+        wrong, made = play_round(arguments, undisturbed, seed)
+        print(*wrong, sep="\n", flush=True)
+        errors, decided = errors + wrong, decided + made
+    print(f"{decided} decisions in {arguments.rounds} rounds, {len(errors)} errors")
+    return errors
 
 
 def main():
@@ -179,9 +191,7 @@ def main():
         print("chaos: skipped, because network namespaces need root")
         return SKIPPED
     enter_own_namespace()
-    errors = play_both(arguments)
-    print(*errors, sep="\n")
-    return 1 if errors else 0
+    return 1 if play_all(arguments) else 0
 
 
 if __name__ == "__main__":
