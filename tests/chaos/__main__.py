@@ -28,11 +28,11 @@ from replicated import REPLICAS  # noqa: E402
 from restartable_server import RestartableServer  # noqa: E402
 from serving import running_server  # noqa: E402
 
-from tests.chaos.faults import CLUSTER_FAULTS, EVICT, FAULTS, MAY_LOSE_ENTRIES, Chaos  # noqa: E402
+from tests.chaos.faults import CLUSTER_FAULTS, EVICTING, FAULTS, MAY_LOSE_ENTRIES, Chaos  # noqa: E402
 from tests.chaos.fleet_learners import FleetLearners, heads_of  # noqa: E402
 from tests.chaos.network import Host, enter_own_namespace  # noqa: E402
 from tests.chaos.stores import running_store  # noqa: E402
-from tests.chaos.workload import GROUP, KINDS, RAW_KINDS, Workload  # noqa: E402
+from tests.chaos.workload import GROUP, KINDS, Workload  # noqa: E402
 
 SKIPPED = 77
 
@@ -43,10 +43,10 @@ def parse_arguments():
     parser.add_argument("--learners", type=int, default=16, help="sessions that learn the head of the fleet")
     parser.add_argument("--decisions", type=int, default=2000, help="of each session")
     parser.add_argument("--rate", type=float, default=20.0, help="decisions a second of a session, at most")
-    parser.add_argument("--faults", help=f"kinds, separated by commas; all but {EVICT} by default")
+    parser.add_argument("--faults", help=f"kinds, separated by commas; all but {' and '.join(EVICTING)} by default")
     parser.add_argument("--cluster", action="store_true", help="Redis is a Cluster, whose slots move")
     parser.add_argument("--timeout", type=float, default=1.0, help="seconds until clients give a silent server up")
-    parser.add_argument("--kinds", help=f"how sessions play, separated by commas; all without {EVICT}")
+    parser.add_argument("--kinds", help="how sessions play, separated by commas")
     parser.add_argument("--group", type=int, default=GROUP, help="sessions of a batch or a stream")
     parser.add_argument("--period", type=float, default=5.0, help="seconds between faults")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds that a replica is away")
@@ -55,10 +55,8 @@ def parse_arguments():
     arguments = parser.parse_args()
     faults = CLUSTER_FAULTS if arguments.cluster else FAULTS
     arguments.faults = arguments.faults or ",".join(faults)
-    evicts = EVICT in arguments.faults.split(",")
-    kinds = tuple(kind for kind in KINDS if kind not in RAW_KINDS) if evicts else KINDS
-    arguments.kinds = arguments.kinds or ",".join(kinds)
-    for name, known in (("faults", faults if arguments.cluster else (*faults, EVICT)), ("kinds", kinds)):
+    arguments.kinds = arguments.kinds or ",".join(KINDS)
+    for name, known in (("faults", faults if arguments.cluster else (*faults, *EVICTING)), ("kinds", KINDS)):
         chosen = getattr(arguments, name).split(",")
         if unknown := set(chosen) - set(known):
             parser.error(f"--{name}: expected some of {', '.join(known)}, received {', '.join(unknown)}")
@@ -122,7 +120,7 @@ def report(workload, learners, entries, chaos, period, seconds):
     if learners.diverged:
         print(f"{learners.diverged} answers of its sessions depend on what Redis has lost, which their clients say")
     print(f"{'fault':22} {'times':>5} {'pauses':>7} {'p50':>9} {'p99':>9} {'max':>9}")
-    for kind in dict.fromkeys((*FAULTS, *CLUSTER_FAULTS, EVICT)):
+    for kind in dict.fromkeys((*FAULTS, *CLUSTER_FAULTS, *EVICTING)):
         made = [fault for fault in chaos.made if fault.kind == kind]
         pauses = sorted(
             pause for fault in made for pause in pauses_of(fault, period, workload.answers)
