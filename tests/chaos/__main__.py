@@ -75,6 +75,7 @@ def running_replicas(cluster):
             replica = RestartableServer(
                 f"--session_store={store.url}",
                 "--insecure_network",
+                "--session_ttl=24h",
                 host=host.address,
                 prefix=host.prefix,
             )
@@ -171,7 +172,7 @@ def play_round(arguments, undisturbed, seed):
 def play_all(arguments):
     """Plays undisturbed, and disturbed in each round. Returns what is wrong."""
     undisturbed = Workload(arguments.sessions, arguments.decisions, stored=False)
-    with running_server() as server:
+    with running_server(flags=["--session_ttl=24h"]) as server:  # a busy machine lets sessions wait
         asyncio.run(undisturbed.play(server.grpc))
     print(f"{undisturbed.decided} decisions without a disturbance", flush=True)
     errors, decided = [], 0
