@@ -1,7 +1,6 @@
 #include "server/agent/former_copies.h"
 
 #include "absl/status/status.h"
-#include "core/session/session_journal.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
@@ -9,20 +8,9 @@ namespace {
 
 constexpr absl::Duration kRetryDelay = absl::Milliseconds(100);
 
-// Returns whether the copy was given up by this server itself, and no other owner is known.
-bool IsGivenUp(const SessionEntry& entry) {
-  if (entry.journal == nullptr || !entry.journal->is_shared() || !entry.journal->lost()) {
-    return false;
-  }
-  absl::Status refusal;  // told at once, because nothing is to be written
-  entry.journal->WhenDurable(0, [&](const absl::Status& status) { refusal = status; });
-  return refusal.ok();
-}
-
 }  // namespace
 
 void FormerCopies::Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) {
-  if (entry == nullptr || entry->tenant != key.first || !IsGivenUp(*entry)) return;
   const absl::Duration now = clock_.Now();
   absl::MutexLock lock(&mutex_);
   if (copies_.size() >= kMost) Prune(now);
@@ -49,8 +37,6 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> FormerCopies::TakeBack(const Key& 
   }
   std::shared_ptr<SessionEntry> entry = std::move(found->second.entry);
   copies_.erase(found);
-  // The store may have told meanwhile that another server had taken the session over.
-  if (!IsGivenUp(*entry)) return NoSuchSession(key.second);
   return entry;
 }
 

@@ -38,7 +38,7 @@ class FormerCopies {
   // `clock` must outlive the object.
   explicit FormerCopies(const Clock* clock) : clock_(*clock) {}
 
-  // Keeps `entry` if it was given up and no store has told that another owner has the session.
+  // Keeps `entry`, which this server has given up.
   void Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) ABSL_LOCKS_EXCLUDED(mutex_);
 
   // The store has the session, or says that it has ended.

@@ -47,6 +47,16 @@ std::shared_ptr<FleetContribution> ContributionOf(SessionStore& sessions, const 
   return entry->agent.contribution();
 }
 
+// Returns whether the copy was given up by this server itself, and no other owner is known.
+bool IsGivenUp(const SessionEntry& entry) {
+  if (entry.journal == nullptr || !entry.journal->is_shared() || !entry.journal->lost()) {
+    return false;
+  }
+  absl::Status refusal;  // told at once, because nothing is to be written
+  entry.journal->WhenDurable(0, [&](const absl::Status& status) { refusal = status; });
+  return refusal.ok();
+}
+
 }  // namespace
 
 bool IsDrawnSessionId(absl::string_view id) {
@@ -68,7 +78,8 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
     is_first = !claims_.contains(key);
     // A claim is removed after its session was added. Therefore a session that is neither here nor
     // being claimed is in the store.
-    if (is_first) former_.Keep(key, sessions_.Peek(id));  // Find() drops it
+    const auto copy = is_first ? sessions_.Peek(id) : nullptr;
+    if (copy != nullptr && copy->tenant == key.first && IsGivenUp(*copy)) former_.Keep(key, copy);
     is_here = is_first && sessions_.Find(id, key.first).ok();
     if (!is_here) claims_[key].push_back({post, std::move(done)});
   }
@@ -175,6 +186,8 @@ absl::Status SessionRecovery::TakeBack(const Key& key, std::shared_ptr<SessionQu
   const auto former = former_.TakeBack(key);
   if (!former.ok()) return former.status();
   SessionEntry& entry = **former;
+  // The store may have told meanwhile that another server had taken the session over.
+  if (!IsGivenUp(entry)) return NoSuchSession(key.second);
   Session session;
   {
     absl::MutexLock lock(&entry.mutex);
