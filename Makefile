@@ -11,7 +11,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site train bench bench-beats attacks chaos soak sanitize fuzz format clean \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats attacks chaos soak sanitize fuzz format clean \
   setup configure
 
 # Installs and builds only the server and spikectl. A build folder that is configured already keeps its other targets.
@@ -40,7 +40,7 @@ test-arm64: setup
 	deploy/arm64_root.sh
 	cmake --preset arm64 $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build build/arm64
-	tests/arm64/emulate.sh ctest --preset arm64
+	python3 tests/arm64/suite.py
 	python3 tests/arm64/packages.py
 	cmake --preset release --log-level=WARNING
 	cmake --build build/release --target spikeserve_python_engine_stub
@@ -69,6 +69,11 @@ dist: configure
 site:
 	$(SETUP) release
 	build/release-tools/venv/bin/mkdocs build --strict --quiet
+
+# Writes the generated pages of docs/reference.
+reference: configure
+	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain
+	/usr/bin/python3 deploy/release/reference.py $(BIN) docs/reference
 
 build: configure
 	cmake --build $(BUILD)
