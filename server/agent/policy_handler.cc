@@ -458,15 +458,16 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
-    const Credential& caller, const std::string& id) const {
+    const CallContext& context, const std::string& id) const {
+  if (context.read != nullptr) return context.read;
   auto entry = store_->Peek(id);
-  if (entry != nullptr && caller.CanRead(entry->tenant)) return entry;
+  if (entry != nullptr && context.caller->CanRead(entry->tenant)) return entry;
   return NoSuchSession(id);
 }
 
 absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessionRequest& request,
                                        v1::GetSessionResponse* response) const {
-  const auto entry = FindReadable(*context.caller, request.session_id());
+  const auto entry = FindReadable(context, request.session_id());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
@@ -475,7 +476,7 @@ absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessio
 
 absl::Status PolicyHandler::Explain(CallContext& context, const v1::ExplainRequest& request,
                                     v1::ExplainResponse* response) const {
-  const auto entry = FindReadable(*context.caller, request.session_id());
+  const auto entry = FindReadable(context, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
 }
@@ -483,7 +484,8 @@ absl::Status PolicyHandler::Explain(CallContext& context, const v1::ExplainReque
 absl::Status PolicyHandler::ExportSession(CallContext& context,
                                           const v1::ExportSessionRequest& request,
                                           v1::ExportSessionResponse* response) const {
-  const auto entry = gate_->Find(context, request.session_id());
+  absl::StatusOr<std::shared_ptr<SessionEntry>> entry = context.read;
+  if (*entry == nullptr) entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry.status();
   if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
   const ServedPolicy& served = *(*entry)->served;

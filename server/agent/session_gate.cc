@@ -82,7 +82,7 @@ bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const
       Search{.request = request.Self(), .status = status, .missing = missing.size()});
   if (request.only_reads() && recovery_->is_shared()) {
     recovery_->Read(*context.caller, missing[0], post,
-                    [search](const auto& session) { OnRead(*search, session); });
+                    [search](auto session) { OnRead(*search, std::move(session)); });
     return true;
   }
   for (const std::string& id : missing) {
@@ -93,12 +93,12 @@ bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const
   return true;
 }
 
-void SessionGate::OnRead(Search& search,
-                         const absl::StatusOr<std::shared_ptr<const AgentSession>>& session) {
+void SessionGate::OnRead(Search& search, absl::StatusOr<std::shared_ptr<SessionEntry>> session) {
   GatedRequest& request = *search.request;
-  if (absl::IsNotFound(session.status())) return request.Answer(search.status);
-  if (session.ok()) request.TakeRead(**session);
-  request.Answer(session.status());
+  if (request.is_over() || absl::IsNotFound(session.status())) return request.Answer(search.status);
+  if (!session.ok()) return request.Answer(session.status());
+  request.call_context().read = *std::move(session);
+  request.HandleAgain({});
 }
 
 void SessionGate::OnClaimed(Search& search, const std::string& id, const absl::Status& claimed) {

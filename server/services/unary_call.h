@@ -118,11 +118,10 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     checked_ = false;
     Handle();
   }
-  bool only_reads() const override { return std::is_same_v<Request, v1::GetSessionRequest>; }
-  void TakeRead(const AgentSession& session) override {
-    if constexpr (std::is_same_v<Request, v1::GetSessionRequest>) {
-      *response() = ToProto(session, request().include_head_delta());
-    }
+  bool only_reads() const override {
+    return std::is_same_v<Request, v1::GetSessionRequest> ||
+           std::is_same_v<Request, v1::ExplainRequest> ||
+           std::is_same_v<Request, v1::ExportSessionRequest>;
   }
   void TakeMerged(const FleetContribution& contribution) override {
     if constexpr (std::is_same_v<Response, v1::EndEpisodeResponse>) {
