@@ -11,7 +11,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site train bench bench-beats attacks chaos soak sanitize fuzz format clean \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats attacks chaos soak sanitize fuzz format clean \
   setup configure
 
 # Installs and builds only the server and spikectl. A build folder that is configured already keeps its other targets.
@@ -69,6 +69,11 @@ dist: configure
 site:
 	$(SETUP) release
 	build/release-tools/venv/bin/mkdocs build --strict --quiet
+
+# Writes the generated pages of docs/reference.
+reference: configure
+	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain
+	/usr/bin/python3 deploy/release/reference.py $(BIN) docs/reference
 
 build: configure
 	cmake --build $(BUILD)

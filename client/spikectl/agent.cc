@@ -1,7 +1,9 @@
 #include "client/spikectl/agent.h"
 
+#include <algorithm>
 #include <chrono>
 #include <limits>
+#include <thread>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -67,10 +69,15 @@ EpisodeRecord& EpisodeRecord::operator+=(const EpisodeRecord& other) {
 }
 
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
-                                          uint64_t seed) {
+                                          uint64_t seed, double rate) {
   EpisodeRecord record;
+  const auto period = std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+      std::chrono::duration<double>(rate > 0.0 ? 1.0 / rate : 0.0));
+  auto next = std::chrono::steady_clock::now();
   StepResult result{.observation = environment.Reset(seed)};
   while (!result.done()) {
+    std::this_thread::sleep_until(next);
+    next = std::max(next, std::chrono::steady_clock::now() - period) + period;
     const auto start = std::chrono::steady_clock::now();
     const auto response = session.Act(result.observation, result.reward);
     const std::chrono::duration<double> latency = std::chrono::steady_clock::now() - start;

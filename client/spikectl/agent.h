@@ -27,11 +27,12 @@ struct EpisodeRecord {
   EpisodeRecord& operator+=(const EpisodeRecord& other);
 };
 
-// Plays one episode from the environment's start state for `seed` and ends it on the server.
+// Plays one episode from the environment's start state for `seed` and ends it on the server. Makes
+// at most `rate` decisions a second; 0: as many as it can.
 // Returns the errors of the session's calls, and INTERNAL if an action is invalid for the
 // environment.
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
-                                          uint64_t seed);
+                                          uint64_t seed, double rate = 0.0);
 
 // Makes the first `steps` decisions of an episode, or fewer if it ends earlier, and does not end
 // the episode on the server. Errors as above.

@@ -1,3 +1,4 @@
+#include <cmath>
 #include <cstdint>
 #include <iostream>
 #include <memory>
@@ -20,15 +21,16 @@ struct RunFlags {
   AgentFlags agent;
   SessionFlags session;
   int episodes = 1;
+  double rate = 0.0;  // decisions a second; 0: as many as it can
   bool reopen = false;
 };
 
 // Plays an episode, again from its start if its session was lost and replaced on the way.
 absl::StatusOr<EpisodeRecord> PlayWhole(Environment& environment, RemoteSession& session,
-                                        uint64_t seed) {
+                                        uint64_t seed, double rate) {
   for (int i = 1;; ++i) {
     const int before = session.reopened();
-    auto episode = PlayEpisode(environment, session, seed);
+    auto episode = PlayEpisode(environment, session, seed, rate);
     if (session.reopened() == before || i == kTries) return episode;
   }
 }
@@ -38,7 +40,7 @@ absl::Status PlayEpisodes(const RunFlags& flags, Environment& environment, Remot
                           bool as_text, std::vector<EpisodeRecord>* episodes) {
   for (int i = 0; i < flags.episodes; ++i) {
     const uint64_t seed = flags.agent.seed + static_cast<uint64_t>(i);
-    auto episode = PlayWhole(environment, session, seed);
+    auto episode = PlayWhole(environment, session, seed, flags.rate);
     if (!episode.ok()) return episode.status();
     if (as_text) std::cout << RunTableLine(seed, *episode) << std::flush;
     episodes->push_back(*std::move(episode));
@@ -56,6 +58,10 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
   if (flags.episodes < 1) {
     return absl::InvalidArgumentError(
         absl::StrCat("--episodes: expected at least 1, received ", flags.episodes));
+  }
+  if (!std::isfinite(flags.rate) || flags.rate < 0.0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--rate: expected decisions a second of at least 0, received ", flags.rate));
   }
   const auto environment = MakeAgentEnvironment(flags.agent);
   if (!environment.ok()) return environment.status();
@@ -98,6 +104,7 @@ void AddRunCommand(Command program, const ServerFlags& server) {
   AddAgentFlags(playing, &flags->agent);
   AddTargetReturn(playing, &flags->agent);
   playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
+      .Add("rate", "HZ", &flags->rate, "Decisions a second; 0: as many as it can")
       .AddSwitch("reopen", &flags->reopen,
                  "Play an episode again in a new session if the server lost it");
   AddSessionFlags(command, &flags->session);

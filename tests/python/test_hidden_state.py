@@ -267,7 +267,7 @@ def test_environments_in_the_place_of_ids_are_refused():
 
 
 def test_an_interrupted_run_continues(tmp_path):
-    """SIGINT ends the program with one line; the same command goes on."""
+    """SIGINT ends the program with one line; the same command continues."""
     program = pathlib.Path(__file__).with_name("interrupted_imitation.py")
     command = [sys.executable, str(program), str(tmp_path / "run")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -145,7 +145,7 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
 
 
 def _errors(insight: Insight) -> list[str]:
-    """Returns the section that says where the errors are."""
+    """Returns the section that shows where the errors are."""
     lines = ["## Where the errors are", ""]
     if insight.floor is not None:
         lines += [
