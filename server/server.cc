@@ -297,7 +297,7 @@ void Server::FollowReplicas() {
   auto status = registry_->Follow();
   heads_->SetFollowing(status.ok());
   if (status.ok()) {
-    auto alive = shared_->Beat();
+    auto alive = shared_->Heartbeat();
     status = alive.status();
     if (alive.ok()) {
       replicas_.SetAlive(*alive);

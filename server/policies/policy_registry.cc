@@ -162,7 +162,7 @@ void PolicyRegistry::Publish(PolicyCatalog catalog) {
   catalog_.swap(next);
 }
 
-PolicyRegistry::KnownFile PolicyRegistry::Look(const PolicyVersion& version) const {
+PolicyRegistry::KnownFile PolicyRegistry::ReadKnownFile(const PolicyVersion& version) const {
   const std::string path = PolicyFilePath(options_.directory, version);
   KnownFile file = {.policy = StampOf(path), .signature = {}, .status = absl::OkStatus()};
   if (options_.signatures != nullptr) file.signature = StampOf(SignaturePath(path));
@@ -188,7 +188,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     const PolicyVersion& version) {
   // The files are looked at before they are read, so that one that changes meanwhile is read again.
   KnownFile& file = files_[version];
-  file = Look(version);
+  file = ReadKnownFile(version);
   std::shared_ptr<LearningSwitch>& learning = learning_[version.policy];
   if (learning == nullptr) {
     learning = std::make_shared<LearningSwitch>();
@@ -235,7 +235,7 @@ void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, Pol
   for (const PolicyVersion& version : versions) {
     if (settings_.unloaded.contains(version)) continue;
     const auto known = files_.find(version);
-    const KnownFile found = Look(version);
+    const KnownFile found = ReadKnownFile(version);
     if (known == files_.end() || known->second.policy != found.policy ||
         known->second.signature != found.signature) {
       if (auto served = Read(version); served.ok()) {

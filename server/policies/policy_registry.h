@@ -170,7 +170,7 @@ class PolicyRegistry {
   };
 
   // Returns the state of a version's files now.
-  KnownFile Look(const PolicyVersion& version) const;
+  KnownFile ReadKnownFile(const PolicyVersion& version) const;
 
   PolicyRegistry(RegistryOptions options, NewObserver new_observer)
       : options_(std::move(options)),

@@ -143,7 +143,8 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
         "",
         "Linear maps and perceptrons (two hidden layers of 64) that learned from the same data, on "
         f"the last 1, 2 or 4 observations. The error is the {comparison.error_is}, on held-out "
-        f"episodes. All returns of this table are those of the first {episodes} of the starts above.",
+        f"episodes. All returns of this table are those of the first {episodes} of the starts "
+        "above.",
         "",
         *_table(("", "error", "return"), rows),
         "",
