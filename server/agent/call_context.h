@@ -11,6 +11,7 @@
 #include "server/agent/deferred_work.h"
 #include "server/agent/durable_answer.h"
 #include "server/base/peer.h"
+#include "server/trace/span.h"
 
 namespace spikeserve {
 
@@ -25,6 +26,8 @@ struct CallContext {
   // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
   // that the session is claimed again. Another server may have decided in between.
   bool may_claim = false;
+  // Of the request; empty if it is not traced. Spans of its parts belong to it.
+  Span span = {};
 };
 
 }  // namespace spikeserve

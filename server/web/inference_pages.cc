@@ -175,7 +175,8 @@ void InferencePages::Answer(const HttpRequest& request, const HttpServer::Done& 
   const auto* service = inference::ServerLiveRequest::descriptor()->file()->service(0);
   CallHead head = {
       .path = absl::StrCat("/", service->full_name(), "/", GetMethodInfo(route->method).name),
-      .authorization = request.authorization};
+      .authorization = request.authorization,
+      .trace = request.trace};
   if (!infers) {
     return calls_.Start(
         std::move(head), request.client, MessageOf(*route),
