@@ -99,7 +99,7 @@ class Server {
   const SteadyClock clock_;
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
-  const std::unique_ptr<Tracer> tracer_;  // null: nothing is traced
+  const std::unique_ptr<Tracer> tracer_;       // null: nothing is traced
   const std::unique_ptr<RedisShared> shared_;  // null: this server shares nothing
   const std::unique_ptr<HeadLogStore> heads_;  // null as `shared_`
   Replicas replicas_;

@@ -11,7 +11,6 @@
 #include "server/agent/convert.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_gate.h"
-#include "server/agent/trace_record.h"
 
 namespace spikeserve {
 namespace {
@@ -104,7 +103,8 @@ void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(a
   const bool has_decided = act.status.ok() && is_new;
   const size_t waits = act.context->commits.size();
   AddCommits(act, place, has_decided);
-  if (has_decided && act.context->commits.size() == waits) TraceRecord(act.context->span, entry);
+  if (has_decided && act.context->commits.size() == waits)
+    SessionGate::Trace(act.context->span, entry);
   if (!act.status.ok()) return entry.served->observer->OnError();
   if (const SessionJournal* journal = entry.journal.get(); journal != nullptr) {
     act.response->set_durable_decision(journal->is_sync() ? entry.agent.session().decisions

@@ -16,7 +16,6 @@
 #include "server/agent/explain_convert.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
-#include "server/agent/trace_record.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
@@ -466,7 +465,7 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
       AddConfirmation(**entry, agent.session().episode > episode, &context.commits);
     }
     if (context.commits.empty()) {
-      TraceRecord(context.span, **entry, agent.contribution());
+      SessionGate::Trace(context.span, **entry, agent.contribution());
     } else {
       context.commits.back().contribution = agent.contribution();
     }

@@ -108,6 +108,14 @@ void SessionGate::Leave(GatedRequest& request, const absl::Status& status) const
   Await(request, status);
 }
 
+void SessionGate::Trace(const Span& call, const SessionEntry& entry,
+                        const std::shared_ptr<FleetContribution>& contribution) {
+  if (!call || entry.journal == nullptr) return;
+  const Commit commit = {
+      .journal = entry.journal, .position = entry.journal->written(), .contribution = contribution};
+  WhenDurable(call, {commit}, [](const std::vector<absl::Status>& /*outcomes*/) {});
+}
+
 bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const {
   if (request.is_over()) return false;
   const std::vector<std::string> missing = request.MissingSessions(status);

@@ -66,7 +66,7 @@ class Collector(trace_service_pb2_grpc.TraceServiceServicer):
             self.port = self._server.add_secure_port(address, credentials)
         self._server.start()
 
-    def Export(self, request, context):  # noqa: N802: the name of the method
+    def Export(self, request, context):
         with self._changed:
             self.metadata = dict(context.invocation_metadata())
             if self.status is not None:

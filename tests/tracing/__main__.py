@@ -20,7 +20,7 @@ import grpc  # noqa: E402
 import spikeserve  # noqa: E402
 from opentelemetry.sdk.resources import Resource  # noqa: E402
 from opentelemetry.sdk.trace import TracerProvider  # noqa: E402
-from opentelemetry.sdk.trace.export import SpanExporter, SimpleSpanProcessor, SpanExportResult  # noqa: E402
+from opentelemetry.sdk.trace.export import SimpleSpanProcessor, SpanExporter, SpanExportResult  # noqa: E402
 from redis_servers import free_port  # noqa: E402
 from replicated import running_fleet  # noqa: E402
 from security import make_authority, make_certificate, until  # noqa: E402
@@ -81,7 +81,9 @@ def balanced(fleet, path):
     make_authority(path, "ca")
     make_certificate(path, "server", "ca")
     port = free_port()
-    with running(nginx(path, port, path, fleet.replicas)):
+    command = nginx(path, port, path, fleet.replicas)
+    # It complains about the server that is killed.
+    with running([path / "nginx.log" if part == "stderr" else part for part in command]):
         yield f"localhost:{port}", grpc.ssl_channel_credentials((path / "ca.pem").read_bytes())
 
 
