@@ -11,10 +11,10 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site train bench bench-beats attacks chaos trace soak sanitize fuzz format clean \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats attacks chaos trace soak sanitize fuzz format clean \
   setup configure
 
-# Installs and builds only the server and spikectl. A build folder that is configured already keeps its other targets.
+# Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
 demo: export NINJA_STATUS = demo: 2/3 compiling, %f of %t files after %e s: $(EMPTY)
 demo:
 	@echo "demo: 1/3 installing the packages of the server, 1 to 2 minutes the first time"
@@ -23,7 +23,7 @@ demo:
 	@test -e $(BUILD)/build.ninja || cmake --preset $(PRESET) --log-level=WARNING -DSPIKESERVE_BUILD_TESTS=OFF \
 	  -DSPIKESERVE_BUILD_TRAIN=OFF -DSPIKESERVE_BUILD_PYTHON=OFF
 	@cmake --build $(BUILD) --target spikeserve spikectl
-	@echo "demo: 3/3 playing 20 episodes, a few seconds"
+	@echo "demo: 3/3 $(if $(PLAY),playing until Ctrl-C,playing 20 episodes: a few seconds)"
 	@deploy/demo.sh $(BIN)
 
 test: build setup
@@ -40,7 +40,7 @@ test-arm64: setup
 	deploy/arm64_root.sh
 	cmake --preset arm64 $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build build/arm64
-	tests/arm64/emulate.sh ctest --preset arm64
+	python3 tests/arm64/suite.py
 	python3 tests/arm64/packages.py
 	cmake --preset release --log-level=WARNING
 	cmake --build build/release --target spikeserve_python_engine_stub
@@ -69,6 +69,11 @@ dist: configure
 site:
 	$(SETUP) release
 	build/release-tools/venv/bin/mkdocs build --strict --quiet
+
+# Writes the generated pages of docs/reference.
+reference: configure
+	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain
+	/usr/bin/python3 deploy/release/reference.py $(BIN) docs/reference
 
 build: configure
 	cmake --build $(BUILD)

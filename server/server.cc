@@ -17,7 +17,6 @@
 #include "server/certificate_metrics.h"
 #include "server/metrics/robot_metrics.h"
 #include "server/rollouts/traffic_metrics.h"
-#include "server/services/service_name.h"
 #include "server/store/open_store.h"
 #include "server/transport/connection_metrics.h"
 
@@ -259,7 +258,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .worker = &worker_,
               .serving = [this] { return serving() && TransportResponds(); },
               .store_address = store.address,
-              .replicas = &replicas_}) {}
+              .replicas = &replicas_,
+              .unusual_deviations = options.unusual_deviations}) {}
 
 absl::Status Server::StartTransport() {
   auto address = ParseAddressOrUnix("--listen", options_.listen);
@@ -305,9 +305,9 @@ bool Server::TransportResponds() const {
 
 void Server::PublishHealth() {
   health_.SetServing("", serving());
-  health_.SetServing(ServiceName<v1::ListPoliciesRequest>(), serving());
-  health_.SetServing(ServiceName<inference::ServerLiveRequest>(), serving());
-  health_.SetServing(ServiceName<v1::LoadPolicyRequest>(), !stopping_);
+  health_.SetServing(MethodOf<v1::ListPoliciesRequest>().service, serving());
+  health_.SetServing(MethodOf<inference::ServerLiveRequest>().service, serving());
+  health_.SetServing(MethodOf<v1::LoadPolicyRequest>().service, !stopping_);
 }
 
 void Server::FollowReplicas() {

@@ -82,7 +82,7 @@ class Server {
   void StopTransport();
   // Says that this server is alive, and takes over what the others have changed.
   void FollowReplicas();
-  // Writes a last snapshot of every stored session, from which another server goes on.
+  // Writes a last snapshot of every stored session, from which another server continues.
   void ReleaseSessions();
   absl::Status StartHttp();
   // False until the settings and the heads that servers share were taken over, too.
@@ -130,9 +130,9 @@ class Server {
   const HeadHandler head_handler_;
   const InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
-  // Of FollowReplicas(), which one thread calls at a time.
+  // State of FollowReplicas(), which one thread calls at a time.
   bool follow_failed_ = false;
-  bool joined_ = false;  // as it was published
+  bool joined_ = false;  // the value that was published last
   // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;

@@ -530,7 +530,7 @@ absl::Status PolicyHandler::CloseSession(CallContext& context,
   auto status = store_->Close(request.session_id(), tenant);
   if (!status.ok() || (*entry)->journal == nullptr) return status;
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
-  // this, too, unless the store is away: then the end is written when it comes back.
+  // this, too, unless the store cannot be reached: then the end is written when it comes back.
   SessionJournal& journal = *(*entry)->journal;
   if (journal.is_sync() || durability_.journals->CheckReachable().ok()) {
     context.commits.push_back({.journal = (*entry)->journal, .position = journal.written()});

@@ -39,7 +39,7 @@ inline constexpr int kMaxBatch = 1024;
 struct SessionDurability {
   JournalWriter* journals = nullptr;      // null: no session is stored
   Durability level = Durability::kAsync;  // of sessions that ask for none and do not learn
-  const SharedFiles* files = nullptr;     // null: no other server goes on with them
+  const SharedFiles* files = nullptr;     // null: no other server continues with them
 };
 
 class PolicyHandler {

@@ -80,7 +80,7 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
       const auto contribution = status.ok() ? ContributionOf(sessions_, id) : nullptr;
       if (contribution == nullptr) return Finish(key, status);
       // The next episode could not end before. If the log of the head cannot be reached, the
-      // session goes on without.
+      // session continues without.
       contribution->WhenMerged([=, this](const absl::Status&) { Finish(key, absl::OkStatus()); });
     });
   });

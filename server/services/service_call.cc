@@ -34,7 +34,7 @@ void ServiceCall::Start() {
     admission_ = caller_.status();
   }
   if (admission_.ok()) {
-    admission_ = caller().tenant()->AcquireCall(GetMethodInfo(method_).cost, start);
+    admission_ = caller().tenant()->AcquireCall(method_.cost, start);
   }
   if (admission_.ok()) {
     const std::shared_ptr<Tenant>& tenant = caller().tenant();

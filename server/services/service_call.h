@@ -15,7 +15,7 @@
 #include "absl/time/time.h"
 #include "server/access/authenticator.h"
 #include "server/agent/session_recovery.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 #include "server/services/service_context.h"
 #include "server/trace/span.h"
 #include "server/transport/call.h"
@@ -30,7 +30,7 @@ inline SessionRecovery::Post PostTo(EventLoop* loop) {
 class ServiceCall : public CallHandler, public std::enable_shared_from_this<ServiceCall> {
  public:
   // `context` must outlive the call.
-  ServiceCall(const ServiceContext* context, Call* call, Method method)
+  ServiceCall(const ServiceContext* context, Call* call, const Method& method)
       : context_(*context),
         call_(call),
         loop_(call->loop()),
@@ -58,7 +58,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   virtual void HandleHalfClose() = 0;
 
   const ServiceContext& context() const { return context_; }
-  Method method() const { return method_; }
+  const Method& method() const { return method_; }
   // Null after the call is over.
   Call* call() const { return call_; }
   // Outlives the call.
@@ -104,7 +104,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   const ServiceContext& context_;
   Call* call_;
   EventLoop& loop_;
-  const Method method_;
+  const Method& method_;
   absl::Duration DelayFor(const absl::Status& status, size_t request_bytes) const;
 
   absl::Status admission_;

@@ -123,7 +123,7 @@ class RedisBackend final : public JournalBackend {
   absl::Status NewClient();
   // Asks the server for an answer that it gives to no other command.
   absl::Status Ping();
-  // Reads the settings of Redis, and says what they mean if they are others than before.
+  // Reads the settings of Redis, and logs what they mean if they are others than before.
   absl::Status LookAtSettings();
   // Notes that some of `records` may have been written, or may be written later.
   void OnUncertain(absl::Span<const JournalRecord> records);

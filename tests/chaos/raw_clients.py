@@ -153,7 +153,7 @@ class RawSession:
             at += 1
 
     def _first_from(self, expected, at):
-        """Returns the request from which a replica goes on that expects decision `expected`."""
+        """Returns the request from which a replica continues that expects decision `expected`."""
         if expected > self._kept[-1].decision:
             return len(self._kept) - 1  # it has all of them, and answers the last one again
         first = next((i for i, sent in enumerate(self._kept) if sent.decision == expected), None)

@@ -314,7 +314,7 @@ def test_a_killed_server_has_lost_nothing(tmp_path, durability):
                 robot.execute(beats[len(robot.beats)]["executed"])
             appending = robot.request(end)
             del appending["observation"]
-            # An answer that is sent again says how far the store is.
+            # An answer that is sent again shows how far the store is.
             until(lambda request=appending, last=end: cut.Act(**request).durable_decision == last)
             cut.restart()
             assert cut.Act(**appending).appended == 0
