@@ -11,7 +11,8 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats bench-parts attacks chaos soak sanitize fuzz format clean \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats bench-parts attacks chaos trace soak \
+  sanitize fuzz format clean \
   setup configure
 
 # Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
@@ -118,6 +119,12 @@ chaos: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
 	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
 	  build/venv/bin/python -m tests.chaos $(CHAOS_FLAGS)
+
+# Shows one decision, from an agent in Python through nginx to Redis, as a collector of traces receives it; a few seconds.
+trace: build setup
+	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
+	  build/venv/bin/python -m tests.tracing
 
 # Does all kinds of work for hours and prints what the server holds after each minute of it. Fails if memory grows by more
 # than 1 MB a million decisions, or descriptors or threads grow. SOAK_SECONDS=1800 makes it shorter.

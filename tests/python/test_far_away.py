@@ -58,7 +58,7 @@ def episodes_of(lines):
 
 
 def test_it_plays_on_when_a_nat_has_forgotten_the_connection(address):
-    arguments = ["run", "--env=CartPole-v1", "--episodes=20"]
+    arguments = ["run", "--env=CartPole-v1", "--episodes=6"]
     undisturbed = spikectl(*arguments, f"--server={address}")
     with Link(address) as link:
         command = [os.environ["SPIKECTL_PROGRAM"], *arguments, f"--server={link.address}"]
@@ -71,5 +71,5 @@ def test_it_plays_on_when_a_nat_has_forgotten_the_connection(address):
             lines += playing.stdout.readlines()
             assert playing.wait() == 0
         assert link.accepted >= 2
-    assert len(episodes_of(lines)) == 20
+    assert len(episodes_of(lines)) == 6
     assert episodes_of(lines) == episodes_of(undisturbed.stdout.splitlines())
