@@ -14,6 +14,7 @@
 #include "server/agent/deferred_work.h"
 #include "server/agent/durable_answer.h"
 #include "server/base/peer.h"
+#include "server/trace/span.h"
 
 namespace spikeserve {
 
@@ -31,6 +32,8 @@ struct CallContext {
   // The session of a request that only reads, if this server does not hold it: as the store has it.
   // It stays with its owner. Null: none was read.
   std::shared_ptr<SessionEntry> read = nullptr;
+  // Of the request; empty if it is not traced. Spans of its parts belong to it.
+  Span span = {};
 };
 
 }  // namespace spikeserve

@@ -100,6 +100,15 @@ absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& s
   return absl::OkStatus();
 }
 
+// Begins the span of a merge into the head of a fleet that the end of the episode itself does,
+// because the session is not stored; empty for other sessions.
+Span StartMerge(const Span& call, const SessionEntry& entry)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex) {
+  const auto& learning = entry.agent.session().options.learning;
+  const bool merges = learning.has_value() && learning->scope == Scope::kFleet;
+  return merges && entry.journal == nullptr ? call.Child("merge") : Span();
+}
+
 // Checks that a caller who may not learn does not play a session that does, which another token has
 // opened.
 absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry) {
@@ -436,8 +445,11 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
   const Place place = PlaceOf(request);
   absl::Status status = CheckEpisode(request, agent.session());
   if (status.ok()) {
+    Span merge = StartMerge(context.span, **entry);
     const auto summary = agent.EndEpisode(end);
     status = summary.status();
+    merge.Fail(status);
+    merge.End();
     if (summary.ok()) {
       *response = ToProto(*summary);
       response->set_recording(ToProto(agent.recording_state()));
@@ -452,7 +464,11 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
     } else {
       AddConfirmation(**entry, agent.session().episode > episode, &context.commits);
     }
-    if (!context.commits.empty()) context.commits.back().contribution = agent.contribution();
+    if (context.commits.empty()) {
+      SessionGate::Trace(context.span, **entry, agent.contribution());
+    } else {
+      context.commits.back().contribution = agent.contribution();
+    }
   }
   return status;
 }

@@ -89,6 +89,14 @@ class SessionGate {
                               const absl::Status& refusal, SessionEntry& entry)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);
 
+  // Traces what was written to the journal of the session, and `contribution`, if no answer waits
+  // for them: a span "append" of `call` ends when the store has the record, and a span "merge" when
+  // the head of the fleet has the contribution. A record that is traced does not gather with others
+  // before it is written. Does nothing if `call` is empty or the session is not stored.
+  static void Trace(const Span& call, const SessionEntry& entry,
+                    const std::shared_ptr<FleetContribution>& contribution = nullptr)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);
+
   // Sends the answer of a request whose handler has returned `status`, now or later.
   void Leave(GatedRequest& request, const absl::Status& status) const;
 

@@ -62,6 +62,7 @@ class UnaryCall : public ServiceCall, public GatedRequest {
   void End(CallOutcome outcome) {
     if (!checked_) CheckResponse(&outcome);
     Observe(outcome.status, start_);
+    EndSpan(outcome.status, &call_context().span);
     if (call() == nullptr) return;
     // A caller who has to wait for a refusal keeps nothing here, and an answer that waits counts.
     if (!outcome.status.ok()) messages_.Free();
@@ -138,6 +139,7 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     if (std::exchange(received_, true)) {
       return Finish(absl::InternalError("message: expected one request, received a second one"));
     }
+    call_context().span = StartSpan(call()->head().trace);
     auto status =
         CheckSize(caller(), static_cast<int64_t>(message.size()), context().max_message_bytes);
     if (status.ok()) status = ParseRequest(message, messages_.request());

@@ -5,7 +5,8 @@ import spikeserve
 import test_pilot
 import test_pilot_engine
 from cpp_pilot import CppPilot
-from security import tls_flags, until
+from replicated import running_fleet
+from security import tls_flags
 from serving import SHIPPED_POLICIES, running_server
 from test_pilot import (  # noqa: F401
     PERIOD,
@@ -137,3 +138,19 @@ def test_the_options_are_checked(address, options, message):
 def test_the_server_must_be_there_when_a_pilot_is_made():
     with pytest.raises(spikeserve.UnavailableError):
         CppPilot("127.0.0.1:1", "pendulum", PERIOD, local=False, patience=0.1)
+
+
+def test_another_replica_goes_on(fly):
+    options = spikeserve.SessionOptions(durability="SYNC")
+    with running_fleet(replicas=2) as fleet, spikeserve.Client(fleet.addresses) as client:
+        with fly(client, local=False, session=options) as flight:
+            for replica in fleet.replicas:
+                flight.until("fresh")
+                flight.fly(5)
+                replica.kill()
+                flight.fly(20)
+                flight.until("fresh")
+                replica.start()
+            flight.end()
+            flight.check_summaries()
+            assert flight.pilot.stats().reopened == 0

@@ -11,7 +11,6 @@
 namespace spikeserve {
 
 using piloting::ActionValue;
-using piloting::Decision;
 using piloting::LostEpisode;
 using piloting::Replaced;
 
@@ -89,19 +88,18 @@ std::optional<uint64_t> Pilot::Cockpit::ExpectedAnswer(absl::Duration deadline) 
 }
 
 bool Pilot::Cockpit::TakeAnswer(absl::Duration deadline) {
-  const Decision& answer = facts_.answer;
   while (true) {
     const auto wanted = ExpectedAnswer(deadline);
-    if (!wanted.has_value() || (HasAnswer() && answer.number >= *wanted)) break;
+    if (!wanted.has_value() || (HasAnswer() && facts_.answer.number >= *wanted)) break;
     if (!Wait(deadline)) break;
   }
   if (!HasAnswer()) return false;
-  next_answer_ = answer.number + 1;
-  if (SteadyNow() - answer.observed_at > options_.oldest()) {
+  next_answer_ = facts_.answer.number + 1;
+  if (SteadyNow() - facts_.answer.observed_at > options_.oldest()) {
     ++facts_.counters.counts().stale;
     return false;
   }
-  facts_.ladder.TakeFresh(answer.action.view(), answer.observed_at);
+  facts_.ladder.TakeFresh(facts_.answer.action.view(), facts_.answer.observed_at);
   return true;
 }
 

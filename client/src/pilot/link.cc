@@ -103,11 +103,10 @@ void Link::WaitUntil(absl::Duration until) {
 
 Link::Work Link::Plan(absl::Duration now, absl::Duration* until) {
   *until = now + kLongestWait;
-  BeatLog& log = facts_->log;
-  if (log.is_too_long()) lost_ = "the server has missed too many beats";
+  if (facts_->log.is_too_long()) lost_ = "the server has missed too many beats";
   if (lost_.has_value()) return &Link::Lose;
   if (facts_->closes_at.has_value()) {
-    if (now >= *facts_->closes_at || !log.oldest().ending.has_value()) return &Link::Stop;
+    if (now >= *facts_->closes_at || !facts_->log.oldest().ending.has_value()) return &Link::Stop;
     *until = std::min(*until, *facts_->closes_at);
   }
   if (!lines_.empty() || facts_->ladder.has_change() || facts_->replaced != logged_) {
@@ -117,20 +116,20 @@ Link::Work Link::Plan(absl::Duration now, absl::Duration* until) {
   if (stream_ != nullptr && !facts_->is_connected) return &Link::DropStream;
   if (facts_->queued.has_value()) return &Link::SendRequest;
   if (local_.is_ready()) {
-    if (local_.Prepare(log)) return &Link::CatchUp;
+    if (local_.Prepare(facts_->log)) return &Link::CatchUp;
     if (!local_.is_ready()) StopLocal();
   }
   return PlanCalls(now, until);
 }
 
 Link::Work Link::PlanCalls(absl::Duration now, absl::Duration* until) {
-  const BeatLog& log = facts_->log;
   const bool may_try = now >= next_try_;
   if (!may_try) *until = std::min(*until, next_try_);
   if (!is_open_) return may_try && call_ == nullptr ? &Link::OpenSession : nullptr;
   if (stream_ == nullptr) {
     if (may_try) return &Link::OpenStream;
-  } else if (log.oldest().ending.has_value() && !log.is_complete() && facts_->under_way.empty()) {
+  } else if (facts_->log.oldest().ending.has_value() && !facts_->log.is_complete() &&
+             facts_->under_way.empty()) {
     if (now >= facts_->paused_until) return &Link::SendRequest;
     *until = std::min(*until, facts_->paused_until);
   } else {
@@ -138,7 +137,7 @@ Link::Work Link::PlanCalls(absl::Duration now, absl::Duration* until) {
   }
   if (may_try && call_ == nullptr) {
     if (wants_export_) return &Link::ExportSession;
-    if (log.is_complete()) return &Link::EndEpisode;
+    if (facts_->log.is_complete()) return &Link::EndEpisode;
   }
   return nullptr;
 }
@@ -170,7 +169,6 @@ void Link::Lose() {
     EndStream();
     StopLocal();
     is_open_ = false;
-    call_done_ = false;
     facts_->answer.is_there = facts_->local.is_there = false;
     endings = facts_->log.BeginAgain();
   }
