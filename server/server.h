@@ -39,6 +39,7 @@
 #include "server/services/health_service.h"
 #include "server/services/services.h"
 #include "server/store/open_store.h"
+#include "server/trace/tracer.h"
 #include "server/transport/transport.h"
 #include "server/web/http_call.h"
 #include "server/web/http_server.h"
@@ -73,8 +74,8 @@ class Server {
  private:
   Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
          std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
-         std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings,
-         OpenedStore store);
+         std::unique_ptr<Metrics> metrics, std::unique_ptr<Tracer> tracer,
+         std::unique_ptr<Recordings> recordings, OpenedStore store);
 
   void ReloadTokens();
   absl::Status StartTransport();
@@ -98,6 +99,7 @@ class Server {
   const SteadyClock clock_;
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
+  const std::unique_ptr<Tracer> tracer_;       // null: nothing is traced
   const std::unique_ptr<RedisShared> shared_;  // null: this server shares nothing
   const std::unique_ptr<HeadLogStore> heads_;  // null as `shared_`
   Replicas replicas_;

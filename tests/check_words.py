@@ -13,14 +13,14 @@ ROOT = pathlib.Path(__file__).parents[1]
 LEFT_OUT = re.compile(r"CHANGELOG\.md|/vendor/|fuzz/corpus|evidence/report/|tests/check_words\.py")
 # What a phrase is, what to write instead, and how often it may occur.
 PHRASES = {
-    "go on": (r"\b(go|goes|going|went) on\b", "continue", 25),
+    "go on": (r"\b(go|goes|going|went) on\b", "continue", 40),
     "is away": (r"\b(is|are|was|be|counts as) away\b(?! from)", "cannot be reached, does not answer", 12),
     "is gone": (r"\b(is|are|was) gone\b", "has ended, no longer exists", 20),
     "comes back": (r"\b(come|comes|came) back\b", "answers again, returns", 12),
     "in vain": (r"\bin vain\b", "without an answer, without success", 4),
     "what it is": (r"\bwhat (it|they) (is|are|has|have)\b", "name the thing", 35),
-    "says": (r"\b(says|say|said)\b", "shows, has, names, reports: things do not talk", 130),
-    "tells": (r"\b(tells|tell|told)\b", "shows, has, reports: things do not talk", 80),
+    "says": (r"\b(says|say|said)\b", "shows, has, names, reports: things do not talk", 160),
+    "tells": (r"\b(tells|tell|told)\b", "shows, has, reports: things do not talk", 95),
     "calls itself": (r"\bcalls? (it|them)sel(f|ves)\b", "its name", 4),
     "became of": (r"\b(became|becomes) of\b", "its outcome", 4),
     "wants": (r"\bwants?\b", "needs, requires, asks for", 15),

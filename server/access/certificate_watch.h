@@ -32,7 +32,7 @@ class CertificateWatch {
   bool is_used() const { return !contexts_.empty(); }
 
  private:
-  void Look();
+  void Check();
   // Logs that the certificate in use is not valid, once.
   void CheckValidity();
 

@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "server/base/trace_parent.h"
 
 namespace spikeserve {
 
@@ -18,6 +19,7 @@ struct HttpRequest {
   std::string path;                                    // decoded
   std::multimap<std::string, std::string> parameters;  // of the query, decoded
   std::string authorization;                           // the header; empty if absent
+  TraceParent trace = {};                              // the header traceparent
   std::string client;                                  // IP address
   std::string json_length;  // the header Inference-Header-Content-Length; empty if absent
   std::string body;         // of a POST

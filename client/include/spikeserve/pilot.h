@@ -10,8 +10,8 @@
 //   }
 //
 // The server's session is what happened on the robot. A background thread brings it all beats, in
-// order and once, whoever chose their actions (docs/beats.md). Answers that come too late are not
-// executed, and neither are those from before a reconnection.
+// order and once, whoever chose their actions (docs/reference/beats.md). Answers that come too late
+// are not executed, and neither are those from before a reconnection.
 //
 // For one thread; Stats may be called from any.
 #ifndef SPIKESERVE_PILOT_H_
