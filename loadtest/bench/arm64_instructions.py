@@ -1,6 +1,6 @@
 """Counts the arm64 instructions of a decision with qemu, and writes arm64_instructions.json, which report.py prints.
 
-An emulator says nothing about time, but the same instructions run on a robot. The difference of a long and a short run
+An emulator shows nothing about time, but the same instructions run on a robot. The difference of a long and a short run
 leaves out what starts the program. Needs Debian's package qemu-user (qemu-user-static has no plugins) and engine_bench in
 build/arm64/bin.
 """

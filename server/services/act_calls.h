@@ -66,7 +66,7 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
 };
 
 // Answers any number of requests. A request that fails is answered with its error, and the stream
-// goes on; after a refusal it reads on when the caller has waited.
+// continues; after a refusal the next request is read when the delay of the refusal is over.
 class ActStreamCall final : public ServiceCall {
  public:
   ActStreamCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)

@@ -12,7 +12,7 @@
 
 namespace spikeserve {
 
-// A request that fails is answered with its error, and the stream goes on.
+// A request that fails is answered with its error, and the stream continues.
 class InferStreamCall final : public ServiceCall {
  public:
   // `deferred` is work that the loop does after it has sent the answers. All pointers must outlive

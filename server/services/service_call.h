@@ -17,6 +17,7 @@
 #include "server/agent/session_recovery.h"
 #include "server/base/method.h"
 #include "server/services/service_context.h"
+#include "server/trace/span.h"
 #include "server/transport/call.h"
 
 namespace spikeserve {
@@ -70,6 +71,16 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
     context_.metrics->ObserveRpc(method_, status.code(), context_.clock->Now() - start);
   }
 
+  // Begins the span of a request that has arrived; empty if it is not traced. REQUIRES: the call is
+  // not over.
+  Span StartSpan(const TraceParent& parent) const {
+    return context_.tracer == nullptr ? Span() : NewSpan(parent);
+  }
+  // Ends the span of a request that is answered with `status`.
+  void EndSpan(const absl::Status& status, Span* span) const {
+    if (*span) FinishSpan(status, span);
+  }
+
   // Runs `next` now, or, if `status` is a refusal, after the delay that refused callers get.
   // REQUIRES: the call is not over, and no delay is running.
   void AfterDelay(const absl::Status& status, size_t request_bytes, std::function<void()> next);
@@ -87,6 +98,9 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   static absl::Status TooManyBytesError();
 
  private:
+  Span NewSpan(const TraceParent& parent) const;
+  void FinishSpan(const absl::Status& status, Span* span) const;
+
   const ServiceContext& context_;
   Call* call_;
   EventLoop& loop_;

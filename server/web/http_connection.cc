@@ -139,6 +139,7 @@ void HttpConnection::ParseHeaders() {
     return Answer({.code = 400, .body = std::string(status.message()) + "\n"});
   }
   request_.authorization = std::string(ToView(headers[http::field::authorization]));
+  request_.trace = ParseTraceParent(ToView(headers["traceparent"]));
   request_.json_length = std::string(ToView(headers["Inference-Header-Content-Length"]));
   request_.client = slot_->address();
   request_.is_post ? StartBody() : Submit();

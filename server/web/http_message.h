@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "server/base/trace_parent.h"
 
 namespace spikeserve {
 
@@ -18,6 +19,7 @@ struct HttpRequest {
   std::string path;                                    // decoded
   std::multimap<std::string, std::string> parameters;  // of the query, decoded
   std::string authorization;                           // the header; empty if absent
+  TraceParent trace = {};                              // the header traceparent
   std::string client;                                  // IP address
   std::string json_length;  // the header Inference-Header-Content-Length; empty if absent
   std::string body;         // of a POST
@@ -41,7 +43,7 @@ struct HttpResponse {
   std::shared_ptr<HttpFeed> feed = nullptr;  // of what follows `body`; null: nothing
 };
 
-// Returns the code of HTTP that says what `code` does.
+// Returns the code of HTTP that shows what `code` does.
 int HttpCode(absl::StatusCode code);
 
 // Decodes the target of a request line, such as "/sessions.json?sort=steps", into `path` and

@@ -193,7 +193,9 @@ void InferencePages::Answer(const HttpRequest& request, const HttpServer::Done& 
   if (infers != request.is_post) {
     return done(JsonResponse(405, HttpErrorBody("method: expected POST")));
   }
-  CallHead head = {.path = MethodOf(*route).path, .authorization = request.authorization};
+  CallHead head = {.path = MethodOf(*route).path,
+                   .authorization = request.authorization,
+                   .trace = request.trace};
   if (!infers) {
     return calls_.Start(
         std::move(head), request.client, MessageOf(*route),

@@ -383,7 +383,7 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
 
   const std::string filter = query.Get("filter");
   const auto limit = static_cast<size_t>(*page_size);
-  // One more than the page, which tells whether there is another one.
+  // One more than the page, which shows whether there is another one.
   Selection found = filter.empty() && order->IsByIdAscending()
                         ? FirstById(store, caller, *after, limit + 1)
                         : FirstInOrder(store, caller, filter, *order, *after, limit + 1);
