@@ -7,6 +7,7 @@ import pathlib
 
 import pytest
 from selenium import webdriver
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.wait import WebDriverWait
@@ -35,10 +36,18 @@ class Browser:
         return self.driver.execute_script(f"return {script}")
 
     def text(self, selector):
-        return self.driver.find_element(By.CSS_SELECTOR, selector).text
+        return self._with(selector, lambda element: element.text)
 
     def click(self, selector):
-        self.driver.find_element(By.CSS_SELECTOR, selector).click()
+        self._with(selector, lambda element: element.click())
+
+    def _with(self, selector, use):
+        """Uses an element. Finds it again if the page has drawn it anew in the meantime, as a live page does all the time."""
+        while True:
+            try:
+                return use(self.driver.find_element(By.CSS_SELECTOR, selector))
+            except StaleElementReferenceException:
+                continue
 
     def rows(self, table):
         """Returns the texts of the cells of a table, by row."""
