@@ -186,7 +186,7 @@ def test_a_dense_policy_is_imitated_to_the_end_and_the_report_tells_why(tmp_path
     report = result.report.read_text()
     for text in (
         "% of the way from random actions to the expert. Random actions return -",
-        "All returns of this table are those of the first 4 of the starts above.",
+        "All returns here are those of the first 4 of the starts above.",
         "| line on 2 frames |",
         "**Warning:** ",
         "## What to try next",
