@@ -186,7 +186,7 @@ def test_a_dense_policy_is_imitated_to_the_end_and_the_report_tells_why(tmp_path
     report = result.report.read_text()
     for text in (
         "% of the way from random actions to the expert. Random actions return -",
-        "All returns here are those of the first 4 of the starts above.",
+        "All returns of this table are those of the first 4 of the starts above.",
         "| line on 2 frames |",
         "**Warning:** ",
         "## What to try next",
@@ -269,7 +269,7 @@ def test_environments_in_the_place_of_ids_are_refused():
 
 
 def test_an_interrupted_run_continues(tmp_path):
-    """SIGINT ends the program with one line; the same command goes on."""
+    """SIGINT ends the program with one line; the same command continues."""
     program = pathlib.Path(__file__).with_name("interrupted_imitation.py")
     command = [sys.executable, str(program), str(tmp_path / "run")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

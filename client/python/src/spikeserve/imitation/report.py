@@ -128,8 +128,13 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
     if comparison is None:
         return []
     episodes = max(len(figures.returns) for figures in result.baselines.values())
-    own = result.figures.of_the_first(episodes)
-    rows = [("the policy", f"{comparison.policy_error:.4f}", str(own))]
+    rows = [
+        (
+            "the policy",
+            f"{comparison.policy_error:.4f}",
+            str(result.figures.of_the_first(episodes)),
+        )
+    ]
     for baseline in comparison.baselines:
         figures = result.baselines[baseline.name]
         rows.append((baseline.name, f"{baseline.error:.4f}", str(figures)))
@@ -138,7 +143,8 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
         "",
         "Linear maps and perceptrons (two hidden layers of 64) that learned from the same data, on "
         f"the last 1, 2 or 4 observations. The error is the {comparison.error_is}, on held-out "
-        f"episodes. All returns here are those of the first {episodes} of the starts above.",
+        f"episodes. All returns of this table are those of the first {episodes} of the starts "
+        "above.",
         "",
         *_table(("", "error", "return"), rows),
         "",
@@ -148,7 +154,7 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
 
 
 def _errors(insight: Insight) -> list[str]:
-    """Returns the section that says where the errors are."""
+    """Returns the section that shows where the errors are."""
     lines = ["## Where the errors are", ""]
     if insight.floor is not None:
         lines += [
