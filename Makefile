@@ -11,7 +11,8 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats attacks chaos trace soak sanitize fuzz format clean \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats bench-parts attacks chaos trace soak \
+  sanitize fuzz format clean \
   setup configure
 
 # Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
@@ -97,6 +98,16 @@ bench-beats: build setup
 	PYTHONPATH=$(BUILD)/beats_client:$(BUILD)/python build/venv/bin/python loadtest/bench/beats_bench.py \
 	  --server=$(BIN)/spikeserve $(BEATS_FLAGS)
 
+# Measures parts that `make bench` does not: calls by thread, memory of connections, a neighbour during floods, and the engine in
+# Python. A few minutes.
+bench-parts: build setup
+	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
+	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
+	  build/venv/bin/python loadtest/bench/call_costs.py --server=$(BIN)/spikeserve
+	build/venv/bin/python loadtest/bench/connection_memory.py --server=$(BIN)/spikeserve
+	build/venv/bin/python loadtest/bench/flood_bench.py --bin=$(BIN)
+	PYTHONPATH=$(BUILD)/python build/venv/bin/python loadtest/bench/binding_bench.py --bin=$(BIN)
+
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
 attacks: build setup
@@ -106,7 +117,7 @@ attacks: build setup
 # answer with an undisturbed run. Needs root. CHAOS_FLAGS="--decisions=200" makes it shorter.
 chaos: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
-	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
 	  build/venv/bin/python -m tests.chaos $(CHAOS_FLAGS)
 
 # Shows one decision, from an agent in Python through nginx to Redis, as a collector of traces receives it; a few seconds.

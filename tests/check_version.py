@@ -1,4 +1,4 @@
-"""Checks that every place that names the version of the project names that of CMakeLists.txt.
+"""Checks that every place that names the version of the project names that of CMakeLists.txt, and that CHANGELOG.md has it.
 
 Programs, packages, wheels and the release's files take it from there. What cannot is listed here; after a change of the
 version "--write" changes those places, too.
@@ -36,6 +36,8 @@ PLACES = {
 def main():
     version = SOURCE.search((ROOT / "CMakeLists.txt").read_text())[1]
     complaints, count = [], 0
+    if f"\n## [{version}]" not in (ROOT / "CHANGELOG.md").read_text():
+        complaints.append(f"CHANGELOG.md: expected a section [{version}], received none")
     for name, patterns in PLACES.items():
         text = (ROOT / name).read_text()
         for pattern in patterns:

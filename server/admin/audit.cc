@@ -64,7 +64,7 @@ absl::Status Audit::RunAndRecord(const Method& method, const CallContext& contex
                       .request = MessageJson(request).dump()};
   // An agent's call changes nothing that is served.
   const bool changes = method.access == Access::kOperatorOnly;
-  entry.remembered = changes;
+  entry.is_operators = changes;
   if (changes) entry.before = StateOf(request);
   size_t reserved = kNamesBytes + kEscaped * (entry.request.size() + 2 * entry.before.size());
   if (auto room = log_->Reserve(reserved); !room.ok()) {
