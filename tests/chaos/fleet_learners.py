@@ -6,7 +6,7 @@ import contextlib
 import spikeserve
 from replicated import observation, reward
 
-from tests.chaos.workload import client_options
+from tests.chaos.workload import client_options, opened
 
 STEPS = 10  # decisions of an episode
 POLICY = {"policy": "cartpole", "version": 1}
@@ -42,7 +42,7 @@ class FleetLearners:
             await asyncio.gather(*(self._learn(client, i) for i in range(self._count)))
 
     async def _learn(self, client, i):
-        async with await client.open_session(POLICY["policy"], SESSION_OPTIONS) as session:
+        async with await opened(client, POLICY["policy"], SESSION_OPTIONS) as session:
             while not self._stopping.is_set():
                 for t in range(STEPS):
                     with self._divergence():

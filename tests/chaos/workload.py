@@ -19,6 +19,7 @@ KINDS = ("calls", "batches", "streams", *RAW_KINDS)
 EPISODE = 50  # decisions
 LEVELS = ("ASYNC", "SYNC")
 
+REFUSED_PAUSE, REFUSED_SECONDS = 0.2, 120.0
 UNDISTURBED_SECONDS = 60.0  # after which a client gives up a server that nothing disturbs
 
 
@@ -30,6 +31,18 @@ def client_options(timeout):
         connect_timeout=patience,
         retry=spikeserve.RetryOptions(max_elapsed=patience),
     )
+
+
+async def opened(client, policy, options, **placed):
+    """Opens a session. While Redis may evict, SYNC is refused, which loses nothing: it is asked for again, for a while."""
+    give_up = time.monotonic() + REFUSED_SECONDS
+    while True:
+        try:
+            return await client.open_session(policy, options, **placed)
+        except spikeserve.FailedPreconditionError:
+            if time.monotonic() > give_up:
+                raise
+        await asyncio.sleep(REFUSED_PAUSE)
 
 
 class Answered(typing.NamedTuple):
@@ -109,7 +122,7 @@ class Workload:
         return options_of(i, level)
 
     async def _open(self, client, group):
-        return {i: await client.open_session(policy_of(i), self._options(i)) for i in group}
+        return {i: await opened(client, policy_of(i), self._options(i)) for i in group}
 
     async def _play_calls(self, client, group):
         await asyncio.gather(*(self._play_one(client, i) for i in group))
@@ -144,7 +157,7 @@ class Workload:
         digests = {i: hashlib.sha256() for i in group}
         async with client.act_stream() as stream:
             opening = (
-                client.open_session(policy_of(i), self._options(i), route=stream.route)
+                opened(client, policy_of(i), self._options(i), route=stream.route)
                 for i in group
             )
             sessions = dict(zip(group, await asyncio.gather(*opening), strict=True))
