@@ -27,7 +27,9 @@ def test_the_reacher_is_trained_served_and_played_by_another_client(tmp_path):
     trained, mean_return = walk(tmp_path, SMALL)
     context = re.search(r"^chosen: context = (\d+): observations with which the expert's action", trained, re.MULTILINE)[1]
     assert "chosen: burst_rate = 0.3, longest_burst = 8: " in trained
-    assert "line on 2 frames: return -" in trained
+    assert "on the first 16 of these starts, with the error on held-out episodes:\n" in trained
+    for name in ("the policy", "line on 2 frames", "mlp on 4 frames"):
+        assert re.search(rf"^{name}: return -\S+ ± \S+, error \d\.\d{{4}}$", trained, re.MULTILINE)
     assert mean_return > -150  # without forces: -413
     report = (tmp_path / "reacher2d/report.md").read_text()
     assert f"- context = {context}: observations with which" in report

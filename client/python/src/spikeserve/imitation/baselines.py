@@ -54,6 +54,12 @@ class Comparison:
     warnings: list[str]
     baselines: list[Baseline]
 
+    @property
+    def errors(self) -> dict[str, float]:
+        """Returns the errors of the policy, as "the policy", and of the baselines."""
+        baselines = {baseline.name: baseline.error for baseline in self.baselines}
+        return {"the policy": self.policy_error} | baselines
+
     @classmethod
     def read(cls, path: pathlib.Path) -> Comparison:
         """Reads the file of `spiketrain compare --out`."""

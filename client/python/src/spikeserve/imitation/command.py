@@ -117,8 +117,12 @@ def _run(arguments: argparse.Namespace) -> int:
             continue
         spikes = f"{figures.spikes_per_decision:.0f} spikes a decision"
         print(f"{path}: return {figures}, {spikes}")
-    for name, figures in result.baselines.items():
-        print(f"{name}: return {figures}, over {len(figures.returns)} starts")
+    if result.baselines:
+        played = max(len(figures.returns) for figures in result.baselines.values())
+        same_starts = {"the policy": result.figures.of_the_first(played)} | result.baselines
+        print(f"on the first {played} of these starts, with the error on held-out episodes:")
+        for name, figures in same_starts.items():
+            print(f"{name}: return {figures}, error {result.errors[name]:.4f}")
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(result.report)

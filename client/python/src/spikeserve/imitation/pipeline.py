@@ -52,6 +52,7 @@ class ImitationResult:
     baselines: dict[str, Figures]  # of lines and perceptrons that learned from the same data
     warnings: list[str]  # one for each baseline that is better than the policy
     expert_figures: Figures
+    errors: dict[str, float]  # on held-out episodes, of "the policy" and of the baselines
 
 
 @dataclass(frozen=True)
@@ -322,7 +323,8 @@ class _Run:
             quantized = self._trainer.quantize(first, stage)
             second, second_figures = self._publish_version(2, quantized)
         insight, baselines = self._explain(first, first_figures)
-        compared = insight.comparison.warnings if insight.comparison else []
+        comparison = insight.comparison
+        compared = comparison.warnings if comparison else []
         result = ImitationResult(
             baselines=baselines,
             warnings=[*compared, *return_warnings(first_figures, baselines)],
@@ -335,6 +337,7 @@ class _Run:
             expert_figures=self._expert_figures(
                 FIRST_UNSEEN_SEED, self._options.episodes, "expert-unseen"
             ),
+            errors=comparison.errors if comparison else {},
         )
         stages = {stage.name: stage.figures for stage in self._stages}
         name = self._factory.policy_name

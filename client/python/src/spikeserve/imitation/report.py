@@ -128,13 +128,8 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
     if comparison is None:
         return []
     episodes = max(len(figures.returns) for figures in result.baselines.values())
-    rows = [
-        (
-            "the policy",
-            f"{comparison.policy_error:.4f}",
-            str(result.figures.of_the_first(episodes)),
-        )
-    ]
+    own = result.figures.of_the_first(episodes)
+    rows = [("the policy", f"{comparison.policy_error:.4f}", str(own))]
     for baseline in comparison.baselines:
         figures = result.baselines[baseline.name]
         rows.append((baseline.name, f"{baseline.error:.4f}", str(figures)))
