@@ -82,7 +82,7 @@ train: build
 bench: build setup
 	loadtest/bench/setup.sh $(BUILD)/bench_venv
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
-	  --json=$(BUILD)/bench.json --markdown=docs/performance.md $(BENCH_FLAGS)
+	  --json=$(BUILD)/bench.json --markdown=docs/evidence/performance.md $(BENCH_FLAGS)
 
 # Counts the beats of a robot without a fresh action over links with delay, loss and cuts, in about twelve minutes.
 # BEATS_FLAGS="--seconds=60" makes the runs longer.

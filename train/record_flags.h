@@ -11,7 +11,7 @@
 
 namespace spikeserve {
 
-inline constexpr char kEnvironmentHelp[] = "Environment, see docs/training.md";
+inline constexpr char kEnvironmentHelp[] = "Environment, see docs/guides/training.md";
 
 struct RecordFlags {
   RecordOptions options;  // without the student

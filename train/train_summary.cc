@@ -49,8 +49,8 @@ std::string HowToPlay(const Policy& policy) {
       policy.environment.empty() ? "the environment" : policy.environment;
   return absl::StrCat(
       "closed-loop play: skipped, because spiketrain does not have ", environment,
-      ". Serve the policy (docs/policies.md) and play it with your own environment and "
-      "spikeserve.evaluate of the Python client (docs/python.md)\n");
+      ". Serve the policy (docs/guides/policies.md) and play it with your own environment and "
+      "spikeserve.evaluate of the Python client (docs/start/python.md)\n");
 }
 
 }  // namespace

@@ -2,8 +2,8 @@
 //
 // Estimates, never measurements. The models answer different questions, so figures of different
 // models are never added or sorted together. Each model names what it counts, what it leaves out
-// and to which policies it applies; docs/energy.md, `spikectl` and the status page show these
-// texts. All functions are pure and thread-safe. Example:
+// and to which policies it applies; docs/reference/energy.md, `spikectl` and the status page show
+// these texts. All functions are pure and thread-safe. Example:
 //
 //   const auto joules = EstimateEnergy(EnergyModel::kLoihi2018, output.counts, policy.config);
 //   if (joules.has_value()) ...  // the model applies to this policy

@@ -1,4 +1,4 @@
-"""A hook of MkDocs: README.md becomes the first page, and files outside docs/ to which pages link come along.
+"""A hook of MkDocs: README.md becomes a page, and files outside docs/ to which pages link come along.
 
 A link to such a file leads to its copy below source/ of the site, so that the site has no broken link wherever it is
 served. Links to folders become text.
@@ -10,7 +10,7 @@ import re
 from mkdocs.structure.files import File
 
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
-HOME = "index.md"
+PROJECT = "project.md"
 
 
 def _root(config):
@@ -19,12 +19,14 @@ def _root(config):
 
 def _in_repository(page, target):
     """Returns the path from the root of the repository to which a relative link of a page leads."""
-    folder = "" if page == HOME else posixpath.join("docs", posixpath.dirname(page))
+    folder = "" if page == PROJECT else posixpath.join("docs", posixpath.dirname(page))
     return posixpath.normpath(posixpath.join(folder, target))
 
 
 def _copy_of(path):
     """Returns where the site has a file of the repository. MkDocs would make a page of a name that ends in .md."""
+    if path == "README.md":
+        return PROJECT
     return f"source/{path}.txt" if path.endswith(".md") else f"source/{path}"
 
 
@@ -33,7 +35,7 @@ def _is_local(target):
 
 
 def _text(page, config):
-    if page == HOME:
+    if page == PROJECT:
         with open(posixpath.join(_root(config), "README.md"), encoding="utf-8") as file:
             return file.read()
     with open(posixpath.join(config.docs_dir, page), encoding="utf-8") as file:
@@ -41,8 +43,8 @@ def _text(page, config):
 
 
 def on_files(files, config):
-    """Adds the first page, and the files outside docs/ that pages link to."""
-    files.append(File.generated(config, HOME, content=_text(HOME, config)))
+    """Adds the page of README.md, and the files outside docs/ that pages link to."""
+    files.append(File.generated(config, PROJECT, content=_text(PROJECT, config)))
     pages = [file.src_uri for file in files.documentation_pages()]
     for page in pages:
         for _, _, target in LINK.findall(_text(page, config)):

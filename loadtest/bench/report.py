@@ -153,8 +153,8 @@ def engine_section(engine):
     ]
     header = ["contestant", "decisions/s", "µs a decision", "spikes a decision", "silent spikeserve is faster by"]
     text = "\nBoth cached dense models have the same weights. The benchmark stops unless their answers equal those of the "
-    text += "engine in dense mode. [docs/architecture.md](architecture.md#what-bounds-a-decision) explains what limits this "
-    text += "engine.\n"
+    text += "engine in dense mode. [architecture.md](../design/architecture.md#what-bounds-a-decision) explains what limits "
+    text += "this engine.\n"
     return "## Engine, one core\n\n" + table(header, rows) + text
 
 
@@ -346,7 +346,7 @@ def to_markdown(result):
     text += f"before the run {machine['load_before']:.2f}. Each of {result['rounds']} rounds measures every contestant for "
     text += f"{result['seconds']:g} s. The figures are medians over the rounds. The run took "
     text += f"{result['duration_seconds'] / 60:.1f} minutes. The figures of engines use processor time. "
-    text += "No arm64 processor was timed: [docs/robots.md](robots.md#instructions) counts instructions there.\n\n"
+    text += "No arm64 processor was timed: [robots.md](../guides/robots.md#instructions) counts instructions there.\n\n"
     sections = [
         (engine_section, ["engine"]),
         (server_section, ["server"]),

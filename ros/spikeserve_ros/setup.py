@@ -12,7 +12,7 @@ setup(
         (f"share/{NAME}/launch", ["launch/spikeserve.launch.py"]),
         (f"share/{NAME}/config", ["config/cartpole.yaml", "config/cartpole_joints.yaml"]),
     ],
-    # The client `spikeserve` is a wheel of the same release: docs/ros.md.
+    # The client `spikeserve` is a wheel of the same release: docs/guides/ros.md.
     install_requires=["setuptools", "PyYAML"],
     license="Apache-2.0",
     entry_points={"console_scripts": [f"node = {NAME}.node:main"]},

@@ -81,10 +81,9 @@ Metrics::Metrics()
                    "layer_norm_element, softmax_term, gate_product.")),
       energy_(Register(BuildCounter(), "spikeserve_energy_joules_total",
                        "Energy, estimated from counted events, not measured. The models are "
-                       "alternatives: do not "
-                       "add them. docs/energy.md says what each counts and leaves out. A policy to "
-                       "which a model "
-                       "does not apply has no series under it.")),
+                       "alternatives: do not add them. docs/reference/energy.md lists what each "
+                       "counts and leaves out. A policy to which a model does not apply has no "
+                       "series under it.")),
       decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
                                   "Time to compute one decision, without network and queueing.")),
       sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),

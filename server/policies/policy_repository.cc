@@ -96,7 +96,7 @@ std::string ExplainNoPolicies(const std::string& directory,
   const fs::path path = fs::absolute(directory).lexically_normal();
   // A path that ends with a slash has an empty last element.
   const fs::path folder = path.has_filename() ? path : path.parent_path();
-  std::string reason = "the directory has no policies; copy or train one (docs/policies.md)";
+  std::string reason = "the directory has no policies; copy or train one (docs/guides/policies.md)";
   if (HasPolicyFile(folder)) {
     reason = UseInstead("the folder of one version", folder.parent_path().parent_path());
   } else if (HasVersions(folder)) {

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Installs snnTorch, NeuroBench and NIR for the tests of docs/chips.md, in an environment that uses Debian's PyTorch. Does
-# nothing if they are there already.
+# Installs snnTorch, NeuroBench and NIR for the tests of docs/design/chips.md, in an environment that uses Debian's PyTorch.
+# Does nothing if they are there already.
 #
 # usage: tests/chips/install.sh BUILD_DIR
 set -euo pipefail

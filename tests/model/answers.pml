@@ -1,5 +1,5 @@
 /* Models which copy of a session answers a request: ends of episodes, requests without `decision`, retries and hedged
- * requests without affinity, over two replicas with one store (docs/fleet.md).
+ * requests without affinity, over two replicas with one store (docs/guides/fleet.md).
  *
  * A session is a sequence of events: two decisions, the end of the episode, two decisions, and so on. A copy of it is how
  * many of them a replica has seen. The client sends the next event to any replica, and the last one again.

@@ -1,4 +1,4 @@
-/* Models how replicas claim a session and append its decisions (docs/fleet.md), with durability SYNC.
+/* Models how replicas claim a session and append its decisions (docs/guides/fleet.md), with durability SYNC.
  *
  * One client plays a session on several replicas. It may send a request to any of them, at any time and repeatedly,
  * as a client does that waits no longer. Replicas are slow at any point, which is how a stopped process looks from

@@ -1,5 +1,5 @@
 /* Models the log of a shared head: contributions of sessions, markers that say which are in, replicas that fold the log,
- * and a Redis that loses markers or its last writes (docs/fleet.md).
+ * and a Redis that loses markers or its last writes (docs/guides/fleet.md).
  *
  * Each contribution may be appended by any replica and repeatedly, as by the one that takes a session over.
  *

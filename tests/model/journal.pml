@@ -1,5 +1,5 @@
 /* Models what Redis holds of one session: a hash and a list as two keys, each command by itself, and what happens when
- * Redis refuses memory, loses its last writes, or removes a key (docs/fleet.md). Durability SYNC.
+ * Redis refuses memory, loses its last writes, or removes a key (docs/guides/fleet.md). Durability SYNC.
  *
  * One replica owns the session and decides. Another one may claim it at any time, which ends the first one's ownership.
  * The client goes on at either, and sends its last requests again where a replica expects an older decision.

@@ -15,9 +15,15 @@ PAGES_HTTP_PORT = "9464"
 PAGES_HTTP = f"127.0.0.1:{PAGES_HTTP_PORT}"
 
 
+def page_of(name):
+    """Returns the path of the page of docs/ with that name, on whatever shelf it stands."""
+    (path,) = DOCS.rglob(name)
+    return path
+
+
 def python_blocks(page):
-    """Returns the Python blocks of docs/<page>: (name of the file that the text before it names, or None; text)."""
-    text = (DOCS / page).read_text()
+    """Returns the Python blocks of a page: (name of the file that the text before it names, or None; text)."""
+    text = page_of(page).read_text()
     blocks, end = [], 0
     for block in re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         named = re.findall(r"^`(\w+\.py)`|\s`(\w+\.py)` (?:is|stands|writes)", text[end : block.start()], re.MULTILINE)
@@ -28,16 +34,16 @@ def python_blocks(page):
 
 
 def files_of(page):
-    """Returns the files that docs/<page> prints, by name."""
+    """Returns the files that a page prints, by name."""
     return {name: text for name, text in python_blocks(page) if name}
 
 
 def run_examples(page, address, http=PAGES_HTTP):
-    """Runs every Python example of docs/<page> that is not a file, in order.
+    """Runs every Python example of a page that is not a file, in order.
 
     The server is at `address` for gRPC, and at `http`.
     """
-    path = DOCS / page
+    path = page_of(page)
     examples = [text for name, text in python_blocks(page) if name is None]
     assert examples
     names = {}
@@ -89,11 +95,11 @@ class Shell:
         return self._addresses.get(PAGES_GRPC_PORT)
 
     def run(self, page, edits=()):
-        """Runs every `bash` block of docs/<page>, in order, and yields the output of each.
+        """Runs every `bash` block of a page, in order, and yields the output of each.
 
         `edits` are pairs of a text of the page and its replacement.
         """
-        blocks = re.findall(r"^```bash\n(.*?)^```$", (DOCS / page).read_text(), re.MULTILINE | re.DOTALL)
+        blocks = re.findall(r"^```bash\n(.*?)^```$", page_of(page).read_text(), re.MULTILINE | re.DOTALL)
         assert blocks
         for block in blocks:
             for text, replacement in edits:

@@ -1,4 +1,4 @@
-"""Sessions go on from a backup of a file store or of Redis, made while a server uses it (docs/upgrades.md)."""
+"""Sessions go on from a backup of a file store or of Redis, made while a server uses it (docs/guides/upgrades.md)."""
 
 import shutil
 import subprocess

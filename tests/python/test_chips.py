@@ -12,7 +12,7 @@ import subprocess
 import numpy as np
 import pytest
 import spikeserve
-from documentation import DOCS
+from documentation import page_of
 from integer_policy import IntegerPolicy
 from policy_file import read_policy
 from serving import SHIPPED_POLICIES, running_server
@@ -165,7 +165,7 @@ def test_the_sparsities_and_the_footprint_are_those_of_the_file(played, simulate
 
 def test_the_examples_of_the_page_print_its_table(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(SIMULATE.parents[2])
-    page = (DOCS / "chips.md").read_text()
+    page = page_of("chips.md").read_text()
     names = {}
     for example in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
         exec(example.replace("/tmp/cartpole-nir", str(tmp_path / "nir")), names)

@@ -6,7 +6,7 @@ import urllib.request
 import gymnasium
 import grpc
 import pytest
-from documentation import DOCS
+from documentation import page_of
 from random_policy import export_random
 from serving import Service, running_server
 
@@ -89,7 +89,7 @@ def test_membranes_depend_on_the_sizes_only(stats):
 def test_the_page_of_the_documentation_is_that_of_the_program(addresses):
     models = status(addresses)["energy_models"]
     assert [model["name"] for model in models if model["default"]] == ["horowitz_45nm"]
-    table = (DOCS / "energy.md").read_text().split("<!-- energy models -->\n")[1].split("<!--")[0]
+    table = page_of("energy.md").read_text().split("<!-- energy models -->\n")[1].split("<!--")[0]
     _, _, *rows = table.splitlines()
     assert rows == [
         f"| `{model['name']}` | " + " | ".join(model[key] for key in ("counts", "leaves_out", "applies_to", "source")) + " |"

@@ -81,7 +81,7 @@ def test_an_environment_with_small_images(tmp_path):
 
 @pytest.mark.parametrize(("mode", "least"), [("dense", -16), ("full", -18)])
 def test_a_reacher_with_hidden_velocity(tmp_path, mode, least):
-    """As docs/imitation.md prints it. The expert returns -13, random actions -710, a policy without observed changes -94."""
+    """As docs/guides prints it. The expert returns -13, random actions -710, a policy without observed changes -94."""
     _, mean_return = walk(tmp_path, f"--mode={mode}")
     assert mean_return >= least
     metadata = json.loads((tmp_path / "reacher2d/metadata.json").read_text())

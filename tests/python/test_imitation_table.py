@@ -1,4 +1,4 @@
-"""The rows of the table of docs/imitation.md, in a small form: every environment is imitated to the end.
+"""The rows of the table of docs/guides/imitation.md, in a small form: every environment is imitated to the end.
 
 With SPIKESERVE_WHOLE_TABLE each row runs as it is printed, which takes hours, and has to reach what the table says.
 """
@@ -12,7 +12,7 @@ import sys
 
 import pytest
 import spikeserve
-from documentation import DOCS
+from documentation import DOCS, page_of
 from serving import running_server
 from spikeserve.imitation import pipeline
 from spikeserve.imitation.options import ImitationOptions
@@ -21,7 +21,7 @@ sys.path.insert(0, str(DOCS.parent / "train/recipes"))  # the experts
 
 SPIKETRAIN = os.environ["SPIKETRAIN"]
 WHOLE = "SPIKESERVE_WHOLE_TABLE" in os.environ
-ROWS = re.findall(r"^\| `(\S+)` \| `(\S+)` \|", (DOCS / "imitation.md").read_text(), re.MULTILINE)
+ROWS = re.findall(r"^\| `(\S+)` \| `(\S+)` \|", page_of("imitation.md").read_text(), re.MULTILINE)
 MODES = ("baseline", "dense")
 SMALL = ImitationOptions(
     environments=4,

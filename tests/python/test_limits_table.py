@@ -1,4 +1,4 @@
-"""Every limit in docs/limits.md names tests that exist."""
+"""Every limit in docs/reference/limits.md names tests that exist."""
 
 import pathlib
 import re
@@ -6,7 +6,7 @@ import re
 import pytest
 
 ROOT = pathlib.Path(__file__).parents[2]
-ROWS = [line for line in (ROOT / "docs/limits.md").read_text().splitlines() if line.startswith("| ")][2:]
+ROWS = [line for line in (ROOT / "docs/reference/limits.md").read_text().splitlines() if line.startswith("| ")][2:]
 
 
 def names_of(row):

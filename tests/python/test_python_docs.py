@@ -1,16 +1,16 @@
-"""Runs every Python example of docs/python.md and docs/imitation.md, in order."""
+"""Runs every Python example of docs/start/python.md and docs/guides/imitation.md, in order."""
 
 import re
 
 import numpy as np
 import spikeserve
-from documentation import DOCS, run_examples
+from documentation import page_of, run_examples
 from serving import DEPLOY, running_server
 
 
 def outputs_of(page):
     """Returns the blocks without a language that follow a Python block at once: what the example prints."""
-    return re.findall(r"^```python\n[^`]*^```\n\n```\n([^`]*)^```$", (DOCS / page).read_text(), re.MULTILINE)
+    return re.findall(r"^```python\n[^`]*^```\n\n```\n([^`]*)^```$", page_of(page).read_text(), re.MULTILINE)
 
 
 def one_line(text):

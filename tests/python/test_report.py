@@ -13,7 +13,7 @@ from PIL import Image, ImageChops
 
 ROOT = pathlib.Path(__file__).parents[2]
 PLOT = ROOT / "train/report/plot.py"
-COMMITTED = ROOT / "docs/report"
+COMMITTED = ROOT / "docs/evidence/report"
 FIGURES = {"gates", "losses", "membrane", "phase_spikes", "phases", "spikes_by_stage", "spikes_per_decision"}
 
 
@@ -74,7 +74,7 @@ def test_the_committed_figures_are_those_of_the_committed_data(tmp_path):
     drawn = {path.name for path in tmp_path.glob("*.png")}
     assert {path.name for path in COMMITTED.glob("*.png")} == linked_images(COMMITTED) == drawn
     for name in drawn:
-        assert same_pixels(COMMITTED / name, tmp_path / name), f"{name}: run python train/report/plot.py docs/report"
+        assert same_pixels(COMMITTED / name, tmp_path / name), f"{name}: run python train/report/plot.py {COMMITTED}"
 
 
 def same_pixels(a, b):

@@ -76,7 +76,7 @@ def test_a_broken_link_fails_the_build(tmp_path):
         (tmp_path / name).write_text((ROOT / name).read_text())
     for name in ("docs", "deploy"):
         subprocess.run(["cp", "-r", ROOT / name, tmp_path / name], check=True)
-    page = tmp_path / "docs/site.md"
+    page = tmp_path / "docs/guides/site.md"
     page.write_text(page.read_text() + "\n[nothing](nothing.md)\n")
     finished = build(tmp_path / "site", tmp_path / "mkdocs.yml")
     assert finished.returncode != 0

@@ -15,6 +15,7 @@ import urllib.request
 import grpc
 import pytest
 
+from documentation import page_of
 from redis_servers import Redis, stopping
 from security import ADMIN, POLICY
 from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, Service, running_server
@@ -382,14 +383,14 @@ def test_what_an_alert_reads_is_exported(prometheus, scraped):
 
 
 def test_every_alert_is_explained_and_tested(prometheus):
-    page = (DEPLOY.parent / "docs" / "watching.md").read_text()
+    page = page_of("watching.md").read_text()
     tests = (DEPLOY / "prometheus" / "alerts_test.yml").read_text()
     for rule in prometheus.rules():
         if rule["type"] == "alerting":
             assert f"`{rule['name']}`" in page
             assert f'alertname="{rule["name"]}"' in tests
     for panel in PANELS:
-        assert panel["title"] in page, f"docs/watching.md does not describe panel {panel['title']}"
+        assert panel["title"] in page, f"docs/guides/watching.md does not describe panel {panel['title']}"
 
 
 def test_the_server_is_up(prometheus):

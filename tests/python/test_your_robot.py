@@ -1,4 +1,4 @@
-"""Runs every file and every command of docs/your-robot.md, in order, as a reader does, with the robot far away."""
+"""Runs every file and command of docs/start/your-robot.md, in order, as a reader does, with the robot far away."""
 
 import os
 import re

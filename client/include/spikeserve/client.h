@@ -8,8 +8,8 @@
 // For one session, RemoteSession (remote_session.h) is simpler: it keeps count of the steps.
 //
 // Several addresses, separated by commas, are those of servers that share their sessions in one
-// store (docs/fleet.md). Each session prefers one of them, the same one in all clients, and its
-// calls go to another one while that one is away.
+// store (docs/guides/fleet.md). Each session prefers one of them, the same one in all clients, and
+// its calls go to another one while that one does not answer.
 //
 // Thread-safe.
 #ifndef SPIKESERVE_CLIENT_H_

@@ -4,7 +4,7 @@ import {NOTHING, count, element, fixed, percent, policyLink, si} from './format.
 import {stateOf} from './policies.js';
 
 const SURE = 2;  // standard errors: a difference that chance makes in one of twenty comparisons
-const SLOWER = 1.25;  // the factor that docs/policies.md advises for --abort_if=p99
+const SLOWER = 1.25;  // the factor that docs/guides/policies.md advises for --abort_if=p99
 
 /** Returns {episodes, mean, deviation, failed, p99} of the evidence about one version in a roll-out. */
 function ofEvidence(evidence) {

@@ -22,7 +22,8 @@ class Client(Connection):
 
     Without `server`, the environment variable SPIKESERVE_SERVER or else 127.0.0.1:50051. Several
     addresses, separated by commas, are those of servers that share their sessions in one store
-    (docs/fleet.md): each session prefers one of them, and goes to another one while it is away.
+    (docs/guides/fleet.md): each session prefers one of them, and goes to another one while that one
+    does not answer.
 
     The first call connects, and a call after a broken connection connects again. A call that fails
     raises SpikeserveError (spikeserve.errors) with the message of the server. Before that, a call

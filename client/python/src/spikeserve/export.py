@@ -9,7 +9,7 @@
 With `ModelConfig(arithmetic="int8")` the spike-driven weights are 8-bit integers; `quantize` of
 `spikeserve.integer_weights` rounds float32 weights to such tensors.
 
-`to_nir` writes the spiking populations of a policy file in NIR (docs/chips.md).
+`to_nir` writes the spiking populations of a policy file in NIR (docs/design/chips.md).
 
 The exporter checks everything that the server checks, before it writes anything. It needs the
 package `safetensors` (`spikeserve[export]`), and neither PyTorch nor a server.

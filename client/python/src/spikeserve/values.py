@@ -93,8 +93,8 @@ class SessionOptions:
     # The head to start from: W - W_base as Session.state and AdminClient.get_head return it. None:
     # the head of the policy.
     head_delta: ArrayLike | None = None
-    # NONE: the session ends with its server. ASYNC, SYNC: it outlives it (docs/fleet.md). "": the
-    # default of the server.
+    # NONE: the session ends with its server. ASYNC, SYNC: it outlives it (docs/guides/fleet.md).
+    # "": the default of the server.
     durability: str = ""
 
     def to_wire(self, policy: str) -> Message:

@@ -35,7 +35,7 @@ class Episode:
     labels: NDArray[Any] | None = None  # actions to imitate, like `actions`; None: the actions
     weights: NDArray[np.float32] | None = None  # [T], of the labels in the loss; None: all 1
     asked_return: float | None = None  # return that the actor was asked to reach
-    # What a server added to its recording: the fields of `served` in docs/recording.md.
+    # What a server added to its recording: the fields of `served` in docs/guides/recording.md.
     served: Mapping[str, Any] | None = None
 
     @property

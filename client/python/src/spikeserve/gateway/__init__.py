@@ -2,5 +2,5 @@
 
     python -m spikeserve.gateway --openpi --policy=cartpole --mapping=mapping.json
 
-docs/openpi.md describes the protocol and the mapping file. Needs the extra `[gateway]`.
+docs/guides/openpi.md describes the protocol and the mapping file. Needs the extra `[gateway]`.
 """

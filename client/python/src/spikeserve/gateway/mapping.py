@@ -123,7 +123,7 @@ def _number(observation: Mapping[Any, Any], key: str) -> float:
 
 
 def load_mapping(path: pathlib.Path) -> ObservationMapping:
-    """Reads a mapping file (docs/openpi.md). ValueError, which names file and field."""
+    """Reads a mapping file (docs/guides/openpi.md). ValueError, which names file and field."""
     try:
         value = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
