@@ -193,9 +193,8 @@ absl::Status Trainer::ReadValidation() {
   if (!has_validation() || !validation_.empty()) return absl::OkStatus();
   std::vector<Clips> read;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
-    absl::StatusOr<Clips> clips =
-        ReadClips(source_, split_.validation, clip_steps_, ValidationKey(i), options_.batch,
-                  options_.delay);
+    absl::StatusOr<Clips> clips = ReadClips(source_, split_.validation, clip_steps_,
+                                            ValidationKey(i), options_.batch, options_.delay);
     if (!clips.ok()) return clips.status();
     read.push_back(*std::move(clips));
   }

@@ -178,7 +178,7 @@ class DelayedStudentActor(StudentActor):
         self._delayed = Delayed()
 
     def choose(self, rows: list[Row]) -> list[Choice]:
-        """Returns the actions that arrive, with the expert's action in the present state as label."""
+        """Returns the actions that arrive; the labels are the expert's in the present states."""
         return [self._arriving(row) for row in rows]
 
     def _arriving(self, row: Row) -> Choice:

@@ -61,8 +61,11 @@ class Delays:
         return self.least + episode_seed % (self.most - self.least + 1)
 
 
+AT_ONCE = Delays()
+
+
 def label_after(episode: Episode, delay: int) -> Episode | None:
-    """Returns the episode with the label of beat t + delay at beat t, or None if it has no such beat.
+    """Returns the episode with the label of beat t + delay at beat t; None if it is too short.
 
     What is decided in the last `delay` beats is never executed, so these beats have weight 0.
     """

@@ -10,7 +10,7 @@ import numpy as np
 
 from spikeserve.engine import Engine
 from spikeserve.imitation.actors import DelayedStudentActor, RandomActor, StudentActor
-from spikeserve.imitation.delays import Delays
+from spikeserve.imitation.delays import AT_ONCE, Delays
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Actor, Episode, play
 from spikeserve.imitation.progress import progress_bar
@@ -83,7 +83,7 @@ class Evaluator:
 
     factory: EnvironmentFactory
     environments: int
-    delays: Delays = Delays()
+    delays: Delays = AT_ONCE
 
     def evaluate(self, actor: Actor, first_seed: int, episodes: int, title: str) -> Figures:
         """Plays `episodes` starts from `first_seed` on."""

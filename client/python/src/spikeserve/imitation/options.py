@@ -52,7 +52,7 @@ class ImitationOptions:
     seed: int = _setting(0, "seed of every random draw")
     environments: int = _setting(16, "environments that are played at the same time")
     max_episode_steps: int | None = _setting(None, "longest episode; default: the environment's")
-    delay: Any = _setting(
+    delay: str | int | tuple[int, int] = _setting(
         0,
         "beats between an observation and the effect of its decision: a number like 3, or a range "
         "like 0..5, from which each episode draws one",

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import safetensors
 
-from spikeserve.imitation.delays import Delays
+from spikeserve.imitation.delays import AT_ONCE, Delays
 from spikeserve.imitation.figures import Figures
 from spikeserve.imitation.insight import Insight
 from spikeserve.imitation.journal import Journal
@@ -43,7 +43,7 @@ class Account:
     name: str  # of the policy
     chosen: str  # the stage whose policy it is
     stages: dict[str, Figures]
-    delays: Delays = Delays()
+    delays: Delays = AT_ONCE
 
 
 def write_report(path: pathlib.Path, account: Account, result: _Result, insight: Insight) -> None:
