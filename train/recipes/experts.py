@@ -129,9 +129,3 @@ def pendulum_table():
     """Reads the values, [angles, speeds]."""
     path = os.path.join(os.environ["SPIKETRAIN_TABLES"], "pendulum_cautious.safetensors")
     return safetensors.numpy.load_file(path)["values"]
-
-
-def balance(observation):
-    """The expert of CartPole-v1: a line through position, angle and their speeds."""
-    position, speed, angle, angular_speed = observation
-    return int(0.1 * position + 0.3 * speed + 3 * angle + angular_speed > 0)
