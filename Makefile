@@ -11,10 +11,11 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site train bench bench-beats attacks chaos soak sanitize fuzz format clean \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats bench-parts attacks chaos trace soak \
+  sanitize fuzz format clean \
   setup configure
 
-# Installs and builds only the server and spikectl. A build folder that is configured already keeps its other targets.
+# Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
 demo: export NINJA_STATUS = demo: 2/3 compiling, %f of %t files after %e s: $(EMPTY)
 demo:
 	@echo "demo: 1/3 installing the packages of the server, 1 to 2 minutes the first time"
@@ -23,7 +24,7 @@ demo:
 	@test -e $(BUILD)/build.ninja || cmake --preset $(PRESET) --log-level=WARNING -DSPIKESERVE_BUILD_TESTS=OFF \
 	  -DSPIKESERVE_BUILD_TRAIN=OFF -DSPIKESERVE_BUILD_PYTHON=OFF
 	@cmake --build $(BUILD) --target spikeserve spikectl
-	@echo "demo: 3/3 playing 20 episodes, a few seconds"
+	@echo "demo: 3/3 $(if $(PLAY),playing until Ctrl-C,playing 20 episodes: a few seconds)"
 	@deploy/demo.sh $(BIN)
 
 test: build setup
@@ -40,7 +41,7 @@ test-arm64: setup
 	deploy/arm64_root.sh
 	cmake --preset arm64 $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build build/arm64
-	tests/arm64/emulate.sh ctest --preset arm64
+	python3 tests/arm64/suite.py
 	python3 tests/arm64/packages.py
 	cmake --preset release --log-level=WARNING
 	cmake --build build/release --target spikeserve_python_engine_stub
@@ -70,6 +71,11 @@ site:
 	$(SETUP) release
 	build/release-tools/venv/bin/mkdocs build --strict --quiet
 
+# Writes the generated pages of docs/reference.
+reference: configure
+	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain
+	/usr/bin/python3 deploy/release/reference.py $(BIN) docs/reference
+
 build: configure
 	cmake --build $(BUILD)
 
@@ -92,6 +98,16 @@ bench-beats: build setup
 	PYTHONPATH=$(BUILD)/beats_client:$(BUILD)/python build/venv/bin/python loadtest/bench/beats_bench.py \
 	  --server=$(BIN)/spikeserve $(BEATS_FLAGS)
 
+# Measures parts that `make bench` does not: calls by thread, memory of connections, a neighbour during floods, and the engine in
+# Python. A few minutes.
+bench-parts: build setup
+	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
+	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
+	  build/venv/bin/python loadtest/bench/call_costs.py --server=$(BIN)/spikeserve
+	build/venv/bin/python loadtest/bench/connection_memory.py --server=$(BIN)/spikeserve
+	build/venv/bin/python loadtest/bench/flood_bench.py --bin=$(BIN)
+	PYTHONPATH=$(BUILD)/python build/venv/bin/python loadtest/bench/binding_bench.py --bin=$(BIN)
+
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
 attacks: build setup
@@ -101,8 +117,14 @@ attacks: build setup
 # answer with an undisturbed run. Needs root. CHAOS_FLAGS="--decisions=200" makes it shorter.
 chaos: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
-	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
 	  build/venv/bin/python -m tests.chaos $(CHAOS_FLAGS)
+
+# Shows one decision, from an agent in Python through nginx to Redis, as a collector of traces receives it; a few seconds.
+trace: build setup
+	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(echo $(BUILD)/tests/python_client-*) \
+	  build/venv/bin/python -m tests.tracing
 
 # Does all kinds of work for hours and prints what the server holds after each minute of it. Fails if memory grows by more
 # than 1 MB a million decisions, or descriptors or threads grow. SOAK_SECONDS=1800 makes it shorter.

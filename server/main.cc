@@ -226,6 +226,13 @@ int main(int argc, char** argv) {
   for (const char* of_clients : {"SPIKESERVE_TOKEN", "SPIKESERVE_SERVER"}) {
     program.AllowVariable(of_clients);
   }
-  program.root().SetAction([&options] { return spikeserve::Serve(options); });
+  program.root().SetAction([&options] {
+    auto trace = spikeserve::ReadTraceOptions(
+        // NOLINTNEXTLINE(concurrency-mt-unsafe): nothing changes the environment.
+        [](const std::string& name) { return std::getenv(name.c_str()); });
+    if (!trace.ok()) return trace.status();
+    options.trace = *std::move(trace);
+    return spikeserve::Serve(options);
+  });
   return program.Run(argc, argv);
 }

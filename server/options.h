@@ -13,6 +13,7 @@
 #include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"
 #include "server/store/store_options.h"
+#include "server/trace/trace_options.h"
 #include "server/transport/limits.h"
 
 namespace spikeserve {
@@ -52,6 +53,8 @@ struct ServerOptions {
   std::string tokens;  // file of bearer tokens, see token_file.h; empty: any caller may do anything
   bool share_heads_across_tenants = false;  // the fleet sessions of all tenants learn one head
   bool insecure_network = false;            // serve other machines without TLS or without tokens
+
+  TraceOptions trace;  // where traces go; by default nowhere
 
   LogFormat log_format = LogFormat::kText;  // of the lines on standard error
 

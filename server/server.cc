@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
@@ -16,7 +17,6 @@
 #include "server/certificate_metrics.h"
 #include "server/metrics/robot_metrics.h"
 #include "server/rollouts/traffic_metrics.h"
-#include "server/services/service_name.h"
 #include "server/store/open_store.h"
 #include "server/transport/connection_metrics.h"
 
@@ -82,9 +82,20 @@ absl::Status CheckServesPolicies(const ServerOptions& options, PolicyRegistry& r
       absl::StrCat("--policies: ", ExplainNoPolicies(options.policies, report.refused)));
 }
 
+// Returns null if nothing is to be traced.
+absl::StatusOr<std::unique_ptr<Tracer>> StartTracing(const ServerOptions& options,
+                                                     prometheus::Registry* registry) {
+  if (!options.trace.enabled()) return nullptr;
+  TraceOptions trace = options.trace;
+  const std::string& store = options.store.address;
+  if (absl::StartsWith(store, "redis")) trace.store_system = "redis";
+  if (absl::StartsWith(store, "file:")) trace.store_system = "lmdb";
+  return Tracer::Create(trace, registry);
+}
+
 absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions& options,
                                                              const OpenedStore& store,
-                                                             Metrics* metrics,
+                                                             Metrics* metrics, Tracer* tracer,
                                                              ReloadReport* report) {
   std::shared_ptr<const PolicySignatures> signatures;
   if (!options.trusted_keys.empty()) {
@@ -100,7 +111,8 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
        .withhold_files = options.withhold_policies,
        .shared = store.shared.get(),
        .head_logs = store.heads.get(),
-       .signatures = std::move(signatures)},
+       .signatures = std::move(signatures),
+       .tracer = tracer},
       [metrics, deviations = options.unusual_deviations](const std::string& name, int64_t version,
                                                          const Policy& policy) {
         return metrics->NewPolicyObserver(name, version, policy, deviations);
@@ -117,10 +129,12 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   if (!authenticator.ok()) return authenticator.status();
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
+  auto tracer = StartTracing(options, &metrics->registry());
+  if (!tracer.ok()) return tracer.status();
   auto store = OpenStore(options.store, &metrics->registry());
   if (!store.ok()) return store.status();
   ReloadReport report;
-  auto registry = LoadPolicies(options, *store, metrics.get(), &report);
+  auto registry = LoadPolicies(options, *store, metrics.get(), tracer->get(), &report);
   if (!registry.ok()) return registry.status();
   if (auto status = CheckServesPolicies(options, **registry, report); !status.ok()) return status;
   for (const absl::Status& status : report.refused) {
@@ -145,7 +159,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   metrics->AddSource([served = registry->get()] { return CollectHeads(*served->catalog()); });
   auto server = std::unique_ptr<Server>(
       new Server(options, *std::move(authenticator), *std::move(registry), *std::move(audit_log),
-                 std::move(metrics), std::move(recordings), *std::move(store)));
+                 std::move(metrics), *std::move(tracer), std::move(recordings), *std::move(store)));
   if (server->journals_ != nullptr) server->journals_->Keep(&server->store_);
   if (server->shared_ != nullptr) {
     server->FollowReplicas();
@@ -173,11 +187,12 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
 
 Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
                std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
-               std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings,
-               OpenedStore store)
+               std::unique_ptr<Metrics> metrics, std::unique_ptr<Tracer> tracer,
+               std::unique_ptr<Recordings> recordings, OpenedStore store)
     : options_(options),
       authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
+      tracer_(std::move(tracer)),
       shared_(std::move(store.shared)),
       heads_(std::move(store.heads)),
       replicas_(store.replica),
@@ -210,7 +225,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .metrics = metrics_.get(),
                  .clock = &clock_,
                  .max_message_bytes = options.max_message_bytes,
-                 .sessions = &session_gate_},
+                 .sessions = &session_gate_,
+                 .tracer = tracer_.get()},
                 {.policy = &handler_,
                  .admin = &admin_handler_,
                  .heads = &head_handler_,
@@ -242,7 +258,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .worker = &worker_,
               .serving = [this] { return serving() && TransportResponds(); },
               .store_address = store.address,
-              .replicas = &replicas_}) {}
+              .replicas = &replicas_,
+              .unusual_deviations = options.unusual_deviations}) {}
 
 absl::Status Server::StartTransport() {
   auto address = ParseAddressOrUnix("--listen", options_.listen);
@@ -288,16 +305,16 @@ bool Server::TransportResponds() const {
 
 void Server::PublishHealth() {
   health_.SetServing("", serving());
-  health_.SetServing(ServiceName<v1::ListPoliciesRequest>(), serving());
-  health_.SetServing(ServiceName<inference::ServerLiveRequest>(), serving());
-  health_.SetServing(ServiceName<v1::LoadPolicyRequest>(), !stopping_);
+  health_.SetServing(MethodOf<v1::ListPoliciesRequest>().service, serving());
+  health_.SetServing(MethodOf<inference::ServerLiveRequest>().service, serving());
+  health_.SetServing(MethodOf<v1::LoadPolicyRequest>().service, !stopping_);
 }
 
 void Server::FollowReplicas() {
   auto status = registry_->Follow();
   heads_->SetFollowing(status.ok());
   if (status.ok()) {
-    auto alive = shared_->Beat();
+    auto alive = shared_->Heartbeat();
     status = alive.status();
     if (alive.ok()) {
       replicas_.SetAlive(*alive);
@@ -383,6 +400,7 @@ void Server::Stop() {
   if (transport_ != nullptr) StopTransport();
   if (journals_ != nullptr) journals_->Stop(absl::ZeroDuration());  // it uses the sessions
   http_.reset();
+  if (tracer_ != nullptr) tracer_->Stop();
   metrics_->KeepSeries();
 }
 

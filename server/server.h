@@ -39,6 +39,7 @@
 #include "server/services/health_service.h"
 #include "server/services/services.h"
 #include "server/store/open_store.h"
+#include "server/trace/tracer.h"
 #include "server/transport/transport.h"
 #include "server/web/http_call.h"
 #include "server/web/http_server.h"
@@ -73,15 +74,15 @@ class Server {
  private:
   Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
          std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
-         std::unique_ptr<Metrics> metrics, std::unique_ptr<Recordings> recordings,
-         OpenedStore store);
+         std::unique_ptr<Metrics> metrics, std::unique_ptr<Tracer> tracer,
+         std::unique_ptr<Recordings> recordings, OpenedStore store);
 
   void ReloadTokens();
   absl::Status StartTransport();
   void StopTransport();
   // Says that this server is alive, and takes over what the others have changed.
   void FollowReplicas();
-  // Writes a last snapshot of every stored session, from which another server goes on.
+  // Writes a last snapshot of every stored session, from which another server continues.
   void ReleaseSessions();
   absl::Status StartHttp();
   // False until the settings and the heads that servers share were taken over, too.
@@ -98,6 +99,7 @@ class Server {
   const SteadyClock clock_;
   const std::unique_ptr<Authenticator> authenticator_;
   const std::unique_ptr<Metrics> metrics_;
+  const std::unique_ptr<Tracer> tracer_;       // null: nothing is traced
   const std::unique_ptr<RedisShared> shared_;  // null: this server shares nothing
   const std::unique_ptr<HeadLogStore> heads_;  // null as `shared_`
   Replicas replicas_;
@@ -128,9 +130,9 @@ class Server {
   const HeadHandler head_handler_;
   const InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
-  // Of FollowReplicas(), which one thread calls at a time.
+  // State of FollowReplicas(), which one thread calls at a time.
   bool follow_failed_ = false;
-  bool joined_ = false;  // as it was published
+  bool joined_ = false;  // the value that was published last
   // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;

@@ -41,4 +41,11 @@ at_most 1 'functions named ActTogether' "$(count '\bActTogether\(' "${headers[@]
 at_most 1 'types named ActCall' "$(count '(struct|class) ActCall\b' "${headers[@]}")"
 at_most 1 'functions named IsAhead' "$(count '\bIsAhead\(' "${headers[@]}")"
 
+# What the contract says about a method is written in the contract: a method of operators is its .proto, two files of its
+# handler, and the line that connects them.
+for method in PauseLearning PromoteHead ListHistory RollbackHead; do
+  at_most 4 "files of the contract, the server and the clients that name $method" \
+    "$(git grep -lw "$method" -- proto server client/include client/src client/python ':!proto/releases' | wc -l)"
+done
+
 exit "$failed"

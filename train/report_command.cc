@@ -76,7 +76,7 @@ absl::Status MakeReport(const ReportFlags& flags, const std::string& command_lin
   const Report report = WriteReport(*options, command_line, *modes, *sweeps);
   absl::Status status = WriteFileAtomically(options->directory + "/report.md", {report.markdown});
   status.Update(
-      WriteFileAtomically(options->directory + "/figures.json", {report.figures.dump(1), "\n"}));
+      WriteFileAtomically(options->directory + "/figures.json", {report.figures.dump(), "\n"}));
   if (!status.ok()) return status;
   std::printf("%s/report.md\n%s/figures.json\nDraw the figures with: %s\n",
               options->directory.c_str(), options->directory.c_str(),

@@ -1,4 +1,4 @@
-// Says at the end of a training what was made and how to go on.
+// Says at the end of a training what was made and how to continue.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef TRAIN_TRAIN_SUMMARY_H_

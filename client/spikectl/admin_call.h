@@ -48,7 +48,7 @@ absl::StatusOr<Response> CallAdmin(const AdminFlags& flags,
                                    const Request& request) {
   const auto admin = ConnectAdmin(*flags.server);
   if (!admin.ok()) return admin.status();
-  return (*admin)->Call(method, request, /*repeatable=*/false);
+  return (*admin)->Call(method, request);
 }
 
 // Returns a request with the values of --policy and --version.

@@ -1,7 +1,9 @@
 #include "client/spikectl/agent.h"
 
+#include <algorithm>
 #include <chrono>
 #include <limits>
+#include <thread>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -24,6 +26,17 @@ absl::StatusOr<Action> ActionFromProto(const v1::Action& proto, const ActionSpac
     return absl::InternalError(absl::StrCat("the server's action: ", status.message()));
   }
   return action;
+}
+
+v1::Action ToProto(const Action& action, const ActionSpace& space) {
+  v1::Action proto;
+  if (space.is_discrete()) {
+    proto.set_discrete(action.discrete);
+  } else {
+    proto.mutable_continuous()->mutable_values()->Assign(action.continuous.begin(),
+                                                         action.continuous.end());
+  }
+  return proto;
 }
 
 std::optional<double> JoulesOf(const v1::DecisionStats& stats, EnergyModel model) {
@@ -67,25 +80,38 @@ EpisodeRecord& EpisodeRecord::operator+=(const EpisodeRecord& other) {
 }
 
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
-                                          uint64_t seed) {
+                                          uint64_t seed, const PlayOptions& options) {
   EpisodeRecord record;
+  const ActionSpace& space = environment.action_space();
+  Arrivals arrivals(options.distance, space, seed);
+  std::optional<v1::Action> executed;  // of the last beat; absent: as decided
+  const auto period = std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+      std::chrono::duration<double>(options.rate > 0.0 ? 1.0 / options.rate : 0.0));
+  auto next = std::chrono::steady_clock::now();
   StepResult result{.observation = environment.Reset(seed)};
   while (!result.done()) {
+    std::this_thread::sleep_until(next);
+    next = std::max(next, std::chrono::steady_clock::now() - period) + period;
     const auto start = std::chrono::steady_clock::now();
-    const auto response = session.Act(result.observation, result.reward);
+    const auto response = session.Act(result.observation, result.reward, executed);
     const std::chrono::duration<double> latency = std::chrono::steady_clock::now() - start;
     if (!response.ok()) return response.status();
-    const auto action = ActionFromProto(response->action(), environment.action_space());
+    auto action = ActionFromProto(response->action(), space);
     if (!action.ok()) return action.status();
     record.latency.Add(latency.count());
     Count(response->stats(), &record);
+    if (!options.distance.is_none()) {
+      action = arrivals.Executed(*std::move(action));
+      executed = ToProto(*action, space);
+    }
     result = environment.Step(*action);
     record.episode_return += result.reward;
   }
   const auto end = session.EndEpisode({.reward = result.reward,
                                        .terminated = result.terminated,
                                        .truncated = result.truncated,
-                                       .observation = result.observation});
+                                       .observation = result.observation,
+                                       .executed_action = executed});
   if (!end.ok()) return end.status();
   return record;
 }

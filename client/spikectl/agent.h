@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "absl/status/statusor.h"
+#include "client/spikectl/distance.h"
 #include "client/tools/latency_histogram.h"
 #include "core/engine/energy.h"
 #include "core/environment/environment.h"
@@ -27,11 +28,18 @@ struct EpisodeRecord {
   EpisodeRecord& operator+=(const EpisodeRecord& other);
 };
 
+// How episodes are played.
+struct PlayOptions {
+  double rate = 0.0;  // most decisions a second; 0: as many as it can
+  // Decisions are executed late or never, and the server is told what was executed.
+  Distance distance = {};
+};
+
 // Plays one episode from the environment's start state for `seed` and ends it on the server.
 // Returns the errors of the session's calls, and INTERNAL if an action is invalid for the
 // environment.
 absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSession& session,
-                                          uint64_t seed);
+                                          uint64_t seed, const PlayOptions& options = {});
 
 // Makes the first `steps` decisions of an episode, or fewer if it ends earlier, and does not end
 // the episode on the server. Errors as above.

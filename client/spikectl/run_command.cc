@@ -1,3 +1,4 @@
+#include <cmath>
 #include <cstdint>
 #include <iostream>
 #include <memory>
@@ -9,6 +10,7 @@
 #include "client/spikectl/agent.h"
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
+#include "client/spikectl/distance.h"
 #include "client/spikectl/run_report.h"
 
 namespace spikeserve {
@@ -19,16 +21,17 @@ constexpr int kTries = 3;  // of an episode whose session is lost
 struct RunFlags {
   AgentFlags agent;
   SessionFlags session;
+  PlayOptions play;
   int episodes = 1;
   bool reopen = false;
 };
 
 // Plays an episode, again from its start if its session was lost and replaced on the way.
 absl::StatusOr<EpisodeRecord> PlayWhole(Environment& environment, RemoteSession& session,
-                                        uint64_t seed) {
+                                        uint64_t seed, const PlayOptions& options) {
   for (int i = 1;; ++i) {
     const int before = session.reopened();
-    auto episode = PlayEpisode(environment, session, seed);
+    auto episode = PlayEpisode(environment, session, seed, options);
     if (session.reopened() == before || i == kTries) return episode;
   }
 }
@@ -38,7 +41,7 @@ absl::Status PlayEpisodes(const RunFlags& flags, Environment& environment, Remot
                           bool as_text, std::vector<EpisodeRecord>* episodes) {
   for (int i = 0; i < flags.episodes; ++i) {
     const uint64_t seed = flags.agent.seed + static_cast<uint64_t>(i);
-    auto episode = PlayWhole(environment, session, seed);
+    auto episode = PlayWhole(environment, session, seed, flags.play);
     if (!episode.ok()) return episode.status();
     if (as_text) std::cout << RunTableLine(seed, *episode) << std::flush;
     episodes->push_back(*std::move(episode));
@@ -57,6 +60,11 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
     return absl::InvalidArgumentError(
         absl::StrCat("--episodes: expected at least 1, received ", flags.episodes));
   }
+  if (!std::isfinite(flags.play.rate) || flags.play.rate < 0.0) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--rate: expected decisions a second of at least 0, received ", flags.play.rate));
+  }
+  if (absl::Status status = flags.play.distance.Validate(); !status.ok()) return status;
   const auto environment = MakeAgentEnvironment(flags.agent);
   if (!environment.ok()) return environment.status();
   const auto client = Connect(server);
@@ -98,8 +106,11 @@ void AddRunCommand(Command program, const ServerFlags& server) {
   AddAgentFlags(playing, &flags->agent);
   AddTargetReturn(playing, &flags->agent);
   playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
+      .Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can")
       .AddSwitch("reopen", &flags->reopen,
                  "Play an episode again in a new session if the server lost it");
+  FlagGroup far = command.Flags("Far away");
+  AddDistanceFlags(far, &flags->play.distance);
   AddSessionFlags(command, &flags->session);
   command.SetAction([flags, &server] { return Run(*flags, server); });
 }

@@ -17,7 +17,7 @@ namespace spikeserve {
 
 class Attempts {
  public:
-  // `names_session` says whether the call names a session, which another replica may have if this
+  // `names_session` shows whether the call names a session, which another replica may have if this
   // one does not know it. The arguments must outlive the object.
   Attempts(Replicas* replicas, Route* route, const RetryOptions& retry, bool names_session);
 

@@ -21,6 +21,8 @@ namespace {
 
 namespace interception = grpc::experimental;
 
+constexpr int kLargestMessage = 1 << 28;  // a policy file may be large
+
 // Adds the token to a call. gRPC refuses to send call credentials in plain text, which a server on
 // the loopback interface uses, so the token is added as metadata.
 class TokenInterceptor final : public interception::Interceptor {
@@ -115,6 +117,7 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& se
   // Newer releases of gRPC wait for the answer to a PING for a minute unless told otherwise.
   arguments.SetInt("grpc.http2.ping_timeout_ms", Milliseconds(security.keepalive_timeout));
   arguments.SetInt(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
+  arguments.SetMaxReceiveMessageSize(kLargestMessage);
   if (security.token.empty()) return grpc::CreateCustomChannel(server, *credentials, arguments);
   std::vector<std::unique_ptr<interception::ClientInterceptorFactoryInterface>> interceptors;
   interceptors.push_back(std::make_unique<TokenInterceptorFactory>(security.token));

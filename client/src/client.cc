@@ -345,6 +345,14 @@ absl::StatusOr<v1::ExplainResponse> Client::Explain(const std::string& session_i
   return CallOfSession(&Stub::Explain, request, route);
 }
 
+absl::StatusOr<v1::ExportSessionResponse> Client::ExportSession(
+    const std::string& session_id, bool include_policy, const std::shared_ptr<Route>& route) {
+  v1::ExportSessionRequest request;
+  request.set_session_id(session_id);
+  request.set_include_policy(include_policy);
+  return CallOfSession(&Stub::ExportSession, request, route);
+}
+
 absl::Status Client::CloseSession(const std::string& session_id,
                                   const std::shared_ptr<Route>& route) {
   v1::CloseSessionRequest request;

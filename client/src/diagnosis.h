@@ -12,7 +12,7 @@
 namespace spikeserve {
 
 // Returns why `server`, "HOST:PORT" or "unix:PATH", cannot be reached, or an empty string if the
-// cause is not found. `tls` says whether the client encrypts; `message` is the one of gRPC.
+// cause is not found. `tls` shows whether the client encrypts; `message` is the one of gRPC.
 std::string DiagnoseConnection(const std::string& server, bool tls, absl::string_view message);
 
 }  // namespace spikeserve

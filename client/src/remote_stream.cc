@@ -117,7 +117,7 @@ absl::Duration RemoteStream::Advance(absl::Duration deadline) {
 
 absl::Status RemoteStream::TakeEnd(const absl::Status& end) {
   if (absl::IsOutOfRange(end) && send_closed_ && open_->empty()) return end;
-  // A proxy cancels the streams of a server that is gone.
+  // A proxy cancels the streams of a server that has ended.
   const bool is_cut = absl::IsOutOfRange(end) || absl::IsCancelled(end);
   Break(is_cut ? absl::UnavailableError("the server ended the stream") : end);
   return absl::OkStatus();

@@ -1,6 +1,6 @@
 // The servers of a client, and which of them a call goes to.
 //
-// Servers that keep their sessions in one store are replicas: each of them can go on with every
+// Servers that keep their sessions in one store are replicas: each of them can continue with every
 // session. The calls of a session go to the same replica while it answers, because a session that
 // moves costs a claim.
 #ifndef CLIENT_SRC_REPLICAS_H_
@@ -30,7 +30,7 @@ namespace spikeserve {
 inline constexpr char kAffinityKey[] = "spikeserve-affinity";
 
 // How long a server may take to say that it serves. A call that had no answer for this time shows
-// that the server is away.
+// that the server cannot be reached.
 inline constexpr absl::Duration kProbeTimeout = absl::Seconds(1);
 
 // A health check that is under way.
@@ -80,7 +80,7 @@ absl::StatusOr<std::vector<std::string>> ParseServers(absl::string_view servers)
 // Python client computes the same number, so that all clients of a session prefer one server.
 uint64_t Rank(absl::string_view key, absl::string_view address);
 
-// The replicas of a client, and which of them are away. Thread-safe.
+// The replicas of a client, and which of them cannot be reached. Thread-safe.
 //
 // A replica that failed gets no calls until a health check has found it again, if there is another
 // one. The pauses before checks double from `first_pause` to `longest_pause`.

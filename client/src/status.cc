@@ -29,8 +29,8 @@ std::optional<uint64_t> ParseNumber(const std::string& text) {
 }  // namespace
 
 absl::Status StatusFromGrpc(const grpc::Status& status) {
-  // A proxy resets the calls of a server that is gone: nginx with INTERNAL_ERROR, HAProxy with
-  // CANCEL. gRPC makes INTERNAL and CANCELLED of them. UNAVAILABLE says what they mean.
+  // A proxy resets the calls of a server that has ended: nginx with INTERNAL_ERROR, HAProxy with
+  // CANCEL. gRPC makes INTERNAL and CANCELLED of them. UNAVAILABLE shows what they mean.
   const bool is_reset = status.error_code() == grpc::StatusCode::INTERNAL ||
                         status.error_code() == grpc::StatusCode::CANCELLED;
   const auto code = is_reset && absl::StrContains(status.error_message(), "RST_STREAM")

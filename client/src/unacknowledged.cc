@@ -49,7 +49,7 @@ absl::Status Take(const Answer& answer, const std::string& session_id, uint64_t 
   return is_equal ? absl::OkStatus() : DivergedError(session_id, decision);
 }
 
-// Returns whether the call that follows says what is still missing after `error`.
+// Returns whether the call that follows shows what is still missing after `error`.
 bool IsSaidAgain(const absl::Status& error) {
   return IsRetryable(error) || ExpectedDecision(error).has_value();
 }

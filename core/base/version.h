@@ -7,7 +7,7 @@
 
 namespace spikeserve {
 
-// Returns "MAJOR.MINOR.PATCH", for example "0.1.0".
+// Returns "MAJOR.MINOR.PATCH", for example "0.2.0".
 absl::string_view Version();
 
 }  // namespace spikeserve

@@ -82,7 +82,7 @@ class ContributionBudget {
     friend bool operator==(const State&, const State&) = default;
   };
   State state() const;
-  // Goes on from `state`. REQUIRES: it has as many accounts as contributors.
+  // Continues from `state`. REQUIRES: it has as many accounts as contributors.
   void Restore(const State& state);
 
  private:

@@ -120,7 +120,7 @@ class FleetHead {
     int64_t rollbacks = 0;
   };
   State state() const;
-  // Goes on from `state`. REQUIRES: IsPossible(state).
+  // Continues from `state`. REQUIRES: IsPossible(state).
   void Restore(const State& state);
   // Returns true if `state` may be that of a head of this policy.
   bool IsPossible(const State& state) const;
@@ -148,7 +148,7 @@ class FleetHead {
   std::shared_ptr<const Snapshot> Rollback();
 
  private:
-  // Takes a contribution that is within the budget. Returns what became of it.
+  // Takes a contribution that is within the budget. Returns its outcome.
   UpdateOutcome Take(const Eigen::VectorXf& contribution, const Source& source, bool held_out)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Adds a contribution to the head, shortened if the head is protected.

@@ -27,7 +27,7 @@ class PeerNorms {
   // A contribution may be this many times as long as the median of the others'.
   static constexpr double kFactor = 10.0;
 
-  // Remembers the norm of a contribution. Ignores one of zero, which says nothing about the length
+  // Remembers the norm of a contribution. Ignores one of zero, which shows nothing about the length
   // of updates.
   void Add(const std::string& contributor, double norm);
 
@@ -42,7 +42,7 @@ class PeerNorms {
     friend bool operator==(const State&, const State&) = default;
   };
   const State& state() const { return state_; }
-  // Goes on from `state`. REQUIRES: it has as many norms as contributors.
+  // Continues from `state`. REQUIRES: it has as many norms as contributors.
   void Restore(const State& state) { state_ = state; }
 
  private:

@@ -57,7 +57,7 @@ struct ReturnGuard {
   // the guard restored an earlier head by writing it into `delta`.
   bool OnEpisode(double episode_return, double margin, Eigen::VectorXf* delta);
 
-  // Goes on from `delta`, to which another guard has restored the head: starts a new window.
+  // Continues from `delta`, to which another guard has restored the head: starts a new window.
   void OnRestored(const Eigen::VectorXf& delta);
 
  private:

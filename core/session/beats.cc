@@ -164,11 +164,6 @@ absl::StatusOr<AppendedBeats> AppendBeats(const BeatHistory& history, AgentSessi
   return result;
 }
 
-std::optional<ReportedAction> LastExecuted(const BeatHistory& history) {
-  if (history.size == 0) return std::nullopt;
-  return history.beat(history.size - 1).executed;
-}
-
 absl::Status TakeLastExecuted(const BeatHistory& history, AgentSession* agent) {
   if (history.size == 0 || history.step == 0 || history.step != agent->session().step) {
     return absl::OkStatus();

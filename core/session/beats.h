@@ -71,11 +71,9 @@ absl::StatusOr<AppendedBeats> AppendBeats(
     int64_t most = std::numeric_limits<int64_t>::max(),
     absl::FunctionRef<void(const Beat&)> on_appended = [](const Beat&) {});
 
-// Returns the executed action of the beat before the request's step, or nullopt without a history.
-std::optional<ReportedAction> LastExecuted(const BeatHistory& history);
-
 // Puts the executed action of the newest beat in the place of the answer, for a request that asks
-// for no decision. Does nothing if the session has gone on. REQUIRES: AppendBeats has finished.
+// for no decision. Does nothing if the session has decided since. REQUIRES: AppendBeats has
+// finished.
 absl::Status TakeLastExecuted(const BeatHistory& history, AgentSession* agent);
 
 }  // namespace spikeserve

@@ -29,7 +29,7 @@ namespace spikeserve {
 class FleetContribution;
 struct ServedPolicy;
 
-// What became of a contribution at its place in the log.
+// The outcome of a contribution at its place in the log.
 struct MergeOutcome {
   bool paused = false;  // learning was paused: the head has not taken it
   UpdateOutcome update = UpdateOutcome::kApplied;

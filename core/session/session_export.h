@@ -1,4 +1,4 @@
-// Defines the form in which a session leaves its server, so that a robot goes on with it alone.
+// Defines the form in which a session leaves its server, so that a robot continues with it alone.
 //
 //   std::string value = ExportSession(agent);                   // on the server
 //   absl::StatusOr<Session> session = ImportSession(value);     // on the robot

@@ -1,4 +1,4 @@
-// Writes what one session decides to its journal, and says how far the store has it.
+// Writes the decisions of one session to its journal, and reports how many the store has.
 //
 //   journal->WhenDurable(journal->written(), [](const absl::Status& status) { ... });
 //
@@ -46,7 +46,7 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
     std::string id;      // of the session
     std::string tenant;  // owner of the session
     uint64_t epoch = 1;  // when this owner began: 1 for a new session; a claim adds to it
-    // Names the policy file without which a server cannot go on; empty: any server may try.
+    // Names the policy file without which a server cannot continue; empty: any server may try.
     std::string policy_file = "";
     uint64_t claimed_from = 0;  // epoch of the owner before; 0: none
   };
@@ -85,7 +85,7 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   // session holds, to the log of its head when the store has the snapshot.
   void OnEpisodeEnd(const Session& session,
                     std::shared_ptr<FleetContribution> contribution = nullptr);
-  // Writes a last snapshot, from which another server goes on. Nothing is written after it.
+  // Writes a last snapshot, from which another server continues. Nothing is written after it.
   void OnRelease(const Session& session);
   // Ends the session in the store.
   void OnClose();

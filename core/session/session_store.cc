@@ -23,8 +23,8 @@ namespace {
 
 constexpr size_t kPrefetched = 4;  // sessions
 
-// Loads the parts of a session into the caches that do not change, and what counts references to
-// it.
+// Prefetches the constant parts of a session and its count of references into the caches of the
+// processor.
 void PrefetchHead(const SessionEntry& entry) {
   __builtin_prefetch(&entry);
   __builtin_prefetch(&entry.label_text);

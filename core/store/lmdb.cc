@@ -42,7 +42,7 @@ absl::StatusOr<FileSize> SizeOf(MDB_env* environment, const std::string& directo
   return file;
 }
 
-// Where to go on when an assertion of LMDB fails on this thread; null: nowhere.
+// Where to continue when an assertion of LMDB fails on this thread; null: nowhere.
 thread_local std::jmp_buf* assertion_handler = nullptr;
 
 void OnAssertion(MDB_env* /*environment*/, const char* /*message*/) {

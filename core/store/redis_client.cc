@@ -120,7 +120,7 @@ RedisClient::Node& RedisClient::NodeAt(const RedisEndpoint& endpoint) {
 
 RedisClient::Node& RedisClient::NodeOf(absl::string_view key) {
   Node* const node = is_cluster() ? slots_[RedisSlot(key)] : only_;
-  return node == nullptr ? nodes_.begin()->second : *node;  // which says where the slot is
+  return node == nullptr ? nodes_.begin()->second : *node;  // which shows where the slot is
 }
 
 absl::StatusOr<std::unique_ptr<RedisConnection>> RedisClient::NewConnection(

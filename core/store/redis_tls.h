@@ -29,7 +29,7 @@ absl::StatusOr<SslConnection> ConnectTls(int fd, const std::string& host,
 std::string TakeTlsError();
 
 // As TakeTlsError(), after a write on `connection` has failed. A server that closes a connection
-// says why in an alert, which may have arrived before the write.
+// has the reason in an alert, which may have arrived before the write.
 std::string TakeTlsErrorOfWrite(SSL* connection);
 
 // Returns INVALID_ARGUMENT, which names the flag, if a file cannot be used.

@@ -19,8 +19,8 @@ namespace spikeserve {
 std::string SealRecord(absl::string_view record);
 
 // Returns the record without its checksum, or an empty string if the checksum is wrong:
-// ParseJournal refuses an empty record. Returns bytes that have no checksum as they are: earlier
-// releases wrote none, and a record whose checksum has become unrecognizable is no document.
+// ParseJournal refuses an empty record. Returns bytes without a checksum unchanged: earlier
+// releases wrote none, and ParseJournal refuses a record whose checksum is unrecognizable.
 std::string OpenRecord(absl::string_view bytes);
 
 // Returns a record whose checksum is wrong, for the place of one that is lost.

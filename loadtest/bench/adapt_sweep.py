@@ -4,7 +4,7 @@
 usage: loadtest/bench/adapt_sweep.py --bin=build/release/bin [--seeds=10] [--jobs=2] FLAG...
 
 Every FLAG goes to `spikectl adapt`. For example, --env=CartPole-v1 --perturb=force=-1 --episodes=60 is one row of
-docs/design/learning.md. Each seed has its own server. No two seeds share an initial state.
+docs/evidence/online-learning.md. Each seed has its own server. No two seeds share an initial state.
 """
 
 import argparse

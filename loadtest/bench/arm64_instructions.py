@@ -1,6 +1,6 @@
-"""Counts the arm64 instructions of a decision with qemu, and prints them as a Markdown table.
+"""Counts the arm64 instructions of a decision with qemu, and writes arm64_instructions.json, which report.py prints.
 
-An emulator says nothing about time, but the same instructions run on a robot. The difference of a long and a short run
+An emulator shows nothing about time, but the same instructions run on a robot. The difference of a long and a short run
 leaves out what starts the program. Needs Debian's package qemu-user (qemu-user-static has no plugins) and engine_bench in
 build/arm64/bin.
 """
@@ -13,6 +13,7 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).parents[2]
+RESULT = pathlib.Path(__file__).with_suffix(".json")
 BENCH = ROOT / "build/arm64/bin/engine_bench"
 PROCESSORS = {"cortex-a72": "Raspberry Pi 4", "cortex-a76": "Raspberry Pi 5"}
 POLICIES = {
@@ -51,12 +52,15 @@ def main():
         plugin = pathlib.Path(folder, "count_instructions.so")
         source = pathlib.Path(__file__).with_name("count_instructions.c")
         subprocess.run(["gcc", "-shared", "-fPIC", "-O2", "-o", plugin, source], check=True)
-        print("| policy | processor | instructions a decision | of these, the maps of spike counts |")
-        print("| --- | --- | ---: | ---: |")
+        rows = []
         for name, flags in POLICIES.items():
             for processor, computer in PROCESSORS.items():
                 total, affine = measure(plugin, processor, flags)
-                print(f"| {name} | {processor} ({computer}) | {total:,.0f} | {affine:,.0f} |", flush=True)
+                row = {"policy": name, "processor": f"{processor} ({computer})"}
+                rows.append(row | {"instructions": round(total), "instructions_of_maps": round(affine)})
+                print(rows[-1], flush=True)
+    RESULT.write_text(json.dumps(rows, indent=1) + "\n")
+
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ absl::StatusOr<std::shared_ptr<const Credential>> Authenticate(const Authenticat
 
 absl::StatusOr<std::shared_ptr<const Credential>> Admit(const Authenticator& authenticator,
                                                         absl::string_view authorization,
-                                                        Method method) {
+                                                        const Method& method) {
   const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
   if (auto status = CheckMayCall((*caller)->role(), method); !status.ok()) return status;

@@ -12,7 +12,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "server/access/authenticator.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 
 namespace spikeserve {
 
@@ -21,7 +21,7 @@ namespace spikeserve {
 // `method`.
 absl::StatusOr<std::shared_ptr<const Credential>> Admit(const Authenticator& authenticator,
                                                         absl::string_view authorization,
-                                                        Method method);
+                                                        const Method& method);
 
 // Returns the caller that sent the `authorization` header over HTTP, which may be empty. Returns
 // UNAUTHENTICATED without a valid token, PERMISSION_DENIED unless the role may read the status

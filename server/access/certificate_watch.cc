@@ -16,10 +16,10 @@ std::string Text(absl::Time time) { return absl::FormatTime(time, absl::UTCTimeZ
 
 void CertificateWatch::Start() {
   CheckValidity();
-  periodic_ = std::make_unique<Periodic>(kInterval, [this] { Look(); });
+  periodic_ = std::make_unique<Periodic>(kInterval, [this] { Check(); });
 }
 
-void CertificateWatch::Look() {
+void CertificateWatch::Check() {
   std::string error;
   bool changed = false;
   for (TlsContext* context : contexts_) {

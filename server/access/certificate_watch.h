@@ -1,4 +1,4 @@
-// Reads the certificates of all ports again while the server runs, and says what is wrong with
+// Reads the certificates of all ports again while the server runs, and shows what is wrong with
 // them: in the log when it changes, and in metrics.
 //
 // Thread-safe, except Add() and Start().
@@ -32,7 +32,7 @@ class CertificateWatch {
   bool is_used() const { return !contexts_.empty(); }
 
  private:
-  void Look();
+  void Check();
   // Logs that the certificate in use is not valid, once.
   void CheckValidity();
 

@@ -13,9 +13,9 @@ absl::Status Denied(Role role, absl::string_view allowed) {
 
 }  // namespace
 
-absl::Status CheckMayCall(Role role, Method method) {
+absl::Status CheckMayCall(Role role, const Method& method) {
   if (role == Role::kOperator) return absl::OkStatus();
-  switch (GetMethodInfo(method).access) {
+  switch (method.access) {
     case Access::kAnyRole:
       return absl::OkStatus();
     case Access::kAgentOrOperator:

@@ -5,13 +5,13 @@
 #define SERVER_ACCESS_PERMISSION_H_
 
 #include "absl/status/status.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 #include "server/base/role.h"
 
 namespace spikeserve {
 
 // Returns PERMISSION_DENIED if `role` may not call `method`.
-absl::Status CheckMayCall(Role role, Method method);
+absl::Status CheckMayCall(Role role, const Method& method);
 
 // Returns PERMISSION_DENIED if `role` may not read the status page and the metrics.
 absl::Status CheckMayReadStatus(Role role);

@@ -18,7 +18,7 @@
 #include "server/access/rate_limit.h"
 #include "server/access/refusal_pacer.h"
 #include "server/base/byte_budget.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 
 namespace spikeserve {
 

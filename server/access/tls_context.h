@@ -17,7 +17,7 @@ struct ssl_ctx_st;  // OpenSSL's SSL_CTX
 
 namespace spikeserve {
 
-// What a port speaks over TLS, and what it accepts by ALPN.
+// The protocol of a port over TLS, and the names of ALPN that it accepts.
 enum class Protocol {
   kHttp2,  // "h2", which a client has to offer
   kHttp1,  // "http/1.1", or no ALPN

@@ -52,13 +52,12 @@ void ToProto(const AuditEntry& entry, v1::HistoryEntry* proto) {
 
 }  // namespace
 
-absl::Status AdminHandler::LoadPolicy(CallContext& /*context*/,
-                                      const v1::LoadPolicyRequest& request,
+absl::Status AdminHandler::LoadPolicy(CallContext& context, const v1::LoadPolicyRequest& request,
                                       v1::LoadPolicyResponse* response) const {
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
   const auto load = [&] {
     served = registry_->LoadVersion({.policy = request.policy(), .version = request.version()},
-                                    request.make_default());
+                                    request.make_default(), &context.span);
     return served.status();
   };
   auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), load);
@@ -78,10 +77,10 @@ absl::Status AdminHandler::UnloadPolicy(CallContext& /*context*/,
   });
 }
 
-absl::Status AdminHandler::ReloadPolicies(CallContext& /*context*/,
+absl::Status AdminHandler::ReloadPolicies(CallContext& context,
                                           const v1::ReloadPoliciesRequest& /*request*/,
                                           v1::ReloadPoliciesResponse* response) const {
-  const auto report = registry_->Reload();
+  const auto report = registry_->Reload(&context.span);
   if (!report.ok()) return report.status();
   ToProto(report->loaded, response->mutable_loaded());
   ToProto(report->unloaded, response->mutable_unloaded());

@@ -52,19 +52,19 @@ std::string Audit::StateOf(const google::protobuf::Message& request) const {
   return state.dump();
 }
 
-absl::Status Audit::RunAndRecord(Method method, const CallContext& context,
+absl::Status Audit::RunAndRecord(const Method& method, const CallContext& context,
                                  const google::protobuf::Message& request,
                                  absl::FunctionRef<absl::Status()> change) const {
   AuditEntry entry = {.time = absl::Now(),
-                      .action = std::string(GetMethodInfo(method).name),
+                      .action = method.name,
                       .token = context.caller->name(),
                       .tenant = context.caller->tenant()->name(),
                       .peer = context.peer,
                       .policy = PolicyOf(request),
                       .request = MessageJson(request).dump()};
   // An agent's call changes nothing that is served.
-  const bool changes = GetMethodInfo(method).access == Access::kOperatorOnly;
-  entry.remembered = changes;
+  const bool changes = method.access == Access::kOperatorOnly;
+  entry.is_operators = changes;
   if (changes) entry.before = StateOf(request);
   size_t reserved = kNamesBytes + kEscaped * (entry.request.size() + 2 * entry.before.size());
   if (auto room = log_->Reserve(reserved); !room.ok()) {

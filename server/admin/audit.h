@@ -14,7 +14,7 @@
 #include "core/session/session_store.h"
 #include "server/agent/call_context.h"
 #include "server/base/audit_log.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 #include "server/policies/policy_registry.h"
 #include "server/rollouts/rollout_manager.h"
 
@@ -31,7 +31,7 @@ class Audit {
   // Runs `change`, the call of an operator or one that an agent has to answer for, and records it
   // with its outcome, which is returned. If it could not be recorded, it is not run, and
   // UNAVAILABLE is returned, unless changes that are not recorded are allowed.
-  absl::Status RunAndRecord(Method method, const CallContext& context,
+  absl::Status RunAndRecord(const Method& method, const CallContext& context,
                             const google::protobuf::Message& request,
                             absl::FunctionRef<absl::Status()> change) const;
 

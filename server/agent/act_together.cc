@@ -73,6 +73,24 @@ bool TakeBeatsOf(DecisionRequest& act, const Clock& clock, int64_t* budget)
   return decides.ok() && *decides;
 }
 
+// Adds to the span of a decision what it was.
+void Describe(const DecisionRequest& act, bool is_retry, Span* span)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
+  const ServedPolicy& served = *act.entry->served;
+  const Session& session = act.entry->agent.session();
+  span->Set("spikeserve.policy", served.name);
+  span->Set("spikeserve.policy.version", served.version);
+  span->Set("spikeserve.session.id", session.id);
+  span->Set("spikeserve.episode", session.episode);
+  span->Set("spikeserve.step", session.last_answer->step);
+  const v1::DecisionStats& stats = act.response->stats();
+  span->Set("spikeserve.spikes", static_cast<int64_t>(stats.spikes()));
+  span->Set("spikeserve.synaptic_operations", static_cast<int64_t>(stats.synaptic_operations()));
+  span->Set("spikeserve.energy_joules", stats.energy_joules());
+  span->Set("spikeserve.compute_seconds", stats.compute_seconds());
+  if (is_retry) span->Set("spikeserve.is_retry", int64_t{1});
+}
+
 // Sets what follows from `act.status`. `is_new` is true if the session has changed.
 void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
   SessionEntry& entry = *act.entry;
@@ -82,7 +100,11 @@ void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(a
     act.status = SessionGate::Refused(*act.context, place, act.status, entry);
     if (absl::IsNotFound(act.status)) return;
   }
-  AddCommits(act, place, /*has_decided=*/act.status.ok() && is_new);
+  const bool has_decided = act.status.ok() && is_new;
+  const size_t waits = act.context->commits.size();
+  AddCommits(act, place, has_decided);
+  if (has_decided && act.context->commits.size() == waits)
+    SessionGate::Trace(act.context->span, entry);
   if (!act.status.ok()) return entry.served->observer->OnError();
   if (const SessionJournal* journal = entry.journal.get(); journal != nullptr) {
     act.response->set_durable_decision(journal->is_sync() ? entry.agent.session().decisions
@@ -124,6 +146,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
                      .reward = act->request->reward(),
                      .decision = Decision(*act),
                      .executed = ExecutedBefore(*act->request)});
+    act->span = act->context->span.Child("decide");
     deciding.push_back(act);
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
@@ -133,7 +156,9 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
     entry.mutex.AssertHeld();
     act.entry->mutex.AssertHeld();
     act.status = calls[i].answer.status();
+    Span span = std::move(act.span);
     Conclude(act, /*is_new=*/!calls[i].is_retry);
+    span.Fail(act.status);
     if (!act.status.ok()) continue;
     const Session& session = entry.agent.session();
     if (calls[i].is_retry) entry.served->observer->OnRepeated();
@@ -142,6 +167,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
                                                   calls[i].executed.has_value(), session));
     }
     ToProto(act.request->session_id(), **calls[i].answer, entry.served->policy(), act.response);
+    if (span) Describe(act, calls[i].is_retry, &span);
     if (HasBeats(*act.request)) {
       FillBeats(*act.request, act.beats, session, act.received, begun, act.response);
     }

@@ -32,6 +32,7 @@ struct DecisionRequest {
   // When the request was received, by the clock; used if it has beats (beat_requests.h).
   absl::Duration received = absl::ZeroDuration();
   BeatProgress beats = {};  // of a request with beats
+  Span span = {};           // of the decision, while it is made
 
   // False: the request has no answer yet. It is to be decided again, before later requests for its
   // session.

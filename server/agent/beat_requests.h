@@ -27,7 +27,7 @@ struct BeatProgress {
   int64_t dropped = 0;   // beats
   absl::Duration spent;  // on appending
   bool started = false;
-  bool finished = true;  // false: the request goes on with its next part
+  bool finished = true;  // false: the request continues with its next part
   bool expired = false;
 };
 

@@ -7,10 +7,14 @@
 #ifndef SERVER_AGENT_CALL_CONTEXT_H_
 #define SERVER_AGENT_CALL_CONTEXT_H_
 
+#include <memory>
+
+#include "core/session/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/durable_answer.h"
 #include "server/base/peer.h"
+#include "server/trace/span.h"
 
 namespace spikeserve {
 
@@ -25,6 +29,11 @@ struct CallContext {
   // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
   // that the session is claimed again. Another server may have decided in between.
   bool may_claim = false;
+  // The session of a request that only reads, if this server does not hold it: as the store has it.
+  // It stays with its owner. Null: none was read.
+  std::shared_ptr<SessionEntry> read = nullptr;
+  // Of the request; empty if it is not traced. Spans of its parts belong to it.
+  Span span = {};
 };
 
 }  // namespace spikeserve

@@ -54,8 +54,7 @@ void ToProto(const LayerTrace& trace, int layer, int ticks, v1::ExplainResponse*
 
 }  // namespace
 
-v1::ExplainResponse ToProto(const ServedPolicy& served, const Session& session,
-                            const Explanation& explanation) {
+v1::ExplainResponse DecisionToProto(const ServedPolicy& served, const Session& session) {
   const ModelConfig& config = served.policy().config;
   const Answer& answer = *session.last_answer;
   const auto observation = session.history.observation(session.history.size() - 1);
@@ -71,6 +70,12 @@ v1::ExplainResponse ToProto(const ServedPolicy& served, const Session& session,
   response.mutable_observation()->Add(observation.begin(), observation.end());
   ToProto(session.id, answer, served.policy(), response.mutable_answer());
   response.mutable_logits()->Add(answer.logits.begin(), answer.logits.end());
+  return response;
+}
+
+v1::ExplainResponse ToProto(const ServedPolicy& served, const Session& session,
+                            const Explanation& explanation) {
+  v1::ExplainResponse response = DecisionToProto(served, session);
   response.mutable_readout()->Add(explanation.readout.begin(), explanation.readout.end());
   for (const PopulationTrace& population : explanation.trace.populations) {
     ToProto(population, response.add_rasters());

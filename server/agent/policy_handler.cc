@@ -100,6 +100,15 @@ absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& s
   return absl::OkStatus();
 }
 
+// Begins the span of a merge into the head of a fleet that the end of the episode itself does,
+// because the session is not stored; empty for other sessions.
+Span StartMerge(const Span& call, const SessionEntry& entry)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex) {
+  const auto& learning = entry.agent.session().options.learning;
+  const bool merges = learning.has_value() && learning->scope == Scope::kFleet;
+  return merges && entry.journal == nullptr ? call.Child("merge") : Span();
+}
+
 // Checks that a caller who may not learn does not play a session that does, which another token has
 // opened.
 absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry) {
@@ -436,8 +445,11 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
   const Place place = PlaceOf(request);
   absl::Status status = CheckEpisode(request, agent.session());
   if (status.ok()) {
+    Span merge = StartMerge(context.span, **entry);
     const auto summary = agent.EndEpisode(end);
     status = summary.status();
+    merge.Fail(status);
+    merge.End();
     if (summary.ok()) {
       *response = ToProto(*summary);
       response->set_recording(ToProto(agent.recording_state()));
@@ -452,21 +464,26 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
     } else {
       AddConfirmation(**entry, agent.session().episode > episode, &context.commits);
     }
-    if (!context.commits.empty()) context.commits.back().contribution = agent.contribution();
+    if (context.commits.empty()) {
+      SessionGate::Trace(context.span, **entry, agent.contribution());
+    } else {
+      context.commits.back().contribution = agent.contribution();
+    }
   }
   return status;
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
-    const Credential& caller, const std::string& id) const {
+    const CallContext& context, const std::string& id) const {
+  if (context.read != nullptr) return context.read;
   auto entry = store_->Peek(id);
-  if (entry != nullptr && caller.CanRead(entry->tenant)) return entry;
+  if (entry != nullptr && context.caller->CanRead(entry->tenant)) return entry;
   return NoSuchSession(id);
 }
 
 absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessionRequest& request,
                                        v1::GetSessionResponse* response) const {
-  const auto entry = FindReadable(*context.caller, request.session_id());
+  const auto entry = FindReadable(context, request.session_id());
   if (!entry.ok()) return entry.status();
   absl::MutexLock lock(&(*entry)->mutex);
   *response = ToProto((*entry)->agent, request.include_head_delta());
@@ -475,7 +492,7 @@ absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessio
 
 absl::Status PolicyHandler::Explain(CallContext& context, const v1::ExplainRequest& request,
                                     v1::ExplainResponse* response) const {
-  const auto entry = FindReadable(*context.caller, request.session_id());
+  const auto entry = FindReadable(context, request.session_id());
   if (!entry.ok()) return entry.status();
   return ExplainSession(**entry, response);
 }
@@ -483,7 +500,8 @@ absl::Status PolicyHandler::Explain(CallContext& context, const v1::ExplainReque
 absl::Status PolicyHandler::ExportSession(CallContext& context,
                                           const v1::ExportSessionRequest& request,
                                           v1::ExportSessionResponse* response) const {
-  const auto entry = gate_->Find(context, request.session_id());
+  absl::StatusOr<std::shared_ptr<SessionEntry>> entry = context.read;
+  if (*entry == nullptr) entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry.status();
   if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
   const ServedPolicy& served = *(*entry)->served;
@@ -514,7 +532,7 @@ absl::Status PolicyHandler::CloseSession(CallContext& context,
   auto status = store_->Close(request.session_id(), tenant);
   if (!status.ok() || (*entry)->journal == nullptr) return status;
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
-  // this, too, unless the store is away: then the end is written when it comes back.
+  // this, too, unless the store cannot be reached: then the end is written when it comes back.
   SessionJournal& journal = *(*entry)->journal;
   if (journal.is_sync() || durability_.journals->CheckReachable().ok()) {
     context.commits.push_back({.journal = (*entry)->journal, .position = journal.written()});

@@ -39,7 +39,7 @@ inline constexpr int kMaxBatch = 1024;
 struct SessionDurability {
   JournalWriter* journals = nullptr;      // null: no session is stored
   Durability level = Durability::kAsync;  // of sessions that ask for none and do not learn
-  const SharedFiles* files = nullptr;     // null: no other server goes on with them
+  const SharedFiles* files = nullptr;     // null: no other server continues with them
 };
 
 class PolicyHandler {
@@ -111,8 +111,9 @@ class PolicyHandler {
                          const v1::OpenSessionRequest& request, Durability durability,
                          v1::OpenSessionResponse* response) const;
 
-  // Returns a session that `caller` may read, without resetting its idle time.
-  absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const Credential& caller,
+  // Returns a session that the caller may read, without resetting its idle time: of this server, or
+  // CallContext::read.
+  absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const CallContext& context,
                                                              const std::string& id) const;
 
   // Returns a recorder for a session of `served`, and sets `name` to a new name for the recording.

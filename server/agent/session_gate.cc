@@ -17,26 +17,62 @@ struct Gathering {
   std::function<void(const std::vector<absl::Status>&)> done;
 };
 
+// The spans of what one commit waits for. Not thread-safe: one outcome follows the other.
+struct WaitSpans {
+  WaitSpans(const Span& call, const Commit& commit)
+      : append(call.Store("append")),
+        merge(commit.contribution == nullptr ? Span() : call.Store("merge")) {}
+
+  void OnStored() {
+    append.End();
+    merge.Restart();
+  }
+  void OnEnd(const absl::Status& status) {
+    if (append) {
+      merge = Span();  // nothing was merged
+      append.Fail(status);
+      return append.End();
+    }
+    merge.Fail(status);
+    merge.End();
+  }
+
+  Span append;
+  Span merge;
+};
+
 // Calls `done` once, on any thread, with the outcome of each of `commits`; see
 // SessionJournal::WhenDurable() and FleetContribution::WhenMerged().
-void WhenDurable(const Commits& commits,
+// `call` is traced while it waits.
+void WhenDurable(const Span& call, const Commits& commits,
                  std::function<void(const std::vector<absl::Status>& outcomes)> done) {
   const auto gathering = std::make_shared<Gathering>();
   gathering->missing = commits.size();
   gathering->outcomes.resize(commits.size());
   gathering->done = std::move(done);
   for (size_t i = 0; i < commits.size(); ++i) {
-    const auto finish = [gathering, i](const absl::Status& status) {
+    const auto spans = call ? std::make_shared<WaitSpans>(call, commits[i]) : nullptr;
+    const auto finish = [gathering, i, spans](const absl::Status& status) {
+      if (spans != nullptr) spans->OnEnd(status);
       gathering->outcomes[i] = status;
       if (gathering->missing.fetch_sub(1) == 1) gathering->done(gathering->outcomes);
     };
     commits[i].journal->WhenDurable(
         commits[i].position,
-        [finish, contribution = commits[i].contribution](const absl::Status& status) {
+        [finish, spans, contribution = commits[i].contribution](const absl::Status& status) {
           if (!status.ok() || contribution == nullptr) return finish(status);
+          if (spans != nullptr) spans->OnStored();
           contribution->WhenMerged(finish);
         });
   }
+}
+
+// Ends the span of a search. A session that the store does not have either is no failure of it.
+void EndSpan(const absl::Status& status, Span* span) {
+  const bool found = !absl::IsNotFound(status);
+  span->Set("spikeserve.found", static_cast<int64_t>(found));
+  if (found) span->Fail(status);
+  span->End();
 }
 
 }  // namespace
@@ -45,6 +81,7 @@ struct SessionGate::Search {
   std::shared_ptr<GatedRequest> request;
   absl::Status status;  // of the request, which has found no session
   size_t missing;       // sessions that are being looked for
+  Span span = {};       // of the search
   std::map<std::string, absl::Status> unclaimed = {};
 };
 
@@ -71,6 +108,14 @@ void SessionGate::Leave(GatedRequest& request, const absl::Status& status) const
   Await(request, status);
 }
 
+void SessionGate::Trace(const Span& call, const SessionEntry& entry,
+                        const std::shared_ptr<FleetContribution>& contribution) {
+  if (!call || entry.journal == nullptr) return;
+  const Commit commit = {
+      .journal = entry.journal, .position = entry.journal->written(), .contribution = contribution};
+  WhenDurable(call, {commit}, [](const std::vector<absl::Status>& /*outcomes*/) {});
+}
+
 bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const {
   if (request.is_over()) return false;
   const std::vector<std::string> missing = request.MissingSessions(status);
@@ -78,11 +123,14 @@ bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const
   CallContext& context = request.call_context();
   context.may_claim = false;
   const SessionRecovery::Post post = request.post();
-  const auto search = std::make_shared<Search>(
-      Search{.request = request.Self(), .status = status, .missing = missing.size()});
+  const auto search = std::make_shared<Search>(Search{.request = request.Self(),
+                                                      .status = status,
+                                                      .missing = missing.size(),
+                                                      .span = context.span.Store("claim")});
+  search->span.Set("spikeserve.session.id", missing[0]);
   if (request.only_reads() && recovery_->is_shared()) {
     recovery_->Read(*context.caller, missing[0], post,
-                    [search](const auto& session) { OnRead(*search, session); });
+                    [search](auto session) { OnRead(*search, std::move(session)); });
     return true;
   }
   for (const std::string& id : missing) {
@@ -93,18 +141,20 @@ bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const
   return true;
 }
 
-void SessionGate::OnRead(Search& search,
-                         const absl::StatusOr<std::shared_ptr<const AgentSession>>& session) {
+void SessionGate::OnRead(Search& search, absl::StatusOr<std::shared_ptr<SessionEntry>> session) {
   GatedRequest& request = *search.request;
-  if (absl::IsNotFound(session.status())) return request.Answer(search.status);
-  if (session.ok()) request.TakeRead(**session);
-  request.Answer(session.status());
+  EndSpan(session.status(), &search.span);
+  if (request.is_over() || absl::IsNotFound(session.status())) return request.Answer(search.status);
+  if (!session.ok()) return request.Answer(session.status());
+  request.call_context().read = *std::move(session);
+  request.HandleAgain({});
 }
 
 void SessionGate::OnClaimed(Search& search, const std::string& id, const absl::Status& claimed) {
   const bool failed = !claimed.ok() && !absl::IsNotFound(claimed);
   if (failed) search.unclaimed.emplace(id, claimed);
   if (--search.missing > 0) return;
+  EndSpan(claimed, &search.span);
   GatedRequest& request = *search.request;
   if (request.is_over()) return request.Answer(search.status);
   if (!claimed.ok() && !request.has_items()) {
@@ -116,7 +166,7 @@ void SessionGate::OnClaimed(Search& search, const std::string& id, const absl::S
 
 void SessionGate::Await(GatedRequest& request, const absl::Status& status) const {
   // The request is moved on, because it must be destroyed on the thread of its loop.
-  WhenDurable(request.call_context().commits,
+  WhenDurable(request.call_context().span, request.call_context().commits,
               [this, self = request.Self(), post = request.post(),
                status](const std::vector<absl::Status>& outcomes) mutable {
                 post([this, self = std::move(self), status, outcomes] {

@@ -17,7 +17,6 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/session/agent_session.h"
 #include "core/session/head_log.h"
 #include "core/session/session_store.h"
 #include "server/agent/call_context.h"
@@ -46,13 +45,11 @@ class GatedRequest {
   // Returns true for a batch: its items fail alone.
   virtual bool has_items() const { return false; }
   // Handles the request from its start. `unclaimed` tells why sessions could not be taken over; it
-  // is empty unless the request has items.
+  // is empty unless the request has items. A request that only reads has CallContext::read now.
   virtual void HandleAgain(const std::map<std::string, absl::Status>& unclaimed) = 0;
 
   // Returns true if the request only reads its session, which then stays with its owner.
   virtual bool only_reads() const { return false; }
-  // Fills in the answer to a request that only reads.
-  virtual void TakeRead(const AgentSession& /*session*/) {}
 
   // The request is granted, and its answer waits for the store.
   virtual void OnGranted() {}
@@ -92,6 +89,14 @@ class SessionGate {
                               const absl::Status& refusal, SessionEntry& entry)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);
 
+  // Traces what was written to the journal of the session, and `contribution`, if no answer waits
+  // for them: a span "append" of `call` ends when the store has the record, and a span "merge" when
+  // the head of the fleet has the contribution. A record that is traced does not gather with others
+  // before it is written. Does nothing if `call` is empty or the session is not stored.
+  static void Trace(const Span& call, const SessionEntry& entry,
+                    const std::shared_ptr<FleetContribution>& contribution = nullptr)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);
+
   // Sends the answer of a request whose handler has returned `status`, now or later.
   void Leave(GatedRequest& request, const absl::Status& status) const;
 
@@ -101,8 +106,7 @@ class SessionGate {
 
   // Returns true if the request is handled again when the store has answered.
   bool Claim(GatedRequest& request, const absl::Status& status) const;
-  static void OnRead(Search& search,
-                     const absl::StatusOr<std::shared_ptr<const AgentSession>>& session);
+  static void OnRead(Search& search, absl::StatusOr<std::shared_ptr<SessionEntry>> session);
   static void OnClaimed(Search& search, const std::string& id, const absl::Status& claimed);
   void Await(GatedRequest& request, const absl::Status& status) const;
   void OnDurable(GatedRequest& request, const absl::Status& status,

@@ -10,6 +10,7 @@
 #include "core/store/sealed_record.h"
 #include "server/base/log.h"
 #include "server/policies/policy_catalog.h"
+#include "server/store/lost_session.h"
 
 namespace spikeserve {
 namespace {
@@ -46,6 +47,16 @@ std::shared_ptr<FleetContribution> ContributionOf(SessionStore& sessions, const 
   return entry->agent.contribution();
 }
 
+// Returns whether the copy was given up by this server itself, and no other owner is known.
+bool IsGivenUp(const SessionEntry& entry) {
+  if (entry.journal == nullptr || !entry.journal->is_shared() || !entry.journal->lost()) {
+    return false;
+  }
+  absl::Status refusal;  // told at once, because nothing is to be written
+  entry.journal->WhenDurable(0, [&](const absl::Status& status) { refusal = status; });
+  return refusal.ok();
+}
+
 }  // namespace
 
 bool IsDrawnSessionId(absl::string_view id) {
@@ -67,6 +78,8 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
     is_first = !claims_.contains(key);
     // A claim is removed after its session was added. Therefore a session that is neither here nor
     // being claimed is in the store.
+    const auto copy = is_first ? sessions_.Peek(id) : nullptr;
+    if (copy != nullptr && copy->tenant == key.first && IsGivenUp(*copy)) former_.Keep(key, copy);
     is_here = is_first && sessions_.Find(id, key.first).ok();
     if (!is_here) claims_[key].push_back({post, std::move(done)});
   }
@@ -80,7 +93,7 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
       const auto contribution = status.ok() ? ContributionOf(sessions_, id) : nullptr;
       if (contribution == nullptr) return Finish(key, status);
       // The next episode could not end before. If the log of the head cannot be reached, the
-      // session goes on without.
+      // session continues without.
       contribution->WhenMerged([=, this](const absl::Status&) { Finish(key, absl::OkStatus()); });
     });
   });
@@ -105,7 +118,7 @@ void SessionRecovery::Read(const Credential& caller, const std::string& id, cons
       if (!result.ok()) return done(result.status());
       auto restored = Unfold(key, &*result);
       if (!restored.ok()) return done(restored.status());
-      done(std::make_shared<AgentSession>(std::move(restored->served), std::move(restored->session),
+      done(std::make_shared<SessionEntry>(std::move(restored->served), std::move(restored->session),
                                           &clock_));
     });
   });
@@ -135,6 +148,8 @@ absl::StatusOr<SessionRecovery::Restored> SessionRecovery::Unfold(const Key& key
 
 absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
                                       absl::StatusOr<ClaimedJournal> claimed) {
+  if (IsLost(claimed.status())) return TakeBack(key, std::move(quota));
+  if (claimed.ok() || absl::IsNotFound(claimed.status())) former_.Forget(key);
   if (!claimed.ok()) return claimed.status();
   auto restored = Unfold(key, &*claimed);
   if (!restored.ok()) return restored.status();
@@ -145,8 +160,7 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
   }
   journals_.CountReplayed(restored->entries);
   const auto& served = restored->served;
-  const SessionOptions options = restored->session.options;
-
+  const Durability durability = restored->session.options.durability;
   SessionExtras extras;
   extras.quota = std::move(quota);
   extras.journal = std::make_shared<SessionJournal>(
@@ -155,12 +169,9 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
                           .epoch = claimed->epoch,
                           .policy_file = PolicyFileOf(*served),
                           .claimed_from = claimed->claimed_from},
-      options.durability, restored->session.decisions, &journals_, claimed->records.size(),
+      durability, restored->session.decisions, &journals_, claimed->records.size(),
       /*is_whole=*/restored->after_gap == 0);
-  if (recordings_ != nullptr && !options.recording.empty()) {
-    extras.recorder = recordings_->Record(served, options.recording);
-  }
-  auto status = sessions_.Restore(served, std::move(restored->session), std::move(extras));
+  auto status = Add(served, std::move(restored->session), std::move(extras));
   if (!status.ok()) return status;
   if (restored->after_gap > 0) {
     LogWarning("journal goes on before its gap", {{"session", key.second}});
@@ -169,6 +180,39 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
   LogError("end of a journal cut off",
            {{"session", key.second}, {"error", restored->cut.message()}});
   return absl::OkStatus();
+}
+
+absl::Status SessionRecovery::TakeBack(const Key& key, std::shared_ptr<SessionQuota> quota) {
+  const auto former = former_.TakeBack(key);
+  if (!former.ok()) return former.status();
+  SessionEntry& entry = **former;
+  // The store may have told meanwhile that another server had taken the session over.
+  if (!IsGivenUp(entry)) return NoSuchSession(key.second);
+  Session session;
+  {
+    absl::MutexLock lock(&entry.mutex);
+    session = entry.agent.session();
+  }
+  SessionExtras extras;
+  extras.quota = std::move(quota);
+  // At its epoch, so that a server that has claimed the session from this one, and comes late,
+  // knows its own copy for the newer one.
+  SessionJournal::Key journal = entry.journal->key();
+  journal.epoch = entry.journal->epoch();
+  extras.journal =
+      std::make_shared<SessionJournal>(std::move(journal), session.options.durability,
+                                       session.decisions, &journals_, 0, /*is_whole=*/false);
+  LogWarning("session goes on from a former copy, because the store has lost it",
+             {{"session", key.second}});
+  return Add(entry.served, std::move(session), std::move(extras));
+}
+
+absl::Status SessionRecovery::Add(std::shared_ptr<const ServedPolicy> served, Session session,
+                                  SessionExtras extras) {
+  if (recordings_ != nullptr && !session.options.recording.empty()) {
+    extras.recorder = recordings_->Record(served, session.options.recording);
+  }
+  return sessions_.Restore(std::move(served), std::move(session), std::move(extras));
 }
 
 void SessionRecovery::Finish(const Key& key, const absl::Status& status) {

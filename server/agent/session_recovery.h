@@ -18,9 +18,9 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "core/base/clock.h"
-#include "core/session/agent_session.h"
 #include "core/session/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/agent/former_copies.h"
 #include "server/agent/recordings.h"
 #include "server/policies/policy_registry.h"
 #include "server/store/journal_store.h"
@@ -39,7 +39,7 @@ class SessionRecovery {
   // Runs work on the thread of the caller's event loop.
   using Post = std::function<void(std::function<void()>)>;
   using Done = std::function<void(const absl::Status&)>;
-  using WhenRead = std::function<void(absl::StatusOr<std::shared_ptr<const AgentSession>>)>;
+  using WhenRead = std::function<void(absl::StatusOr<std::shared_ptr<SessionEntry>>)>;
 
   // All must outlive the object; `recordings` may be null.
   SessionRecovery(JournalStore* journals, const PolicyRegistry* registry, SessionStore* sessions,
@@ -48,9 +48,10 @@ class SessionRecovery {
 
   // Claims session `id` of the caller's tenant, restores it and adds it to the sessions of this
   // server. Calls `done` by `post`: with OK if the server holds the session now, NOT_FOUND if the
-  // store has no such session, UNAVAILABLE if the store cannot be reached or this server does not
-  // have the session's policy, which then stays with its owner, DATA_LOSS if its journal is
-  // damaged, or an error of SessionStore::Restore().
+  // store has no such session, UNAVAILABLE if the store cannot be reached, has lost a session of
+  // which this server had a copy a moment ago (FormerCopies), or this server does not have the
+  // session's policy, which then stays with its owner, DATA_LOSS if its journal is damaged, or an
+  // error of SessionStore::Restore().
   void Recover(const Credential& caller, const std::string& id, const Post& post, Done done)
       ABSL_LOCKS_EXCLUDED(mutex_);
 
@@ -66,7 +67,7 @@ class SessionRecovery {
   void ForgetWaiters() ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
-  using Key = std::pair<std::string, std::string>;  // tenant and session
+  using Key = FormerCopies::Key;
   struct Waiter {
     Post post;
     Done done;
@@ -85,6 +86,10 @@ class SessionRecovery {
   JournalClaim ClaimOf(const Key& key) const;
   absl::Status Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
                        absl::StatusOr<ClaimedJournal> claimed);
+  // Goes on with the copy that this server had given up, because the store has lost the session.
+  absl::Status TakeBack(const Key& key, std::shared_ptr<SessionQuota> quota);
+  absl::Status Add(std::shared_ptr<const ServedPolicy> served, Session session,
+                   SessionExtras extras);
   void Finish(const Key& key, const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_);
 
   JournalStore& journals_;
@@ -92,6 +97,7 @@ class SessionRecovery {
   SessionStore& sessions_;
   Recordings* const recordings_;
   const SteadyClock clock_;
+  FormerCopies former_{&clock_};
 
   absl::Mutex mutex_;
   std::map<Key, std::vector<Waiter>> claims_ ABSL_GUARDED_BY(mutex_);

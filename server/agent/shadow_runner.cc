@@ -65,14 +65,6 @@ void ShadowRunner::Submit(const std::shared_ptr<ShadowSession>& shadow, int64_t 
   CountDropped(*shadow, served_version, steps.size());
 }
 
-void ShadowRunner::WaitUntilIdle() {
-  absl::MutexLock lock(&mutex_);
-  const auto idle = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    return queue_.empty() && !playing_;
-  };
-  mutex_.Await(absl::Condition(&idle));
-}
-
 void ShadowRunner::Run() {
   // On Linux, PRIO_PROCESS with a thread id sets the priority of that thread alone. If it fails,
   // shadows compete with decisions for processors, which is harmless.
@@ -86,11 +78,9 @@ void ShadowRunner::Run() {
     if (stop_) return;
     const Job job = std::move(queue_.front());
     queue_.pop_front();
-    playing_ = true;
     mutex_.Unlock();
     Play(job);
     mutex_.Lock();
-    playing_ = false;
   }
 }
 

@@ -40,9 +40,6 @@ class ShadowRunner {
   void Submit(const std::shared_ptr<ShadowSession>& shadow, int64_t served_version,
               std::vector<ShadowStep> steps);
 
-  // Blocks until all submitted steps have been replayed. For tests.
-  void WaitUntilIdle();
-
  private:
   struct Job {
     std::shared_ptr<ShadowSession> shadow;
@@ -60,7 +57,6 @@ class ShadowRunner {
 
   absl::Mutex mutex_;
   std::deque<Job> queue_ ABSL_GUARDED_BY(mutex_);
-  bool playing_ ABSL_GUARDED_BY(mutex_) = false;
   bool stop_ ABSL_GUARDED_BY(mutex_) = false;
   std::thread thread_;  // declared last, because it uses the members above
 };

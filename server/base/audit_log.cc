@@ -212,7 +212,7 @@ absl::Status AuditLog::Reserve(size_t bytes) {
   const auto status = Append("");
   if (status.ok()) return status;
   reserved_ -= bytes;
-  LogError("no room to record an operator action", {{"error", status.message()}});
+  LogError("no room to record an action", {{"error", status.message()}});
   return absl::UnavailableError(absl::StrCat(
       "--audit_log: expected room for a line, so nothing was changed: ", status.message()));
 }
@@ -224,17 +224,18 @@ void AuditLog::Remember(AuditEntry entry) {
 
 absl::Status AuditLog::Record(AuditEntry entry, size_t reserved) {
   const std::string code = absl::StatusCodeToString(entry.outcome.code());
-  LogInfo("operator action", {{"action", entry.action},
-                              {"token", entry.token},
-                              {"tenant", entry.tenant},
-                              {"certificate", entry.peer.certificate},
-                              {"address", entry.peer.address},
-                              {"policy", entry.policy},
-                              {"request", entry.request},
-                              {"code", code},
-                              {"error", entry.outcome.message()},
-                              {"before", entry.before},
-                              {"after", entry.after}});
+  const absl::string_view kind = entry.is_operators ? "operator action" : "agent action";
+  LogInfo(kind, {{"action", entry.action},
+                 {"token", entry.token},
+                 {"tenant", entry.tenant},
+                 {"certificate", entry.peer.certificate},
+                 {"address", entry.peer.address},
+                 {"policy", entry.policy},
+                 {"request", entry.request},
+                 {"code", code},
+                 {"error", entry.outcome.message()},
+                 {"before", entry.before},
+                 {"after", entry.after}});
   absl::MutexLock lock(&mutex_);
   reserved_ -= reserved;
   absl::Status status;
@@ -247,13 +248,13 @@ absl::Status AuditLog::Record(AuditEntry entry, size_t reserved) {
       status = Append(LineOf(without_states));
     }
     if (!status.ok()) {
-      LogError("operator action not recorded", {{"error", status.message()}});
+      LogError(absl::StrCat(kind, " not recorded"), {{"error", status.message()}});
       status = absl::DataLossError(
           absl::StrCat("--audit_log: expected to record the action, which has ended with ", code,
                        ": ", status.message()));
     }
   }
-  if (entry.remembered) Remember(std::move(entry));
+  if (entry.is_operators) Remember(std::move(entry));
   return status;
 }
 

@@ -43,8 +43,9 @@ struct AuditEntry {
   absl::Status outcome = absl::OkStatus();
   std::string before = "";  // JSON
   std::string after = "";   // JSON
-  // False: the entry is in the file or the log alone, because such calls are frequent.
-  bool remembered = true;
+  // False: the call of an agent, which changes nothing that is served. The entry is in the file or
+  // the log alone, because such calls are frequent.
+  bool is_operators = true;
 };
 
 class AuditLog {

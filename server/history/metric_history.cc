@@ -32,20 +32,20 @@ std::vector<double> ValuesOf(const prometheus::ClientMetric& metric, prometheus:
 
 }  // namespace
 
-void Steps::Add(absl::Duration time, double value) {
+void StepFunction::Add(absl::Duration time, double value) {
   SPIKESERVE_DCHECK(points_.empty() || time >= points_.back().first);
   if (!points_.empty() && points_.back().second == value) return;
   points_.emplace_back(time, value);
 }
 
-double Steps::At(absl::Duration time) const {
+double StepFunction::At(absl::Duration time) const {
   const auto after = std::upper_bound(
       points_.begin(), points_.end(), time,
       [](absl::Duration wanted, const auto& point) { return wanted < point.first; });
   return after == points_.begin() ? 0.0 : std::prev(after)->second;
 }
 
-void Steps::Thin(absl::Duration exact, absl::Duration oldest) {
+void StepFunction::Thin(absl::Duration exact, absl::Duration oldest) {
   std::vector<std::pair<absl::Duration, double>> kept;
   for (const auto& point : points_) {
     // A later point of the same half hour, or any point that is too old as well, replaces it.
@@ -104,7 +104,7 @@ void MetricHistory::Forget(absl::Duration now) {
   thinned_ = now;
   for (auto& [name, all] : families_) {
     for (auto& [labels, series] : all) {
-      for (Steps& steps : series.values) steps.Thin(now - kExact, now - kOldest);
+      for (StepFunction& steps : series.values) steps.Thin(now - kExact, now - kOldest);
     }
     std::erase_if(all, [&](const auto& item) { return item.second.seen < now - kOldest; });
   }

@@ -27,7 +27,7 @@ namespace spikeserve {
 using MetricLabels = std::map<std::string, std::string>;
 
 // A value over time, as a step function.
-class Steps {
+class StepFunction {
  public:
   // REQUIRES: `time` is not before the last one.
   void Add(absl::Duration time, double value);
@@ -47,7 +47,7 @@ struct MetricSeries {
   std::vector<double> bounds;  // upper bounds of a histogram's buckets; otherwise empty
   // Of a counter or a gauge one element; of a histogram the cumulative counts of its buckets, and
   // last the sum of its observations.
-  std::vector<Steps> values;
+  std::vector<StepFunction> values;
   std::vector<double> offsets = {};  // what resets have taken away, by element of `values`
   std::vector<double> raw = {};      // as exported last, by element of `values`
   absl::Duration seen = {};          // when it was exported last

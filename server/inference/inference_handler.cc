@@ -172,7 +172,7 @@ absl::Status InferenceHandler::RepositoryIndex(CallContext& /*context*/,
 }
 
 absl::Status InferenceHandler::RepositoryModelLoad(
-    CallContext& /*context*/, const inference::RepositoryModelLoadRequest& request,
+    CallContext& context, const inference::RepositoryModelLoadRequest& request,
     inference::RepositoryModelLoadResponse* /*response*/) const {
   if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
   if (!request.parameters().empty()) {
@@ -191,7 +191,7 @@ absl::Status InferenceHandler::RepositoryModelLoad(
     const PolicyVersion& version = *it;
     if (version.policy != request.model_name()) continue;
     if (!std::exchange(found, true)) status = absl::OkStatus();
-    status.Update(registry_->LoadVersion(version).status());
+    status.Update(registry_->LoadVersion(version, /*make_default=*/false, &context.span).status());
   }
   return status;
 }

@@ -1,6 +1,6 @@
 // Converts between the bodies of the Open Inference Protocol over HTTP and its messages over gRPC,
 // with Triton's extension for binary tensors: a body is a JSON object, and behind it the bytes of
-// the tensors whose parameter binary_data_size says how many.
+// the tensors whose parameter binary_data_size shows how many.
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_INFERENCE_INFERENCE_JSON_H_

@@ -159,7 +159,8 @@ Metrics::Metrics()
                         .Add({{"reason", "idle"}})),
       sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
                                 "Limit on the open sessions of all policies together.")
-                           .Add({})) {
+                           .Add({})),
+      rpc_durations_(AllMethods().size()) {
   recording_queue_episodes_ =
       &Register(BuildGauge(), "spikeserve_recording_queue_episodes",
                 "Recorded episodes that wait to be written. A crash loses them.")
@@ -304,15 +305,14 @@ void Metrics::KeepSeries() {
   keeps_series_ = true;
 }
 
-void Metrics::ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration) {
-  auto& slot = rpc_durations_[static_cast<size_t>(method)][static_cast<size_t>(code)];
+void Metrics::ObserveRpc(const Method& method, absl::StatusCode code, absl::Duration duration) {
+  auto& slot = rpc_durations_[method.index][static_cast<size_t>(code)];
   prometheus::Histogram* histogram = slot.load(std::memory_order_acquire);
   if (histogram == nullptr) {
     // Two threads may reach this at once; the family returns the same histogram to both. Abseil's
     // names of the codes are those of gRPC.
-    histogram = &rpc_duration_.Add({{"method", std::string(GetMethodInfo(method).name)},
-                                    {"code", absl::StatusCodeToString(code)}},
-                                   RpcSeconds());
+    histogram = &rpc_duration_.Add(
+        {{"method", method.name}, {"code", absl::StatusCodeToString(code)}}, RpcSeconds());
     slot.store(histogram, std::memory_order_release);
   }
   histogram->Observe(absl::ToDoubleSeconds(duration));

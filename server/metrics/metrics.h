@@ -1,7 +1,7 @@
 // The metrics that the server exports to Prometheus.
 //
 //   Metrics metrics;
-//   metrics.ObserveRpc(Method::kAct, absl::StatusCode::kOk, absl::Microseconds(80));
+//   metrics.ObserveRpc(MethodNamed("Act"), absl::StatusCode::kOk, absl::Microseconds(80));
 //   std::string page = metrics.ToText();
 //
 // Thread-safe. Time series are created before a decision needs them, so that a decision looks
@@ -30,7 +30,7 @@
 #include "prometheus/histogram.h"
 #include "prometheus/metric_family.h"
 #include "prometheus/registry.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 #include "server/metrics/version_evidence.h"
 
 namespace spikeserve {
@@ -76,7 +76,7 @@ class Metrics {
   void CountNonFiniteAnswer(const std::string& policy);
 
   // Records the duration of one call. For ActStream and ModelStreamInfer: of one request.
-  void ObserveRpc(Method method, absl::StatusCode code, absl::Duration duration);
+  void ObserveRpc(const Method& method, absl::StatusCode code, absl::Duration duration);
 
   // Counts sessions that were closed because they were idle for the time-to-live.
   void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
@@ -175,7 +175,7 @@ class Metrics {
       ABSL_GUARDED_BY(versions_mutex_);  // by name/number
 
   // Created when a method first returns a code, because most pairs never occur.
-  std::array<std::array<std::atomic<prometheus::Histogram*>, kCodes>, kMethods> rpc_durations_ = {};
+  std::vector<std::array<std::atomic<prometheus::Histogram*>, kCodes>> rpc_durations_;  // by method
 };
 
 }  // namespace spikeserve

@@ -3,12 +3,14 @@
 #include <utility>
 
 #include "absl/algorithm/container.h"
+#include "absl/cleanup/cleanup.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/model/policy_file.h"
 #include "server/policies/version_writer.h"
+#include "server/trace/tracer.h"
 
 namespace spikeserve {
 namespace {
@@ -162,7 +164,7 @@ void PolicyRegistry::Publish(PolicyCatalog catalog) {
   catalog_.swap(next);
 }
 
-PolicyRegistry::KnownFile PolicyRegistry::Look(const PolicyVersion& version) const {
+PolicyRegistry::KnownFile PolicyRegistry::ReadKnownFile(const PolicyVersion& version) const {
   const std::string path = PolicyFilePath(options_.directory, version);
   KnownFile file = {.policy = StampOf(path), .signature = {}, .status = absl::OkStatus()};
   if (options_.signatures != nullptr) file.signature = StampOf(SignaturePath(path));
@@ -184,11 +186,20 @@ absl::StatusOr<VersionFiles> PolicyRegistry::FormatVersion(const Policy& policy)
   return files;
 }
 
+Span PolicyRegistry::StartLoad(const PolicyVersion& version) const {
+  if (options_.tracer == nullptr) return {};
+  Span span = call_ == nullptr ? options_.tracer->Start("load") : call_->Child("load");
+  span.Set("spikeserve.policy", version.policy);
+  span.Set("spikeserve.policy.version", version.version);
+  return span;
+}
+
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     const PolicyVersion& version) {
+  Span span = StartLoad(version);
   // The files are looked at before they are read, so that one that changes meanwhile is read again.
   KnownFile& file = files_[version];
-  file = Look(version);
+  file = ReadKnownFile(version);
   std::shared_ptr<LearningSwitch>& learning = learning_[version.policy];
   if (learning == nullptr) {
     learning = std::make_shared<LearningSwitch>();
@@ -198,11 +209,17 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
   auto served = LoadPolicyVersion(options_.directory, version, options_.signatures.get(), learning,
                                   new_observer_, options_.share_heads, options_.head_logs);
   file.status = served.status();
+  span.Fail(file.status);
   return served;
 }
 
-absl::StatusOr<ReloadReport> PolicyRegistry::Reload() {
+absl::StatusOr<ReloadReport> PolicyRegistry::Reload(const Span* call) {
   absl::MutexLock change(&change_mutex_);
+  call_ = call;
+  const absl::Cleanup forget = [this] {
+    change_mutex_.AssertHeld();
+    call_ = nullptr;
+  };
   absl::StatusOr<ReloadReport> report;
   auto status = WithLatest([&] {
     change_mutex_.AssertHeld();
@@ -235,7 +252,7 @@ void PolicyRegistry::LoadChanged(const std::vector<PolicyVersion>& versions, Pol
   for (const PolicyVersion& version : versions) {
     if (settings_.unloaded.contains(version)) continue;
     const auto known = files_.find(version);
-    const KnownFile found = Look(version);
+    const KnownFile found = ReadKnownFile(version);
     if (known == files_.end() || known->second.policy != found.policy ||
         known->second.signature != found.signature) {
       if (auto served = Read(version); served.ok()) {
@@ -280,7 +297,7 @@ void PolicyRegistry::UnloadRemoved(PolicyCatalog* catalog, ReloadReport* report)
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
-    const PolicyVersion& version, bool make_default) {
+    const PolicyVersion& version, bool make_default, const Span* call) {
   if (!IsPlainName(version.policy)) {
     return absl::InvalidArgumentError(
         absl::StrCat("policy: expected a name of at most ", kLongestName,
@@ -295,6 +312,11 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
                                             ": expected a file that can be read"));
   }
   absl::MutexLock change(&change_mutex_);
+  call_ = call;
+  const absl::Cleanup forget = [this] {
+    change_mutex_.AssertHeld();
+    call_ = nullptr;
+  };
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
   auto status = WithLatest([&] {
     change_mutex_.AssertHeld();

@@ -31,6 +31,9 @@
 
 namespace spikeserve {
 
+class Span;
+class Tracer;
+
 // The result of Reload.
 struct ReloadReport {
   std::vector<PolicyVersion> loaded;    // new versions, and versions whose file changed
@@ -59,6 +62,7 @@ struct RegistryOptions {
   SharedSettings* shared = nullptr;  // null: the settings are those of this server
   HeadLogs* head_logs = nullptr;     // null: the shared heads are those of this server
   std::shared_ptr<const PolicySignatures> signatures = nullptr;  // null: versions need no signature
+  Tracer* tracer = nullptr;                                      // null: nothing is traced
 };
 
 class PolicyRegistry {
@@ -111,13 +115,15 @@ class PolicyRegistry {
   // Updates the catalog from the directory: loads new and changed files, and unloads versions whose
   // files were removed, unless a setting uses them. If a changed file is refused, the version that
   // was loaded before stays. Returns NOT_FOUND and changes nothing if the directory cannot be read.
-  absl::StatusOr<ReloadReport> Reload();
+  // The spans of loads belong to `call`; null: to none, as those of the start.
+  absl::StatusOr<ReloadReport> Reload(const Span* call = nullptr);
 
   // Loads this version now and replaces a version of the same number, even if its file has not
   // changed. If `make_default`, it also becomes the default. Returns NOT_FOUND if there is no file
-  // and INVALID_ARGUMENT if it is refused; then nothing changes.
+  // and INVALID_ARGUMENT if it is refused; then nothing changes. `call` as for Reload().
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadVersion(const PolicyVersion& version,
-                                                                  bool make_default = false);
+                                                                  bool make_default = false,
+                                                                  const Span* call = nullptr);
 
   // The methods below return NOT_FOUND and change nothing if the policy or version is not served.
 
@@ -170,7 +176,7 @@ class PolicyRegistry {
   };
 
   // Returns the state of a version's files now.
-  KnownFile Look(const PolicyVersion& version) const;
+  KnownFile ReadKnownFile(const PolicyVersion& version) const;
 
   PolicyRegistry(RegistryOptions options, NewObserver new_observer)
       : options_(std::move(options)),
@@ -231,6 +237,8 @@ class PolicyRegistry {
   absl::Status SaveFile(const Settings& settings) const
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
+  // Begins the span of a load.
+  Span StartLoad(const PolicyVersion& version) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> Read(const PolicyVersion& version)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   void LoadChanged(const std::vector<PolicyVersion>& versions, PolicyCatalog* catalog,
@@ -243,6 +251,8 @@ class PolicyRegistry {
   std::atomic<bool> joined_;
 
   absl::Mutex change_mutex_;  // held during a whole change; taken before mutex_
+  const Span* call_ ABSL_GUARDED_BY(change_mutex_) =
+      nullptr;  // that the change belongs to, or null
   std::map<PolicyVersion, KnownFile> files_ ABSL_GUARDED_BY(change_mutex_);
   // All settings of operators, including those that wait for a version; the catalog has those that
   // are in force.

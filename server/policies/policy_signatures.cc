@@ -187,8 +187,7 @@ absl::Status PolicySignatures::CheckCanSign() const {
   if (signing_ != nullptr) return absl::OkStatus();
   return absl::FailedPreconditionError(
       "--signing_key: expected the key that signs promoted versions, because --trusted_keys "
-      "refuses "
-      "versions without a signature, received none");
+      "refuses versions without a signature, received none");
 }
 
 absl::StatusOr<std::string> PolicySignatures::Sign(absl::string_view policy) const {

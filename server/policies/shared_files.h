@@ -6,7 +6,7 @@
 //   files.Follow(alive);  // now and then
 //   if (auto status = files.Check(served); !status.ok()) ...  // UNAVAILABLE: other bytes
 //
-// The first server that has a version says which file it is, as long as it lives.
+// The first server that has a version notes which file it is, as long as it lives.
 //
 // Thread-safe, except that one thread at a time calls Follow().
 #ifndef SERVER_POLICIES_SHARED_FILES_H_

@@ -2,7 +2,7 @@
 //
 // The evidence comes from agents, of which some may lie. Each session counts once, the lowest and
 // the highest tenth of the sessions' returns are left out, and a verdict must stand without the
-// sessions of any one tenant. docs/design/threat-model.md says what remains possible.
+// sessions of any one tenant. docs/design/threat-model.md shows what remains possible.
 //
 // Pure functions; safe to call from many threads.
 #ifndef SERVER_ROLLOUTS_ROLLOUT_JUDGE_H_

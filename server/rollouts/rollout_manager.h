@@ -71,7 +71,7 @@ class RolloutManager {
   void Tick();
 
  private:
-  // What is newer than the settings, which are not written at every tick.
+  // State that is newer than the settings, which are not written at every tick.
   struct Running {
     absl::Duration ticked;  // time of the clock
     absl::Duration saved;

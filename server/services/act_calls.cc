@@ -23,6 +23,13 @@ absl::Status RefusalWithin(const v1::ActBatchResponse& response) {
   return absl::OkStatus();
 }
 
+// Returns the caller's span that a request of a stream belongs to.
+TraceParent TraceOf(const v1::ActRequest& request, const Call& call) {
+  if (request.traceparent().empty()) return call.head().trace;
+  const TraceParent own = ParseTraceParent(request.traceparent());
+  return own.is_valid() ? own : call.head().trace;
+}
+
 // Returns true if the item found no session.
 bool IsMissing(const v1::ActResult& result) {
   return result.code() == static_cast<int>(absl::StatusCode::kNotFound);
@@ -61,6 +68,7 @@ class ActStreamCall::Item final : public QueuedAct,
   void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) override { Handle(); }
   void OnGranted() override { call_->OnGranted(); }
   void Answer(const absl::Status& status) override {
+    call_->EndSpan(status, &call_context().span);
     call_->Answer(messages_, status, request_bytes_, received_);
   }
 
@@ -141,6 +149,7 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
   if (auto status = ParseRequest(message, item->messages().request()); !status.ok()) {
     return Finish(status);
   }
+  item->call_context().span = StartSpan(TraceOf(*item->messages().request(), *call()));
   // The next request of a tenant with a limit must wait if this one is refused.
   limited_ = caller().tenant()->limits_decisions();
   if (CountRequest(message.size()) >= kMaxInProgress || limited_) call()->PauseReading();

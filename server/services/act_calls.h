@@ -22,8 +22,8 @@ namespace spikeserve {
 class ActOneCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, public QueuedAct {
  public:
   // `queue` must outlive the call.
-  ActOneCall(const ServiceContext* context, Call* call, ActQueue* queue)
-      : UnaryCall(context, call, Method::kAct), queue_(*queue) {}
+  ActOneCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
+      : UnaryCall(context, call, method), queue_(*queue) {}
 
   void OnDecided() override { Leave(act().status); }
 
@@ -41,8 +41,8 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
                            public QueuedBatch {
  public:
   // `queue` must outlive the call.
-  ActBatchCall(const ServiceContext* context, Call* call, ActQueue* queue)
-      : UnaryCall(context, call, Method::kActBatch), queue_(*queue) {}
+  ActBatchCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
+      : UnaryCall(context, call, method), queue_(*queue) {}
 
   bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) override;
 
@@ -66,11 +66,11 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
 };
 
 // Answers any number of requests. A request that fails is answered with its error, and the stream
-// goes on; after a refusal it reads on when the caller has waited.
+// continues; after a refusal the next request is read when the delay of the refusal is over.
 class ActStreamCall final : public ServiceCall {
  public:
-  ActStreamCall(const ServiceContext* context, Call* call, ActQueue* queue)
-      : ServiceCall(context, call, Method::kActStream), queue_(*queue) {}
+  ActStreamCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
+      : ServiceCall(context, call, method), queue_(*queue) {}
 
   void OnDrain() override;
 

@@ -28,8 +28,8 @@ template <typename Request, typename Response>
 class InlineCall final : public UnaryCall<Request, Response> {
  public:
   // `deferred` is work that the loop does after it has sent the answer. All must outlive the call.
-  InlineCall(const ServiceContext* context, Call* call, Method method, DeferredWork* deferred,
-             const Handler<Request, Response>* handler)
+  InlineCall(const ServiceContext* context, Call* call, const Method& method,
+             DeferredWork* deferred, const Handler<Request, Response>* handler)
       : UnaryCall<Request, Response>(context, call, method), handler_(*handler) {
     this->call_context().deferred = deferred;
   }
@@ -48,8 +48,9 @@ template <typename Request, typename Response>
 class BackgroundCall final : public UnaryCall<Request, Response> {
  public:
   // All must outlive the call. If `is_recorded`, the handler learns who the peer is.
-  BackgroundCall(const ServiceContext* context, Call* call, Method method, BackgroundWorker* worker,
-                 const Handler<Request, Response>* handler, bool is_recorded)
+  BackgroundCall(const ServiceContext* context, Call* call, const Method& method,
+                 BackgroundWorker* worker, const Handler<Request, Response>* handler,
+                 bool is_recorded)
       : UnaryCall<Request, Response>(context, call, method),
         worker_(*worker),
         handler_(*handler),

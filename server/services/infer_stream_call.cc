@@ -11,6 +11,18 @@
 #include "server/services/request_parser.h"
 
 namespace spikeserve {
+namespace {
+
+// Returns the caller's span that a request of a stream belongs to: its own parameter `traceparent`,
+// or else the header of the call.
+TraceParent TraceOf(const inference::ModelInferRequest& request, const Call& call) {
+  const auto it = request.parameters().find("traceparent");
+  if (it == request.parameters().end()) return call.head().trace;
+  const TraceParent own = ParseTraceParent(it->second.string_param());
+  return own.is_valid() ? own : call.head().trace;
+}
+
+}  // namespace
 
 // One request of the stream. Keeps the call alive.
 class InferStreamCall::Item final : public GatedRequest, public std::enable_shared_from_this<Item> {
@@ -23,6 +35,8 @@ class InferStreamCall::Item final : public GatedRequest, public std::enable_shar
   }
 
   inference::ModelInferRequest* request() { return &request_; }
+  // The request was read, from a call that is not over.
+  void StartSpan() { call_context().span = call_->StartSpan(TraceOf(request_, *call_->call())); }
 
   void Handle() {
     auto status = CheckStillAdmitted(call_->caller(), static_cast<int64_t>(request_bytes_),
@@ -42,6 +56,7 @@ class InferStreamCall::Item final : public GatedRequest, public std::enable_shar
   void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) override { Handle(); }
   void Answer(const absl::Status& status) override {
     call_->Observe(status, start_);
+    call_->EndSpan(status, &call_context().span);
     call_->Reply(status, request_.id(), request_bytes_, &response_);
   }
 
@@ -59,6 +74,7 @@ void InferStreamCall::HandleMessage(absl::string_view message) {
   const auto item = std::make_shared<Item>(
       std::static_pointer_cast<InferStreamCall>(shared_from_this()), message.size());
   if (auto status = ParseRequest(message, item->request()); !status.ok()) return Finish(status);
+  item->StartSpan();
   item->Handle();
 }
 

@@ -12,16 +12,14 @@
 
 namespace spikeserve {
 
-// A request that fails is answered with its error, and the stream goes on.
+// A request that fails is answered with its error, and the stream continues.
 class InferStreamCall final : public ServiceCall {
  public:
   // `deferred` is work that the loop does after it has sent the answers. All pointers must outlive
   // the call.
-  InferStreamCall(const ServiceContext* context, Call* call, const InferenceHandler* handler,
-                  DeferredWork* deferred)
-      : ServiceCall(context, call, Method::kModelStreamInfer),
-        handler_(*handler),
-        deferred_(deferred) {}
+  InferStreamCall(const ServiceContext* context, Call* call, const Method& method,
+                  const InferenceHandler* handler, DeferredWork* deferred)
+      : ServiceCall(context, call, method), handler_(*handler), deferred_(deferred) {}
 
   void OnDrain() override {
     ServiceCall::OnDrain();

@@ -1,10 +1,31 @@
 #include "server/services/service_call.h"
 
+#include <string>
 #include <utility>
 
+#include "absl/strings/strip.h"
 #include "server/access/admission.h"
+#include "server/trace/tracer.h"
 
 namespace spikeserve {
+namespace {
+
+// Returns true for the codes that OpenTelemetry counts as errors of a server.
+bool IsFaultOfServer(absl::StatusCode code) {
+  switch (code) {
+    case absl::StatusCode::kUnknown:
+    case absl::StatusCode::kDeadlineExceeded:
+    case absl::StatusCode::kUnimplemented:
+    case absl::StatusCode::kInternal:
+    case absl::StatusCode::kUnavailable:
+    case absl::StatusCode::kDataLoss:
+      return true;
+    default:
+      return false;
+  }
+}
+
+}  // namespace
 
 void ServiceCall::Start() {
   const absl::Duration start = context_.clock->Now();
@@ -13,7 +34,7 @@ void ServiceCall::Start() {
     admission_ = caller_.status();
   }
   if (admission_.ok()) {
-    admission_ = caller().tenant()->AcquireCall(GetMethodInfo(method_).cost, start);
+    admission_ = caller().tenant()->AcquireCall(method_.cost, start);
   }
   if (admission_.ok()) {
     const std::shared_ptr<Tenant>& tenant = caller().tenant();
@@ -52,6 +73,22 @@ void ServiceCall::OnDrain() {
 absl::Duration ServiceCall::DelayFor(const absl::Status& status, size_t request_bytes) const {
   return context_.authenticator->RefusalPacerFor(caller_).DelayFor(status, request_bytes,
                                                                    context_.clock->Now());
+}
+
+Span ServiceCall::NewSpan(const TraceParent& parent) const {
+  const absl::string_view name = absl::StripPrefix(call_->head().path, "/");
+  Span span = context_.tracer->Start(name, parent);
+  span.Set("rpc.system.name", "grpc");
+  span.Set("rpc.method", name);
+  return span;
+}
+
+void ServiceCall::FinishSpan(const absl::Status& status, Span* span) const {
+  span->Set("rpc.response.status_code", absl::StatusCodeToString(status.code()));
+  const std::string& tenant = caller().tenant()->name();
+  if (!tenant.empty()) span->Set("spikeserve.tenant", tenant);
+  if (IsFaultOfServer(status.code())) span->Fail(status);
+  span->End();
 }
 
 void ServiceCall::AfterDelay(const absl::Status& status, size_t request_bytes,

@@ -15,8 +15,9 @@
 #include "absl/time/time.h"
 #include "server/access/authenticator.h"
 #include "server/agent/session_recovery.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 #include "server/services/service_context.h"
+#include "server/trace/span.h"
 #include "server/transport/call.h"
 
 namespace spikeserve {
@@ -29,7 +30,7 @@ inline SessionRecovery::Post PostTo(EventLoop* loop) {
 class ServiceCall : public CallHandler, public std::enable_shared_from_this<ServiceCall> {
  public:
   // `context` must outlive the call.
-  ServiceCall(const ServiceContext* context, Call* call, Method method)
+  ServiceCall(const ServiceContext* context, Call* call, const Method& method)
       : context_(*context),
         call_(call),
         loop_(call->loop()),
@@ -57,7 +58,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   virtual void HandleHalfClose() = 0;
 
   const ServiceContext& context() const { return context_; }
-  Method method() const { return method_; }
+  const Method& method() const { return method_; }
   // Null after the call is over.
   Call* call() const { return call_; }
   // Outlives the call.
@@ -68,6 +69,16 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   // Counts a request that started at `start` and ended with `status`.
   void Observe(const absl::Status& status, absl::Duration start) {
     context_.metrics->ObserveRpc(method_, status.code(), context_.clock->Now() - start);
+  }
+
+  // Begins the span of a request that has arrived; empty if it is not traced. REQUIRES: the call is
+  // not over.
+  Span StartSpan(const TraceParent& parent) const {
+    return context_.tracer == nullptr ? Span() : NewSpan(parent);
+  }
+  // Ends the span of a request that is answered with `status`.
+  void EndSpan(const absl::Status& status, Span* span) const {
+    if (*span) FinishSpan(status, span);
   }
 
   // Runs `next` now, or, if `status` is a refusal, after the delay that refused callers get.
@@ -87,10 +98,13 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   static absl::Status TooManyBytesError();
 
  private:
+  Span NewSpan(const TraceParent& parent) const;
+  void FinishSpan(const absl::Status& status, Span* span) const;
+
   const ServiceContext& context_;
   Call* call_;
   EventLoop& loop_;
-  const Method method_;
+  const Method& method_;
   absl::Duration DelayFor(const absl::Status& status, size_t request_bytes) const;
 
   absl::Status admission_;

@@ -12,6 +12,8 @@
 
 namespace spikeserve {
 
+class Tracer;
+
 // All are thread-safe and must outlive the calls.
 struct ServiceContext {
   CallGate* gate;
@@ -20,6 +22,7 @@ struct ServiceContext {
   const Clock* clock;
   int64_t max_message_bytes;  // of one request of any tenant
   const SessionGate* sessions;
+  Tracer* tracer = nullptr;  // null: nothing is traced
 };
 
 }  // namespace spikeserve

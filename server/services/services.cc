@@ -7,7 +7,6 @@
 #include "server/services/act_calls.h"
 #include "server/services/infer_stream_call.h"
 #include "server/services/reflection.h"
-#include "server/services/service_name.h"
 
 namespace spikeserve {
 namespace {
@@ -33,56 +32,53 @@ void Services::Attach(Transport* transport) {
   for (const auto& services : loops_) services->Attach(loops_);
 }
 
-void Services::AddCall(Method method,
-                       std::function<std::shared_ptr<ServiceCall>(Call*, LoopServices*)> open) {
-  table_.Add(absl::StrCat(service_, GetMethodInfo(method).name),
-             [open = std::move(open)](Call* call, LoopServices* loop) {
-               auto opened = open(call, loop);
-               opened->Start();
-               return opened;
-             });
-}
-
-template <typename H, typename Request, typename Response>
-void Services::Add(Method method, const H* handler, HandlerMethod<H, Request, Response> answer) {
-  Handler<Request, Response> bound = std::bind_front(answer, handler);
-  const Cost cost = GetMethodInfo(method).cost;
-  if (!RunsOnLoop(cost)) {
-    return AddBackground(method, cost == Cost::kListing ? handlers_.list_worker : handlers_.worker,
-                         std::move(bound));
+void Services::AddCall(const Method& method, OpenCall open) {
+  if (service_names_.empty() || service_names_.back() != method.service) {
+    service_names_.push_back(method.service);
   }
-  AddCall(method, [this, method, bound = std::move(bound)](Call* call, LoopServices* loop) {
-    return std::make_shared<InlineCall<Request, Response>>(&context_, call, method,
-                                                           &loop->deferred(), &bound);
+  table_.Add(method.path, [&method, open = std::move(open)](Call* call, LoopServices* loop) {
+    auto opened = open(call, method, loop);
+    opened->Start();
+    return opened;
   });
 }
 
+template <typename H, typename Request, typename Response>
+void Services::Add(const H* handler, HandlerMethod<H, Request, Response> answer) {
+  Handler<Request, Response> bound = std::bind_front(answer, handler);
+  const Method& method = MethodOf<Request>();
+  if (!RunsOnLoop(method.cost)) {
+    return AddBackground(method.cost == Cost::kListing ? handlers_.list_worker : handlers_.worker,
+                         std::move(bound));
+  }
+  AddCall(method,
+          [this, bound = std::move(bound)](Call* call, const Method& called, LoopServices* loop) {
+            return std::make_shared<InlineCall<Request, Response>>(&context_, call, called,
+                                                                   &loop->deferred(), &bound);
+          });
+}
+
 template <typename Request, typename Response>
-void Services::AddBackground(Method method, BackgroundWorker* worker,
-                             Handler<Request, Response> handler, bool is_recorded) {
-  AddCall(method, [this, method, worker, handler = std::move(handler), is_recorded](
-                      Call* call, LoopServices* /*loop*/) {
+void Services::AddBackground(BackgroundWorker* worker, Handler<Request, Response> handler,
+                             bool is_recorded) {
+  AddCall(MethodOf<Request>(), [this, worker, handler = std::move(handler), is_recorded](
+                                   Call* call, const Method& method, LoopServices* /*loop*/) {
     return std::make_shared<BackgroundCall<Request, Response>>(&context_, call, method, worker,
                                                                &handler, is_recorded);
   });
 }
 
 template <typename H, typename Request, typename Response>
-void Services::AddAdmin(Method method, const H* handler,
-                        HandlerMethod<H, Request, Response> answer) {
-  if (GetMethodInfo(method).access == Access::kOperatorOnly) {
-    return AddRecorded(method, handler, answer);
-  }
-  AddBackground<Request, Response>(method, handlers_.admin_worker,
-                                   std::bind_front(answer, handler));
+void Services::AddAdmin(const H* handler, HandlerMethod<H, Request, Response> answer) {
+  if (MethodOf<Request>().access == Access::kOperatorOnly) return AddRecorded(handler, answer);
+  AddBackground<Request, Response>(handlers_.admin_worker, std::bind_front(answer, handler));
 }
 
 template <typename H, typename Request, typename Response>
-void Services::AddRecorded(Method method, const H* handler,
-                           HandlerMethod<H, Request, Response> answer) {
+void Services::AddRecorded(const H* handler, HandlerMethod<H, Request, Response> answer) {
   AddBackground<Request, Response>(
-      method, handlers_.admin_worker,
-      [audit = handlers_.audit, method, handler, answer](
+      handlers_.admin_worker,
+      [audit = handlers_.audit, &method = MethodOf<Request>(), handler, answer](
           CallContext& context, const Request& request, Response* response) {
         return audit->RunAndRecord(method, context, request,
                                    [&] { return (handler->*answer)(context, request, response); });
@@ -91,80 +87,70 @@ void Services::AddRecorded(Method method, const H* handler,
 }
 
 void Services::AddPolicyService() {
-  service_names_.push_back(ServiceName<v1::ListPoliciesRequest>());
-  service_ = absl::StrCat("/", service_names_.back(), "/");
   const PolicyHandler* policy = handlers_.policy;
-  Add(Method::kListPolicies, policy, &PolicyHandler::ListPolicies);
-  Add(Method::kOpenSession, policy, &PolicyHandler::OpenSession);
-  Add(Method::kEndEpisode, policy, &PolicyHandler::EndEpisode);
-  Add(Method::kGetSession, policy, &PolicyHandler::GetSession);
-  Add(Method::kCloseSession, policy, &PolicyHandler::CloseSession);
-  Add(Method::kExplain, policy, &PolicyHandler::Explain);
-  AddRecorded(Method::kExportSession, policy, &PolicyHandler::ExportSession);
-  AddCall(Method::kAct, [this](Call* call, LoopServices* loop) {
-    return std::make_shared<ActOneCall>(&context_, call, &loop->acts());
+  Add(policy, &PolicyHandler::ListPolicies);
+  Add(policy, &PolicyHandler::OpenSession);
+  Add(policy, &PolicyHandler::EndEpisode);
+  Add(policy, &PolicyHandler::GetSession);
+  Add(policy, &PolicyHandler::CloseSession);
+  Add(policy, &PolicyHandler::Explain);
+  AddRecorded(policy, &PolicyHandler::ExportSession);
+  AddCall(MethodNamed("Act"), [this](Call* call, const Method& method, LoopServices* loop) {
+    return std::make_shared<ActOneCall>(&context_, call, method, &loop->acts());
   });
-  AddCall(Method::kActBatch, [this](Call* call, LoopServices* loop) {
-    return std::make_shared<ActBatchCall>(&context_, call, &loop->acts());
+  AddCall(MethodNamed("ActBatch"), [this](Call* call, const Method& method, LoopServices* loop) {
+    return std::make_shared<ActBatchCall>(&context_, call, method, &loop->acts());
   });
-  AddCall(Method::kActStream, [this](Call* call, LoopServices* loop) {
-    return std::make_shared<ActStreamCall>(&context_, call, &loop->acts());
+  AddCall(MethodNamed("ActStream"), [this](Call* call, const Method& method, LoopServices* loop) {
+    return std::make_shared<ActStreamCall>(&context_, call, method, &loop->acts());
   });
 }
 
 void Services::AddPolicyAdmin() {
-  service_names_.push_back(ServiceName<v1::LoadPolicyRequest>());
-  service_ = absl::StrCat("/", service_names_.back(), "/");
-  const auto add_admin = [this](Method method, auto handler_method) {
-    AddAdmin(method, handlers_.admin, handler_method);
-  };
-  add_admin(Method::kLoadPolicy, &AdminHandler::LoadPolicy);
-  add_admin(Method::kUnloadPolicy, &AdminHandler::UnloadPolicy);
-  add_admin(Method::kReloadPolicies, &AdminHandler::ReloadPolicies);
-  add_admin(Method::kSetDefaultVersion, &AdminHandler::SetDefaultVersion);
-  add_admin(Method::kSetLabel, &AdminHandler::SetLabel);
-  add_admin(Method::kRemoveLabel, &AdminHandler::RemoveLabel);
-  add_admin(Method::kSetTraffic, &AdminHandler::SetTraffic);
-  add_admin(Method::kSetTrafficShares, &AdminHandler::SetTrafficShares);
-  add_admin(Method::kSetShadow, &AdminHandler::SetShadow);
-  add_admin(Method::kListHistory, &AdminHandler::ListHistory);
-  const auto add_rollouts = [this](Method method, auto handler_method) {
-    AddAdmin(method, handlers_.rollouts, handler_method);
-  };
-  add_rollouts(Method::kStartRollout, &RolloutHandler::StartRollout);
-  add_rollouts(Method::kAbortRollout, &RolloutHandler::AbortRollout);
-  add_rollouts(Method::kListRollouts, &RolloutHandler::ListRollouts);
-  add_admin(Method::kListSessions, &AdminHandler::ListSessions);
-  add_admin(Method::kDrain, &AdminHandler::Drain);
-  const auto add_heads = [this](Method method, auto handler_method) {
-    AddAdmin(method, handlers_.heads, handler_method);
-  };
-  add_heads(Method::kGetHead, &HeadHandler::GetHead);
-  add_heads(Method::kPromoteHead, &HeadHandler::PromoteHead);
-  add_heads(Method::kRollbackHead, &HeadHandler::RollbackHead);
-  add_heads(Method::kPauseLearning, &HeadHandler::PauseLearning);
-  add_heads(Method::kResumeLearning, &HeadHandler::ResumeLearning);
+  const AdminHandler* admin = handlers_.admin;
+  AddAdmin(admin, &AdminHandler::LoadPolicy);
+  AddAdmin(admin, &AdminHandler::UnloadPolicy);
+  AddAdmin(admin, &AdminHandler::ReloadPolicies);
+  AddAdmin(admin, &AdminHandler::SetDefaultVersion);
+  AddAdmin(admin, &AdminHandler::SetLabel);
+  AddAdmin(admin, &AdminHandler::RemoveLabel);
+  AddAdmin(admin, &AdminHandler::SetTraffic);
+  AddAdmin(admin, &AdminHandler::SetTrafficShares);
+  AddAdmin(admin, &AdminHandler::SetShadow);
+  AddAdmin(admin, &AdminHandler::ListHistory);
+  AddAdmin(admin, &AdminHandler::ListSessions);
+  AddAdmin(admin, &AdminHandler::Drain);
+  const RolloutHandler* rollouts = handlers_.rollouts;
+  AddAdmin(rollouts, &RolloutHandler::StartRollout);
+  AddAdmin(rollouts, &RolloutHandler::AbortRollout);
+  AddAdmin(rollouts, &RolloutHandler::ListRollouts);
+  const HeadHandler* heads = handlers_.heads;
+  AddAdmin(heads, &HeadHandler::GetHead);
+  AddAdmin(heads, &HeadHandler::PromoteHead);
+  AddAdmin(heads, &HeadHandler::RollbackHead);
+  AddAdmin(heads, &HeadHandler::PauseLearning);
+  AddAdmin(heads, &HeadHandler::ResumeLearning);
 }
 
 void Services::AddInferenceService() {
-  service_names_.push_back(ServiceName<inference::ServerLiveRequest>());
-  service_ = absl::StrCat("/", service_names_.back(), "/");
   const InferenceHandler* handler = handlers_.inference;
-  Add(Method::kServerLive, handler, &InferenceHandler::ServerLive);
-  Add(Method::kServerReady, handler, &InferenceHandler::ServerReady);
-  Add(Method::kModelReady, handler, &InferenceHandler::ModelReady);
-  Add(Method::kServerMetadata, handler, &InferenceHandler::ServerMetadata);
-  Add(Method::kModelMetadata, handler, &InferenceHandler::ModelMetadata);
-  Add(Method::kModelInfer, handler, &InferenceHandler::ModelInfer);
-  Add(Method::kModelConfig, handler, &InferenceHandler::ModelConfig);
-  Add(Method::kModelStatistics, handler, &InferenceHandler::ModelStatistics);
-  Add(Method::kRepositoryIndex, handler, &InferenceHandler::RepositoryIndex);
-  AddAdmin(Method::kRepositoryModelLoad, handler, &InferenceHandler::RepositoryModelLoad);
-  AddAdmin(Method::kRepositoryModelUnload, handler, &InferenceHandler::RepositoryModelUnload);
-  AddCall(Method::kModelStreamInfer, [this](Call* call, LoopServices* loop) {
-    return std::make_shared<InferStreamCall>(&context_, call, handlers_.inference,
-                                             &loop->deferred());
-  });
+  Add(handler, &InferenceHandler::ServerLive);
+  Add(handler, &InferenceHandler::ServerReady);
+  Add(handler, &InferenceHandler::ModelReady);
+  Add(handler, &InferenceHandler::ServerMetadata);
+  Add(handler, &InferenceHandler::ModelMetadata);
+  // Its requests have the type of ModelStreamInfer's, too; MethodOf() means the unary method.
+  Add(handler, &InferenceHandler::ModelInfer);
+  Add(handler, &InferenceHandler::ModelConfig);
+  Add(handler, &InferenceHandler::ModelStatistics);
+  Add(handler, &InferenceHandler::RepositoryIndex);
+  AddAdmin(handler, &InferenceHandler::RepositoryModelLoad);
+  AddAdmin(handler, &InferenceHandler::RepositoryModelUnload);
+  AddCall(MethodNamed("ModelStreamInfer"),
+          [this](Call* call, const Method& method, LoopServices* loop) {
+            return std::make_shared<InferStreamCall>(&context_, call, method, handlers_.inference,
+                                                     &loop->deferred());
+          });
 }
 
 void Services::AddStandardServices() {

@@ -13,6 +13,7 @@
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
+#include "server/base/method.h"
 #include "server/inference/inference_handler.h"
 #include "server/services/handler_calls.h"
 #include "server/services/health_service.h"
@@ -49,6 +50,7 @@ class Services {
   void Attach(Transport* transport);
 
  private:
+  // Each adds the methods of a service.
   void AddPolicyService();
   void AddPolicyAdmin();
   void AddInferenceService();
@@ -58,25 +60,25 @@ class Services {
   template <typename H, typename Request, typename Response>
   using HandlerMethod = absl::Status (H::*)(CallContext&, const Request&, Response*) const;
 
-  // Adds a method that `handler.*answer` answers, on the loop or on a worker, by its cost.
+  // Adds the method of these requests, which `handler.*answer` answers, on the loop or on a worker,
+  // by its cost.
   template <typename H, typename Request, typename Response>
-  void Add(Method method, const H* handler, HandlerMethod<H, Request, Response> answer);
+  void Add(const H* handler, HandlerMethod<H, Request, Response> answer);
   // As Add, on the worker of operators. If only operators may call the method, which means that it
   // changes something, the call is recorded in the audit log.
   template <typename H, typename Request, typename Response>
-  void AddAdmin(Method method, const H* handler, HandlerMethod<H, Request, Response> answer);
+  void AddAdmin(const H* handler, HandlerMethod<H, Request, Response> answer);
   template <typename H, typename Request, typename Response>
-  void AddRecorded(Method method, const H* handler, HandlerMethod<H, Request, Response> answer);
+  void AddRecorded(const H* handler, HandlerMethod<H, Request, Response> answer);
   template <typename Request, typename Response>
-  void AddBackground(Method method, BackgroundWorker* worker, Handler<Request, Response> handler,
+  void AddBackground(BackgroundWorker* worker, Handler<Request, Response> handler,
                      bool is_recorded = false);
   // Adds a method whose calls `open` opens; they are started here.
-  void AddCall(Method method,
-               std::function<std::shared_ptr<ServiceCall>(Call*, LoopServices*)> open);
+  using OpenCall = std::function<std::shared_ptr<ServiceCall>(Call*, const Method&, LoopServices*)>;
+  void AddCall(const Method& method, OpenCall open);
 
   const ServiceContext context_;
   const Handlers handlers_;
-  std::string service_;  // "/package.Service/" of the methods that are being added
   std::vector<std::string> service_names_;
   ServiceTable table_;
   std::vector<std::unique_ptr<LoopServices>> loops_;

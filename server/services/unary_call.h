@@ -62,6 +62,7 @@ class UnaryCall : public ServiceCall, public GatedRequest {
   void End(CallOutcome outcome) {
     if (!checked_) CheckResponse(&outcome);
     Observe(outcome.status, start_);
+    EndSpan(outcome.status, &call_context().span);
     if (call() == nullptr) return;
     // A caller who has to wait for a refusal keeps nothing here, and an answer that waits counts.
     if (!outcome.status.ok()) messages_.Free();
@@ -118,11 +119,10 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     checked_ = false;
     Handle();
   }
-  bool only_reads() const override { return std::is_same_v<Request, v1::GetSessionRequest>; }
-  void TakeRead(const AgentSession& session) override {
-    if constexpr (std::is_same_v<Request, v1::GetSessionRequest>) {
-      *response() = ToProto(session, request().include_head_delta());
-    }
+  bool only_reads() const override {
+    return std::is_same_v<Request, v1::GetSessionRequest> ||
+           std::is_same_v<Request, v1::ExplainRequest> ||
+           std::is_same_v<Request, v1::ExportSessionRequest>;
   }
   void TakeMerged(const FleetContribution& contribution) override {
     if constexpr (std::is_same_v<Response, v1::EndEpisodeResponse>) {
@@ -139,6 +139,7 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     if (std::exchange(received_, true)) {
       return Finish(absl::InternalError("message: expected one request, received a second one"));
     }
+    call_context().span = StartSpan(call()->head().trace);
     auto status =
         CheckSize(caller(), static_cast<int64_t>(message.size()), context().max_message_bytes);
     if (status.ok()) status = ParseRequest(message, messages_.request());

@@ -56,13 +56,11 @@ prometheus::Counter& AddCounter(prometheus::Registry* registry, const char* name
 constexpr char kEntries[] = "spikeserve_head_log_entries_total";
 constexpr char kEntriesHelp[] =
     "Entries of the logs of shared heads that this server has appended, found there already "
-    "(known), "
-    "or taken into its heads (folded).";
+    "(known), or taken into its heads (folded).";
 constexpr char kReloads[] = "spikeserve_head_log_reloads_total";
 constexpr char kReloadsHelp[] =
     "Times that a log did not go on from the heads of this server, which then took the stored "
-    "heads "
-    "(reloaded), stored its own (rewritten), or gave up the entries after a gap (cut).";
+    "heads (reloaded), stored its own (rewritten), or gave up the entries after a gap (cut).";
 
 }  // namespace
 

@@ -56,7 +56,7 @@ class HeadReplica {
 
   // Converts everything but the position to a binary form.
   std::string Serialize() const;
-  // Goes on from such a form, at `position`. INVALID_ARGUMENT if it is not that of heads of this
+  // Continues from such a form, at `position`. INVALID_ARGUMENT if it is not that of heads of this
   // policy; then nothing changes.
   absl::Status Restore(const HeadPosition& position, const std::string& bytes);
   // Becomes equal to `other`.

@@ -73,9 +73,10 @@ class JournalBackend {
       absl::Span<const JournalRecord> records) = 0;
 
   // Makes the caller the owner of the journals of sessions and returns them, in the order of
-  // `claims`. NOT_FOUND: the store has no open session with this id and tenant. UNAVAILABLE: the
-  // store cannot be reached, or cannot give the session away now. A store that several servers use
-  // leaves a session to its owner if the caller lacks its policy file or only reads.
+  // `claims`. NOT_FOUND: the store has no open session with this id and tenant; with the mark of
+  // lost_session.h if several servers use it and it does not know of an end either. UNAVAILABLE:
+  // the store cannot be reached, or cannot give the session away now. A store that several servers
+  // use leaves a session to its owner if the caller lacks its policy file or only reads.
   virtual std::vector<absl::StatusOr<ClaimedJournal>> Claim(
       absl::Span<const JournalClaim> claims) = 0;
 };

@@ -125,8 +125,8 @@ class JournalStore final : public JournalWriter {
   // Refuses what waits when the store gives up.
   void DropClaims() ABSL_LOCKS_EXCLUDED(mutex_);
   void SetReachable(const absl::Status& status);
-  // Puts the records back to the front of the queue, tells those who wait for records that they
-  // wait in vain, and waits before the next try. Returns false if the store stops and gives up.
+  // Puts the records back to the front of the queue, fails the waits for records that are
+  // given up, and waits before the next try. Returns false if the store stops and gives up.
   bool WaitToRetry(Work work) ABSL_LOCKS_EXCLUDED(mutex_);
 
   const std::unique_ptr<JournalBackend> backend_;

@@ -16,7 +16,7 @@
 
 namespace spikeserve {
 
-// The parts of a store, and what it calls itself.
+// The parts of a store, with the address and the name of this server that /status.json shows.
 struct OpenedStore {
   std::string address = "memory";                    // without a password
   std::string replica = "";                          // identifies this server; empty for memory

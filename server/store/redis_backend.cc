@@ -17,6 +17,7 @@
 #include "core/store/redis_durability.h"
 #include "core/store/stored_session.h"
 #include "server/base/log.h"
+#include "server/store/lost_session.h"
 #include "server/store/redis_scripts.h"
 
 namespace spikeserve {
@@ -123,7 +124,7 @@ class RedisBackend final : public JournalBackend {
   absl::Status NewClient();
   // Asks the server for an answer that it gives to no other command.
   absl::Status Ping();
-  // Reads the settings of Redis, and says what they mean if they are others than before.
+  // Reads the settings of Redis, and logs what they mean if they are others than before.
   absl::Status LookAtSettings();
   // Notes that some of `records` may have been written, or may be written later.
   void OnUncertain(absl::Span<const JournalRecord> records);
@@ -451,6 +452,8 @@ std::vector<RedisBackend::ClaimState> RedisBackend::FindClaims(std::vector<Claim
       *state.result = reply.status();
     } else if (!IsArray(**reply, 4)) {
       *state.result = Unexpected("four fields");
+    } else if (TextAt(**reply, 0).empty()) {
+      *state.result = MarkLost(NoSuchSession(state.claim->id));
     } else if (!absl::SimpleAtoi(TextAt(**reply, 0), &epoch) ||
                TextAt(**reply, 1) != state.claim->tenant || TextAt(**reply, 2) != "open") {
       *state.result = NoSuchSession(state.claim->id);
@@ -489,7 +492,7 @@ std::vector<RedisBackend::ClaimState> RedisBackend::RunClaims(std::vector<ClaimS
     }
     const bool is_list = (*reply)->type == REDIS_REPLY_ARRAY;
     const bool is_gone = (*reply)->type == REDIS_REPLY_NIL || (is_list && (*reply)->elements == 0);
-    if (is_gone) *state.result = NoSuchSession(state.claim->id);
+    if (is_gone) *state.result = MarkLost(NoSuchSession(state.claim->id));
     if (is_gone || !is_list) {  // unless another server has moved it meanwhile
       again.push_back(std::move(state));
       continue;

@@ -1,4 +1,4 @@
-// Keeps journals in Redis, so that any of several servers can go on with a session.
+// Keeps journals in Redis, so that any of several servers can continue with a session.
 //
 // `{id}` is a hash tag, so that the keys of a session lie on one node of a cluster:
 // - ss:{id}:o, a hash: epoch, owner, tenant, state (open or closed), the file of the policy, and

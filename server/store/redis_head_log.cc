@@ -97,7 +97,7 @@ redis.call('XTRIM', KEYS[1], 'MINID', ARGV[1])
 return 1)";
 
 // Returns 0 if the log does not end as expected. The empty entry at the position keeps the ids of
-// later ones above it, whatever the clock says, and lets servers at this position go on.
+// later ones above it, whatever the clock says, and lets servers at this position continue.
 // KEYS: log, snapshot. ARGV: expected digest, id, number, digest, snapshot.
 constexpr char kReplace[] = R"(
 local last = redis.call('XREVRANGE', KEYS[1], '+', '-', 'COUNT', 1)[1]

@@ -137,7 +137,7 @@ absl::StatusOr<int64_t> RedisShared::FilesRevision() {
   return revision;
 }
 
-absl::StatusOr<std::vector<std::string>> RedisShared::Beat() {
+absl::StatusOr<std::vector<std::string>> RedisShared::Heartbeat() {
   const auto reply = Run(/*writes=*/false, {"EVAL", kBeat, "1", kRedisReplicas, replica_,
                                             absl::StrCat(kAliveMilliseconds)});
   if (!reply.ok()) return reply.status();

@@ -45,7 +45,7 @@ class RedisShared final : public SharedSettings {
   absl::StatusOr<int64_t> FilesRevision() override;
 
   // Says that this server is alive, and returns all that are.
-  absl::StatusOr<std::vector<std::string>> Beat();
+  absl::StatusOr<std::vector<std::string>> Heartbeat();
   // Says that this server ends.
   absl::Status Leave();
 

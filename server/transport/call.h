@@ -17,6 +17,7 @@
 #include "absl/time/time.h"
 #include "server/base/byte_budget.h"
 #include "server/base/peer.h"
+#include "server/base/trace_parent.h"
 #include "server/transport/event_loop.h"
 
 namespace spikeserve {
@@ -26,6 +27,7 @@ struct CallHead {
   std::string path;                                    // "/package.Service/Method"
   std::string authorization;                           // value of the header; empty: none
   absl::Duration deadline = absl::InfiniteDuration();  // of the loop's clock
+  TraceParent trace = {};  // of the header `traceparent`; not valid: none
 };
 
 // One call. Valid until CallHandler::OnClosed() returns.

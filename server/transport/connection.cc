@@ -403,18 +403,18 @@ int Connection::OnBeginHeaders(int32_t id) {
 int Connection::OnHeader(int32_t id, absl::string_view name, absl::string_view value) {
   GrpcStream* stream = FindStream(id);
   if (stream == nullptr || stream->AddHeader(name, value)) return 0;
-  return Condemn("--max_header_bytes");
+  return CloseOverLimit("--max_header_bytes");
 }
 
-int Connection::Condemn(absl::string_view limit) {
+int Connection::CloseOverLimit(absl::string_view limit) {
   condemned_ = true;
   LogWarning("connection closed, because its client has exceeded a limit",
              {{"client", slot_->address()}, {"limit", limit}});
   return NGHTTP2_ERR_CALLBACK_FAILURE;
 }
 
-int Connection::Tolerate(FrameBudget* budget, absl::string_view limit) {
-  return budget->Take(loop().now()) ? 0 : Condemn(limit);
+int Connection::ChargeFrame(FrameBudget* budget, absl::string_view limit) {
+  return budget->Take(loop().now()) ? 0 : CloseOverLimit(limit);
 }
 
 int Connection::OnFrame(const nghttp2_frame& frame) {
@@ -434,19 +434,21 @@ int Connection::OnFrame(const nghttp2_frame& frame) {
     case NGHTTP2_DATA:
       stream = FindStream(frame.hd.stream_id);
       if (ends_stream && stream != nullptr) stream->OnHalfClose();
-      return frame.hd.length == 0 && !ends_stream ? Tolerate(&control_frames_, kControlLimit) : 0;
+      return frame.hd.length == 0 && !ends_stream ? ChargeFrame(&control_frames_, kControlLimit)
+                                                  : 0;
     case NGHTTP2_RST_STREAM:
-      return Tolerate(&resets_, kResetLimit);
+      return ChargeFrame(&resets_, kResetLimit);
     case NGHTTP2_PING:
     case NGHTTP2_SETTINGS:
-      return (frame.hd.flags & NGHTTP2_FLAG_ACK) != 0 ? 0
-                                                      : Tolerate(&control_frames_, kControlLimit);
+      return (frame.hd.flags & NGHTTP2_FLAG_ACK) != 0
+                 ? 0
+                 : ChargeFrame(&control_frames_, kControlLimit);
     default:  // PRIORITY, WINDOW_UPDATE and extensions
-      return Tolerate(&control_frames_, kControlLimit);
+      return ChargeFrame(&control_frames_, kControlLimit);
   }
 }
 
-int Connection::OnInvalidFrame() { return Tolerate(&resets_, kResetLimit); }
+int Connection::OnInvalidFrame() { return ChargeFrame(&resets_, kResetLimit); }
 
 int Connection::OnDataChunk(int32_t id, absl::string_view data) {
   GrpcStream* stream = FindStream(id);

@@ -141,11 +141,11 @@ class Connection final : public EventLoop::Source,
   int OnStreamClosed(int32_t id);
   int OnFrameSent(const nghttp2_frame& frame);
   int OnInvalidFrame();
-  // Counts a frame that costs work and brings none. Ends the connection if there are too many;
-  // `limit` names the flag.
-  int Tolerate(FrameBudget* budget, absl::string_view limit);
+  // Counts a frame that costs work and carries no request. Ends the connection if there are too
+  // many; `limit` names the flag.
+  int ChargeFrame(FrameBudget* budget, absl::string_view limit);
   // Ends the connection, which has exceeded a limit.
-  int Condemn(absl::string_view limit);
+  int CloseOverLimit(absl::string_view limit);
 
   const std::unique_ptr<Socket> socket_;
   const std::unique_ptr<ConnectionSlot> slot_;

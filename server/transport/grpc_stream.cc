@@ -99,6 +99,8 @@ bool GrpcStream::AddHeader(absl::string_view name, absl::string_view value) {
     timeout_.assign(value.data(), value.size());
   } else if (name == "grpc-encoding") {
     encoding_.assign(value.data(), value.size());
+  } else if (name == "traceparent") {
+    head_.trace = ParseTraceParent(value);
   }
   return true;
 }

@@ -51,7 +51,7 @@ class TransportLoop final : public ConnectionHost {
   void Join();
 
   // Writes what the connections have to send. The loop does this at the end of each turn; work that
-  // goes on after its answers calls it earlier.
+  // continues after its answers calls it earlier.
   void FlushWrites();
   // Tells the handlers of all calls that the server stops.
   void Drain();

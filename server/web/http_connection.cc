@@ -26,6 +26,7 @@ constexpr absl::Duration kBodyTimeout = absl::Seconds(30);
 constexpr absl::Duration kAnswerTimeout = absl::Minutes(2);
 constexpr absl::Duration kWriteTimeout = absl::Seconds(30);
 constexpr absl::Duration kClosingTimeout = absl::Seconds(1);
+constexpr absl::Duration kFeedInterval = absl::Milliseconds(50);
 
 constexpr uint32_t kMaxHeaderBytes = 16 << 10;
 constexpr size_t kReadBytes = 4 << 10;
@@ -73,7 +74,7 @@ absl::Status HttpConnection::Start() {
 void HttpConnection::Enter(State state, absl::Duration timeout, uint32_t events_to_watch) {
   state_ = state;
   events().Cancel(timer_);
-  timer_ = events().After(timeout, [this] { Close(); });
+  timer_ = events().After(timeout, [this] { state_ == State::kFeeding ? Feed() : Close(); });
   events().ChangeWatch(socket_->fd(), events_to_watch, this);
 }
 
@@ -89,7 +90,7 @@ void HttpConnection::OnReady(uint32_t ready) {
   if (state_ == State::kAnswering && (ready & (EPOLLHUP | EPOLLERR)) != 0) return Close();
   if (state_ == State::kReading || state_ == State::kReadingBody) return Read();
   if (state_ == State::kWriting) return Write();
-  if (state_ == State::kClosing) return DropInput();
+  if (state_ == State::kFeeding || state_ == State::kClosing) return DropInput();
 }
 
 void HttpConnection::Read() {
@@ -138,6 +139,7 @@ void HttpConnection::ParseHeaders() {
     return Answer({.code = 400, .body = std::string(status.message()) + "\n"});
   }
   request_.authorization = std::string(ToView(headers[http::field::authorization]));
+  request_.trace = ParseTraceParent(ToView(headers["traceparent"]));
   request_.json_length = std::string(ToView(headers["Inference-Header-Content-Length"]));
   request_.client = slot_->address();
   request_.is_post ? StartBody() : Submit();
@@ -203,6 +205,7 @@ void HttpConnection::Submit() {
 void HttpConnection::Answer(const HttpResponse& response) {
   if (state_ == State::kClosed) return;
   output_ = ToBytes(response, !is_head_);
+  if (!is_head_) feed_ = response.feed;
   input_ = std::string();
   Enter(State::kWriting, kWriteTimeout, EPOLLOUT);
   Write();
@@ -217,8 +220,26 @@ void HttpConnection::Write() {
     written_ += result.bytes;
   }
   output_ = std::string();
+  if (feed_ != nullptr) return WaitForFeed();
   socket_->ShutDownWriting();
   Enter(State::kClosing, kClosingTimeout, EPOLLIN);
+}
+
+void HttpConnection::WaitForFeed() { Enter(State::kFeeding, kFeedInterval, EPOLLIN); }
+
+void HttpConnection::Feed() {
+  std::optional<std::string> next = feed_->Next();
+  if (!next.has_value()) return EndFeed();
+  if (next->empty()) return WaitForFeed();
+  output_ = *std::move(next);
+  written_ = 0;
+  Enter(State::kWriting, kWriteTimeout, EPOLLOUT);
+  Write();
+}
+
+void HttpConnection::EndFeed() {
+  feed_.reset();
+  if (state_ == State::kFeeding) Write();
 }
 
 void HttpConnection::DropInput() {

@@ -23,7 +23,8 @@ namespace spikeserve {
 
 // The client has five seconds for the headers of its request, a TLS handshake included, thirty for
 // the body of a POST, and thirty to take the answer, however it divides the bytes. A request has at
-// most 16 KiB of headers; the body of a GET is not read.
+// most 16 KiB of headers; the body of a GET is not read. A body that goes on (HttpFeed) ends when
+// its feed does, when the client leaves, or when it takes nothing for thirty seconds.
 class HttpConnection final : public EventLoop::Source {
  public:
   // Who owns the connection.
@@ -55,6 +56,8 @@ class HttpConnection final : public EventLoop::Source {
   void Answer(const HttpResponse& response);
   // Closes the connection now.
   void Close();
+  // Ends a body that goes on. Does nothing to other connections.
+  void EndFeed();
 
   // EventLoop::Source
   void OnReady(uint32_t events) override;
@@ -63,7 +66,7 @@ class HttpConnection final : public EventLoop::Source {
   uint64_t number() const { return slot_->number(); }
 
  private:
-  enum class State { kReading, kReadingBody, kAnswering, kWriting, kClosing, kClosed };
+  enum class State { kReading, kReadingBody, kAnswering, kWriting, kFeeding, kClosing, kClosed };
   struct Parser;  // of the library
 
   void Read();
@@ -77,6 +80,10 @@ class HttpConnection final : public EventLoop::Source {
   void Submit();
   void CountBody(size_t bytes);
   void Write();
+  // Waits until the feed is to be asked again, or the client leaves.
+  void WaitForFeed();
+  // Sends what the feed has.
+  void Feed();
   // Reads and drops what arrives, so that the client can read the answer before the system resets
   // the connection for unread bytes.
   void DropInput();
@@ -94,7 +101,8 @@ class HttpConnection final : public EventLoop::Source {
   std::string input_;  // received and not yet parsed
   HttpRequest request_;
   size_t body_length_ = 0;
-  size_t counted_body_ = 0;  // bytes
+  size_t counted_body_ = 0;         // bytes
+  std::shared_ptr<HttpFeed> feed_;  // null: nothing follows `output_`
   std::string output_;
   size_t written_ = 0;  // bytes of `output_`
   size_t dropped_ = 0;  // bytes

@@ -46,6 +46,7 @@ void HttpLoop::Stop(absl::Duration timeout) {
   if (!thread_.joinable()) return;
   events_->Post([this] {
     for (const auto& acceptor : acceptors_) acceptor->Stop();
+    for (const auto& [number, connection] : connections_) connection->EndFeed();
   });
   const absl::Duration end = options_.clock->Now() + timeout;
   while (table_.counts().open > 0 && options_.clock->Now() < end) {

@@ -85,9 +85,11 @@ std::string ToBytes(const HttpResponse& response, bool with_body) {
   return absl::StrCat(
       "HTTP/1.1 ", response.code, " ", absl::string_view(reason.data(), reason.size()), "\r\n",
       kPageHeaders, response.code == 401 ? "WWW-Authenticate: Basic realm=\"spikeserve\"\r\n" : "",
-      response.headers, "Content-Type: ", response.content_type,
-      "\r\nContent-Length: ", response.body.size(), "\r\n\r\n",
-      with_body ? absl::string_view(response.body) : absl::string_view());
+      response.headers, "Content-Type: ", response.content_type, "\r\n",
+      // Without a length, the body ends with the connection.
+      response.feed == nullptr ? absl::StrCat("Content-Length: ", response.body.size(), "\r\n")
+                               : "",
+      "\r\n", with_body ? absl::string_view(response.body) : absl::string_view());
 }
 
 }  // namespace spikeserve

@@ -3,10 +3,13 @@
 #define SERVER_WEB_HTTP_MESSAGE_H_
 
 #include <map>
+#include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "server/base/trace_parent.h"
 
 namespace spikeserve {
 
@@ -16,19 +19,31 @@ struct HttpRequest {
   std::string path;                                    // decoded
   std::multimap<std::string, std::string> parameters;  // of the query, decoded
   std::string authorization;                           // the header; empty if absent
+  TraceParent trace = {};                              // the header traceparent
   std::string client;                                  // IP address
   std::string json_length;  // the header Inference-Header-Content-Length; empty if absent
   std::string body;         // of a POST
+};
+
+// The rest of a body that goes on for as long as the client listens, such as events.
+class HttpFeed {
+ public:
+  virtual ~HttpFeed() = default;
+  // Returns the next bytes, which may be none, or nullopt at the end of the body. Called on the
+  // thread of the server's loop about every 50 ms, and only after the client has taken all bytes
+  // before, so that a slow client makes no queue. Must not block.
+  virtual std::optional<std::string> Next() = 0;
 };
 
 struct HttpResponse {
   int code = 200;  // with 401 the server asks for HTTP Basic authentication
   std::string content_type = "text/plain; charset=utf-8";
   std::string body;
-  std::string headers = "";  // further ones; each ends in "\r\n"
+  std::string headers = "";                  // further ones; each ends in "\r\n"
+  std::shared_ptr<HttpFeed> feed = nullptr;  // of what follows `body`; null: nothing
 };
 
-// Returns the code of HTTP that says what `code` does.
+// Returns the code of HTTP that shows what `code` does.
 int HttpCode(absl::StatusCode code);
 
 // Decodes the target of a request line, such as "/sessions.json?sort=steps", into `path` and

@@ -21,9 +21,11 @@ constexpr char kPaths[] =
     "/v2, /v2/health/live, /v2/health/ready, or /v2/models/NAME[/versions/V], which /ready or "
     "/infer may follow";
 
+enum class Page { kServer, kLive, kReady, kModel, kModelReady, kInfer };
+
 // What a path names.
 struct Route {
-  Method method = Method::kServerMetadata;
+  Page page = Page::kServer;
   std::string model = "";
   std::string version = "";  // empty: the default
 };
@@ -34,11 +36,11 @@ std::optional<Route> RouteOf(absl::string_view path) {
   if (parts.size() == 3 && parts.back().empty()) parts.pop_back();
   if (parts.size() == 2) return Route{};
   if (parts[2] == "health" && parts.size() == 4) {
-    if (parts[3] == "live") return Route{.method = Method::kServerLive};
-    if (parts[3] == "ready") return Route{.method = Method::kServerReady};
+    if (parts[3] == "live") return Route{.page = Page::kLive};
+    if (parts[3] == "ready") return Route{.page = Page::kReady};
   }
   if (parts[2] != "models" || parts.size() < 4 || parts[3].empty()) return std::nullopt;
-  Route route = {.method = Method::kModelMetadata, .model = parts[3]};
+  Route route = {.page = Page::kModel, .model = parts[3]};
   size_t next = 4;
   if (parts.size() >= 6 && parts[4] == "versions" && !parts[5].empty()) {
     route.version = parts[5];
@@ -47,13 +49,32 @@ std::optional<Route> RouteOf(absl::string_view path) {
   if (parts.size() == next) return route;
   if (parts.size() != next + 1) return std::nullopt;
   if (parts[next] == "ready") {
-    route.method = Method::kModelReady;
+    route.page = Page::kModelReady;
   } else if (parts[next] == "infer") {
-    route.method = Method::kModelInfer;
+    route.page = Page::kInfer;
   } else {
     return std::nullopt;
   }
   return route;
+}
+
+// Returns the method that answers the page.
+const Method& MethodOf(const Route& route) {
+  switch (route.page) {
+    case Page::kServer:
+      return MethodNamed("ServerMetadata");
+    case Page::kLive:
+      return MethodNamed("ServerLive");
+    case Page::kReady:
+      return MethodNamed("ServerReady");
+    case Page::kModel:
+      return MethodNamed("ModelMetadata");
+    case Page::kModelReady:
+      return MethodNamed("ModelReady");
+    case Page::kInfer:
+      break;
+  }
+  return MethodNamed("ModelInfer");
 }
 
 HttpResponse JsonResponse(int code, std::string body) {
@@ -70,14 +91,14 @@ HttpResponse UnknownPath() {
 
 // Returns the serialized message of a request without a body.
 std::string MessageOf(const Route& route) {
-  switch (route.method) {
-    case Method::kModelReady: {
+  switch (route.page) {
+    case Page::kModelReady: {
       inference::ModelReadyRequest message;
       message.set_name(route.model);
       message.set_version(route.version);
       return message.SerializeAsString();
     }
-    case Method::kModelMetadata: {
+    case Page::kModel: {
       inference::ModelMetadataRequest message;
       message.set_name(route.model);
       message.set_version(route.version);
@@ -125,22 +146,22 @@ HttpResponse InferResponse(const std::string& bytes, const BinaryOutputs& output
 // Returns the answer to a request without a body.
 HttpResponse ResponseOf(const Route& route, const std::string& bytes) {
   using Json = nlohmann::ordered_json;
-  switch (route.method) {
-    case Method::kServerLive: {
+  switch (route.page) {
+    case Page::kLive: {
       const bool live = Parse<inference::ServerLiveResponse>(bytes).live();
       return JsonResponse(live ? 200 : 503, Json{{"live", live}}.dump());
     }
-    case Method::kServerReady: {
+    case Page::kReady: {
       const bool ready = Parse<inference::ServerReadyResponse>(bytes).ready();
       return JsonResponse(ready ? 200 : 503, Json{{"ready", ready}}.dump());
     }
-    case Method::kModelReady: {
+    case Page::kModelReady: {
       const bool ready = Parse<inference::ModelReadyResponse>(bytes).ready();
       const Json json = {{"name", route.model}, {"ready", ready}};
       return JsonResponse(ready ? 200 : 404,
                           json.dump(-1, ' ', false, Json::error_handler_t::replace));
     }
-    case Method::kModelMetadata:
+    case Page::kModel:
       return JsonResponse(200, ToHttpBody(Parse<inference::ModelMetadataResponse>(bytes)));
     default:
       return JsonResponse(200, ToHttpBody(Parse<inference::ServerMetadataResponse>(bytes)));
@@ -157,10 +178,10 @@ std::variant<size_t, HttpResponse> InferencePages::AcceptBody(const HttpRequest&
   if (!Has(request.path)) return HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
   const auto route = RouteOf(request.path);
   if (!route.has_value()) return UnknownPath();
-  if (route->method != Method::kModelInfer) {
+  if (route->page != Page::kInfer) {
     return JsonResponse(405, HttpErrorBody("method: expected GET"));
   }
-  const auto caller = Admit(authenticator_, request.authorization, route->method);
+  const auto caller = Admit(authenticator_, request.authorization, MethodOf(*route));
   if (!caller.ok()) return ErrorResponse(caller.status());
   return max_message_bytes_;
 }
@@ -168,14 +189,13 @@ std::variant<size_t, HttpResponse> InferencePages::AcceptBody(const HttpRequest&
 void InferencePages::Answer(const HttpRequest& request, const HttpServer::Done& done) const {
   const auto route = RouteOf(request.path);
   if (!route.has_value()) return done(UnknownPath());
-  const bool infers = route->method == Method::kModelInfer;
+  const bool infers = route->page == Page::kInfer;
   if (infers != request.is_post) {
     return done(JsonResponse(405, HttpErrorBody("method: expected POST")));
   }
-  const auto* service = inference::ServerLiveRequest::descriptor()->file()->service(0);
-  CallHead head = {
-      .path = absl::StrCat("/", service->full_name(), "/", GetMethodInfo(route->method).name),
-      .authorization = request.authorization};
+  CallHead head = {.path = MethodOf(*route).path,
+                   .authorization = request.authorization,
+                   .trace = request.trace};
   if (!infers) {
     return calls_.Start(
         std::move(head), request.client, MessageOf(*route),

@@ -12,7 +12,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "server/access/authenticator.h"
-#include "server/base/method_table.h"
+#include "server/base/method.h"
 #include "server/web/http_call.h"
 #include "server/web/http_message.h"
 #include "server/web/http_server.h"

@@ -20,6 +20,7 @@
 #include "core/base/json.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/session_info.h"
+#include "server/metrics/policy_metrics.h"
 
 namespace spikeserve {
 namespace {
@@ -54,6 +55,11 @@ double SpikesPerDecision(const Session& session) {
   return static_cast<double>(session.spikes) / decisions;
 }
 
+// Returns how many elements of the last observation are far from the training data.
+uint32_t UnusualOf(const Session& session) {
+  return session.last_answer.has_value() ? session.last_answer->unusual_observations : 0;
+}
+
 const std::map<std::string, ColumnKey>& Columns() {
   using Idle = absl::Duration;
   using Agent = const AgentSession&;
@@ -73,6 +79,10 @@ const std::map<std::string, ColumnKey>& Columns() {
       {"spikes_per_decision",
        [](Idle, Agent agent) { return SortKey{.number = SpikesPerDecision(agent.session())}; }},
       {"energy_joules", Number<&Session::energy_joules>},
+      {"unusual_observations",
+       [](Idle, Agent agent) {
+         return SortKey{.number = static_cast<double>(UnusualOf(agent.session()))};
+       }},
       {"head_drift", [](Idle, Agent agent) { return SortKey{.number = agent.HeadDrift()}; }},
       {"idle_seconds",
        [](Idle idle, Agent) { return SortKey{.number = absl::ToDoubleSeconds(idle)}; }},
@@ -337,7 +347,27 @@ Json InfoJson(const ListedSession& listed) {
   json["ended_episodes"] = life.ended_episodes();
   json["mean_return"] = ended ? Json(life.mean_return()) : Json();
   json["last_return"] = ended ? Json(life.last_return()) : Json();
+  json["unusual_observations"] = UnusualOf(listed.entry->agent.session());
   return json;
+}
+
+// Returns the elements of the last observation with what the training data were like.
+Json ObservationJson(const Session& session, const Policy& policy, double unusual_deviations) {
+  Json elements = Json::array();
+  if (!session.last_answer.has_value()) return elements;
+  const auto usual = UsualObservations::Of(policy, unusual_deviations);
+  const auto observation = session.history.observation(session.history.size() - 1);
+  for (size_t i = 0; i < observation.size(); ++i) {
+    const bool bounded = i < usual.low.size();
+    elements.push_back({{"value", observation[i]},
+                        {"mean", policy.weights.observation_mean.values[i]},
+                        {"deviation", policy.weights.observation_std.values[i]},
+                        {"low", bounded ? Json(usual.low[i]) : Json()},
+                        {"high", bounded ? Json(usual.high[i]) : Json()},
+                        {"unusual", bounded && !(observation[i] >= usual.low[i] &&
+                                                 observation[i] <= usual.high[i])}});
+  }
+  return elements;
 }
 
 }  // namespace
@@ -353,7 +383,7 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
 
   const std::string filter = query.Get("filter");
   const auto limit = static_cast<size_t>(*page_size);
-  // One more than the page, which tells whether there is another one.
+  // One more than the page, which shows whether there is another one.
   Selection found = filter.empty() && order->IsByIdAscending()
                         ? FirstById(store, caller, *after, limit + 1)
                         : FirstInOrder(store, caller, filter, *order, *after, limit + 1);
@@ -372,7 +402,7 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
 }
 
 absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& caller,
-                                        const std::string& id) {
+                                        const std::string& id, double unusual_deviations) {
   const std::optional<ListedSession> found = store.PeekListed(id);
   if (!found.has_value() || !caller.CanRead(found->entry->tenant)) return NoSuchSession(id);
   Json json = InfoJson(*found);
@@ -382,6 +412,8 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   const Session& session = entry.agent.session();
   json["target_return"] = session.target_return;
   json["return_to_go"] = session.return_to_go;
+  json["environment"] = entry.served->policy().environment;
+  json["observation"] = ObservationJson(session, entry.served->policy(), unusual_deviations);
   json["age_seconds"] = absl::ToDoubleSeconds(entry.agent.Age());
   Json& decisions = json["history"]["decisions"] = Json::array();
   for (const auto& [first, count, sum] : entry.agent.life().decisions()) {

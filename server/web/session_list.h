@@ -22,10 +22,11 @@ namespace spikeserve {
 absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& caller,
                                          const HttpQuery& query);
 
-// Returns one session with the history of its life. NOT_FOUND if `caller` may not read a session
-// with this id.
+// Returns one session with the history of its life, and its last observation beside the range in
+// which an element is usual: `unusual_deviations` as in Metrics::NewPolicyObserver. NOT_FOUND if
+// `caller` may not read a session with this id.
 absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& caller,
-                                        const std::string& id);
+                                        const std::string& id, double unusual_deviations);
 
 }  // namespace spikeserve
 

@@ -43,7 +43,7 @@ HttpResponse FileResponse(absl::string_view path) {
     return {.code = 404,
             .body =
                 "expected /, /metrics, /healthz, /schema.json, /status.json, /history.json, "
-                "/sessions.json, /session.json or /explain.json\n"};
+                "/sessions.json, /session.json, /explain.json or /watch\n"};
   }
   return {.code = 200,
           .content_type = std::string(ContentTypeOf(name)),
@@ -60,6 +60,7 @@ HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
 
 StatusPages::StatusPages(Parts parts)
     : parts_(std::move(parts)),
+      feeds_({.store = parts_.store, .clock = parts_.clock, .worker = parts_.worker}),
       health_(kMaxWaiting, BackgroundWorker::Priority::kNormal),
       pages_(kMaxWaiting) {}
 
@@ -91,6 +92,7 @@ void StatusPages::AnswerPage(const HttpRequest& request, absl::Duration arrived,
   if (path == "/sessions.json") return done(JsonResponse(Sessions(*caller, request, arrived)));
   if (path == "/session.json") return done(JsonResponse(Session(**caller, request)));
   if (path == "/explain.json") return Explain(*caller, request, done);
+  if (path == "/watch") return Watch(*caller, request, done);
   done(FileResponse(path));
 }
 
@@ -140,7 +142,7 @@ absl::StatusOr<std::string> StatusPages::Session(const Credential& caller,
                                                  const HttpRequest& request) const {
   const auto query = HttpQuery::Parse(request.parameters, {"session"});
   if (!query.ok()) return query.status();
-  return SessionJson(*parts_.store, caller, query->Get("session"));
+  return SessionJson(*parts_.store, caller, query->Get("session"), parts_.unusual_deviations);
 }
 
 absl::StatusOr<std::string> StatusPages::Sessions(const std::shared_ptr<const Credential>& caller,
@@ -178,6 +180,19 @@ void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
   };
   const absl::Status accepted = parts_.worker->Submit(caller->tenant()->name(), work);
   if (!accepted.ok()) done(JsonResponse(accepted));
+}
+
+void StatusPages::Watch(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
+                        const HttpServer::Done& done) {
+  const auto parsed = HttpQuery::Parse(request.parameters, {"session"});
+  if (!parsed.ok()) return done(JsonResponse(parsed.status()));
+  auto feed = feeds_.Open(caller, request.client, parsed->Get("session"));
+  if (!feed.ok()) return done(JsonResponse(feed.status()));
+  // nginx would gather events otherwise.
+  done({.content_type = "text/event-stream",
+        .body = "retry: 3000\n\n",  // milliseconds after a lost connection
+        .headers = "X-Accel-Buffering: no\r\n",
+        .feed = *std::move(feed)});
 }
 
 }  // namespace spikeserve

@@ -22,6 +22,7 @@
 #include "server/history/server_history.h"
 #include "server/metrics/metrics.h"
 #include "server/web/http_server.h"
+#include "server/web/session_feed.h"
 
 namespace spikeserve {
 
@@ -41,6 +42,7 @@ class StatusPages {
     std::function<bool()> serving;
     std::string store_address;  // of the session store, without a password
     const Replicas* replicas;
+    double unusual_deviations;  // of the metrics' observers
   };
 
   explicit StatusPages(Parts parts);
@@ -73,7 +75,12 @@ class StatusPages {
   void Explain(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
                const HttpServer::Done& done) const;
 
+  // Streams the decisions of a session.
+  void Watch(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
+             const HttpServer::Done& done);
+
   const Parts parts_;
+  SessionFeeds feeds_;
   absl::Mutex list_mutex_;
   SessionList last_list_ ABSL_GUARDED_BY(list_mutex_);
   BackgroundWorker health_;

@@ -1,7 +1,8 @@
 """Plays sessions on three replicas and one Redis, or a Cluster, while they are killed, stopped and cut off.
 
 usage: python -m tests.chaos [--sessions=N] [--learners=N] [--decisions=N] [--rate=N] [--timeout=SECONDS]
-  [--kinds=KIND,...] [--group=N] [--faults=KIND,...] [--period=SECONDS] [--pause=SECONDS] [--seed=N] [--cluster]
+  [--kinds=KIND,...] [--group=N] [--faults=KIND,...] [--period=SECONDS] [--pause=SECONDS] [--seed=N] [--rounds=N]
+  [--cluster]
 
 Compares every answer, and the learned heads, bit for bit with a run on one server that nothing disturbs. Other sessions
 learn the head of the fleet meanwhile: it must be the same on all replicas in the end, with each contribution once. Needs
@@ -27,11 +28,11 @@ from replicated import REPLICAS  # noqa: E402
 from restartable_server import RestartableServer  # noqa: E402
 from serving import running_server  # noqa: E402
 
-from tests.chaos.faults import CLUSTER_FAULTS, EVICT, FAULTS, MAY_LOSE_ENTRIES, Chaos  # noqa: E402
+from tests.chaos.faults import CLUSTER_FAULTS, EVICTING, FAULTS, MAY_LOSE_ENTRIES, Chaos  # noqa: E402
 from tests.chaos.fleet_learners import FleetLearners, heads_of  # noqa: E402
 from tests.chaos.network import Host, enter_own_namespace  # noqa: E402
 from tests.chaos.stores import running_store  # noqa: E402
-from tests.chaos.workload import GROUP, KINDS, RAW_KINDS, Workload  # noqa: E402
+from tests.chaos.workload import GROUP, KINDS, Workload  # noqa: E402
 
 SKIPPED = 77
 
@@ -42,21 +43,20 @@ def parse_arguments():
     parser.add_argument("--learners", type=int, default=16, help="sessions that learn the head of the fleet")
     parser.add_argument("--decisions", type=int, default=2000, help="of each session")
     parser.add_argument("--rate", type=float, default=20.0, help="decisions a second of a session, at most")
-    parser.add_argument("--faults", help=f"kinds, separated by commas; all but {EVICT} by default")
+    parser.add_argument("--faults", help=f"kinds, separated by commas; all but {' and '.join(EVICTING)} by default")
     parser.add_argument("--cluster", action="store_true", help="Redis is a Cluster, whose slots move")
     parser.add_argument("--timeout", type=float, default=1.0, help="seconds until clients give a silent server up")
-    parser.add_argument("--kinds", help=f"how sessions play, separated by commas; all without {EVICT}")
+    parser.add_argument("--kinds", help="how sessions play, separated by commas")
     parser.add_argument("--group", type=int, default=GROUP, help="sessions of a batch or a stream")
     parser.add_argument("--period", type=float, default=5.0, help="seconds between faults")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds that a replica is away")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1, help="of the faults of the first round")
+    parser.add_argument("--rounds", type=int, default=1, help="disturbed runs, each with the next seed")
     arguments = parser.parse_args()
     faults = CLUSTER_FAULTS if arguments.cluster else FAULTS
     arguments.faults = arguments.faults or ",".join(faults)
-    evicts = EVICT in arguments.faults.split(",")
-    kinds = tuple(kind for kind in KINDS if kind not in RAW_KINDS) if evicts else KINDS
-    arguments.kinds = arguments.kinds or ",".join(kinds)
-    for name, known in (("faults", faults if arguments.cluster else (*faults, EVICT)), ("kinds", kinds)):
+    arguments.kinds = arguments.kinds or ",".join(KINDS)
+    for name, known in (("faults", faults if arguments.cluster else (*faults, *EVICTING)), ("kinds", KINDS)):
         chosen = getattr(arguments, name).split(",")
         if unknown := set(chosen) - set(known):
             parser.error(f"--{name}: expected some of {', '.join(known)}, received {', '.join(unknown)}")
@@ -75,6 +75,7 @@ def running_replicas(cluster):
             replica = RestartableServer(
                 f"--session_store={store.url}",
                 "--insecure_network",
+                "--session_ttl=24h",
                 host=host.address,
                 prefix=host.prefix,
             )
@@ -120,7 +121,7 @@ def report(workload, learners, entries, chaos, period, seconds):
     if learners.diverged:
         print(f"{learners.diverged} answers of its sessions depend on what Redis has lost, which their clients say")
     print(f"{'fault':22} {'times':>5} {'pauses':>7} {'p50':>9} {'p99':>9} {'max':>9}")
-    for kind in dict.fromkeys((*FAULTS, *CLUSTER_FAULTS, EVICT)):
+    for kind in dict.fromkeys((*FAULTS, *CLUSTER_FAULTS, *EVICTING)):
         made = [fault for fault in chaos.made if fault.kind == kind]
         pauses = sorted(
             pause for fault in made for pause in pauses_of(fault, period, workload.answers)
@@ -145,32 +146,42 @@ def head_errors(heads, entries, episodes, may_lose):
     return errors
 
 
-def play_both(arguments):
-    """Plays undisturbed and disturbed, prints what was made, and returns what is wrong."""
-    size = arguments.sessions, arguments.decisions
-    undisturbed = Workload(*size, stored=False)
-    with running_server() as server:
-        asyncio.run(undisturbed.play(server.grpc))
-    print(f"{undisturbed.decided} decisions without a disturbance", flush=True)
+def play_round(arguments, undisturbed, seed):
+    """Plays with faults, prints what was made, and returns what is wrong and how many decisions were made."""
     pace = arguments.rate, arguments.timeout
-    disturbed = Workload(*size, True, *pace, expected=undisturbed)
+    disturbed = Workload(arguments.sessions, arguments.decisions, True, *pace, expected=undisturbed)
     disturbed.kinds, disturbed.group = arguments.kinds, arguments.group
     learners = FleetLearners(arguments.learners, *pace)
     begin = time.monotonic()
     with running_replicas(arguments.cluster) as (store, replicas, hosts):
         times = arguments.period, arguments.pause
-        chaos = Chaos(
-            store, replicas, hosts, arguments.faults, *times, random.Random(arguments.seed)
-        )
+        chaos = Chaos(store, replicas, hosts, arguments.faults, *times, random.Random(seed))
         heads = asyncio.run(play_disturbed(disturbed, learners, chaos, replicas))
         entries = store.entries() if learners.episodes else 0
+    print(f"seed {seed}: ", end="")
     report(disturbed, learners, entries, chaos, arguments.period, time.monotonic() - begin)
     different = [i for i, digest in undisturbed.digests.items() if disturbed.digests[i] != digest]
-    print(f"{len(different)} of {arguments.sessions} sessions differ from the undisturbed run")
+    print(f"{len(different)} of {arguments.sessions} sessions differ from the undisturbed run", flush=True)
     made = {fault.kind for fault in chaos.made}
     errors = head_errors(heads, entries, learners.episodes, bool(made & MAY_LOSE_ENTRIES))
     errors += [f"session {i}: differs" for i in different]
-    return errors + [f"not made: {kind}" for kind in arguments.faults if kind not in made]
+    errors += [f"not made: {kind}" for kind in arguments.faults if kind not in made]
+    return [f"seed {seed}: {error}" for error in errors], disturbed.decided
+
+
+def play_all(arguments):
+    """Plays undisturbed, and disturbed in each round. Returns what is wrong."""
+    undisturbed = Workload(arguments.sessions, arguments.decisions, stored=False)
+    with running_server(flags=["--session_ttl=24h"]) as server:  # a busy machine lets sessions wait
+        asyncio.run(undisturbed.play(server.grpc))
+    print(f"{undisturbed.decided} decisions without a disturbance", flush=True)
+    errors, decided = [], 0
+    for seed in range(arguments.seed, arguments.seed + arguments.rounds):
+        wrong, made = play_round(arguments, undisturbed, seed)
+        print(*wrong, sep="\n", flush=True)
+        errors, decided = errors + wrong, decided + made
+    print(f"{decided} decisions in {arguments.rounds} rounds, {len(errors)} errors")
+    return errors
 
 
 def main():
@@ -179,9 +190,7 @@ def main():
         print("chaos: skipped, because network namespaces need root")
         return SKIPPED
     enter_own_namespace()
-    errors = play_both(arguments)
-    print(*errors, sep="\n")
-    return 1 if errors else 0
+    return 1 if play_all(arguments) else 0
 
 
 if __name__ == "__main__":

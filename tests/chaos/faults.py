@@ -24,9 +24,10 @@ FAULTS = (
     "set Redis back",
     "fail over late",
 )
-# Not among the others: a Redis that evicts may lose sessions that clients without affinity play. Two replicas that have
-# taken one from each other may both have given up their copies when it is gone.
-EVICT = "evict"
+# Not among the others: while Redis may evict, SYNC is refused, so that sessions wait long.
+EVICT = "evict"  # some keys, at once
+LRU = "volatile-lru"  # for longer than the servers need to notice
+EVICTING = (EVICT, LRU)
 CLUSTER_FAULTS = (
     "kill",
     "stop",
@@ -37,7 +38,7 @@ CLUSTER_FAULTS = (
     "move slots",
 )
 LOSES_TAIL = {"set Redis back", "fail over late"}  # Redis forgets what it has acknowledged
-MAY_LOSE_ENTRIES = {EVICT, *LOSES_TAIL}  # of the log of the shared head, until a replica writes it again
+MAY_LOSE_ENTRIES = {*EVICTING, *LOSES_TAIL}  # of the log of the shared head, until a replica writes it again
 MEETS_ALL = {"kill Redis", "rolling restart", "fill Redis", "move slots", *MAY_LOSE_ENTRIES}
 
 
@@ -46,9 +47,10 @@ LOST_SECONDS = 1.0
 EVICTED_BYTES = 32 << 10  # at once
 EVICTIONS = 5
 EVICTION_PAUSE = 0.2  # seconds
+LRU_SECONDS = 8.0  # servers read the settings every 5
 
 
-def evict(redis):
+def evict(redis, policy="volatile-random"):
     """Redis removes some keys of those that have an expiry: hashes and journals of sessions, and markers."""
 
     def number(section, name):
@@ -63,10 +65,23 @@ def evict(redis):
 
     before = number("stats", "evicted_keys")
     limit = number("memory", "used_memory")
-    redis.command("CONFIG SET maxmemory-policy volatile-random")
+    redis.command(f"CONFIG SET maxmemory-policy {policy}")
     until(is_evicted)
+
+
+def keep_all(redis):
+    """Redis removes no more keys."""
     redis.command("CONFIG SET maxmemory 0")
     redis.command("CONFIG SET maxmemory-policy noeviction")
+
+
+async def evict_for_long(redis):
+    """Redis may remove keys, and does so again and again."""
+    end = time.monotonic() + LRU_SECONDS
+    while time.monotonic() < end:
+        await asyncio.to_thread(evict, redis, LRU)
+        await asyncio.sleep(EVICTION_PAUSE)
+    keep_all(redis)
 
 
 async def set_back(redis):
@@ -161,7 +176,10 @@ class Chaos:
         elif kind == EVICT:
             for _ in range(EVICTIONS):
                 await asyncio.to_thread(evict, self._redis)
+                keep_all(self._redis)
                 await asyncio.sleep(EVICTION_PAUSE)
+        elif kind == LRU:
+            await evict_for_long(self._redis)
         elif kind == "move slots":
             await asyncio.to_thread(self._store.move_slots, self._random)
         elif kind == "set Redis back":

@@ -153,7 +153,7 @@ class RawSession:
             at += 1
 
     def _first_from(self, expected, at):
-        """Returns the request from which a replica goes on that expects decision `expected`."""
+        """Returns the request from which a replica continues that expects decision `expected`."""
         if expected > self._kept[-1].decision:
             return len(self._kept) - 1  # it has all of them, and answers the last one again
         first = next((i for i, sent in enumerate(self._kept) if sent.decision == expected), None)
@@ -178,6 +178,10 @@ class RawSession:
         answer = await self._stubs.calls[replica][sent.name](sent.message, timeout=self._stubs.timeout)
         return answer, self._stubs.addresses[replica]
 
+    def _forget(self, late):
+        if late.cancelled() or late.exception() is None:  # the connections are closed, or the answers are equal
+            self._late.discard(late)
+
     def _compare_later(self, tasks, sent):
         async def compare(task):
             try:
@@ -189,4 +193,4 @@ class RawSession:
         for task in tasks:
             late = asyncio.create_task(compare(task))
             self._late.add(late)
-            late.add_done_callback(lambda done: self._late.discard(done) if done.exception() is None else None)
+            late.add_done_callback(self._forget)

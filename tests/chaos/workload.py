@@ -41,7 +41,7 @@ class Answered(typing.NamedTuple):
 
 
 class Workload:
-    """Plays `sessions` sessions for `decisions` decisions each. `digests` says what they answered.
+    """Plays `sessions` sessions for `decisions` decisions each. `digests` shows what they answered.
 
     A session makes at most `rate` decisions a second, so that there is time for faults. Clients give a server up after
     `timeout` seconds. With `expected`, a Workload that

@@ -1,6 +1,6 @@
 """Sets the clock days forwards and backwards while agents play. Runs on the machine that __main__.py starts.
 
-After each step every agent goes on, what runs at intervals goes on, and only tokens expire whose time has come.
+After each step every agent continues, what runs at intervals continues, and only tokens expire whose time has come.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-// Journals of sessions: every list of records is refused, or restores a session that goes on.
+// Journals of sessions: every list of records is refused, or restores a session that continues.
 //
 // An input is a list of records, each after its length in two bytes, the most significant first.
 #include "core/session/journal_entry.h"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Searches with libFuzzer, under the address and undefined-behaviour sanitizers, for inputs that break a fuzz target.
-# Keeps what it learns in build/fuzz/corpus, so that the next run goes on from there. An input that breaks a target is
+# Keeps what it learns in build/fuzz/corpus, so that the next run continues from there. An input that breaks a target is
 # written to tests/fuzz/corpus/TARGET: it is replayed by every later `make test`.
 #
 # usage: tests/fuzz/run.sh [SECONDS [TARGET...]]   60 seconds for each target, all targets

@@ -127,7 +127,7 @@ TEST_F(StatusPagesTest, SessionsAreFilteredSortedAndPaged) {
   EXPECT_EQ(page["next_page_token"], "");
 }
 
-// The pages add up to the whole list although a session that was listed already goes on.
+// The pages add up to the whole list although a session that was listed already continues.
 TEST_F(StatusPagesTest, PagesOfSessionsContinueBehindTheLastOne) {
   for (int64_t i = 0; i < 7; ++i) Play("discrete", 1 + i % 3);
   const std::vector<std::string> expected = SessionIds("?sort=decisions&order=descending");

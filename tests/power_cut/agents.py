@@ -1,7 +1,7 @@
 """Plays sessions on a server with a file store, and prints every answer. Runs on the machine that __main__.py starts.
 
 Each line has one answer: "power: answered SESSION DECISION DIGEST". It is printed after the answer has arrived, so what was
-printed was acknowledged. At the start a line for each session says how many decisions the store has, and the last of them
+printed was acknowledged. At the start a line for each session shows how many decisions the store has, and the last of them
 is asked for again.
 """
 

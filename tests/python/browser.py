@@ -82,11 +82,13 @@ class Browser:
     def problems(self):
         return [entry for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
-    def screenshot(self, name, height=None, scale=1.0):
-        """Writes a picture of the page, from its top. `height` limits its height in CSS pixels."""
+    def screenshot(self, name, height=None, scale=1.0, top="html"):
+        """Writes a picture of the page, from the top of an element. `height` limits its height in CSS pixels."""
         if not SCREENSHOTS:
             return
         clip = self.evaluate("{x: 0, y: 0, width: innerWidth, height: document.documentElement.scrollHeight}")
+        clip["y"] = self.evaluate(f"document.querySelector('{top}').getBoundingClientRect().top + scrollY")
+        clip["height"] -= clip["y"]
         clip["height"] = min(clip["height"], height or clip["height"])
         parameters = {"format": "png", "clip": clip | {"scale": scale}, "captureBeyondViewport": True}
         picture = self.driver.execute_cdp_cmd("Page.captureScreenshot", parameters)["data"]

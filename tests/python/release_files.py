@@ -75,7 +75,7 @@ def play_first_half(service, admin):
 
 
 def play_second_half(service, _):
-    """Goes on with the sessions. Returns what the server answered, as JSON."""
+    """Continues with the sessions. Returns what the server answered, as JSON."""
     settings = service.ListPolicies()
     answers = {"policies": json_format.MessageToDict(settings, preserving_proto_field_name=True)}
     for session in [opening(i)["session_id"] for i in range(SESSIONS)] + [FLEET]:

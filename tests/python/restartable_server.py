@@ -46,6 +46,10 @@ class RestartableServer:
         assert line.startswith(f"spikeserve: serving {protocol} on "), line
         return line.split()[-1]
 
+    @property
+    def pid(self):
+        return self._process.pid
+
     def kill(self):
         """Kills the server without a chance to say goodbye. Its sessions are lost."""
         if self._process is not None:

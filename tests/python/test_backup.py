@@ -19,7 +19,7 @@ def play(server, steps):
 
 
 def play_over_a_backup(store, backup, restored):
-    """Plays, makes a backup, plays on, loses the store, and goes on from the backup.
+    """Plays, makes a backup, plays on, loses the store, and continues from the backup.
 
     A client that is ahead of the backup learns which decision the server expects, sends the later ones again, and gets the
     answers of before.

@@ -314,7 +314,7 @@ def test_a_killed_server_has_lost_nothing(tmp_path, durability):
                 robot.execute(beats[len(robot.beats)]["executed"])
             appending = robot.request(end)
             del appending["observation"]
-            # An answer that is sent again says how far the store is.
+            # An answer that is sent again shows how far the store is.
             until(lambda request=appending, last=end: cut.Act(**request).durable_decision == last)
             cut.restart()
             assert cut.Act(**appending).appended == 0
@@ -326,7 +326,8 @@ def test_a_killed_server_has_lost_nothing(tmp_path, durability):
 def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path):
     tokens, log = tmp_path / "tokens.json", tmp_path / "audit.jsonl"
     tokens.write_text(json.dumps(TOKENS))
-    with running_server(flags=[f"--tokens={tokens}", f"--audit_log={log}"]) as addresses:
+    flags = [f"--tokens={tokens}", f"--audit_log={log}"]
+    with (tmp_path / "stderr").open("w") as stderr, running_server(flags=flags, log=stderr) as addresses:
         with service_with(addresses, "agent") as agent:
             session = agent.OpenSession(policy="cartpole").session_id
             exported = agent.ExportSession(session_id=session)
@@ -338,6 +339,8 @@ def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path):
         lines = [json.loads(line) for line in log.read_text().splitlines()]
         ours = [line for line in lines if line["tenant"] == "fleet"]
         assert [(line["action"], line["request"]["session_id"]) for line in ours] == [("ExportSession", session)]
+    logged = (tmp_path / "stderr").read_text()
+    assert "agent action" in logged and "operator action" not in logged
 
 
 def metric(addresses, name, **labels):

@@ -158,7 +158,7 @@ def test_spikectl_refuses_a_durability_without_a_store():
 
 
 def test_operators_reach_any_server(fleet):  # noqa: F811
-    """Whichever server is away, the calls of operators go to another one."""
+    """Whichever server cannot be reached, the calls of operators go to another one."""
     command = [os.environ["SPIKECTL_PROGRAM"], f"--server={fleet.addresses}"]
     for replica in fleet.replicas:
         replica.kill()

@@ -1,4 +1,4 @@
-"""The release before goes on with the files of today's server. Builds it from its commit, which takes minutes."""
+"""The release before continues with the files of today's server. Builds it from its commit, which takes minutes."""
 
 import os
 import pathlib
@@ -38,7 +38,7 @@ def build_release(release):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_release_before_goes_on_with_the_files_of_today(kind, tmp_path, monkeypatch):
-    """Opens sessions today, and compares how both programs go on with them."""
+    """Opens sessions today, and compares how both programs continue with them."""
     program = build_release(BEFORE)
     state = tmp_path / "left" / kind
     state.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Each energy model says what it counts, and has figures only for the policies to which it applies."""
+"""Each energy model shows what it counts, and has figures only for the policies to which it applies."""
 
 import json
 import urllib.request

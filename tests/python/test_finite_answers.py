@@ -133,7 +133,7 @@ def test_a_decision_that_is_not_finite_is_an_error_and_changes_nothing(overflowi
         assert results[0].code == INTERNAL.value[0]
         assert results[1].code == 0
         assert_finite(results[1].response)
-        # The session goes on, and decides as one that never failed.
+        # The session continues, and decides as one that never failed.
         again = service.Act(session_id=session, observation=ZERO)
         assert list(again.action_probabilities) == list(results[1].response.action_probabilities)
         assert list(again.stats.spikes_by_stage.ListFields()) == list(

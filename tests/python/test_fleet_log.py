@@ -144,7 +144,7 @@ def test_contributions_arrive_once_while_replicas_are_killed():
     ):
         learners = [pool.submit(learn, client, i) for i in range(LEARNERS)]
         for learner in learners:
-            # One that fails lets the test go on to its result.
+            # One that fails lets the test continue to its result.
             learner.add_done_callback(lambda _: played.release(LEARNERS * EPISODES))
         # Every replica is killed twice, each time when a part of the episodes was played.
         for i in range(6):

@@ -185,7 +185,8 @@ def test_a_dense_policy_is_imitated_to_the_end_and_the_report_tells_why(tmp_path
     assert any("line on 2 frames returns more than the policy" in warning for warning in result.warnings)
     report = result.report.read_text()
     for text in (
-        "% of the way from random actions to the expert.",
+        "% of the way from random actions to the expert. Random actions return -",
+        "All returns of this table are those of the first 4 of the starts above.",
         "| line on 2 frames |",
         "**Warning:** ",
         "## What to try next",
@@ -236,6 +237,7 @@ gymnasium.register("Vector-v0", entry_point=lambda: gymnasium.make_vec("CartPole
     [
         ("Parallel-v0", "for one of PettingZoo, write a gymnasium.Env .* received Parallel from Parallel-v0"),
         ("Vector-v0", "not a vector of them: --environments says how many are played at once, received CartPoleVectorEnv"),
+        (f"{__name__}:Vector-v0", "not a vector of them: .* received CartPoleVectorEnv from test_hidden_state:Vector-v0"),
     ],
 )
 def test_environments_of_other_kinds_get_a_hint(name, reason):
@@ -267,7 +269,7 @@ def test_environments_in_the_place_of_ids_are_refused():
 
 
 def test_an_interrupted_run_continues(tmp_path):
-    """SIGINT ends the program with one line; the same command goes on."""
+    """SIGINT ends the program with one line; the same command continues."""
     program = pathlib.Path(__file__).with_name("interrupted_imitation.py")
     command = [sys.executable, str(program), str(tmp_path / "run")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

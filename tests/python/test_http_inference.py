@@ -315,7 +315,7 @@ def test_tokens_tenants_and_rates_are_those_of_grpc(tokens):
         # Of another tenant, the same id is another sequence.
         assert infer(server, infer_body(7, reward=1.0), token="rival")[0] == 404
         assert infer(server, infer_body(7, reward=1.0), token="agent")[0] == 200
-        # Triton's client by gRPC goes on with the sequence.
+        # Triton's client by gRPC continues with the sequence.
         client = triton_grpc.InferenceServerClient(server.grpc)
         tensors = [
             triton_grpc.InferInput("observation", [4], "FP32").set_data_from_numpy(np.float32(OBSERVATION)),

@@ -131,7 +131,7 @@ def two_servers(port, other_port):
 @pytest.mark.parametrize("released_after", [1, 3])
 @pytest.mark.parametrize("held_before", [0, 2, TAKEN])  # the session is opened, decides, ends an episode
 def test_what_redis_runs_late_changes_nothing(redis, undisturbed, held_before, released_after):
-    """The server sends again what Redis did not acknowledge, goes on, and Redis gets the first copy after that."""
+    """The server sends again what Redis did not acknowledge, continues, and Redis gets the first copy after that."""
     route = SlowRoute(redis.port)
     with contextlib.closing(route), two_servers(route.port, redis.port) as (first, second):
         first.OpenSession(policy="cartpole", durability="SYNC")  # so that there is a connection

@@ -153,7 +153,7 @@ BAD = {
 
 
 def test_bad_input_gets_the_error_of_the_protocol(gateway):
-    """A text frame. The session is as it was, so the client goes on."""
+    """A text frame. The session is as it was, so the client continues."""
     with WebsocketClientPolicy(gateway) as policy:
         for message, reason in BAD.values():
             with pytest.raises(RuntimeError) as refused:

@@ -68,7 +68,7 @@ INSIDE = textwrap.dedent(
     """
 )
 
-# Plays in a session, or says how many decisions it has: python -c ROBOT ADDRESS play|look.
+# Plays in a session, or shows how many decisions it has: python -c ROBOT ADDRESS play|look.
 ROBOT = textwrap.dedent(
     """
     import sys

@@ -27,12 +27,14 @@ class Flight:
         options.setdefault("max_age", 30.0)
         self.policy, self.period = policy, period
         self.session = options.get("session", spikeserve.SessionOptions())
-        self.pilot = spikeserve.Pilot(client, policy, period=period, **options)
+        self.pilot = self.make_pilot(client, policy, period=period, **options)
         self.episodes = [[]]  # lists of (observation, reward, action)
         self.endings = []
         self.summaries = []
         self.actions = []
         self.due = time.monotonic()
+
+    make_pilot = spikeserve.Pilot
 
     def __enter__(self):
         return self
@@ -70,6 +72,10 @@ class Flight:
         self.endings.append(reward)
         self.episodes.append([])
         self.summaries.append(self.pilot.end_episode(reward, terminated=True))
+
+    def local_value(self):
+        """Returns the value of the session on the robot's engine."""
+        return self.pilot._session.local.value()
 
     def check_summaries(self):
         """Checks that the server has counted every reward of every episode once."""
@@ -115,8 +121,14 @@ def client(link):
         yield client
 
 
-def test_a_quick_link_gives_fresh_actions(client):
-    with Flight(client, local=False) as flight:
+@pytest.fixture
+def fly():
+    """Returns what makes a Flight. test_cpp_pilot.py plays these tests with the pilot of the C++ client."""
+    return Flight
+
+
+def test_a_quick_link_gives_fresh_actions(client, fly):
+    with fly(client, local=False) as flight:
         flight.until("fresh")
         flight.fly(30)
         flight.end()
@@ -152,13 +164,13 @@ def fly_through_cuts(flight, client, link, source):
     ],
     ids=["float", "learning"],
 )
-def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options):
-    with Flight(client, policy, session=options, local=False) as flight:
+def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly):
+    with fly(client, policy, session=options, local=False) as flight:
         fly_through_cuts(flight, client, link, source="safe")
 
 
-def test_a_connection_that_a_nat_has_forgotten_is_replaced(client, link):
-    with Flight(client, local=False) as flight:
+def test_a_connection_that_a_nat_has_forgotten_is_replaced(client, link, fly):
+    with fly(client, local=False) as flight:
         flight.until("fresh")
         flight.fly(5)
         link.forget()
@@ -170,8 +182,8 @@ def test_a_connection_that_a_nat_has_forgotten_is_replaced(client, link):
         assert flight.pilot.stats().reconnects >= 1
 
 
-def test_episodes_that_end_while_the_link_is_cut_are_not_lost(client, link):
-    with Flight(client, local=False) as flight:
+def test_episodes_that_end_while_the_link_is_cut_are_not_lost(client, link, fly):
+    with fly(client, local=False) as flight:
         flight.until("fresh")
         flight.fly(3)
         link.cut()
@@ -186,8 +198,8 @@ def test_episodes_that_end_while_the_link_is_cut_are_not_lost(client, link):
         flight.check_session(client)
 
 
-def test_an_answer_that_is_stale_is_never_executed(client, link):
-    with Flight(client, local=False, max_age=0.2) as flight:
+def test_an_answer_that_is_stale_is_never_executed(client, link, fly):
+    with fly(client, local=False, max_age=0.2) as flight:
         link.delay = 0.25
         end = time.monotonic() + WAIT
         while flight.pilot.stats().stale < 3 and time.monotonic() < end:
@@ -198,18 +210,18 @@ def test_an_answer_that_is_stale_is_never_executed(client, link):
         flight.check_session(client)
 
 
-def test_a_slow_link_is_used_with_requests_in_flight(client, link):
+def test_a_slow_link_is_used_with_requests_in_flight(client, link, fly):
     link.delay = 0.03  # a round trip takes six beats
-    with Flight(client, local=False) as flight:
+    with fly(client, local=False) as flight:
         flight.until("fresh")
         flight.fly(50)
         flight.end()
         flight.check_session(client)
 
 
-def test_a_server_that_loses_its_sessions_gets_a_new_one(tmp_path):
+def test_a_server_that_loses_its_sessions_gets_a_new_one(tmp_path, fly):
     with restartable_server() as server, spikeserve.Client(server.address) as client:
-        with Flight(client, local=False) as flight:
+        with fly(client, local=False) as flight:
             flight.until("fresh")
             first = flight.pilot.session_id
             flight.end()
@@ -229,13 +241,13 @@ def test_a_server_that_loses_its_sessions_gets_a_new_one(tmp_path):
             assert ended.result(WAIT).steps > 0
 
 
-def test_a_stored_session_goes_on_after_its_server_was_killed(tmp_path):
+def test_a_stored_session_goes_on_after_its_server_was_killed(tmp_path, fly):
     server = RestartableServer(f"--session_store=file:{tmp_path}")
     server.start()
     try:
         options = spikeserve.SessionOptions(durability="ASYNC")
         with spikeserve.Client(server.address) as client:
-            with Flight(client, local=False, session=options) as flight:
+            with fly(client, local=False, session=options) as flight:
                 flight.until("fresh")
                 flight.fly(20)
                 server.kill()
@@ -250,8 +262,8 @@ def test_a_stored_session_goes_on_after_its_server_was_killed(tmp_path):
         server.kill()
 
 
-def test_what_a_safety_layer_executes_is_what_the_server_remembers(client):
-    with Flight(client, local=False) as flight:
+def test_what_a_safety_layer_executes_is_what_the_server_remembers(client, fly):
+    with fly(client, local=False) as flight:
         flight.until("fresh")
         torque = np.float32([0.125])
         observation, reward, _ = flight.episodes[-1].pop()
@@ -262,8 +274,8 @@ def test_what_a_safety_layer_executes_is_what_the_server_remembers(client):
         flight.check_session(client)
 
 
-def test_nothing_that_a_robot_passes_makes_a_beat_fail(client):
-    with Flight(client, local=False) as flight:
+def test_nothing_that_a_robot_passes_makes_a_beat_fail(client, fly):
+    with fly(client, local=False) as flight:
         flight.until("fresh")
         for observation, reward in [([1.0], 0.0), ([math.nan] * 3, 0.0), ("x", 0.0), ([0.0] * 3, math.inf)]:
             assert flight.pilot.beat(observation, reward).action.shape == (1,)
@@ -274,8 +286,8 @@ def test_nothing_that_a_robot_passes_makes_a_beat_fail(client):
         assert summary.steps == stats.beats
 
 
-def test_a_pilot_that_closes_fails_what_the_server_does_not_have(client, link):
-    with Flight(client, local=False, close_timeout=0.1) as flight:
+def test_a_pilot_that_closes_fails_what_the_server_does_not_have(client, link, fly):
+    with fly(client, local=False, close_timeout=0.1) as flight:
         flight.until("fresh")
         link.cut()
         flight.fly(3)

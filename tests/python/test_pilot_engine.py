@@ -1,11 +1,11 @@
-"""A pilot with the engine on the robot, which goes on in the same session while the link is cut."""
+"""A pilot with the engine on the robot, which continues in the same session while the link is cut."""
 
 import pytest
 import spikeserve
 from links import Link
 from security import until
 from serving import SHIPPED_POLICIES, running_server
-from test_pilot import LEARNING, Flight, exported, fly_through_cuts
+from test_pilot import LEARNING, Flight, exported, fly, fly_through_cuts  # noqa: F401
 
 
 @pytest.fixture
@@ -25,13 +25,13 @@ def client(link):
     [("pendulum", spikeserve.SessionOptions()), ("cartpole", LEARNING)],
     ids=["float", "learning"],
 )
-def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options):
-    with Flight(client, policy, session=options, local_policy=SHIPPED_POLICIES) as flight:
+def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly):
+    with fly(client, policy, session=options, local_policy=SHIPPED_POLICIES) as flight:
         fly_through_cuts(flight, client, link, source="local")
 
 
-def test_the_engine_on_the_robot_plays_the_same_session(client, link):
-    with Flight(client, "cartpole", session=LEARNING) as flight:
+def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):
+    with fly(client, "cartpole", session=LEARNING) as flight:
         assert flight.pilot.stats().has_local  # the server has sent the policy
         flight.until("fresh")
         link.cut()
@@ -40,19 +40,18 @@ def test_the_engine_on_the_robot_plays_the_same_session(client, link):
         flight.fly(10)
         link.heal()
         flight.until("fresh")
-        copy = flight.pilot._session.local
-        until(lambda: copy.value() == exported(client, flight.pilot.session_id))
+        until(lambda: flight.local_value() == exported(client, flight.pilot.session_id))
 
 
-def test_a_server_may_withhold_its_policies():
+def test_a_server_may_withhold_its_policies(fly):
     with running_server(flags=["--withhold_policies"]) as server, spikeserve.Client(server.grpc) as client:
-        with Flight(client) as flight:
+        with fly(client) as flight:
             flight.until("fresh")
             assert not flight.pilot.stats().has_local
-        with Flight(client, local_policy=SHIPPED_POLICIES) as flight:
+        with fly(client, local_policy=SHIPPED_POLICIES) as flight:
             assert flight.pilot.stats().has_local
         with pytest.raises(ValueError, match="local_policy: expected the policy file, received none"):
-            Flight(client, local=True)
+            fly(client, local=True)
         wrong = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
         with pytest.raises(ValueError, match="local_policy: expected the file with SHA-256"):
-            Flight(client, local=True, local_policy=wrong)
+            fly(client, local=True, local_policy=wrong)

@@ -1,4 +1,4 @@
-"""Clients find out that a connection is dead, and replace it, while calls and streams go on."""
+"""Clients find out that a connection is dead, and replace it, while calls and streams continue."""
 
 import asyncio
 import inspect

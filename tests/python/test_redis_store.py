@@ -121,6 +121,24 @@ def test_reading_a_session_leaves_it_to_its_owner(redis, replicas):
     assert code_of(other.GetSession, **session) == grpc.StatusCode.NOT_FOUND
 
 
+def test_explaining_and_exporting_a_session_leave_it_to_its_owner(redis, replicas):
+    owner, other = replicas
+    session = {"session_id": opening(5)["session_id"]}
+    for ask in (other.Explain, other.ExportSession):
+        assert code_of(ask, **session) == grpc.StatusCode.NOT_FOUND
+    owner.OpenSession(**opening(5))
+    key = f"ss:{{{session['session_id']}}}:o"
+    epoch = redis.command(f"HGET {key} epoch", database=1)
+    for step in range(3):
+        act(owner, 5, step)
+        for method in ("Explain", "ExportSession"):
+            theirs, ours = (getattr(server, method)(**session) for server in (other, owner))
+            assert theirs.SerializeToString(deterministic=True) == ours.SerializeToString(deterministic=True)
+    assert redis.command(f"HGET {key} epoch", database=1) == epoch
+    assert metric(other, 'spikeserve_store_claims_total{outcome="claimed"}') == 0
+    assert metric(owner, "spikeserve_store_fences_total") == 0
+
+
 def test_a_former_owner_sends_no_answer(replicas):
     """A replica that was replaced decides, finds out, and answers UNAVAILABLE; then it has the session again."""
     first, second = replicas

@@ -377,7 +377,7 @@ def store_has(fleet, session_id, decisions):
 
 
 def test_a_replica_that_was_stopped_sends_no_stale_answer(fleet):
-    """It receives a request, is stopped before it appends, and goes on when another one owns the session."""
+    """It receives a request, is stopped before it appends, and continues when another one owns the session."""
     impatient = spikeserve.ClientOptions(
         timeout=DEADLINE_SECONDS, retry=spikeserve.RetryOptions(max_attempts=1)
     )

@@ -1,4 +1,4 @@
-"""Sessions survive their server: after kill -9 they go on, and decide what they would have decided without it."""
+"""Sessions survive their server: after kill -9 they continue, and decide what they would have decided without it."""
 
 import json
 import secrets

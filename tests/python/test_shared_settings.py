@@ -171,7 +171,7 @@ def test_a_promoted_version_travels(start):
     files = [each.folder / "cartpole" / "3" / "policy.safetensors" for each in (first, second)]
     assert files[0].read_bytes() == files[1].read_bytes()
 
-    # A session of the new version goes on elsewhere, and one that joins later has it.
+    # A session of the new version continues elsewhere, and one that joins later has it.
     session = first.OpenSession(policy="cartpole", durability="SYNC").session_id
     answer = first.Act(session_id=session, observation=[0.1] * 4)
     first.kill()
@@ -199,7 +199,7 @@ def test_two_replicas_promote_at_the_same_time(start):
 
 
 def test_other_bytes_of_a_version(start, tmp_path):
-    """A replica whose file of a version differs does not go on with its sessions, and says so."""
+    """A replica whose file of a version differs does not continue with its sessions, and says so."""
     first = start("a")
     shutil.copytree(SHIPPED_POLICIES / "cartpole", tmp_path / "other" / "cartpole")
     file = tmp_path / "other" / "cartpole" / "2" / "policy.safetensors"

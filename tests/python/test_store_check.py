@@ -1,4 +1,4 @@
-"""spikectl store check reads a session store and says what is wrong with it."""
+"""spikectl store check reads a session store and shows what is wrong with it."""
 
 import json
 import os

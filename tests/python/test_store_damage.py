@@ -40,7 +40,7 @@ def played(tmp_path_factory):
                 answers[i].append(comparable(result.response))
         server.kill()
         shutil.copytree(folder / "store", folder / "killed")
-        # What follows the kill is what a store without damage goes on with.
+        # What follows the kill is what a store without damage continues with.
         server.start()
         for i in range(SESSIONS):
             answers[i].append(comparable(server.Act(**acting(i, 0, STEPS))))
@@ -57,7 +57,7 @@ def page_of(file, page):
 
 
 def names_tables(content):
-    """Returns whether a page says where the tables are. Without it nothing can be read."""
+    """Returns whether a page shows where the tables are. Without it nothing can be read."""
     return b"records" in content and b"sessions" in content
 
 
@@ -116,7 +116,7 @@ def damaged(played, folder, damage):
 
 
 def continue_session(server, i, answers):
-    """Sends the next decision, and before it those that the server asks for. Returns whether the session goes on."""
+    """Sends the next decision, and before it those that the server asks for. Returns whether the session continues."""
     step = STEPS
     tries = 0
     while step <= STEPS:

@@ -320,3 +320,67 @@ def test_an_end_of_an_episode_that_redis_has_lost(redis, replicas):
     first.kill()
     until(lambda: code_of(second.EndEpisode, **ending(0, 0)) == grpc.StatusCode.OK)
     assert second.EndEpisode(**ending(0, 0)).SerializeToString() == summary
+
+
+def take_over(replicas, i):
+    """The session moves to the second replica, behind the back of the first one. Returns its answers."""
+    first, second = replicas
+    first.OpenSession(**opening(i))
+    return play(first, i, 0, 4) + play(second, i, 4, 8)
+
+
+def lose(redis, i):
+    assert redis.command(f"DEL {hash_of(i)} {list_of(redis, i)}") == 2
+
+
+@pytest.mark.parametrize("i", KINDS)
+def test_the_last_copy_of_a_session_is_not_given_up(redis, replicas, undisturbed, i):
+    """A request is ahead of a former owner, whose copy is the last one: it goes on with what it has."""
+    first, second = replicas
+    answers = take_over(replicas, i)
+    second.kill()
+    lose(redis, i)
+    errors = []
+
+    def is_behind():
+        with pytest.raises(grpc.RpcError) as error:
+            first.Act(**acting(i, 0, 8))
+        errors.append(error.value)
+        return error.value.code() != grpc.StatusCode.UNAVAILABLE
+
+    until(is_behind)
+    assert errors[-1].code() == grpc.StatusCode.FAILED_PRECONDITION
+    assert expected_decision(first.channel, errors[-1]) == 4
+    assert answers[:4] + play(first, i, 4, 10) == undisturbed[i][:10]
+
+
+@pytest.mark.parametrize("i", KINDS)
+def test_a_former_owner_leaves_a_lost_session_to_a_newer_copy(redis, replicas, undisturbed, i):
+    first, second = replicas
+    answers = take_over(replicas, i)
+    lose(redis, i)
+    assert code_of(first.Act, **acting(i, 0, 8)) == grpc.StatusCode.UNAVAILABLE  # and not NOT_FOUND
+    answers += play(second, i, 8, 10)  # writes the session again
+    answers += play(first, i, 10, 12)
+    assert answers == undisturbed[i][:12]
+
+
+@pytest.mark.parametrize("i", KINDS)
+def test_a_newer_copy_that_comes_late_replaces_the_one_that_was_taken_back(redis, replicas, undisturbed, i):
+    first, second = replicas
+    answers = take_over(replicas, i)
+    second.addresses.process.send_signal(signal.SIGSTOP)
+    lose(redis, i)
+    until(lambda: code_of(first.Act, **acting(i, 0, 8)) == grpc.StatusCode.FAILED_PRECONDITION)
+    assert redis.command(f"EXISTS {hash_of(i)}") == 1
+    second.addresses.process.send_signal(signal.SIGCONT)
+    answers += play(second, i, 8, 10)
+    answers += play(first, i, 10, 12)
+    assert answers == undisturbed[i][:12]
+
+
+def test_a_session_that_has_ended_is_not_taken_back(redis, replicas):
+    first, second = replicas
+    take_over(replicas, 0)
+    second.CloseSession(session_id=opening(0)["session_id"])
+    assert code_of(first.Act, **acting(0, 0, 8)) == grpc.StatusCode.NOT_FOUND

@@ -1,4 +1,4 @@
-"""A server goes on with the files of former releases, which tests/releases has."""
+"""A server continues with the files of former releases, which tests/releases has."""
 
 import json
 import os

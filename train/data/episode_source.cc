@@ -163,8 +163,7 @@ absl::StatusOr<std::vector<Episode>> EpisodeSource::Read(absl::Span<const int> i
     const int expected = entries_[indices[i]].steps;
     if (episodes[i].steps() == expected) continue;
     return absl::InvalidArgumentError(absl::StrCat("data: expected an episode of ", expected,
-                                                   " steps, as when it was first "
-                                                   "read, received ",
+                                                   " steps, as when it was first read, received ",
                                                    episodes[i].steps()));
   }
   return episodes;

@@ -3,7 +3,7 @@
 //   auto admin = AdminClient::Connect("127.0.0.1:50051");
 //   v1::SetDefaultVersionRequest request;
 //   request.set_policy("cartpole");
-//   auto response = (*admin)->SetDefaultVersion(request);
+//   auto response = (*admin)->Call(&v1::PolicyAdmin::Stub::SetDefaultVersion, request);
 //
 // With several servers (Client), a call goes to any of them that answers.
 //
@@ -15,6 +15,7 @@
 
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
@@ -34,45 +35,18 @@ class AdminClient {
       const std::string& servers, ClientOptions options = {},
       absl::Duration patience = absl::Seconds(3));
 
-  // Every method returns the server's code and message on an error. Methods that have the same
-  // effect if they are carried out twice are repeated as `options.retry` says. UnloadPolicy,
-  // RemoveLabel, StartRollout, AbortRollout, PromoteHead and RollbackHead are repeated only if the
-  // server refused them for now.
-  absl::StatusOr<v1::LoadPolicyResponse> LoadPolicy(const v1::LoadPolicyRequest& request);
-  absl::StatusOr<v1::UnloadPolicyResponse> UnloadPolicy(const v1::UnloadPolicyRequest& request);
-  absl::StatusOr<v1::ReloadPoliciesResponse> ReloadPolicies(
-      const v1::ReloadPoliciesRequest& request);
-  absl::StatusOr<v1::SetDefaultVersionResponse> SetDefaultVersion(
-      const v1::SetDefaultVersionRequest& request);
-  absl::StatusOr<v1::SetLabelResponse> SetLabel(const v1::SetLabelRequest& request);
-  absl::StatusOr<v1::RemoveLabelResponse> RemoveLabel(const v1::RemoveLabelRequest& request);
-  absl::StatusOr<v1::SetTrafficResponse> SetTraffic(const v1::SetTrafficRequest& request);
-  absl::StatusOr<v1::SetTrafficSharesResponse> SetTrafficShares(
-      const v1::SetTrafficSharesRequest& request);
-  absl::StatusOr<v1::SetShadowResponse> SetShadow(const v1::SetShadowRequest& request);
-  absl::StatusOr<v1::StartRolloutResponse> StartRollout(const v1::StartRolloutRequest& request);
-  absl::StatusOr<v1::AbortRolloutResponse> AbortRollout(const v1::AbortRolloutRequest& request);
-  absl::StatusOr<v1::ListRolloutsResponse> ListRollouts(const v1::ListRolloutsRequest& request);
-  absl::StatusOr<v1::ListHistoryResponse> ListHistory(const v1::ListHistoryRequest& request);
-  absl::StatusOr<v1::ListSessionsResponse> ListSessions(const v1::ListSessionsRequest& request);
-  absl::StatusOr<v1::DrainResponse> Drain(const v1::DrainRequest& request);
-  absl::StatusOr<v1::GetHeadResponse> GetHead(const v1::GetHeadRequest& request);
-  absl::StatusOr<v1::PromoteHeadResponse> PromoteHead(const v1::PromoteHeadRequest& request);
-  absl::StatusOr<v1::RollbackHeadResponse> RollbackHead(const v1::RollbackHeadRequest& request);
-  absl::StatusOr<v1::PauseLearningResponse> PauseLearning(const v1::PauseLearningRequest& request);
-  absl::StatusOr<v1::ResumeLearningResponse> ResumeLearning(
-      const v1::ResumeLearningRequest& request);
-
-  // Makes the call of one RPC, for those that have no method above. If `repeatable`, repeats it as
-  // `options.retry` says.
+  // Makes the call of one RPC. Returns the server's code and message on an error.
+  //
+  // Methods that policy_admin.proto declares as free of side effects or idempotent are repeated as
+  // `options.retry` says, and the others only if the server refused them for now.
   template <typename Request, typename Response>
   absl::StatusOr<Response> Call(grpc::Status (v1::PolicyAdmin::Stub::*method)(grpc::ClientContext*,
                                                                               const Request&,
                                                                               Response*),
-                                const Request& request, bool repeatable) {
+                                const Request& request) {
     Response response;
     const absl::Status status = client_->CallOther(
-        kAdminTimeout, repeatable,
+        kAdminTimeout, IsRepeatable(*Request::descriptor()),
         [&](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
           return ((*v1::PolicyAdmin::NewStub(channel)).*method)(context, request, &response);
         });
@@ -81,7 +55,10 @@ class AdminClient {
   }
 
  private:
-  explicit AdminClient(std::unique_ptr<Client> client);
+  explicit AdminClient(std::unique_ptr<Client> client) : client_(std::move(client)) {}
+
+  // Returns what the wire contract says about the method whose requests are of this type.
+  static bool IsRepeatable(const google::protobuf::Descriptor& request);
 
   const std::unique_ptr<Client> client_;
 };

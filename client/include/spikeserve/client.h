@@ -131,11 +131,18 @@ class Client {
   absl::StatusOr<v1::ExplainResponse> Explain(const std::string& session_id,
                                               const std::shared_ptr<Route>& route = nullptr);
 
+  // Retried. Returns the value of the session, from which an engine on the robot continues it; with
+  // `include_policy`, also the policy's file.
+  absl::StatusOr<v1::ExportSessionResponse> ExportSession(
+      const std::string& session_id, bool include_policy = false,
+      const std::shared_ptr<Route>& route = nullptr);
+
   // Retried. Returns OK if a repeated attempt finds that the session does not exist any more.
   absl::Status CloseSession(const std::string& session_id,
                             const std::shared_ptr<Route>& route = nullptr);
 
  private:
+  friend class Pilot;
   friend class RemoteSession;
   friend class RemoteStream;
 

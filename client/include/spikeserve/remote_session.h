@@ -10,7 +10,7 @@
 //
 // A session that is opened with Open and is stored (opening().durability() is ASYNC or SYNC)
 // outlives its server. It keeps the requests that the store may not have yet, and sends them again
-// to the server that goes on with the session. Calls return DATA_LOSS (DivergedAt) once if one of
+// to the server that continues with the session. Calls return DATA_LOSS (DivergedAt) once if one of
 // them gets another answer than before.
 //
 // Not thread-safe. Several sessions may share one client from many threads.

@@ -36,7 +36,7 @@ std::optional<uint64_t> ExpectedDecision(const absl::Status& status);
 
 // Returns the number of the decision if `status` says that a request, which was sent again after
 // the loss of a server, got another answer than before. For the end of an episode: the number of
-// the decision that follows. The session goes on from the new answer.
+// the decision that follows. The session continues from the new answer.
 std::optional<uint64_t> DivergedAt(const absl::Status& status);
 
 // Returns DATA_LOSS, for which DivergedAt returns `decision`.

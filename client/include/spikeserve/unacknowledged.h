@@ -38,7 +38,7 @@ class Unacknowledged {
 
   // Sends all requests from `decision` on again, in order. Returns DATA_LOSS (DivergedAt) if one of
   // them gets another answer than before; the new answers count from then on. Returns OK if a
-  // server cannot answer now: the call that follows says what is still missing.
+  // server cannot answer now: the call that follows shows what is still missing.
   absl::Status SendAgain(uint64_t decision, Client* client, const std::shared_ptr<Route>& route);
   // Sends the last request again. A server whose copy of the session is an old one claims the
   // session for it. REQUIRES: size() > 0.

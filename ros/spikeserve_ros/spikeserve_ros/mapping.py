@@ -1,6 +1,6 @@
 """Makes observations of messages, and messages of actions.
 
-A mapping file says which field of which joint is each element of the observation, and which numbers each action of a
+A mapping file shows which field of which joint is each element of the observation, and which numbers each action of a
 policy with discrete actions is:
 
     observation:

@@ -4,15 +4,15 @@ import {STAGES} from './policies.js';
 
 const RASTER_HEIGHT = 150;  // CSS pixels of every raster, whatever its population
 const FULL = 4;  // an attention weight of so many times the equal weight has the full colour
+const EVEN = 1.25;  // attention within this factor of the equal weight is even, and what remains is noise
 const SYMBOLS = {RETURN_TO_GO: 'G', STATE: 's', ACTION: 'a'};
 const KINDS = ['RETURN_TO_GO', 'STATE', 'ACTION'];
 
 /** Draws a decision into `target`. `kind` limits the rasters to one kind of token; empty: all. */
 export function drawDecision(target, decision, kind) {
-  const blocks = [summary(decision)];
+  const blocks = [summary(decision), ...rasters(decision, kind)];
   if (decision.routing.length) blocks.push(section('Routing gates', decision.routing.map((gates) => gateFigure(decision, gates))));
   blocks.push(section('Attention of the state token', decision.attention.map((layer) => attentionFigure(decision, layer))));
-  blocks.push(...rasters(decision, kind));
   target.replaceChildren(...blocks);
 }
 
@@ -26,6 +26,22 @@ function barRow(name, share, value) {
   bar.style.setProperty('--share', `${100 * Math.min(1, Math.max(0, share))}%`);
   return element('div', {className: 'bar-row'}, element('span', {textContent: name}), bar,
                  element('span', {textContent: value}));
+}
+
+/** Returns a row with a value of an observation on an axis on which the usual values of training are shaded. */
+export function rangeRow(name, {value, mean, deviation, unusual}) {
+  // Two deviations on either side take the middle third of the axis, unless the value is farther away.
+  const reach = Math.max(6 * deviation, 1.1 * Math.abs(value - mean)) || 1;
+  const place = (x) => `${50 + 50 * Math.min(1, Math.max(-1, (x - mean) / reach))}%`;
+  const axis = element('span', {className: unusual ? 'meter range unusual' : 'meter range'},
+                       element('span', {className: 'usual'}), element('span', {className: 'mark'}));
+  axis.style.setProperty('--share', '0%');
+  axis.style.setProperty('--from', place(mean - 2 * deviation));
+  axis.style.setProperty('--to', place(mean - 2 * deviation));
+  axis.style.setProperty('--at', place(value));
+  axis.title = `training: ${fixed(mean, 3)} ± ${fixed(deviation, 3)}`;
+  return element('div', {className: unusual ? 'bar-row unusual' : 'bar-row'}, element('span', {textContent: name}), axis,
+                 element('span', {textContent: fixed(value, 3)}));
 }
 
 function bars(title, rows, note) {
@@ -88,6 +104,15 @@ function attentionFigure({heads}, {layer, ticks, keys, weights}) {
     });
   }
   const even = 1 / n;
+  const all = cells.map(({weight}) => weight);
+  const [least, largest] = [Math.min(...all), Math.max(...all)];
+  if (n > 1 && largest < EVEN * even && least > even / EVEN) {
+    const figure = element('figure', {}, element('figcaption', {textContent: `Layer ${layer}`}),
+      element('p', {className: 'even', textContent: `Every head looks at all ${n} tokens about equally: weights ` +
+        `${fixed(least, 3)} to ${fixed(largest, 3)}, equal ones would be ${fixed(even, 3)}. There is nothing to draw.`}));
+    figure.setAttribute('aria-label', `attention of layer ${layer}: even over ${n} tokens`);
+    return figure;
+  }
   const lines = steps.map((_, i) => i * 3);
   const map = canvas(steps.length * 3, heads, heads * 22, lines, (paint) => {
     for (const {x, y, weight} of cells) paint(x, y, weight / Math.max(best.weight, FULL * even));

@@ -47,6 +47,12 @@ export function setText(target, text) {
   if (target.textContent !== text) target.textContent = text;
 }
 
+/** Returns what people call a robot: the label that names it, or the start of its session's id. */
+export function nameOf({labels, session_id: id}) {
+  const {robot, name} = labels;
+  return robot ?? name ?? id.slice(0, 12);
+}
+
 /** Returns the link to the page of a policy version or of a session. */
 export function policyLink(policy, version) {
   return `#/policies/${encodeURIComponent(policy)}/${version}`;

@@ -78,7 +78,7 @@ function showProblem(error) {
   document.body.classList.toggle('lost', seconds >= LOST_SECONDS);
 }
 
-/** Offers the energy models that the server knows, and says what each of them counts. */
+/** Offers the energy models that the server knows, and shows what each of them counts. */
 function showModels(models) {
   const choice = get('energy-model');
   if (models.length === choice.options.length) return;

@@ -1,12 +1,14 @@
 // Shows one session: its figures, its history, and its last decisions one by one.
 import {makeChart} from './charts.js';
-import {drawDecision} from './explain.js';
+import {drawDecision, rangeRow} from './explain.js';
 import {fetchJson} from './fetch.js';
-import {NOTHING, count, duration, fixed, setText, si} from './format.js';
+import {NOTHING, count, duration, element, fixed, nameOf, setText, si} from './format.js';
+import {Scene} from './scene.js';
 import {TileGrid} from './tiles.js';
 
 const KEPT_DECISIONS = 120;
 const PLAY_MILLISECONDS = 250;
+const SHOWN_ELEMENTS = 16;
 const COLOUR = '#0072b2';
 const WHOLE = [1, 2, 5].flatMap((digit) => [0, 1, 2, 3, 4, 5, 6, 7, 8].map((power) => digit * 10 ** power)).sort((a, b) => a - b);
 const CHARTS = [
@@ -35,6 +37,9 @@ export class SessionView {
     this.tiles = new TileGrid(get('session-tiles'));
     this.chartBox = get('session-charts');
     this.body = get('decision');
+    this.scene = new Scene(get('scene'));
+    this.observation = get('observation');
+    this.liveState = get('live-state');
     this.decisionError = get('decision-error');
     this.token = get('token');
     this.frame = get('frame');
@@ -48,6 +53,7 @@ export class SessionView {
       this.draw();
     });
     this.followButton.addEventListener('click', () => this.setFollowing(!pressed(this.followButton)));
+    document.addEventListener('visibilitychange', () => this.watch());
     this.playButton.addEventListener('click', () => this.play(!pressed(this.playButton)));
     const rebuild = () => {
       this.plots = undefined;
@@ -64,10 +70,14 @@ export class SessionView {
     this.id = id;
     this.frames = [];
     this.shown = undefined;
+    this.live = undefined;
+    this.refused = undefined;
     this.play(false);
-    this.setFollowing(true);
-    for (const text of [this.error, this.decisionError, this.frameText]) setText(text, '');
+    for (const text of [this.error, this.decisionError, this.frameText, this.liveState]) setText(text, '');
     this.body.replaceChildren();
+    this.observation.replaceChildren();
+    this.scene.clear();
+    this.setFollowing(true);
     if (!id) return;
     this.section.focus({preventScroll: true});
     this.refresh().catch(() => {});  // the next turn of the page shows a problem that lasts
@@ -85,18 +95,54 @@ export class SessionView {
     if (this.id !== id) return;
     setText(this.error, '');
     this.showFigures(session);
-    if (pressed(this.followButton)) await this.addFrame(id);
+    const asks = !this.streams() || this.frames.length === 0;  // also for what cannot be explained
+    if (pressed(this.followButton) && asks) await this.fetchFrame(id);
+  }
+
+  /** Returns whether the server sends the decisions by itself. */
+  streams() {
+    return this.source !== undefined && this.source.readyState !== EventSource.CLOSED;
+  }
+
+  /** Listens to the decisions of the session while somebody follows them, and at no other time. */
+  watch() {
+    this.source?.close();
+    this.source = undefined;
+    if (!this.id || !pressed(this.followButton) || document.hidden || this.refused === this.id) return;
+    const {id} = this;
+    const source = new EventSource(`watch?session=${encodeURIComponent(id)}`);
+    const on = (name, take) => source.addEventListener(name, ({data}) => {
+      if (this.source === source) take(JSON.parse(data));
+    });
+    on('decision', (decision) => {
+      this.live = decision;
+      setText(this.liveState, 'Live: each decision as the server makes it, at most 20 a second.');
+      this.drawScene();
+    });
+    on('explanation', (decision) => this.addFrame(decision));
+    on('end', ({message}) => {
+      this.refused = id;
+      source.close();
+      setText(this.liveState, `The session has ended: ${message}`);
+    });
+    source.addEventListener('error', () => {
+      if (this.source !== source || source.readyState !== EventSource.CLOSED) return;  // the browser tries again
+      this.refused = id;  // as many watch as may
+      setText(this.liveState, 'The server has no room for another watcher: the page asks once a second.');
+    });
+    this.source = source;
   }
 
   showFigures(session) {
     this.shown = session;
     const decisions = Number(session.decisions);
+    if (!this.live && this.frames.length === 0) this.showObservation(session.observation);
     const labels = Object.entries(session.labels).map(([key, value]) => `${key}=${value}`).join(' ');
     const {history} = session;
     const seconds = history.decisions.reduce((sum, point) => sum + point.count * point.mean_seconds, 0);
     const counted = history.decisions.reduce((sum, point) => sum + point.count, 0);
     this.tiles.show([
-      {label: 'Policy', value: `${session.policy}/${session.version}`, note: labels || 'no labels'},
+      {label: nameOf(session), value: `${session.policy}/${session.version}`, note: labels || 'no labels'},
       {label: 'Mean return', value: fixed(session.mean_return ?? undefined),
        note: `${count(session.ended_episodes)} episodes`},
       {label: 'Last return', value: fixed(session.last_return ?? undefined),
@@ -121,7 +167,22 @@ export class SessionView {
     });
   }
 
-  async addFrame(id) {
+  /** Shows each element of the last observation against its range in training. */
+  showObservation(elements) {
+    if (!elements.length) return;
+    const far = elements.flatMap(({unusual}, i) => (unusual ? [i] : []));
+    const verdict = far.length === 0
+      ? 'Every element is as in training.'
+      : `Element${far.length === 1 ? '' : 's'} ${far.join(', ')}: unlike anything in training.`;
+    this.observation.replaceChildren(element('figure', {},
+      element('figcaption', {textContent: 'Last observation against training'}),
+      ...elements.slice(0, SHOWN_ELEMENTS).map((part, i) => rangeRow(`${i}`, part)),
+      element('p', {className: far.length ? 'bad' : 'quiet', textContent: verdict}),
+      element('p', {className: 'quiet', textContent: 'Shaded: two standard deviations around the mean of the training data.' +
+        (elements.length > SHOWN_ELEMENTS ? ` The first ${SHOWN_ELEMENTS} of ${elements.length} elements.` : '')})));
+  }
+
+  async fetchFrame(id) {
     let decision;
     try {
       decision = await fetchJson('explain.json', {session: id});
@@ -129,7 +190,10 @@ export class SessionView {
       if (this.id === id) setText(this.decisionError, error.message);
       return;
     }
-    if (this.id !== id) return;
+    if (this.id === id) this.addFrame(decision);
+  }
+
+  addFrame(decision) {
     setText(this.decisionError, '');
     const last = this.frames[this.frames.length - 1];
     if (last && last.episode === decision.episode && last.answer.step === decision.answer.step) return;
@@ -142,6 +206,8 @@ export class SessionView {
 
   setFollowing(on) {
     this.followButton.setAttribute('aria-pressed', String(on));
+    this.live = undefined;
+    this.watch();
   }
 
   /** Shows the decisions that the page has one after the other, from the first one if the last one is shown. */
@@ -164,5 +230,20 @@ export class SessionView {
     setText(this.frameText, `${Number(this.frame.value) + 1} of ${this.frames.length}: ` +
       `episode ${decision.episode}, step ${decision.answer.step}`);
     drawDecision(this.body, decision, this.token.value);
+    this.drawScene();
+  }
+
+  /** Draws the newest decision while the page follows, and otherwise the selected one. */
+  drawScene() {
+    const playing = pressed(this.playButton);
+    const decision = (!playing && this.live) || this.frames[Number(this.frame.value)];
+    if (!decision) return;
+    this.scene.show(decision, this.shown?.environment ?? '');
+    const ranges = this.shown?.observation ?? [];
+    if (ranges.length !== decision.observation.length) return;
+    this.showObservation(ranges.map((range, i) => {
+      const value = decision.observation[i];
+      return {...range, value, unusual: range.low !== null && !(value >= range.low && value <= range.high)};
+    }));
   }
 }

@@ -52,7 +52,7 @@ says $child "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha data.cbor)\\\",\\\
 says $child "\\\"student_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
 grep -qaE '\\"commit\\":\\"([0-9a-f]{40}(-dirty)?|unknown)\\"' $child || fail "the commit of the program"
 
-# The end of a training says what was made, and why the policy is asked for this return.
+# The end of a training shows what was made, and why the policy is asked for this return.
 "$spiketrain" train --data=data.cbor --out=told "${tiny[@]}" --iterations=1 --validation=0 >told.txt 2>told.err
 grep -qx 'policy: told/policy.safetensors' told.txt || fail "the path: $(cat told.txt)"
 grep -q '^shape: 4 observations, 2 actions; mode full, hidden size 16, 2 heads' told.txt || fail "the shape"

@@ -23,20 +23,6 @@ from spikeserve.wire import ADMIN_METHODS, ADMIN_SERVICE, Message, comment_of
 # Loading a version reads files and tries the policy, which takes longer than a decision.
 DEFAULT_OPTIONS = ClientOptions(timeout=60.0)
 
-# Beside List... and Get...: calls that have the same effect if they are carried out twice.
-_REPEATABLE = {
-    "LoadPolicy",
-    "ReloadPolicies",
-    "SetDefaultVersion",
-    "SetLabel",
-    "SetTraffic",
-    "SetTrafficShares",
-    "SetShadow",
-    "Drain",
-    "PauseLearning",
-    "ResumeLearning",
-}
-
 
 class AdminClient(Connection):
     """The calls of PolicyAdmin at the server "HOST:PORT". Thread-safe.
@@ -84,9 +70,9 @@ def method_name(rpc: str) -> str:
 
 
 def _describe(rpc: str, fields: dict[str, Any], timeout: float | None) -> Call[Message]:
-    repeatable = rpc.startswith(("Get", "List")) or rpc in _REPEATABLE
-    request = ADMIN_METHODS[rpc].request(**fields)
-    return Call(rpc, request, lambda response: response, timeout, repeatable=repeatable)
+    method = ADMIN_METHODS[rpc]
+    request = method.request(**fields)
+    return Call(rpc, request, lambda response: response, timeout, repeatable=method.repeatable)
 
 
 def _blocking(rpc: str) -> Callable[..., Message]:

@@ -151,9 +151,9 @@ class AsyncActStream:
                 return stream_ended()
             raise
         except grpc.RpcError:
-            # The error of a read may only say that the call has ended; its status says why.
+            # The error of a read may only say that the call has ended; its status has the reason.
             code, details = await self._call.code(), await self._call.details()
-            # A proxy may cancel the streams of a server that is gone.
+            # A proxy may cancel the streams of a server that has ended.
             if details == _CORE_ERROR or code == grpc.StatusCode.CANCELLED:
                 code = grpc.StatusCode.UNAVAILABLE
             details = details or ""

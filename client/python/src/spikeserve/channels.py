@@ -16,6 +16,7 @@ from spikeserve.errors import SpikeserveError, is_retryable, is_retryable_code, 
 from spikeserve.lines import Line, LineRenewedError, channel_options, is_answer
 from spikeserve.replicas import AFFINITY_KEY, Replica, Replicas, Route, parse_servers
 from spikeserve.retry import Attempts, Patience, RetryOptions
+from spikeserve.trace_context import TRACEPARENT, active_traceparent
 from spikeserve.wire import METHODS, Message, Method
 
 
@@ -135,7 +136,9 @@ class Channels:
     def metadata(self, route: Route) -> Sequence[tuple[str, str]]:
         """Returns the gRPC metadata of a call."""
         affinity = ((AFFINITY_KEY, route.key),) if route.key else ()
-        return (*self._options.metadata, *affinity)
+        active = active_traceparent()
+        trace = ((TRACEPARENT, active),) if active else ()
+        return (*self._options.metadata, *affinity, *trace)
 
     def _send(self, line: Line, call: Call[Any], request: Message, timeout: float) -> Any:
         """Starts one attempt. Returns the response, or with grpc.aio an awaitable of it."""

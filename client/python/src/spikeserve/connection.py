@@ -121,7 +121,7 @@ class Connection(Channels):
             try:
                 self._run_with(part, attempts)
             except SpikeserveError as error:
-                # The call that follows says what is still missing.
+                # The call that follows shows what is still missing.
                 if not is_retryable(error) and expected_decision(error) is None:
                     raise
 

@@ -13,6 +13,7 @@ from spikeserve.check import check
 from spikeserve.errors import NotFoundError, SpikeserveError, expected_decision, make_error
 from spikeserve.explanation import Explanation
 from spikeserve.replicas import Route
+from spikeserve.trace_context import active_traceparent
 from spikeserve.unacknowledged import Unacknowledged
 from spikeserve.values import (
     ActionLike,
@@ -69,6 +70,7 @@ class SessionCursor:
             reward=0.0 if self.step == 0 or reward is None else float(reward),
             executed_action=action_to_wire(executed_action),
             decision=self.decision,
+            traceparent=active_traceparent(),  # for streams, whose metadata is that of one call
         )
         return Call(
             "Act",

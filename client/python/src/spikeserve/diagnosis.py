@@ -19,7 +19,7 @@ _TLS_RECORDS = (0x15, 0x16)  # alert, handshake
 def diagnose(server: str, tls: bool, message: str) -> str | None:
     """Returns why `server`, "HOST:PORT" or "unix:PATH", cannot be reached; None: it can be.
 
-    `tls` says whether the client encrypts. `message` is the one of gRPC.
+    `tls` shows whether the client encrypts. `message` is the one of gRPC.
     """
     try:
         with contextlib.closing(_connect(server)) as connection:
@@ -43,7 +43,7 @@ _EXPECTS_TLS = "the server expects TLS, and the client does not use it"
 
 
 class _UnreachableError(Exception):
-    """No connection can be made. The text says why."""
+    """No connection can be made. The text has the reason."""
 
 
 def _connect(server: str) -> socket.socket:

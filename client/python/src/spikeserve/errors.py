@@ -147,8 +147,8 @@ def error_of_call(call: str, error: grpc.RpcError) -> SpikeserveError:
 def code_of_end(code: grpc.StatusCode, message: str) -> grpc.StatusCode:
     """Returns the code of a call that ended with a code and message of grpc.
 
-    A proxy resets the calls of a server that is gone: nginx with INTERNAL_ERROR, HAProxy with
-    CANCEL. gRPC makes INTERNAL and CANCELLED of them. UNAVAILABLE says what they mean.
+    A proxy resets the calls of a server that has ended: nginx with INTERNAL_ERROR, HAProxy with
+    CANCEL. gRPC makes INTERNAL and CANCELLED of them. UNAVAILABLE shows what they mean.
     """
     is_reset = code in (grpc.StatusCode.INTERNAL, grpc.StatusCode.CANCELLED)
     return grpc.StatusCode.UNAVAILABLE if is_reset and "RST_STREAM" in message else code

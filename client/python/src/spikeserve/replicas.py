@@ -1,6 +1,6 @@
 """The servers of a client, and which of them a call goes to.
 
-Servers that keep their sessions in one store are replicas: each of them can go on with every
+Servers that keep their sessions in one store are replicas: each of them can continue with every
 session. The calls of a session go to the same replica while it answers, because a session that
 moves costs a claim. Nothing here sends or waits.
 """
@@ -19,7 +19,7 @@ from spikeserve.lines import Doubt, Line
 AFFINITY_KEY = "spikeserve-affinity"  # the metadata by which proxies choose a server
 
 # How long a server may take to say that it serves. A call that had no answer for this time shows
-# that the server is away.
+# that the server cannot be reached.
 PROBE_SECONDS = 1.0
 
 
@@ -95,7 +95,7 @@ def rank(key: str, address: str) -> int:
 
 
 class Replicas:
-    """The replicas of a client, and which of them are away.
+    """The replicas of a client, and which of them cannot be reached.
 
     A replica that failed gets no calls until `probe` has found it again, if there is another one.
     `probe` starts a health check and passes its result to `probed`, on any thread. The pauses
@@ -123,7 +123,7 @@ class Replicas:
     def choose(self, route: Route, tried: Collection[Replica] = ()) -> Replica:
         """Returns the preferred replica of a route that is not away and not among `tried`.
 
-        Returns one that is away if no other is left, and one that was tried if all were.
+        Returns one that cannot be reached if no other is left, and one that was tried if all were.
         """
         if len(self._all) == 1:
             return self._all[0]

@@ -65,7 +65,7 @@ class _Call:
                 self._replies.put(reply)
             self._replies.put(stream_ended())
         except grpc.RpcError as error:
-            # A proxy may cancel the streams of a server that is gone.
+            # A proxy may cancel the streams of a server that has ended.
             is_cut = error.code() == grpc.StatusCode.CANCELLED and not self._ended
             self._replies.put(stream_ended() if is_cut else error_of_call("ActStream", error))
 

@@ -31,6 +31,9 @@ def _load_files() -> descriptor_pb2.FileDescriptorSet:
 
 def _make_pool(files: descriptor_pb2.FileDescriptorSet) -> descriptor_pool.DescriptorPool:
     pool = descriptor_pool.DescriptorPool()
+    options = descriptor_pb2.FileDescriptorProto()
+    descriptor_pb2.DESCRIPTOR.CopyToProto(options)
+    pool.Add(options)  # the contract extends the options of methods
     for file in files.file:
         pool.Add(file)
     return pool
@@ -54,6 +57,7 @@ class Method:
     request: Message
     response: Message
     streams: bool
+    repeatable: bool  # declared as free of side effects or idempotent
 
     def bind(self, channel: Any) -> Callable[..., Any]:
         """Returns a function that calls the method on `channel`, of grpc or grpc.aio."""
@@ -76,6 +80,8 @@ def _methods(service_name: str) -> dict[str, Method]:
             request=message_class(method.input_type.rpartition(".")[2]),
             response=message_class(method.output_type.rpartition(".")[2]),
             streams=method.client_streaming,
+            repeatable=method.options.idempotency_level
+            != descriptor_pb2.MethodOptions.IDEMPOTENCY_UNKNOWN,
         )
         for file in _FILES.file
         for service in file.service

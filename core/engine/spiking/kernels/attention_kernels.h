@@ -65,7 +65,7 @@ Attended Attend(const AttentionWindow& window, const uint32_t* query, const floa
 void FindNonzero(const uint32_t* bits, int ticks_and_heads, int words, uint64_t* nonzero);
 
 // Writes one token's value bits [T][H][W] into slot `slot` of planes, and sets or
-// clears the slot in `occupied` [T][H][S / 32]. Bit i of `changed` [ceil(T H / 64)] tells whether
+// clears the slot in `occupied` [T][H][S / 32]. Bit i of `changed` [ceil(T H / 64)] shows whether
 // the bits number i of [T][H] are written. REQUIRES: where they are, there is a plane.
 void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window,
                  const uint64_t* changed, const int32_t* numbers, uint32_t* planes,

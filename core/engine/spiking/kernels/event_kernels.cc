@@ -26,7 +26,7 @@ void CoderPeriodsImpl(const PackedPeriodCoder& coder, const int16_t* x, int32_t*
   for (int j = 0; j < coder.width; j += kVector16) {
     const auto value = hn::Mul(hn::LoadU(d, x + j), hn::LoadU(d, coder.sign.data() + j));
     const int16_t* threshold = coder.threshold.data() + j;
-    // Thresholds never increase with the period, so the last one tells whether the neuron fires.
+    // Thresholds never increase with the period, so the last one shows whether the neuron fires.
     const auto fires =
         hn::Gt(value, hn::LoadU(d, threshold + static_cast<size_t>(coder.ticks - 1) * coder.width));
     StoreMask(d, fires, bytes, j / kVector16);

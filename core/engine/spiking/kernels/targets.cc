@@ -11,11 +11,16 @@
 namespace spikeserve::kernels {
 namespace {
 
-// Returns the targets that this processor has and that the kernels are compiled for. Highway 1.0
-// names NEON only where the processor also has AES, which the kernels do not use and a Raspberry
-// Pi 4 lacks, and EMU128 nowhere. The compiler may use the static target everywhere.
+// Returns the targets that this processor has and that the kernels are compiled for: always EMU128,
+// which Highway names nowhere, and the static target, which the compiler may use everywhere.
 int64_t Supported() {
+#if HWY_ARCH_ARM_A64
+  // Highway 1.0 names NEON only where the processor also has AES, which the kernels do not use. On
+  // others, such as a Raspberry Pi 4, it prints a warning whenever it is asked.
+  return (HWY_STATIC_TARGET | HWY_EMU128) & HWY_TARGETS;
+#else
   return (hwy::SupportedTargets() | HWY_STATIC_TARGET | HWY_EMU128) & HWY_TARGETS;
+#endif
 }
 
 constexpr char kNeonSdot[] = "NEON_SDOT";
@@ -56,7 +61,7 @@ bool ForceTargetForTest(const std::string& name) {
   for (int64_t targets = Supported(); targets != 0; targets &= targets - 1) {
     const int64_t target = targets & -targets;
     const bool named = name == hwy::TargetName(target);
-    if (!named && !(sdot && target == HWY_NEON)) continue;
+    if (!named && !(sdot && target == HWY_STATIC_TARGET)) continue;
     hwy::GetChosenTarget().Update(target);
     return true;
   }

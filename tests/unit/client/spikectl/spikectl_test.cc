@@ -1,5 +1,9 @@
 // Tests of the functions of spikectl, without running the program.
+#include <algorithm>
+#include <vector>
+
 #include "client/spikectl/agent.h"
+#include "client/spikectl/distance.h"
 #include "client/spikectl/policy_choice.h"
 #include "client/spikectl/run_report.h"
 #include "gmock/gmock.h"
@@ -10,6 +14,7 @@
 namespace spikeserve {
 namespace {
 
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 v1::PolicyInfo Served(const std::string& name, int version, bool is_default,
@@ -97,6 +102,40 @@ TEST_F(AgentTest, PlaysAnEpisodeToItsEnd) {
   EXPECT_EQ(fake_.last_end_episode().reward(), 1.0);
   // The session can play another episode.
   EXPECT_TRUE(PlayEpisode(*environment, session_, 6).ok());
+}
+
+TEST_F(AgentTest, TellsTheServerWhatWasExecutedFarAway) {
+  const auto environment = *MakeEnvironment("CartPole-v1");
+  ASSERT_TRUE(PlayEpisode(*environment, session_, 5).ok());
+  EXPECT_FALSE(fake_.last_end_episode().has_executed_action());
+  const auto far =
+      PlayEpisode(*environment, session_, 5, {.distance = {.delay = 2, .jitter = 3, .loss = 0.3}});
+  ASSERT_TRUE(far.ok()) << far.status();
+  EXPECT_TRUE(fake_.last_end_episode().executed_action().has_discrete());
+}
+
+std::vector<int> Executed(const Distance& distance, int beats) {
+  Arrivals arrivals(distance, ActionSpace::Discrete(1000), /*seed=*/0);
+  std::vector<int> executed;
+  for (int beat = 0; beat < beats; ++beat) {
+    executed.push_back(arrivals.Executed({.discrete = beat + 1, .continuous = {}}).discrete);
+  }
+  return executed;
+}
+
+TEST(ArrivalsTest, DecisionsOfAFarServerArriveLater) {
+  EXPECT_THAT(Executed({.delay = 2}, 6), ElementsAre(0, 0, 1, 2, 3, 4));
+  const std::vector<int> late = Executed({.delay = 1, .jitter = 3, .loss = 0.3}, 60);
+  EXPECT_TRUE(std::is_sorted(late.begin(), late.end()));  // an older one never follows a newer one
+  for (int beat = 0; beat < 60; ++beat) EXPECT_LE(late[static_cast<size_t>(beat)], beat);
+  EXPECT_GT(late.back(), 50);
+}
+
+TEST(ArrivalsTest, BeginWithTheNeutralAction) {
+  Arrivals arrivals({.delay = 1}, ActionSpace::Box({-1.0f, 2.0f}, {1.0f, 4.0f}), /*seed=*/0);
+  const Action decided = {.discrete = 0, .continuous = {0.5f, 2.5f}};
+  EXPECT_THAT(arrivals.Executed(decided).continuous, ElementsAre(0.0f, 3.0f));
+  EXPECT_THAT(arrivals.Executed(decided).continuous, ElementsAre(0.5f, 2.5f));
 }
 
 TEST_F(AgentTest, RefusesAnActionOfAnotherSpace) {

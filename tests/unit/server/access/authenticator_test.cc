@@ -169,16 +169,16 @@ TEST(TenantTest, SessionsAndMessagesAreLimited) {
 }
 
 TEST(RoleTest, WhatIsNotListedIsTheOperators) {
-  EXPECT_TRUE(CheckMayCall(Role::kAgent, Method::kAct).ok());
-  EXPECT_FALSE(CheckMayCall(Role::kViewer, Method::kAct).ok());
-  EXPECT_TRUE(CheckMayCall(Role::kViewer, Method::kExplain).ok());
-  EXPECT_TRUE(CheckMayCall(Role::kViewer, Method::kListSessions).ok());
-  EXPECT_FALSE(CheckMayCall(Role::kAgent, Method::kListSessions).ok());
+  EXPECT_TRUE(CheckMayCall(Role::kAgent, MethodNamed("Act")).ok());
+  EXPECT_FALSE(CheckMayCall(Role::kViewer, MethodNamed("Act")).ok());
+  EXPECT_TRUE(CheckMayCall(Role::kViewer, MethodNamed("Explain")).ok());
+  EXPECT_TRUE(CheckMayCall(Role::kViewer, MethodNamed("ListSessions")).ok());
+  EXPECT_FALSE(CheckMayCall(Role::kAgent, MethodNamed("ListSessions")).ok());
   for (const Role role : {Role::kAgent, Role::kViewer}) {
-    EXPECT_EQ(CheckMayCall(role, Method::kDrain).code(), absl::StatusCode::kPermissionDenied);
-    EXPECT_TRUE(CheckMayCall(role, Method::kListPolicies).ok());
+    EXPECT_EQ(CheckMayCall(role, MethodNamed("Drain")).code(), absl::StatusCode::kPermissionDenied);
+    EXPECT_TRUE(CheckMayCall(role, MethodNamed("ListPolicies")).ok());
   }
-  EXPECT_TRUE(CheckMayCall(Role::kOperator, Method::kDrain).ok());
+  EXPECT_TRUE(CheckMayCall(Role::kOperator, MethodNamed("Drain")).ok());
   EXPECT_FALSE(CheckMayReadStatus(Role::kAgent).ok());
 }
 

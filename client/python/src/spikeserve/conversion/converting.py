@@ -25,7 +25,7 @@ _READERS = {
     "minari": read_minari,
     "spikeserve": read_recordings,
 }
-# Formats that do not say which numbers are an observation or an action.
+# Formats that do not show which numbers are an observation or an action.
 _SELECTABLE = ("lerobot", "mcap")
 
 

@@ -74,7 +74,7 @@ class RobotData:
 
 @dataclass(frozen=True)
 class Selection:
-    """What to read from formats that do not say which numbers are an observation or an action.
+    """What to read from formats that do not show which numbers are an observation or an action.
 
     None or an empty value selects what the format declares.
     """

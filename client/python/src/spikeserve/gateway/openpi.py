@@ -161,7 +161,7 @@ class OpenpiGateway:
             except SessionLostError:
                 raise
             except (ValueError, SpikeserveError) as error:
-                # The session is as it was, so the client may go on.
+                # The session is as it was, so the client may continue.
                 await connection.send(str(error))
                 continue
             reply["server_timing"] = {"infer_ms": (time.monotonic() - began) * 1000}

@@ -82,8 +82,8 @@ class EnvironmentFactory:
 
 
 def _unchecked(env_id: str) -> Any:
-    """Makes an environment that gymnasium.make() refuses."""
-    spec = gymnasium.spec(env_id)
+    """Makes an environment that gymnasium.make() refuses, after it has imported the module."""
+    spec = gymnasium.spec(env_id.rpartition(":")[2])
     assert spec.entry_point is not None
     create: Any = spec.entry_point
     if isinstance(create, str):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,10 @@ class Figures:
         """Returns mean ± deviation, with more digits if the returns are small."""
         digits = 1 if abs(self.mean) >= 10 else 3
         return f"{self.mean:.{digits}f} ± {self.std:.{digits}f}"
+
+    def of_the_first(self, episodes: int) -> Figures:
+        """Returns the returns of the first starts. Decisions and spikes stay those of all."""
+        return replace(self, returns=self.returns[:episodes])
 
     def falls_by(self, reference: Figures) -> tuple[float, float]:
         """Returns the mean fall from the reference on equal starts, and its standard error."""

@@ -17,6 +17,7 @@ from spikeserve.imitation.baselines import Comparison
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Choice, Episode, FlatAction, Row, play
 from spikeserve.imitation.experts import Expert
+from spikeserve.imitation.figures import Figures
 
 _BINS = 10  # of the steps of an episode
 
@@ -115,6 +116,7 @@ class Insight:
     floor: float | None
     drift: list[tuple[int, int, float]] | None
     share: float  # of the way from random actions to the expert
+    chance: Figures  # of random actions, on the starts for selection
     curves: list[tuple[int, float, float]]
 
     def advice(self, observation_changes: bool, context: int) -> list[str]:

@@ -305,7 +305,7 @@ class _Run:
         return self._journal.figures(
             "chance",
             lambda: self._evaluator.evaluate_chance(
-                FIRST_SELECTION_SEED, self._options.environments
+                FIRST_SELECTION_SEED, self._options.selection_episodes
             ),
         )
 
@@ -405,14 +405,14 @@ class _Run:
                     "evaluations/drift", lambda: {"bins": drift(self._factory, student, seeds)}
                 )
                 drifts = [(first, last, error) for first, last, error in driven["bins"]]
-        chance = self._chance().mean
+        chance = self._chance()
         expert_return = self._expert_figures(
             FIRST_UNSEEN_SEED, self._options.episodes, "expert-unseen"
         ).mean
         plays = [stage for stage in self._stages if stage.name.endswith("-play")]
         curves = learning_curves([stage.policy.parent for stage in plays])
-        share = (figures.mean - chance) / (expert_return - chance or 1.0)
-        return Insight(comparison, floor, drifts, share, curves), baselines
+        share = (figures.mean - chance.mean) / (expert_return - chance.mean or 1.0)
+        return Insight(comparison, floor, drifts, share, chance, curves), baselines
 
     def _compare(self, policy: pathlib.Path) -> Comparison | None:
         """Returns None if the observations are too large for baselines."""

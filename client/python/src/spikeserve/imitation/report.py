@@ -61,6 +61,7 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
         "reasons": account.reasons,
         "chosen_stage": chosen,
         "figures": {title: value.to_json() for title, value in figures.items()},
+        "random_actions": insight.chance.to_json(),
         "stages": {stage: value.to_json() for stage, value in stages.items()},
         "baselines": {title: value.to_json() for title, value in result.baselines.items()},
         "warnings": result.warnings,
@@ -79,7 +80,8 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
         *_delays(account.delays),
         *_table(("", "return", "spikes per decision"), [_row(*item) for item in figures.items()]),
         "",
-        f"{insight.share:.1%} of the way from random actions to the expert.",
+        f"{insight.share:.1%} of the way from random actions to the expert. Random actions return "
+        f"{insight.chance} on {len(insight.chance.returns)} other starts.",
         "",
         *_baselines(result, insight),
         "## What to try next",
@@ -139,17 +141,24 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
     comparison = insight.comparison
     if comparison is None:
         return []
-    rows = [("the policy", f"{comparison.policy_error:.4f}", str(result.figures))]
+    episodes = max(len(figures.returns) for figures in result.baselines.values())
+    rows = [
+        (
+            "the policy",
+            f"{comparison.policy_error:.4f}",
+            str(result.figures.of_the_first(episodes)),
+        )
+    ]
     for baseline in comparison.baselines:
         figures = result.baselines[baseline.name]
         rows.append((baseline.name, f"{baseline.error:.4f}", str(figures)))
-    episodes = max(len(figures.returns) for figures in result.baselines.values())
     return [
         "## Baselines",
         "",
         "Linear maps and perceptrons (two hidden layers of 64) that learned from the same data, on "
         f"the last 1, 2 or 4 observations. The error is the {comparison.error_is}, on held-out "
-        f"episodes. The baselines played the first {episodes} of the starts above.",
+        f"episodes. All returns of this table are those of the first {episodes} of the starts "
+        "above.",
         "",
         *_table(("", "error", "return"), rows),
         "",
@@ -159,7 +168,7 @@ def _baselines(result: _Result, insight: Insight) -> list[str]:
 
 
 def _errors(insight: Insight) -> list[str]:
-    """Returns the section that says where the errors are."""
+    """Returns the section that shows where the errors are."""
     lines = ["## Where the errors are", ""]
     if insight.floor is not None:
         lines += [

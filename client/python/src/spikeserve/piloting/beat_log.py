@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from spikeserve.trace_context import active_traceparent
 from spikeserve.values import Action, EpisodeSummary, action_to_wire
 from spikeserve.wire import METHODS, Message, message_class
 
@@ -38,6 +39,7 @@ class Beat:
     reward: float
     observed_at: int  # nanoseconds of time.monotonic_ns()
     executed: Action | None = None
+    traceparent: str = field(default_factory=active_traceparent)
     message: Message | None = None  # as it travels in a history
 
     def to_wire(self, step: int) -> Message:
@@ -140,6 +142,7 @@ class Episode:
         message.observation.extend(beat.observation.tolist())
         message.reward = beat.reward
         message.observed_at = beat.observed_at
+        message.traceparent = beat.traceparent
         return message
 
     def end_request(self, session_id: str) -> Message:

@@ -355,7 +355,7 @@ class Link:
             self._pause_tries()
 
     def _lose(self, reason: str) -> None:
-        """Gives the session up: a new one goes on with the beats that are kept."""
+        """Gives the session up: a new one continues with the beats that are kept."""
         LOGGER.warning("the session is lost, and a new one is opened: %s", reason)
         self._end_call()
         self.session.lose()

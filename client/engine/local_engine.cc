@@ -1,0 +1,130 @@
+#include "client/engine/local_engine.h"
+
+#include <openssl/sha.h>
+
+#include <filesystem>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "core/action/reported_action.h"
+#include "core/base/file.h"
+#include "core/engine/factory/engine_factory.h"
+#include "core/model/policy_file.h"
+#include "core/session/journal_entry.h"
+#include "core/session/session_export.h"
+
+namespace spikeserve {
+namespace {
+
+std::string Sha256(absl::string_view bytes) {
+  unsigned char digest[SHA256_DIGEST_LENGTH];
+  SHA256(reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), digest);
+  return absl::BytesToHexString(
+      absl::string_view(reinterpret_cast<const char*>(digest), sizeof digest));
+}
+
+// Returns the path of the policy file of a session.
+std::string PathFor(const std::string& path, const v1::ExportSessionResponse& exported) {
+  std::error_code ignored;  // a path that is no folder is tried as a file
+  if (!std::filesystem::is_directory(path, ignored)) return path;
+  return absl::StrCat(path, "/", exported.policy(), "/", exported.version(), "/policy.safetensors");
+}
+
+ReportedAction Reported(const ActionView& action, const ActionSpace& space) {
+  if (space.is_discrete()) return action.discrete;
+  return action.continuous;
+}
+
+}  // namespace
+
+std::shared_ptr<LocalEngine> LocalEngine::FromServer() {
+  return std::shared_ptr<LocalEngine>(new LocalEngine(""));
+}
+
+std::shared_ptr<LocalEngine> LocalEngine::FromFile(std::string path) {
+  return std::shared_ptr<LocalEngine>(new LocalEngine(std::move(path)));
+}
+
+absl::Status LocalEngine::Load(const v1::ExportSessionResponse& exported) {
+  std::string content = exported.policy_file();
+  if (!path_.empty()) {
+    absl::StatusOr<std::string> read = ReadFile(PathFor(path_, exported));
+    if (!read.ok()) return read.status();
+    content = *std::move(read);
+  }
+  if (content.empty()) {
+    return absl::FailedPreconditionError(
+        "local: expected the policy file from the server, received none; it may withhold it");
+  }
+  const std::string digest = Sha256(content);
+  if (digest != exported.policy_sha256()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("local: expected the policy file with SHA-256 ", exported.policy_sha256(),
+                     " that the server plays, received one with ", digest));
+  }
+  absl::StatusOr<Policy> policy = ParsePolicyFile(content);
+  if (!policy.ok()) return policy.status();
+  const auto shared = std::make_shared<const Policy>(*std::move(policy));
+  auto served = std::make_shared<ServedPolicy>();
+  served->name = exported.policy();
+  served->version = exported.version();
+  served->sha256 = digest;
+  served->engine = MakeStreamingEngine(shared);
+  served->fleet = std::make_shared<FleetHead>(shared);
+  served->observer = std::make_shared<SessionObserver>();
+  served_ = std::move(served);
+  return absl::OkStatus();
+}
+
+absl::Status LocalEngine::Resume(const v1::ExportSessionResponse& exported) {
+  absl::StatusOr<Session> session = ImportSession(exported.value());
+  if (!session.ok()) return session.status();
+  absl::MutexLock lock(&mutex_);
+  if (served_ == nullptr || served_->sha256 != exported.policy_sha256()) {
+    if (absl::Status status = Load(exported); !status.ok()) return status;
+  }
+  // A journal without entries: the session, after the checks that it belongs to the policy.
+  session = RestoreSession({.snapshot = *std::move(session), .entries = {}}, served_->policy());
+  if (!session.ok()) return session.status();
+  agent_.reset();
+  agent_.emplace(served_, *std::move(session), &clock_);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<ActionView> LocalEngine::Act(int64_t step, absl::Span<const float> observation,
+                                            double reward,
+                                            const std::optional<ActionView>& executed) {
+  absl::MutexLock lock(&mutex_);
+  if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
+  std::optional<ReportedAction> reported;
+  if (executed.has_value()) reported = Reported(*executed, served_->policy().action_space);
+  const auto answer = agent_->Act(step, observation, reward, reported);
+  if (!answer.ok()) return answer.status();
+  action_ = (*answer)->action;
+  return ActionView{.discrete = action_.discrete, .continuous = action_.continuous};
+}
+
+absl::Status LocalEngine::EndEpisode(const EpisodeOutcome& outcome, const ActionView& executed) {
+  absl::MutexLock lock(&mutex_);
+  if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
+  const ActionSpace& space = served_->policy().action_space;
+  absl::StatusOr<Action> last = ParseExecutedAction(Reported(executed, space), space);
+  if (!last.ok()) return last.status();
+  return agent_
+      ->EndEpisode({.reward = outcome.reward,
+                    .terminated = outcome.terminated,
+                    .target_return = outcome.target_return,
+                    .truncated = outcome.truncated,
+                    .observation = outcome.observation,
+                    .executed_action = *std::move(last)})
+      .status();
+}
+
+absl::StatusOr<std::string> LocalEngine::Export() {
+  absl::MutexLock lock(&mutex_);
+  if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
+  return ExportSession(*agent_);
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,67 @@
+#include "client/spikectl/distance.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/math/counter_random.h"
+
+namespace spikeserve {
+namespace {
+
+// Returns 0, or the middle of a Box in each element whose bounds exclude 0.
+Action NeutralAction(const ActionSpace& space) {
+  Action action;
+  for (size_t i = 0; i < space.low.size(); ++i) {
+    const bool has_zero = space.low[i] <= 0.0f && space.high[i] >= 0.0f;
+    action.continuous.push_back(has_zero ? 0.0f : (space.low[i] + space.high[i]) / 2.0f);
+  }
+  return action;
+}
+
+}  // namespace
+
+absl::Status Distance::Validate() const {
+  if (delay < 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--delay: expected at least 0 beats, received ", delay));
+  }
+  if (jitter < 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--jitter: expected at least 0 beats, received ", jitter));
+  }
+  if (!(loss >= 0.0 && loss < 1.0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--loss: expected 0 to less than 1, received ", loss));
+  }
+  return absl::OkStatus();
+}
+
+void AddDistanceFlags(FlagGroup& group, Distance* distance) {
+  group
+      .Add("delay", "BEATS", &distance->delay,
+           "Execute each decision so many beats after its observation")
+      .Add("jitter", "BEATS", &distance->jitter, "Execute it up to so many beats later")
+      .Add("loss", "SHARE", &distance->loss, "Share of the decisions that never arrive");
+}
+
+Arrivals::Arrivals(const Distance& distance, const ActionSpace& space, uint64_t seed)
+    : distance_(distance), seed_(seed), action_(NeutralAction(space)) {}
+
+const Action& Arrivals::Executed(Action decided) {
+  const auto beat = static_cast<uint64_t>(beat_);
+  const auto choices = static_cast<uint64_t>(distance_.jitter) + 1;
+  const auto late = static_cast<int64_t>(RandomBits({seed_, beat, 0}) % choices);
+  if (UniformDouble(RandomBits({seed_, beat, 1})) >= distance_.loss) {
+    under_way_.push_back({beat_ + distance_.delay + late, beat_, std::move(decided)});
+  }
+  for (const Decision& decision : under_way_) {
+    if (decision.arrives > beat_ || decision.of <= newest_) continue;
+    newest_ = decision.of;
+    action_ = decision.action;
+  }
+  std::erase_if(under_way_, [&](const Decision& decision) { return decision.arrives <= beat_; });
+  ++beat_;
+  return action_;
+}
+
+}  // namespace spikeserve

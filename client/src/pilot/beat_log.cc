@@ -1,0 +1,173 @@
+#include "client/src/pilot/beat_log.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace spikeserve::piloting {
+namespace {
+
+constexpr size_t kMostEpisodes = 64;         // whose ends the server may miss
+constexpr size_t kMostSkipped = 65536;       // rewards of one request
+constexpr uint64_t kMostBytes = 1ULL << 20;  // of the history in one request
+
+// Returns memory that the kernel provides when it is first used.
+template <typename T>
+std::unique_ptr<T[]> Reserve(size_t count) {
+  return std::make_unique_for_overwrite<T[]>(count);
+}
+
+}  // namespace
+
+BeatLog::BeatLog(size_t kept, size_t observation_size, const ActionShape& shape)
+    : kept_(kept),
+      reward_slots_(kept + kMostSkipped),
+      observation_size_(observation_size),
+      shape_(shape),
+      observations_(Reserve<float>(kept * observation_size)),
+      continuous_(Reserve<float>(kept * shape.size())),
+      discrete_(std::make_unique<int64_t[]>(kept)),
+      rewards_(Reserve<double>(reward_slots_)) {
+  episodes_.emplace_back();
+}
+
+const RobotEpisode* BeatLog::Find(int64_t index) const {
+  const int64_t offset = index - oldest().index;
+  const auto size = static_cast<int64_t>(episodes_.size());
+  return offset < 0 || offset >= size ? nullptr : &episodes_[static_cast<size_t>(offset)];
+}
+
+bool BeatLog::is_complete() const {
+  return oldest().ending.has_value() && acknowledged_ >= oldest().past();
+}
+
+bool BeatLog::is_too_long() const {
+  return episodes_.size() > kMostEpisodes || acknowledged_ < rewards_from();
+}
+
+uint64_t BeatLog::kept_from() const { return std::max(base_, next_ > kept_ ? next_ - kept_ : 0); }
+
+uint64_t BeatLog::rewards_from() const {
+  return std::max(base_, next_ > reward_slots_ ? next_ - reward_slots_ : 0);
+}
+
+uint64_t BeatLog::most() const {
+  const uint64_t bytes = 4 * observation_size_ + 64;  // of a beat on the wire
+  return std::max<uint64_t>(2, std::min(history_limit_, kMostBytes / bytes));
+}
+
+uint64_t BeatLog::Add(absl::Span<const float> observation, double reward, int64_t observed_at) {
+  const uint64_t number = next_++;
+  if (kept_from() > 0 && kept_from() - 1 >= acknowledged_ && kept_from() > base_) ++dropped_;
+  const size_t slot = SlotOf(number);
+  std::copy(observation.begin(), observation.end(), &observations_[slot * observation_size_]);
+  rewards_[number % reward_slots_] = reward;
+  observed_at_ = observed_at;
+  ++episodes_.back().steps;
+  return number;
+}
+
+void BeatLog::SetExecuted(const ActionView& action) {
+  const size_t slot = SlotOf(next_ - 1);
+  discrete_[slot] = action.discrete;
+  std::copy(action.continuous.begin(), action.continuous.end(),
+            continuous_.get() + slot * shape_.size());
+}
+
+BeatView BeatLog::At(uint64_t number) const {
+  const size_t slot = SlotOf(number);
+  return {.observation = {observations_.get() + slot * observation_size_, observation_size_},
+          .reward = RewardOf(number),
+          .executed = {.discrete = shape_.is_box() ? 0 : discrete_[slot],
+                       .continuous = {continuous_.get() + slot * shape_.size(), shape_.size()}}};
+}
+
+BeatView BeatLog::BeatOf(const RobotEpisode& episode, uint64_t number) const {
+  if (Has(number)) return At(number);
+  const Ending& ending = *episode.ending;
+  return {ending.observation, ending.reward, ending.executed.view()};
+}
+
+std::future<absl::StatusOr<v1::EndEpisodeResponse>> BeatLog::End(EpisodeOutcome outcome) {
+  RobotEpisode& episode = episodes_.back();
+  const BeatView last = At(next_ - 1);
+  Ending& ending = episode.ending.emplace();
+  ending.outcome = std::move(outcome);
+  ending.observation.assign(last.observation.begin(), last.observation.end());
+  ending.reward = last.reward;
+  ending.executed.Assign(last.executed);
+  auto summary = ending.summary.get_future();
+  episodes_.push_back({.index = episode.index + 1, .first = episode.past()});
+  return summary;
+}
+
+void BeatLog::FillRequest(v1::ActRequest* request) const {
+  const RobotEpisode& episode = oldest();
+  const bool is_running = !episode.ending.has_value();
+  const uint64_t newest = episode.past() - (is_running ? 1 : 0);
+  // The executed action of the last beat that the server has may be missing there.
+  uint64_t begin = std::max(episode.first, acknowledged_ > 0 ? acknowledged_ - 1 : 0);
+  begin = std::max(begin, std::min(kept_from(), episode.past() - 1));
+  const uint64_t end = std::min(newest, begin + most());
+  request->set_step(static_cast<int64_t>(end - episode.first));
+  request->set_decision(end - base_);
+  for (uint64_t number = begin; number < end; ++number) {
+    const BeatView beat = BeatOf(episode, number);
+    v1::Beat* message = request->add_history();
+    message->set_step(static_cast<int64_t>(number - episode.first));
+    message->mutable_observation()->Assign(beat.observation.begin(), beat.observation.end());
+    message->set_reward(beat.reward);
+    ToProto(beat.executed, shape_, message->mutable_executed());
+  }
+  for (uint64_t number = acknowledged_; number < begin; ++number) {
+    request->add_skipped_rewards(RewardOf(number));
+  }
+  if (end < newest || !is_running) return;
+  const BeatView beat = At(newest);
+  request->mutable_observation()->Assign(beat.observation.begin(), beat.observation.end());
+  request->set_reward(beat.reward);
+  request->set_observed_at(observed_at_);
+}
+
+void BeatLog::FillEnd(v1::EndEpisodeRequest* request) const {
+  const RobotEpisode& episode = oldest();
+  const Ending& ending = *episode.ending;
+  const EpisodeOutcome& outcome = ending.outcome;
+  request->set_reward(outcome.reward);
+  request->set_terminated(outcome.terminated);
+  request->set_truncated(outcome.truncated);
+  if (outcome.target_return.has_value()) request->set_target_return(*outcome.target_return);
+  request->mutable_observation()->Assign(outcome.observation.begin(), outcome.observation.end());
+  ToProto(ending.executed.view(), shape_, request->mutable_executed_action());
+  request->set_episode(episode.index);
+  request->set_steps(static_cast<int64_t>(episode.steps));
+}
+
+void BeatLog::Acknowledge(int64_t next_step) {
+  const uint64_t next = oldest().first + static_cast<uint64_t>(std::max<int64_t>(next_step, 0));
+  acknowledged_ = std::max(acknowledged_, std::min(next, oldest().past()));
+}
+
+bool BeatLog::Rewind(uint64_t decision) {
+  const uint64_t number = NumberOf(decision);
+  if (number < std::max(oldest().first, rewards_from()) || number > oldest().past()) return false;
+  acknowledged_ = number;
+  return true;
+}
+
+Ending BeatLog::Settle() {
+  Ending ending = *std::move(episodes_.front().ending);
+  episodes_.pop_front();
+  return ending;
+}
+
+std::vector<Ending> BeatLog::BeginAgain() {
+  std::vector<Ending> endings;
+  while (episodes_.size() > 1) endings.push_back(Settle());
+  RobotEpisode& running = episodes_.front();
+  base_ = acknowledged_ = std::max(running.first, kept_from());
+  running = {.index = 0, .first = base_, .steps = next_ - base_};
+  lost_episodes_ += endings.size();
+  return endings;
+}
+
+}  // namespace spikeserve::piloting

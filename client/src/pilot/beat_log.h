@@ -1,0 +1,152 @@
+// The beats of the robot that the server does not have yet. Nothing here waits.
+//
+// Beats are numbered from 0, over all episodes of the pilot, and the last ones are kept in a ring:
+// their observations, their executed actions, and for a longer time their rewards. So nothing is
+// lost and nothing is counted twice, whatever the link does. The memory is reserved once, and
+// touched as it is needed.
+//
+// An episode goes through these states, and never back:
+//
+//   running    beats are added at the robot
+//   ended      the robot has ended it; the server misses beats, or an older episode's end
+//   complete   the server has acknowledged every beat; EndEpisode may be called, again and again
+//   settled    the server has answered EndEpisode; the episode leaves the log
+//
+// Only the oldest episode is known to the server's session: it has no beat of a later one before
+// the end of this one has been answered.
+//
+// Not thread-safe.
+#ifndef CLIENT_SRC_PILOT_BEAT_LOG_H_
+#define CLIENT_SRC_PILOT_BEAT_LOG_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <future>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "absl/types/span.h"
+#include "client/src/pilot/action_shape.h"
+#include "spikeserve/local_policy.h"
+#include "spikeserve/remote_session.h"
+#include "spikeserve/v1/policy_service.pb.h"
+
+namespace spikeserve::piloting {
+
+// A beat in the log, until the next call that changes it.
+struct BeatView {
+  absl::Span<const float> observation;
+  double reward = 0.0;  // for the action before
+  ActionView executed;  // of the newest beat: what was executed so far, if anything
+};
+
+// How an episode has ended, and who waits for its summary.
+struct Ending {
+  EpisodeOutcome outcome;
+  std::promise<absl::StatusOr<v1::EndEpisodeResponse>> summary;
+  // The last beat, which outlasts the ring because EndEpisode needs it.
+  std::vector<float> observation;
+  double reward = 0.0;
+  ActionValue executed;
+};
+
+struct RobotEpisode {
+  int64_t index = 0;   // in the server's session
+  uint64_t first = 0;  // number of its first beat
+  uint64_t steps = 0;
+  std::optional<Ending> ending = std::nullopt;
+
+  uint64_t past() const { return first + steps; }
+};
+
+class BeatLog {
+ public:
+  // Keeps `kept` beats with `observation_size` numbers each.
+  BeatLog(size_t kept, size_t observation_size, const ActionShape& shape);
+
+  // The episode of the robot's next beat, and the one that the server's session is at.
+  const RobotEpisode& running() const { return episodes_.back(); }
+  const RobotEpisode& oldest() const { return episodes_.front(); }
+  // Returns whether they are the same one.
+  bool is_current() const { return episodes_.size() == 1; }
+  // Returns the episode with an index in the server's session, or null.
+  const RobotEpisode* Find(int64_t index) const;
+  // Returns whether the server has all beats of the oldest episode, which has ended.
+  bool is_complete() const;
+  // Returns whether the server has missed so much that its session has to be given up.
+  bool is_too_long() const;
+  // Returns the number of the next beat.
+  uint64_t next() const { return next_; }
+
+  // Adds a beat to the running episode. `observed_at` is in nanoseconds of the monotonic clock.
+  // Returns its number.
+  uint64_t Add(absl::Span<const float> observation, double reward, int64_t observed_at);
+  // Sets what the robot has executed in the last beat. REQUIRES: the running episode has one.
+  void SetExecuted(const ActionView& action);
+  // Ends the running episode, which has a beat. The next beat begins another one.
+  std::future<absl::StatusOr<v1::EndEpisodeResponse>> End(EpisodeOutcome outcome);
+
+  // Returns whether the beat `number` has its observation and its action.
+  bool Has(uint64_t number) const { return number >= kept_from() && number < next_; }
+  // REQUIRES: Has(number).
+  BeatView At(uint64_t number) const;
+  // Returns the number of the beat that is the decision `decision` of the server's session.
+  uint64_t NumberOf(uint64_t decision) const { return decision + base_; }
+
+  // Fills the request for the newest beat, with the beats that the server may miss. If there are
+  // more of them than fit, or the oldest episode has ended, it asks for no decision and carries
+  // the oldest ones.
+  void FillRequest(v1::ActRequest* request) const;
+  // Fills the EndEpisode of the oldest episode. REQUIRES: is_complete().
+  void FillEnd(v1::EndEpisodeRequest* request) const;
+
+  // Notes that the server expects step `next_step` of the oldest episode.
+  void Acknowledge(int64_t next_step);
+  // Notes that the server expects an older decision. Returns false if its beat is not kept.
+  bool Rewind(uint64_t decision);
+  // Removes the oldest episode, whose EndEpisode was answered, and returns its ending.
+  Ending Settle();
+  // Moves to a new session, whose first episode begins with the beats of the running one that are
+  // kept. Returns the ends of the episodes that the old one had not ended.
+  std::vector<Ending> BeginAgain();
+
+  // The most beats of one history that the server appends with their observations.
+  void set_history_limit(int64_t limit) { history_limit_ = static_cast<uint64_t>(limit); }
+  // Returns the number of beats whose observations were not kept until the server had them.
+  uint64_t dropped() const { return dropped_; }
+  uint64_t lost_episodes() const { return lost_episodes_; }
+
+ private:
+  uint64_t kept_from() const;
+  uint64_t rewards_from() const;
+  size_t SlotOf(uint64_t number) const { return number % kept_; }
+  double RewardOf(uint64_t number) const { return rewards_[number % reward_slots_]; }
+  // Returns the most beats of one history.
+  uint64_t most() const;
+  BeatView BeatOf(const RobotEpisode& episode, uint64_t number) const;
+
+  const size_t kept_;
+  const size_t reward_slots_;
+  const size_t observation_size_;
+  const ActionShape shape_;
+  const std::unique_ptr<float[]> observations_;  // [kept, observation_size]
+  const std::unique_ptr<float[]> continuous_;    // [kept, shape.size()]: executed actions
+  const std::unique_ptr<int64_t[]> discrete_;    // [kept]: executed actions
+  const std::unique_ptr<double[]> rewards_;      // [reward_slots]
+  int64_t observed_at_ = 0;                      // of the last beat
+  std::deque<RobotEpisode> episodes_;            // the last one is running
+  uint64_t next_ = 0;                            // number of the next beat
+  uint64_t base_ = 0;                            // number of the first beat of the server's session
+  uint64_t acknowledged_ = 0;                    // number of the beat that the server expects next
+  uint64_t history_limit_ = 0;
+  uint64_t dropped_ = 0;
+  uint64_t lost_episodes_ = 0;
+};
+
+}  // namespace spikeserve::piloting
+
+#endif  // CLIENT_SRC_PILOT_BEAT_LOG_H_

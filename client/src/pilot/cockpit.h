@@ -1,0 +1,90 @@
+// The robot's side of a pilot: what a beat does on the robot's own thread. It waits for decisions
+// within its budget, and allocates no memory.
+//
+// For one thread, but Stats and session_id.
+#ifndef CLIENT_SRC_PILOT_COCKPIT_H_
+#define CLIENT_SRC_PILOT_COCKPIT_H_
+
+#include <cstdint>
+#include <future>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/time/time.h"
+#include "absl/types/span.h"
+#include "client/src/pilot/facts.h"
+#include "client/src/pilot/link.h"
+#include "spikeserve/pilot.h"
+
+namespace spikeserve {
+
+class Pilot::Cockpit {
+ public:
+  // `opening` has opened the session with the answer `opened`, on `route`. `neutral` belongs to its
+  // action space.
+  Cockpit(Replicas* replicas, std::shared_ptr<Route> route, v1::OpenSessionRequest opening,
+          const v1::OpenSessionResponse& opened, const piloting::ActionValue& neutral,
+          PilotOptions options);
+
+  piloting::Link& link() { return link_; }
+  const PilotOptions& options() const { return options_; }
+
+  // Those of Pilot.
+  PilotAction Beat(absl::Span<const float> observation, double reward,
+                   const std::optional<ActionView>& executed) ABSL_LOCKS_EXCLUDED(facts_.mutex);
+  std::future<Summary> EndEpisode(EpisodeOutcome outcome) ABSL_LOCKS_EXCLUDED(facts_.mutex);
+  PilotStats Stats() const ABSL_LOCKS_EXCLUDED(facts_.mutex);
+  std::string session_id() const ABSL_LOCKS_EXCLUDED(facts_.mutex);
+
+ private:
+  // Adds a beat to the log and asks for its decision. Returns its number.
+  uint64_t AddBeat(absl::Span<const float> observation, double reward, absl::Duration now)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  // Takes the best action but the robot's own one, and waits for it until `deadline`. Returns false
+  // if there is none.
+  bool Choose(uint64_t number, absl::Duration observed_at, absl::Duration deadline)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  bool TakeAnswer(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  bool TakeLocal(uint64_t number, absl::Duration observed_at, absl::Duration deadline)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  // Returns whether the server's newest answer may be executed.
+  bool HasAnswer() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  // Returns the newest beat whose answer should arrive before `deadline`; nothing: none should.
+  std::optional<uint64_t> ExpectedAnswer(absl::Duration deadline) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  // Waits for a decision. Returns false at the deadline.
+  bool Wait(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  // Returns the action of the robot's own function, or the neutral one. Sets `failed` if the
+  // function threw, or returned an action that is none.
+  ActionView Fallback(bool* failed);
+  PilotAction Finish() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+
+  // Replace what is not valid, which is counted, and logged once.
+  void TakeObservation(absl::Span<const float> observation)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  double Finite(double reward) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  void TakeExecuted(const std::optional<ActionView>& executed)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  void Replace(piloting::Replaced kind) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+
+  const PilotOptions options_;
+  const std::shared_ptr<Route> route_;
+  const piloting::ActionShape shape_;
+  const piloting::ActionValue neutral_;
+  piloting::Facts facts_;
+  piloting::Link link_;
+
+  std::vector<float> observation_;  // the last valid one
+  piloting::ActionValue fitted_;    // an action of the caller, with its elements in bounds
+  piloting::ActionValue returned_;  // by the last beat
+  uint64_t next_answer_ = 0;        // answers to older beats are not executed
+  uint64_t beats_ = 0;
+  bool is_new_episode_ = true;
+};
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_SRC_PILOT_COCKPIT_H_

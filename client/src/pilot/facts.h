@@ -1,0 +1,102 @@
+// What the thread of a robot and the background thread of its pilot know together.
+#ifndef CLIENT_SRC_PILOT_FACTS_H_
+#define CLIENT_SRC_PILOT_FACTS_H_
+
+#include <array>
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "client/src/pilot/action_shape.h"
+#include "client/src/pilot/beat_log.h"
+#include "client/src/pilot/counters.h"
+#include "client/src/pilot/ladder.h"
+
+namespace spikeserve::piloting {
+
+// A decision for the beat `number`.
+struct Decision {
+  bool is_there = false;
+  uint64_t number = 0;
+  ActionValue action = {};
+  absl::Duration observed_at = absl::ZeroDuration();  // of SteadyNow()
+};
+
+// A request for the newest beat of an episode.
+struct SentRequest {
+  int64_t episode = 0;  // index
+  uint64_t number = 0;
+  absl::Duration sent;  // of SteadyNow()
+};
+
+// The requests that have no reply, oldest first, in a ring.
+class UnderWay {
+ public:
+  bool empty() const { return size_ == 0; }
+  size_t size() const { return size_; }
+  const SentRequest& front() const { return (*this)[0]; }
+  const SentRequest& operator[](size_t i) const { return ring_[(begin_ + i) % ring_.size()]; }
+  // REQUIRES: size() < 64.
+  void Push(const SentRequest& request) { ring_[(begin_ + size_++) % ring_.size()] = request; }
+  SentRequest Pop() {
+    const SentRequest request = front();
+    begin_ = (begin_ + 1) % ring_.size();
+    --size_;
+    return request;
+  }
+  void Clear() { size_ = 0; }
+
+ private:
+  std::array<SentRequest, 64> ring_;
+  size_t begin_ = 0;
+  size_t size_ = 0;
+};
+
+// What a beat had to replace; each kind is logged once.
+enum class Replaced { kObservation, kReward, kExecuted, kFallback };
+inline constexpr size_t kReplaced = 4;
+
+struct Facts {
+  // The arguments are those of BeatLog and Ladder.
+  Facts(size_t kept, size_t observation_size, const ActionShape& shape, const ActionValue& neutral,
+        int hold_beats, int ramp_beats, absl::Duration now)
+      : log(kept, observation_size, shape),
+        ladder(shape, neutral, hold_beats, ramp_beats, now),
+        counters(now) {}
+
+  mutable absl::Mutex mutex;
+  // Notified when there is something to do for the background thread, and when a decision has
+  // arrived. A CondVar of Abseil would measure its timeouts by the time of day.
+  std::condition_variable_any has_work;
+  std::condition_variable_any has_decision;
+
+  BeatLog log ABSL_GUARDED_BY(mutex);
+  Ladder ladder ABSL_GUARDED_BY(mutex);
+  Counters counters ABSL_GUARDED_BY(mutex);
+  std::array<bool, kReplaced> replaced ABSL_GUARDED_BY(mutex) = {};
+
+  // The newest decisions of the server and of the engine on the robot.
+  Decision answer ABSL_GUARDED_BY(mutex);
+  Decision local ABSL_GUARDED_BY(mutex);
+  bool has_local ABSL_GUARDED_BY(mutex) = false;  // the engine can decide
+  bool shares_head ABSL_GUARDED_BY(mutex) = false;
+
+  std::string session_id ABSL_GUARDED_BY(mutex);
+  bool is_connected ABSL_GUARDED_BY(mutex) = false;          // there are a session and a stream
+  std::optional<SentRequest> queued ABSL_GUARDED_BY(mutex);  // to be sent by the background thread
+  UnderWay under_way ABSL_GUARDED_BY(mutex);
+  size_t window ABSL_GUARDED_BY(mutex) = 1;  // most requests under way
+  // By SteadyNow(): no requests before, as the server asked.
+  absl::Duration paused_until ABSL_GUARDED_BY(mutex) = -absl::InfiniteDuration();
+  std::optional<absl::Duration> round_trip ABSL_GUARDED_BY(mutex);  // smoothed
+  std::optional<absl::Duration> closes_at ABSL_GUARDED_BY(mutex);   // absent: the pilot is open
+};
+
+}  // namespace spikeserve::piloting
+
+#endif  // CLIENT_SRC_PILOT_FACTS_H_

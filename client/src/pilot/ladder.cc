@@ -1,0 +1,95 @@
+#include "client/src/pilot/ladder.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace spikeserve::piloting {
+namespace {
+
+// Returns whether the actions of `source` are the server's.
+bool IsServers(ActionSource source) {
+  return source == ActionSource::kFresh || source == ActionSource::kHeld;
+}
+
+}  // namespace
+
+Ladder::Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats, int ramp_beats,
+               absl::Duration now)
+    : shape_(std::move(shape)),
+      neutral_(neutral),
+      hold_beats_(hold_beats),
+      ramp_beats_(ramp_beats),
+      last_(neutral),
+      observed_at_(now),
+      ramp_from_(neutral) {
+  BeginEpisode();
+}
+
+void Ladder::BeginEpisode() {
+  last_.Assign(neutral_.view());
+  can_hold_ = false;
+  ramped_ = ramp_beats_;
+}
+
+void Ladder::TakeFresh(const ActionView& action, absl::Duration observed_at) {
+  last_.Assign(action);
+  observed_at_ = observed_at;
+  held_ = 0;
+  can_hold_ = true;
+  Enter(ActionSource::kFresh);
+}
+
+bool Ladder::Hold() {
+  if (!can_hold_ || held_ >= hold_beats_) {
+    can_hold_ = false;
+    return false;
+  }
+  ++held_;
+  Enter(ActionSource::kHeld);
+  return true;
+}
+
+void Ladder::TakeLocal(const ActionView& action, absl::Duration observed_at) {
+  last_.Assign(action);
+  observed_at_ = observed_at;
+  Enter(ActionSource::kLocal);
+}
+
+bool Ladder::Ramp() {
+  if (rung_ != ActionSource::kSafe) ramp_from_.Assign(last_.view());
+  ramped_ = std::min(ramped_, ramp_beats_) + 1;
+  if (ramped_ > ramp_beats_ || !shape_.is_box()) return false;
+  const float share = static_cast<float>(ramped_) / static_cast<float>(ramp_beats_);
+  for (size_t i = 0; i < shape_.size(); ++i) {
+    const float from = ramp_from_.continuous[i];
+    last_.continuous[i] = from + share * (neutral_.continuous[i] - from);
+  }
+  Enter(ActionSource::kSafe);
+  return true;
+}
+
+void Ladder::TakeSafe(const ActionView& action) {
+  last_.Assign(action);
+  Enter(ActionSource::kSafe);
+}
+
+void Ladder::Enter(ActionSource source) {
+  if (source != ActionSource::kSafe) ramped_ = 0;
+  if (rung_ != source) {
+    ++entries_[static_cast<size_t>(source)];
+    if (rung_.has_value() && !(IsServers(*rung_) && IsServers(source))) {
+      changes_[noted_++ % changes_.size()] = {*rung_, source, rung_beats_};
+    }
+    rung_ = source;
+    rung_beats_ = 0;
+  }
+  ++rung_beats_;
+}
+
+std::optional<RungChange> Ladder::TakeChange() {
+  if (!has_change()) return std::nullopt;
+  if (noted_ - taken_ > changes_.size()) taken_ = noted_ - changes_.size();
+  return changes_[taken_++ % changes_.size()];
+}
+
+}  // namespace spikeserve::piloting

@@ -1,0 +1,372 @@
+#include "client/src/pilot/link.h"
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/src/lockable.h"
+#include "client/src/steady_time.h"
+#include "spikeserve/status.h"
+
+namespace spikeserve::piloting {
+namespace {
+
+constexpr absl::Duration kCallTimeout = absl::Seconds(2);  // then the call is made again
+constexpr absl::Duration kCloseTimeout = absl::Seconds(1);
+constexpr absl::Duration kFirstPause = absl::Milliseconds(50);
+constexpr absl::Duration kLongestPause = absl::Milliseconds(500);
+constexpr absl::Duration kGiveUp = absl::Seconds(1);  // without an answer, then another server
+constexpr absl::Duration kLongestWait = absl::Seconds(1);
+constexpr std::array<absl::string_view, kReplaced> kReplacedNames = {
+    "observation: expected finite values of the policy's observation",
+    "reward: expected a finite number", "executed: expected an action of the action space",
+    "fallback: expected an action of the action space"};
+
+// Returns whether a session is given up after an error that no further request can heal.
+bool IsLost(const absl::Status& error) {
+  return absl::IsNotFound(error) || absl::IsFailedPrecondition(error) ||
+         absl::IsInvalidArgument(error) || absl::IsDataLoss(error);
+}
+
+// Returns whether another export may succeed.
+bool MayExportAgain(const absl::Status& error) {
+  return absl::IsNotFound(error) || IsRetryable(error) || IsRefusedForNow(error);
+}
+
+}  // namespace
+
+absl::Status LostEpisode(absl::string_view reason) {
+  return absl::UnavailableError(absl::StrCat("the server has not learned the end: ", reason));
+}
+
+Link::Link(Replicas* replicas, Route* route, v1::OpenSessionRequest opening,
+           const v1::OpenSessionResponse& opened, const PilotOptions* options, Facts* facts)
+    : replicas_(replicas),
+      route_(route),
+      options_(*options),
+      facts_(facts),
+      opening_(std::move(opening)),
+      local_(options->local),
+      wants_export_(options->local != nullptr),
+      pause_(kFirstPause) {
+  absl::MutexLock lock(&facts_->mutex);
+  facts_->shares_head = opening_.learning().scope() == v1::LearningConfig::FLEET;
+  facts_->window = options_.most_in_flight();
+  TakeOpened(opened);
+}
+
+Link::~Link() { Close(absl::ZeroDuration()); }
+
+absl::Status Link::Resume(const v1::ExportSessionResponse& exported) {
+  if (absl::Status status = local_.policy()->Resume(exported); !status.ok()) return status;
+  absl::MutexLock lock(&facts_->mutex);
+  const absl::Status status = local_.Resumed(exported, facts_->log);
+  facts_->has_local = status.ok();
+  wants_export_ = !status.ok();
+  return status;
+}
+
+void Link::Start() {
+  thread_ = std::thread([this] { Run(); });
+}
+
+void Link::Close(absl::Duration timeout) {
+  if (!thread_.joinable()) return;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    facts_->closes_at = SteadyNow() + timeout;
+    facts_->has_work.notify_all();
+  }
+  thread_.join();
+}
+
+void Link::Run() {
+  while (true) {
+    Work work = nullptr;
+    {
+      absl::MutexLock lock(&facts_->mutex);
+      absl::Duration until;
+      while ((work = Plan(SteadyNow(), &until)) == nullptr) WaitUntil(until);
+    }
+    (this->*work)();
+    if (work == &Link::Stop) return;
+  }
+}
+
+void Link::WaitUntil(absl::Duration until) {
+  const absl::Duration wait = std::min(until - SteadyNow(), kLongestWait);
+  if (wait <= absl::ZeroDuration()) return;
+  Lockable lockable(&facts_->mutex);
+  facts_->has_work.wait_for(lockable, absl::ToChronoNanoseconds(wait));
+}
+
+Link::Work Link::Plan(absl::Duration now, absl::Duration* until) {
+  *until = now + kLongestWait;
+  if (facts_->log.is_too_long()) lost_ = "the server has missed too many beats";
+  if (lost_.has_value()) return &Link::Lose;
+  if (facts_->closes_at.has_value()) {
+    if (now >= *facts_->closes_at || !facts_->log.oldest().ending.has_value()) return &Link::Stop;
+    *until = std::min(*until, *facts_->closes_at);
+  }
+  if (!lines_.empty() || facts_->ladder.has_change() || facts_->replaced != logged_) {
+    return &Link::WriteLog;
+  }
+  if (call_done_) return &Link::TakeCall;
+  if (stream_ != nullptr && !facts_->is_connected) return &Link::DropStream;
+  if (facts_->queued.has_value()) return &Link::SendRequest;
+  if (local_.is_ready()) {
+    if (local_.Prepare(facts_->log)) return &Link::CatchUp;
+    if (!local_.is_ready()) StopLocal();
+  }
+  return PlanCalls(now, until);
+}
+
+Link::Work Link::PlanCalls(absl::Duration now, absl::Duration* until) {
+  const bool may_try = now >= next_try_;
+  if (!may_try) *until = std::min(*until, next_try_);
+  if (!is_open_) return may_try && call_ == nullptr ? &Link::OpenSession : nullptr;
+  if (stream_ == nullptr) {
+    if (may_try) return &Link::OpenStream;
+  } else if (facts_->log.oldest().ending.has_value() && !facts_->log.is_complete() &&
+             facts_->under_way.empty()) {
+    if (now >= facts_->paused_until) return &Link::SendRequest;
+    *until = std::min(*until, facts_->paused_until);
+  } else {
+    *until = std::min(*until, Doubt(now));
+  }
+  if (may_try && call_ == nullptr) {
+    if (wants_export_) return &Link::ExportSession;
+    if (facts_->log.is_complete()) return &Link::EndEpisode;
+  }
+  return nullptr;
+}
+
+absl::Duration Link::Doubt(absl::Duration now) {
+  if (facts_->under_way.empty()) return absl::InfiniteDuration();
+  const absl::Duration since = std::max(facts_->under_way.front().sent, replied_at_);
+  if (now - since >= kGiveUp && replicas_->MayMove(*route_)) {
+    replicas_->Failed(*replica_);
+    EndStream();
+    return now;
+  }
+  absl::Duration due = std::max(since, doubted_at_) + kLineSilence;
+  if (now >= due) {
+    doubted_at_ = now;
+    replica_->connection.Doubt(since);
+    due = now + kLineSilence;
+  }
+  return due;
+}
+
+void Link::Lose() {
+  std::vector<Ending> endings;
+  std::string reason;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    reason = *std::exchange(lost_, std::nullopt);
+    Log(absl::StrCat("the session is lost, and a new one is opened: ", reason));
+    EndStream();
+    StopLocal();
+    is_open_ = false;
+    facts_->answer.is_there = facts_->local.is_there = false;
+    endings = facts_->log.BeginAgain();
+  }
+  stream_.reset();
+  if (call_kind_ != Kind::kOpen) call_.reset();
+  {
+    // A call that was under way may have ended before it was removed.
+    absl::MutexLock lock(&facts_->mutex);
+    stream_end_.reset();
+    if (call_ == nullptr) call_done_ = false;
+  }
+  for (Ending& ending : endings) ending.summary.set_value(LostEpisode(reason));
+}
+
+void Link::Stop() {
+  std::vector<Ending> endings;
+  bool is_open = false;
+  v1::CloseSessionRequest request;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    EndStream();
+    facts_->has_local = false;
+    is_open = is_open_;
+    request.set_session_id(facts_->session_id);
+    endings = facts_->log.BeginAgain();
+  }
+  stream_.reset();
+  call_.reset();
+  for (Ending& ending : endings) ending.summary.set_value(LostEpisode("the pilot was closed"));
+  WriteLog();
+  if (!is_open) return;
+  ServerCall close(replicas_, route_, kCloseTimeout, [] {});
+  close.Begin(request);
+  (void)close.Await();  // a session that is not closed ends by itself
+}
+
+void Link::WriteLog() {
+  std::vector<std::string> lines;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    for (size_t i = 0; i < kReplaced; ++i) {
+      if (facts_->replaced[i] == logged_[i]) continue;
+      logged_[i] = true;
+      lines_.push_back(absl::StrCat(kReplacedNames[i], ", received another one (logged once)"));
+    }
+    while (const auto change = facts_->ladder.TakeChange()) {
+      lines_.push_back(absl::StrCat(ActionSourceName(change->to), " after ", change->beats,
+                                    " beats ", ActionSourceName(change->from)));
+    }
+    lines.swap(lines_);
+  }
+  if (options_.log == nullptr) return;
+  for (const std::string& line : lines) options_.log(line);
+}
+
+void Link::CatchUp() {
+  const absl::Status status = local_.Play();
+  absl::MutexLock lock(&facts_->mutex);
+  if (!status.ok()) {
+    Log(absl::StrCat("the engine on the robot failed: ", status.ToString()));
+    StopLocal();
+    PauseTries();
+    return;
+  }
+  const auto number = local_.Commit();
+  if (!number.has_value()) return;
+  facts_->local.is_there = true;
+  facts_->local.number = *number;
+  facts_->local.action.Assign(local_.action());
+  facts_->has_decision.notify_all();
+}
+
+ServerCall& Link::NewCall(Kind kind, absl::Duration timeout) {
+  call_kind_ = kind;
+  call_ = std::make_unique<ServerCall>(replicas_, route_, timeout, [this] {
+    absl::MutexLock lock(&facts_->mutex);
+    call_done_ = true;
+    facts_->has_work.notify_all();
+  });
+  return *call_;
+}
+
+void Link::OpenSession() {
+  replicas_->Pin(*route_, false);
+  if (opening_.session_id().empty()) opening_.set_session_id(DrawId());
+  NewCall(Kind::kOpen, kCallTimeout).Begin(opening_);
+}
+
+void Link::ExportSession() {
+  v1::ExportSessionRequest request;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    request.set_session_id(facts_->session_id);
+  }
+  request.set_include_policy(local_.policy()->NeedsPolicyFile());
+  NewCall(Kind::kExport, kCallTimeout).Begin(request);
+}
+
+void Link::EndEpisode() {
+  v1::EndEpisodeRequest request;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    request.set_session_id(facts_->session_id);
+    facts_->log.FillEnd(&request);
+  }
+  NewCall(Kind::kEnd, kCallTimeout).Begin(request);
+}
+
+void Link::TakeCall() {
+  const absl::Status status = call_->Await();
+  const std::unique_ptr<ServerCall> call = std::move(call_);
+  const Kind kind = call_kind_;
+  // An engine takes a moment to read its policy.
+  const absl::Status resumed =
+      status.ok() && kind == Kind::kExport ? local_.policy()->Resume(call->exported()) : status;
+  std::optional<Ending> ended;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    call_done_ = false;
+    if (!resumed.ok()) {
+      CallFailed(kind, resumed);
+      return;
+    }
+    if (kind == Kind::kOpen) {
+      if (call->opened().history_limit() == 0) {
+        CallFailed(kind, absl::UnimplementedError("server: expected one that appends beats"));
+        return;
+      }
+      TakeOpened(call->opened());
+      ++facts_->counters.counts().reopened;
+    } else if (kind == Kind::kExport) {
+      const absl::Status followed = local_.Resumed(call->exported(), facts_->log);
+      facts_->has_local = followed.ok();
+      wants_export_ = !followed.ok();
+      if (!followed.ok()) {
+        LogFailure(followed);
+        PauseTries();
+        return;
+      }
+    } else {
+      ended = facts_->log.Settle();
+      wants_export_ = wants_export_ || (facts_->has_local && facts_->shares_head);
+    }
+    Succeeded();
+  }
+  if (ended.has_value()) ended->summary.set_value(call->ended());
+}
+
+void Link::CallFailed(Kind kind, const absl::Status& error) {
+  if (kind == Kind::kExport && !MayExportAgain(error)) {
+    wants_export_ = false;
+    Log(absl::StrCat("the engine on the robot is not used: ", error.ToString()));
+    return;
+  }
+  const auto expected = ExpectedDecision(error);
+  const bool is_kept = expected.has_value() && facts_->log.Rewind(*expected);
+  if (is_open_ && IsLost(error) && !is_kept) {
+    lost_ = std::string(error.message());
+  } else {
+    LogFailure(error);
+  }
+  PauseTries();
+  if (const auto after = RetryAfter(error)) next_try_ = SteadyNow() + *after;
+}
+
+void Link::TakeOpened(const v1::OpenSessionResponse& opened) {
+  const bool is_stored = opened.durability() == v1::ASYNC || opened.durability() == v1::SYNC;
+  replicas_->Pin(*route_, !is_stored);
+  opening_.clear_session_id();  // the next session is another one
+  facts_->session_id = opened.session_id();
+  facts_->log.set_history_limit(opened.history_limit());
+  is_open_ = true;
+}
+
+void Link::StopLocal() {
+  local_.Stop();
+  facts_->has_local = false;
+  wants_export_ = local_.policy() != nullptr;
+  facts_->has_decision.notify_all();
+}
+
+void Link::PauseTries() {
+  next_try_ = SteadyNow() + pause_;
+  pause_ = std::min(2 * pause_, kLongestPause);
+}
+
+void Link::Succeeded() {
+  pause_ = kFirstPause;
+  next_try_ = -absl::InfiniteDuration();
+}
+
+void Link::Log(std::string line) {
+  lines_.push_back(std::move(line));
+  facts_->has_work.notify_all();
+}
+
+void Link::LogFailure(const absl::Status& error) {
+  if (pause_ == kFirstPause) Log(error.ToString());
+}
+
+}  // namespace spikeserve::piloting

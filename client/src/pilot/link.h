@@ -1,0 +1,144 @@
+// Brings the beats of a robot to the server, and the answers back.
+//
+// One background thread does everything that may take time, and never blocks for long itself. It
+// looks at the facts (is there a session, a stream, an episode that has ended?) and does the first
+// thing that is missing, again and again, so that no event can be lost:
+//
+//   lost        the session is given up: begin again with the beats that are kept
+//   closing     the pilot was closed, and nothing is left to be told, or its time is over: stop
+//   answered    a call of OpenSession, ExportSession or EndEpisode has ended: take its result
+//   broken      the stream has ended: remove it
+//   queued      a beat waits for its request: send it
+//   behind      the engine on the robot lacks beats: let it play one
+//   no session  open one
+//   no stream   open one, after a pause that grows to half a second
+//   no copy     bring the session to the engine on the robot
+//   ended       the oldest episode has ended: if the server misses beats of it, and no request is
+//               under way, send them; if it has all of them, call EndEpisode until it is answered
+//   silent      requests wait for answers: try a fresh connection, or another server
+//   idle        wait until a fact changes
+#ifndef CLIENT_SRC_PILOT_LINK_H_
+#define CLIENT_SRC_PILOT_LINK_H_
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "client/src/pilot/action_stream.h"
+#include "client/src/pilot/facts.h"
+#include "client/src/pilot/local_copy.h"
+#include "client/src/pilot/server_call.h"
+#include "client/src/replicas.h"
+#include "spikeserve/pilot_options.h"
+
+namespace spikeserve::piloting {
+
+// Returns the error of an episode whose end the server has not learned.
+absl::Status LostEpisode(absl::string_view reason);
+
+class Link : private ActionStream::Listener {
+ public:
+  // `opening` has opened the session, with the answer `opened`, on `route`. The arguments must
+  // outlive the link.
+  Link(Replicas* replicas, Route* route, v1::OpenSessionRequest opening,
+       const v1::OpenSessionResponse& opened, const PilotOptions* options, Facts* facts);
+  ~Link() override;
+
+  // Lets the engine on the robot go on with an exported session. Only before Start. Errors: see
+  // LocalPolicy::Resume.
+  absl::Status Resume(const v1::ExportSessionResponse& exported) ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  // Starts the background thread.
+  void Start();
+  // Stops it, after the server has the ends of all episodes or `timeout` has passed, and closes the
+  // session. Does nothing the second time.
+  void Close(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(facts_->mutex);
+
+ private:
+  using Work = void (Link::*)();
+  enum class Kind { kOpen, kExport, kEnd };
+
+  void Run() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  // Returns what to do now, or null and until when to wait.
+  Work Plan(absl::Duration now, absl::Duration* until) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  Work PlanCalls(absl::Duration now, absl::Duration* until)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  void WaitUntil(absl::Duration until) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+
+  // Work, on the background thread and without the lock.
+  void Lose() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void Stop() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void WriteLog() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void TakeCall() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void DropStream() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void SendRequest() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void CatchUp() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void OpenSession();
+  void OpenStream() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void ExportSession() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void EndEpisode() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+
+  // Replies, on threads of gRPC.
+  void OnReply(const v1::ActResponse& reply) override ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void OnEnd(const absl::Status& status) override ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void TakeAnswer(const v1::ActResponse& reply, const SentRequest& request, absl::Duration now)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  void TakeError(const absl::Status& error, const SentRequest& request)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+
+  // Makes the next call, which ends with call_done_.
+  ServerCall& NewCall(Kind kind, absl::Duration timeout);
+  void TakeOpened(const v1::OpenSessionResponse& opened)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  void CallFailed(Kind kind, const absl::Status& error)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Gives the engine on the robot up until the next export.
+  void StopLocal() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Stops using the stream, which the background thread removes.
+  void EndStream() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Tries a fresh connection, or another server, if requests wait for too long. Returns the time of
+  // the next look.
+  absl::Duration Doubt(absl::Duration now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  void PauseTries() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  void Succeeded() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  void Log(std::string line) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Logs the first one of several failures.
+  void LogFailure(const absl::Status& error) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+
+  Replicas* const replicas_;
+  Route* const route_;
+  const PilotOptions& options_;
+  Facts* const facts_;
+
+  // Of the background thread.
+  v1::OpenSessionRequest opening_;  // has an id while it is under way
+  LocalCopy local_;
+  std::unique_ptr<ActionStream> stream_;
+  std::unique_ptr<ServerCall> call_;  // one at a time
+  Kind call_kind_ = Kind::kOpen;
+  Replica* replica_ = nullptr;  // of the stream
+  absl::Duration doubted_at_ = -absl::InfiniteDuration();
+  bool wants_export_ = false;  // the engine on the robot needs the session's value
+  bool had_stream_ = false;
+
+  bool is_open_ ABSL_GUARDED_BY(facts_->mutex) = true;  // the server has the session
+  bool call_done_ ABSL_GUARDED_BY(facts_->mutex) = false;
+  std::optional<std::string> lost_ ABSL_GUARDED_BY(facts_->mutex);  // why the session is given up
+  std::optional<absl::Status> stream_end_ ABSL_GUARDED_BY(facts_->mutex);
+  absl::Duration replied_at_ ABSL_GUARDED_BY(facts_->mutex) = -absl::InfiniteDuration();
+  absl::Duration next_try_ ABSL_GUARDED_BY(facts_->mutex) = -absl::InfiniteDuration();
+  absl::Duration pause_ ABSL_GUARDED_BY(facts_->mutex);  // before the next try
+  std::vector<std::string> lines_ ABSL_GUARDED_BY(facts_->mutex);
+  std::array<bool, kReplaced> logged_ ABSL_GUARDED_BY(facts_->mutex) = {};
+  std::thread thread_;
+};
+
+}  // namespace spikeserve::piloting
+
+#endif  // CLIENT_SRC_PILOT_LINK_H_

@@ -1,0 +1,141 @@
+// The part of Link that sends requests and takes replies.
+#include <algorithm>
+#include <utility>
+
+#include "client/src/item_status.h"
+#include "client/src/pilot/link.h"
+#include "client/src/steady_time.h"
+#include "spikeserve/status.h"
+
+namespace spikeserve::piloting {
+
+void Link::OpenStream() {
+  replica_ = replicas_->Choose(*route_);
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    if (had_stream_) ++facts_->counters.counts().reconnects;
+    had_stream_ = true;
+    facts_->is_connected = true;
+  }
+  Listener* const listener = this;
+  stream_ = std::make_unique<ActionStream>(&replica_->connection, *route_, listener);
+}
+
+void Link::DropStream() {
+  const bool is_renewed = stream_->IsRenewed();
+  stream_.reset();
+  absl::MutexLock lock(&facts_->mutex);
+  const auto end = std::exchange(stream_end_, std::nullopt);
+  if (!end.has_value()) return;
+  if (is_renewed) {
+    next_try_ = -absl::InfiniteDuration();
+    return;
+  }
+  replicas_->Failed(*replica_);
+  LogFailure(end->ok() ? absl::UnavailableError("the server ended the stream") : *end);
+  PauseTries();
+}
+
+void Link::SendRequest() {
+  v1::ActRequest request;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    const absl::Duration now = SteadyNow();
+    facts_->queued.reset();
+    if (!facts_->is_connected || facts_->log.is_complete()) return;
+    facts_->log.FillRequest(&request);
+    request.set_session_id(facts_->session_id);
+    if (request.has_observed_at()) {
+      request.set_valid_until(request.observed_at() + absl::ToInt64Nanoseconds(options_.oldest()));
+    }
+    v1::BeatReport report;
+    if (facts_->counters.FillReport(now, &report)) *request.mutable_report() = std::move(report);
+    const RobotEpisode& episode = facts_->log.oldest();
+    facts_->under_way.Push({.episode = episode.index,
+                            .number = episode.first + static_cast<uint64_t>(request.step()),
+                            .sent = now});
+  }
+  stream_->Send(std::move(request));
+}
+
+void Link::OnReply(const v1::ActResponse& reply) {
+  const absl::Duration now = SteadyNow();
+  absl::MutexLock lock(&facts_->mutex);
+  if (!facts_->is_connected || facts_->under_way.empty()) return;
+  const SentRequest request = facts_->under_way.Pop();
+  replied_at_ = now;
+  replica_->connection.Answered();
+  replicas_->Answered(*route_, *replica_);
+  if (reply.has_error()) {
+    ++facts_->counters.counts().cancelled_calls;
+    TakeError(StatusOfItem(reply.error()), request);
+  } else if (request.episode == facts_->log.oldest().index) {
+    Succeeded();
+    facts_->log.Acknowledge(reply.next_step());
+    if (reply.has_action()) TakeAnswer(reply, request, now);
+  }
+  facts_->has_work.notify_all();
+}
+
+void Link::TakeAnswer(const v1::ActResponse& reply, const SentRequest& request,
+                      absl::Duration now) {
+  const absl::Duration took = now - request.sent;
+  facts_->round_trip = facts_->round_trip.has_value()
+                           ? *facts_->round_trip + (took - *facts_->round_trip) / 8
+                           : took;
+  const absl::Duration observed_at = absl::Nanoseconds(reply.observed_at());
+  const absl::Duration age = now - observed_at;
+  PilotStats& counts = facts_->counters.counts();
+  if (age > options_.period) ++counts.late_answers;
+  if (age > options_.oldest()) {
+    // More requests would only make the queue longer.
+    facts_->window = std::max<size_t>(1, facts_->window / 2);
+    ++counts.stale;
+    return;
+  }
+  facts_->window = std::min(facts_->window + 1, options_.most_in_flight());
+  Decision& newest = facts_->answer;
+  if (newest.is_there && request.number <= newest.number) return;
+  newest.is_there = facts_->ladder.shape().Fit(ViewOf(reply.action()), &newest.action);
+  newest.number = request.number;
+  newest.observed_at = observed_at;
+  facts_->has_decision.notify_all();
+}
+
+void Link::TakeError(const absl::Status& error, const SentRequest& request) {
+  const auto expected = ExpectedDecision(error);
+  if (expected.has_value() && request.episode == facts_->log.oldest().index) {
+    // The server has lost what it had acknowledged, and gets it again.
+    if (!facts_->log.Rewind(*expected)) lost_ = std::string(error.message());
+  } else if (const auto after = RetryAfter(error)) {
+    facts_->paused_until = SteadyNow() + *after;
+  } else if (absl::IsNotFound(error) || absl::IsFailedPrecondition(error) ||
+             absl::IsInvalidArgument(error) || absl::IsDataLoss(error)) {
+    lost_ = std::string(error.message());
+  } else {
+    LogFailure(error);
+    PauseTries();
+    replicas_->Failed(*replica_);
+    EndStream();
+  }
+}
+
+void Link::OnEnd(const absl::Status& status) {
+  absl::MutexLock lock(&facts_->mutex);
+  if (!facts_->is_connected) return;  // the pilot has ended it
+  stream_end_ = status;
+  EndStream();
+}
+
+void Link::EndStream() {
+  if (!facts_->is_connected) return;
+  facts_->is_connected = false;
+  facts_->counters.counts().cancelled_calls += facts_->under_way.size();
+  facts_->under_way.Clear();
+  facts_->queued.reset();
+  facts_->window = options_.most_in_flight();
+  facts_->has_work.notify_all();
+  facts_->has_decision.notify_all();  // nobody waits for answers that are lost
+}
+
+}  // namespace spikeserve::piloting

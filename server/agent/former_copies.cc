@@ -1,0 +1,47 @@
+#include "server/agent/former_copies.h"
+
+#include "absl/status/status.h"
+#include "server/base/retry_delay.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr absl::Duration kRetryDelay = absl::Milliseconds(100);
+
+}  // namespace
+
+void FormerCopies::Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) {
+  const absl::Duration now = clock_.Now();
+  absl::MutexLock lock(&mutex_);
+  if (copies_.size() >= kMost) Prune(now);
+  if (copies_.size() < kMost) copies_.try_emplace(key, Copy{.entry = entry, .since = now});
+}
+
+void FormerCopies::Forget(const Key& key) {
+  absl::MutexLock lock(&mutex_);
+  copies_.erase(key);
+}
+
+absl::StatusOr<std::shared_ptr<SessionEntry>> FormerCopies::TakeBack(const Key& key) {
+  const absl::Duration now = clock_.Now();
+  absl::MutexLock lock(&mutex_);
+  Prune(now);
+  const auto found = copies_.find(key);
+  if (found == copies_.end()) return NoSuchSession(key.second);
+  if (now - found->second.since < kWait) {
+    return WithRetryDelay(
+        absl::UnavailableError(
+            "session_id: expected a session that the store has, received one that it has lost; "
+            "another server may have it; try again"),
+        kRetryDelay);
+  }
+  std::shared_ptr<SessionEntry> entry = std::move(found->second.entry);
+  copies_.erase(found);
+  return entry;
+}
+
+void FormerCopies::Prune(absl::Duration now) {
+  std::erase_if(copies_, [&](const auto& item) { return now - item.second.since > kKept; });
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,69 @@
+// Keeps the copies of sessions that this server has given up because a request was ahead of them,
+// until the store has shown that it has the session.
+//
+// A Redis that evicts keys, or comes back empty, may have nothing of a session when its former
+// owner asks. Then the given-up copy may be the last one. Another server may still have a newer
+// one, and writes it again when it is asked or compares its journals next. So the copy waits for a
+// while, in which the caller is sent elsewhere, and is taken back only then.
+//
+// Thread-safe.
+#ifndef SERVER_AGENT_FORMER_COPIES_H_
+#define SERVER_AGENT_FORMER_COPIES_H_
+
+#include <cstddef>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/statusor.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "core/base/clock.h"
+#include "core/session/session_store.h"
+
+namespace spikeserve {
+
+class FormerCopies {
+ public:
+  using Key = std::pair<std::string, std::string>;  // tenant and session
+
+  // How long callers are sent elsewhere before a copy is taken back.
+  static constexpr absl::Duration kWait = absl::Seconds(3);
+  // How long a copy is kept for callers that do not come again, and how many.
+  static constexpr absl::Duration kKept = absl::Minutes(5);
+  static constexpr size_t kMost = 10'000;
+
+  // `clock` must outlive the object.
+  explicit FormerCopies(const Clock* clock) : clock_(*clock) {}
+
+  // Keeps `entry`, which this server has given up.
+  void Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // The store has the session, or says that it has ended.
+  void Forget(const Key& key) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // The store has lost the session. Returns the copy, which is kept no more, if the callers have
+  // waited long enough; UNAVAILABLE if they are to try again, perhaps elsewhere; NOT_FOUND if there
+  // is none.
+  absl::StatusOr<std::shared_ptr<SessionEntry>> TakeBack(const Key& key)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+
+ private:
+  struct Copy {
+    std::shared_ptr<SessionEntry> entry;
+    absl::Duration since;
+  };
+
+  // Forgets those that nobody has asked for in time.
+  void Prune(absl::Duration now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  const Clock& clock_;
+  absl::Mutex mutex_;
+  std::map<Key, Copy> copies_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_AGENT_FORMER_COPIES_H_

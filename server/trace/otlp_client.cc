@@ -1,0 +1,263 @@
+#include "server/trace/otlp_client.h"
+
+#include <openssl/ssl.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <cstring>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kPrefixBytes = 5;            // before a message: 0, and its length
+constexpr size_t kMostAnswerBytes = 1 << 16;  // of a response, which is practically empty
+
+constexpr unsigned char kAlpn[] = {2, 'h', '2'};
+
+nghttp2_nv Header(absl::string_view name, absl::string_view value) {
+  return {.name = reinterpret_cast<uint8_t*>(const_cast<char*>(name.data())),
+          .value = reinterpret_cast<uint8_t*>(const_cast<char*>(value.data())),
+          .namelen = name.size(),
+          .valuelen = value.size(),
+          .flags = NGHTTP2_NV_FLAG_NONE};  // nghttp2 copies both
+}
+
+std::string Framed(absl::string_view message) {
+  std::string framed(1, '\0');
+  for (int shift = 24; shift >= 0; shift -= 8) {
+    framed.push_back(static_cast<char>(message.size() >> static_cast<unsigned>(shift)));
+  }
+  framed.append(message.data(), message.size());
+  return framed;
+}
+
+}  // namespace
+
+struct OtlpClient::Exchange {
+  std::string request;  // framed
+  size_t sent = 0;
+  std::string answer = "";
+  std::string http_status = "", code = "", message = "";
+  bool closed = false;
+
+  // Returns the message of the answer, or the status of the call.
+  absl::StatusOr<std::string> Outcome() const {
+    int number = 0;
+    if (!absl::SimpleAtoi(code, &number)) {
+      return absl::UnavailableError(
+          absl::StrCat("expected a gRPC status, received HTTP status ", http_status));
+    }
+    if (number != 0) return absl::Status(static_cast<absl::StatusCode>(number), message);
+    if (answer.size() < kPrefixBytes) return absl::InternalError("the answer has no message");
+    return answer.substr(kPrefixBytes);
+  }
+};
+
+// What nghttp2 calls.
+struct OtlpClient::Callbacks {
+  static ssize_t OnSend(nghttp2_session* /*session*/, int32_t /*id*/, uint8_t* out, size_t size,
+                        uint32_t* flags, nghttp2_data_source* source, void* /*user*/) {
+    auto& exchange = *static_cast<Exchange*>(source->ptr);
+    const size_t count = std::min(size, exchange.request.size() - exchange.sent);
+    std::memcpy(out, exchange.request.data() + exchange.sent, count);
+    exchange.sent += count;
+    if (exchange.sent == exchange.request.size()) *flags |= NGHTTP2_DATA_FLAG_EOF;
+    return static_cast<ssize_t>(count);
+  }
+
+  static Exchange* Find(nghttp2_session* session, int32_t id) {
+    return static_cast<Exchange*>(nghttp2_session_get_stream_user_data(session, id));
+  }
+
+  static int OnHeader(nghttp2_session* session, const nghttp2_frame* frame, const uint8_t* name,
+                      size_t name_length, const uint8_t* value, size_t value_length,
+                      uint8_t /*flags*/, void* /*user*/) {
+    Exchange* const exchange = Find(session, frame->hd.stream_id);
+    if (exchange == nullptr) return 0;
+    const absl::string_view key(reinterpret_cast<const char*>(name), name_length);
+    const std::string text(reinterpret_cast<const char*>(value), value_length);
+    if (key == ":status") exchange->http_status = text;
+    if (key == "grpc-status") exchange->code = text;
+    if (key == "grpc-message") exchange->message = text;
+    return 0;
+  }
+
+  static int OnData(nghttp2_session* session, uint8_t /*flags*/, int32_t id, const uint8_t* data,
+                    size_t length, void* /*user*/) {
+    Exchange* const exchange = Find(session, id);
+    if (exchange == nullptr) return 0;
+    if (exchange->answer.size() + length > kMostAnswerBytes) return NGHTTP2_ERR_CALLBACK_FAILURE;
+    exchange->answer.append(reinterpret_cast<const char*>(data), length);
+    return 0;
+  }
+
+  static int OnClose(nghttp2_session* session, int32_t id, uint32_t error, void* /*user*/) {
+    Exchange* const exchange = Find(session, id);
+    if (exchange == nullptr) return 0;
+    exchange->closed = true;
+    if (exchange->code.empty() && error != 0) {
+      exchange->code = absl::StrCat(static_cast<int>(absl::StatusCode::kUnavailable));
+      exchange->message = absl::StrCat("the stream was reset: ", nghttp2_http2_strerror(error));
+    }
+    return 0;
+  }
+};
+
+absl::StatusOr<std::unique_ptr<OtlpClient>> OtlpClient::Create(const TraceOptions& options) {
+  std::unique_ptr<OtlpClient> client(new OtlpClient(options));
+  if (auto status = client->ReadFiles(); !status.ok()) return status;
+  return client;
+}
+
+OtlpClient::~OtlpClient() { Disconnect(); }
+
+absl::Status OtlpClient::ReadFiles() {
+  if (!options_.tls) return absl::OkStatus();
+  tls_ = std::shared_ptr<SSL_CTX>(SSL_CTX_new(TLS_client_method()), &SSL_CTX_free);
+  SSL_CTX* const tls = tls_.get();
+  SSL_CTX_set_min_proto_version(tls, TLS1_2_VERSION);
+  SSL_CTX_set_verify(tls, SSL_VERIFY_PEER, nullptr);
+  SSL_CTX_set_mode(tls, SSL_MODE_ENABLE_PARTIAL_WRITE | SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER);
+  SSL_CTX_set_alpn_protos(tls, kAlpn, sizeof(kAlpn));
+  const auto refuse = [](const char* name, const char* expected, const std::string& file) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("OTEL_EXPORTER_OTLP_", name, ": expected ", expected, ", received ", file));
+  };
+  if (options_.ca.empty()) {
+    SSL_CTX_set_default_verify_paths(tls);
+  } else if (SSL_CTX_load_verify_locations(tls, options_.ca.c_str(), nullptr) != 1) {
+    return refuse("CERTIFICATE", "a file of PEM certificates", options_.ca);
+  }
+  if (options_.certificate.empty()) return absl::OkStatus();
+  if (SSL_CTX_use_certificate_chain_file(tls, options_.certificate.c_str()) != 1) {
+    return refuse("CLIENT_CERTIFICATE", "a PEM certificate", options_.certificate);
+  }
+  if (SSL_CTX_use_PrivateKey_file(tls, options_.key.c_str(), SSL_FILETYPE_PEM) != 1) {
+    return refuse("CLIENT_KEY", "the PEM private key of the certificate", options_.key);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status OtlpClient::Connect(absl::Duration end) {
+  Disconnect();
+  auto socket = ClientSocket::Connect(options_.host, options_.port, tls_.get(), end);
+  if (!socket.ok()) return socket.status();
+  socket_ = *std::move(socket);
+  nghttp2_session_callbacks* callbacks = nullptr;
+  nghttp2_session_callbacks_new(&callbacks);
+  nghttp2_session_callbacks_set_on_header_callback(callbacks, &Callbacks::OnHeader);
+  nghttp2_session_callbacks_set_on_data_chunk_recv_callback(callbacks, &Callbacks::OnData);
+  nghttp2_session_callbacks_set_on_stream_close_callback(callbacks, &Callbacks::OnClose);
+  nghttp2_session_client_new(&session_, callbacks, nullptr);
+  nghttp2_session_callbacks_del(callbacks);
+  const nghttp2_settings_entry no_push = {NGHTTP2_SETTINGS_ENABLE_PUSH, 0};
+  nghttp2_submit_settings(session_, NGHTTP2_FLAG_NONE, &no_push, 1);
+  return absl::OkStatus();
+}
+
+void OtlpClient::Disconnect() {
+  nghttp2_session_del(std::exchange(session_, nullptr));
+  socket_ = nullptr;
+  unsent_.clear();
+}
+
+absl::StatusOr<std::string> OtlpClient::Call(absl::string_view path, absl::string_view message,
+                                             absl::Duration timeout) {
+  const absl::Duration end = clock_.Now() + timeout;
+  const bool was_connected = socket_ != nullptr;
+  auto response = CallOnce(path, message, end);
+  // A connection that was kept may have ended unnoticed.
+  if (was_connected && socket_ == nullptr && absl::IsUnavailable(response.status())) {
+    response = CallOnce(path, message, end);
+  }
+  if (response.ok()) return response;
+  return absl::Status(response.status().code(),
+                      absl::StrCat("collector ", options_.host, ":", options_.port, ": ",
+                                   response.status().message()));
+}
+
+absl::StatusOr<std::string> OtlpClient::CallOnce(absl::string_view path, absl::string_view message,
+                                                 absl::Duration end) {
+  if (session_ == nullptr || nghttp2_session_check_request_allowed(session_) == 0) {
+    if (auto status = Connect(end); !status.ok()) return status;
+  }
+  Exchange exchange = {.request = Framed(message)};
+  auto status = Submit(path, &exchange);
+  if (status.ok()) status = Run(exchange, end);
+  if (!status.ok()) {
+    Disconnect();  // it refers to `exchange`
+    return status;
+  }
+  return exchange.Outcome();
+}
+
+absl::Status OtlpClient::Submit(absl::string_view path, Exchange* exchange) {
+  const std::string authority = absl::StrCat(
+      absl::StrContains(options_.host, ':') ? absl::StrCat("[", options_.host, "]") : options_.host,
+      ":", options_.port);
+  const std::string timeout = absl::StrCat(absl::ToInt64Milliseconds(options_.timeout), "m");
+  std::vector<nghttp2_nv> headers = {Header(":method", "POST"),
+                                     Header(":scheme", options_.tls ? "https" : "http"),
+                                     Header(":path", path),
+                                     Header(":authority", authority),
+                                     Header("te", "trailers"),
+                                     Header("content-type", "application/grpc"),
+                                     Header("user-agent", "spikeserve"),
+                                     Header("grpc-timeout", timeout)};
+  for (const auto& [name, value] : options_.headers) headers.push_back(Header(name, value));
+  const nghttp2_data_provider data = {.source = {.ptr = exchange},
+                                      .read_callback = &Callbacks::OnSend};
+  const int id =
+      nghttp2_submit_request(session_, nullptr, headers.data(), headers.size(), &data, exchange);
+  if (id < 0) return absl::UnavailableError(nghttp2_strerror(id));
+  return absl::OkStatus();
+}
+
+absl::Status OtlpClient::Run(const Exchange& exchange, absl::Duration end) {
+  while (true) {
+    if (auto status = Flush(); !status.ok()) return status;
+    if (exchange.closed) return absl::OkStatus();
+    if (auto status = socket_->Wait(/*writes=*/!unsent_.empty(), end); !status.ok()) return status;
+    if (auto status = Receive(); !status.ok()) {
+      // The answer may have come before the connection ended.
+      return exchange.closed ? absl::OkStatus() : status;
+    }
+  }
+}
+
+absl::Status OtlpClient::Flush() {
+  while (true) {
+    if (unsent_.empty()) {
+      const uint8_t* data = nullptr;
+      const ssize_t length = nghttp2_session_mem_send(session_, &data);
+      if (length < 0) return absl::UnavailableError(nghttp2_strerror(static_cast<int>(length)));
+      if (length == 0) return absl::OkStatus();
+      unsent_.assign(reinterpret_cast<const char*>(data), static_cast<size_t>(length));
+    }
+    const auto written = socket_->Write(unsent_);
+    if (!written.ok()) return written.status();
+    if (*written == 0) return absl::OkStatus();
+    unsent_.erase(0, *written);
+  }
+}
+
+absl::Status OtlpClient::Receive() {
+  std::array<char, 16384> buffer;
+  while (true) {
+    const auto count = socket_->Read(buffer.data(), buffer.size());
+    if (!count.ok()) return count.status();
+    if (*count == 0) return absl::OkStatus();
+    const ssize_t taken =
+        nghttp2_session_mem_recv(session_, reinterpret_cast<const uint8_t*>(buffer.data()), *count);
+    if (taken < 0) return absl::UnavailableError(nghttp2_strerror(static_cast<int>(taken)));
+  }
+}
+
+}  // namespace spikeserve

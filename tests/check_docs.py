@@ -1,0 +1,81 @@
+"""Checks the pages of docs/ for what docs/README.md promises of each shelf.
+
+- A guide begins with what the reader has at its end and how long that takes, and ends with "When it fails".
+- Figures that were measured stand under docs/evidence, apart from what a command prints and a few lines.
+- The other pages have few words: those in sentences, outside code, output, tables and generated pages.
+- The index and the site list every page.
+
+With --words it prints the words of each page.
+"""
+
+import pathlib
+import re
+import sys
+
+ROOT = pathlib.Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+MOST_WORDS = 30_000
+MOST_MEASURED = 12  # lines with measured figures outside docs/evidence: a table that a test runs, and its words
+GENERATED = "`make reference` writes this page"
+CODE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+PROMISE = "At the end of this page"
+DURATION = re.compile(r"\b(seconds?|minutes?|hours?)\b")
+LAST_HEADING = "When it fails"
+MEASURED = re.compile(r"±|\bEPYC\b|\bXeon\b|µs\b|\bmedians? of\b|\bmeasured on\b")
+
+
+def pages(folder):
+    return sorted(DOCS.joinpath(folder).rglob("*.md"))
+
+
+def sentences_of(text):
+    """Returns a page without its code, output and tables."""
+    lines = CODE.sub("", text).splitlines()
+    return "\n".join(line for line in lines if not line.startswith(("|", "    ")))
+
+
+def complaints_about_guide(text):
+    head = text.split("\n## ")[0].split("```")[0]
+    if PROMISE not in head:
+        yield f"begins without {PROMISE!r}"
+    elif not DURATION.search(head):
+        yield "begins without how long it takes"
+    headings = re.findall(r"^## (.+)$", CODE.sub("", text), re.MULTILINE)
+    if not headings or headings[-1] != LAST_HEADING:
+        yield f"ends without {LAST_HEADING!r}"
+
+
+def main():
+    complaints, words, measured = [], {}, []
+    index, site = (DOCS / "README.md").read_text(), (ROOT / "mkdocs.yml").read_text()
+    for path in pages("."):
+        name, text = path.relative_to(DOCS).as_posix(), path.read_text()
+        if name != "README.md" and f"]({name})" not in index:
+            complaints.append(f"{name}: docs/README.md does not list it")
+        if not re.search(rf"[ \[]{re.escape(name)}\b", site):
+            complaints.append(f"{name}: mkdocs.yml does not list it")
+        if name.startswith("guides/"):
+            complaints += [f"{name}: {complaint}" for complaint in complaints_about_guide(text)]
+        if name.startswith("evidence/") or GENERATED in text:
+            continue
+        words[name] = len(sentences_of(text).split())
+        for number, line in enumerate(CODE.sub(lambda code: "\n" * code[0].count("\n"), text).splitlines(), 1):
+            if found := MEASURED.search(line):
+                measured.append(f"{name}:{number}: {found[0]!r}: measured figures stand under docs/evidence")
+    if len(measured) > MOST_MEASURED:
+        complaints += measured
+    total = sum(words.values())
+    if total > MOST_WORDS:
+        complaints.append(f"expected at most {MOST_WORDS} words outside docs/evidence, received {total}")
+    if "--words" in sys.argv[1:]:
+        for name, count in sorted(words.items(), key=lambda item: -item[1]):
+            print(f"{count:6} {name}")
+    for complaint in complaints:
+        print(complaint, file=sys.stderr)
+    print(f"check_docs: outside docs/evidence {total} words (at most {MOST_WORDS})", end="")
+    print(f" and {len(measured)} lines with measured figures (at most {MOST_MEASURED}), {len(complaints)} complaints")
+    sys.exit(1 if complaints else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,221 @@
+// Flies a pilot of the C++ client, as the lines of its standard input say. Used by
+// tests/python/test_cpp_pilot.py.
+//
+// Each line is a JSON object, and is answered by one: {"error": ...} or the result. The first one
+// makes the pilot:
+//
+//   {"servers": "HOST:PORT", "opening": HEX, "period": 0.01}, and, if wanted: "local": PATH ("":
+//   the server's policy file), "ca", "token", and fields of PilotOptions by name, times in seconds
+//
+//   {"do": "beat", "observation": [...], "reward": 0.5, "executed": [...]}
+//   {"do": "end", "reward": 1, "terminated": true}    begins to wait for the next summary
+//   {"do": "summary", "episode": 0, "timeout": 10}    returns {} if it is not there in time
+//   {"do": "stats"}
+//   {"do": "value"}                                   of the session of the local engine, as HEX
+//   {"do": "close"}
+//
+// A number that JSON has no word for is null: NaN. A beat tells how often its thread has called
+// operator new.
+#include <chrono>
+#include <cmath>
+#include <cstdlib>
+#include <iostream>
+#include <limits>
+#include <memory>
+#include <new>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "absl/strings/escaping.h"
+#include "client/engine/local_engine.h"
+#include "core/base/hex.h"
+#include "spikeserve/client.h"
+#include "spikeserve/pilot.h"
+
+namespace {
+
+thread_local uint64_t allocations = 0;
+
+void* Allocate(size_t size) {
+  ++allocations;
+  void* const memory = std::malloc(size == 0 ? 1 : size);
+  if (memory == nullptr) throw std::bad_alloc();
+  return memory;
+}
+
+}  // namespace
+
+// The compiler would complain that memory of operator new is freed by free().
+void* operator new(size_t size) { return Allocate(size); }
+void* operator new[](size_t size) { return Allocate(size); }
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete[](void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, size_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, size_t) noexcept { std::free(memory); }
+
+namespace spikeserve {
+namespace {
+
+using Json = nlohmann::json;
+
+double Number(const Json& json) {
+  return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
+}
+
+std::vector<float> Numbers(const Json& json) {
+  std::vector<float> numbers;
+  for (const Json& number : json) numbers.push_back(static_cast<float>(Number(number)));
+  return numbers;
+}
+
+std::optional<absl::Duration> Seconds(const Json& json, const char* name) {
+  if (!json.contains(name)) return std::nullopt;
+  return absl::Seconds(json[name].get<double>());
+}
+
+PilotOptions OptionsOf(const Json& json) {
+  PilotOptions options = {.period = absl::Seconds(json.at("period").get<double>()),
+                          .budget = Seconds(json, "budget"),
+                          .max_age = Seconds(json, "max_age")};
+  options.hold_beats = json.value("hold_beats", options.hold_beats);
+  if (json.contains("ramp_beats")) options.ramp_beats = json["ramp_beats"].get<int>();
+  if (json.contains("in_flight")) options.in_flight = json["in_flight"].get<int>();
+  options.kept_beats = json.value("kept_beats", options.kept_beats);
+  options.close_timeout = Seconds(json, "close_timeout").value_or(options.close_timeout);
+  if (json.contains("throwing")) {
+    options.fallback = [](absl::Span<const float>) -> ActionView { throw std::bad_alloc(); };
+  }
+  return options;
+}
+
+Json ActionOf(const ActionView& action) {
+  if (action.continuous.empty()) return action.discrete;
+  return std::vector<float>(action.continuous.begin(), action.continuous.end());
+}
+
+Json StatsOf(const PilotStats& stats) {
+  Json json = {{"beats", stats.beats},
+               {"stale", stats.stale},
+               {"late_answers", stats.late_answers},
+               {"cancelled_calls", stats.cancelled_calls},
+               {"reconnects", stats.reconnects},
+               {"reopened", stats.reopened},
+               {"dropped", stats.dropped},
+               {"lost_episodes", stats.lost_episodes},
+               {"invalid", stats.invalid},
+               {"failures", stats.failures},
+               {"longest_gap", absl::ToDoubleSeconds(stats.longest_gap)},
+               {"age_p50", absl::ToDoubleSeconds(stats.age_p50)},
+               {"age_p99", absl::ToDoubleSeconds(stats.age_p99)},
+               {"age_p999", absl::ToDoubleSeconds(stats.age_p999)},
+               {"has_local", stats.has_local},
+               {"local_head_is_copy", stats.local_head_is_copy}};
+  for (size_t i = 0; i < kActionSources; ++i) {
+    const std::string name(ActionSourceName(static_cast<ActionSource>(i)));
+    json[name] = stats.by_source[i];
+    json["entries"][name] = stats.entries[i];
+  }
+  return json;
+}
+
+Json ErrorOf(const absl::Status& status) {
+  return {{"error", std::string(status.message())}, {"code", static_cast<int>(status.code())}};
+}
+
+class Player {
+ public:
+  absl::Status Start(const Json& json) {
+    ClientOptions options;
+    options.security.ca = json.value("ca", "");
+    options.security.token = json.value("token", "");
+    auto client = Client::Connect(json.at("servers").get<std::string>(), options,
+                                  absl::Seconds(json.value("patience", 30.0)));
+    if (!client.ok()) return client.status();
+    client_ = *std::move(client);
+    v1::OpenSessionRequest opening;
+    opening.ParseFromString(ParseHex(json.at("opening").get<std::string>()).value());
+    PilotOptions pilot_options = OptionsOf(json);
+    if (json.contains("local")) {
+      const auto path = json["local"].get<std::string>();
+      engine_ = path.empty() ? LocalEngine::FromServer() : LocalEngine::FromFile(path);
+      pilot_options.local = engine_;
+    }
+    auto pilot = Pilot::Create(client_.get(), std::move(opening), std::move(pilot_options));
+    if (!pilot.ok()) return pilot.status();
+    pilot_ = *std::move(pilot);
+    return absl::OkStatus();
+  }
+
+  Json Do(const Json& json) {
+    const auto what = json.at("do").get<std::string>();
+    if (what == "beat") return Beat(json);
+    if (what == "stats") return StatsOf(pilot_->Stats());
+    if (what == "session") return pilot_->session_id();
+    if (what == "value") return absl::BytesToHexString(engine_->Export().value());
+    if (what == "end") {
+      summaries_.push_back(pilot_->EndEpisode(
+          {.reward = Number(json.at("reward")), .terminated = json.at("terminated").get<bool>()}));
+      return Json::object();
+    }
+    if (what == "summary") return Summary(json);
+    pilot_->Close();
+    return Json::object();
+  }
+
+ private:
+  Json Beat(const Json& json) {
+    const std::vector<float> observation = Numbers(json.at("observation"));
+    const double reward = Number(json.at("reward"));
+    std::optional<ActionView> executed;
+    std::vector<float> values;
+    if (json.contains("executed")) {
+      values = Numbers(json["executed"]);
+      executed = ActionView{.continuous = values};
+    }
+    const uint64_t before = allocations;
+    const PilotAction action = pilot_->Beat(observation, reward, executed);
+    const uint64_t allocated = allocations - before;
+    return {{"action", ActionOf(action.value)},
+            {"source", std::string(ActionSourceName(action.source))},
+            {"age", absl::ToDoubleSeconds(action.age)},
+            {"beat", action.beat},
+            {"allocations", allocated}};
+  }
+
+  Json Summary(const Json& json) {
+    const auto timeout = std::chrono::duration<double>(json.at("timeout").get<double>());
+    auto& summary = summaries_.at(json.at("episode").get<size_t>());
+    if (summary.wait_for(timeout) != std::future_status::ready) return Json::object();
+    const Pilot::Summary result = summary.get();
+    if (!result.ok()) return ErrorOf(result.status());
+    return {{"steps", result->steps()}, {"episode_return", result->episode_return()}};
+  }
+
+  std::unique_ptr<Client> client_;
+  std::shared_ptr<LocalEngine> engine_;
+  std::unique_ptr<Pilot> pilot_;
+  std::vector<std::future<Pilot::Summary>> summaries_;
+};
+
+}  // namespace
+}  // namespace spikeserve
+
+int main() {
+  using spikeserve::Json;
+  spikeserve::Player player;
+  std::string line;
+  bool has_begun = false;
+  while (std::getline(std::cin, line)) {
+    const Json json = Json::parse(line);
+    Json answer = Json::object();
+    if (has_begun) {
+      answer = player.Do(json);
+    } else if (const absl::Status status = player.Start(json); !status.ok()) {
+      answer = spikeserve::ErrorOf(status);
+    }
+    has_begun = true;
+    std::cout << answer << std::endl;
+  }
+  return 0;
+}

@@ -1,0 +1,156 @@
+"""The pilot of the C++ client keeps the promises of the Python one: the same tests, and those of C++ alone."""
+
+import pytest
+import spikeserve
+import test_pilot
+import test_pilot_engine
+from cpp_pilot import CppPilot
+from replicated import running_fleet
+from security import tls_flags
+from serving import SHIPPED_POLICIES, running_server
+from test_pilot import (  # noqa: F401
+    PERIOD,
+    client,
+    link,
+    test_a_cable_that_is_pulled_costs_nothing,
+    test_a_connection_that_a_nat_has_forgotten_is_replaced,
+    test_a_pilot_that_closes_fails_what_the_server_does_not_have,
+    test_a_quick_link_gives_fresh_actions,
+    test_a_server_that_loses_its_sessions_gets_a_new_one,
+    test_a_slow_link_is_used_with_requests_in_flight,
+    test_a_stored_session_goes_on_after_its_server_was_killed,
+    test_an_answer_that_is_stale_is_never_executed,
+    test_episodes_that_end_while_the_link_is_cut_are_not_lost,
+    test_nothing_that_a_robot_passes_makes_a_beat_fail,
+    test_what_a_safety_layer_executes_is_what_the_server_remembers,
+)
+
+WARM = 20  # beats after which nothing is allocated
+
+
+class CppFlight(test_pilot.Flight):
+    make_pilot = CppPilot
+
+    def local_value(self):
+        return self.pilot.value()
+
+
+@pytest.fixture
+def fly():
+    """Returns what makes a flight, whose program ends with the test."""
+    pilots = []
+
+    def start(*arguments, **options):
+        flight = CppFlight(*arguments, **options)
+        pilots.append(flight.pilot)
+        return flight
+
+    yield start
+    for pilot in pilots:
+        pilot.end()
+
+
+@pytest.mark.parametrize(
+    ("policy", "options"),
+    [("pendulum", spikeserve.SessionOptions()), ("cartpole", test_pilot.LEARNING)],
+    ids=["float", "learning"],
+)
+def test_with_an_engine_a_pulled_cable_costs_nothing(client, link, policy, options, fly):
+    test_pilot_engine.test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly)
+
+
+def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):
+    test_pilot_engine.test_the_engine_on_the_robot_plays_the_same_session(client, link, fly)
+
+
+def test_no_beat_allocates_memory(client, link, fly):
+    """On every rung: fresh, held, from the engine, and safe."""
+    for local in (None, False):
+        with fly(client, local=local) as flight:
+            flight.until("fresh")
+            flight.fly(WARM)
+            link.cut()
+            flight.until("safe" if local is False else "local")
+            flight.fly(WARM)
+            link.heal()
+            flight.until("fresh")
+            assert set(flight.pilot.allocations[WARM:]) == {0}
+
+
+def test_tls_and_tokens(certificates, tokens, fly):
+    with running_server(flags=tls_flags(certificates, f"--tokens={tokens}")) as server:
+        with fly(server.grpc, ca=f"{certificates}/ca.pem", token="agent", local=False) as flight:
+            flight.until("fresh")
+            flight.end()
+            flight.check_summaries()
+
+
+def test_what_the_robots_own_function_throws_is_no_concern_of_a_beat(client, link, fly):
+    with fly(client, local=False, throwing=True, ramp_beats=0) as flight:
+        flight.until("fresh")
+        link.cut()
+        flight.until("safe")
+        assert flight.actions[-1].action == [0.0]
+        assert flight.pilot.stats().failures > 0
+        link.heal()
+
+
+def test_rungs_are_logged_once(client, link):
+    flight = CppFlight(client, local=False)
+    with flight:
+        flight.until("fresh")
+        link.cut()
+        flight.until("safe")
+        flight.fly(50)
+        entries = flight.pilot.stats().entries["safe"]
+        link.heal()
+    lines = [line for line in flight.pilot.end().splitlines() if line.startswith("pilot: safe after")]
+    assert 1 <= len(lines) <= entries < 10
+
+
+def test_an_engine_that_cannot_play_is_an_error_at_the_begin():
+    with running_server(flags=["--withhold_policies"]) as server:
+        with pytest.raises(spikeserve.FailedPreconditionError, match="expected the policy file from the server"):
+            CppFlight(server.grpc)
+        wrong = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
+        with pytest.raises(spikeserve.FailedPreconditionError, match="expected the policy file with SHA-256"):
+            CppFlight(server.grpc, local_policy=wrong)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"period": 0}, "period: expected 100us to 1h, received 0"),
+        ({"budget": 1}, r"budget: expected 0 to period \(10ms\), received 1s"),
+        ({"max_age": 0}, "max_age: expected more than 0, received 0"),
+        ({"hold_beats": -1}, "hold_beats: expected at least 0, received -1"),
+        ({"ramp_beats": -1}, "ramp_beats: expected at least 0, received -1"),
+        ({"in_flight": 65}, "in_flight: expected 1 to 64, received 65"),
+        ({"kept_beats": 1}, "kept_beats: expected at least 2, received 1"),
+        ({"close_timeout": -1}, "close_timeout: expected at least 0, received -1s"),
+    ],
+)
+def test_the_options_are_checked(address, options, message):
+    with pytest.raises(spikeserve.InvalidArgumentError, match=message):
+        CppPilot(address, "pendulum", **{"period": PERIOD, "local": False} | options)
+
+
+def test_the_server_must_be_there_when_a_pilot_is_made():
+    with pytest.raises(spikeserve.UnavailableError):
+        CppPilot("127.0.0.1:1", "pendulum", PERIOD, local=False, patience=0.1)
+
+
+def test_another_replica_goes_on(fly):
+    options = spikeserve.SessionOptions(durability="SYNC")
+    with running_fleet(replicas=2) as fleet, spikeserve.Client(fleet.addresses) as client:
+        with fly(client, local=False, session=options) as flight:
+            for replica in fleet.replicas:
+                flight.until("fresh")
+                flight.fly(5)
+                replica.kill()
+                flight.fly(20)
+                flight.until("fresh")
+                replica.start()
+            flight.end()
+            flight.check_summaries()
+            assert flight.pilot.stats().reopened == 0
