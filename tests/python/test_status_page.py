@@ -109,7 +109,7 @@ def test_all_columns_are_in_view(page):
 
 def test_tiles_and_charts_are_on_the_first_screen(page):
     tiles = page.tiles()
-    assert tiles["Health"][0] == "good"
+    assert tiles["Health"][0] == "healthy"
     assert tiles["Sessions"][0] == "1,000"
     assert not any(red for _, _, red in tiles.values())
     page.wait_for("document.querySelectorAll('#charts .uplot canvas').length === 4", "charts")

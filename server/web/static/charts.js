@@ -9,6 +9,7 @@ const CHARTS = [
    format: (y) => si(y, 'J')},
 ];
 const HEIGHT = 150;
+const BRIDGED_SECONDS = 30;  // between two episodes there is no return, for example
 const MINUTES = [30, 60, 120, 180, 300, 600];  // in seconds
 const LINES = 8;  // more lines cannot be told apart; the tables show all versions
 // Colours by Okabe and Ito, distinguishable for the colour-blind, on a light and a dark background.
@@ -22,9 +23,15 @@ function axisStyle() {
 
 /**
  * Makes a chart in a figure of its own. `lines` is a list of {label, colour}; `formatX` and `formatY` write the numbers
- * of the axes, whose x axis has ticks at multiples of one of `stepsX`. The caption shows the values under the cursor.
+ * of the axes, whose x axis has ticks at multiples of one of `stepsX`. A line crosses missing values over at most
+ * `longestBridge` of the x axis. The caption shows the values under the cursor.
  */
-export function makeChart(target, title, lines, formatX, formatY, rangeX, stepsX) {
+export function makeChart(target, title, lines, formatX, formatY, rangeX, stepsX, longestBridge = 0) {
+  // A line crosses what is missing only if it is short; what was not measured is a gap.
+  const gaps = (plot, series, from, to, missing) => missing.filter(([left, right]) =>
+    plot.posToVal(right, 'x', true) - plot.posToVal(left, 'x', true) > longestBridge);
+  const alone = (plot, series) => plot.data[series].flatMap((y, i, all) =>
+    (y != null && all[i - 1] == null && all[i + 1] == null ? [i] : []));
   const readout = element('span', {className: 'quiet'});
   const box = element('div');
   target.append(element('figure', {}, element('figcaption', {textContent: title}, ' ', readout), box));
@@ -42,7 +49,7 @@ export function makeChart(target, title, lines, formatX, formatY, rangeX, stepsX
       {...axis, size: 52, space: 32, values: (_, ticks) => ticks.map(formatY)},
     ],
     series: [{}, ...lines.map(({label, colour}) => (
-      {label, stroke: colour, width: 2, spanGaps: true, points: {show: false}}))],
+      {label, stroke: colour, width: 2, gaps, points: {show: true, size: 4, fill: colour, filter: alone}}))],
     hooks: {setCursor: [(plot) => {
       const i = plot.cursor.idx;
       const values = i == null ? [] : plot.data.slice(1).map((ys) => formatY(ys[i])).filter((y) => y !== '–');
@@ -85,7 +92,7 @@ export class Charts {
     const lines = names.map((label, i) => ({label, colour: COLOURS[i]}));
     const ago = (x) => (x === 0 ? 'now' : `${+(x / 60).toFixed(1)} min`.replace('-', '−'));
     this.plots = CHARTS.map(({title, format}) =>
-      makeChart(this.target, title, lines, ago, format, (_, low) => [Math.min(-60, low ?? 0), 0], MINUTES));
+      makeChart(this.target, title, lines, ago, format, (_, low) => [Math.min(-60, low ?? 0), 0], MINUTES, BRIDGED_SECONDS));
     this.legend.replaceChildren(...rows.flatMap((row, i) => {
       const swatch = element('span', {className: 'swatch'});
       swatch.style.setProperty('background', COLOURS[i]);

@@ -98,11 +98,14 @@ function rolloutCard(rollout) {
   ]), element('p', {className: 'quiet', textContent: rollout.reason}));
 }
 
+/** Compares versions by the figures of the window with the first one, the one with the largest share or number of decisions. */
 function sharesCard(policy, versions) {
-  const [stable, ...others] = [...versions].sort((a, b) => b.info.traffic_percent - a.info.traffic_percent);
+  const weight = (row) => [row.info.traffic_percent ?? 0, row.decisions ?? 0];
+  const [stable, ...others] = [...versions].sort((a, b) => weight(b)[0] - weight(a)[0] || weight(b)[1] - weight(a)[1]);
+  const split = versions.some(({info}) => info.traffic_percent > 0);
   const name = (row) => `${policy}/${row.info.version}`;
   const verdicts = others.map((row) => verdictOf(name(row), ofFigures(row), ofFigures(stable)));
-  return card(`Shares of ${policy}`,
+  return card(`${split ? 'Shares' : 'Versions'} of ${policy}`,
               {text: verdicts.map(({text}) => text).join(' '), worse: verdicts.some(({worse}) => worse)},
               table([stable, ...others].map((row) => ({
                 name: name(row), link: policyLink(policy, row.info.version), share: row.info.traffic_percent,
@@ -123,8 +126,10 @@ export class Comparisons {
     const inRollout = new Set(rollouts.filter((rollout) => stateOf(rollout) === 'running').map(({policy}) => policy));
     const shares = new Map();
     for (const info of status.policies) {
-      if (!(info.traffic_percent > 0) || inRollout.has(info.name) || !wanted(info.name)) continue;
+      if (inRollout.has(info.name) || !wanted(info.name)) continue;
       const figures = status.versions.find((row) => row.policy === info.name && row.version === info.version);
+      // Sessions that ask for a version play it although the traffic is not split.
+      if (!(info.traffic_percent > 0) && !(figures?.sessions > 0) && !(figures?.decisions_per_second > 0)) continue;
       shares.set(info.name, [...(shares.get(info.name) ?? []), {...figures, info}]);
     }
     const split = [...shares].filter(([, versions]) => versions.length > 1);

@@ -53,6 +53,20 @@ export function nameOf({labels, session_id: id}) {
   return robot ?? name ?? id.slice(0, 12);
 }
 
+/** Says whether the server is healthy, in the words of its alerts: {good, word, alerts}. */
+export function healthOf({serving, alerts}) {
+  const of = (state) => alerts.filter((alert) => alert.state === state).length;
+  const [firing, pending] = [of('firing'), of('pending')];
+  const parts = [];
+  if (firing) parts.push(`${firing} alert${firing === 1 ? '' : 's'} firing`);
+  if (pending) parts.push(`${pending} pending`);
+  return {
+    good: serving && firing === 0,
+    word: !serving ? 'draining' : firing ? 'not healthy' : 'healthy',
+    alerts: parts.join(', ') || `none of ${alerts.length} alerts`,
+  };
+}
+
 /** Returns the link to the page of a policy version or of a session. */
 export function policyLink(policy, version) {
   return `#/policies/${encodeURIComponent(policy)}/${version}`;

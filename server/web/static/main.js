@@ -5,7 +5,7 @@
 import {Charts} from './charts.js';
 import {Comparisons} from './comparisons.js';
 import {fetchJson} from './fetch.js';
-import {element, setText} from './format.js';
+import {element, healthOf, nameOf, sessionLink, setText} from './format.js';
 import {Policies} from './policies.js';
 import {SessionView} from './session.js';
 import {Sessions} from './sessions.js';
@@ -14,6 +14,7 @@ import {AlertList, Tiles} from './tiles.js';
 const PERIOD_MILLISECONDS = 1000;
 const HISTORY_EVERY = 5;  // periods
 const SESSIONS_EVERY = 3;  // a list costs the server one pass over all sessions
+const NAMED_ROBOTS = 8;
 const LOST_SECONDS = 60;  // SpikeserveDown waits as long
 
 const get = (id) => document.getElementById(id);
@@ -59,7 +60,8 @@ function draw() {
   const {status, history, route} = state;
   if (!status) return;
   const model = get('energy-model').value;
-  alerts.show(status.alerts);
+  alerts.show(status.alerts, robots);
+  showRobots();
   tiles.show(status, history, route, model);
   if (history) charts.show(history, route, model);
   policies.show(status, route, model);
@@ -90,18 +92,46 @@ function showModels(models) {
   ]));
 }
 
+const robots = new Map();  // sessions with unusual observations, by policy/version
+
+/** Finds the robots whose last observation was unusual. A version keeps its robots between two of their episodes. */
+async function findRobots({figures}) {
+  if (!(figures.unusual_per_decision > 0)) {
+    robots.clear();
+    return;
+  }
+  const {sessions: found} = await fetchJson('sessions.json', {
+    sort: 'unusual_observations', order: 'descending', page_size: NAMED_ROBOTS});
+  const unusual = found.filter((row) => row.unusual_observations > 0);
+  for (const version of new Set(unusual.map((row) => `${row.policy}/${row.version}`))) {
+    robots.set(version, unusual.filter((row) => `${row.policy}/${row.version}` === version));
+  }
+}
+
+/** Names the robots, also when they are too few among many for an alert. */
+function showRobots() {
+  const names = [...robots.values()].flat();
+  const line = get('unusual');
+  line.hidden = names.length === 0;
+  const key = names.map(({session_id: id}) => id).join();
+  if (line.dataset.shown === key) return;
+  line.dataset.shown = key;
+  line.replaceChildren('Observations unlike training now: ', ...names.flatMap((row, i) => [
+    i ? ', ' : '', element('a', {href: sessionLink(row.session_id), textContent: nameOf(row)})]));
+}
+
 async function update(turn) {
   const status = await fetchJson('status.json', {window: get('window').value, metrics: false});
   if (turn % HISTORY_EVERY === 0 || !state.history) state.history = await fetchJson('history.json');
+  if (turn % SESSIONS_EVERY === 0) await findRobots(status);
   state.status = status;
   state.answered = Date.now();
   document.body.classList.remove('lost');
   showModels(status.energy_models);
   const store = status.replica ? ` · ${status.replica}, one of ${status.replicas} on ${status.store}` : '';
   setText(get('version'), status.version + store);
-  const firing = status.alerts.filter((alert) => alert.state === 'firing').length;
-  const alarm = firing ? `, ${firing} alert${firing === 1 ? '' : 's'}` : '';
-  setHealth((status.serving ? 'serving' : 'not serving (draining)') + alarm, status.serving && firing === 0);
+  const health = healthOf(status);
+  setHealth(`${health.word}: ${health.alerts}`, health.good);
   draw();
   if (state.route.session) await session.refresh();
   else if (turn % SESSIONS_EVERY === 0) await sessions.refresh();

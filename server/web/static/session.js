@@ -190,7 +190,7 @@ export class SessionView {
       if (this.id === id) setText(this.decisionError, error.message);
       return;
     }
-    if (this.id === id) this.addFrame(decision);
+    if (this.id === id && pressed(this.followButton)) this.addFrame(decision);
   }
 
   addFrame(decision) {

@@ -1,6 +1,6 @@
 // The table of sessions. The server filters, sorts and pages it, so the page stays fast with 100,000 sessions.
 import {fetchJson} from './fetch.js';
-import {NOTHING, count, duration, element, fixed, sessionLink, setText, si} from './format.js';
+import {NOTHING, count, duration, element, fixed, nameOf, sessionLink, setText, si} from './format.js';
 import {Table} from './table.js';
 
 const PAGE_SIZE = 50;
@@ -9,6 +9,7 @@ const ORDERS = [
   ['Most energy', 'energy_joules', true],
   ['Lowest return', 'mean_return', false],
   ['Most spikes', 'spikes_per_decision', true],
+  ['Unusual observations', 'unusual_observations', true],
   ['Longest idle', 'idle_seconds', true],
 ];
 
@@ -31,8 +32,8 @@ export class Sessions {
       key, label, value: (row) => row[key], text: (row) => format(row[key] === null ? undefined : Number(row[key])),
     });
     this.table = new Table(document.getElementById('sessions-table'), [
-      {key: 'session_id', label: 'Session', value: (row) => row.session_id, isText: true, fill: (cell, row) => {
-        cell.append(element('a', {href: sessionLink(row.session_id), textContent: row.session_id.slice(0, 12),
+      {key: 'session_id', label: 'Robot', value: (row) => row.session_id, isText: true, fill: (cell, row) => {
+        cell.append(element('a', {href: sessionLink(row.session_id), textContent: nameOf(row),
                                   title: row.session_id}));
       }},
       {key: 'labels', label: 'Labels', isText: true,
@@ -49,6 +50,7 @@ export class Sessions {
       {key: 'spikes_per_decision', label: 'Spikes per decision', value: (row) => row.spikes,
        text: (row) => fixed(row.decisions > 0 ? row.spikes / row.decisions : undefined)},
       number('energy_joules', 'Energy so far', (x) => si(x, 'J')),
+      number('unusual_observations', 'Unusual now', count),
       number('head_drift', 'Head drift', (x) => fixed(x, 4)),
       {key: 'beats', label: 'Beats not fresh', text: notFresh},
       number('idle_seconds', 'Idle', duration),

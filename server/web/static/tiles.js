@@ -1,9 +1,10 @@
 // The tiles with the main figures, each with a sparkline, and the list of alerts.
-import {NOTHING, count, duration, element, fixed, isNumber, percent, policyLink, setText, si} from './format.js';
+import {NOTHING, count, duration, element, fixed, healthOf, isNumber, nameOf, percent, policyLink, sessionLink, setText, si} from './format.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const WIDTH = 120;
 const HEIGHT = 28;
+const BRIDGED = 6;  // missing values in a row that a line crosses; more are a gap
 
 /** Draws values, of which some may be null, as a line from the left to the right edge. */
 export function drawSparkline(svg, values) {
@@ -12,8 +13,14 @@ export function drawSparkline(svg, values) {
   const high = Math.max(...known, low + 1e-30);
   let path = '';
   let pen = 'M';
+  let missing = 0;
   values.forEach((value, i) => {
-    if (!isNumber(value)) return;  // the line goes on at the next value
+    if (!isNumber(value)) {
+      missing += 1;
+      return;
+    }
+    if (missing > BRIDGED) pen = 'M';
+    missing = 0;
     const x = values.length < 2 ? WIDTH : i / (values.length - 1) * WIDTH;
     path += `${pen}${x.toFixed(1)} ${(HEIGHT - 2 - (value - low) / (high - low) * (HEIGHT - 4)).toFixed(1)}`;
     pen = 'L';
@@ -88,13 +95,23 @@ export class Tiles {
   }
 }
 
+/** Returns true if episodes of several tasks ended in the window: their returns have no common scale. */
+function mixesTasks(status, route) {
+  if (route.policy) return false;
+  const tasks = new Map(status.policies.map((info) => [`${info.name}/${info.version}`, info.environment]));
+  const ended = status.versions.filter(({episodes}) => episodes > 0);
+  return new Set(ended.map(({policy, version}) => tasks.get(`${policy}/${version}`))).size > 1;
+}
+
 function commonTiles(figures, lines, model, status, route) {
   const bad = (...names) => fires(status, route, ...names);
   return {
     decisions: {label: 'Decisions / s', value: si(figures.decisions_per_second),
                 note: `${si(figures.decisions)} in all`, line: lines.decisions_per_second,
                 bad: bad('SpikeserveNoDecisions')},
-    returns: {label: 'Episode return', value: fixed(figures.return_mean),
+    returns: mixesTasks(status, route)
+      ? {label: 'Episode return', value: NOTHING, note: 'by policy: tasks differ', bad: bad('SpikeserveReturnFalling')}
+      : {label: 'Episode return', value: fixed(figures.return_mean),
               note: figures.episodes > 0 ? `${count(figures.episodes)} episode${figures.episodes === 1 ? '' : 's'}` : 'no episode ended',
               line: lines.return_mean, bad: bad('SpikeserveReturnFalling')},
     spikes: {label: 'Spikes / decision', value: fixed(figures.spikes_per_decision),
@@ -109,12 +126,9 @@ function commonTiles(figures, lines, model, status, route) {
 function serverTiles(figures, lines, model, status) {
   const bad = (...names) => fires(status, {}, ...names);
   const {decisions, returns, spikes, energy} = commonTiles(figures, lines, model, status, {});
-  const firing = status.alerts.filter(({state}) => state === 'firing');
-  const pending = status.alerts.filter(({state}) => state === 'pending').length;
+  const health = healthOf(status);
   return [
-    {label: 'Health', value: !status.serving ? 'draining' : firing.length ? `${firing.length} firing` : 'good',
-     note: pending ? `${pending} pending` : `of ${status.alerts.length} alerts`,
-     bad: !status.serving || firing.length > 0},
+    {label: 'Health', value: health.word, note: health.alerts, bad: !health.good},
     {label: 'Failed calls', value: percent(figures.failed_ratio), note: `${percent(figures.refused_ratio)} refused`,
      line: lines.failed_ratio, bad: bad('SpikeserveErrors', 'SpikeserveCallsRefused')},
     decisions,
@@ -147,6 +161,8 @@ function versionTiles(figures, lines, model, status, route) {
   ];
 }
 
+const UNUSUAL = 'SpikeserveUnusualObservations';
+
 /** The alerts that fire, and those whose condition holds but not yet long enough. */
 export class AlertList {
   constructor(target) {
@@ -154,17 +170,29 @@ export class AlertList {
     this.shown = '';
   }
 
-  show(alerts) {
+  /** `robots` are the sessions with unusual observations by policy/version. */
+  show(alerts, robots) {
     const active = alerts.flatMap((alert) => alert.instances.map((instance) => ({alert, ...instance})))
       .sort((a, b) => a.state.localeCompare(b.state));  // firing before pending
     const texts = active.map(({alert, labels, state}) => alert.name + JSON.stringify(labels) + state);
     if (texts.join() !== this.shown) {
       this.shown = texts.join();
       this.target.replaceChildren(...active.map(({alert, labels, state}) => this.item(alert, labels, state)));
+      this.named = undefined;
     }
     active.forEach(({alert, value, seconds, state}, i) => {
       const wait = state === 'firing' ? `for ${duration(seconds)}` : `fires in ${duration(alert.for_seconds - seconds)}`;
-      setText(this.target.children[i].lastChild, `value ${Number(value.toPrecision(3))}, ${wait}`);
+      setText(this.target.children[i].querySelector('.quiet'), `value ${Number(value.toPrecision(3))}, ${wait}`);
+    });
+    const named = JSON.stringify([...robots].map(([key, list]) => [key, list.map(nameOf)]));
+    if (named === this.named) return;
+    this.named = named;
+    active.forEach(({alert, labels}, i) => {
+      const list = (alert.name === UNUSUAL && robots.get(`${labels.policy}/${labels.version}`)) || [];
+      const links = list.flatMap((session, j) => [
+        j ? ', ' : list.length === 1 ? 'robot ' : 'robots ',
+        element('a', {href: sessionLink(session.session_id), textContent: nameOf(session)})]);
+      this.target.children[i].querySelector('.robots').replaceChildren(...links);
     });
   }
 
@@ -172,8 +200,10 @@ export class AlertList {
     const {policy, version, ...others} = labels;
     const rest = Object.entries(others).map(([key, value]) => ` ${key} ${value}`).join(',');
     const of = policy ? [element('a', {href: policyLink(policy, version), textContent: `${policy}/${version}`}), `${rest}: `] : [];
-    return element('li', {className: state}, element('strong', {textContent: alert.name}), ` (${alert.severity}) `, ...of,
-                   `${alert.description} `,
-                   element('span', {className: 'quiet', textContent: NOTHING}));
+    // Folded where there is little room, so that the figures stay on the first screen.
+    return element('li', {className: state}, element('details', {open: !matchMedia('(max-width: 40rem)').matches},
+      element('summary', {}, element('strong', {textContent: alert.name}), ` (${alert.severity}) `, ...of,
+              element('span', {className: 'robots'})),
+      `${alert.description} `, element('span', {className: 'quiet', textContent: NOTHING})));
   }
 }
