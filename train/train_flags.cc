@@ -1,8 +1,12 @@
 #include "train/train_flags.h"
 
 #include <string>
+#include <utility>
 
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "train/record_flags.h"
 
 namespace spikeserve {
@@ -31,6 +35,20 @@ template <typename T>
 void AddOptional(FlagGroup& group, const char* name, const std::string& kind,
                  std::optional<T>* value, T paper, const char* help) {
   group.Add(name, kind, value, absl::StrCat(help, "; default: ", FlagValueText(paper)));
+}
+
+absl::StatusOr<DelayRange> ParseDelay(const std::string& text) {
+  constexpr int kMost = 1000;
+  const std::pair<absl::string_view, absl::string_view> ends =
+      absl::StrSplit(text, absl::MaxSplits("..", 1));
+  const bool is_range = absl::StrContains(text, "..");
+  DelayRange range;
+  const bool parsed = absl::SimpleAtoi(ends.first, &range.least) &&
+                      absl::SimpleAtoi(is_range ? ends.second : ends.first, &range.most);
+  if (parsed && 0 <= range.least && range.least <= range.most && range.most <= kMost) return range;
+  return absl::InvalidArgumentError(
+      absl::StrCat("--delay: expected 0 to ", kMost,
+                   " beats, as a number like 3 or a range like 0..5, received ", text));
 }
 
 }  // namespace
@@ -67,6 +85,8 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
       .Add("warmup", "N", &options.warmup, "Iterations of linear warm-up")
       .Add("clip_norm", "X", &options.clip_norm, "Largest norm of the gradient")
       .Add("action_noise", "P", &options.action_noise, "Probability of a random action token")
+      .Add("delay", "BEATS", &flags->delay,
+           "Beats until a decision is executed: 3, or 0..5 for a random delay of each clip")
       .Add("validation", "SHARE", &options.validation, "Share of episodes held out");
   command.Flags("Spikes")
       .Add("target_rate", "PERCENT", &flags->target_rate,
@@ -81,6 +101,9 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
 
 absl::StatusOr<TrainOptions> MakeTrainOptions(const TrainerFlags& flags) {
   TrainOptions options = flags.options;
+  const absl::StatusOr<DelayRange> delay = ParseDelay(flags.delay);
+  if (!delay.ok()) return delay.status();
+  options.delay = *delay;
   options.rate_targets = {.hidden = flags.target_rate / 100.0,
                           .readout = flags.readout_rate / 100.0};
   if (absl::Status status = options.Validate(); !status.ok()) return NameFlag(status);

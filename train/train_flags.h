@@ -3,6 +3,7 @@
 #define TRAIN_TRAIN_FLAGS_H_
 
 #include <optional>
+#include <string>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -33,6 +34,7 @@ struct TrainerFlags {
   TrainOptions options;        // without the targets of the firing rates
   double target_rate = 100.0;  // percent of the ticks
   double readout_rate = 100.0;
+  std::string delay = "0";  // beats, "3" or "0..5"
 };
 
 // Adds --mode.

@@ -1,5 +1,6 @@
 #include "train/train_run.h"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <memory>
@@ -295,12 +296,14 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
                                      const TrainOptions& options, const EpisodeSource& source,
                                      const Policy& initial, double validation, Policy policy) {
   const absl::StatusOr<std::optional<Evaluation>> evaluation =
-      EvaluateIfPossible(policy, {.episodes = flags.episodes});
+      EvaluateIfPossible(policy, {.episodes = flags.episodes, .delay = options.delay});
   if (!evaluation.ok()) return evaluation.status();
   policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
                                    *evaluation, policy.config, initial.training);
   absl::StatusOr<std::optional<BaselineComparison>> comparison =
-      CompareIfPossible(flags, source, policy, *evaluation);
+      std::optional<BaselineComparison>();
+  // With a delay a baseline would imitate other labels and play another task.
+  if (options.delay.most == 0) comparison = CompareIfPossible(flags, source, policy, *evaluation);
   if (!comparison.ok()) return comparison.status();
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
   if (auto status = WritePolicyFile(policy, path); !status.ok()) return status;
@@ -314,6 +317,16 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
                           .spikes_on_data = *spikes_on_data,
                           .comparison = *std::move(comparison)};
   return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
+}
+
+// Returns INVALID_ARGUMENT if no episode is long enough for a decision to be executed.
+absl::Status CheckDelay(DelayRange delay, const EpisodeSource& source) {
+  int longest = 0;
+  for (const EpisodeEntry& entry : source.entries()) longest = std::max(longest, entry.steps);
+  if (delay.most < longest) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--delay: expected fewer beats than the longest episode has steps, ", longest,
+                   ", received ", delay.most));
 }
 
 }  // namespace
@@ -363,6 +376,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   const absl::StatusOr<PatchShape> patches = PatchesOf(flags, source.dataset().observation_size);
   if (!patches.ok()) return patches.status();
   options->patches = *patches;
+  if (auto status = CheckDelay(options->delay, source); !status.ok()) return status;
   if (auto status = CheckOut(flags); !status.ok()) return status;
   if (auto status = MakeDirectory(flags.out); !status.ok()) return status;
   const absl::StatusOr<Policy> initial = MakeInitialPolicy(flags, source, options->patches);

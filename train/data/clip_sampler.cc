@@ -12,9 +12,16 @@ namespace spikeserve {
 namespace {
 
 // The draws made for one clip; each kind uses random numbers of its own.
-enum DrawKind : uint64_t { kStep = 1, kOffset = 2, kNoise = 3, kNoiseAction = 4 };
+enum DrawKind : uint64_t { kStep = 1, kOffset = 2, kNoise = 3, kNoiseAction = 4, kDelay = 5 };
 
 uint64_t Below(uint64_t bits, uint64_t bound) { return bits % bound; }
+
+// Draws the delay of clip number `clip` of those with this key.
+int DrawDelay(DelayRange range, uint64_t key, int clip) {
+  const uint64_t bits = RandomBits({RandomBits({key, static_cast<uint64_t>(clip)}), kDelay});
+  return range.least +
+         static_cast<int>(Below(bits, static_cast<uint64_t>(range.most - range.least) + 1));
+}
 
 std::vector<int> LengthsOf(const Dataset& dataset, const std::vector<int>& episodes) {
   std::vector<int> lengths;
@@ -36,10 +43,11 @@ Clips EmptyClips(const Dataset& dataset, int count, int timesteps) {
           .previous = std::vector<float>(static_cast<size_t>(count) * dataset.observation_size)};
 }
 
-// Fills clip number `clip` with the steps of `episode` from `begin` on. `returns_to_go` is
-// [steps].
+// Fills clip number `clip` with the steps of `episode` from `begin` on, and with the labels of
+// `delay` steps later. `returns_to_go` is [steps].
 void FillClip(const Dataset& dataset, const Episode& episode,
-              const std::vector<float>& returns_to_go, int begin, int clip, Clips* clips) {
+              const std::vector<float>& returns_to_go, int begin, int delay, int clip,
+              Clips* clips) {
   const size_t obs = dataset.observation_size;
   const size_t act = dataset.action_space.size();
   const auto observation = [&](int step) {
@@ -53,14 +61,16 @@ void FillClip(const Dataset& dataset, const Episode& episode,
     clips->timesteps[slot] = step;
     if (step >= episode.steps()) continue;
     clips->mask[slot] = 1.0f;
-    clips->weights[slot] = episode.weight(step);
     clips->return_to_go[slot] = returns_to_go[step];
     std::copy_n(observation(step), obs,
                 clips->observations.begin() + static_cast<int64_t>(slot * obs));
-    const absl::Span<float> target = absl::MakeSpan(clips->targets).subspan(slot * act, act);
-    dataset.action_space.Encode(episode.label(step), target);
     dataset.action_space.Encode(episode.actions[step],
                                 absl::MakeSpan(clips->actions).subspan(slot * act, act));
+    const int effect = step + delay;
+    if (effect >= episode.steps()) continue;
+    clips->weights[slot] = episode.weight(effect);
+    dataset.action_space.Encode(episode.label(effect),
+                                absl::MakeSpan(clips->targets).subspan(slot * act, act));
   }
 }
 
@@ -89,10 +99,12 @@ ClipPlaces::Place ClipPlaces::Draw(uint64_t key, int clip) const {
   return {.episode = episode, .begin = static_cast<int>(begin)};
 }
 
-ClipSampler::ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps)
+ClipSampler::ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps,
+                         DelayRange delay)
     : dataset_(dataset),
       episodes_(std::move(episodes)),
-      places_(LengthsOf(dataset, episodes_), timesteps) {
+      places_(LengthsOf(dataset, episodes_), timesteps),
+      delay_(delay) {
   for (const int index : episodes_) returns_to_go_.push_back(ReturnsToGo(dataset.episodes[index]));
 }
 
@@ -101,7 +113,7 @@ Clips ClipSampler::Sample(uint64_t key, int count, double action_noise) const {
   for (int clip = 0; clip < count; ++clip) {
     const ClipPlaces::Place place = places_.Draw(key, clip);
     FillClip(dataset_, dataset_.episodes[episodes_[place.episode]], returns_to_go_[place.episode],
-             place.begin, clip, &clips);
+             place.begin, DrawDelay(delay_, key, clip), clip, &clips);
   }
   if (action_noise > 0.0) AddActionNoise(key, action_noise, &clips);
   return clips;
@@ -128,7 +140,7 @@ void ClipSampler::AddActionNoise(uint64_t key, double action_noise, Clips* clips
 }
 
 absl::StatusOr<Clips> ReadClips(const EpisodeSource& source, const std::vector<int>& episodes,
-                                int timesteps, uint64_t key, int count) {
+                                int timesteps, uint64_t key, int count, DelayRange delay) {
   std::vector<int> lengths;
   for (const int index : episodes) lengths.push_back(source.entries()[index].steps);
   const ClipPlaces places(lengths, timesteps);
@@ -138,7 +150,8 @@ absl::StatusOr<Clips> ReadClips(const EpisodeSource& source, const std::vector<i
     const absl::StatusOr<std::vector<Episode>> read = source.Read({episodes[place.episode]});
     if (!read.ok()) return read.status();
     const Episode& episode = read->front();
-    FillClip(source.dataset(), episode, ReturnsToGo(episode), place.begin, clip, &clips);
+    FillClip(source.dataset(), episode, ReturnsToGo(episode), place.begin,
+             DrawDelay(delay, key, clip), clip, &clips);
   }
   return clips;
 }

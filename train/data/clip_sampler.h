@@ -10,6 +10,7 @@
 
 #include "absl/status/statusor.h"
 #include "train/data/dataset.h"
+#include "train/data/delay_range.h"
 #include "train/data/episode_source.h"
 
 namespace spikeserve {
@@ -59,8 +60,9 @@ class ClipPlaces {
 class ClipSampler {
  public:
   // Draws clips of `timesteps` timesteps from the episodes of `dataset` with these indices. Keeps a
-  // reference to `dataset`. REQUIRES: at least one episode.
-  ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps);
+  // reference to `dataset`. Each clip draws a delay of its own. REQUIRES: at least one episode.
+  ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps,
+              DelayRange delay = {});
 
   // Draws `count` clips at the places of ClipPlaces; a pure function of `key` and the other
   // arguments. Replaces each action token by a random action with probability `action_noise`; the
@@ -73,6 +75,7 @@ class ClipSampler {
   const Dataset& dataset_;
   const std::vector<int> episodes_;
   const ClipPlaces places_;
+  const DelayRange delay_;
   std::vector<std::vector<float>> returns_to_go_;  // per episode
 };
 
@@ -80,7 +83,7 @@ class ClipSampler {
 // these indices. Reads only the episodes in which the clips are, one at a time, if `source` is not
 // resident. REQUIRES: at least one episode.
 absl::StatusOr<Clips> ReadClips(const EpisodeSource& source, const std::vector<int>& episodes,
-                                int timesteps, uint64_t key, int count);
+                                int timesteps, uint64_t key, int count, DelayRange delay = {});
 
 // Indices of the episodes for training and for validation.
 struct Split {

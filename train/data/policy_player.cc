@@ -35,4 +35,8 @@ Action PolicyPlayer::Act(absl::Span<const float> observation, double reward) {
   return std::move(choice.action);
 }
 
+void PolicyPlayer::Executed(const Action& action) {
+  engine_.policy().action_space.Encode(action, absl::MakeSpan(encoded_));
+}
+
 }  // namespace spikeserve

@@ -28,6 +28,10 @@ class PolicyPlayer {
   // first step.
   Action Act(absl::Span<const float> observation, double reward);
 
+  // Replaces what the policy remembers of its last action by what was executed.
+  // REQUIRES: Act() was called.
+  void Executed(const Action& action);
+
   // Returns the spikes and operations of the last decision.
   const Counts& counts() const { return output_.counts; }
 

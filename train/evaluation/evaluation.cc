@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -22,15 +23,42 @@ double NewTokens(const Evaluation& evaluation) {
          static_cast<double>(evaluation.returns.size());
 }
 
+// The decisions that are under way for `delay` steps.
+class UnderWay {
+ public:
+  UnderWay(const ActionSpace& space, int delay) {
+    Action neutral;
+    for (int i = 0; i < space.size() && !space.is_discrete(); ++i) {
+      const float low = space.low[i], high = space.high[i];
+      neutral.continuous.push_back(low <= 0.0f && high >= 0.0f ? 0.0f : (low + high) / 2.0f);
+    }
+    for (int i = 0; i < delay; ++i) actions_.push_back(neutral);
+  }
+
+  // Takes the decision of this step and returns the one that is executed.
+  Action Next(Action decided) {
+    actions_.push_back(std::move(decided));
+    Action executed = std::move(actions_.front());
+    actions_.pop_front();
+    return executed;
+  }
+
+ private:
+  std::deque<Action> actions_;
+};
+
 // Plays one episode and returns its return.
-double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed,
+double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed, int delay,
                    Evaluation* evaluation) {
+  UnderWay under_way(engine.policy().action_space, delay);
   PolicyPlayer player(engine, seed, static_cast<double>(engine.policy().target_return));
   StepResult result;
   result.observation = environment.Reset(seed);
   double episode_return = 0.0;
   while (!result.done()) {
-    result = environment.Step(player.Act(result.observation, result.reward));
+    const Action executed = under_way.Next(player.Act(result.observation, result.reward));
+    player.Executed(executed);
+    result = environment.Step(executed);
     evaluation->counts += player.counts();
     ++evaluation->decisions;
     episode_return += result.reward;
@@ -90,8 +118,9 @@ absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
                            .counts = {}};
   const std::unique_ptr<Engine> engine = MakeStreamingEngine(std::move(policy));
   for (int i = 0; i < options.episodes; ++i) {
-    evaluation.returns.push_back(PlayEpisode(
-        *engine, **environment, options.first_seed + static_cast<uint64_t>(i), &evaluation));
+    const int delay = options.delay.least + i % (options.delay.most - options.delay.least + 1);
+    const uint64_t seed = options.first_seed + static_cast<uint64_t>(i);
+    evaluation.returns.push_back(PlayEpisode(*engine, **environment, seed, delay, &evaluation));
   }
   return evaluation;
 }
@@ -109,6 +138,8 @@ nlohmann::ordered_json ToJson(const Evaluation& evaluation, const ModelConfig& c
                                  {"first_seed", evaluation.options.first_seed},
                                  {"decisions", evaluation.decisions},
                                  {"spikes_per_decision", evaluation.spikes_per_decision()}};
+  const DelayRange delay = evaluation.options.delay;
+  if (delay.most > 0) json["delay"] = {delay.least, delay.most};
   for (int i = 0; i < kStages; ++i) {
     const auto stage = static_cast<Stage>(i);
     json["spikes_per_decision_by_stage"][std::string(ToString(stage))] =

@@ -11,12 +11,16 @@
 #include "core/engine/counts.h"
 #include "core/model/policy.h"
 #include "nlohmann/json.hpp"
+#include "train/data/delay_range.h"
 
 namespace spikeserve {
 
 struct EvaluationOptions {
   int episodes = 100;
   uint64_t first_seed = 1'000'000;  // episode i starts from Environment::Reset(first_seed + i)
+  // Episodes take turns with the delays of the range. Until the first decision arrives, action 0 is
+  // executed, or the middle of bounds that exclude 0; the policy is told what was executed.
+  DelayRange delay = {};
 
   absl::Status Validate() const;
 };

@@ -3,6 +3,8 @@
 namespace spikeserve {
 namespace {
 
+constexpr double kLeastWeight = 1e-12;  // of a batch
+
 // Returns the mean spikes per neuron and tick over the tokens of all steps with mask 1.
 torch::Tensor Rate(const torch::Tensor& spikes, const torch::Tensor& mask) {
   const int64_t tokens_per_step = spikes.size(2) / mask.size(1);
@@ -40,7 +42,8 @@ torch::Tensor ImitationLoss(const ActionSpace& space, const torch::Tensor& logit
   const torch::Tensor losses = space.is_discrete()
                                    ? -(torch::log_softmax(logits, -1) * targets).sum(-1)
                                    : ((torch::tanh(logits) - targets) / spread).square().mean(-1);
-  return (losses * weights).sum() / weights.sum();
+  // A batch may consist of steps without weight.
+  return (losses * weights).sum() / weights.sum().clamp_min(kLeastWeight);
 }
 
 torch::Tensor RateHinge(const std::vector<Population>& populations, const RateTargets& targets,

@@ -4,9 +4,11 @@
 """
 
 import functools
+import os
 
 import gymnasium
 import numpy as np
+import safetensors.numpy
 
 # The weights of the regulator's cost: of position and angles, of their velocities, and of the force.
 STATE_COST = np.diag([1.0, 10.0, 10.0, 0.1, 0.1, 0.1])
@@ -89,3 +91,41 @@ def land(observation):
 def rock(observation):
     """The expert of MountainCarContinuous-v0: pushes in the direction of the speed."""
     return np.array([1.0 if observation[1] >= 0 else -1.0], np.float32)
+
+
+TORQUES = np.linspace(-2.0, 2.0, 21)
+DISTURBANCES = np.array([-1.0, 0.0, 0.0, 1.0])  # of a torque, with equal probability
+EXECUTED = np.clip(TORQUES[:, None] + DISTURBANCES, -2.0, 2.0)
+
+
+def swing_up(observation):
+    """The expert `cautious` of `spiketrain` for Pendulum-v1: one step of lookahead on its value table.
+
+    `spiketrain expert --env=Pendulum-v1 --expert=cautious --tables=DIR` writes the table; the environment variable
+    SPIKETRAIN_TABLES names the folder.
+    """
+    cosine, sine, speed = np.asarray(observation, np.float64)
+    angle = np.arctan2(sine, cosine)
+    costs = angle**2 + 0.1 * speed**2 + 0.001 * EXECUTED**2
+    speeds = np.clip(speed + (15.0 * sine + 3.0 * EXECUTED) * 0.05, -8.0, 8.0)
+    values = (0.99 * pendulum_values(angle + 0.05 * speeds, speeds) - costs).mean(axis=1)
+    return np.array([TORQUES[np.argmax(values)]], np.float32)
+
+
+def pendulum_values(angles, speeds):
+    """Interpolates the value table at angles and angular speeds of one shape."""
+    table = pendulum_table()
+    rows = (angles + np.pi) / (2 * np.pi) * len(table)
+    columns = (speeds + 8.0) / 16.0 * (table.shape[1] - 1)
+    row, column = np.floor(rows).astype(int), np.minimum(np.floor(columns).astype(int), table.shape[1] - 2)
+    low, left = rows - row, columns - column
+    row, above = row % len(table), (row + 1) % len(table)  # the angles go round
+    below = table[row, column] * (1 - left) + table[row, column + 1] * left
+    return below * (1 - low) + (table[above, column] * (1 - left) + table[above, column + 1] * left) * low
+
+
+@functools.cache
+def pendulum_table():
+    """Reads the values, [angles, speeds]."""
+    path = os.path.join(os.environ["SPIKETRAIN_TABLES"], "pendulum_cautious.safetensors")
+    return safetensors.numpy.load_file(path)["values"]

@@ -73,6 +73,8 @@ absl::Status TrainOptions::Validate() const {
   check(warmup >= 0, "warmup", "0 or more", warmup);
   check(clip_norm > 0.0, "clip_norm", "a number above 0", clip_norm);
   check(action_noise >= 0.0 && action_noise <= 1.0, "action_noise", "0 to 1", action_noise);
+  check(delay.least >= 0 && delay.least <= delay.most, "delay", "beats from the least to the most",
+        delay.least);
   check(validation >= 0.0 && validation < 1.0, "validation", "0 or more, below 1", validation);
   check(rate_targets.hidden >= 0.0 && rate_targets.hidden <= 1.0, "target_rate", "0 to 100 percent",
         100.0 * rate_targets.hidden);
@@ -98,6 +100,7 @@ std::string TrainOptions::ToFlags() const {
   if (arithmetic != Arithmetic::kFloat32) {
     absl::StrAppend(&flags, " --arithmetic=", std::string(ToString(arithmetic)));
   }
+  if (delay.most > 0) absl::StrAppendFormat(&flags, " --delay=%d..%d", delay.least, delay.most);
   if (patches.used()) {
     absl::StrAppendFormat(&flags, " --image_shape=%d,%d,%d --patch_size=%d --patch_features=%d",
                           patches.height, patches.width, patches.channels, patches.size,
@@ -150,9 +153,10 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
       model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
   if (source.resident()) {
-    clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_steps_);
+    clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_steps_,
+                                           options.delay);
     if (!has_validation()) return;
-    const ClipSampler validation(source.dataset(), split_.validation, clip_steps_);
+    const ClipSampler validation(source.dataset(), split_.validation, clip_steps_, options.delay);
     for (uint64_t i = 0; i < kValidationBatches; ++i) {
       validation_.push_back(validation.Sample(ValidationKey(i), options.batch, 0.0));
     }
@@ -181,7 +185,7 @@ absl::Status Trainer::ReadEpisodes() {
   resident_.episodes = *std::move(episodes);
   std::vector<int> all(resident_.episodes.size());
   std::iota(all.begin(), all.end(), 0);
-  clips_ = std::make_unique<ClipSampler>(resident_, std::move(all), clip_steps_);
+  clips_ = std::make_unique<ClipSampler>(resident_, std::move(all), clip_steps_, options_.delay);
   return absl::OkStatus();
 }
 
@@ -189,8 +193,8 @@ absl::Status Trainer::ReadValidation() {
   if (!has_validation() || !validation_.empty()) return absl::OkStatus();
   std::vector<Clips> read;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
-    absl::StatusOr<Clips> clips =
-        ReadClips(source_, split_.validation, clip_steps_, ValidationKey(i), options_.batch);
+    absl::StatusOr<Clips> clips = ReadClips(source_, split_.validation, clip_steps_,
+                                            ValidationKey(i), options_.batch, options_.delay);
     if (!clips.ok()) return clips.status();
     read.push_back(*std::move(clips));
   }

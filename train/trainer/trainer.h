@@ -39,6 +39,7 @@ struct TrainOptions {
   int warmup = 50;              // iterations of linear warm-up of the cosine that ends at 2 %
   double clip_norm = 1.0;       // largest norm of the whole gradient
   double action_noise = 0.0;    // probability that an action token is replaced by a random one
+  DelayRange delay;             // beats until a decision is executed
   double validation = 0.1;      // share of each actor's episodes that is held out
   RateTargets rate_targets;     // the penalty grows linearly over the first third of the iterations
   double spike_penalty = 1.0;   // weight of the penalty on firing rates
@@ -51,7 +52,7 @@ struct TrainOptions {
   absl::Status Validate() const;
 
   // Returns the flags of `spiketrain train` for these options, including defaults except those of
-  // `arithmetic` and `patches`.
+  // `arithmetic`, `patches` and `delay`.
   std::string ToFlags() const;
 };
 

@@ -263,6 +263,45 @@ TEST(ClipSamplerTest, WeightsAreOfTheSteps) {
   }
 }
 
+// Step t is decided at its observation and executed two steps later, where the label is.
+TEST(ClipSamplerTest, WithADelayTheTargetIsTheLabelOfTheStepThatIsExecuted) {
+  Episode episode = Counting(5);  // executes 0, 1, 0, 1, 0
+  const std::vector<int> labels = {0, 0, 1, 1, 0};
+  for (const int label : labels) episode.labels.push_back({.discrete = label, .continuous = {}});
+  episode.weights = {1.0f, 2.0f, 3.0f, 4.0f, 5.0f};
+  const Dataset dataset = DatasetOf({episode});
+  const std::vector<float> weights = {3.0f, 4.0f, 5.0f, 0.0f, 0.0f};
+  const std::vector<float> targets = {1.0f, 1.0f, 0.0f, 0.0f, 0.0f};  // of action 1
+  const Clips clips = ClipSampler(dataset, {0}, 3, {.least = 2, .most = 2}).Sample(1, 20, 0.0);
+  for (size_t slot = 0; slot < clips.mask.size(); ++slot) {
+    const int64_t t = clips.timesteps[slot];
+    ASSERT_EQ(clips.mask[slot], t < 5 ? 1.0f : 0.0f);
+    if (t >= 5) continue;
+    ASSERT_EQ(clips.weights[slot], weights[t]);
+    ASSERT_EQ(clips.targets[2 * slot + 1], targets[t]);
+    ASSERT_EQ(clips.targets[2 * slot], t < 3 ? 1.0f - targets[t] : 0.0f);
+    ASSERT_EQ(clips.actions[2 * slot + 1], static_cast<float>(t % 2));  // the executed one
+  }
+}
+
+TEST(ClipSamplerTest, EveryClipDrawsADelayOfItsOwn) {
+  const Dataset dataset = DatasetOf({Counting(40)});
+  constexpr int kClip = 4, kCount = 400;
+  const Clips clips = ClipSampler(dataset, {0}, kClip, {.least = 1, .most = 3})
+                          .Sample(/*key=*/1, kCount, /*action_noise=*/0.0);
+  int same = 0, other = 0;  // clips far from the end, by whether the label is the executed action
+  for (int clip = 0; clip < kCount; ++clip) {
+    const auto first = static_cast<size_t>(clip) * kClip;
+    if (clips.timesteps[first] > 30) continue;
+    const bool differs = clips.targets[2 * first] != clips.actions[2 * first];
+    ++(differs ? other : same);
+    for (size_t i = 1; i < kClip; ++i) {  // one delay in all of a clip
+      ASSERT_EQ(clips.targets[2 * (first + i)] != clips.actions[2 * (first + i)], differs);
+    }
+  }
+  EXPECT_NEAR(static_cast<double>(other) / (other + same), 2.0 / 3.0, 0.1);  // 1, 3 of 1, 2, 3
+}
+
 TEST(RecordTest, AQuarterOfPendulumsStartsAreWide) {
   const Dataset dataset = *RecordDataset({.expert = {.environment = "Pendulum-v1", .coarsening = 8},
                                           .steps = 20000,

@@ -40,6 +40,25 @@ TEST(EvaluationTest, SameSeedsGiveTheSameReturns) {
             Evaluate(CartPolePolicy(), options)->returns);
 }
 
+// The policy always decides 1. With a delay of k beats the first k actions are 0.
+TEST(EvaluationTest, DecisionsAreExecutedAfterTheDelayAndDelaysTakeTurns) {
+  const std::shared_ptr<Policy> policy = CartPolePolicy();
+  Linear& head = policy->weights.head;
+  head.weight.values.assign(head.weight.values.size(), 0.0f);
+  head.bias.values = {0.0f, 1.0f};
+  const auto returns = [&](int least, int most, int episodes, uint64_t seed) {
+    const EvaluationOptions options = {
+        .episodes = episodes, .first_seed = seed, .delay = {.least = least, .most = most}};
+    return Evaluate(policy, options)->returns;
+  };
+  const double at_once = returns(0, 0, 1, 1'000'001)[0], late = returns(3, 3, 1, 1'000'001)[0];
+  EXPECT_GT(late, at_once);  // three pushes to the other side first
+  EXPECT_EQ(returns(0, 3, 2, 1'000'000)[1], returns(1, 1, 1, 1'000'001)[0]);
+  const EvaluationOptions options = {.episodes = 1, .delay = {.least = 0, .most = 2}};
+  EXPECT_EQ(ToJson(*Evaluate(policy, options), policy->config)["delay"].dump(), "[0,2]");
+  EXPECT_FALSE(ToJson(*Evaluate(policy, {.episodes = 1}), policy->config).contains("delay"));
+}
+
 TEST(EvaluationTest, PolicyMustFitItsEnvironment) {
   const std::shared_ptr<Policy> policy = CartPolePolicy();
   EXPECT_EQ(Evaluate(policy, {.episodes = 0}).status().message(),

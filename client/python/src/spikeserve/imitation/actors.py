@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spikeserve.engine import Engine, Session
+from spikeserve.imitation.delays import Delayed
 from spikeserve.imitation.episodes import Choice, FlatAction, Row
 from spikeserve.imitation.experts import Expert
 
@@ -155,3 +157,48 @@ class StudentActor:
         if self._expert is None:
             return None
         return row.environment.actions.to_flat(self._expert(row.environment))
+
+
+class DelayedStudentActor(StudentActor):
+    """Plays a policy whose decisions are executed some beats after their observations.
+
+    `delay_of` returns the beats of an episode by its seed. Until the first decision arrives, the
+    neutral action is executed. The policy is told what was executed, bursts included.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        delay_of: Callable[[int], int],
+        expert: Expert | None = None,
+        bursts: Bursts | None = None,
+    ) -> None:
+        super().__init__(engine, expert, bursts)
+        self._delay_of = delay_of
+        self._delayed = Delayed()
+
+    def choose(self, rows: list[Row]) -> list[Choice]:
+        """Returns the actions that arrive; the labels are the expert's in the present states."""
+        return [self._arriving(row) for row in rows]
+
+    def _arriving(self, row: Row) -> Choice:
+        episode = row.episode
+        last = episode.actions[-1] if episode.actions else None
+        decision = self._session(row).act(
+            episode.observations[-1], row.reward, executed_action=last
+        )
+        decided = Choice(decision.action, self._label(row), decision.stats.spikes)
+        arrived = self._delayed.executed(row, decided, self._delay_of(episode.seed))
+        disturbed = self._disturbances.action(row)
+        return replace(decided, action=arrived if disturbed is None else disturbed)
+
+    def end(self, row: Row) -> None:
+        """Ends the episode of the row's session, and forgets what is under way."""
+        self._disturbances.end(row)
+        self._delayed.end(row)
+        self._sessions[row.index].end_episode(
+            row.reward,
+            row.episode.terminated,
+            row.episode.truncated,
+            executed_action=row.episode.actions[-1],
+        )

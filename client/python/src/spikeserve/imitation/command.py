@@ -58,6 +58,7 @@ def _words(text: str) -> tuple[str, ...]:
 
 # How the settings that are not plain numbers are written on the command line.
 _PARSERS: dict[str, Callable[[str], Any]] = {
+    "delay": str,
     "max_episode_steps": int,
     "lookback": int,
     "patch_size": int,

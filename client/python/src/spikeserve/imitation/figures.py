@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from spikeserve.engine import Engine
-from spikeserve.imitation.actors import RandomActor, StudentActor
+from spikeserve.imitation.actors import DelayedStudentActor, RandomActor, StudentActor
+from spikeserve.imitation.delays import AT_ONCE, Delays
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Actor, Episode, play
 from spikeserve.imitation.progress import progress_bar
@@ -82,10 +83,11 @@ class Figures:
 
 @dataclass(frozen=True)
 class Evaluator:
-    """Evaluates actors on the environments of one factory."""
+    """Evaluates actors on the environments of one factory, and policies with delays in turn."""
 
     factory: EnvironmentFactory
     environments: int
+    delays: Delays = AT_ONCE
 
     def evaluate(self, actor: Actor, first_seed: int, episodes: int, title: str) -> Figures:
         """Plays `episodes` starts from `first_seed` on."""
@@ -99,7 +101,9 @@ class Evaluator:
 
     def evaluate_policy(self, path: Any, first_seed: int, episodes: int, title: str) -> Figures:
         """Plays a policy file with the engine, with its most probable actions."""
-        return self.evaluate(StudentActor(Engine(path)), first_seed, episodes, title)
+        engine = Engine(path)
+        actor = DelayedStudentActor(engine, self.delays.in_turn) if self.delays else None
+        return self.evaluate(actor or StudentActor(engine), first_seed, episodes, title)
 
     def evaluate_chance(self, first_seed: int, episodes: int) -> Figures:
         """Plays uniformly random actions."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from spikeserve.check import check
+from spikeserve.imitation.delays import Delays, parse_delay
 
 # Environment seeds: those below are for data, those from the second on for the final figures.
 FIRST_SELECTION_SEED = 1_000_000
@@ -51,6 +52,11 @@ class ImitationOptions:
     seed: int = _setting(0, "seed of every random draw")
     environments: int = _setting(16, "environments that are played at the same time")
     max_episode_steps: int | None = _setting(None, "longest episode; default: the environment's")
+    delay: str | int | tuple[int, int] = _setting(
+        0,
+        "beats between an observation and the effect of its decision: a number like 3, or a range "
+        "like 0..5, from which each episode draws one",
+    )
 
     steps: int | None = _setting(None, "steps of the expert to record")
     disturbed: float = _setting(0.8, "share of its episodes with bursts of random actions")
@@ -109,7 +115,13 @@ class ImitationOptions:
     selection_episodes: int = _setting(100, "episodes of an evaluation between trainings")
     episodes: int = _setting(300, "episodes of the final evaluation, on unseen starts")
 
+    @property
+    def delays(self) -> Delays:
+        """Returns the range of `delay`."""
+        return Delays(*parse_delay(self.delay))
+
     def __post_init__(self) -> None:
+        parse_delay(self.delay)
         at_least_one = (
             "environments",
             "steps",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import pathlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from spikeserve.engine import Engine
-from spikeserve.imitation.actors import Bursts, ExpertActor, StudentActor
+from spikeserve.imitation.actors import Bursts, DelayedStudentActor, ExpertActor, StudentActor
 from spikeserve.imitation.baselines import (
     LARGEST_COMPARED,
     Baseline,
@@ -19,6 +19,7 @@ from spikeserve.imitation.baselines import (
     return_warnings,
 )
 from spikeserve.imitation.datasets import check_packages, read_dataset, write_dataset
+from spikeserve.imitation.delays import label_all_after
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Actor, Budget, Episode, play
 from spikeserve.imitation.experts import Expert, is_dataset, load_expert
@@ -115,7 +116,8 @@ class _Run:
         self._options = options
         self._trainer = trainer
         self._journal = journal
-        self._evaluator = Evaluator(factory, options.environments)
+        self._delays = options.delays
+        self._evaluator = Evaluator(factory, options.environments, self._delays)
         self._data: list[pathlib.Path] = []
         self._stages: list[_Candidate] = []
         self._recording = RecordingPlan(
@@ -172,7 +174,7 @@ class _Run:
         if self._expert is None:
             assert self._dataset is not None
             source = self._dataset
-            self._write_data("expert", lambda: list(read_dataset(source)))
+            self._write_data("expert", lambda: self._label_after(read_dataset(source)))
             return
         actor = ExpertActor(self._expert, self._bursts(self._options.disturbed))
         steps = self._recording.steps
@@ -180,13 +182,26 @@ class _Run:
 
     def _record_round(self, number: int, student: pathlib.Path) -> None:
         bursts = self._bursts(self._options.round_disturbed)
-        actor = StudentActor(Engine(student), self._expert, bursts)
+        actor = self._student(Engine(student), bursts)
         first_seed = number * _SEEDS_OF_A_ROUND
         title = f"round {number}: policy plays, expert labels"
         self._write_data(
             f"round{number}",
             lambda: self._play_steps(actor, self._recording.round_steps, first_seed, title),
         )
+
+    def _student(self, engine: Engine, bursts: Bursts) -> StudentActor:
+        if not self._delays:
+            return StudentActor(engine, self._expert, bursts)
+        return DelayedStudentActor(engine, self._delay_of, self._expert, bursts)
+
+    def _delay_of(self, episode_seed: int) -> int:
+        """Returns the beats of delay of an episode of the data."""
+        return self._delays.drawn(self._options.seed, episode_seed)
+
+    def _label_after(self, episodes: Iterable[Episode]) -> list[Episode]:
+        """Gives every beat the expert's action of the beat in which its decision is executed."""
+        return label_all_after(episodes, self._delays, self._options.seed)
 
     def _play_steps(self, actor: Actor, steps: int, first_seed: int, title: str) -> list[Episode]:
         # Runs with other seeds play other starts. All of them are below those of evaluations.
@@ -197,7 +212,7 @@ class _Run:
             for episode in play(self._factory.make, actor, budget, self._options.environments):
                 budget.count(episode)
                 episodes.append(episode)
-        return episodes
+        return self._label_after(episodes)
 
     def _write_data(self, name: str, record: Callable[[], list[Episode]]) -> None:
         folder = self._journal.folder / "data" / f"{name}-v0"
@@ -345,7 +360,7 @@ class _Run:
         settings = json.loads((folder / "settings.json").read_text()) | self._settings()
         write_report(
             result.report,
-            Account(self._journal, settings, reasons, name, chosen.name, stages),
+            Account(self._journal, settings, reasons, name, chosen.name, stages, self._delays),
             result,
             insight,
         )
@@ -376,7 +391,9 @@ class _Run:
         self, policy: pathlib.Path, figures: Figures
     ) -> tuple[Insight, dict[str, Figures]]:
         """Returns why the policy is as good as it is, and the returns of the baselines."""
-        comparison = self._compare(policy)
+        # With delays a baseline would imitate other labels, and what the policy decides is not for
+        # the state in which the expert is asked.
+        comparison = None if self._delays else self._compare(policy)
         baselines = {} if comparison is None else self._play_baselines(comparison)
         floor, drifts = None, None
         if (expert := self._expert) is not None:
@@ -385,11 +402,12 @@ class _Run:
                 "evaluations/noise", lambda: {"floor": noise_floor(self._factory, expert, seeds)}
             )
             floor = asked["floor"]
-            student = StudentActor(Engine(policy), expert)
-            driven = self._journal.part(
-                "evaluations/drift", lambda: {"bins": drift(self._factory, student, seeds)}
-            )
-            drifts = [(first, last, error) for first, last, error in driven["bins"]]
+            if not self._delays:
+                student = StudentActor(Engine(policy), expert)
+                driven = self._journal.part(
+                    "evaluations/drift", lambda: {"bins": drift(self._factory, student, seeds)}
+                )
+                drifts = [(first, last, error) for first, last, error in driven["bins"]]
         chance = self._chance()
         expert_return = self._expert_figures(
             FIRST_UNSEEN_SEED, self._options.episodes, "expert-unseen"

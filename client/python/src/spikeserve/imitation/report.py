@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import safetensors
 
+from spikeserve.imitation.delays import AT_ONCE, Delays
 from spikeserve.imitation.figures import Figures
 from spikeserve.imitation.insight import Insight
 from spikeserve.imitation.journal import Journal
@@ -42,6 +43,7 @@ class Account:
     name: str  # of the policy
     chosen: str  # the stage whose policy it is
     stages: dict[str, Figures]
+    delays: Delays = AT_ONCE
 
 
 def write_report(path: pathlib.Path, account: Account, result: _Result, insight: Insight) -> None:
@@ -75,6 +77,7 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
         f"Starts: {len(result.figures.returns)} that neither training nor selection used "
         f"(environment seeds from {result.figures.first_seed} on).",
         "",
+        *_delays(account.delays),
         *_table(("", "return", "spikes per decision"), [_row(*item) for item in figures.items()]),
         "",
         f"{insight.share:.1%} of the way from random actions to the expert. Random actions return "
@@ -115,6 +118,17 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
         ),
     ]
     path.write_text("\n".join(lines) + "\n")
+
+
+def _delays(delays: Delays) -> list[str]:
+    """Returns a sentence about the delays, if there are any."""
+    if not delays:
+        return []
+    return [
+        f"The policies play with {delays.least} to {delays.most} beats of delay, which the starts "
+        "take in turn; the expert plays without.",
+        "",
+    ]
 
 
 def _has_changes(policy: pathlib.Path) -> bool:

@@ -1,0 +1,18 @@
+// The delay with which decisions are executed. A plain value.
+#ifndef TRAIN_DATA_DELAY_RANGE_H_
+#define TRAIN_DATA_DELAY_RANGE_H_
+
+namespace spikeserve {
+
+// The beats between an observation and the effect of its decision, at least and at most. With a
+// delay of k beats, what is decided at step t is executed at step t + k, so the action to imitate
+// at step t is the label of step t + k. The last k decisions of an episode are never executed: they
+// have weight 0.
+struct DelayRange {
+  int least = 0;
+  int most = 0;  // >= least
+};
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_DATA_DELAY_RANGE_H_
