@@ -42,7 +42,7 @@ class ClientSocket {
   // Returns 0 if OpenSSL has to wait, and the error otherwise.
   absl::StatusOr<size_t> TlsResult(int result);
 
-  const SteadyClock clock_;
+  const SteadyClock clock_ = {};
   FileDescriptor socket_;
   ssl_st* tls_ = nullptr;    // freed by the destructor
   bool tls_writes_ = false;  // OpenSSL waits until it can write
