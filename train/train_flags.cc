@@ -86,7 +86,7 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
       .Add("clip_norm", "X", &options.clip_norm, "Largest norm of the gradient")
       .Add("action_noise", "P", &options.action_noise, "Probability of a random action token")
       .Add("delay", "BEATS", &flags->delay,
-           "Beats until a decision is executed: 3, or 0..5 for a random delay of each clip")
+           "Beats until a decision is executed: 3, or 0..5 drawn by clip")
       .Add("validation", "SHARE", &options.validation, "Share of episodes held out");
   command.Flags("Spikes")
       .Add("target_rate", "PERCENT", &flags->target_rate,

@@ -109,9 +109,9 @@ void AddRunCommand(Command program, const ServerFlags& server) {
       .Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can")
       .AddSwitch("reopen", &flags->reopen,
                  "Play an episode again in a new session if the server lost it");
-  FlagGroup far = command.Flags("Far away");
-  AddDistanceFlags(far, &flags->play.distance);
   AddSessionFlags(command, &flags->session);
+  FlagGroup far = command.Flags("Advanced: far away");
+  AddDistanceFlags(far, &flags->play.distance);
   command.SetAction([flags, &server] { return Run(*flags, server); });
 }
 

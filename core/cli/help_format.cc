@@ -49,6 +49,7 @@ std::string HelpFormat::make_usage(const CLI::App* app, std::string name) const 
 std::string HelpFormat::MakeFlags(const CLI::App* app) const {
   const CLI::App* const root = RootOf(app);
   std::string text;
+  bool after_advanced = false;  // their lines stand together
   for (const CLI::App* owner : {app, root}) {
     for (const std::string& heading : Headings(owner)) {
       const auto shown = [&](const CLI::Option* option) {
@@ -57,10 +58,12 @@ std::string HelpFormat::MakeFlags(const CLI::App* app) const {
       const std::vector<const CLI::Option*> options = owner->get_options(shown);
       if (options.empty()) continue;
       if (absl::StartsWith(heading, kAdvancedPrefix)) {
-        absl::StrAppend(&text, "\n", heading, ": ", options.size(),
+        absl::StrAppend(&text, after_advanced ? "" : "\n", heading, ": ", options.size(),
                         " flags, which the manual describes (--generate=man)\n");
+        after_advanced = true;
       } else {
         absl::StrAppend(&text, make_group(heading, false, options));
+        after_advanced = false;
       }
     }
     if (owner == root) break;
