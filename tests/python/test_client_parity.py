@@ -30,6 +30,7 @@ BY_THE_LIBRARY = {
     "ActRequest": {
         *("session_id", "step", "decision"),
         *("history", "skipped_rewards", "observed_at", "valid_until", "report"),
+        "traceparent",  # of the active span
     },
     "EndEpisodeRequest": {"session_id", "episode", "steps"},
     "GetSessionRequest": {"session_id"},

@@ -3,6 +3,7 @@
 import gzip
 import os
 import pathlib
+import re
 import shlex
 import subprocess
 
@@ -73,7 +74,9 @@ def test_a_program_has_its_manual_page_and_completions(component, programs, tmp_
 
 
 def test_an_older_minor_version_is_refused(prefix, tmp_path):
-    lists = (CONSUMER / "CMakeLists.txt").read_text().replace("spikeserve 0.1", "spikeserve 0.0")
+    lists = (CONSUMER / "CMakeLists.txt").read_text()
+    lists, replaced = re.subn(r"(?<=find_package\(spikeserve )\d+\.\d+", "0.0", lists)
+    assert replaced == 1
     (tmp_path / "CMakeLists.txt").write_text(lists)
     (tmp_path / "main.cc").write_text("int main() {}\n")
     refused = subprocess.run(
