@@ -16,6 +16,7 @@ namespace {
 using google::protobuf::MethodDescriptor;
 using google::protobuf::ServiceDescriptor;
 
+// The rules of one method, from its options or from the table below.
 struct Rules {
   Access access;
   Cost cost;
@@ -69,7 +70,7 @@ Cost CostOf(v1::MethodRules::Cost cost) {
   }
 }
 
-// Returns nothing if the method has no rules.
+// Returns null if the method is not served.
 const Rules* RulesOfInference(const MethodDescriptor& method) {
   for (const InferenceMethod& known : kInferenceMethods) {
     if (known.name == method.name()) return &known.rules;
