@@ -15,6 +15,15 @@ def address():
 
 
 @pytest.fixture(scope="module")
+def browser():
+    """Starts a headless Chromium."""
+    from browser import chromium  # not every environment in which tests run can control one
+
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
 def tokens(tmp_path_factory):
     """Writes security.TOKENS to a file and returns its path."""
     path = tmp_path_factory.mktemp("tokens") / "tokens.json"

@@ -13,7 +13,6 @@ import gymnasium
 import pytest
 import sonora.client
 import sonora.protocol
-from browser import chromium
 from security import ADMIN, POLICY, TOKENS
 from serving import DEADLINE_SECONDS, Service, message_class, running_server
 
@@ -271,8 +270,8 @@ CALL = """
 """
 
 
-def test_pages_of_allowed_origins_call(server):
-    with site() as allowed, site() as stranger, chromium() as browser:
+def test_pages_of_allowed_origins_call(server, browser):
+    with site() as allowed, site() as stranger:
         with running_server(
             flags=[f"--http_origins=https://robots.example,{allowed}"]
         ) as open_server:
