@@ -2,6 +2,8 @@
 
 import pathlib
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -74,6 +76,11 @@ def test_what_a_row_names_exists(row):
 def test_the_first_words_have_the_verdict_of_every_claim():
     words = " ".join(TEXT.split()[:200])
     assert re.findall(r"\((\d)\)", words) == [*"123456789"]
+
+
+def test_the_tables_in_per_cent_are_the_reports():
+    command = [sys.executable, ROOT / "train/report/per_cent.py", ROOT / "docs/evidence/report"]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout in TEXT
 
 
 def test_the_page_is_short():
