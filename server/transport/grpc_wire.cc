@@ -76,7 +76,8 @@ void AppendMessage(const google::protobuf::MessageLite& message, std::string* ou
 
 StatusHeaders StatusHeadersOf(const absl::Status& status) {
   StatusHeaders headers = {.code = absl::StrCat(static_cast<int>(status.code())),
-                           .message = PercentEncode(status.message())};
+                           .message = PercentEncode(status.message()),
+                           .details = ""};
   const std::string details = SerializedDetails(status);
   if (!details.empty()) absl::Base64Escape(details, &headers.details);
   return headers;
