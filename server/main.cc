@@ -66,6 +66,8 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("loops", "N", &options->loops, "Threads that serve connections; 0: one for each core")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
            "Status page and /metrics; empty: none")
+      .Add("http_origins", "ORIGINS", &options->http_origins,
+           "Whose web pages may call it; by commas; empty: none")
       .Add("max_message_bytes", "BYTES", &options->max_message_bytes, "Largest gRPC request")
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
            "Time for calls in flight to finish at shutdown")

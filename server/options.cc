@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/base/address.h"
+#include "server/web/origins.h"
 
 namespace spikeserve {
 namespace {
@@ -54,6 +55,9 @@ absl::Status ServerOptions::Validate() const {
     if (auto status = CheckReach("--http_listen", http_listen, *this); !status.ok()) {
       return status;
     }
+  }
+  if (auto origins = Origins::Parse("--http_origins", http_origins); !origins.ok()) {
+    return origins.status();
   }
   if (session_ttl < absl::Milliseconds(1)) {
     return absl::InvalidArgumentError(absl::StrCat(

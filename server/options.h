@@ -24,7 +24,8 @@ struct ServerOptions {
   TransportLimits transport_limits;
   bool reflection_v1alpha = false;             // serve the old version of reflection, too
   std::string http_listen = "127.0.0.1:9464";  // status page, metrics; port 0 as above; or empty
-  int64_t max_message_bytes = 4 << 20;         // of one request over gRPC, from any caller
+  std::string http_origins;             // whose web pages may call it, see Origins; empty: none
+  int64_t max_message_bytes = 4 << 20;  // of one request over gRPC, from any caller
   absl::Duration drain_timeout = absl::Seconds(30);  // for calls in flight when the server stops
 
   std::string policies;          // directory of <policy>/<version>/policy.safetensors

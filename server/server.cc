@@ -364,17 +364,25 @@ absl::Status Server::StartHttp() {
   http_calls_ = std::make_unique<HttpCalls>(transport_.get(), options_.transport_limits);
   inference_pages_ = std::make_unique<const InferencePages>(authenticator_.get(), http_calls_.get(),
                                                             options_.max_message_bytes);
+  grpc_web_pages_ = std::make_unique<const GrpcWebPages>(authenticator_.get(), http_calls_.get(),
+                                                         options_.max_message_bytes);
   const InferencePages& inference = *inference_pages_;
+  const GrpcWebPages& grpc_web = *grpc_web_pages_;
   auto http = HttpServer::Start(
       {.listen = *address,
        .tls = http_tls_.get(),
        .local_names_only = local_names_only,
+       .origins = *Origins::Parse("--http_origins", options_.http_origins),
        .clock = &clock_,
        .accept_body =
-           [&inference](const HttpRequest& request) { return inference.AcceptBody(request); },
+           [&inference, &grpc_web](const HttpRequest& request) {
+             return GrpcWebPages::Has(request) ? grpc_web.AcceptBody(request)
+                                               : inference.AcceptBody(request);
+           },
        .bodies = &transport_->budgets().all,
        .max_body_bytes = options_.transport_limits.max_bytes_in_flight},
-      [this, &inference](const HttpRequest& request, const HttpServer::Done& done) {
+      [this, &inference, &grpc_web](const HttpRequest& request, const HttpServer::Done& done) {
+        if (GrpcWebPages::Has(request)) return grpc_web.Answer(request, done);
         if (InferencePages::Has(request.path)) return inference.Answer(request, done);
         pages_.Answer(request, done);
       });

@@ -41,6 +41,7 @@
 #include "server/store/open_store.h"
 #include "server/trace/tracer.h"
 #include "server/transport/transport.h"
+#include "server/web/grpc_web_pages.h"
 #include "server/web/http_call.h"
 #include "server/web/http_server.h"
 #include "server/web/inference_pages.h"
@@ -140,6 +141,7 @@ class Server {
   StatusPages pages_;
   std::unique_ptr<HttpCalls> http_calls_;  // null as `http_`; its calls are on loops of transport_
   std::unique_ptr<const InferencePages> inference_pages_;  // null as `http_`
+  std::unique_ptr<const GrpcWebPages> grpc_web_pages_;     // null as `http_`
   Address grpc_address_;
   std::unique_ptr<TlsContext> http_tls_;  // null without TLS
   std::unique_ptr<HttpServer> http_;

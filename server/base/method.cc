@@ -93,6 +93,7 @@ void Append(const ServiceDescriptor& service, std::vector<Method>& methods) {
     methods.push_back({.service = service.full_name(),
                        .name = method.name(),
                        .path = absl::StrCat("/", service.full_name(), "/", method.name()),
+                       .streams = method.client_streaming() || method.server_streaming(),
                        .access = rules.access,
                        .cost = rules.cost,
                        .index = methods.size()});

@@ -38,6 +38,7 @@ struct Method {
   const std::string service;  // "spikeserve.v1.PolicyService"
   const std::string name;     // "Act"
   const std::string path;     // "/spikeserve.v1.PolicyService/Act"
+  const bool streams;         // requests or responses
   const Access access;
   const Cost cost;
   const size_t index;  // in AllMethods()

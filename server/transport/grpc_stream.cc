@@ -5,9 +5,7 @@
 #include <utility>
 #include <vector>
 
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "server/base/retry_delay.h"
 #include "server/transport/grpc_wire.h"
 
 namespace spikeserve {
@@ -36,26 +34,14 @@ nghttp2_nv Header(absl::string_view name, absl::string_view value) {
           .flags = NGHTTP2_NV_FLAG_NONE};  // nghttp2 copies both
 }
 
-// The headers that carry the status of a call.
-class StatusHeaders {
- public:
-  explicit StatusHeaders(const absl::Status& status)
-      : code_(absl::StrCat(static_cast<int>(status.code()))),
-        message_(PercentEncode(status.message())) {
-    const std::string details = SerializedDetails(status);
-    if (!details.empty()) absl::Base64Escape(details, &details_);
+// Appends the headers that carry the status of a call. `status` must outlive `headers`.
+void Append(const StatusHeaders& status, std::vector<nghttp2_nv>* headers) {
+  headers->push_back(Header("grpc-status", status.code));
+  if (!status.message.empty()) headers->push_back(Header("grpc-message", status.message));
+  if (!status.details.empty()) {
+    headers->push_back(Header("grpc-status-details-bin", status.details));
   }
-  void AppendTo(std::vector<nghttp2_nv>* headers) const {
-    headers->push_back(Header("grpc-status", code_));
-    if (!message_.empty()) headers->push_back(Header("grpc-message", message_));
-    if (!details_.empty()) headers->push_back(Header("grpc-status-details-bin", details_));
-  }
-
- private:
-  const std::string code_;
-  const std::string message_;
-  std::string details_;
-};
+}
 
 ssize_t ReadCallback(nghttp2_session* /*session*/, int32_t /*id*/, uint8_t* out, size_t size,
                      uint32_t* flags, nghttp2_data_source* source, void* /*connection*/) {
@@ -118,9 +104,9 @@ void GrpcStream::StartCall() {
   if (!IsGrpcContentType(content_type_)) {
     return RefuseHttp("415", "content-type: expected application/grpc\n");
   }
-  if (!encoding_.empty() && encoding_ != "identity") {
+  if (!encoding_.empty() && encoding_ != "identity" && encoding_ != "gzip") {
     return SubmitTrailersOnly(absl::UnimplementedError(
-        absl::StrCat("grpc-encoding: expected identity, received ", encoding_)));
+        absl::StrCat("grpc-encoding: expected identity or gzip, received ", encoding_)));
   }
   if (!timeout_.empty()) {
     const auto timeout = ParseTimeout(timeout_);
@@ -155,16 +141,14 @@ absl::string_view GrpcStream::Deliver(absl::string_view data) {
   delivering_ = true;
   while (reading()) {
     const auto item = reader_.Next(&data, handler_->message_limit());
-    if (!item.ok()) {
-      Finish(item.status());
-      break;
-    }
-    if (!item->has_value()) break;
+    if (!item.has_value()) break;
     incomplete_since_ = absl::InfiniteDuration();
-    if ((*item)->too_long) {
-      handler_->OnTooLong((*item)->length);
+    if (item->too_long) {
+      handler_->OnTooLong(item->length);
+    } else if (item->compressed) {
+      DeliverCompressed(item->message);
     } else {
-      handler_->OnMessage((*item)->message);
+      handler_->OnMessage(item->message);
     }
   }
   delivering_ = false;
@@ -175,6 +159,11 @@ absl::string_view GrpcStream::Deliver(absl::string_view data) {
     incomplete_since_ = std::min(incomplete_since_, loop().now());
   }
   return data;
+}
+
+void GrpcStream::DeliverCompressed(absl::string_view message) {
+  const auto bytes = Decompress(encoding_, message, handler_->message_limit());
+  bytes.ok() ? handler_->OnMessage(*bytes) : Finish(bytes.status());
 }
 
 void GrpcStream::ReadOn() {
@@ -327,13 +316,13 @@ void GrpcStream::SubmitData() {
 void GrpcStream::SubmitTrailersOnly(const absl::Status& status) {
   finished_ = true;
   headers_submitted_ = true;
-  const StatusHeaders status_headers(status);
+  const StatusHeaders status_headers = StatusHeadersOf(status);
   std::vector<nghttp2_nv> headers = {Header(":status", "200"),
                                      Header("content-type", kContentType)};
   if (status.code() == absl::StatusCode::kUnimplemented) {
-    headers.push_back(Header("grpc-accept-encoding", "identity"));
+    headers.push_back(Header("grpc-accept-encoding", kAcceptedEncodings));
   }
-  status_headers.AppendTo(&headers);
+  Append(status_headers, &headers);
   nghttp2_submit_response(session_, id_, headers.data(), headers.size(), nullptr);
   owner_->WantFlush();
 }
@@ -381,9 +370,9 @@ ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
     *flags |= NGHTTP2_DATA_FLAG_EOF;
     if (!http_refusal_.empty()) return static_cast<ssize_t>(count);
     *flags |= NGHTTP2_DATA_FLAG_NO_END_STREAM;
-    const StatusHeaders status_headers(status_);
+    const StatusHeaders status_headers = StatusHeadersOf(status_);
     std::vector<nghttp2_nv> trailers;
-    status_headers.AppendTo(&trailers);
+    Append(status_headers, &trailers);
     nghttp2_submit_trailer(session_, id_, trailers.data(), trailers.size());
     return static_cast<ssize_t>(count);
   }

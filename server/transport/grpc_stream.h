@@ -101,6 +101,7 @@ class GrpcStream final : public Call {
  private:
   // Passes complete messages to the handler while reading is not paused. Returns the rest.
   absl::string_view Deliver(absl::string_view data);
+  void DeliverCompressed(absl::string_view message);
   // Lets the client send `bytes` more.
   void Consume(size_t bytes);
   // Counts what the stream stores. Returns false if a limit is exceeded.

@@ -1,13 +1,17 @@
 #include "server/transport/grpc_wire.h"
 
+#include <algorithm>
 #include <cstdint>
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/ascii.h"
+#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "server/base/gzip.h"
+#include "server/base/retry_delay.h"
 
 namespace spikeserve {
 namespace {
@@ -42,6 +46,24 @@ MessagePrefix ParseMessagePrefix(absl::string_view bytes) {
           .length = byte(1) << 24 | byte(2) << 16 | byte(3) << 8 | byte(4)};
 }
 
+absl::StatusOr<std::string> Decompress(absl::string_view encoding, absl::string_view message,
+                                       size_t limit) {
+  if (encoding != "gzip") {
+    return absl::InternalError(
+        "message: expected no compression, because the call announced none, received a compressed "
+        "message");
+  }
+  const size_t longest = std::min(limit, kMostInflated);
+  auto bytes = Gunzip(message, longest);
+  if (absl::IsResourceExhausted(bytes.status())) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("message: expected at most ", longest,
+                     " bytes of a compressed one, received more; send it without compression"));
+  }
+  if (!bytes.ok()) return absl::InternalError(absl::StrCat("message: ", bytes.status().message()));
+  return bytes;
+}
+
 void AppendMessage(const google::protobuf::MessageLite& message, std::string* out) {
   const size_t length = message.ByteSizeLong();
   const size_t start = out->size();
@@ -50,6 +72,14 @@ void AppendMessage(const google::protobuf::MessageLite& message, std::string* ou
   bytes[0] = 0;
   for (int i = 0; i < 4; ++i) bytes[1 + i] = static_cast<uint8_t>(length >> (24 - 8 * i));
   message.SerializeWithCachedSizesToArray(bytes + kMessagePrefixBytes);
+}
+
+StatusHeaders StatusHeadersOf(const absl::Status& status) {
+  StatusHeaders headers = {.code = absl::StrCat(static_cast<int>(status.code())),
+                           .message = PercentEncode(status.message())};
+  const std::string details = SerializedDetails(status);
+  if (!details.empty()) absl::Base64Escape(details, &headers.details);
+  return headers;
 }
 
 std::string PercentEncode(absl::string_view text) {

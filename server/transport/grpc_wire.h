@@ -29,8 +29,27 @@ struct MessagePrefix {
 // REQUIRES: `bytes` has at least kMessagePrefixBytes.
 MessagePrefix ParseMessagePrefix(absl::string_view bytes);
 
+// The encodings of messages that are understood, as a `grpc-accept-encoding` header.
+inline constexpr char kAcceptedEncodings[] = "identity,gzip";
+
+// Decompresses a message that was sent with a `grpc-encoding`. It may have at most `limit` bytes
+// and at most kMostInflated: the loop decompresses, and others wait for it. Returns INTERNAL if
+// `encoding` is not gzip or `message` is not in it, RESOURCE_EXHAUSTED if it is too long.
+inline constexpr size_t kMostInflated = 64 << 10;
+absl::StatusOr<std::string> Decompress(absl::string_view encoding, absl::string_view message,
+                                       size_t limit);
+
 // Appends `message` with its prefix to `out`.
 void AppendMessage(const google::protobuf::MessageLite& message, std::string* out);
+
+// The headers that carry the status of a call, by name.
+struct StatusHeaders {
+  std::string code;     // grpc-status
+  std::string message;  // grpc-message; empty: no header
+  std::string details;  // grpc-status-details-bin; empty: no header
+};
+
+StatusHeaders StatusHeadersOf(const absl::Status& status);
 
 // Returns the value of a `grpc-message` header: bytes other than printable ASCII, and '%', are
 // written as %XX.

@@ -10,12 +10,6 @@ namespace {
 // A larger buffer is freed after its message.
 constexpr size_t kKeptCapacity = 4096;
 
-absl::Status CompressedError() {
-  return absl::InternalError(
-      "message: expected no compression, because the call announced none, received a compressed "
-      "message");
-}
-
 }  // namespace
 
 bool MessageReader::Fill(absl::string_view* data, size_t size) {
@@ -27,8 +21,7 @@ bool MessageReader::Fill(absl::string_view* data, size_t size) {
   return buffer_.size() >= size;
 }
 
-absl::StatusOr<std::optional<MessageReader::Item>> MessageReader::Next(absl::string_view* data,
-                                                                       size_t limit) {
+std::optional<MessageReader::Item> MessageReader::Next(absl::string_view* data, size_t limit) {
   if (returned_) {
     buffer_.clear();
     if (buffer_.capacity() > kKeptCapacity) buffer_.shrink_to_fit();
@@ -42,8 +35,7 @@ absl::StatusOr<std::optional<MessageReader::Item>> MessageReader::Next(absl::str
   const bool in_place = buffer_.empty() && data->size() >= kMessagePrefixBytes;
   if (!in_place && !Fill(data, kMessagePrefixBytes)) return std::nullopt;
   const MessagePrefix prefix = ParseMessagePrefix(in_place ? *data : buffer_);
-  if (prefix.compressed) return CompressedError();
-  Item item = {.length = prefix.length, .message = {}};
+  Item item = {.length = prefix.length, .message = {}, .compressed = prefix.compressed};
   if (prefix.length > limit) {
     if (in_place) data->remove_prefix(kMessagePrefixBytes);
     buffer_.clear();

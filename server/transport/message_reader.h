@@ -8,8 +8,6 @@
 #include <optional>
 #include <string>
 
-#include "absl/status/status.h"
-#include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 
 namespace spikeserve {
@@ -21,14 +19,14 @@ class MessageReader {
   struct Item {
     size_t length = 0;          // of the message, as its prefix announces
     absl::string_view message;  // valid until the next call of Next(); empty if `too_long`
+    bool compressed = false;    // as its prefix announces
     bool too_long = false;
   };
 
   // Takes bytes from the front of `data` until a message is complete, and returns it. Returns
   // nothing once `data` is empty. A message longer than `limit` is returned as soon as its prefix
-  // is complete, and its bytes are dropped. Returns INTERNAL if a message is compressed; no call
-  // may follow.
-  absl::StatusOr<std::optional<Item>> Next(absl::string_view* data, size_t limit);
+  // is complete, and its bytes are dropped.
+  std::optional<Item> Next(absl::string_view* data, size_t limit);
 
   // Returns the number of bytes that are stored.
   size_t buffered() const { return returned_ ? 0 : buffer_.size(); }

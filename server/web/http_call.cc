@@ -18,16 +18,23 @@ struct HttpCalls::Loop {
 
 class HttpCalls::HttpCall final : public Call {
  public:
-  HttpCall(HttpCalls* owner, Loop* loop, uint64_t number, CallHead head, std::string client,
+  HttpCall(HttpCalls* owner, Loop* loop, uint64_t number, const HttpCallStart& start,
            HttpCallDone done)
       : owner_(*owner),
         loop_(*loop),
         number_(number),
-        head_(std::move(head)),
-        client_(std::move(client)),
-        done_(std::move(done)) {}
+        head_(start.head),
+        client_(start.client),
+        done_(std::move(done)) {
+    head_.deadline = loop->events->now() + start.timeout;
+    if (start.timeout == absl::InfiniteDuration()) return;
+    deadline_timer_ = loop->events->After(start.timeout, [this] {
+      Finish(absl::DeadlineExceededError("the call's deadline has passed"));
+    });
+  }
 
   ~HttpCall() override {
+    loop_.events->Cancel(deadline_timer_);
     if (handler_ != nullptr) handler_->OnClosed();
     Count(-counted_);
     owner_.calls_.fetch_sub(1, std::memory_order_relaxed);
@@ -63,6 +70,7 @@ class HttpCalls::HttpCall final : public Call {
   }
   void Finish(const absl::Status& status) override {
     if (std::exchange(finished_, true)) return;
+    loop_.events->Cancel(deadline_timer_);
     done_(status.ok() ? absl::StatusOr<std::string>(std::move(response_)) : status);
     // The handler may be in the middle of a method.
     loop_.events->Post([loop = &loop_, number = number_] { loop->calls.erase(number); });
@@ -100,9 +108,10 @@ class HttpCalls::HttpCall final : public Call {
   HttpCalls& owner_;
   Loop& loop_;
   const uint64_t number_;
-  const CallHead head_;
+  CallHead head_;
   const std::string client_;
   const HttpCallDone done_;
+  EventLoop::Timer deadline_timer_;
   std::shared_ptr<CallHandler> handler_;
   std::shared_ptr<ByteBudget> tenant_;  // null: a stranger
   std::string response_;
@@ -124,8 +133,7 @@ HttpCalls::HttpCalls(Transport* transport, const TransportLimits& limits)
 
 HttpCalls::~HttpCalls() = default;
 
-void HttpCalls::Start(CallHead head, std::string client, absl::StatusOr<std::string> request,
-                      HttpCallDone done) {
+void HttpCalls::Start(HttpCallStart start, HttpCallDone done) {
   if (calls_.fetch_add(1, std::memory_order_relaxed) >= kMostCalls) {
     calls_.fetch_sub(1, std::memory_order_relaxed);
     return done(absl::UnavailableError(
@@ -133,14 +141,12 @@ void HttpCalls::Start(CallHead head, std::string client, absl::StatusOr<std::str
   }
   const uint64_t turn = next_.fetch_add(1, std::memory_order_relaxed);
   Loop& loop = *loops_[turn % loops_.size()];
-  loop.events->Post([this, &loop, head = std::move(head), client = std::move(client),
-                     request = std::move(request), done = std::move(done)]() mutable {
+  loop.events->Post([this, &loop, start = std::move(start), done = std::move(done)]() mutable {
     const uint64_t number = loop.next++;
-    auto call = std::make_unique<HttpCall>(this, &loop, number, std::move(head), std::move(client),
-                                           std::move(done));
+    auto call = std::make_unique<HttpCall>(this, &loop, number, start, std::move(done));
     HttpCall& started = *call;
     loop.calls.emplace(number, std::move(call));
-    started.Run(request);
+    started.Run(start.message);
   });
 }
 

@@ -16,12 +16,20 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
 #include "server/transport/call.h"
 #include "server/transport/limits.h"
 #include "server/transport/transport.h"
 
 namespace spikeserve {
+
+// A call to start.
+struct HttpCallStart {
+  CallHead head;       // without a deadline
+  std::string client;  // IP address
+  absl::Duration timeout = absl::InfiniteDuration();
+  absl::StatusOr<std::string> message;  // serialized; an error ends the call once it is admitted
+};
 
 // Takes the end of a call: its response as serialized bytes, or its error. Called once, on the
 // call's loop.
@@ -38,10 +46,7 @@ class HttpCalls {
   HttpCalls(const HttpCalls&) = delete;
   HttpCalls& operator=(const HttpCalls&) = delete;
 
-  // Calls the method at `head.path` with `request`, a serialized message. If `request` is an error,
-  // the call ends with it after it was admitted. `client` is an IP address.
-  void Start(CallHead head, std::string client, absl::StatusOr<std::string> request,
-             HttpCallDone done);
+  void Start(HttpCallStart start, HttpCallDone done);
 
  private:
   class HttpCall;

@@ -14,6 +14,7 @@
 #include "absl/types/span.h"
 #include "core/contract/dcheck.h"
 #include "server/base/address.h"
+#include "server/base/gzip.h"
 #include "server/inference/inference_json.h"
 
 namespace spikeserve {
@@ -53,10 +54,10 @@ absl::string_view ToView(const View& view) {
 struct HttpConnection::Parser : http::request_parser<http::empty_body> {};
 
 HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
-                               bool local_names_only, Owner* owner)
+                               const HttpServer::Options& options, Owner* owner)
     : socket_(std::move(socket)),
       slot_(std::move(slot)),
-      local_names_only_(local_names_only),
+      options_(options),
       owner_(owner),
       parser_(std::make_unique<Parser>()) {
   parser_->header_limit(kMaxHeaderBytes);
@@ -124,7 +125,9 @@ void HttpConnection::ParseHeaders() {
   const auto& headers = parser_->get();
   is_head_ = headers.method() == http::verb::head;
   request_.is_post = headers.method() == http::verb::post;
-  if (headers.method() != http::verb::get && !is_head_ && !request_.is_post) {
+  const bool is_preflight = headers.method() == http::verb::options &&
+                            headers.count(http::field::access_control_request_method) > 0;
+  if (headers.method() != http::verb::get && !is_head_ && !request_.is_post && !is_preflight) {
     return Answer({.code = 405, .body = "expected GET or HEAD\n"});
   }
   // A browser always sends the header; some programs that check health do not.
@@ -132,14 +135,20 @@ void HttpConnection::ParseHeaders() {
     return Answer({.code = 400, .body = "Host: expected one header, received several\n"});
   }
   const auto host = headers.find(http::field::host);
-  if (local_names_only_ && host != headers.end() && !NamesThisMachine(ToView(host->value()))) {
+  if (options_.local_names_only && host != headers.end() &&
+      !NamesThisMachine(ToView(host->value()))) {
     return Answer({.code = 403, .body = "Host: expected localhost or a loopback address\n"});
   }
+  const absl::string_view origin = ToView(headers[http::field::origin]);
+  origin_headers_ = options_.origins.HeadersFor(origin);
+  if (is_preflight) return Answer(options_.origins.Preflight(origin));
   if (auto status = DecodeTarget(ToView(headers.target()), &request_); !status.ok()) {
     return Answer({.code = 400, .body = std::string(status.message()) + "\n"});
   }
   request_.authorization = std::string(ToView(headers[http::field::authorization]));
   request_.trace = ParseTraceParent(ToView(headers["traceparent"]));
+  request_.content_type = std::string(ToView(headers[http::field::content_type]));
+  request_.grpc_timeout = std::string(ToView(headers["grpc-timeout"]));
   request_.json_length = std::string(ToView(headers["Inference-Header-Content-Length"]));
   request_.client = slot_->address();
   request_.is_post ? StartBody() : Submit();
@@ -147,25 +156,24 @@ void HttpConnection::ParseHeaders() {
 
 void HttpConnection::StartBody() {
   const auto& headers = parser_->get();
-  const auto refuse = [this](int code, absl::string_view message) {
-    Answer({.code = code, .content_type = "application/json", .body = HttpErrorBody(message)});
-  };
   // A browser sends the header with what a page of any site lets it send.
-  if (headers.count(http::field::origin) > 0) {
-    return refuse(403, "Origin: expected none, because pages send no POST");
+  if (headers.count(http::field::origin) > 0 && origin_headers_.empty()) {
+    return Refuse(403, "Origin: expected none, or one of --http_origins");
   }
   auto accepted = owner_->AcceptBody(request_);
   if (const auto* refusal = std::get_if<HttpResponse>(&accepted)) return Answer(*refusal);
   const auto length = parser_->content_length();
   if (!length.has_value()) {
-    return refuse(411, "Content-Length: expected the length of the body, received none");
+    return Refuse(411, "Content-Length: expected the length of the body, received none");
   }
-  if (headers.count(http::field::content_encoding) > 0) {
-    return refuse(415, "Content-Encoding: expected none");
+  const absl::string_view encoding = ToView(headers[http::field::content_encoding]);
+  is_gzip_ = encoding == "gzip";
+  if (!is_gzip_ && !encoding.empty()) {
+    return Refuse(415, "Content-Encoding: expected gzip or none");
   }
-  const size_t longest = std::get<size_t>(accepted);
-  if (*length > longest) {
-    return refuse(413, absl::StrCat("Content-Length: expected at most ", longest,
+  longest_body_ = std::get<size_t>(accepted);
+  if (*length > longest_body_) {
+    return Refuse(413, absl::StrCat("Content-Length: expected at most ", longest_body_,
                                     " (--max_message_bytes), received ", *length));
   }
   body_length_ = static_cast<size_t>(*length);
@@ -178,12 +186,24 @@ void HttpConnection::StartBody() {
   TakeBody();
 }
 
+void HttpConnection::Refuse(int code, absl::string_view message) {
+  Answer({.code = code, .content_type = "application/json", .body = HttpErrorBody(message)});
+}
+
 void HttpConnection::TakeBody() {
   CountBody(input_.size());
   if (state_ != State::kReadingBody || input_.size() < body_length_) return;
   input_.resize(body_length_);
   request_.body = std::exchange(input_, {});
   CountBody(0);
+  if (is_gzip_) {
+    auto body = Gunzip(request_.body, longest_body_);
+    if (!body.ok()) {
+      return Refuse(absl::IsResourceExhausted(body.status()) ? 413 : 400,
+                    absl::StrCat("body: ", body.status().message()));
+    }
+    request_.body = *std::move(body);
+  }
   Submit();
 }
 
@@ -204,7 +224,7 @@ void HttpConnection::Submit() {
 
 void HttpConnection::Answer(const HttpResponse& response) {
   if (state_ == State::kClosed) return;
-  output_ = ToBytes(response, !is_head_);
+  output_ = ToBytes(response, !is_head_, origin_headers_);
   if (!is_head_) feed_ = response.feed;
   input_ = std::string();
   Enter(State::kWriting, kWriteTimeout, EPOLLOUT);

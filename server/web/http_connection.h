@@ -18,6 +18,7 @@
 #include "server/transport/event_loop.h"
 #include "server/transport/socket.h"
 #include "server/web/http_message.h"
+#include "server/web/http_server.h"
 
 namespace spikeserve {
 
@@ -44,10 +45,10 @@ class HttpConnection final : public EventLoop::Source {
     ~Owner() = default;
   };
 
-  // `owner` must outlive the connection. `local_names_only`: answers 403 unless the header Host
-  // names this machine. REQUIRES: Close() is called before the destructor.
+  // `options`, those of the server, and `owner` must outlive the connection. REQUIRES: Close() is
+  // called before the destructor.
   HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
-                 bool local_names_only, Owner* owner);
+                 const HttpServer::Options& options, Owner* owner);
   ~HttpConnection() override;
 
   // Watches the socket. Returns RESOURCE_EXHAUSTED if the system has no memory for that.
@@ -76,6 +77,8 @@ class HttpConnection final : public EventLoop::Source {
   // Reads the body of a POST, if it is accepted.
   void StartBody();
   void TakeBody();
+  // Answers a POST that is not accepted.
+  void Refuse(int code, absl::string_view message);
   // Passes `request_` on to the owner.
   void Submit();
   void CountBody(size_t bytes);
@@ -93,14 +96,17 @@ class HttpConnection final : public EventLoop::Source {
 
   const std::unique_ptr<Socket> socket_;
   const std::unique_ptr<ConnectionSlot> slot_;
-  const bool local_names_only_;
+  const HttpServer::Options& options_;
   Owner* const owner_;
   std::unique_ptr<Parser> parser_;
   State state_ = State::kReading;
   EventLoop::Timer timer_;
   std::string input_;  // received and not yet parsed
   HttpRequest request_;
+  std::string origin_headers_;  // of the answer, for the page that sent the request
   size_t body_length_ = 0;
+  size_t longest_body_ = 0;         // once it is decompressed
+  bool is_gzip_ = false;            // the body
   size_t counted_body_ = 0;         // bytes
   std::shared_ptr<HttpFeed> feed_;  // null: nothing follows `output_`
   std::string output_;

@@ -60,8 +60,8 @@ void HttpLoop::Stop(absl::Duration timeout) {
 }
 
 void HttpLoop::Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) {
-  auto connection = std::make_unique<HttpConnection>(std::move(socket), std::move(slot),
-                                                     options_.local_names_only, this);
+  auto connection =
+      std::make_unique<HttpConnection>(std::move(socket), std::move(slot), options_, this);
   HttpConnection& started = *connection;
   connections_.emplace(started.number(), std::move(connection));
   if (!started.Start().ok()) started.Close();

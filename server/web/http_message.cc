@@ -79,13 +79,13 @@ absl::Status DecodeTarget(absl::string_view target, HttpRequest* request) {
   return absl::OkStatus();
 }
 
-std::string ToBytes(const HttpResponse& response, bool with_body) {
+std::string ToBytes(const HttpResponse& response, bool with_body, absl::string_view more_headers) {
   const auto reason = boost::beast::http::obsolete_reason(
       boost::beast::http::int_to_status(static_cast<unsigned>(response.code)));
   return absl::StrCat(
       "HTTP/1.1 ", response.code, " ", absl::string_view(reason.data(), reason.size()), "\r\n",
       kPageHeaders, response.code == 401 ? "WWW-Authenticate: Basic realm=\"spikeserve\"\r\n" : "",
-      response.headers, "Content-Type: ", response.content_type, "\r\n",
+      response.headers, more_headers, "Content-Type: ", response.content_type, "\r\n",
       // Without a length, the body ends with the connection.
       response.feed == nullptr ? absl::StrCat("Content-Length: ", response.body.size(), "\r\n")
                                : "",

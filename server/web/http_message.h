@@ -21,8 +21,10 @@ struct HttpRequest {
   std::string authorization;                           // the header; empty if absent
   TraceParent trace = {};                              // the header traceparent
   std::string client;                                  // IP address
+  std::string content_type;                            // the header; empty if absent
+  std::string grpc_timeout;                            // the header grpc-timeout
   std::string json_length;  // the header Inference-Header-Content-Length; empty if absent
-  std::string body;         // of a POST
+  std::string body;         // of a POST, decompressed
 };
 
 // The rest of a body that goes on for as long as the client listens, such as events.
@@ -52,8 +54,9 @@ int HttpCode(absl::StatusCode code);
 absl::Status DecodeTarget(absl::string_view target, HttpRequest* request);
 
 // Returns the bytes of an answer after which the server closes the connection. Its headers allow a
-// page to load only from this server, forbid framing, and disable caching.
-std::string ToBytes(const HttpResponse& response, bool with_body);
+// page to load only from this server, forbid framing, and disable caching. `more_headers`: further
+// ones, as those of the response.
+std::string ToBytes(const HttpResponse& response, bool with_body, absl::string_view more_headers);
 
 }  // namespace spikeserve
 

@@ -25,6 +25,7 @@
 #include "server/base/address.h"
 #include "server/base/byte_budget.h"
 #include "server/web/http_message.h"
+#include "server/web/origins.h"
 
 namespace spikeserve {
 
@@ -45,6 +46,7 @@ class HttpServer {
     Address listen;
     TlsContext* tls = nullptr;      // null: plain text; must outlive the server
     bool local_names_only = false;  // answers 403 unless the header Host names this machine
+    Origins origins = {};           // whose pages may send a POST, and read answers
     const Clock* clock = nullptr;   // monotonic; must outlive the server
     AcceptBody accept_body = {};    // empty: every POST is answered with 405
     // Counts the bodies that are being read, at most `max_body_bytes`. Must outlive the server.

@@ -198,7 +198,7 @@ void InferencePages::Answer(const HttpRequest& request, const HttpServer::Done& 
                    .trace = request.trace};
   if (!infers) {
     return calls_.Start(
-        std::move(head), request.client, MessageOf(*route),
+        {.head = std::move(head), .client = request.client, .message = MessageOf(*route)},
         [route = *route, done](const absl::StatusOr<std::string>& response) {
           done(response.ok() ? ResponseOf(route, *response) : ErrorResponse(response.status()));
         });
@@ -209,7 +209,7 @@ void InferencePages::Answer(const HttpRequest& request, const HttpServer::Done& 
       infer.ok() ? absl::StatusOr<std::string>(infer->message.SerializeAsString()) : infer.status();
   auto outputs = infer.ok() ? std::move(infer->outputs) : BinaryOutputs{};
   calls_.Start(
-      std::move(head), request.client, std::move(message),
+      {.head = std::move(head), .client = request.client, .message = std::move(message)},
       [outputs = std::move(outputs), done](const absl::StatusOr<std::string>& response) {
         done(response.ok() ? InferResponse(*response, outputs) : ErrorResponse(response.status()));
       });

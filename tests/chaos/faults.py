@@ -59,9 +59,9 @@ def evict(redis, policy="volatile-random"):
 
     def is_evicted():
         nonlocal limit
-        limit -= EVICTED_BYTES  # some of the memory in use does not count
-        redis.command(f"CONFIG SET maxmemory {max(limit, 1)}")
-        return number("stats", "evicted_keys") > before
+        limit = max(limit - EVICTED_BYTES, 1)  # some of the memory in use does not count
+        redis.command(f"CONFIG SET maxmemory {limit}")
+        return limit == 1 or number("stats", "evicted_keys") > before  # at 1, there is nothing to remove
 
     before = number("stats", "evicted_keys")
     limit = number("memory", "used_memory")

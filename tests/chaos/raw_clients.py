@@ -16,7 +16,7 @@ from spikeserve.status_details import details_of
 from spikeserve.wire import SERVICE, message_class
 
 KEPT = 300  # requests
-MOST_UNKNOWN = 50  # tries at replicas that do not know a session, chosen at random
+MOST_UNKNOWN = 50  # tries in a row at replicas that do not know a session, chosen at random
 SHORTEST_PAUSE, LONGEST_PAUSE = 0.01, 0.2  # seconds between tries
 RECONNECT = [("grpc.initial_reconnect_backoff_ms", 50), ("grpc.max_reconnect_backoff_ms", 200)]
 TRANSIENT = (
@@ -138,7 +138,7 @@ class RawSession:
                 answer, address = await self._try(sent)
             except grpc.aio.AioRpcError as error:
                 expected = details_of(error).expected_decision
-                unknown += error.code() == grpc.StatusCode.NOT_FOUND
+                unknown = unknown + 1 if error.code() == grpc.StatusCode.NOT_FOUND else 0
                 is_transient = error.code() in TRANSIENT or (
                     error.code() == grpc.StatusCode.NOT_FOUND and unknown < MOST_UNKNOWN
                 )
@@ -172,7 +172,8 @@ class RawSession:
                 self._compare_later([*answered[1:], *pending], sent)
                 return answered[0].result()
         errors = [task.exception() for task in tasks]
-        raise next((error for error in errors if details_of(error).expected_decision is not None), errors[0])
+        known = [error for error in errors if error.code() != grpc.StatusCode.NOT_FOUND]
+        raise next((error for error in known if details_of(error).expected_decision is not None), [*known, *errors][0])
 
     async def _call(self, replica, sent):
         answer = await self._stubs.calls[replica][sent.name](sent.message, timeout=self._stubs.timeout)

@@ -11,7 +11,6 @@ from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.wait import WebDriverWait
-
 from serving import DEADLINE_SECONDS
 
 SCREENSHOTS = os.environ.get("SPIKESERVE_SCREENSHOTS")
@@ -26,6 +25,12 @@ class Browser:
 
     def __init__(self, driver):
         self.driver = driver
+
+    def open(self, address):
+        """Opens a page anew, and forgets the problems of the page before."""
+        self.driver.get("about:blank")
+        self.problems()
+        self.driver.get(address)
 
     def wait_for(self, script, what):
         """Waits until the result of a script is true, and returns it."""

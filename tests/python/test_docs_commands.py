@@ -49,6 +49,11 @@ def test_secure_it(shell, tmp_path):
     assert set(ignored) == made
 
 
+def test_web_pages(shell):
+    (answer,) = shell.run("grpc-web.md")
+    assert answer == "grpc-status: 0\r\n"
+
+
 def check_recording(shell, directory):
     recordings = directory / "recordings"
     # The server writes an episode after it has answered, so replay waits for the third file.

@@ -6,8 +6,7 @@ import threading
 
 import grpc
 import pytest
-
-from browser import DESKTOP, PHONE, chromium
+from browser import DESKTOP, PHONE
 from security import POLICY
 from serving import SHIPPED_POLICIES, Service, running_server
 
@@ -69,20 +68,12 @@ def fleet(tmp_path_factory):
         yield addresses.http, robots
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as started:
-        yield started
-
-
 @pytest.fixture
 def page(browser, fleet):
     """Opens the page and waits until the alert on unusual observations names a robot."""
     address, _ = fleet
     browser.resize(DESKTOP)
-    browser.driver.get("about:blank")
-    browser.problems()
-    browser.driver.get(f"http://{address}/")
+    browser.open(f"http://{address}/")
     browser.wait_for("document.querySelector('#alerts .robots a')", "the robot in the alert")
     yield browser
     assert browser.problems() == []

@@ -13,20 +13,6 @@ def names_of(row):
     return re.findall(r"`(\w+)`", row.rsplit("|", 2)[1])
 
 
-@pytest.fixture(scope="module")
-def defined():
-    """Returns the names of all tests, their suites and files, and of all attacks."""
-    names = set()
-    for path in (ROOT / "tests").rglob("*"):
-        if path.suffix == ".py":
-            names.update(re.findall(r"^def (\w+)\(", path.read_text(), re.MULTILINE))
-        elif path.suffix == ".cc":
-            names.add(path.stem)
-            for suite, name in re.findall(r"^TEST(?:_F|_P)?\((\w+),\s*(\w+)\)", path.read_text(), re.MULTILINE):
-                names.update((suite, name))
-    return names
-
-
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.split("|")[1].strip())
 def test_a_limit_has_a_test(row, defined):
     assert names_of(row)

@@ -9,8 +9,7 @@ import shutil
 
 import grpc
 import pytest
-
-from browser import SCREENSHOTS, chromium
+from browser import SCREENSHOTS
 from robots import Robot
 from security import POLICY
 from serving import SHIPPED_POLICIES, Service, running_server
@@ -74,12 +73,6 @@ def server(tmp_path_factory):
         shutil.copytree(SHIPPED_POLICIES / name / "1", policies / name / "1")
     with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
         yield addresses.http, Service(channel, POLICY)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as started:
-        yield started
 
 
 def open_page(browser, server, policy, **options):

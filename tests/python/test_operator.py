@@ -10,8 +10,7 @@ import shutil
 
 import grpc
 import pytest
-
-from browser import DESKTOP, PHONE, SCREENSHOTS, chromium
+from browser import DESKTOP, PHONE, SCREENSHOTS
 from robots import Fleet
 from security import ADMIN
 from serving import SHIPPED_POLICIES, Service, running_server
@@ -51,21 +50,13 @@ def fleet(tmp_path_factory):
             yield addresses.http, robots
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as started:
-        yield started
-
-
 @pytest.fixture
 def page(browser, fleet):
     """Opens the page at its first screen, as a new visitor, and waits until it shows traffic."""
     address, _ = fleet
     browser.resize(DESKTOP)
     browser.prefer("light")
-    browser.driver.get("about:blank")
-    browser.problems()  # drops those that an earlier test expects
-    browser.driver.get(f"http://{address}/")
+    browser.open(f"http://{address}/")
     browser.wait_for("document.querySelectorAll('#policies-table tbody tr').length > 1", "policies")
     browser.wait_for("document.querySelector('#most-energy strong')", "energy")
     yield browser

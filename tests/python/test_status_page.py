@@ -5,10 +5,8 @@ import threading
 
 import grpc
 import pytest
-from selenium.webdriver.common.keys import Keys
-
-from browser import chromium
 from security import ADMIN
+from selenium.webdriver.common.keys import Keys
 from serving import SHIPPED_POLICIES, Service, running_server
 
 SESSIONS = 1000
@@ -63,20 +61,12 @@ def server(tmp_path_factory):
         yield addresses, traffic
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as started:
-        yield started
-
-
 @pytest.fixture
 def page(browser, server):
     """Opens the page and waits until it shows numbers."""
     addresses, _ = server
     browser.prefer("light")
-    browser.driver.get("about:blank")
-    browser.problems()  # drops those that an earlier test expects
-    browser.driver.get(f"http://{addresses.http}/")
+    browser.open(f"http://{addresses.http}/")
     browser.wait_for("document.querySelector('#most-energy strong')", "power")
     browser.wait_for("document.querySelectorAll('#sessions-table tbody tr').length === 50", "sessions")
     yield browser

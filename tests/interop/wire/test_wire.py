@@ -100,11 +100,10 @@ def test_a_call_without_te_is_served(client):
     assert answer.grpc_status == OK
 
 
-@pytest.mark.parametrize("encoding", ["gzip", "snappy"])
-def test_an_unknown_encoding_is_unimplemented_and_names_the_known_ones(client, encoding):
-    answer = client.call(LIST, EMPTY, grpc_encoding=encoding)
+def test_an_unknown_encoding_is_unimplemented_and_names_the_known_ones(client):
+    answer = client.call(LIST, EMPTY, grpc_encoding="snappy")
     assert answer.grpc_status == UNIMPLEMENTED
-    assert "identity" in {**answer.headers, **answer.trailers}["grpc-accept-encoding"]
+    assert {**answer.headers, **answer.trailers}["grpc-accept-encoding"] == "identity,gzip"
     assert serves(client)
 
 

@@ -15,9 +15,8 @@ from spikeserve.channels import Channels, ClientOptions
 from spikeserve.errors import (
     FailedPreconditionError,
     SpikeserveError,
-    expected_decision,
-    is_retryable,
     is_retryable_code,
+    is_said_again,
 )
 from spikeserve.lines import (
     RACE_SECONDS,
@@ -168,7 +167,7 @@ class AsyncConnection(Channels):
             try:
                 await self._run_with(part, attempts)
             except SpikeserveError as error:
-                if not is_retryable(error) and expected_decision(error) is None:
+                if not is_said_again(error):
                     raise
 
     async def _response(self, call: Call[Any], request: Message, attempts: Attempts) -> Message:

@@ -154,7 +154,11 @@ def _failed_items_of(
                 response.results[row].CopyFrom(item)
 
         request = METHODS["ActBatch"].request(requests=[requests[row] for row in failed])
-        longest = max(failed.values(), key=lambda error: error.retry_after or 0.0)
+        lost = [error for error in failed.values() if isinstance(error, SessionLostError)]
+        others = [error for error in failed.values() if not isinstance(error, SessionLostError)]
+        longest = max(others or lost, key=lambda error: error.retry_after or 0.0)
+        if not others:
+            lost[0].session_ids = [error.session_ids[0] for error in lost]
         return FailedItems(request, longest, merge, missing)
 
     return find

@@ -16,9 +16,8 @@ from spikeserve.channels import Channels, ClientOptions
 from spikeserve.errors import (
     FailedPreconditionError,
     SpikeserveError,
-    expected_decision,
-    is_retryable,
     is_retryable_code,
+    is_said_again,
 )
 from spikeserve.lines import RACE_SECONDS, SERVING, LineWatch, has_answered
 from spikeserve.replicas import PROBE_SECONDS, Replica
@@ -122,7 +121,7 @@ class Connection(Channels):
                 self._run_with(part, attempts)
             except SpikeserveError as error:
                 # The call that follows shows what is still missing.
-                if not is_retryable(error) and expected_decision(error) is None:
+                if not is_said_again(error):
                     raise
 
     def _response(self, call: Call[Any], request: Message, attempts: Attempts) -> Message:

@@ -192,6 +192,15 @@ def is_retryable_code(code: grpc.StatusCode) -> bool:
     return code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED)
 
 
+def is_said_again(error: SpikeserveError) -> bool:
+    """Returns whether the call that follows one of missing decisions shows what is still missing.
+
+    A server that does not know the session is one of several, and that call asks the others, too.
+    """
+    is_elsewhere = isinstance(error, NotFoundError)
+    return is_elsewhere or is_retryable(error) or expected_decision(error) is not None
+
+
 def was_refused(error: SpikeserveError) -> bool:
     """Returns whether the server refused the call for now and said when to repeat it."""
     return isinstance(error, ResourceExhaustedError) and error.retry_after is not None

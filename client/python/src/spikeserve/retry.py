@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import random
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,7 +119,8 @@ class Attempts:
         self._rounds = 0  # of missing decisions
         self._replicas = replicas
         self._tried: set[Replica] = set()
-        self._without: set[Replica] = set()  # those that do not know the session
+        self._without: set[Replica] = set()  # those that have denied `_denied` in a row
+        self._denied: Sequence[str] = ()
         self.replica = replicas.choose(call.route)
 
     def timeout(self) -> float:
@@ -163,11 +164,10 @@ class Attempts:
         if not self._replicas.may_move(self._call.route) or not (is_missing or is_retryable(error)):
             return self._patience.pause_after(error)
         if is_missing:
-            # Another replica may hold a session that the store has lost.
-            self._without.add(self.replica)
-            if len(self._without) == len(self._replicas):
+            if self._is_lost(error):
                 return None
         else:
+            self._without.clear()
             is_silent = isinstance(error, DeadlineExceededError)
             self._replicas.failed(self.replica, seconds if is_silent else None)
         self._tried.add(self.replica)
@@ -175,6 +175,19 @@ class Attempts:
             self._tried = set(self._without)
         self.replica = self._replicas.choose(self._call.route, self._tried)
         return self._patience.next_pause(error.retry_after if all_tried else None)
+
+    def _is_lost(self, error: SpikeserveError) -> bool:
+        """Notes that `replica` does not know the session, or those of a batch that have failed.
+
+        Another one may hold what the store has lost, and a session may move from one that has not
+        been asked yet to one that did not know it. So it is lost when all say so in a row.
+        """
+        sessions = error.session_ids if isinstance(error, SessionLostError) else ()
+        if sessions != self._denied:
+            self._without.clear()
+            self._denied = sessions
+        self._without.add(self.replica)
+        return len(self._without) == len(self._replicas)
 
     def pause_before_part(self, failed: FailedItems) -> float | None:
         """Returns the seconds to wait before failed items are sent again, or None."""
@@ -186,5 +199,6 @@ class Attempts:
         A server that has just claimed a session misses decisions once, so the first time has no
         pause.
         """
+        self._without.clear()  # it knows the session
         self._rounds += 1
         return 0.0 if self._rounds == 1 else self._patience.next_pause()

@@ -1,0 +1,135 @@
+#include "server/web/grpc_web_pages.h"
+
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/algorithm/container.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+#include "core/base/json.h"
+#include "server/access/admission.h"
+#include "server/base/method.h"
+#include "server/transport/grpc_wire.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kTrailerFlag = static_cast<char>(0x80);
+
+// The two forms of the protocol.
+struct Form {
+  bool is_text = false;  // everything in base64
+};
+
+// Returns nothing if `content_type` is not that of gRPC-Web with protobuf messages.
+std::optional<Form> FormOf(absl::string_view content_type) {
+  if (!absl::ConsumePrefix(&content_type, "application/grpc-web")) return std::nullopt;
+  const bool is_text = absl::ConsumePrefix(&content_type, "-text");
+  absl::ConsumePrefix(&content_type, "+proto");
+  if (!content_type.empty() && content_type[0] != ';') return std::nullopt;
+  return Form{is_text};
+}
+
+// Appends a frame of `bytes` to `out`.
+void AppendFrame(char flag, absl::string_view bytes, std::string* out) {
+  out->push_back(flag);
+  for (int shift = 24; shift >= 0; shift -= 8) {
+    out->push_back(static_cast<char>(bytes.size() >> shift));
+  }
+  absl::StrAppend(out, bytes);
+}
+
+// Returns the answer to a call: its status is a last frame of the body, because a page cannot read
+// trailers.
+HttpResponse ResponseOf(Form form, const absl::StatusOr<std::string>& message) {
+  std::string body;
+  if (message.ok()) AppendFrame(0, *message, &body);
+  const StatusHeaders status = StatusHeadersOf(message.status());
+  std::string trailers = absl::StrCat("grpc-status: ", status.code, "\r\n");
+  if (!status.message.empty()) absl::StrAppend(&trailers, "grpc-message: ", status.message, "\r\n");
+  if (!status.details.empty()) {
+    absl::StrAppend(&trailers, "grpc-status-details-bin: ", status.details, "\r\n");
+  }
+  AppendFrame(kTrailerFlag, trailers, &body);
+  return {.content_type =
+              form.is_text ? "application/grpc-web-text+proto" : "application/grpc-web+proto",
+          .body = form.is_text ? absl::Base64Escape(body) : std::move(body)};
+}
+
+// Returns null if `path` is not that of a unary method.
+const Method* UnaryMethodAt(absl::string_view path) {
+  const auto methods = AllMethods();
+  const auto found =
+      absl::c_find_if(methods, [&](const Method& method) { return method.path == path; });
+  return found == methods.end() || found->streams ? nullptr : &*found;
+}
+
+// Returns the message of a request's body, which is one frame.
+absl::StatusOr<std::string> MessageOf(Form form, const std::string& body) {
+  std::string frame;
+  if (form.is_text && !absl::Base64Unescape(body, &frame)) {
+    return absl::InvalidArgumentError("body: expected base64");
+  }
+  const std::string& bytes = form.is_text ? frame : body;
+  if (bytes.size() < kMessagePrefixBytes) {
+    return absl::InvalidArgumentError(absl::StrCat("body: expected one message with a prefix of ",
+                                                   kMessagePrefixBytes, " bytes, received ",
+                                                   bytes.size(), " bytes"));
+  }
+  const MessagePrefix prefix = ParseMessagePrefix(bytes);
+  if (prefix.compressed) {
+    return absl::UnimplementedError("body: expected a message that is not compressed");
+  }
+  if (bytes.size() != kMessagePrefixBytes + prefix.length) {
+    return absl::InvalidArgumentError(absl::StrCat("body: expected one message of ", prefix.length,
+                                                   " bytes, received ",
+                                                   bytes.size() - kMessagePrefixBytes));
+  }
+  return bytes.substr(kMessagePrefixBytes);
+}
+
+}  // namespace
+
+bool GrpcWebPages::Has(const HttpRequest& request) {
+  return request.is_post && FormOf(request.content_type).has_value();
+}
+
+std::variant<size_t, HttpResponse> GrpcWebPages::AcceptBody(const HttpRequest& request) const {
+  const Form form = *FormOf(request.content_type);
+  const Method* method = UnaryMethodAt(request.path);
+  if (method == nullptr) {
+    return ResponseOf(form, absl::UnimplementedError(absl::StrCat(
+                                "path: expected a unary method, because gRPC-Web carries no "
+                                "streams of requests, received ",
+                                Quoted(request.path))));
+  }
+  const auto caller = Admit(authenticator_, request.authorization, *method);
+  if (!caller.ok()) return ResponseOf(form, caller.status());
+  const size_t longest = max_message_bytes_ + kMessagePrefixBytes;
+  return form.is_text ? (longest + 2) / 3 * 4 : longest;
+}
+
+void GrpcWebPages::Answer(const HttpRequest& request, const HttpServer::Done& done) const {
+  const Form form = *FormOf(request.content_type);
+  absl::Duration timeout = absl::InfiniteDuration();
+  if (!request.grpc_timeout.empty()) {
+    const auto parsed = ParseTimeout(request.grpc_timeout);
+    if (!parsed.ok()) return done(ResponseOf(form, parsed.status()));
+    timeout = *parsed;
+  }
+  calls_.Start({.head = {.path = request.path,
+                         .authorization = request.authorization,
+                         .trace = request.trace},
+                .client = request.client,
+                .timeout = timeout,
+                .message = MessageOf(form, request.body)},
+               [form, done](const absl::StatusOr<std::string>& response) {
+                 done(ResponseOf(form, response));
+               });
+}
+
+}  // namespace spikeserve

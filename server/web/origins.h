@@ -1,0 +1,38 @@
+// The web pages of other sites that may call the server: Cross-Origin Resource Sharing.
+#ifndef SERVER_WEB_ORIGINS_H_
+#define SERVER_WEB_ORIGINS_H_
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "server/web/http_message.h"
+
+namespace spikeserve {
+
+// Immutable. Source: the Fetch standard, "CORS protocol".
+class Origins {
+ public:
+  // Parses origins separated by commas, such as "https://robots.example,http://localhost:8080".
+  // Empty: no page may call. Returns INVALID_ARGUMENT if one is no origin of HTTP or HTTPS; "*" is
+  // none, because with it any page that somebody opens could move a robot.
+  static absl::StatusOr<Origins> Parse(absl::string_view flag, absl::string_view text);
+
+  bool Allow(absl::string_view origin) const;
+
+  // Returns the headers, each with "\r\n", that let a page of `origin` read an answer; none if it
+  // may not.
+  std::string HeadersFor(absl::string_view origin) const;
+
+  // Returns the answer to a browser that asks whether pages of `origin` may call, without
+  // HeadersFor().
+  HttpResponse Preflight(absl::string_view origin) const;
+
+ private:
+  std::vector<std::string> allowed_;
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_WEB_ORIGINS_H_

@@ -1,0 +1,138 @@
+"""Replicas that do not know a session for a moment, because the store has lost it: who of them has it, the client finds."""
+
+import concurrent.futures
+import contextlib
+
+import grpc
+import pytest
+import spikeserve
+from spikeserve.status_details import METADATA_KEY, STATUS
+from spikeserve.wire import METHODS, SERVICE
+
+OPTIONS = spikeserve.ClientOptions(retry=spikeserve.RetryOptions(initial_backoff=0.001, max_backoff=0.01))
+UNKNOWN = (grpc.StatusCode.NOT_FOUND, None)
+AWAY = (grpc.StatusCode.UNAVAILABLE, None)
+ANSWER = (grpc.StatusCode.OK, None)
+
+
+def expects(decision):
+    return (grpc.StatusCode.FAILED_PRECONDITION, decision)
+
+
+def out_of_order(decision):
+    """Returns a google.rpc.Status that names the expected decision, as server/base/expected_decision.cc does."""
+    pair = b"\x0a\x11expected_decision\x12" + bytes([len(str(decision))]) + str(decision).encode()
+    status = STATUS(code=grpc.StatusCode.FAILED_PRECONDITION.value[0])
+    status.details.add(type_url="type.googleapis.com/google.rpc.ErrorInfo", value=b"\x1a" + bytes([len(pair)]) + pair)
+    return status.SerializeToString()
+
+
+class Replicas:
+    """Two servers that answer from `script`: the outcomes of the calls that follow, one for each request of a call.
+
+    `asked` is the number of the server of each call.
+    """
+
+    def __init__(self):
+        self.script = []
+        self.asked = []
+
+    def _outcome(self):
+        return self.script.pop(0) if self.script else ANSWER
+
+    def _handle(self, server, method, request, context):
+        response = method.response()
+        if method.name == "OpenSession":
+            response.session_id, response.durability = request.session_id, request.durability
+            response.action_space.discrete.n = 2
+        elif method.name == "Act":
+            self.asked.append(server)
+            code, expected = self._outcome()
+            if expected is not None:
+                context.set_trailing_metadata([(METADATA_KEY, out_of_order(expected))])
+            if code is not grpc.StatusCode.OK:
+                context.abort(code, f"Act: {code.name}")
+            self._answer(request, response)
+        elif method.name == "ActBatch":
+            self.asked.append(server)
+            for act in request.requests:
+                code, _ = self._outcome()
+                result = response.results.add(code=code.value[0])
+                self._answer(act, result.response)
+        return response
+
+    @staticmethod
+    def _answer(request, response):
+        response.session_id, response.step = request.session_id, request.step
+        response.action.discrete = 1
+
+    @contextlib.contextmanager
+    def serving(self):
+        """Yields the addresses."""
+        with concurrent.futures.ThreadPoolExecutor() as threads:
+            servers, addresses = [], []
+            for number in range(2):
+                server = grpc.server(threads)
+                handlers = {
+                    name: grpc.unary_unary_rpc_method_handler(
+                        lambda request, context, number=number, method=method: self._handle(
+                            number, method, request, context
+                        ),
+                        method.request.FromString,
+                        method.response.SerializeToString,
+                    )
+                    for name, method in METHODS.items()
+                }
+                server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, handlers)])
+                addresses.append(f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}")
+                server.start()
+                servers.append(server)
+            yield ",".join(addresses)
+            for server in servers:
+                server.stop(None).wait()
+
+
+@pytest.fixture
+def replicas():
+    return Replicas()
+
+
+@pytest.fixture
+def client(replicas):
+    with replicas.serving() as addresses, spikeserve.Client(addresses, OPTIONS) as client:
+        yield client
+
+
+def opened(client):
+    return client.open_session("p", spikeserve.SessionOptions(durability="ASYNC"))
+
+
+def test_a_replica_that_forgets_before_missing_decisions_arrive_is_not_the_last_word(replicas, client):
+    session = opened(client)
+    session.act([0.0])
+    # The request itself, the missing decision, and the request again: at the other one in the end.
+    replicas.script = [expects(0), UNKNOWN, UNKNOWN, ANSWER]
+    assert session.act([0.0], 1.0).action == 1
+    assert replicas.asked[-1] != replicas.asked[-2]
+
+
+def test_a_session_is_lost_only_if_all_replicas_in_a_row_do_not_know_it(replicas, client):
+    """It moves to the first one while the second one is asked."""
+    session = opened(client)
+    replicas.script = [UNKNOWN, AWAY, AWAY, UNKNOWN, ANSWER]
+    assert session.act([0.0]).action == 1
+    replicas.script = [AWAY, UNKNOWN, UNKNOWN]
+    with pytest.raises(spikeserve.SessionLostError):
+        session.act([0.0], 1.0)
+    assert replicas.script == []
+
+
+def test_each_session_of_a_batch_is_looked_for_at_all_replicas(replicas, client):
+    """One is at the second replica, and the other one, which that does not know, at the first."""
+    sessions = [opened(client), opened(client)]
+    replicas.script = [UNKNOWN, AWAY, ANSWER, UNKNOWN, ANSWER]
+    decisions = client.act_batch(sessions, [[0.0], [0.0]], [0.0, 0.0])
+    assert [decision.action for decision in decisions] == [1, 1]
+    replicas.script = [ANSWER, UNKNOWN, UNKNOWN]
+    first, second = client.act_batch(sessions, [[0.0], [0.0]], [1.0, 1.0])
+    assert first.action == 1 and isinstance(second, spikeserve.SessionLostError)
