@@ -54,6 +54,14 @@ function(spikeserve_program name)
   spikeserve_note_layer(${name} "${ARG_SOURCES}" "" "${ARG_DEPENDS}")
 endfunction()
 
+set(SPIKESERVE_TEST_TIME 1 CACHE STRING "How many times as long as usual a test may take, for emulated processors")
+
+# spikeserve_limit_time(SECONDS TEST...): sets the time after which ctest ends tests of the current folder.
+function(spikeserve_limit_time seconds)
+  math(EXPR limit "${seconds} * ${SPIKESERVE_TEST_TIME}")
+  set_tests_properties(${ARGN} PROPERTIES TIMEOUT ${limit})
+endfunction()
+
 # spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...]): adds a GoogleTest
 # program and one ctest test for each TEST in it. ctest lists the TESTs when it starts.
 function(spikeserve_test name)
@@ -65,10 +73,12 @@ function(spikeserve_test name)
   if(ARG_LABEL STREQUAL "slow")
     set(timeout 7200)
   endif()
+  math(EXPR timeout "${timeout} * ${SPIKESERVE_TEST_TIME}")
+  math(EXPR discovery "60 * ${SPIKESERVE_TEST_TIME}")
   # One thread: those of two programs that compute at once wait for each other in spin loops, many times as long as the work.
   # NO_PRETTY_VALUES: names end with the name of the parameter. Its value prints as bytes, with addresses that vary.
   gtest_discover_tests(${name} NO_PRETTY_VALUES
-    DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60 PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout} ENVIRONMENT OMP_NUM_THREADS=1)
+    DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT ${discovery} PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout} ENVIRONMENT OMP_NUM_THREADS=1)
 endfunction()
 
 # Links each library into a program with only the dependencies that its CMakeLists.txt names, so that a missing one

@@ -14,7 +14,9 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
 
 DEPLOY = pathlib.Path(__file__).parents[2] / "deploy"
 SHIPPED_POLICIES = DEPLOY / "policies"
-DEADLINE_SECONDS = 30
+# How many times as long as usual a test may take, for emulated processors.
+TEST_TIME = int(os.environ.get("TEST_TIME", "1"))
+DEADLINE_SECONDS = 30 * TEST_TIME
 
 
 class Addresses(typing.NamedTuple):
