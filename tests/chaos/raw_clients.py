@@ -138,10 +138,12 @@ class RawSession:
                 answer, address = await self._try(sent)
             except grpc.aio.AioRpcError as error:
                 expected = details_of(error).expected_decision
-                unknown = unknown + 1 if error.code() == grpc.StatusCode.NOT_FOUND else 0
-                is_transient = error.code() in TRANSIENT or (
-                    error.code() == grpc.StatusCode.NOT_FOUND and unknown < MOST_UNKNOWN
-                )
+                # It does not know the session, or writes a copy that is too old: another one has a newer one.
+                is_unknown = error.code() == grpc.StatusCode.NOT_FOUND
+                is_outdated = expected is not None and expected < self._kept[0].decision
+                unknown = unknown + 1 if is_unknown or is_outdated else 0
+                is_transient = error.code() in TRANSIENT or ((is_unknown or is_outdated) and unknown < MOST_UNKNOWN)
+                expected = None if is_outdated else expected
                 if time.monotonic() > give_up or (not is_transient and expected is None):
                     raise
                 at = last if expected is None else self._first_from(expected, at)

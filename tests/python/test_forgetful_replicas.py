@@ -127,6 +127,17 @@ def test_a_session_is_lost_only_if_all_replicas_in_a_row_do_not_know_it(replicas
     assert replicas.script == []
 
 
+def test_a_copy_that_is_too_old_to_be_brought_up_to_date_is_not_the_last_word(replicas, client):
+    session = opened(client)
+    for _ in range(300):  # more than a client keeps
+        session.act([0.0], 1.0)
+    replicas.script = [expects(5), ANSWER]
+    assert session.act([0.0], 1.0).action == 1
+    replicas.script = [expects(5), expects(5)]
+    with pytest.raises(spikeserve.FailedPreconditionError):
+        session.act([0.0], 1.0)
+
+
 def test_each_session_of_a_batch_is_looked_for_at_all_replicas(replicas, client):
     """One is at the second replica, and the other one, which that does not know, at the first."""
     sessions = [opened(client), opened(client)]

@@ -15,6 +15,7 @@ from spikeserve.errors import (
     SpikeserveError,
     for_session,
     is_retryable,
+    lost_session,
     make_error,
     was_refused,
 )
@@ -142,6 +143,8 @@ def _failed_items_of(
             error = for_session(error_of_result(item), requests[row].session_id)
             calls = cursors[row].missing(error)
             # Another server may have a lost session.
+            if cursors[row].is_outdated(error):
+                error = lost_session(error, requests[row].session_id)
             is_lost = isinstance(error, SessionLostError)
             if calls or is_lost or is_retryable(error) or was_refused(error):
                 failed[row] = error

@@ -42,6 +42,9 @@ class Call(Generic[T]):
     # the store did not have all decisions of the session when it was claimed. Empty: there are
     # none. None: the call does not depend on earlier ones.
     missing: Callable[[SpikeserveError], list[Call[None]]] | None = None
+    # Returns whether the server has an older copy of the session than those calls can bring up to
+    # date, so that another one is asked. None: the call does not depend on earlier ones.
+    is_outdated: Callable[[SpikeserveError], bool] | None = None
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,7 @@ class SessionCursor:
             session_id=self.session_id,
             route=self.route,
             missing=self.missing,
+            is_outdated=self.is_outdated,
         )
 
     def end_episode(
@@ -118,6 +119,7 @@ class SessionCursor:
             session_id=self.session_id,
             route=self.route,
             missing=self.missing,
+            is_outdated=self.is_outdated,
         )
 
     def state(self, include_head_delta: bool = False) -> Call[SessionState]:
@@ -185,6 +187,17 @@ class SessionCursor:
             return []
         return self._unacknowledged.calls_from(expected, self.route)
 
+    def is_outdated(self, error: SpikeserveError) -> bool:
+        """Returns whether the server expects a decision that is no longer kept: Call.is_outdated.
+
+        It writes what it had once, after the store has lost the session. Another server may have a
+        newer copy, which replaces that.
+        """
+        expected = expected_decision(error)
+        if expected is None or not self._unacknowledged:
+            return False
+        return self._unacknowledged.oldest > expected
+
     def _missing_or_last(self, error: SpikeserveError) -> list[Call[None]]:
         if expected_decision(error) is None or self._unacknowledged is None:
             return []
@@ -213,6 +226,7 @@ class SessionCursor:
             session_id=self.session_id,
             route=self.route,
             missing=self._missing_or_last,
+            is_outdated=self.is_outdated,
         )
 
     def _keep(self, method: str, decision: int | None, request: Message, answer: Message) -> None:

@@ -175,8 +175,11 @@ def for_session(error: SpikeserveError, session_id: str) -> SpikeserveError:
 
     A session is all that such a call can fail to find.
     """
-    if not isinstance(error, NotFoundError):
-        return error
+    return lost_session(error, session_id) if isinstance(error, NotFoundError) else error
+
+
+def lost_session(error: SpikeserveError, session_id: str) -> SessionLostError:
+    """Returns the SessionLostError for `error`."""
     lost = SessionLostError(error.call, error.code, error.message, error.retry_after)
     lost.session_ids = (session_id,)
     return lost

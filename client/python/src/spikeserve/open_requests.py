@@ -124,7 +124,9 @@ class OpenRequests(Generic[AnySession]):
                 self._open[session.session_id] = request
                 is_elsewhere = is_retryable(error) and request.failures > 1
                 return error if is_elsewhere and self._opener.has_others else None
-        if isinstance(error, SessionLostError) or session.cursor.missing(error):
+        cursor = session.cursor
+        is_elsewhere = isinstance(error, SessionLostError) or cursor.is_outdated(error)
+        if is_elsewhere or cursor.missing(error):
             return request
         return session, error
 

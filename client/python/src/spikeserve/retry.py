@@ -161,6 +161,8 @@ class Attempts:
         """
         is_missing = isinstance(error, NotFoundError) and self._call.session_id != ""
         is_missing = is_missing or isinstance(error, SessionLostError)
+        is_outdated = self._call.is_outdated
+        is_missing = is_missing or (is_outdated is not None and is_outdated(error))
         if not self._replicas.may_move(self._call.route) or not (is_missing or is_retryable(error)):
             return self._patience.pause_after(error)
         if is_missing:

@@ -59,6 +59,11 @@ class Unacknowledged:
     def __len__(self) -> int:
         return len(self._answered)
 
+    @property
+    def oldest(self) -> int:
+        """Returns the decision of the oldest request. REQUIRES: there is one."""
+        return self._answered[0].decision
+
     def add(self, method: str, decision: int, request: Message, answer: Message) -> None:
         """Adds an answered request."""
         self._answered.append(
