@@ -2,9 +2,10 @@
 
     python -m spikeserve imitate late:LatePendulum-v0 --expert late:swing_up
 
-Registers LateCartPole-v0 and LatePendulum-v0, which are CartPole-v1 and Pendulum-v1 otherwise. Every episode draws its delay.
-An expert uses what a policy sees: the observation and, through the change of the observation, what was executed last. Its
-constants are those of a cross-entropy search for the highest return over all delays, on starts of its own.
+Registers LateCartPole-v0, LatePendulum-v0 and LateLunarLander-v0, which are CartPole-v1, Pendulum-v1 and
+LunarLanderContinuous-v3 otherwise. Every episode draws its delay. An expert uses what a policy sees: the observation and,
+through the change of the observation, what was executed last. The constants of the first two are those of a cross-entropy
+search for the highest return over all delays, on starts of its own.
 """
 
 import gymnasium
@@ -21,6 +22,7 @@ class _Late(gymnasium.Env):
     neutral = 0
 
     def reset(self, seed=None, options=None):
+        self.under_way = []  # LunarLander's reset makes a step
         observation, info = super().reset(seed=seed, options=options)
         self.executed = None  # the last action that was
         self.under_way = [self.neutral] * int(self.np_random.integers(0, MOST_BEATS, endpoint=True))
@@ -40,6 +42,16 @@ class LatePendulum(_Late, PendulumEnv):
     """The neutral action is no torque."""
 
     neutral = np.zeros(1, np.float32)
+
+
+def late_lunar_lander(**settings):
+    """Returns LunarLander with two continuous actions. The neutral action fires no engine."""
+    from gymnasium.envs.box2d.lunar_lander import LunarLander  # only this environment needs Box2D
+
+    class LateLunarLander(_Late, LunarLander):
+        neutral = np.zeros(2, np.float32)
+
+    return LateLunarLander(continuous=True, **settings)
 
 
 def balance(environment, observation):
@@ -64,5 +76,17 @@ def swing_up(environment, observation):
     return np.clip([torque], -2, 2).astype(np.float32)
 
 
+def land(observation):
+    """The expert of LateLunarLander-v0: Gymnasium's heuristic with half as much damping again of the lander's turns."""
+    x, y, x_speed, y_speed, angle, turn, left_leg, right_leg = observation
+    wanted_angle = np.clip(0.5 * x + x_speed, -0.4, 0.4)
+    torque = 0.5 * (wanted_angle - angle) - 1.5 * turn
+    lift = 0.5 * (0.55 * abs(x) - y) - 0.5 * y_speed
+    if left_leg or right_leg:
+        torque, lift = 0.0, -0.5 * y_speed
+    return np.clip([20 * lift - 1, -20 * torque], -1, 1).astype(np.float32)
+
+
 gymnasium.register("LateCartPole-v0", entry_point=LateCartPole, max_episode_steps=500)
 gymnasium.register("LatePendulum-v0", entry_point=LatePendulum, max_episode_steps=200)
+gymnasium.register("LateLunarLander-v0", entry_point=late_lunar_lander, max_episode_steps=1000)

@@ -9,5 +9,6 @@ source "$(dirname "$0")/imitation.sh"
 # What was executed last shows in the change of the observation. In this environment the past actions of the policy's memory
 # are those that it decided, and on a robot those that were executed, so all of them are replaced by noise.
 imitate late:LatePendulum-v0 --expert=late:swing_up --mode=full --layers=1 --context=3 --clip-steps=3 --action-noise=1 \
-  --steps=40000 --burst-rate=0.2 --longest-burst=6 --held-bursts=0.5 --iterations=1200 --rounds=2 --round-disturbed=0.3 \
-  --round-steps=20000 --round-iterations=600 --silence=6:25,3:15 --silence-iterations=300 --episodes=1000
+  --steps=40000 --burst-rate=0.2 --longest-burst=6 --held-bursts=0.5 --iterations=1500 --rounds=3 --round-disturbed=0.3 \
+  --round-steps=20000 --round-iterations=600 --silence=6:25,3:15 --silence-iterations=300 --episodes=1000 \
+  --train-flags="--slope=4 --observation_changes=true"
