@@ -77,6 +77,7 @@ class IntegerPolicy:
         self.decay = np.float32(self.config["membrane_decay"])
         self.integer_decay = round(float(self.decay) * 32768)
         self.timestep = 0
+        self.previous = None  # the last observation
         self.caches = [[] for _ in range(self.config["layers"])]  # (timestep, keys, values) by layer
         self.spikes = {}
 
@@ -88,10 +89,18 @@ class IntegerPolicy:
             self.timestep += 1
         self._count("phase", self._phase())
         self._token("return", np.array([(np.float32(return_to_go) - self.offset) / self.scale]))
-        mean, std = self.tensors["observation.mean"], self.tensors["observation.std"]
-        x = self._token("state", (np.asarray(observation, np.float32) - mean) / std)
+        x = self._token("state", self._state(np.asarray(observation, np.float32)))
         self._count("readout", self._code("readout.coder", x))
         return self.spikes
+
+    def _state(self, observation):
+        """Returns the input of the state token: the observation and, if the policy uses it, its change."""
+        state = (observation - self.tensors["observation.mean"]) / self.tensors["observation.std"]
+        if self.config.get("observation_changes"):
+            previous = observation if self.previous is None else self.previous
+            state = np.concatenate([state, (observation - previous) / self.tensors["observation.change_std"]])
+        self.previous = observation
+        return state
 
     def _count(self, stage, spikes):
         self.spikes[stage] = self.spikes.get(stage, 0) + int(spikes.sum())

@@ -21,6 +21,7 @@ TASKS = [
     ("cartpole", "cart and pole", [-1.0, 0.0, -0.2, 0.0], [1.0, 0.0, 0.2, 0.0]),
     ("cartpole-positions", "cart and pole", [-1.0, -0.2], [1.0, 0.2]),
     ("pendulum", "pendulum", [0.0, 1.0, 0.5], [0.0, -1.0, 0.5]),
+    ("pendulum-delay", "pendulum", [0.0, 1.0, 0.5], [0.0, -1.0, 0.5]),
     ("acrobot", "acrobot", [0.0, -1.0, 1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0, 0.0]),
     ("mountaincar", "car on a hill", [-1.0, 0.0], [0.4, 0.0]),
     ("lunar-lander", "lander", [-0.5, 1.0, 0, 0, 0, 0, 0, 0], [0.5, 1.0, 0, 0, 0, 0, 0, 0]),

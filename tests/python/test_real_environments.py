@@ -55,3 +55,13 @@ def test_repeat_previous(address, name, size, episodes, version):
     """What was observed 3, 31 and 63 steps ago decides."""
     played = evaluate(address, name, f"popgym:popgym-RepeatPrevious{size}-v0", episodes, version)
     assert played.mean_return > 0.9
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_policies_that_know_their_delay(address, version):
+    """The usual policies fall below 130 and -600 with a delay of four beats."""
+    for beats in (0, 4):
+        played = evaluate(address, "cartpole-delay", "CartPole-v1", 2, version, delay=beats)
+        assert played.mean_return == 500
+        played = evaluate(address, "pendulum-delay", "Pendulum-v1", 5, version, delay=beats)
+        assert np.median(played.returns) > -450

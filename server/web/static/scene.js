@@ -152,7 +152,7 @@ function lander(context, colours, [x, y, , , angle, , left, right], action) {
 const TASKS = [
   {name: /CartPole/, sizes: [2, 4], draw: cartPole, what: 'cart and pole'},
   {name: /InvertedDoublePendulum/, sizes: [9, 11], draw: doublePendulum, what: 'cart with two poles'},
-  {name: /^(PositionOnly)?Pendulum/, sizes: [2, 3], draw: pendulum, what: 'pendulum'},
+  {name: /^(PositionOnly|Late)?Pendulum/, sizes: [2, 3], draw: pendulum, what: 'pendulum'},
   {name: /Acrobot/, sizes: [4, 6], draw: acrobot, what: 'acrobot'},
   {name: /MountainCar-/, sizes: [1, 2], draw: hill, what: 'car on a hill'},
   {name: /LunarLander-/, sizes: [8], draw: lander, what: 'lander'},
