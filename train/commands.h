@@ -31,6 +31,10 @@ void AddEvalCommand(Program& program);
 // recorded.
 void AddNeuroBenchCommand(Program& program);
 
+// Prints what the operations and the memory of --policy, in integers, and of a dense policy of the
+// same sizes cost, each with its price.
+void AddAccountCommand(Program& program);
+
 // `spiketrain compare`: compares a policy with baselines that learn from the same data.
 void AddCompareCommand(Program& program);
 

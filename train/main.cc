@@ -31,6 +31,7 @@ int main(int argc, char** argv) {
   spikeserve::AddEvalCommand(program);
   spikeserve::AddCompareCommand(program);
   spikeserve::AddNeuroBenchCommand(program);
+  spikeserve::AddAccountCommand(program);
   spikeserve::AddReportCommand(program);
   return program.Run(argc, argv);
 }

@@ -43,8 +43,11 @@ std::optional<double> JoulesOf(const v1::DecisionStats& stats, EnergyModel model
   switch (model) {
     case EnergyModel::kHorowitz45nm:
       return stats.energy_joules();
-    case EnergyModel::kHorowitz45nmInt8:
-      if (stats.has_horowitz_int8_energy_joules()) return stats.horowitz_int8_energy_joules();
+    case EnergyModel::kInt45nm:
+      if (stats.has_int_energy_joules()) return stats.int_energy_joules();
+      break;
+    case EnergyModel::kIntSram45nm:
+      if (stats.has_int_sram_energy_joules()) return stats.int_sram_energy_joules();
       break;
     case EnergyModel::kLoihi2018:
       if (stats.has_loihi_energy_joules()) return stats.loihi_energy_joules();

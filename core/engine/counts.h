@@ -46,8 +46,7 @@ struct Counts {
   // arithmetic has no LIF neurons.
   uint64_t membrane_updates = 0;
 
-  // The next four are counted in integer arithmetic only. The journal of a session leaves them out,
-  // so no figure of an answer may depend on them.
+  // The next six are counted in integer arithmetic only.
   uint64_t membrane_ticks = 0;  // LIF neurons times ticks, whether they were updated or not
   // Ticks for which a membrane leaked and integrated its bias, one subtraction and one addition
   // each. They end with the last input spike.
@@ -55,6 +54,14 @@ struct Counts {
   // Those of integer_multiply_accumulates whose activation has 16 bits instead of 8.
   uint64_t wide_multiply_accumulates = 0;
   uint64_t attention_scalings = 0;  // nonzero sums of values, divided by the sum of their weights
+  // Bytes of weights that are read: one for each accumulate and each product of ffn.output, because
+  // rows are read when their neuron fires, and each other map whole, once for all new tokens.
+  uint64_t weight_bytes = 0;
+  // Bytes of keys, values and running sums of values that are read or written: of a token that is
+  // stored, T d key bits, d value counts, and for each nonzero one a 16-bit sum twice read and
+  // written; of a row of a head that is computed, the keys and values of all its tokens; of every
+  // other row, the head's running sums.
+  uint64_t attention_bytes = 0;
 
   // Except in integer arithmetic, the following depend only on the sizes of the model and on the
   // number of tokens in the window.

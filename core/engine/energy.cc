@@ -1,28 +1,16 @@
 #include "core/engine/energy.h"
 
+#include "core/engine/account.h"
+
 namespace spikeserve {
 namespace {
 
 constexpr double kPicojoule = 1e-12;
 
-// Prices of one arithmetic, in picojoules.
-struct Prices {
-  double accumulate;                  // of a weight, for one spike
-  double weight_multiply_accumulate;  // with a weight of a spike-driven map
-  double population_update;           // of the membrane of a query, key, value or hidden neuron
-};
-
 // Horowitz, ISSCC 2014, figure 1.1.9: 45 nm, 0.9 V.
 constexpr double kFloatAdd = 0.9;
 constexpr double kFloatMultiply = 3.7;
 constexpr double kFloatMultiplyAccumulate = kFloatMultiply + kFloatAdd;
-constexpr Prices kFloat32 = {.accumulate = kFloatAdd,
-                             .weight_multiply_accumulate = kFloatMultiplyAccumulate,
-                             .population_update = kFloatMultiplyAccumulate};
-// The table has no 16-bit integers, so their membranes cost what 32-bit ones cost (multiply 3.1,
-// add 0.1): an upper bound.
-constexpr Prices kInt8 = {
-    .accumulate = 0.03, .weight_multiply_accumulate = 0.23, .population_update = 3.2};
 
 // A LayerNorm adds each element to the mean, subtracts the mean, squares and adds, multiplies by
 // the inverse deviation, multiplies by a weight and adds a bias.
@@ -48,12 +36,30 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
                    "softmax or tanh",
      .applies_to = "every policy; one in int8 or integer is priced as if it were float32",
      .source = "Horowitz, ISSCC 2014: 45 nm, 0.9 V, float32"},
-    {.counts = "0.03 pJ an accumulate, 0.23 pJ a multiply-accumulate with an 8-bit weight, 3.2 pJ "
-               "a 16-bit membrane update; coders, attention, routing, LayerNorm, embeddings and "
-               "the head as in horowitz_45nm",
-     .leaves_out = "what horowitz_45nm leaves out",
-     .applies_to = "policies in int8",
-     .source = "Horowitz, ISSCC 2014: 45 nm, 0.9 V, integers; 16 bits at the price of 32"},
+    {.counts =
+         "0.03 pJ an accumulate, 0.23 pJ a multiply-accumulate in 8 bits and 0.43 pJ one with "
+         "a 16-bit activation; in integer 0.1 pJ a membrane update and a leak, 0.05 pJ each of "
+         "the comparisons that find a coder's period, 0.1 pJ an attention product (0.43 pJ "
+         "with linear attention), 0.9 pJ a scaling, 1.15 pJ a term of a softmax, 0.23 pJ a "
+         "gate product, 3.15 pJ an element of a norm; in int8 0.95 pJ a membrane update, and "
+         "what int8 leaves in float32 as in horowitz_45nm; in dense policies 0.23 pJ an "
+         "attention product; 0.03 pJ a spike of a coder; the head in float32",
+     .leaves_out = "memory and data movement, control, additions of residuals, roots, single "
+                   "divisions, the phase generators, the table of a dense policy's activation and "
+                   "the scales of its vectors, the action head's softmax or tanh",
+     .applies_to = "policies in int8 and integer, dense ones by the same rules",
+     .source =
+         "Horowitz, ISSCC 2014: 45 nm, 0.9 V, integers of 8 and 32 bits; 16 bits interpolated"},
+    {.counts =
+         "int_45nm, and the bytes of weights, neurons, coders' tables, keys and values that are "
+         "read or written: 1.25, 2.5 or 12.5 pJ a byte, by the smallest SRAM of 8 KB, 32 KB or "
+         "1 MB that holds all weights, or that part of a layer; a weight is read for each "
+         "spike, and once a decision for activations",
+     .leaves_out =
+         "wires between memories, control, activations between two maps, and what int_45nm "
+         "leaves out except memory",
+     .applies_to = "policies in int8 and integer, dense ones by the same rules",
+     .source = "Horowitz, ISSCC 2014: 45 nm, 10, 20 and 100 pJ for 64 bits"},
     {.counts = "23.6 pJ a synaptic operation, 81 pJ a membrane update with a spike and 52 pJ one "
                "without, 1.7 pJ a spike; these prices include the core's memory",
      .leaves_out = "everything that stays on a host (attention products, coder gains, LayerNorm, "
@@ -66,24 +72,31 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
      .source = "the paper, section 5.2"},
 }};
 
-double Horowitz(const Counts& counts, const ModelConfig& config, const Prices& prices) {
+double Horowitz(const Counts& counts, const ModelConfig& config) {
   const auto number = [](uint64_t count) { return static_cast<double>(count); };
-  // The neurons of coders stay in float32. A Bernoulli coder has none.
-  // Those of integer arithmetic look their period up.
-  const bool has_coder_neurons =
-      config.coder == CoderKind::kLif && !config.is_dense() && !config.is_integer();
-  const uint64_t coder_updates =
-      has_coder_neurons ? counts.coder_gains * static_cast<uint64_t>(config.ticks) : 0;
-  const uint64_t float_macs = counts.multiply_accumulates - counts.integer_multiply_accumulates +
-                              coder_updates + counts.coder_gains + counts.gate_products;
   const double attention = config.is_dense() ? kFloatMultiplyAccumulate : kFloatAdd;
-  return prices.accumulate * number(counts.accumulates) +
-         prices.weight_multiply_accumulate * number(counts.integer_multiply_accumulates) +
-         prices.population_update * number(counts.membrane_updates - coder_updates) +
-         kFloatMultiplyAccumulate * number(float_macs) +
+  return kFloatAdd * number(counts.accumulates) +
+         kFloatMultiplyAccumulate * number(counts.multiply_accumulates + counts.membrane_updates +
+                                           counts.coder_gains + counts.gate_products) +
          attention * number(counts.attention_products) +
          kLayerNormElement * number(counts.layer_norm_elements) +
          kSoftmaxTerm * number(counts.softmax_terms);
+}
+
+double Operations(const Counts& counts, const ModelConfig& config) {
+  double picojoules = 0.0;
+  for (const PricedOperation& operation : OperationsOf(counts, config)) {
+    picojoules += operation.count * operation.price;
+  }
+  return picojoules;
+}
+
+double Traffic(const Counts& counts, const ModelConfig& config) {
+  double picojoules = 0.0;
+  for (const PricedTraffic& traffic : TrafficOf(counts, config)) {
+    picojoules += traffic.bytes * traffic.price;
+  }
+  return picojoules;
 }
 
 // Returns the number of spikes whose neuron has a membrane. The generators of phase spikes and the
@@ -114,7 +127,9 @@ bool Applies(EnergyModel model, const ModelConfig& config) {
   switch (model) {
     case EnergyModel::kHorowitz45nm:
       return true;
-    case EnergyModel::kHorowitz45nmInt8:
+    case EnergyModel::kInt45nm:
+    case EnergyModel::kIntSram45nm:
+      return config.arithmetic != Arithmetic::kFloat32;
     case EnergyModel::kLoihi2018:
       return config.arithmetic == Arithmetic::kInt8;
     case EnergyModel::kSpike5pj:
@@ -128,9 +143,11 @@ std::optional<double> EstimateEnergy(EnergyModel model, const Counts& counts,
   if (!Applies(model, config)) return std::nullopt;
   switch (model) {
     case EnergyModel::kHorowitz45nm:
-      return kPicojoule * Horowitz(counts, config, kFloat32);
-    case EnergyModel::kHorowitz45nmInt8:
-      return kPicojoule * Horowitz(counts, config, kInt8);
+      return kPicojoule * Horowitz(counts, config);
+    case EnergyModel::kInt45nm:
+      return kPicojoule * Operations(counts, config);
+    case EnergyModel::kIntSram45nm:
+      return kPicojoule * (Operations(counts, config) + Traffic(counts, config));
     case EnergyModel::kLoihi2018:
       return kPicojoule * Loihi(counts, config);
     case EnergyModel::kSpike5pj:

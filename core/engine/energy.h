@@ -21,18 +21,19 @@
 namespace spikeserve {
 
 // In the order in which they are shown.
-enum class EnergyModel { kHorowitz45nm, kHorowitz45nmInt8, kLoihi2018, kSpike5pj };
-inline constexpr int kEnergyModels = 4;
+enum class EnergyModel { kHorowitz45nm, kInt45nm, kIntSram45nm, kLoihi2018, kSpike5pj };
+inline constexpr int kEnergyModels = 5;
 
 constexpr std::array<EnumName<EnergyModel>, kEnergyModels> EnumNames(EnergyModel) {
   return {{{EnergyModel::kHorowitz45nm, "horowitz_45nm"},
-           {EnergyModel::kHorowitz45nmInt8, "horowitz_45nm_int8"},
+           {EnergyModel::kInt45nm, "int_45nm"},
+           {EnergyModel::kIntSram45nm, "int_sram_45nm"},
            {EnergyModel::kLoihi2018, "loihi_2018"},
            {EnergyModel::kSpike5pj, "spike_5pj"}}};
 }
 
 // The model of every figure that names no other: it applies to every policy, so that totals and
-// sorted lists can use it alone, and it leaves out least.
+// sorted lists can use it alone.
 inline constexpr EnergyModel kDefaultEnergyModel = EnergyModel::kHorowitz45nm;
 
 // What to know about a model before reading its figures.

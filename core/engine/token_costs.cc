@@ -27,4 +27,15 @@ void AddTokenCosts(const ModelConfig& config, TokenKind kind, int keys, Counts* 
   if (config.gate == Gate::kSoftmax) counts->softmax_terms += outputs * ticks * heads;
 }
 
+uint64_t SharedWeightBytes(const ModelConfig& config, TokenKind kind, int inputs, int actions) {
+  const auto size = [](int value) { return static_cast<uint64_t>(value); };
+  const uint64_t d = size(config.hidden_size);
+  uint64_t bytes = size(inputs) * d;
+  if (kind != TokenKind::kState) return bytes;
+  uint64_t layer = d * size(config.merged_size());  // attention.output
+  if (config.is_dense()) layer += d * (3 * d + 2 * size(config.ffn_size));
+  if (config.has_routing()) layer += size(config.routing_hidden_size) * (d + size(config.heads));
+  return bytes + size(config.layers) * layer + size(actions) * d * sizeof(float);
+}
+
 }  // namespace spikeserve

@@ -1,7 +1,10 @@
 // Counts the operations of a token that depend only on the model's sizes, not on its activity:
-// membrane updates, coder gains, LayerNorm, softmax and gate products.
+// membrane updates, coder gains, LayerNorm, softmax and gate products, and in integer arithmetic
+// the weights that are read once for all new tokens.
 #ifndef CORE_ENGINE_TOKEN_COSTS_H_
 #define CORE_ENGINE_TOKEN_COSTS_H_
+
+#include <cstdint>
 
 #include "core/engine/counts.h"
 #include "core/engine/token.h"
@@ -13,6 +16,12 @@ namespace spikeserve {
 // that it may attend to, itself included. A state token includes the readout. Pure, thread-safe,
 // and without loops, so that counting costs an engine nothing.
 void AddTokenCosts(const ModelConfig& config, TokenKind kind, int keys, Counts* counts);
+
+// Returns the bytes of the weights that a policy in integer arithmetic reads once for all new
+// tokens of a decision, and that are due to this token: its embedding of `inputs` numbers, and for
+// a state token the maps of every layer whose inputs are analog (in a dense policy all), and the
+// head of `actions` outputs. Pure and thread-safe.
+uint64_t SharedWeightBytes(const ModelConfig& config, TokenKind kind, int inputs, int actions);
 
 }  // namespace spikeserve
 

@@ -32,9 +32,12 @@ absl::Status CheckInteger(const ModelConfig& config) {
 
 // Checks what only policies in Arithmetic::kInteger require.
 absl::Status CheckFixedPoint(const ModelConfig& config) {
+  absl::Status status = CheckRange("input_fraction", config.input_fraction, ModelLimits::kFraction);
+  status.Update(CheckRange("residual_fraction", config.residual_fraction, ModelLimits::kFraction));
   if (config.is_dense()) {
+    if (config.attention == Attention::kShiftmax) return status;
     return absl::InvalidArgumentError(
-        "arithmetic: expected float32 in mode dense, received integer");
+        "attention: expected shiftmax in mode dense, received linear");
   }
   if (config.coder != CoderKind::kLif) {
     return absl::InvalidArgumentError(
@@ -57,8 +60,6 @@ absl::Status CheckFixedPoint(const ModelConfig& config) {
         absl::StrCat("attention: expected shiftmax for sums of up to ", linear_sum,
                      " (3 context ticks^2 hidden_size / heads), received linear"));
   }
-  absl::Status status = CheckRange("input_fraction", config.input_fraction, ModelLimits::kFraction);
-  status.Update(CheckRange("residual_fraction", config.residual_fraction, ModelLimits::kFraction));
   return status;
 }
 

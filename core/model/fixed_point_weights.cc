@@ -86,10 +86,25 @@ absl::Status CheckEmbedding(const std::string& name, const FixedPointEmbedding& 
   return status;
 }
 
+// The activations of a dense policy have 8 bits and an exponent, and no more than 16 bits together.
+absl::Status CheckDenseLayer(absl::string_view name, const FixedPointLayer& layer) {
+  const auto part = [name](absl::string_view suffix) { return absl::StrCat(name, suffix); };
+  absl::Status status = CheckMap(part(".attention.query"), layer.query, kLargestResidual);
+  status.Update(CheckMap(part(".attention.key"), layer.key, kLargestResidual));
+  status.Update(CheckMap(part(".attention.value"), layer.value, kLargestResidual));
+  status.Update(CheckMap(part(".attention.output"), layer.attention_output, kLargestResidual));
+  status.Update(CheckNorm(part(".attention.norm"), layer.attention_norm));
+  status.Update(CheckMap(part(".ffn.hidden"), layer.ffn_hidden, kLargestResidual));
+  status.Update(CheckMap(part(".ffn.output"), layer.ffn_output, kLargestResidual));
+  status.Update(CheckNorm(part(".ffn.norm"), layer.ffn_norm));
+  return status;
+}
+
 }  // namespace
 
 absl::Status CheckFixedPointLayer(absl::string_view name, const ModelConfig& config,
                                   const FixedPointLayer& layer) {
+  if (config.is_dense()) return CheckDenseLayer(name, layer);
   const auto part = [name](absl::string_view suffix) { return absl::StrCat(name, suffix); };
   absl::Status status = CheckCoder(part(".coder"), layer.coder);
   if (config.has_routing()) {
@@ -104,11 +119,11 @@ absl::Status CheckFixedPointLayer(absl::string_view name, const ModelConfig& con
   return status;
 }
 
-absl::Status CheckFixedPointEnds(const FixedPointEnds& ends) {
+absl::Status CheckFixedPointEnds(const ModelConfig& config, const FixedPointEnds& ends) {
   absl::Status status = CheckEmbedding("embed.return", ends.embed_return);
   status.Update(CheckEmbedding("embed.state", ends.embed_state));
   status.Update(CheckEmbedding("embed.action", ends.embed_action));
-  status.Update(CheckCoder("readout.coder", ends.readout_coder));
+  if (!config.is_dense()) status.Update(CheckCoder("readout.coder", ends.readout_coder));
   return status;
 }
 

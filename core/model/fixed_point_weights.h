@@ -53,8 +53,12 @@ struct FixedPointEmbedding {
   FixedPointNorm norm;
 };
 
-// The parts of a layer beside its populations.
+// The parts of a layer beside its populations. A dense policy has no coders, but the four maps.
 struct FixedPointLayer {
+  FixedPointMap query;       // [d, d], [d]
+  FixedPointMap key;         // [d, d], [d]
+  FixedPointMap value;       // [d, d], [d]
+  FixedPointMap ffn_hidden;  // [F, d], [F]
   PeriodCoder coder;
   Int16Tensor attention_scale;  // [H]
   FixedPointMap routing_hidden;
@@ -71,7 +75,8 @@ struct FixedPointEnds {
   FixedPointEmbedding embed_return;
   FixedPointEmbedding embed_state;
   FixedPointEmbedding embed_action;
-  PeriodCoder readout_coder;
+  PeriodCoder readout_coder;   // not in dense mode
+  Int16Tensor embed_timestep;  // [K, d]; dense mode only
 };
 
 // Return INVALID_ARGUMENT if a number is out of its range, or if one of 32 bits could overflow for
@@ -79,7 +84,7 @@ struct FixedPointEnds {
 // the shapes of TensorSlots.
 absl::Status CheckFixedPointLayer(absl::string_view name, const ModelConfig& config,
                                   const FixedPointLayer& layer);
-absl::Status CheckFixedPointEnds(const FixedPointEnds& ends);
+absl::Status CheckFixedPointEnds(const ModelConfig& config, const FixedPointEnds& ends);
 
 }  // namespace spikeserve
 

@@ -8,112 +8,22 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/base/json.h"
+#include "core/model/quantize_dense.h"
+#include "core/model/round_fixed_point.h"
 #include "core/model/round_population.h"
 #include "core/neuron/period_table.h"
 
 namespace spikeserve {
 namespace {
 
-constexpr int kLargestFraction = 12;
-// The largest standardised input for which the sums of an embedding must not saturate.
-constexpr double kUsualInput = 4.0;
 // Room that the residual stream keeps for updates before they are normed.
 constexpr double kResidualRoom = 1.25;
-
-// Returns the largest number of fraction bits with which `largest` fits a residual.
-int FractionFor(double largest, int limit = kLargestFraction) {
-  int fraction = limit;
-  while (fraction > 1 && largest * std::ldexp(1.0, fraction) > kLargestResidual) --fraction;
-  return fraction;
-}
 
 // Returns the shift n, 1 to 8, whose leak 2^-n is nearest to `leak` on a logarithmic scale.
 int NearestShift(double leak) {
   int exponent = 0;
   const double significand = std::frexp(leak, &exponent);  // 0.5 to 1, squared 0.5 half way
   return std::clamp(significand * significand < 0.5 ? 1 - exponent : -exponent, 1, 8);
-}
-
-absl::Status RangeError(const std::string& name, double bound, double received, size_t index) {
-  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name), ": expected at most ",
-                                                 bound, " in integer arithmetic, received ",
-                                                 received, " at index ", index));
-}
-
-// Sets `rounded` to the values with `fraction` fraction bits.
-absl::Status RoundNumbers(const std::string& name, const Tensor& values, int fraction,
-                          Int16Tensor* rounded) {
-  *rounded = Int16Tensor::Zeros(values.shape);
-  for (size_t i = 0; i < values.values.size(); ++i) {
-    const double level = std::nearbyint(std::ldexp(double{values.values[i]}, fraction));
-    if (std::abs(level) > kLargestResidual) {
-      return RangeError(name, std::ldexp(kLargestResidual, -fraction), values.values[i], i);
-    }
-    rounded->values[i] = static_cast<int16_t>(level);
-  }
-  return absl::OkStatus();
-}
-
-// Returns the exponent p for which |largest| * 2^p rounds to 64 ... 127.
-int ExponentOf(double largest) {
-  int exponent = 0;
-  std::frexp(largest, &exponent);  // largest = f * 2^exponent with 0.5 <= f < 1
-  const int p = 7 - exponent;
-  return std::nearbyint(std::ldexp(largest, p)) > kLargestInt8Weight ? p - 1 : p;
-}
-
-// Rounds a map whose inputs and outputs have the given fraction bits. Weights are first multiplied
-// by `factor`.
-absl::Status RoundMap(const std::string& name, const Linear& linear, double factor,
-                      int input_fraction, int output_fraction, FixedPointMap* map) {
-  const int outputs = linear.weight.shape[0];
-  const int inputs = linear.weight.shape[1];
-  map->weight = Int8Tensor::Zeros(linear.weight.shape);
-  map->shift = Int8Tensor::Zeros({outputs});
-  for (int k = 0; k < outputs; ++k) {
-    double largest = 0.0;
-    for (int j = 0; j < inputs; ++j) {
-      largest = std::max(largest, std::abs(factor * linear.weight.at(k, j)));
-    }
-    if (largest == 0.0) continue;
-    const int offset = input_fraction - output_fraction;
-    const int exponent = std::min(ExponentOf(largest), 31 - offset);
-    if (exponent + offset < -15) {
-      return RangeError(name + ".weight", std::ldexp(127.0, 15 + offset), largest, k);
-    }
-    map->shift.values[k] = static_cast<int8_t>(exponent + offset);
-    for (int j = 0; j < inputs; ++j) {
-      const double level = std::nearbyint(std::ldexp(factor * linear.weight.at(k, j), exponent));
-      map->weight.values[static_cast<size_t>(k) * inputs + j] = static_cast<int8_t>(level);
-    }
-  }
-  Tensor bias = linear.bias;
-  return RoundNumbers(name + ".bias", bias, output_fraction, &map->bias);
-}
-
-absl::Status RoundNorm(const std::string& name, const Norm& norm, int fraction,
-                       FixedPointNorm* rounded) {
-  const double root = std::sqrt(static_cast<double>(norm.weight.values.size()));
-  // Normalised numbers have 15 fraction bits.
-  const double unit = root * std::ldexp(1.0, fraction - 15);
-  double largest = 0.0;
-  for (const float weight : norm.weight.values) {
-    largest = std::max(largest, std::abs(weight * unit));
-  }
-  int shift = 15;
-  while (shift > 0 && std::nearbyint(std::ldexp(largest, shift)) > kLargestResidual) --shift;
-  rounded->shift = Int8Tensor::Zeros({1});
-  rounded->shift.values[0] = static_cast<int8_t>(shift);
-  rounded->weight = Int16Tensor::Zeros(norm.weight.shape);
-  for (size_t i = 0; i < norm.weight.values.size(); ++i) {
-    const double level = std::nearbyint(std::ldexp(norm.weight.values[i] * unit, shift));
-    if (std::abs(level) > kLargestResidual) {
-      return RangeError(name + ".weight", kLargestResidual / unit, norm.weight.values[i], i);
-    }
-    rounded->weight.values[i] = static_cast<int16_t>(level);
-  }
-  return RoundNumbers(name + ".bias", norm.bias, fraction, &rounded->bias);
 }
 
 // Tabulates the periods of a coder. The neuron fires within n ticks if its current reaches
@@ -170,16 +80,10 @@ class Rounding {
 
   absl::Status RoundEmbedding(const std::string& name, const Embedding& embedding,
                               FixedPointEmbedding* rounded) const {
-    const Tensor& weight = embedding.linear.weight;
-    double largest = 0.0;
-    for (int k = 0; k < weight.shape[0]; ++k) {
-      double sum = std::abs(embedding.linear.bias.values[k]);
-      for (int j = 0; j < weight.shape[1]; ++j) sum += kUsualInput * std::abs(weight.at(k, j));
-      largest = std::max(largest, sum);
-    }
     // The norm that follows cancels the scale of the output.
-    absl::Status status = RoundMap(name, embedding.linear, 1.0, config_.input_fraction,
-                                   FractionFor(largest), &rounded->linear);
+    absl::Status status =
+        RoundMap(name, embedding.linear, 1.0, config_.input_fraction,
+                 FractionFor(LargestEmbedded(embedding.linear)), &rounded->linear);
     status.Update(
         RoundNorm(name + ".norm", embedding.norm, config_.residual_fraction, &rounded->norm));
     return status;
@@ -273,7 +177,8 @@ absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions&
   config.arithmetic = Arithmetic::kInteger;
   config.mode = options.mode.value_or(config.mode);
   if ((config.has_phase() && !policy.config.has_phase()) ||
-      (config.has_routing() && !policy.config.has_routing()) || config.is_dense()) {
+      (config.has_routing() && !policy.config.has_routing()) ||
+      config.is_dense() != policy.config.is_dense()) {
     return absl::InvalidArgumentError(absl::StrCat(
         "mode: expected one whose parts mode ", std::string(ToString(policy.config.mode)),
         " has, received ", std::string(ToString(config.mode))));
@@ -308,7 +213,9 @@ absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOpti
   integer.weights.embed_action = {};
   integer.weights.readout_coder = {};
   if (!config->has_phase()) integer.weights.phase_omega = integer.weights.phase_phi = {};
-  if (absl::Status status = Rounding(policy, *config).Run(&integer); !status.ok()) return status;
+  absl::Status rounded = config->is_dense() ? RoundDensePolicy(policy, &integer)
+                                            : Rounding(policy, *config).Run(&integer);
+  if (!rounded.ok()) return rounded;
   if (absl::Status status = integer.Validate(); !status.ok()) return status;
   return integer;
 }

@@ -26,7 +26,7 @@ struct IntegerOptions {
 // Returns `policy` in integer arithmetic. docs/design/integer.md defines every rounding. The action
 // head, the standardisation of observations and the phase generators stay as they are.
 //
-// INVALID_ARGUMENT if `policy` is not valid, is not float32, is of mode dense, has a Bernoulli
+// INVALID_ARGUMENT if `policy` is not valid, is not float32, has a Bernoulli
 // coder, lacks a part that options.mode has, or has numbers that the integers cannot hold. The
 // message names the tensor or field.
 absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOptions& options = {});

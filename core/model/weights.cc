@@ -114,6 +114,27 @@ void AddIntegerLayer(const ModelConfig& config, const std::string& name, LayerWe
   slots->Add(name + ".ffn.norm", d, &fixed.ffn_norm);
 }
 
+void AddDenseIntegerLayer(const ModelConfig& config, const std::string& name, LayerWeights* layer,
+                          SlotList* slots) {
+  const int d = config.hidden_size;
+  const std::string attention = name + ".attention";
+  FixedPointLayer& fixed = layer->fixed_point;
+  slots->Add(attention + ".query", d, d, &fixed.query);
+  slots->Add(attention + ".key", d, d, &fixed.key);
+  slots->Add(attention + ".value", d, d, &fixed.value);
+  slots->Add(attention + ".output", d, d, &fixed.attention_output);
+  slots->Add(attention + ".norm", d, &fixed.attention_norm);
+  slots->Add(name + ".ffn.hidden", config.ffn_size, d, &fixed.ffn_hidden);
+  slots->Add(name + ".ffn.output", d, config.ffn_size, &fixed.ffn_output);
+  slots->Add(name + ".ffn.norm", d, &fixed.ffn_norm);
+}
+
+// Returns the function that adds the tensors of a layer.
+auto LayerAdder(const ModelConfig& config) {
+  if (!config.is_integer()) return AddLayer;
+  return config.is_dense() ? AddDenseIntegerLayer : AddIntegerLayer;
+}
+
 // Adds the embeddings of `ends`, which are the Weights themselves or their FixedPointEnds.
 void AddEmbeddings(int d, int state_inputs, int action_size, auto* ends, SlotList* slots) {
   slots->Add("embed.return", d, 1, &ends->embed_return);
@@ -133,17 +154,20 @@ std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_s
   } else {
     AddEmbeddings(d, state_inputs, action_size, weights, &slots);
   }
-  if (config.is_dense()) slots.Add("embed.timestep.weight", {-1, d}, &weights->embed_timestep);
+  if (config.is_dense() && config.is_integer()) {
+    slots.Add("embed.timestep.weight", {-1, d}, &weights->fixed_point.embed_timestep);
+  } else if (config.is_dense()) {
+    slots.Add("embed.timestep.weight", {-1, d}, &weights->embed_timestep);
+  }
   if (config.has_phase()) {
     slots.Add("phase.omega", {config.heads}, &weights->phase_omega);
     slots.Add("phase.phi", {config.heads}, &weights->phase_phi);
   }
   weights->layers.resize(config.layers);
   for (int i = 0; i < config.layers; ++i) {
-    (config.is_integer() ? AddIntegerLayer : AddLayer)(config, absl::StrCat("layers.", i),
-                                                       &weights->layers[i], &slots);
+    LayerAdder(config)(config, absl::StrCat("layers.", i), &weights->layers[i], &slots);
   }
-  if (config.is_integer()) {
+  if (!config.is_dense() && config.is_integer()) {
     slots.Add("readout.coder", d, config.ticks, &weights->fixed_point.readout_coder);
   } else if (!config.is_dense()) {
     slots.Add("readout.coder", d, &weights->readout_coder);

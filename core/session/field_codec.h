@@ -112,6 +112,18 @@ class Writer {
     value != nullptr ? Write(*value) : cbor_.Null();
   }
 
+  void Write(const Counts& counts) {
+    const bool integer = counts.weight_bytes > 0;
+    size_t fields = 0;
+    const auto count = [&](const char*, const auto&) { ++fields; };
+    const auto write = [&](const char*, const auto& member) { Write(member); };
+    VisitFields(counts, count);
+    if (integer) VisitIntegerFields(counts, count);
+    cbor_.Array(fields);
+    VisitFields(counts, write);
+    if (integer) VisitIntegerFields(counts, write);
+  }
+
   template <HasFields T>
   void Write(const T& value) {
     size_t fields = 0;
@@ -230,6 +242,23 @@ class Reader {
     auto read = std::make_shared<T>();
     Read(json, path, *read);
     value = std::move(read);
+  }
+
+  void Read(const Json& json, const std::string& path, Counts& counts) {
+    size_t fields = 0;
+    size_t integer_fields = 0;
+    VisitFields(counts, [&](const char*, auto&) { ++fields; });
+    VisitIntegerFields(counts, [&](const char*, auto&) { ++integer_fields; });
+    if (!json.is_array() || (json.size() != fields && json.size() != fields + integer_fields)) {
+      return Fail(path, absl::StrCat("an array of ", fields, " or ", fields + integer_fields),
+                  json);
+    }
+    size_t i = 0;
+    const auto read = [&](const char* name, auto& member) {
+      Read(json[i++], absl::StrCat(path, ".", name), member);
+    };
+    VisitFields(counts, read);
+    if (i < json.size()) VisitIntegerFields(counts, read);
   }
 
   template <HasFields T>

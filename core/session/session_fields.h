@@ -42,6 +42,18 @@ void VisitFields(T& counts, Visitor&& visit) {
   visit("gate_products", counts.gate_products);
 }
 
+// Lists the counts of integer arithmetic. They follow the others in answers that have them, so that
+// releases which do not know this arithmetic can read the answers of every policy that they know.
+template <Is<Counts> T, typename Visitor>
+void VisitIntegerFields(T& counts, Visitor&& visit) {
+  visit("membrane_ticks", counts.membrane_ticks);
+  visit("membrane_leaks", counts.membrane_leaks);
+  visit("wide_multiply_accumulates", counts.wide_multiply_accumulates);
+  visit("attention_scalings", counts.attention_scalings);
+  visit("weight_bytes", counts.weight_bytes);
+  visit("attention_bytes", counts.attention_bytes);
+}
+
 template <Is<Answer> T, typename Visitor>
 void VisitFields(T& answer, Visitor&& visit) {
   visit("step", answer.step);

@@ -64,8 +64,11 @@ void EnergiesToProto(const Counts& counts, const ModelConfig& config, v1::Decisi
   if (const auto joules = EstimateEnergy(EnergyModel::kSpike5pj, counts, config)) {
     proto->set_spike_energy_joules(*joules);
   }
-  if (const auto joules = EstimateEnergy(EnergyModel::kHorowitz45nmInt8, counts, config)) {
-    proto->set_horowitz_int8_energy_joules(*joules);
+  if (const auto joules = EstimateEnergy(EnergyModel::kInt45nm, counts, config)) {
+    proto->set_int_energy_joules(*joules);
+  }
+  if (const auto joules = EstimateEnergy(EnergyModel::kIntSram45nm, counts, config)) {
+    proto->set_int_sram_energy_joules(*joules);
   }
   if (const auto joules = EstimateEnergy(EnergyModel::kLoihi2018, counts, config)) {
     proto->set_loihi_energy_joules(*joules);

@@ -75,7 +75,7 @@ TEST_F(EpisodeTest, AnswersCarryActionAndStatistics) {
   EXPECT_EQ(stats.horowitz_energy_joules(), stats.energy_joules());
   EXPECT_DOUBLE_EQ(stats.spike_energy_joules(), 5e-12 * static_cast<double>(stats.spikes()));
   EXPECT_GT(stats.membrane_updates(), 0u);
-  EXPECT_FALSE(stats.has_horowitz_int8_energy_joules());
+  EXPECT_FALSE(stats.has_int_energy_joules());
   EXPECT_FALSE(stats.has_loihi_energy_joules());
   EXPECT_GT(stats.compute_seconds(), 0.0);
 

@@ -72,7 +72,7 @@ TEST_F(ExplainTest, RastersOfInt8PoliciesAddUpToWhatActCounted) {
   for (const std::string policy : {"discrete", "box"}) {
     const v1::DecisionStats stats = ExpectCounted(policy);
     EXPECT_GT(stats.integer_multiply_accumulates(), 0u);
-    EXPECT_LT(stats.horowitz_int8_energy_joules(), stats.energy_joules());
+    EXPECT_LT(stats.int_energy_joules(), stats.energy_joules());
     EXPECT_GT(stats.loihi_energy_joules(), stats.energy_joules());
   }
 }

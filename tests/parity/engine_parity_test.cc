@@ -94,6 +94,8 @@ void ExpectEqual(const Engine::Output& actual, const Engine::Output& expected, i
   expect_equal("membrane_updates", &Counts::membrane_updates);
   expect_equal("membrane_leaks", &Counts::membrane_leaks);
   expect_equal("attention_scalings", &Counts::attention_scalings);
+  expect_equal("weight_bytes", &Counts::weight_bytes);
+  expect_equal("attention_bytes", &Counts::attention_bytes);
   expect_equal("coder_gains", &Counts::coder_gains);
   expect_equal("layer_norm_elements", &Counts::layer_norm_elements);
   expect_equal("softmax_terms", &Counts::softmax_terms);
@@ -171,7 +173,7 @@ std::vector<Shape> Float32Shapes() {
 std::vector<Shape> IntegerShapes() {
   std::vector<Shape> shapes;
   for (Shape& shape : Float32Shapes()) {
-    if (shape.config.is_dense() || shape.config.coder != CoderKind::kLif) continue;
+    if (shape.config.coder != CoderKind::kLif) continue;
     shape.name += "_integer";
     shape.config.arithmetic = Arithmetic::kInteger;
     shapes.push_back(std::move(shape));

@@ -3,7 +3,8 @@
 // Usage: integer_decisions FLOAT_POLICY INTEGER_POLICY MODE ATTENTION. Writes INTEGER_POLICY, then
 // decides one episode with the engine of the server. Each line of standard input has
 // `return_to_go`, `observation` and, except the first one, `last_action` (encoded), and is answered
-// by one line with `spikes` by stage and `readout`. An error ends the program with status 1.
+// by one line with `spikes` by stage, `readout`, and `joules` by energy model. An error ends the
+// program with status 1.
 #include <exception>
 #include <iostream>
 #include <memory>
@@ -12,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "core/engine/energy.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "core/model/quantize_integer.h"
@@ -27,12 +29,17 @@ T ValueOf(absl::StatusOr<T> value) {
   return *std::move(value);
 }
 
-Json Answer(const Engine::Output& output) {
+Json Answer(const Engine::Output& output, const ModelConfig& config) {
   Json spikes = Json::object();
   for (const auto& [stage, name] : EnumNames(Stage())) {
     spikes[std::string(name)] = output.counts.spikes(stage);
   }
-  return {{"spikes", spikes}, {"readout", output.readout}};
+  Json joules = Json::object();
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    const auto estimate = EstimateEnergy(model, output.counts, config);
+    if (estimate.has_value()) joules[std::string(name)] = *estimate;
+  }
+  return {{"spikes", spikes}, {"readout", output.readout}, {"joules", joules}};
 }
 
 void Run(char** arguments) {
@@ -53,7 +60,7 @@ void Run(char** arguments) {
     }
     engine->Decide(*context, json["return_to_go"].get<float>(),
                    json["observation"].get<std::vector<float>>(), &output);
-    std::cout << Answer(output).dump() << std::endl;
+    std::cout << Answer(output, engine->policy().config).dump() << std::endl;
   }
 }
 

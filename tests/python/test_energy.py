@@ -14,11 +14,12 @@ STEPS = 7
 # The optional figures of an answer and the models that they belong to.
 FIGURES = {
     "spike_energy_joules": "spike_5pj",
-    "horowitz_int8_energy_joules": "horowitz_45nm_int8",
+    "int_energy_joules": "int_45nm",
+    "int_sram_energy_joules": "int_sram_45nm",
     "loihi_energy_joules": "loihi_2018",
 }
 APPLYING = {
-    "integers": {"horowitz_45nm", "horowitz_45nm_int8", "loihi_2018", "spike_5pj"},
+    "integers": {"horowitz_45nm", "int_45nm", "int_sram_45nm", "loihi_2018", "spike_5pj"},
     "floats": {"horowitz_45nm", "spike_5pj"},
     "dense": {"horowitz_45nm"},
 }

@@ -4,11 +4,14 @@ import json
 import os
 import subprocess
 
+import gymnasium
 import grpc
 import numpy as np
 import pytest
+from dense_engine import DenseEngine
 from integer_engine import IntegerEngine
 from policy_file import read_policy, write_policy
+from random_policy import export_random
 from serving import SHIPPED_POLICIES, Service, running_server
 
 PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
@@ -63,6 +66,26 @@ def test_every_decision_is_that_of_the_page(tmp_path, name, changes, mode, atten
         np.testing.assert_array_equal(np.array(actual["readout"], np.float32), readout)
         total += sum(spikes.values())
     assert total > 0
+
+
+@pytest.mark.parametrize("sizes", [{}, {"hidden_size": 48, "heads": 6, "layers": 3, "context": 3, "ffn_size": 40}])
+def test_a_dense_decision_is_that_of_the_page(tmp_path, sizes):
+    export_random(tmp_path, "dense", gymnasium.make("CartPole-v1"), mode="dense", **sizes)
+    tensors, _ = read_policy(tmp_path / "dense/1/policy.safetensors")
+    target = tmp_path / "integer.safetensors"
+    lines = list(episode(tensors, 2))
+    result = run(tmp_path / "dense/1/policy.safetensors", target, "dense", "shiftmax", lines)
+    assert result.returncode == 0, result.stderr
+    engine = DenseEngine(*read_policy(target))
+    readouts = []
+    for step, (line, answer) in enumerate(zip(lines, result.stdout.splitlines(), strict=True)):
+        actual = json.loads(answer)
+        readout = engine.decide(line["return_to_go"], line["observation"], line.get("last_action"))
+        np.testing.assert_array_equal(np.array(actual["readout"], np.float32), readout, err_msg=f"step {step}")
+        assert actual["joules"]["int_45nm"] == pytest.approx(engine.operations_joules(), rel=1e-9)
+        assert actual["joules"]["int_sram_45nm"] == pytest.approx(engine.joules_with_memory(), rel=1e-9)
+        readouts.append(readout)
+    assert np.std(readouts, axis=0).max() > 0.1
 
 
 def test_a_part_that_the_policy_lacks_is_refused(tmp_path):

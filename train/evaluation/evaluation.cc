@@ -84,6 +84,8 @@ nlohmann::ordered_json OperationsToJson(const Counts& counts, double decisions,
   operations["membrane_leaks"] = mean(counts.membrane_leaks);
   operations["wide_multiply_accumulates"] = mean(counts.wide_multiply_accumulates);
   operations["attention_scalings"] = mean(counts.attention_scalings);
+  operations["weight_bytes"] = mean(counts.weight_bytes);
+  operations["attention_bytes"] = mean(counts.attention_bytes);
   return operations;
 }
 

@@ -59,15 +59,18 @@ nlohmann::ordered_json ToJson(const PairedEvaluation& pair) {
 std::string ToText(const PairedEvaluation& pair, absl::string_view first,
                    absl::string_view second) {
   const MeanInterval difference = MeanWithInterval(pair.differences());
-  return absl::StrFormat(
+  const double before = pair.first.spikes_per_decision();
+  const double after = pair.second.spikes_per_decision();
+  std::string text = absl::StrFormat(
       "%s, %d episodes from seed %d\n"
-      "return %.2f %s, %.2f %s; difference %.3f (95%% interval %.3f to %.3f)\n"
-      "spikes per decision %.1f %s, %.1f %s (%+.2f%%)\n",
+      "return %.2f %s, %.2f %s; difference %.3f (95%% interval %.3f to %.3f)\n",
       pair.first.environment, pair.first.options.episodes, pair.first.options.first_seed,
       pair.first.mean_return(), first, pair.second.mean_return(), second, difference.mean,
-      difference.low, difference.high, pair.first.spikes_per_decision(), first,
-      pair.second.spikes_per_decision(), second,
-      100.0 * (pair.second.spikes_per_decision() / pair.first.spikes_per_decision() - 1.0));
+      difference.low, difference.high);
+  if (before == 0.0) return text;  // a dense policy
+  absl::StrAppendFormat(&text, "spikes per decision %.1f %s, %.1f %s (%+.2f%%)\n", before, first,
+                        after, second, 100.0 * (after / before - 1.0));
+  return text;
 }
 
 }  // namespace spikeserve

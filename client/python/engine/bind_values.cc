@@ -105,8 +105,10 @@ void BindStats(nb::module_& module) {
                    [](const BoundStats& s) { return s.counts.integer_multiply_accumulates; })
       .def_prop_ro("spike_energy_joules", &Joules<EnergyModel::kSpike5pj>,
                    "None for a dense policy.")
-      .def_prop_ro("horowitz_int8_energy_joules", &Joules<EnergyModel::kHorowitz45nmInt8>,
-                   "None unless the policy is in int8.")
+      .def_prop_ro("int_energy_joules", &Joules<EnergyModel::kInt45nm>,
+                   "None for a policy in float32.")
+      .def_prop_ro("int_sram_energy_joules", &Joules<EnergyModel::kIntSram45nm>,
+                   "None for a policy in float32.")
       .def_prop_ro("loihi_energy_joules", &Joules<EnergyModel::kLoihi2018>,
                    "None unless the policy is in int8.");
 }

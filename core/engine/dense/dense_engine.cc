@@ -7,6 +7,7 @@
 
 #include "core/contract/dcheck.h"
 #include "core/engine/counting.h"
+#include "core/engine/dense/integer_dense_pass.h"
 #include "core/engine/prefix_engine.h"
 #include "core/engine/token.h"
 #include "core/math/exp.h"
@@ -17,16 +18,6 @@ namespace {
 
 using Vector = std::vector<float>;
 
-// The key and the value of one token in one layer.
-struct KeyValue {
-  TokenName token;
-  Vector key;    // [d]
-  Vector value;  // [d]
-};
-
-// The keys and values of one layer that a query may attend to, oldest first.
-using KeyValues = std::deque<KeyValue>;
-
 float Gelu(float x) {
   constexpr float kSqrtTwoOverPi = 0.7978845608028654f;
   return 0.5f * x * (1.0f + Tanh(kSqrtTwoOverPi * (x + 0.044715f * x * x * x)));
@@ -36,6 +27,15 @@ float Gelu(float x) {
 // values of the earlier tokens.
 class DensePass {
  public:
+  // The key and the value of one token in one layer.
+  struct KeyValue {
+    TokenName token;
+    Vector key;    // [d]
+    Vector value;  // [d]
+  };
+  // Those of one layer that a query may attend to, oldest first.
+  using KeyValues = std::deque<KeyValue>;
+
   DensePass(const Policy& policy, std::vector<KeyValues>& layers)
       : policy_(policy), layers_(layers) {}
 
@@ -143,15 +143,16 @@ class DensePass {
   Counts counts_;
 };
 
+template <class Pass>
 class DenseContext : public Engine::Context {
  public:
   DenseContext(int layer_count, int64_t first_timestep)
       : layers(layer_count), timestep(first_timestep) {}
 
-  std::vector<KeyValues> layers;            // [L]
-  int64_t timestep;                         // of the next token
-  std::vector<float> previous_observation;  // see SetStateInput
-  Counts action_counts;                     // of the last action token; added to the next decision
+  std::vector<typename Pass::KeyValues> layers;  // [L]
+  int64_t timestep;                              // of the next token
+  std::vector<float> previous_observation;       // see SetStateInput
+  Counts action_counts;  // of the last action token; added to the next decision
 };
 
 class DenseReferenceEngine final : public PrefixEngine {
@@ -164,6 +165,7 @@ class DenseReferenceEngine final : public PrefixEngine {
   }
 };
 
+template <class Pass>
 class DenseStreamingEngine final : public Engine {
  public:
   explicit DenseStreamingEngine(std::shared_ptr<const Policy> policy)
@@ -172,13 +174,13 @@ class DenseStreamingEngine final : public Engine {
   const Policy& policy() const override { return *policy_; }
 
   std::unique_ptr<Context> NewContext(uint64_t /*seed*/, int64_t first_timestep) const override {
-    return std::make_unique<DenseContext>(policy_->config.layers, first_timestep);
+    return std::make_unique<DenseContext<Pass>>(policy_->config.layers, first_timestep);
   }
 
   void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
               Output* output) const override {
-    auto& dense = static_cast<DenseContext&>(context);
-    DensePass pass(*policy_, dense.layers);
+    auto& dense = static_cast<DenseContext<Pass>&>(context);
+    Pass pass(*policy_, dense.layers);
     pass.Run(ReturnToken(*policy_, dense.timestep, return_to_go));
     output->readout =
         pass.Run(StateToken(*policy_, dense.timestep, observation, &dense.previous_observation));
@@ -188,8 +190,8 @@ class DenseStreamingEngine final : public Engine {
   }
 
   void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
-    auto& dense = static_cast<DenseContext&>(context);
-    DensePass pass(*policy_, dense.layers);
+    auto& dense = static_cast<DenseContext<Pass>&>(context);
+    Pass pass(*policy_, dense.layers);
     pass.Run(ActionToken(dense.timestep, encoded_action));
     dense.action_counts = pass.counts();
     ++dense.timestep;
@@ -199,12 +201,11 @@ class DenseStreamingEngine final : public Engine {
   std::shared_ptr<const Policy> policy_;
 };
 
-}  // namespace
-
-void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
-                           Engine::Output* output, Trace* trace) {
-  std::vector<KeyValues> layers(policy.config.layers);
-  DensePass pass(policy, layers);
+template <class Pass>
+void Compute(const Policy& policy, const PrefixContext& prefix, Engine::Output* output,
+             Trace* trace) {
+  std::vector<typename Pass::KeyValues> layers(policy.config.layers);
+  Pass pass(policy, layers);
   const std::vector<Token>& tokens = prefix.tokens();
   for (size_t i = 0; i < tokens.size(); ++i) {
     if (i == prefix.first_new_token()) pass.ResetCounts();
@@ -214,6 +215,14 @@ void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
   output->counts = pass.counts();
 }
 
+}  // namespace
+
+void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
+                           Engine::Output* output, Trace* trace) {
+  if (policy.config.is_integer()) return Compute<IntegerDensePass>(policy, prefix, output, trace);
+  Compute<DensePass>(policy, prefix, output, trace);
+}
+
 std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> policy) {
   SPIKESERVE_DCHECK(policy->config.is_dense());
   return std::make_unique<DenseReferenceEngine>(std::move(policy));
@@ -221,7 +230,10 @@ std::unique_ptr<Engine> MakeDenseReferenceEngine(std::shared_ptr<const Policy> p
 
 std::unique_ptr<Engine> MakeDenseStreamingEngine(std::shared_ptr<const Policy> policy) {
   SPIKESERVE_DCHECK(policy->config.is_dense());
-  return std::make_unique<DenseStreamingEngine>(std::move(policy));
+  if (policy->config.is_integer()) {
+    return std::make_unique<DenseStreamingEngine<IntegerDensePass>>(std::move(policy));
+  }
+  return std::make_unique<DenseStreamingEngine<DensePass>>(std::move(policy));
 }
 
 }  // namespace spikeserve

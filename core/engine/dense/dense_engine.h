@@ -5,6 +5,7 @@
 // embedding is added before the LayerNorm of each modality, attention is softmax(q k / sqrt(d_h)) v
 // over analog vectors, heads are concatenated, and the FFN is a GELU (tanh form; Hendrycks &
 // Gimpel, 2016). Every product is a multiply-accumulate.
+// Policies are in float32 or in integer arithmetic (integer_dense_pass.h).
 //
 // All engines and functions are thread-safe.
 #ifndef CORE_ENGINE_DENSE_DENSE_ENGINE_H_

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/engine/counting.h"
+#include "core/engine/fixed_point_maps.h"
 #include "core/math/fixed_point.h"
 #include "core/neuron/phase.h"
 #include "core/neuron/shift_lif.h"
@@ -32,42 +33,6 @@ Fired MakeFired(int ticks, size_t neurons) {
   return {SpikeTrain(ticks, std::vector<uint8_t>(neurons, 0)), Integers(neurons, 0)};
 }
 
-// Returns RoundShift(W x) + b.
-Integers Apply(const FixedPointMap& map, const Integers& input) {
-  Integers output;
-  for (int k = 0; k < map.weight.shape[0]; ++k) {
-    int32_t sum = 0;
-    for (size_t j = 0; j < input.size(); ++j) {
-      sum += map.weight.at(k, static_cast<int>(j)) * input[j];
-    }
-    output.push_back(
-        static_cast<int32_t>(RoundShift(sum, map.shift.values[k]) + map.bias.values[k]));
-  }
-  return output;
-}
-
-// Replaces x, saturated, by its norm.
-void Normalize(const FixedPointNorm& norm, Integers& x) {
-  const auto size = static_cast<int64_t>(x.size());
-  int64_t sum = 0;
-  for (int32_t& value : x) {
-    value = SaturateResidual(value);
-    sum += value;
-  }
-  const auto mean = static_cast<int32_t>(RoundDivide(sum, size));
-  uint64_t squares = 0;
-  for (int32_t& value : x) {
-    value -= mean;
-    squares += static_cast<uint64_t>(int64_t{value} * value);
-  }
-  const InverseRoot root = InverseRootOf(squares);
-  for (size_t k = 0; k < x.size(); ++k) {
-    const int64_t scaled =
-        RoundShift(int64_t{root.Normalise(x[k])} * norm.weight.values[k], norm.shift.values[0]);
-    x[k] = SaturateResidual(scaled + norm.bias.values[k]);
-  }
-}
-
 // Computes one decision over the whole episode. Symbols: T ticks, H heads, d hidden size, d_h head
 // size.
 class IntegerReferencePass {
@@ -91,6 +56,7 @@ class IntegerReferencePass {
       output->readout.push_back(static_cast<float>(count) / static_cast<float>(config_.ticks));
     }
     counts_.multiply_accumulates += CountProducts(policy_.weights.head, output->readout);
+    counts_.weight_bytes += sizeof(float) * policy_.weights.head.weight.values.size();
     output->counts = counts_;
   }
 
@@ -113,8 +79,14 @@ class IntegerReferencePass {
     if (wide) counts_.wide_multiply_accumulates += products;
   }
 
+  // Counts the weights of a map that all new tokens share. The state token is always among them.
+  void AddSharedReads(size_t token, const FixedPointMap& map) {
+    if (!IsNew(token) || tokens_[token].kind != TokenKind::kState) return;
+    counts_.weight_bytes += map.weight.values.size();
+  }
+
   void NormalizeToken(size_t i, const FixedPointNorm& norm, Integers& x) {
-    Normalize(norm, x);
+    NormalizeResidual(norm, x);
     if (IsNew(i)) counts_.layer_norm_elements += x.size();
   }
 
@@ -134,7 +106,8 @@ class IntegerReferencePass {
           std::nearbyint(std::clamp<float>(scaled, -kLargestResidual, kLargestResidual))));
     }
     AddMultiplies(i, embedding.linear, input, /*wide=*/true);
-    x_.push_back(Apply(embedding.linear, input));
+    if (IsNew(i)) counts_.weight_bytes += embedding.linear.weight.values.size();
+    x_.push_back(ApplyMap(embedding.linear, input));
     NormalizeToken(i, embedding.norm, x_.back());
   }
 
@@ -189,7 +162,9 @@ class IntegerReferencePass {
       for (size_t i = 0; i < outputs; ++i) lif.Leak(population.bias.values[i], membranes[i]);
       if (std::count(input.begin(), input.end(), 1) == 0) continue;
       if (IsNew(token)) {
-        counts_.accumulates += CountProducts(population, input);
+        const uint64_t synapses = CountProducts(population, input);
+        counts_.accumulates += synapses;
+        counts_.weight_bytes += synapses;
         counts_.membrane_updates += outputs;
         counts_.membrane_leaks += outputs * static_cast<uint64_t>(tick - last_event);
       }
@@ -228,7 +203,7 @@ class IntegerReferencePass {
       AddSpikes(i, Stage::kCoder, layer, coded.spikes);
       AddSpikes(i, Stage::kKey, layer, keys_[i].spikes);
       AddSpikes(i, Stage::kValue, layer, values_[i].spikes);
-      CountRunningSum(i);
+      CountStoring(i);
       // In the last layer, only the state token's output is used.
       if (last_layer && tokens_[i].kind != TokenKind::kState) continue;
       const Fired query = Fire(weights.integer.query, inputs, i);
@@ -246,10 +221,20 @@ class IntegerReferencePass {
     return fired.counts.size() - std::count(fired.counts.begin(), fired.counts.end(), 0);
   }
 
-  // Counts the additions by which the values of a token enter the running sum, and the subtractions
-  // by which they will leave it.
-  void CountRunningSum(size_t i) {
-    if (IsNew(i)) counts_.attention_products += 2 * Nonzero(values_[i]);
+  // Returns the bytes of the key bits of `neurons` neurons.
+  uint64_t KeyBytes(int neurons) const {
+    return (static_cast<uint64_t>(config_.ticks) * static_cast<uint64_t>(neurons) + 7) / 8;
+  }
+
+  // Counts the bytes of the key and the value of a token, the additions by which its values enter
+  // the running sum, and the subtractions by which they will leave it.
+  void CountStoring(size_t i) {
+    if (!IsNew(i)) return;
+    const uint64_t sums = 2 * Nonzero(values_[i]);
+    counts_.attention_products += sums;
+    counts_.attention_bytes += KeyBytes(config_.hidden_size) +
+                               static_cast<uint64_t>(config_.hidden_size) +
+                               sums * 2 * sizeof(int16_t);
   }
 
   // Returns the sum over the ticks of the number of neurons of a head that fire in both.
@@ -275,6 +260,8 @@ class IntegerReferencePass {
     for (const size_t j : band) overlaps.push_back(Overlap(query, keys_[j], head));
     if (is_new) {
       counts_.softmax_terms += band.size();
+      const int size = config_.head_size();
+      counts_.attention_bytes += band.size() * (KeyBytes(size) + static_cast<uint64_t>(size));
       for (const int64_t overlap : overlaps) counts_.attention_products += overlap;
     }
     Row row;
@@ -303,6 +290,9 @@ class IntegerReferencePass {
     Row row;
     if (Fires(query, head)) row = WeighKeys(layer, query, band, head, IsNew(i));
     const bool is_mean = row.sum == 0;
+    if (IsNew(i) && !Fires(query, head)) {
+      counts_.attention_bytes += static_cast<uint64_t>(config_.head_size()) * sizeof(int16_t);
+    }
     if (is_mean) row = {std::vector<int64_t>(band.size(), 1), static_cast<int64_t>(band.size())};
     Integers y;
     for (int k = head * config_.head_size(); k < (head + 1) * config_.head_size(); ++k) {
@@ -328,10 +318,12 @@ class IntegerReferencePass {
   // Returns the gates over the heads with kGateFraction fraction bits, [H].
   Integers Gates(const FixedPointLayer& layer, const Integers& y, size_t i) {
     AddMultiplies(i, layer.routing_hidden, y, /*wide=*/false);
-    Integers hidden = Apply(layer.routing_hidden, y);
+    AddSharedReads(i, layer.routing_hidden);
+    Integers hidden = ApplyMap(layer.routing_hidden, y);
     for (int32_t& h : hidden) h = std::clamp(h, 0, kLargestResidual);
     AddMultiplies(i, layer.routing_gate, hidden, /*wide=*/true);
-    Integers gates = Apply(layer.routing_gate, hidden);
+    AddSharedReads(i, layer.routing_gate);
+    Integers gates = ApplyMap(layer.routing_gate, hidden);
     if (config_.gate == Gate::kSigmoid) {
       for (int32_t& gate : gates) {
         const int64_t other = PowerOfTwo(std::abs(int64_t{gate}));
@@ -391,7 +383,8 @@ class IntegerReferencePass {
     RecordAttention(layer, i);
     const Integers merged = MergeHeads(layer, y, i);
     AddMultiplies(i, weights.attention_output, merged, /*wide=*/false);
-    AddResidual(i, Apply(weights.attention_output, merged), weights.attention_norm);
+    AddSharedReads(i, weights.attention_output);
+    AddResidual(i, ApplyMap(weights.attention_output, merged), weights.attention_norm);
   }
 
   void FeedForward(int layer, size_t i) {
@@ -401,7 +394,10 @@ class IntegerReferencePass {
     AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
     AddSpikes(i, Stage::kFfnHidden, layer, hidden.spikes);
     AddMultiplies(i, weights.fixed_point.ffn_output, hidden.counts, /*wide=*/false);
-    AddResidual(i, Apply(weights.fixed_point.ffn_output, hidden.counts),
+    if (IsNew(i)) {
+      counts_.weight_bytes += CountProducts(weights.fixed_point.ffn_output, hidden.counts);
+    }
+    AddResidual(i, ApplyMap(weights.fixed_point.ffn_output, hidden.counts),
                 weights.fixed_point.ffn_norm);
   }
 

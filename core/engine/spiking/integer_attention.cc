@@ -37,6 +37,8 @@ void IntegerAttention::Attend(const ModelConfig& config, const std::vector<int16
     int64_t weights = 0;
     if (FindOverlaps(config, band, cache, query, head, counts)) {
       weights = WeighKeys(config.attention, scales[head]);
+    } else {
+      counts->attention_bytes += static_cast<uint64_t>(size) * sizeof(int16_t);
     }
     if (weights == 0) {
       counts->attention_scalings +=
@@ -69,6 +71,9 @@ bool IntegerAttention::FindOverlaps(const ModelConfig& config, const IntegerBand
   }
   if (active_.empty()) return false;
   counts->softmax_terms += static_cast<uint64_t>(band.tokens());
+  const int size = config.head_size();
+  counts->attention_bytes += static_cast<uint64_t>(band.tokens()) *
+                             static_cast<uint64_t>((config.ticks * size + 7) / 8 + size);
   overlaps_.assign(band.tokens(), 0);
   for (int i = 0; i < band.tokens(); ++i) {
     const uint32_t* const keys = cache.keys(band.slot(i));

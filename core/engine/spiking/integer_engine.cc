@@ -17,6 +17,7 @@
 #include "core/engine/spiking/packed_integer_policy.h"
 #include "core/engine/spiking/spike_input.h"
 #include "core/engine/token.h"
+#include "core/engine/token_costs.h"
 #include "core/math/fixed_point.h"
 #include "core/neuron/shift_lif.h"
 
@@ -87,6 +88,8 @@ class IntegerTokenPass {
   void Run(IntegerContext& context, Counts& counts, TokenKind kind, absl::Span<const float> input) {
     context_ = &context;
     counts_ = &counts;
+    counts.weight_bytes += SharedWeightBytes(config_, kind, static_cast<int>(input.size()),
+                                             policy_.action_space.size());
     Embed(kind, input);
     const int slot = context.band.Add(context.timestep);
     for (int layer = 0; layer < config_.layers; ++layer) {
@@ -206,14 +209,18 @@ class IntegerTokenPass {
     if (needs_query) {
       counts_->spikes(Stage::kQuery) += FireBits(population, drive, 2 * section, scratch_.query);
     }
-    counts_->accumulates += scratch_.spikes.Products(population.nonzero, &phase);
-    if (!needs_query)
-      counts_->accumulates -= scratch_.spikes.Products(packed.nonzero_query, &phase);
+    uint64_t synapses = scratch_.spikes.Products(population.nonzero, &phase);
+    if (!needs_query) synapses -= scratch_.spikes.Products(packed.nonzero_query, &phase);
+    counts_->accumulates += synapses;
+    counts_->weight_bytes += synapses;
     // A value enters the sum of all values now, and leaves it later.
-    counts_->attention_products +=
-        2 * static_cast<uint64_t>(config_.hidden_size -
-                                  std::count(scratch_.counts.begin(),
-                                             scratch_.counts.begin() + config_.hidden_size, 0));
+    const int size = config_.hidden_size;
+    const auto sums =
+        2 * static_cast<uint64_t>(
+                size - std::count(scratch_.counts.begin(), scratch_.counts.begin() + size, 0));
+    counts_->attention_products += sums;
+    counts_->attention_bytes +=
+        static_cast<uint64_t>((config_.ticks * size + 7) / 8 + size) + sums * 2 * sizeof(int16_t);
     context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
   }
 
@@ -320,8 +327,9 @@ class IntegerTokenPass {
     scratch_.hidden.resize(population.width);
     counts_->spikes(Stage::kFfnHidden) +=
         kernels::LifCounts(lif_, population, drive, 0, population.width, scratch_.hidden.data());
-    counts_->accumulates += scratch_.spikes.Products(population.nonzero, nullptr);
-    Apply(packed.ffn_output, scratch_.hidden);
+    const uint64_t synapses = scratch_.spikes.Products(population.nonzero, nullptr);
+    counts_->accumulates += synapses;
+    counts_->weight_bytes += synapses + Apply(packed.ffn_output, scratch_.hidden);
     Normalize(policy_.weights.layers[layer].fixed_point.ffn_norm);
   }
 

@@ -5,9 +5,10 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/engine/account.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/token_costs.h"
-#include "core/model/quantize.h"
+#include "core/model/quantize_integer.h"
 #include "tests/support/small_policy.h"
 
 namespace spikeserve {
@@ -48,11 +49,15 @@ TEST(EnergyTest, EveryModelPricesWhatItSays) {
   EXPECT_DOUBLE_EQ(joules(EnergyModel::kSpike5pj), 500 * kPico);
   EXPECT_DOUBLE_EQ(joules(EnergyModel::kHorowitz45nm),
                    (0.9 * (1000 + 500) + 4.6 * (60 + 3000 + 100 + 400) + others) * kPico);
-  // 500 of the 3,000 updates are of coder neurons, 100 elements times 5 ticks.
-  EXPECT_DOUBLE_EQ(
-      joules(EnergyModel::kHorowitz45nmInt8),
-      (0.03 * 1000 + 0.9 * 500 + 0.23 * 20 + 3.2 * 2500 + 4.6 * (40 + 500 + 100 + 400) + others) *
-          kPico);
+  // 500 of the 3,000 updates are of coder neurons, 100 elements times 5 ticks, which look up their
+  // period by 3 comparisons instead.
+  const double operations = 0.03 * 1000 + 0.23 * 20 + 4.6 * (40 + 400) + 0.95 * 2500 +
+                            (4.6 + 0.3) * 100 + 0.03 * 90 + 0.9 * 500 + others;
+  EXPECT_NEAR(joules(EnergyModel::kInt45nm), operations * kPico, 1e-9 * kPico);
+  // Every memory of this small policy costs 1.25 pJ a byte. The gates of 2 heads of 8 neurons are
+  // 400 / 8 of the terms of softmaxes.
+  const double bytes = (1000 + 20 + 4 * 40) + 8 * 2500 + 8 * 100 + (300 - 50) * 8 / 4.0;
+  EXPECT_NEAR(joules(EnergyModel::kIntSram45nm), (operations + 1.25 * bytes) * kPico, 1e-9 * kPico);
   EXPECT_DOUBLE_EQ(joules(EnergyModel::kLoihi2018),
                    (23.6 * 1060 + 81 * 90 + 52 * (3000 - 90) + 1.7 * 100) * kPico);
   EXPECT_EQ(DefaultEnergy(counts, config), joules(EnergyModel::kHorowitz45nm));
@@ -76,7 +81,9 @@ TEST(EnergyTest, APolicyHasNoFigureUnderAModelThatDoesNotApply) {
     return names;
   };
   EXPECT_EQ(applying(Configured(Arithmetic::kInt8)),
-            " horowitz_45nm horowitz_45nm_int8 loihi_2018 spike_5pj");
+            " horowitz_45nm int_45nm int_sram_45nm loihi_2018 spike_5pj");
+  EXPECT_EQ(applying(Configured(Arithmetic::kInteger)),
+            " horowitz_45nm int_45nm int_sram_45nm spike_5pj");
   EXPECT_EQ(applying(Configured(Arithmetic::kFloat32)), " horowitz_45nm spike_5pj");
   EXPECT_EQ(applying(SmallConfig(Mode::kDense)), " horowitz_45nm");
 }
@@ -91,8 +98,9 @@ TEST(EnergyTest, ABernoulliCoderHasNoMembranes) {
   counts.membrane_updates = 10;
   EXPECT_DOUBLE_EQ(*EstimateEnergy(EnergyModel::kLoihi2018, counts, config),
                    (81 * 3 + 52 * 7 + 1.7 * 8) * kPico);
-  EXPECT_DOUBLE_EQ(*EstimateEnergy(EnergyModel::kHorowitz45nmInt8, counts, config),
-                   (3.2 * 10 + 4.6 * 16) * kPico);
+  // A float32 comparison with a draw at each of 5 ticks.
+  EXPECT_NEAR(*EstimateEnergy(EnergyModel::kInt45nm, counts, config),
+              (0.95 * 10 + (4.6 + 0.5) * 16) * kPico, 1e-9 * kPico);
 }
 
 // The three tokens of a decision at the paper's size, with a full window.
@@ -108,6 +116,42 @@ TEST(EnergyTest, ADecisionOfThePapersSizeUpdates55040Membranes) {
   EXPECT_EQ(counts.layer_norm_elements, 128u * (3 + 2 * 4));
   EXPECT_EQ(counts.softmax_terms, 4u * 10 * 4 * (60 + 1));
   EXPECT_EQ(counts.gate_products, 4u * 10 * 128);
+}
+
+// A played dense policy skips zeros, but what depends on sizes alone is that of the twin.
+TEST(EnergyTest, TheDenseTwinIsWhatADensePolicyOfTheSameSizesDoesInAFullWindow) {
+  const auto policy =
+      std::make_shared<const Policy>(*QuantizeToInteger(SmallPolicy(SmallConfig(Mode::kDense))));
+  const auto engine = MakeStreamingEngine(policy);
+  const auto context = engine->NewContext(0);
+  Engine::Output output;
+  for (int step = 0; step < 6; ++step) {  // longer than the window of 4
+    if (step > 0) engine->AppendAction(*context, {1.0f, 0.0f});
+    engine->Decide(*context, 1.0f, {1.0f, 2.0f, -3.0f, 4.0f}, &output);
+  }
+  const Counts twin = DenseTwinCounts(SmallConfig(), 4, 2);
+  EXPECT_EQ(output.counts.layer_norm_elements, twin.layer_norm_elements);
+  EXPECT_EQ(output.counts.softmax_terms, twin.softmax_terms);
+  EXPECT_EQ(output.counts.weight_bytes, twin.weight_bytes);
+  EXPECT_EQ(output.counts.attention_bytes, twin.attention_bytes);
+  const auto skips_few = [](uint64_t count, uint64_t most) {
+    EXPECT_LE(count, most);
+    EXPECT_GT(count, most / 2);
+  };
+  skips_few(output.counts.multiply_accumulates, twin.multiply_accumulates);
+  skips_few(output.counts.integer_multiply_accumulates, twin.integer_multiply_accumulates);
+  skips_few(output.counts.wide_multiply_accumulates, twin.wide_multiply_accumulates);
+  skips_few(output.counts.attention_products, twin.attention_products);
+  skips_few(output.counts.attention_scalings, twin.attention_scalings);
+}
+
+// 853,120 multiply-accumulates and 60,416 products of attention.
+TEST(EnergyTest, TheDenseTwinAtThePapersSize) {
+  const Counts twin = DenseTwinCounts(ModelConfig(), 4, 2);
+  EXPECT_EQ(twin.multiply_accumulates, 853'120u);
+  EXPECT_EQ(twin.attention_products, 60'416u);
+  EXPECT_EQ(twin.softmax_terms, 944u);
+  EXPECT_EQ(twin.weight_bytes, 394'112u + 2 * 128 * 4);
 }
 
 TEST(EnergyTest, EveryModelSaysWhatItCountsAndLeavesOut) {

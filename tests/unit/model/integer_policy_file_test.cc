@@ -121,8 +121,6 @@ TEST_F(IntegerPolicyFileTest, UnknownNamesAreRefusedWithTheKnownOnes) {
 }
 
 TEST_F(IntegerPolicyFileTest, ConfigsThatTheArithmeticLacksAreRefused) {
-  EXPECT_EQ(MessageAfter(SetConfig("mode", "dense")),
-            "arithmetic: expected float32 in mode dense, received integer");
   EXPECT_EQ(MessageAfter(SetConfig("coder", "bernoulli")),
             "coder: expected lif with arithmetic integer, received bernoulli");
   EXPECT_EQ(MessageAfter(SetConfig("membrane_decay", 0.95)),

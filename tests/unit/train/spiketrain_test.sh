@@ -183,7 +183,7 @@ if "$spiketrain" train --data=data.cbor --out=integers "${tiny[@]}" --iterations
 fi
 grep -q 'made with .* --arithmetic=int8 .*, not ' message || fail "the arithmetic of a checkpoint: $(cat message)"
 integers --out=tuned-integers --init=whole/policy.safetensors --iterations=2 --json 2>/dev/null |
-  grep -q '"horowitz_45nm_int8"' || fail "the energy of an integer policy"
+  grep -q '"int_45nm"' || fail "the energy of an integer policy"
 says tuned-integers/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
 grep -aq 'lineage.*--out=whole' tuned-integers/policy.safetensors || fail "lineage of integers"
 # Without an iteration that changes weights, training in integers gives what rounding gives.
@@ -215,7 +215,7 @@ fi
 grep -q 'expected a run of .* --learning_rate=1 .*, received one of ' message || fail "report: $(cat message)"
 refuses "--out: expected the directory to write into, received none" report
 
-refuses 'command: expected one of expert, dataset, train, quantize, eval, compare, neurobench, report, received none'
+refuses 'command: expected one of expert, dataset, train, quantize, eval, compare, neurobench, account, report, received none'
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8

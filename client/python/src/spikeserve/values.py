@@ -170,17 +170,18 @@ class Stats:
     gate_products: int
     integer_multiply_accumulates: int  # those with an 8-bit weight
     spike_energy_joules: float | None  # by spike_5pj; None for a dense policy
-    horowitz_int8_energy_joules: float | None  # by horowitz_45nm_int8; None unless in int8
     loihi_energy_joules: float | None  # by loihi_2018; None unless in int8
+    int_energy_joules: float | None  # by int_45nm; None for a policy in float32
+    int_sram_energy_joules: float | None  # by int_sram_45nm; None for a policy in float32
 
     @classmethod
     def from_wire(cls, message: Message) -> Stats:
         """Converts a DecisionStats."""
         stages = message.spikes_by_stage
         values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
-        for name in ("spike_energy_joules", "horowitz_int8_energy_joules", "loihi_energy_joules"):
-            if not message.HasField(name):
-                values[name] = None
+        for field in message.DESCRIPTOR.fields:
+            if field.name.endswith("_energy_joules") and field.has_presence and not message.HasField(field.name):
+                values[field.name] = None
         values["spikes_by_stage"] = {
             field.name: getattr(stages, field.name) for field in stages.DESCRIPTOR.fields
         }

@@ -1,0 +1,42 @@
+#include "core/engine/fixed_point_maps.h"
+
+#include "core/math/fixed_point.h"
+
+namespace spikeserve {
+
+std::vector<int32_t> ApplyMap(const FixedPointMap& map, const std::vector<int32_t>& input,
+                              int exponent) {
+  std::vector<int32_t> output;
+  output.reserve(map.bias.values.size());
+  const int8_t* row = map.weight.values.data();
+  for (size_t k = 0; k < map.bias.values.size(); ++k, row += input.size()) {
+    int32_t sum = 0;
+    for (size_t j = 0; j < input.size(); ++j) sum += row[j] * input[j];
+    output.push_back(
+        static_cast<int32_t>(RoundShift(sum, map.shift.values[k] - exponent) + map.bias.values[k]));
+  }
+  return output;
+}
+
+void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x) {
+  const auto size = static_cast<int64_t>(x.size());
+  int64_t sum = 0;
+  for (int32_t& value : x) {
+    value = SaturateResidual(value);
+    sum += value;
+  }
+  const auto mean = static_cast<int32_t>(RoundDivide(sum, size));
+  uint64_t squares = 0;
+  for (int32_t& value : x) {
+    value -= mean;
+    squares += static_cast<uint64_t>(int64_t{value} * value);
+  }
+  const InverseRoot root = InverseRootOf(squares);
+  for (size_t k = 0; k < x.size(); ++k) {
+    const int64_t scaled =
+        RoundShift(int64_t{root.Normalise(x[k])} * norm.weight.values[k], norm.shift.values[0]);
+    x[k] = SaturateResidual(scaled + norm.bias.values[k]);
+  }
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,26 @@
+// Computes the maps and norms of integer arithmetic as docs/design/integer.md defines them, one
+// number at a time.
+//
+// For the reference engine and for dense policies; the streaming engine has kernels. All functions
+// are pure and thread-safe.
+#ifndef CORE_ENGINE_FIXED_POINT_MAPS_H_
+#define CORE_ENGINE_FIXED_POINT_MAPS_H_
+
+#include <cstdint>
+#include <vector>
+
+#include "core/model/fixed_point_weights.h"
+
+namespace spikeserve {
+
+// Returns RoundShift(W x, shift - exponent) + b [out] for the input x * 2^exponent, where x is
+// `input` [in].
+std::vector<int32_t> ApplyMap(const FixedPointMap& map, const std::vector<int32_t>& input,
+                              int exponent = 0);
+
+// Replaces x [d], saturated, by its norm.
+void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x);
+
+}  // namespace spikeserve
+
+#endif  // CORE_ENGINE_FIXED_POINT_MAPS_H_

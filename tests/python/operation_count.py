@@ -1,0 +1,228 @@
+"""Counts what a decision in integers does and prices it, from docs/reference/energy.md and the NumPy engines only.
+
+The counts of a decision are those of its new tokens. Nothing here knows how the server counts.
+"""
+
+from collections import Counter
+
+import numpy as np
+from integer_engine import IntegerEngine
+from integer_policy import IntegerPolicy
+
+# Picojoules of one operation: int_45nm.
+INTEGER_PRICES = {
+    "accumulate": 0.03,
+    "mac": 0.23,
+    "wide mac": 0.43,
+    "float mac": 4.6,
+    "update": 0.1,
+    "leak": 0.1,
+    "comparison": 0.05,
+    "coder spike": 0.03,
+    "attention": 0.1,
+    "scaling": 0.9,
+    "softmax": 1.15,
+    "gate": 0.23,
+    "norm": 3.15,
+}
+INT8_PRICES = INTEGER_PRICES | {
+    "update": 0.95,
+    "comparison": 0.1,
+    "gain": 4.6,
+    "attention": 0.9,
+    "softmax": 9.2,
+    "gate": 4.6,
+    "norm": 14.7,
+}
+
+
+def sram(size):
+    """Picojoules of a byte of the smallest memory that holds `size` bytes."""
+    return 1.25 if size <= 8192 else 2.5 if size <= 32768 else 12.5
+
+
+def products(weight, x):
+    return int(((weight != 0) & (np.asarray(x) != 0)[None, :]).sum())
+
+
+class Counted:
+    """Adds the counts of the last decision to an engine: `done` operations and `moved` bytes."""
+
+    prices: dict
+
+    def decide(self, *arguments):
+        self.done, self.moved = Counter(), Counter()
+        return super().decide(*arguments)
+
+    def _token(self, kind, inputs):
+        self.kind = kind
+        return super()._token(kind, inputs)
+
+    def _norm(self, name, x):
+        self.done["norm"] += len(x)
+        return super()._norm(name, x)
+
+    def _code(self, name, x, *stage):
+        fired = super()._code(name, x, *stage)
+        self.done["comparison"] += len(x) * self.ticks.bit_length()  # a binary search among T + 1 answers
+        self.done["coder spike"] += int(fired.sum())
+        if name == "readout.coder":
+            head = products(self.tensors["head.weight"], fired.any(axis=0))
+            self.done["float mac"] += head
+            self._count_head(head)
+        return fired
+
+    def _synapses(self, name, inputs):
+        weight = self.tensors[f"{name}.weight"]
+        synapses = sum(products(weight, spikes) for spikes in inputs)
+        self.done["accumulate"] += synapses
+        return synapses, len(weight)
+
+    def _layer_sizes(self):
+        d, ffn = self.config["hidden_size"], self.config["ffn_size"]
+        return d, ffn, 6 * (3 * d + ffn)  # the last: a 16-bit membrane, threshold and bias of each neuron
+
+    def _weights_of_layers(self, analog_bytes):
+        spiking = ("query.weight", "key.weight", "value.weight", "ffn.hidden.weight", "ffn.output.weight")
+        sizes = {name: tensor.size for name, tensor in self.tensors.items() if name.startswith("layers.")}
+        total = 0
+        for name, size in sizes.items():
+            if name.endswith(spiking):
+                total += size
+            elif name.endswith(("attention.output.weight", "routing.hidden.weight", "routing.gate.weight")):
+                total += analog_bytes * size
+        return total
+
+    def operations_joules(self):
+        return 1e-12 * sum(self.prices[name] * count for name, count in self.done.items())
+
+    def joules_with_memory(self):
+        moved = sum(sram(self.memories()[name]) * count for name, count in self.moved.items())
+        return self.operations_joules() + 1e-12 * moved
+
+
+class CountedIntegerEngine(Counted, IntegerEngine):
+    """A policy in integer arithmetic with shiftmax attention."""
+
+    prices = INTEGER_PRICES
+
+    def _count_head(self, _):
+        self.moved["weights"] += 4 * self.tensors["head.weight"].size
+
+    def _code(self, name, x, stage):
+        self.moved["coders"] += 2 * len(x) * self.ticks.bit_length()
+        return super()._code(name, x, stage)
+
+    def _map(self, name, x):
+        weight = self.tensors[f"{name}.weight"]
+        count = products(weight, x)
+        self.done["wide mac" if name.startswith("embed.") or name.endswith("routing.gate") else "mac"] += count
+        if name.endswith("ffn.output"):
+            self.moved["weights"] += count
+        elif name.startswith("embed.") or self.kind == "state":  # one reading serves all new tokens
+            self.moved["weights"] += weight.size
+        return super()._map(name, x)
+
+    def _fire(self, name, inputs, stage):
+        synapses, neurons = self._synapses(name, inputs)
+        events = np.flatnonzero(inputs.any(axis=1)) + 1
+        self.done["update"] += neurons * len(events)
+        self.done["leak"] += neurons * int(events.max(initial=0))
+        self.moved["weights"] += synapses
+        self.moved["neurons"] += 8 * neurons * len(events)
+        fired = super()._fire(name, inputs, stage)
+        if name.endswith("key"):
+            self.moved["keys and values"] += (self.ticks * neurons + 7) // 8
+        if name.endswith("value"):
+            values = int(fired.any(axis=0).sum())
+            self.done["attention"] += 2 * values  # into the running sum and out of it
+            self.moved["keys and values"] += neurons + 2 * values * 4
+        return fired
+
+    def _attend(self, layer, query):
+        first = self.timestep - self.config["context"]
+        band = [(keys, values) for timestep, keys, values in self.caches[layer] if timestep > first]
+        size = self.head_size
+        for head in range(self.heads):
+            part = slice(head * size, (head + 1) * size)
+            values = np.stack([value[part] for _, value in band])
+            if not query[:, part].any():
+                self.done["scaling"] += int(values.any(axis=0).sum())
+                self.moved["keys and values"] += 2 * size
+                continue
+            overlaps = np.array([(keys[:, part] & query[:, part]).sum() for keys, _ in band])
+            weights = self._weights(layer, head, overlaps)
+            met = (weights[:, None] != 0) & (values != 0)
+            self.done["attention"] += int(overlaps.sum()) + int(met.sum())
+            self.done["scaling"] += int(met.any(axis=0).sum())
+            self.done["softmax"] += len(band)
+            self.moved["keys and values"] += len(band) * ((self.ticks * size + 7) // 8 + size)
+        return super()._attend(layer, query)
+
+    def _gates(self, layer, y):
+        self.done["gate"] += len(y)
+        self.done["softmax"] += self.heads
+        return super()._gates(layer, y)
+
+    def memories(self):
+        d, _, neurons = self._layer_sizes()
+        token = (self.ticks * d + 7) // 8 + d
+        return {
+            "weights": self._weights_of_layers(1),
+            "neurons": neurons,
+            "coders": 4 * d * self.ticks,
+            "keys and values": 3 * self.config["context"] * token,
+        }
+
+
+class CountedInt8Policy(Counted, IntegerPolicy):
+    """A policy in int8 with routing."""
+
+    prices = INT8_PRICES
+
+    def _count_head(self, count):
+        self.moved["weights"] += 4 * count
+
+    def _code(self, name, x):
+        self.done["gain"] += len(x)
+        self.moved["coders"] += 8 * len(x)
+        return super()._code(name, x)
+
+    def _affine(self, name, x):
+        count = products(self.tensors[f"{name}.weight"], x)
+        self.done["float mac"] += count
+        self.moved["weights"] += 4 * count
+        return super()._affine(name, x)
+
+    def _fire(self, name, inputs):
+        synapses, neurons = self._synapses(name, inputs)
+        self.done["update"] += neurons * self.ticks
+        self.moved["weights"] += synapses
+        self.moved["neurons"] += 8 * neurons * self.ticks
+        fired = super()._fire(name, inputs)
+        if name.endswith("ffn.hidden"):
+            output = name.removesuffix("hidden") + "output.weight"
+            count = products(self.tensors[output], fired.any(axis=0))
+            self.done["mac"] += count
+            self.moved["weights"] += count
+        return fired
+
+    def _attend_head(self, overlaps, values, scale):
+        self.done["attention"] += int(overlaps.sum()) + int(values.sum())
+        self.done["softmax"] += len(overlaps)
+        self.moved["keys and values"] += len(overlaps) * self.head_size / 4
+        return super()._attend_head(overlaps, values, scale)
+
+    def _gates(self, layer, y):
+        self.done["gate"] += len(y)
+        self.done["softmax"] += self.heads
+        return super()._gates(layer, y)
+
+    def memories(self):
+        d, _, neurons = self._layer_sizes()
+        return {
+            "weights": self._weights_of_layers(4),
+            "neurons": neurons,
+            "coders": 16 * d,
+            "keys and values": 3 * self.config["context"] * 2 * ((self.ticks * d + 7) // 8),
+        }

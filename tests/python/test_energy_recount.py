@@ -1,0 +1,54 @@
+"""A recount in Python, operation by operation and byte by byte, gives the energies that a server answers with."""
+
+import os
+import shutil
+import subprocess
+
+import gymnasium
+import grpc
+import numpy as np
+import pytest
+from operation_count import CountedInt8Policy, CountedIntegerEngine
+from policy_file import read_policy
+from serving import SHIPPED_POLICIES, Service, running_server
+
+PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
+STEPS = 30  # longer than the context
+CARTPOLE = SHIPPED_POLICIES / "cartpole"
+ENGINES = {"int8": CountedInt8Policy, "integer": CountedIntegerEngine}
+
+
+@pytest.fixture(scope="module")
+def policies(tmp_path_factory):
+    """Writes CartPole's policy in both arithmetics. Returns the folder."""
+    folder = tmp_path_factory.mktemp("policies")
+    for name in ENGINES:
+        (folder / name / "1").mkdir(parents=True)
+    shutil.copy(CARTPOLE / "2/policy.safetensors", folder / "int8/1")
+    target = folder / "integer/1/policy.safetensors"
+    command = [PROGRAM, str(CARTPOLE / "1/policy.safetensors"), str(target), "full", "shiftmax"]
+    subprocess.run(command, stdin=subprocess.DEVNULL, check=True, timeout=120)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def service(policies):
+    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        yield Service(channel, "spikeserve.v1.PolicyService")
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_the_energies_are_those_of_a_recount(policies, service, name):
+    engine = ENGINES[name](*read_policy(policies / name / "1/policy.safetensors"))
+    environment = gymnasium.make("CartPole-v1")
+    observation, _ = environment.reset(seed=1)
+    session = service.OpenSession(policy=name).session_id
+    last_action = None
+    for step in range(STEPS):
+        answer = service.Act(session_id=session, step=step, observation=observation.tolist(), reward=float(step > 0))
+        engine.decide(answer.return_to_go, observation, last_action)
+        stats = answer.stats
+        assert stats.int_energy_joules == pytest.approx(engine.operations_joules(), rel=1e-9), f"step {step}"
+        assert stats.int_sram_energy_joules == pytest.approx(engine.joules_with_memory(), rel=1e-9), f"step {step}"
+        last_action = np.eye(2)[answer.action.discrete]
+        observation, *_ = environment.step(answer.action.discrete)
