@@ -52,7 +52,8 @@ HttpResponse Origins::Preflight(absl::string_view origin) const {
   if (!Allow(origin)) {
     return {.code = 403, .body = "Origin: expected one of --http_origins\n"};
   }
-  return {.headers =
+  return {.body = "",
+          .headers =
               "Access-Control-Allow-Methods: GET, POST\r\n"
               "Access-Control-Allow-Headers: authorization, content-type, content-encoding, "
               "grpc-timeout, inference-header-content-length, traceparent, x-grpc-web, "
