@@ -43,9 +43,10 @@ class IntegerContext : public Engine::Context {
   int64_t timestep;                         // of the next token
   std::vector<float> previous_observation;  // see SetStateInput
   IntegerBand band;
-  std::vector<IntegerCache> caches;  // [L]
-  PhaseSpikes phase;                 // of the current timestep
-  Counts action_counts;              // of the last action token; added to the next decision
+  std::vector<IntegerCache> caches;       // [L]
+  PhaseSpikes phase;                      // of the current timestep
+  Counts action_counts;                   // of the last action token; added to the next decision
+  HiddenSpikes* hidden_spikes = nullptr;  // see RecordHiddenSpikes
 };
 
 // Buffers of one thread, reused by its calls. Their contents do not outlive a call.
@@ -321,6 +322,10 @@ class IntegerTokenPass {
     counts_->spikes(Stage::kFfnHidden) +=
         kernels::LifCounts(lif_, population, drive, 0, population.width, scratch_.hidden.data());
     counts_->accumulates += scratch_.spikes.Products(population.nonzero, nullptr);
+    if (context_->hidden_spikes != nullptr) {
+      std::vector<uint64_t>& sums = (*context_->hidden_spikes)[layer];
+      for (size_t j = 0; j < sums.size(); ++j) sums[j] += static_cast<uint64_t>(scratch_.hidden[j]);
+    }
     Apply(packed.ffn_output, scratch_.hidden);
     Normalize(policy_.weights.layers[layer].fixed_point.ffn_norm);
   }
@@ -394,6 +399,10 @@ std::unique_ptr<Engine> MakeOf(PackedIntegerPolicy packed, Policy policy) {
 }
 
 }  // namespace
+
+void RecordHiddenSpikes(Engine::Context& context, HiddenSpikes* spikes) {
+  static_cast<IntegerContext&>(context).hidden_spikes = spikes;
+}
 
 std::unique_ptr<Engine> MakeIntegerStreamingEngine(std::shared_ptr<const Policy> policy) {
   return std::make_unique<IntegerEngine>(std::move(policy));
