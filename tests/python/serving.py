@@ -14,6 +14,7 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
 
 DEPLOY = pathlib.Path(__file__).parents[2] / "deploy"
 SHIPPED_POLICIES = DEPLOY / "policies"
+INTEGER_POLICIES = DEPLOY / "integer"  # version 3 of each, in integer arithmetic
 DEADLINE_SECONDS = 30
 
 
