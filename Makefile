@@ -56,10 +56,11 @@ test-arm64-short:
 	cmake --build build/release --target spikeserve
 	python3 tests/arm64/short.py
 
-# Rewrites the hashes of the shipped policies' answers in tests/golden/answers.txt and prints which changed.
+# Rewrites the hashes of the shipped policies' answers in tests/golden and prints which changed.
 golden: configure
 	cmake --build $(BUILD) --target rewrite_golden
 	$(BUILD)/tests/rewrite_golden deploy/policies tests/golden/answers.txt
+	$(BUILD)/tests/rewrite_golden deploy/integer tests/golden/integer_answers.txt
 
 # Fills dist/ with everything that a release publishes: packages, wheels, sources, notes, an SBOM and checksums.
 dist: configure

@@ -11,6 +11,7 @@
 #include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
+#include "core/model/prune_hidden.h"
 #include "core/model/quantize.h"
 #include "core/model/quantize_integer.h"
 #include "train/commands.h"
@@ -29,6 +30,7 @@ struct QuantizeFlags {
   Arithmetic to = Arithmetic::kInt8;
   IntegerOptions integer;         // of --to=integer
   std::vector<std::string> data;  // its calibration set; empty: episodes that the policy plays
+  bool prune = false;
   EvaluationOptions options = {.episodes = 1000, .first_seed = 2'000'000};
   bool json = false;
 };
@@ -45,10 +47,11 @@ absl::Status CheckFlags(const QuantizeFlags& flags) {
   }
   const bool is_for_integer = flags.integer.mode.has_value() || flags.integer.leak.has_value() ||
                               flags.integer.attention != Attention::kShiftmax ||
-                              !flags.data.empty();
+                              !flags.data.empty() || flags.prune;
   if (is_for_integer && flags.to != Arithmetic::kInteger) {
     return absl::InvalidArgumentError(
-        "--mode, --leak, --attention, --data: expected with --to=integer, received --to=int8");
+        "--mode, --leak, --attention, --data, --prune: expected with --to=integer, received "
+        "--to=int8");
   }
   const absl::Status status = flags.options.Validate();
   return status.ok() ? status : NameFlag(status);
@@ -63,12 +66,13 @@ absl::Status MakeDirectoryOf(const std::string& path) {
       absl::StrCat("--out: cannot make the directory ", directory.string(), ": ", error.message()));
 }
 
-// Returns the largest input of the calibration set. Without recorded data, these are episodes that
-// the policy plays, where its environment is ours.
-absl::StatusOr<float> Calibrate(const Policy& policy, const std::vector<std::string>& data) {
+// Returns the calibration set. Without recorded data, these are episodes that the policy plays,
+// where its environment is ours.
+absl::StatusOr<std::vector<Episode>> CalibrationSet(const Policy& policy,
+                                                    const std::vector<std::string>& data) {
   if (data.empty()) {
-    absl::StatusOr<float> largest = LargestPlayedInput(policy);
-    if (!absl::IsNotFound(largest.status())) return largest;
+    absl::StatusOr<std::vector<Episode>> played = PlayCalibrationEpisodes(policy);
+    if (!absl::IsNotFound(played.status())) return played;
     return absl::InvalidArgumentError(absl::StrCat("--data: expected recorded episodes of ",
                                                    policy.environment, ", received none"));
   }
@@ -78,23 +82,30 @@ absl::StatusOr<float> Calibrate(const Policy& policy, const std::vector<std::str
   if (!source->resident()) {
     return absl::InvalidArgumentError("--data: expected at most 4 GiB of episodes, received more");
   }
-  absl::StatusOr<float> largest = LargestInput(policy, source->dataset().episodes);
+  // The policy is asked for its own target, not for the returns that the recorded actor reached.
+  std::vector<Episode> episodes = source->dataset().episodes;
+  for (Episode& episode : episodes) {
+    if (!episode.target_return.has_value()) episode.target_return = policy.target_return;
+  }
+  return episodes;
+}
+
+absl::StatusOr<Policy> RoundToInteger(const Policy& policy, const QuantizeFlags& flags) {
+  const absl::StatusOr<std::vector<Episode>> episodes = CalibrationSet(policy, flags.data);
+  if (!episodes.ok()) return episodes.status();
+  const absl::StatusOr<float> largest = LargestInput(policy, *episodes);
   if (!largest.ok()) return Annotate(largest.status(), "--data");
-  return largest;
+  IntegerOptions options = flags.integer;
+  options.largest_input = 2.0f * *largest;  // leaves room for inputs that the set lacks
+  absl::StatusOr<Policy> integer = QuantizeToInteger(policy, options);
+  if (!integer.ok() || !flags.prune) return integer;
+  return PruneHidden(*integer, FiringHiddenNeurons(*integer, *episodes));
 }
 
 // Converts the policy to the arithmetic of --to.
 absl::StatusOr<Policy> Round(const Policy& policy, const QuantizeFlags& flags) {
-  absl::StatusOr<Policy> rounded = absl::UnknownError("");
-  if (flags.to == Arithmetic::kInteger) {
-    const absl::StatusOr<float> largest = Calibrate(policy, flags.data);
-    if (!largest.ok()) return largest.status();
-    IntegerOptions options = flags.integer;
-    options.largest_input = 2.0f * *largest;  // leaves room for inputs that the set lacks
-    rounded = QuantizeToInteger(policy, options);
-  } else {
-    rounded = Quantize(policy);
-  }
+  absl::StatusOr<Policy> rounded =
+      flags.to == Arithmetic::kInteger ? RoundToInteger(policy, flags) : Quantize(policy);
   if (!rounded.ok()) return Annotate(rounded.status(), flags.policy);
   return rounded;
 }
@@ -111,11 +122,12 @@ absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
 }
 
 // The record of how the integer policy came to be.
-std::string QuantizationRecord(const std::string& command_line, const std::string& parent_sha256,
+std::string QuantizationRecord(const std::string& command_line,
+                               const nlohmann::ordered_json& sources,
                                const std::optional<PairedEvaluation>& pair, const Policy& parent,
                                const ModelConfig& config) {
-  nlohmann::ordered_json record = {
-      {"command", command_line}, {"commit", BuildCommit()}, {"parent_sha256", parent_sha256}};
+  nlohmann::ordered_json record = {{"command", command_line}};
+  record.update(sources);
   if (pair.has_value()) {
     record["paired_returns"] = ToJson(*pair);
     record["evaluation"] = ToJson(pair->second, config);
@@ -128,15 +140,15 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   if (absl::Status status = CheckFlags(flags); !status.ok()) return status;
   const absl::StatusOr<Policy> parent = ReadPolicyFile(flags.policy);
   if (!parent.ok()) return parent.status();
-  const absl::StatusOr<std::string> sha256 = FileSha256(flags.policy);
-  if (!sha256.ok()) return sha256.status();
+  const absl::StatusOr<nlohmann::ordered_json> sources = IdentifySources(flags.policy, flags.data);
+  if (!sources.ok()) return sources.status();
   absl::StatusOr<Policy> integer = Round(*parent, flags);
   if (!integer.ok()) return integer.status();
   const absl::StatusOr<std::optional<PairedEvaluation>> pair =
       PlayBoth(*parent, *integer, flags.options);
   if (!pair.ok()) return pair.status();
   if (absl::Status status = MakeDirectoryOf(flags.out); !status.ok()) return status;
-  integer->training = QuantizationRecord(command_line, *sha256, *pair, *parent, integer->config);
+  integer->training = QuantizationRecord(command_line, *sources, *pair, *parent, integer->config);
   if (absl::Status status = WritePolicyFile(*integer, flags.out); !status.ok()) return status;
   if (!pair->has_value()) return absl::OkStatus();
   std::fputs(
@@ -165,8 +177,10 @@ void AddQuantizeCommand(Program& program) {
       .Add("attention", EnumKind<Attention>(), &flags->integer.attention, "Weights of the keys")
       .Add("leak", EnumKind<Leak>(), &flags->integer.leak,
            "Leak of membranes; default: as the policy")
+      .AddSwitch("prune", &flags->prune,
+                 "Leave out hidden neurons that never fire in the calibration set")
       .AddList("data", "FILE,...", &flags->data,
-               "Calibration set; default: 20 episodes that the policy plays");
+               "Calibration set; default: 200 episodes that the policy plays");
   command.SetAction([flags, &program] { return QuantizePolicy(*flags, program.CommandLine()); });
 }
 

@@ -17,8 +17,6 @@
 #include "core/model/policy_file.h"
 #include "core/model/quantize.h"
 #include "train/baselines/comparison.h"
-#include "train/data/minari_layout.h"
-#include "train/data/minari_reader.h"
 #include "train/evaluation/evaluation.h"
 #include "train/evaluation/training_record.h"
 #include "train/progress_bar.h"
@@ -115,24 +113,6 @@ absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& polic
   absl::StatusOr<Evaluation> evaluation = Evaluate(std::make_shared<const Policy>(policy), options);
   if (!evaluation.ok()) return evaluation.status();
   return std::optional<Evaluation>(*std::move(evaluation));
-}
-
-// Identifies the program and the files of --init and --data. Called before training, which may take
-// long enough for the files to change.
-absl::StatusOr<nlohmann::ordered_json> IdentifySources(const TrainFlags& flags) {
-  nlohmann::ordered_json sources = {{"commit", BuildCommit()}};
-  if (!flags.init.empty()) {
-    const absl::StatusOr<std::string> sha256 = FileSha256(flags.init);
-    if (!sha256.ok()) return sha256.status();
-    sources["parent_sha256"] = *sha256;
-  }
-  for (const std::string& path : flags.data) {
-    const absl::StatusOr<std::string> sha256 =
-        FileSha256(IsMinariDataset(path) ? path + kMinariData : path);
-    if (!sha256.ok()) return sha256.status();
-    sources["data_sha256"][path] = *sha256;
-  }
-  return sources;
 }
 
 // Returns the record of a policy's training. `sources` is the result of IdentifySources(),
@@ -381,7 +361,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   if (auto status = MakeDirectory(flags.out); !status.ok()) return status;
   const absl::StatusOr<Policy> initial = MakeInitialPolicy(flags, source, options->patches);
   if (!initial.ok()) return initial.status();
-  const absl::StatusOr<nlohmann::ordered_json> sources = IdentifySources(flags);
+  const absl::StatusOr<nlohmann::ordered_json> sources = IdentifySources(flags.init, flags.data);
   if (!sources.ok()) return sources.status();
 
   Trainer trainer(*initial, source, *options);

@@ -1,4 +1,4 @@
-// Tests that every shipped policy gives the answers whose hashes are in answers.txt. Every
+// Tests that every policy of a folder gives the answers whose hashes are in a file. Every
 // processor, SIMD target, compiler and build type must give them. `make golden` rewrites the file.
 
 #include <gtest/gtest.h>
@@ -17,7 +17,7 @@ class GoldenTest : public testing::TestWithParam<std::string> {
   static std::string Expected(const std::string& kind) {
     static const Answers expected = ReadAnswers(SPIKESERVE_GOLDEN_ANSWERS);
     const auto found = expected.find(GetParam() + " " + kind);
-    return found == expected.end() ? "an entry in answers.txt, received none" : found->second;
+    return found == expected.end() ? "an entry in the file of answers, received none" : found->second;
   }
   static std::string Path() {
     return std::string(SPIKESERVE_POLICIES) + "/" + GetParam() + "/policy.safetensors";

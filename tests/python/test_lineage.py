@@ -6,15 +6,18 @@ import hashlib
 import json
 import re
 import shlex
+import subprocess
+import sys
 
 import pytest
 from policy_file import read_policy
-from serving import DEPLOY, SHIPPED_POLICIES
+from serving import DEPLOY, INTEGER_POLICIES, SHIPPED_POLICIES
 from spikeserve.imitation.command import add_command
 from spikeserve.imitation.options import ImitationOptions
 
 ROOT = DEPLOY.parent
-FILES = sorted(SHIPPED_POLICIES.glob("*/*/policy.safetensors"))
+FILES = sorted(path for folder in (SHIPPED_POLICIES, INTEGER_POLICIES) for path in folder.glob("*/*/policy.safetensors"))
+ROUNDED = [path for path in FILES if path.parts[-2] != "1"]
 NAMES = sorted(path.name for path in SHIPPED_POLICIES.iterdir())
 SHA256 = re.compile(r"[0-9a-f]{64}")
 
@@ -69,23 +72,33 @@ def test_every_stage_says_what_it_was_made_from(path):
         earlier = record
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_int8_version_follows_from_the_float32_version(name):
-    first, second = (SHIPPED_POLICIES / name / version / "policy.safetensors" for version in "12")
-    record = training(second)
+@pytest.mark.parametrize("path", ROUNDED, ids=lambda path: "/".join(path.parts[-3:-1]))
+def test_the_rounded_versions_follow_from_the_float32_version(path):
+    first = SHIPPED_POLICIES / path.parts[-3] / "1/policy.safetensors"
+    record = training(path)
     assert record["command"].split()[1] == "quantize"
+    assert ("--to=integer" in record["command"]) == (INTEGER_POLICIES in path.parents)
     assert record["parent_sha256"] == hashlib.sha256(first.read_bytes()).hexdigest()
     assert record["lineage"] == stages(first)
+
+
+def test_the_page_shows_what_the_integer_versions_return():
+    script = ROOT / "train/recipes/integer_table.py"
+    table = subprocess.run([sys.executable, script, DEPLOY], check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert table.count("\n") == 2 + len(list(INTEGER_POLICIES.iterdir()))
+    assert table in (ROOT / "docs/evidence/training-runs.md").read_text()
+    assert all(path.stat().st_size <= 400_000 for path in INTEGER_POLICIES.glob("*/*/policy.safetensors"))
 
 
 def imitation(recipe):
     """Returns the settings of the command `spikeserve imitate` of a recipe, as policies record them."""
     parser = argparse.ArgumentParser()
     add_command(parser.add_subparsers())
-    words = shlex.split(recipe.replace("\\\n", " "), comments=True)
+    command = re.search(r"^imitate .*$", recipe.replace("\\\n", " "), re.MULTILINE)
+    words = shlex.split(command[0])
     common = re.search(r"^settings=\((.*?)\)$", (ROOT / "train/recipes/imitation.sh").read_text(), re.MULTILINE | re.DOTALL)
-    flags = [*common[1].split(), *words[words.index("imitate") + 2 :]]
-    arguments = parser.parse_args(["imitate", words[words.index("imitate") + 1], *flags, "--out=."])
+    flags = [*common[1].split(), *words[2:]]
+    arguments = parser.parse_args([*words[:2], *flags, "--out=."])
     settings = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(ImitationOptions)}
     names = [name.rpartition(":")[2] for name in (arguments.env_id, *arguments.wrapper)]
     return json.loads(json.dumps({"environment": "-".join(names)} | settings))

@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/engine/factory/engine_factory.h"
+#include "core/engine/spiking/integer_engine.h"
 #include "core/engine/token.h"
 #include "core/environment/environment.h"
 #include "train/data/dataset.h"
@@ -64,26 +65,57 @@ absl::StatusOr<float> LargestInput(const Policy& policy, absl::Span<const Episod
   return range.largest();
 }
 
-absl::StatusOr<float> LargestPlayedInput(const Policy& policy) {
+absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& policy) {
   absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy.environment);
   if (!environment.ok()) return environment.status();
   if (absl::Status status = CheckSpacesMatch(policy, **environment); !status.ok()) return status;
   const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
-  InputRange range(policy);
-  for (int i = 0; i < kCalibrationEpisodes; ++i) {
-    const uint64_t seed = kCalibrationSeed + static_cast<uint64_t>(i);
-    PolicyPlayer player(*engine, seed, policy.target_return);
-    double return_to_go = policy.target_return;
-    range.StartEpisode();
+  std::vector<Episode> episodes(kCalibrationEpisodes);
+  for (Episode& episode : episodes) {
+    episode.actor = "student";
+    episode.seed = kCalibrationSeed + static_cast<uint64_t>(&episode - episodes.data());
+    episode.target_return = policy.target_return;
+    PolicyPlayer player(*engine, episode.seed, policy.target_return);
     StepResult result;
-    result.observation = (*environment)->Reset(seed);
+    result.observation = (*environment)->Reset(episode.seed);
+    const auto observe = [&] {
+      episode.observations.insert(episode.observations.end(), result.observation.begin(),
+                                  result.observation.end());
+    };
+    observe();
     while (!result.done()) {
-      range.Add(result.observation, return_to_go);
-      result = (*environment)->Step(player.Act(result.observation, result.reward));
-      return_to_go -= result.reward;
+      episode.actions.push_back(player.Act(result.observation, result.reward));
+      result = (*environment)->Step(episode.actions.back());
+      episode.rewards.push_back(result.reward);
+      observe();
     }
   }
-  return range.largest();
+  return episodes;
+}
+
+std::vector<std::vector<bool>> FiringHiddenNeurons(const Policy& policy,
+                                                   absl::Span<const Episode> episodes) {
+  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
+  const auto layers = static_cast<size_t>(policy.config.layers);
+  const auto neurons = static_cast<size_t>(policy.config.ffn_size);
+  const auto size = static_cast<size_t>(policy.observation_size());
+  HiddenSpikes spikes(layers, std::vector<uint64_t>(neurons, 0));
+  std::vector<float> encoded(policy.action_space.size());
+  Engine::Output output;
+  for (const Episode& episode : episodes) {
+    const auto context = engine->NewContext(episode.seed);
+    RecordHiddenSpikes(*context, &spikes);
+    const std::vector<float> returns = ReturnsToGo(episode);
+    for (size_t t = 0; t < episode.actions.size(); ++t) {
+      engine->Decide(*context, returns[t],
+                     absl::MakeConstSpan(episode.observations).subspan(t * size, size), &output);
+      policy.action_space.Encode(episode.actions[t], absl::MakeSpan(encoded));
+      engine->AppendAction(*context, encoded);
+    }
+  }
+  std::vector<std::vector<bool>> fires;
+  for (const std::vector<uint64_t>& layer : spikes) fires.emplace_back(layer.begin(), layer.end());
+  return fires;
 }
 
 }  // namespace spikeserve

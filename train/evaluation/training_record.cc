@@ -10,6 +10,8 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "train/data/minari_layout.h"
+#include "train/data/minari_reader.h"
 
 namespace spikeserve {
 namespace {
@@ -43,6 +45,23 @@ absl::StatusOr<std::string> FileSha256(const std::string& path) {
   }
   return absl::BytesToHexString(
       absl::string_view(reinterpret_cast<const char*>(digest.data()), size));
+}
+
+absl::StatusOr<nlohmann::ordered_json> IdentifySources(const std::string& parent,
+                                                       const std::vector<std::string>& data) {
+  nlohmann::ordered_json sources = {{"commit", BuildCommit()}};
+  if (!parent.empty()) {
+    const absl::StatusOr<std::string> sha256 = FileSha256(parent);
+    if (!sha256.ok()) return sha256.status();
+    sources["parent_sha256"] = *sha256;
+  }
+  for (const std::string& path : data) {
+    const absl::StatusOr<std::string> sha256 =
+        FileSha256(IsMinariDataset(path) ? path + kMinariData : path);
+    if (!sha256.ok()) return sha256.status();
+    sources["data_sha256"][path] = *sha256;
+  }
+  return sources;
 }
 
 }  // namespace spikeserve

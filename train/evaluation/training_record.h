@@ -8,6 +8,7 @@
 #define TRAIN_EVALUATION_TRAINING_RECORD_H_
 
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "nlohmann/json.hpp"
@@ -25,6 +26,12 @@ std::string BuildCommit();
 // Returns the SHA-256 of a file's bytes as 64 hexadecimal digits. NOT_FOUND if there is no such
 // file.
 absl::StatusOr<std::string> FileSha256(const std::string& path);
+
+// Returns the identities of a command's sources: the commit of this program, and the SHA-256 of the
+// policy that it starts from (empty: none) and of its datasets. NOT_FOUND if a file does not exist.
+// To be called first: until a training ends, the files may change.
+absl::StatusOr<nlohmann::ordered_json> IdentifySources(const std::string& parent,
+                                                       const std::vector<std::string>& data);
 
 }  // namespace spikeserve
 

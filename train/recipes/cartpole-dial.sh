@@ -18,3 +18,4 @@ stage 2-quiet skills --seed=2 --iterations=300 --target_rate=1 --readout_rate=6 
 stage 3-whole skills --seed=3 --iterations=250 --target_rate=0.5 --readout_rate=4 --batch=16 --learning_rate=1e-3
 
 dial 25 75 125 175 225 275 325 375 425 475
+integer --mode=route

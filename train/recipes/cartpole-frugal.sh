@@ -14,3 +14,4 @@ stage 1-play mixed --seed=1 --iterations=800 "${shape[@]}" "${short[@]}"
 stage 2-quiet mixed --seed=2 --iterations=600 --target_rate=0.5 --readout_rate=5 --operation_penalty=1 "${short[@]}"
 
 unseen
+integer

@@ -19,3 +19,4 @@ data student --seed=1 --steps=60000 --expert_fraction=0 --student="$policy"
 stage 2-own disturbed,student --seed=2 --iterations=1500 --learning_rate=2e-3 "${quiet[@]}" "${short[@]}"
 
 unseen
+integer

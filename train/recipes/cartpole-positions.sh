@@ -16,3 +16,4 @@ stage 2-quiet disturbed --seed=2 --iterations=800 --target_rate=2 --readout_rate
 stage 3-quieter disturbed --seed=3 --iterations=800 --target_rate=1 --readout_rate=8 "${short[@]}"
 
 unseen
+integer --mode=route

@@ -16,3 +16,4 @@ stage 2-quiet mixed --seed=2 --iterations=1000 --target_rate=0.5 --readout_rate=
 stage 3-quieter mixed --seed=3 --iterations=1000 --target_rate=0.1 --readout_rate=4 "${short[@]}"
 
 unseen
+integer --mode=baseline

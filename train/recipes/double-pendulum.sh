@@ -10,3 +10,4 @@ source "$(dirname "$0")/imitation.sh"
 imitate InvertedDoublePendulum-v5 --expert=experts:balance_double_pendulum --mode=full --ticks=10 --action-noise=0 \
   --learning-rate=0.002 --longest-burst=1 --burst-rate=0.1 --rounds=1 --round-steps=20000 --round-iterations=500 \
   --silence= --silence-iterations=400 --selection-episodes=20 --episodes=100
+integer

@@ -1,4 +1,4 @@
-# A function for the recipes that run `spikeserve imitate`, which source this file. A recipe is called with SPIKETRAIN and
+# Functions for the recipes that run `spikeserve imitate`, which source this file. A recipe is called with SPIKETRAIN and
 # OUT_DIR. A recipe that was interrupted continues when it is run again.
 #
 # PYTHON is a Python with spikeserve[imitation], spikeserve-engine and the package of the environment; default: python3.
@@ -17,5 +17,16 @@ settings=(--steps=60000 --burst-rate=0.3 --longest-burst=8 --held-bursts=0 --con
 
 # imitate ENVIRONMENT FLAGS...: runs `python -m spikeserve imitate` into OUT_DIR.
 imitate() {
+  environment=("$1")
+  local flag
+  for flag in "${@:2}"; do
+    if [[ $flag == --wrapper=* ]]; then environment+=("$flag"); fi
+  done
   "${PYTHON:-python3}" -m spikeserve imitate "$1" "${settings[@]}" "${@:2}" --spiketrain="$spiketrain" --out="$out"
+}
+
+# integer FLAGS...: adds version 3 to OUT_DIR/policies, in integer arithmetic. FLAGS are those of `spiketrain quantize`.
+integer() {
+  "${PYTHON:-python3}" "$(dirname "$0")/integer_version.py" "${environment[@]}" --out="$out" --spiketrain="$spiketrain" \
+    --flags="$*"
 }

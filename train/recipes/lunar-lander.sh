@@ -6,3 +6,4 @@
 source "$(dirname "$0")/imitation.sh"
 
 imitate LunarLander-v3 --expert=experts:land --iterations=2500 --round-iterations=1000 --tolerance=0.01 --episodes=1000
+integer

@@ -11,3 +11,4 @@ imitate minigrid:MiniGrid-MemoryS11-v0 --wrapper=minigrid.wrappers:OneHotPartial
   --wrapper=minigrid.wrappers:ImgObsWrapper --expert=memory_experts:find_match --context=16 --clip-steps=0 --batch=24 \
   --action-noise=0 --train-flags="--slope=4 --merge=concat" --steps=20000 --disturbed=0.5 --burst-rate=0.1 --longest-burst=2 \
   --iterations=800 --rounds=2 --round-steps=6000 --round-iterations=300 --silence-iterations=300 --episodes=1000
+integer

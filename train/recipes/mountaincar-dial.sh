@@ -21,3 +21,4 @@ data student --seed=2 --expert=dial --steps=60000 --expert_fraction=0 --student=
 stage 4-asked asked,student --seed=4 --iterations=450 --target_rate=1 --readout_rate=6 "${short[@]}"
 
 dial -105 -115 -125 -135 -145 -155 -165 -175 -185 -195
+integer

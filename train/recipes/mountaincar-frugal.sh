@@ -18,3 +18,4 @@ stage 3-fine disturbed --seed=3 --iterations=3000 --learning_rate=3e-4 --target_
   --operation_penalty=0.02 "${short[@]}"
 
 unseen
+integer

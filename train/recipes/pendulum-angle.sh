@@ -24,3 +24,4 @@ round round3 3
 stage 4-own disturbed,round1,round2,round3 --seed=3 --iterations=1500 "${common[@]}"
 
 unseen
+integer --mode=route

@@ -20,3 +20,4 @@ data student2 --seed=2 --steps=80000 --expert_fraction=0 --expert=cautious --stu
 stage 3-own cautious,student,student2 --seed=3 --iterations=3000 --learning_rate=1e-3 "${quiet[@]}" "${short[@]}"
 
 unseen
+integer

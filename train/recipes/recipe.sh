@@ -36,6 +36,12 @@ unseen() {
   "$spiketrain" eval --policy="$policy" --episodes=1000 --seed=2000000
 }
 
+# integer FLAGS...: writes the last stage's policy in integer arithmetic to OUT_DIR/integer, without the hidden neurons that
+# never fire, and compares both on the same starts as above. A mode leaves out parts that the policy can do without.
+integer() {
+  "$spiketrain" quantize --to=integer --prune "$@" --policy="$policy" --out="$out/integer/policy.safetensors"
+}
+
 # dial RETURN...: evaluates the last stage's policy with each target return, on seeds that were not used before.
 dial() {
   local returns=$*

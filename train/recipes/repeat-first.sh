@@ -10,3 +10,4 @@ source "$(dirname "$0")/imitation.sh"
 imitate popgym:popgym-RepeatFirstEasy-v0 --expert=memory_experts:repeat_first --hidden-size=32 --layers=1 --context=2 \
   --action-noise=0 --clip-steps=51 --batch=8 --steps=20000 --disturbed=0 --iterations=500 --rounds=0 \
   --silence-iterations=250 --episodes=1000
+integer

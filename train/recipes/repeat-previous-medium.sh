@@ -9,3 +9,4 @@ imitate popgym:popgym-RepeatPreviousMedium-v0 --expert=memory_experts:repeat_pre
   --disturbed=0 --rounds=0 --hidden-size=128 --layers=1 --context=32 --lookback=31 --clip-steps=103 --batch=4 --steps=40000 \
   --iterations=400 --silence=30:30,20:20 --silence-iterations=250 --tolerance=0.005 --selection-episodes=50 \
   --episodes=200 --train-flags="--slope=4 --heads=8 --ffn_size=128"
+integer

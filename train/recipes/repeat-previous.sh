@@ -8,3 +8,4 @@ source "$(dirname "$0")/imitation.sh"
 imitate popgym:popgym-RepeatPreviousEasy-v0 --expert=memory_experts:repeat_previous --mode=full --action-noise=0 --disturbed=0 \
   --rounds=0 --layers=1 --context=4 --clip-steps=51 --batch=8 --steps=40000 --iterations=1600 --silence=6:25,3:15 \
   --silence-iterations=500 --tolerance=0.005 --episodes=1000
+integer

@@ -44,9 +44,10 @@ class IntegerContext : public Engine::Context {
   int64_t timestep;                         // of the next token
   std::vector<float> previous_observation;  // see SetStateInput
   IntegerBand band;
-  std::vector<IntegerCache> caches;  // [L]
-  PhaseSpikes phase;                 // of the current timestep
-  Counts action_counts;              // of the last action token; added to the next decision
+  std::vector<IntegerCache> caches;       // [L]
+  PhaseSpikes phase;                      // of the current timestep
+  Counts action_counts;                   // of the last action token; added to the next decision
+  HiddenSpikes* hidden_spikes = nullptr;  // see RecordHiddenSpikes
 };
 
 // Buffers of one thread, reused by its calls. Their contents do not outlive a call.
@@ -327,6 +328,10 @@ class IntegerTokenPass {
     scratch_.hidden.resize(population.width);
     counts_->spikes(Stage::kFfnHidden) +=
         kernels::LifCounts(lif_, population, drive, 0, population.width, scratch_.hidden.data());
+    if (context_->hidden_spikes != nullptr) {
+      std::vector<uint64_t>& sums = (*context_->hidden_spikes)[layer];
+      for (size_t j = 0; j < sums.size(); ++j) sums[j] += static_cast<uint64_t>(scratch_.hidden[j]);
+    }
     const uint64_t synapses = scratch_.spikes.Products(population.nonzero, nullptr);
     counts_->accumulates += synapses;
     counts_->weight_bytes += synapses + Apply(packed.ffn_output, scratch_.hidden);
@@ -402,6 +407,10 @@ std::unique_ptr<Engine> MakeOf(PackedIntegerPolicy packed, Policy policy) {
 }
 
 }  // namespace
+
+void RecordHiddenSpikes(Engine::Context& context, HiddenSpikes* spikes) {
+  static_cast<IntegerContext&>(context).hidden_spikes = spikes;
+}
 
 std::unique_ptr<Engine> MakeIntegerStreamingEngine(std::shared_ptr<const Policy> policy) {
   return std::make_unique<IntegerEngine>(std::move(policy));

@@ -2,8 +2,10 @@
 #ifndef CORE_ENGINE_SPIKING_INTEGER_ENGINE_H_
 #define CORE_ENGINE_SPIKING_INTEGER_ENGINE_H_
 
+#include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "core/engine/engine.h"
@@ -17,6 +19,13 @@ std::unique_ptr<Engine> MakeIntegerStreamingEngine(std::shared_ptr<const Policy>
 std::unique_ptr<Engine> MakeCompactIntegerEngine(Policy policy);
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedIntegerEngine(Policy policy,
                                                                 const std::string& folder);
+
+// The spikes of each hidden neuron: [L][F].
+using HiddenSpikes = std::vector<std::vector<uint64_t>>;
+
+// From now on, adds the hidden neurons' spikes for every token of `context` to `spikes`, which has
+// the shape [L][F] and outlives the context. REQUIRES: a context of an engine of this file.
+void RecordHiddenSpikes(Engine::Context& context, HiddenSpikes* spikes);
 
 }  // namespace spikeserve
 

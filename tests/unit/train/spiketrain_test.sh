@@ -164,6 +164,14 @@ refuses 'new/2/policy.safetensors: arithmetic: expected float32, received int8' 
 refuses '--out: expected the file to write, received none' quantize --policy=whole/policy.safetensors
 refuses '--policy: expected a policy file, received none' quantize --out=x
 refuses '--episodes: expected at least 1, received 0' quantize --policy=whole/policy.safetensors --out=x --episodes=0
+
+# Rounds a policy from end to end, and leaves hidden neurons out. The record names the calibration set.
+"$spiketrain" quantize --to=integer --prune --policy=whole/policy.safetensors --data=data.cbor --out=new/3/policy.safetensors \
+  --episodes=3 >/dev/null
+says new/3/policy.safetensors '\"arithmetic\":\"integer\"'
+says new/3/policy.safetensors "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha data.cbor)\\\"}"
+refuses '--mode, --leak, --attention, --data, --prune: expected with --to=integer, received --to=int8' \
+  quantize --policy=whole/policy.safetensors --out=x --prune
 refuses '--init: expected a policy in float32, received one in int8' \
   train --data=data.cbor --init=new/2/policy.safetensors --out=x
 
