@@ -70,6 +70,24 @@ TEST(SessionTest, RoundTripKeepsEveryField) {
   EXPECT_EQ(parsed->energy_joules, session.energy_joules);
 }
 
+// Releases that do not know the counts of integer arithmetic read the answers of other policies.
+TEST(SessionTest, CountsOfIntegerArithmeticFollowOnlyWhereThereAreAny) {
+  Session session = BusySession();
+  const Json::json_pointer counts_of_answer("/1/10/4");
+  EXPECT_EQ(Json::from_cbor(SerializeSession(session))[counts_of_answer].size(), 9u);
+  Counts& counts = session.last_answer->counts;
+  counts.membrane_ticks = 1;
+  counts.membrane_leaks = 2;
+  counts.wide_multiply_accumulates = 3;
+  counts.attention_scalings = 4;
+  counts.weight_bytes = 5;
+  counts.attention_bytes = 6;
+  EXPECT_EQ(Json::from_cbor(SerializeSession(session))[counts_of_answer].size(), 15u);
+  const auto parsed = ParseSession(SerializeSession(session));
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  EXPECT_EQ(parsed->last_answer->counts, counts);
+}
+
 TEST(SessionTest, ANewSessionRoundTrips) {
   const Session session = NewSession("id", SmallOptions());
   const auto parsed = ParseSession(SerializeSession(session));

@@ -192,6 +192,9 @@ fi
 grep -q 'made with .* --arithmetic=int8 .*, not ' message || fail "the arithmetic of a checkpoint: $(cat message)"
 integers --out=tuned-integers --init=whole/policy.safetensors --iterations=2 --json 2>/dev/null |
   grep -q '"int_45nm"' || fail "the energy of an integer policy"
+"$spiketrain" account --policy=tuned-integers/policy.safetensors --episodes=1 | grep -q '^int_sram_45nm ' ||
+  fail "the account of an integer policy"
+refuses '--policy: arithmetic: expected int8 or integer, received float32' account --policy=whole/policy.safetensors --episodes=1
 says tuned-integers/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
 grep -aq 'lineage.*--out=whole' tuned-integers/policy.safetensors || fail "lineage of integers"
 # Without an iteration that changes weights, training in integers gives what rounding gives.
