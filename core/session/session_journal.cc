@@ -22,12 +22,16 @@ SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decision
                                JournalWriter* writer, size_t records, bool is_whole)
     : key_(std::move(key)),
       is_sync_(durability == Durability::kSync),
+      is_new_(key_.epoch == 1 && is_whole),
       writer_(*writer),
       durable_decisions_(decisions),
       missing_(!is_whole),
       first_valid_(is_whole ? 0 : kNoPosition),
       decisions_(decisions),
+      durable_changes_(decisions + static_cast<uint64_t>(key_.ended)),
       epoch_(key_.epoch),
+      replaces_(key_.claimed_from),
+      changes_(durable_changes_),
       records_(records),
       acknowledged_({.base = 0, .records = records}) {}
 
@@ -46,55 +50,57 @@ absl::Status SessionJournal::CheckWritable() const {
 }
 
 void SessionJournal::OnOpen(const Session& session) {
-  Write(JournalRecord::Kind::kOpen, SerializeSession(session), session.decisions);
+  Write(JournalRecord::Kind::kOpen, SerializeSession(session), &session);
 }
 
 void SessionJournal::OnDecision(const Session& session, const JournalEntryView& entry) {
   if (records_ < kDecisionsPerSnapshot) {
-    Write(JournalRecord::Kind::kEntry, SerializeEntry(entry), session.decisions);
+    Write(JournalRecord::Kind::kEntry, SerializeEntry(entry), &session);
   } else {
-    Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions);
+    Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), &session);
   }
 }
 
 void SessionJournal::OnChange(const Session& session) {
-  Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions);
+  Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), &session);
 }
 
 void SessionJournal::OnEpisodeEnd(const Session& session,
                                   std::shared_ptr<FleetContribution> contribution) {
-  Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), session.decisions,
+  Write(JournalRecord::Kind::kSnapshot, SerializeSession(session), &session,
         std::move(contribution));
 }
 
 void SessionJournal::OnRelease(const Session& session) {
   if (lost()) return;
-  Write(JournalRecord::Kind::kRelease, SerializeSession(session), session.decisions);
+  Write(JournalRecord::Kind::kRelease, SerializeSession(session), &session);
 }
 
 void SessionJournal::OnClose() {
-  if (!lost()) Write(JournalRecord::Kind::kClose, "", decisions_.load(std::memory_order_relaxed));
+  if (!lost()) Write(JournalRecord::Kind::kClose, "", nullptr);
 }
 
-void SessionJournal::OnConfirm() {
-  Write(JournalRecord::Kind::kConfirm, "", decisions_.load(std::memory_order_relaxed));
-}
+void SessionJournal::OnConfirm() { Write(JournalRecord::Kind::kConfirm, "", nullptr); }
 
 void SessionJournal::WriteAgainIfMissing(const Session& session) {
   if (!missing_.exchange(false, std::memory_order_acq_rel) || lost()) return;
   OnOpen(session);
 }
 
-void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions,
+void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, const Session* session,
                            std::shared_ptr<FleetContribution> contribution) {
-  decisions_.store(decisions, std::memory_order_relaxed);
+  if (session != nullptr) {
+    decisions_.store(session->decisions, std::memory_order_relaxed);
+    changes_ = session->decisions + static_cast<uint64_t>(session->episode);
+  }
   const bool is_snapshot =
       kind != JournalRecord::Kind::kEntry && kind != JournalRecord::Kind::kConfirm;
   if (is_snapshot) records_ = 0;  // replaces what was there
   if (kind != JournalRecord::Kind::kConfirm) ++records_;
   JournalRecord record = {.kind = kind,
                           .bytes = std::move(bytes),
-                          .decisions = decisions,
+                          .decisions = decisions_.load(std::memory_order_relaxed),
+                          .changes = changes_,
                           .records = records_,
                           .journal = shared_from_this(),
                           .contribution = std::move(contribution)};
@@ -170,6 +176,7 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
     if (!loss_.ok()) lost_ = true;
     if (outcome.ok()) {
       durable_decisions_.store(record.decisions, std::memory_order_release);
+      durable_changes_.store(record.changes, std::memory_order_release);
       contributions = std::exchange(kept_, {});
       if (record.contribution != nullptr) contributions.push_back(record.contribution);
     }

@@ -49,6 +49,7 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
     // Names the policy file without which a server cannot continue; empty: any server may try.
     std::string policy_file = "";
     uint64_t claimed_from = 0;  // epoch of the owner before; 0: none
+    int64_t ended = 0;          // episodes that the session has ended before this owner
   };
 
   // What the store has of the journal, as far as it has acknowledged it.
@@ -65,8 +66,14 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
 
   const Key& key() const { return key_; }
   uint64_t epoch() const { return epoch_.load(std::memory_order_acquire); }
+  // Returns the epoch of another owner that this one may replace in the store if it has no more
+  // than durable_changes(); 0: none.
+  uint64_t replaces() const { return replaces_.load(std::memory_order_acquire); }
+  // Returns how often the session has changed, as far as the store has acknowledged it: decisions
+  // and ends of episodes. A store that has less has lost something.
+  uint64_t durable_changes() const { return durable_changes_.load(std::memory_order_acquire); }
   // Returns true if this owner opened the session, and false if it claimed it.
-  bool is_new() const { return key_.epoch == 1; }
+  bool is_new() const { return is_new_; }
   bool is_sync() const { return is_sync_; }
   // Returns true if another process may have claimed the session unnoticed.
   bool is_shared() const { return writer_.IsShared(); }
@@ -123,6 +130,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   void OnReplaced(const JournalRecord& record) ABSL_LOCKS_EXCLUDED(mutex_);
   // The journal has another epoch in the store now.
   void OnMoved(uint64_t epoch) { epoch_.store(epoch, std::memory_order_release); }
+  // The store has gone back to what another owner has written, which the next snapshot replaces.
+  void OnSetBack(uint64_t epoch) { replaces_.store(epoch, std::memory_order_release); }
   // The record was written, or refused with ABORTED (this owner has been replaced), ALREADY_EXISTS,
   // or NOT_FOUND (the store has lost the journal or a part of it).
   void OnWritten(const JournalRecord& record, const absl::Status& status)
@@ -142,19 +151,24 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   std::vector<Waiter> TakeReady(bool all) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Nothing that waits is written before the journal is written again.
   void LoseRecords() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  void Write(JournalRecord::Kind kind, std::string bytes, uint64_t decisions,
+  // `session` is what it is with the record; null: as it was.
+  void Write(JournalRecord::Kind kind, std::string bytes, const Session* session,
              std::shared_ptr<FleetContribution> contribution = nullptr) ABSL_LOCKS_EXCLUDED(mutex_);
 
   const Key key_;
   const bool is_sync_;
+  const bool is_new_;
   JournalWriter& writer_;
   std::atomic<uint64_t> durable_decisions_;
   std::atomic<bool> lost_ = false;
   std::atomic<bool> missing_ = false;      // the store has lost the journal or a part of it
   std::atomic<uint64_t> first_valid_ = 0;  // records before this position are replaced
   std::atomic<uint64_t> decisions_;        // with those that are not stored yet
+  std::atomic<uint64_t> durable_changes_;
   std::atomic<uint64_t> epoch_;
+  std::atomic<uint64_t> replaces_;
   // Guarded by the session's lock: what the store has, with what waits.
+  uint64_t changes_;
   size_t records_;
   uint64_t base_ = 0;
 

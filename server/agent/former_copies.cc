@@ -17,9 +17,18 @@ void FormerCopies::Keep(const Key& key, const std::shared_ptr<SessionEntry>& ent
   if (copies_.size() < kMost) copies_.try_emplace(key, Copy{.entry = entry, .since = now});
 }
 
-void FormerCopies::Forget(const Key& key) {
+std::shared_ptr<SessionEntry> FormerCopies::Take(const Key& key) {
   absl::MutexLock lock(&mutex_);
-  copies_.erase(key);
+  const auto found = copies_.find(key);
+  if (found == copies_.end()) return nullptr;
+  std::shared_ptr<SessionEntry> entry = std::move(found->second.entry);
+  copies_.erase(found);
+  return entry;
+}
+
+void FormerCopies::WaitAgain(const Key& key) {
+  absl::MutexLock lock(&mutex_);
+  if (const auto found = copies_.find(key); found != copies_.end()) found->second.lost.reset();
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> FormerCopies::TakeBack(const Key& key) {
@@ -28,14 +37,16 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> FormerCopies::TakeBack(const Key& 
   Prune(now);
   const auto found = copies_.find(key);
   if (found == copies_.end()) return NoSuchSession(key.second);
-  if (now - found->second.since < kWait) {
+  Copy& copy = found->second;
+  if (!copy.lost.has_value()) copy.lost = now;
+  if (now - *copy.lost < kWait) {
     return WithRetryDelay(
         absl::UnavailableError(
             "session_id: expected a session that the store has, received one that it has lost; "
             "another server may have it; try again"),
         kRetryDelay);
   }
-  std::shared_ptr<SessionEntry> entry = std::move(found->second.entry);
+  std::shared_ptr<SessionEntry> entry = std::move(copy.entry);
   copies_.erase(found);
   return entry;
 }

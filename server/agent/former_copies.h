@@ -13,6 +13,7 @@
 #include <cstddef>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -29,7 +30,8 @@ class FormerCopies {
  public:
   using Key = std::pair<std::string, std::string>;  // tenant and session
 
-  // How long callers are sent elsewhere before a copy is taken back.
+  // How long callers are sent elsewhere, from the first one for whom the store had nothing, before
+  // a copy is taken back.
   static constexpr absl::Duration kWait = absl::Seconds(3);
   // How long a copy is kept for callers that do not come again, and how many.
   static constexpr absl::Duration kKept = absl::Minutes(5);
@@ -41,8 +43,13 @@ class FormerCopies {
   // Keeps `entry`, which this server has given up.
   void Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // The store has the session, or says that it has ended.
-  void Forget(const Key& key) ABSL_LOCKS_EXCLUDED(mutex_);
+  // The store has the session, or says that it has ended. Returns the copy, which is kept no more,
+  // or null.
+  std::shared_ptr<SessionEntry> Take(const Key& key) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // The store could not say. Owners that it was away for, too, need time to write their sessions
+  // again.
+  void WaitAgain(const Key& key) ABSL_LOCKS_EXCLUDED(mutex_);
 
   // The store has lost the session. Returns the copy, which is kept no more, if the callers have
   // waited long enough; UNAVAILABLE if they are to try again, perhaps elsewhere; NOT_FOUND if there
@@ -54,6 +61,7 @@ class FormerCopies {
   struct Copy {
     std::shared_ptr<SessionEntry> entry;
     absl::Duration since;
+    std::optional<absl::Duration> lost = std::nullopt;  // since when the store has nothing
   };
 
   // Forgets those that nobody has asked for in time.

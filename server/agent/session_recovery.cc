@@ -57,6 +57,16 @@ bool IsGivenUp(const SessionEntry& entry) {
   return refusal.ok();
 }
 
+// Replaces `session`, which was claimed, by the copy that this server had given up, if the store
+// had acknowledged more of that. Returns whether it did.
+bool GoOnFrom(SessionEntry& former, Session* session) {
+  const uint64_t changes = session->decisions + static_cast<uint64_t>(session->episode);
+  if (!IsGivenUp(former) || former.journal->durable_changes() <= changes) return false;
+  absl::MutexLock lock(&former.mutex);
+  *session = former.agent.session();
+  return true;
+}
+
 }  // namespace
 
 bool IsDrawnSessionId(absl::string_view id) {
@@ -149,7 +159,9 @@ absl::StatusOr<SessionRecovery::Restored> SessionRecovery::Unfold(const Key& key
 absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuota> quota,
                                       absl::StatusOr<ClaimedJournal> claimed) {
   if (IsLost(claimed.status())) return TakeBack(key, std::move(quota));
-  if (claimed.ok() || absl::IsNotFound(claimed.status())) former_.Forget(key);
+  if (absl::IsUnavailable(claimed.status())) former_.WaitAgain(key);
+  const bool is_known = claimed.ok() || absl::IsNotFound(claimed.status());
+  const auto former = is_known ? former_.Take(key) : nullptr;
   if (!claimed.ok()) return claimed.status();
   auto restored = Unfold(key, &*claimed);
   if (!restored.ok()) return restored.status();
@@ -159,6 +171,7 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
         "again");
   }
   journals_.CountReplayed(restored->entries);
+  const bool is_set_back = former != nullptr && GoOnFrom(*former, &restored->session);
   const auto& served = restored->served;
   const Durability durability = restored->session.options.durability;
   SessionExtras extras;
@@ -168,9 +181,10 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
                           .tenant = key.first,
                           .epoch = claimed->epoch,
                           .policy_file = PolicyFileOf(*served),
-                          .claimed_from = claimed->claimed_from},
+                          .claimed_from = claimed->claimed_from,
+                          .ended = restored->session.episode},
       durability, restored->session.decisions, &journals_, claimed->records.size(),
-      /*is_whole=*/restored->after_gap == 0);
+      /*is_whole=*/restored->after_gap == 0 && !is_set_back);
   auto status = Add(served, std::move(restored->session), std::move(extras));
   if (!status.ok()) return status;
   if (restored->after_gap > 0) {
@@ -199,6 +213,7 @@ absl::Status SessionRecovery::TakeBack(const Key& key, std::shared_ptr<SessionQu
   // knows its own copy for the newer one.
   SessionJournal::Key journal = entry.journal->key();
   journal.epoch = entry.journal->epoch();
+  journal.ended = session.episode;
   extras.journal =
       std::make_shared<SessionJournal>(std::move(journal), session.options.durability,
                                        session.decisions, &journals_, 0, /*is_whole=*/false);

@@ -10,6 +10,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/strip.h"
 #include "core/base/clock.h"
 #include "core/session/session_journal.h"
 #include "core/session/session_store.h"
@@ -30,8 +31,10 @@ constexpr absl::Duration kTombstone = absl::Minutes(10);
 // A connection that was used within this time is not tried.
 constexpr absl::Duration kFresh = absl::Milliseconds(500);
 
-// How often the settings of Redis are read again, which operators may change while it runs.
+// How often the settings of Redis are read again, which operators may change while it runs, and how
+// often while sessions are refused because of them.
 constexpr absl::Duration kLookInterval = absl::Seconds(5);
+constexpr absl::Duration kRefusedInterval = absl::Milliseconds(500);
 
 // How often a claim is tried again that another server was faster than.
 constexpr int kMostClaims = 3;
@@ -47,6 +50,12 @@ std::string ListKey(absl::string_view id, absl::string_view epoch) {
 
 std::string TextAt(const redisReply& reply, size_t i) {
   return std::string(TextOf(*reply.element[i]));
+}
+
+// Returns what names the snapshot with which the journal of an owner begins. With the epoch, it
+// also tells the owner whether the hash is still its own.
+std::string BaseOf(const SessionJournal& journal, uint64_t base) {
+  return absl::StrCat(journal.epoch(), ":", base);
 }
 
 bool IsArray(const redisReply& reply, size_t elements) {
@@ -70,6 +79,15 @@ const std::string& PutScript() {
 const std::string& CloseScript() {
   static const auto* const script = new std::string(WithOwner(redis_scripts::kClose));
   return *script;
+}
+
+// Returns the most changes of the copy that another owner has stored at `epoch` with which the copy
+// of `journal` replaces it. What the store has acknowledged to an owner is in everything that is
+// claimed from it afterwards: a store with less than that has lost something. With as much, what is
+// stored goes on, unless the owner of `journal` has claimed just this.
+int64_t MostReplaced(const SessionJournal& journal, uint64_t epoch) {
+  const auto changes = static_cast<int64_t>(journal.durable_changes());
+  return epoch == journal.key().claimed_from ? changes : changes - 1;
 }
 
 class RedisBackend final : public JournalBackend {
@@ -139,7 +157,7 @@ class RedisBackend final : public JournalBackend {
   absl::StatusOr<bool> ReadPut(const JournalRecord& record);
   // Finds why the store does not have what the owner of the journal expects: ABORTED if another
   // owner has it, otherwise NOT_FOUND. Returns UNAVAILABLE if the store does not answer.
-  absl::Status FindReason(const SessionJournal& journal, absl::Status* reason);
+  absl::Status FindReason(SessionJournal& journal, absl::Status* reason);
   // Begins claims: finds the sessions. Those that are done have a result afterwards.
   std::vector<ClaimState> FindClaims(std::vector<ClaimState> claims);
   // Runs the claims that were found, and returns those that are to be tried again.
@@ -209,7 +227,8 @@ absl::StatusOr<bool> RedisBackend::Connect() {
     if (!Ping().ok()) client_ = nullptr;
   }
   if (auto status = EnsureClient(); !status.ok()) return status;
-  if (clock_.Now() - looked_ > kLookInterval) {
+  const bool refuses = !CheckKeepsRecords().ok();
+  if (clock_.Now() - looked_ > (refuses ? kRefusedInterval : kLookInterval)) {
     if (auto status = LookAtSettings(); !status.ok()) return status;
   }
   used_ = clock_.Now();
@@ -248,7 +267,7 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
     asked.push_back(i);
     const std::string epoch = absl::StrCat(journal.epoch());
     client_->Append({"EVAL", redis_scripts::kCheck, "2", RedisHashKey(journal.key().id),
-                     ListKey(journal.key().id, epoch), epoch, owner_, absl::StrCat(stored.base),
+                     ListKey(journal.key().id, epoch), epoch, owner_, BaseOf(journal, stored.base),
                      absl::StrCat(stored.records), journals[i].is_used ? retention_ : ""});
   }
   std::vector<size_t> others;
@@ -327,7 +346,8 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
     if (const auto reply = client_->Run({"DEL", list}); !reply.ok()) return reply.status();
   }
   for (const size_t i : refused) {
-    if (records[i].kind == JournalRecord::Kind::kOpen && records[i].position == 1) {
+    const bool is_new = records[i].journal->is_new() && records[i].position == 1;
+    if (is_new && records[i].kind == JournalRecord::Kind::kOpen) {
       outcomes[i] = absl::AlreadyExistsError("session_id: expected one that is not open");
       continue;
     }
@@ -342,9 +362,12 @@ void RedisBackend::AppendSnapshot(const JournalRecord& record) {
   const SessionJournal::Key& key = journal.key();
   const std::string epoch = absl::StrCat(journal.epoch());
   const bool releases = record.kind == JournalRecord::Kind::kRelease;
-  client_->Append({"EVAL", PutScript(), "2", RedisHashKey(key.id), ListKey(key.id, epoch), epoch,
-                   owner_, absl::StrCat(key.claimed_from), releases ? "" : owner_, key.tenant,
-                   record.bytes, retention_, key.policy_file, absl::StrCat(record.base)});
+  const std::string replaces = absl::StrCat(journal.replaces());
+  client_->Append({"EVAL", PutScript(), "3", RedisHashKey(key.id), ListKey(key.id, epoch),
+                   ListKey(key.id, replaces), epoch, owner_, replaces, releases ? "" : owner_,
+                   key.tenant, record.bytes, retention_, key.policy_file,
+                   BaseOf(journal, record.base), absl::StrCat(record.changes),
+                   absl::StrCat(MostReplaced(journal, journal.replaces()))});
 }
 
 void RedisBackend::Append(const JournalRecord& record) {
@@ -365,7 +388,7 @@ void RedisBackend::Append(const JournalRecord& record) {
       return client_->Append({"LLEN", list});
     case JournalRecord::Kind::kClose:
       return client_->Append({"EVAL", CloseScript(), "2", hash, list, epoch, owner_,
-                              absl::StrCat(journal.key().claimed_from), tombstone_});
+                              absl::StrCat(journal.replaces()), tombstone_});
   }
 }
 
@@ -382,7 +405,7 @@ absl::StatusOr<bool> RedisBackend::ReadReplies(const JournalRecord& record) {
   if (!length.ok()) return length.status();
   if ((*length)->integer == 0 || (*base)->type != REDIS_REPLY_STRING) return false;
   if (of_unknown_length_.contains(record.journal)) return true;
-  return TextOf(**base) == absl::StrCat(record.base) &&
+  return TextOf(**base) == BaseOf(*record.journal, record.base) &&
          (*length)->integer == static_cast<int64_t>(record.records);
 }
 
@@ -401,11 +424,12 @@ absl::StatusOr<bool> RedisBackend::ReadPut(const JournalRecord& record) {
   return true;
 }
 
-absl::Status RedisBackend::FindReason(const SessionJournal& journal, absl::Status* reason) {
+absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* reason) {
+  const std::string& id = journal.key().id;
   const auto reply =
-      client_->Run({"HMGET", RedisHashKey(journal.key().id), "epoch", "owner", "state"});
+      client_->Run({"HMGET", RedisHashKey(id), "epoch", "owner", "state", "changes"});
   if (!reply.ok()) return reply.status();
-  if (!IsArray(**reply, 3)) return Unexpected("three fields");
+  if (!IsArray(**reply, 4)) return Unexpected("four fields");
   const std::string epoch = TextAt(**reply, 0);
   if (epoch.empty()) {
     *reason = absl::NotFoundError("the store does not have the session");
@@ -413,12 +437,28 @@ absl::Status RedisBackend::FindReason(const SessionJournal& journal, absl::Statu
   }
   uint64_t number = 0;
   const bool is_mine = TextAt(**reply, 1) == owner_;
-  const bool is_open = TextAt(**reply, 2) == "open";
-  const bool is_older = absl::SimpleAtoi(epoch, &number) && number < journal.epoch() &&
-                        (is_mine || (number != 0 && number == journal.key().claimed_from));
-  const bool is_known = is_open && ((is_mine && number == journal.epoch()) || is_older);
-  *reason = is_known ? absl::NotFoundError("the store has lost records of the session")
-                     : absl::AbortedError("another owner has claimed the session");
+  const bool is_known = absl::SimpleAtoi(epoch, &number) && TextAt(**reply, 2) == "open";
+  *reason = absl::AbortedError("another owner has claimed the session");
+  if (!is_known) return absl::OkStatus();
+  if (!is_mine) {
+    const auto length = client_->Run({"LLEN", ListKey(id, epoch)});
+    if (!length.ok()) return length.status();
+    int64_t changes = 0;
+    absl::string_view text = TextOf(*(*reply)->element[3]);
+    const bool has_changes =
+        absl::ConsumePrefix(&text, absl::StrCat(epoch, ":")) && absl::SimpleAtoi(text, &changes);
+    changes += std::max((*length)->integer, 1LL) - 1;
+    const bool is_known_owner = number == journal.key().claimed_from && number < journal.epoch();
+    if (changes > MostReplaced(journal, number)) return absl::OkStatus();
+    if (!has_changes && !is_known_owner) return absl::OkStatus();
+    journal.OnSetBack(number);
+    if (number >= journal.epoch()) {
+      journal.OnMoved(number + absl::Uniform(random_, 1U, kMostEpochs));
+    }
+  } else if (number > journal.epoch()) {
+    return absl::OkStatus();
+  }
+  *reason = absl::NotFoundError("the store has lost records of the session");
   return absl::OkStatus();
 }
 

@@ -1,5 +1,9 @@
 // The scripts with which servers change the journals of sessions in Redis (redis_backend.h).
 //
+// The fields `base` and `changes` of the hash name the snapshot with which the list begins and how
+// often the session had changed by then. Both begin with the epoch, without which a server of an
+// older release has written the hash.
+//
 // All scripts name all of their keys, so that a Cluster that moves them says so, and write first
 // what takes memory, so that a server whose memory is full refuses the whole script.
 #ifndef SERVER_STORE_REDIS_SCRIPTS_H_
@@ -18,13 +22,19 @@ local is_older = found[1] and tonumber(found[1]) < tonumber(ARGV[1]) and
 )";
 
 // Writes a snapshot, which replaces all of a journal. Returns 1, the older epoch that it replaces,
-// or 0 if another owner has the session. KEYS: hash, list. ARGV: as above, owner from now on,
-// tenant, snapshot, retention in milliseconds, policy file, base.
+// or 0 if another owner has the session, or a newer copy of it. KEYS: hash, list, list of the epoch
+// before the claim. ARGV: as above, owner from now on, tenant, snapshot, retention in milliseconds,
+// policy file, base, changes of the session, most changes of another owner's copy that it replaces.
 inline constexpr char kPut[] = R"(
 if found[1] and not (found[3] == 'open' and (is_same or is_older)) then return 0 end
+if is_older and found[2] ~= ARGV[2] then
+  local changes = string.match(redis.call('HGET', KEYS[1], 'changes') or '', found[1] .. ':(%d+)') or 0
+  if changes + math.max(redis.call('LLEN', KEYS[3]), 1) - 1 > tonumber(ARGV[11]) then return 0 end
+end
 redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[4], 'tenant', ARGV[5], 'state', 'open',
-           'policy', ARGV[8], 'base', ARGV[9])
+           'policy', ARGV[8], 'base', ARGV[9], 'changes', ARGV[1] .. ':' .. ARGV[10])
 redis.call('DEL', KEYS[2])
+if is_older and KEYS[3] ~= KEYS[2] then redis.call('DEL', KEYS[3]) end
 redis.call('RPUSH', KEYS[2], ARGV[6])
 redis.call('PEXPIRE', KEYS[1], ARGV[7])
 redis.call('PEXPIRE', KEYS[2], ARGV[7])
@@ -43,11 +53,13 @@ return is_older and found[1] or 1)";
 // has another epoch by now. KEYS: hash, list, list of the new epoch. ARGV: epoch, new epoch, owner,
 // retention in milliseconds.
 inline constexpr char kClaim[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'state')
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'state', 'changes')
 if found[1] ~= ARGV[1] or found[2] ~= 'open' then return 0 end
 if redis.call('EXISTS', KEYS[2]) == 0 then return false end
 redis.call('RENAME', KEYS[2], KEYS[3])
-redis.call('HSET', KEYS[1], 'epoch', ARGV[2], 'owner', ARGV[3], 'base', '0')
+local changes = string.match(found[3] or '', ARGV[1] .. ':(%d+)') or ''
+redis.call('HSET', KEYS[1], 'epoch', ARGV[2], 'owner', ARGV[3], 'base', ARGV[2] .. ':0',
+           'changes', ARGV[2] .. ':' .. changes)
 redis.call('PEXPIRE', KEYS[1], ARGV[4])
 redis.call('PEXPIRE', KEYS[3], ARGV[4])
 return redis.call('LRANGE', KEYS[3], 0, -1))";
@@ -57,14 +69,16 @@ return redis.call('LRANGE', KEYS[3], 0, -1))";
 // not have the journal, and 0 if another owner has the session. KEYS: as for kClaim. ARGV: epoch,
 // new epoch, owner, number of records to keep or 0 for all.
 inline constexpr char kMove[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state', 'base', 'changes')
 if not found[1] or found[1] == ARGV[2] then return 1 end
 if tonumber(found[1]) < tonumber(ARGV[1]) then return 1 end
 if found[1] ~= ARGV[1] or found[2] ~= ARGV[3] or found[3] ~= 'open' then return 0 end
 if redis.call('EXISTS', KEYS[2]) == 0 then return 1 end
 if ARGV[4] ~= '0' then redis.call('LTRIM', KEYS[2], 0, ARGV[4] - 1) end
 redis.call('RENAME', KEYS[2], KEYS[3])
-redis.call('HSET', KEYS[1], 'epoch', ARGV[2])
+redis.call('HSET', KEYS[1], 'epoch', ARGV[2],
+           'base', ARGV[2] .. ':' .. string.match(found[4] or '', '%d*$'),
+           'changes', ARGV[2] .. ':' .. string.match(found[5] or '', '%d*$'))
 return 1)";
 
 // Compares a journal, and sets its expiry. Returns 1 if it is as expected, and 0 otherwise.
