@@ -17,7 +17,8 @@ class GoldenTest : public testing::TestWithParam<std::string> {
   static std::string Expected(const std::string& kind) {
     static const Answers expected = ReadAnswers(SPIKESERVE_GOLDEN_ANSWERS);
     const auto found = expected.find(GetParam() + " " + kind);
-    return found == expected.end() ? "an entry in the file of answers, received none" : found->second;
+    return found == expected.end() ? "an entry in the file of answers, received none"
+                                   : found->second;
   }
   static std::string Path() {
     return std::string(SPIKESERVE_POLICIES) + "/" + GetParam() + "/policy.safetensors";
