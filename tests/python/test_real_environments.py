@@ -59,9 +59,11 @@ def test_repeat_previous(address, name, size, episodes, version):
 
 @pytest.mark.parametrize("version", [1, 2])
 def test_policies_that_know_their_delay(address, version):
-    """The usual policies fall below 130 and -600 with a delay of four beats."""
+    """The usual policies for CartPole and Pendulum fall below 130 and -600 with a delay of four beats."""
     for beats in (0, 4):
         played = evaluate(address, "cartpole-delay", "CartPole-v1", 2, version, delay=beats)
         assert played.mean_return == 500
         played = evaluate(address, "pendulum-delay", "Pendulum-v1", 5, version, delay=beats)
         assert np.median(played.returns) > -450
+        played = evaluate(address, "lunar-lander-delay", "LunarLanderContinuous-v3", 5, version, delay=beats)
+        assert np.median(played.returns) > 200
