@@ -4,6 +4,8 @@
 #include <variant>
 
 #include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "core/base/hex.h"
 #include "server/web/http_connection.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/fuzz/memory_socket.h"
@@ -57,8 +59,10 @@ void FuzzOne(absl::string_view input) {
   NoCloser closer;
   std::string answer;
   Owner owner(loop.get());
+  const HttpServer::Options options = {
+      .listen = {}, .local_names_only = true, .origins = *Origins::Parse("", "http://a.example")};
   HttpConnection connection(std::make_unique<MemorySocket>(reader.rest(), piece, &answer),
-                            table.Admit(OneClient(), &closer), /*local_names_only=*/true, &owner);
+                            table.Admit(OneClient(), &closer), options, &owner);
   FUZZ_CHECK(connection.Start().ok());
   while (!owner.closed()) connection.OnReady(EPOLLIN);
   FUZZ_CHECK(owner.body_bytes() == 0);
@@ -72,7 +76,12 @@ std::vector<std::string> Seeds() {
       "\x02POST /explain.json HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n",
       "\x02POST /v2/models/a/infer HTTP/1.1\r\nExpect: 100-continue\r\nContent-Length: "
       "7\r\n\r\n{\"a\":1}",
-      "\x01POST /refused HTTP/1.1\r\nContent-Length: 999999999999\r\n\r\n{}"};
+      "\x01POST /refused HTTP/1.1\r\nContent-Length: 999999999999\r\n\r\n{}",
+      "\x03OPTIONS /v2 HTTP/1.1\r\nOrigin: http://a.example\r\nAccess-Control-Request-Method: "
+      "POST\r\n\r\n",
+      absl::StrCat("\x03POST /v2 HTTP/1.1\r\nOrigin: http://a.example\r\nContent-Encoding: gzip\r\n"
+                   "Content-Length: 23\r\n\r\n",
+                   *ParseHex("1f8b08000000000002034b4c4a0600c241243503000000"))};
 }
 
 }  // namespace spikeserve
