@@ -18,13 +18,12 @@ std::optional<absl::Duration> Attempts::DelayAfter(const absl::Status& error,
     return schedule_.DelayAfter(error);
   }
   if (is_missing) {
-    // Another replica may hold a session that the store has lost.
     without_.insert(replica_);
     if (without_.size() == replicas_->size()) return std::nullopt;
-  } else if (absl::IsDeadlineExceeded(error)) {
-    replicas_->Failed(*replica_, timeout);
   } else {
-    replicas_->Failed(*replica_);
+    without_.clear();
+    const bool is_silent = absl::IsDeadlineExceeded(error);
+    is_silent ? replicas_->Failed(*replica_, timeout) : replicas_->Failed(*replica_);
   }
   tried_.insert(replica_);
   const bool all_tried = tried_.size() == replicas_->size();

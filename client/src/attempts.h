@@ -28,9 +28,16 @@ class Attempts {
   // Notes that `replica` answered the call.
   void Answered() { replicas_->Answered(*route_, *replica_); }
 
+  // Notes that a part of the call was answered, so that the replicas are asked for another one now.
+  void PartAnswered() { without_.clear(); }
+
   // Returns the delay before the call, or a part of it, is sent again to `replica`, or nothing if
   // there is no next attempt. Chooses another replica if `error` says that this one cannot answer
   // now. `timeout` is that of the failed attempt.
+  //
+  // Another replica may hold a session that the store has lost, and a session may move from one
+  // that has not been asked yet to one that did not know it. So it is lost when all replicas say so
+  // in a row.
   std::optional<absl::Duration> DelayAfter(const absl::Status& error, absl::Duration timeout);
 
  private:
@@ -39,7 +46,7 @@ class Attempts {
   const bool names_session_;
   RetrySchedule schedule_;
   std::set<const Replica*> tried_;
-  std::set<const Replica*> without_;  // those that do not know the session
+  std::set<const Replica*> without_;  // those that have denied the session in a row
   Replica* replica_;
 };
 

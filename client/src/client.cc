@@ -270,6 +270,7 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOn(absl::Span<const v1::Act
                                                         Route& route) {
   Attempts attempts(replicas_.get(), &route, options_.retry, /*names_session=*/true);
   auto results = ActBatchOnce(requests, attempts);
+  size_t last_failed = 0;
   while (results.ok()) {
     const bool may_move = replicas_->MayMove(route);
     std::vector<size_t> failed;
@@ -282,9 +283,15 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOn(absl::Span<const v1::Act
       if (!is_elsewhere && !IsRetryable(status) && !IsRefusedForNow(status)) continue;
       failed.push_back(i);
       again.push_back(requests[i]);
-      if (longest.ok() || RetryAfter(status) > RetryAfter(longest)) longest = status;
+      // A lost session is the error only if nothing else is wrong.
+      const bool is_longer = is_elsewhere == IsSessionLost(longest)
+                                 ? RetryAfter(status) > RetryAfter(longest)
+                                 : !is_elsewhere;
+      if (longest.ok() || is_longer) longest = status;
     }
     if (failed.empty()) break;
+    if (failed.size() != last_failed) attempts.PartAnswered();
+    last_failed = failed.size();
     const auto delay = attempts.DelayAfter(longest, options_.call_timeout);
     if (!delay.has_value()) break;
     options_.retry.sleep(*delay);

@@ -49,9 +49,10 @@ absl::Status Take(const Answer& answer, const std::string& session_id, uint64_t 
   return is_equal ? absl::OkStatus() : DivergedError(session_id, decision);
 }
 
-// Returns whether the call that follows shows what is still missing after `error`.
+// Returns whether the call that follows shows what is still missing after `error`. If this server
+// does not know the session, that call asks the others, too.
 bool IsSaidAgain(const absl::Status& error) {
-  return IsRetryable(error) || ExpectedDecision(error).has_value();
+  return IsRetryable(error) || absl::IsNotFound(error) || ExpectedDecision(error).has_value();
 }
 
 }  // namespace

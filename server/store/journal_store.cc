@@ -230,8 +230,11 @@ void JournalStore::WriteAgain(const std::vector<std::shared_ptr<SessionJournal>>
   for (const auto& journal : journals) {
     const auto entry = sessions->Peek(journal->key().id);
     if (entry == nullptr || entry->journal != journal || journal->lost()) {
-      // Nobody can write it again, so nobody should wait for that.
-      journal->OnChecked(absl::AbortedError("the session has left this server"));
+      // Nobody can write it again, so nobody should wait for that. A copy that was given up may be
+      // the last one nevertheless, and is not lost because of this.
+      journal->OnUnreachable(
+          absl::UnavailableError("session_id: expected a session of this server, received one that "
+                                 "it has given up; try again"));
       continue;
     }
     absl::MutexLock lock(&entry->mutex);

@@ -2,11 +2,13 @@
 
 import signal
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 
 import grpc
 import pytest
 from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
-from security import until
+from security import code_of, until
+from serving import message_class
 from stored_sessions import STEPS, Restartable, acting, comparable, ending, expected_decision, opening
 
 pytestmark = WITHOUT_REDIS
@@ -145,6 +147,30 @@ def test_the_end_of_an_episode_makes_a_copy_newer(redis, replicas):
     resume(third)
     answer_of(third.Act, **acting(0, 1, 0))
     assert answer_of(third.GetSession, session_id=opening(0)["session_id"]).episode == 1
+
+
+def test_a_copy_that_was_given_up_while_redis_lost_its_record_goes_on(redis):
+    """The record of a decision is under way when the copy is given up, and Redis has nothing that it belongs to."""
+    session = {"session_id": opening(0)["session_id"]}
+    flags = ["--store_timeout=60s"]
+    with Restartable(f"redis://127.0.0.1:{redis.port}", flags) as server, ThreadPoolExecutor() as threads:
+        server.OpenSession(**opening(0))
+        play(server, 0, 0, 4)
+        redis.command("DEL " + " ".join(key.decode() for key in redis.command("KEYS ss:*")))
+        redis.process.send_signal(signal.SIGSTOP)
+        deciding = threads.submit(code_of, server.Act, **acting(0, 0, 4))
+        until(lambda: server.GetSession(**session).decisions == 5)
+        request, response = (message_class(server.channel, f"spikeserve.v1.Act{name}") for name in ("Request", "Response"))
+        act = server.channel.unary_unary(
+            "/spikeserve.v1.PolicyService/Act", request.SerializeToString, response.FromString
+        )
+        with pytest.raises(grpc.RpcError) as error:  # a request that is ahead of the copy, which is given up for it
+            act(request(**acting(0, 0, 9)), timeout=1)
+        assert error.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
+        redis.process.send_signal(signal.SIGCONT)
+        assert deciding.result() == grpc.StatusCode.UNAVAILABLE
+        assert answer_of(server.Act, **acting(0, 0, 5))
+        server.close()
 
 
 def test_a_copy_that_was_given_up_is_not_forgotten_for_an_older_one(redis, replicas):
