@@ -22,6 +22,7 @@ PROGRAMS += ["server_rollouts_test"]
 CLIENT = "client_cart_pole"
 SERVER = ROOT / "build/release/bin/spikeserve"
 SHARDS = os.cpu_count() or 1
+TRIES = 10  # of a client, which waits three seconds for its server: too short for two emulated programs on a busy machine
 LIMIT = 7200  # seconds that a program may take; the longest takes two minutes on two idle cores, and half an hour on busy ones
 
 
@@ -53,7 +54,10 @@ def play(server, client, policies="deploy/policies", expected="500.0"):
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as serving:
         address = next(line.split()[-1] for line in serving.stdout if "serving gRPC on" in line)
         run = [str(word).format(address) for word in client]
-        played = subprocess.run(run, stdout=subprocess.PIPE, text=True, check=False)
+        for _ in range(TRIES):
+            played = subprocess.run(run, stdout=subprocess.PIPE, text=True, check=False)
+            if played.returncode == 0:
+                break
         serving.terminate()
     print(played.stdout or "the client printed nothing", flush=True)
     return played.returncode == 0 and serving.returncode == 0 and expected in played.stdout
