@@ -78,9 +78,9 @@ function show(decision, milliseconds) {
   const tiles = [
     ['Policy', get('policy').value, decision.mode],
     ['Return so far', fixed(decision.episode_return), `step ${step}, seed ${decision.seed}`],
-    ['Spikes', count(stats.spikes), 'of this decision'],
-    ['Energy', si(stats.energy_joules, 'J'), 'of this decision, estimate'],
-    ['Time', si(milliseconds / 1000, 's'), 'of this decision, in this browser'],
+    ['Spikes', count(stats.spikes), 'this decision'],
+    ['Energy', si(stats.energy_joules, 'J'), 'estimate'],
+    ['Time', si(milliseconds / 1000, 's'), 'in this browser'],
   ];
   get('session-tiles').replaceChildren(...tiles.map(([label, value, note]) => element('div', {},
     element('dt', {textContent: label}), element('dd', {className: 'value', textContent: value}),
