@@ -11,7 +11,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train bench bench-beats bench-parts attacks chaos trace soak \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train playground bench bench-beats bench-parts attacks chaos trace soak \
   sanitize fuzz format clean \
   setup configure
 
@@ -33,6 +33,7 @@ test: build setup
 # The tests that `make test` excludes because they take hours; CONTRIBUTING.md lists them.
 test-slow: build setup
 	$(SETUP) chart ros
+	$(MAKE) playground
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 
 # Cross-builds everything for arm64 and runs the tests with qemu; then plays CartPole with the installed packages and with
@@ -67,10 +68,19 @@ dist: configure
 	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain spikeserve_client spikeserve_manuals
 	deploy/release/make.sh dist $(BUILD)
 
-# Makes a site of docs/ in build/site.
+# Makes a site of docs/ in build/site, with the playground if there is one.
 site:
 	$(SETUP) release
 	build/release-tools/venv/bin/mkdocs build --strict --quiet
+	test ! -d build/wasm/playground || cp -r build/wasm/playground build/site
+
+# Compiles the engine to WebAssembly and makes a page of it, on which a policy plays in the browser, in build/wasm/playground.
+# NODE_PATH leads Node.js of other sources than Debian to the packages of Debian that Emscripten uses.
+playground:
+	$(SETUP) playground
+	deploy/wasm_sources.sh
+	cmake --preset wasm $(if $(VERBOSE),,--log-level=WARNING)
+	NODE_PATH=/usr/share/nodejs cmake --build build/wasm --target playground_page golden_play
 
 # Writes the generated pages of docs/reference.
 reference: configure

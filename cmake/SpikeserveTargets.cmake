@@ -13,6 +13,9 @@ target_compile_options(spikeserve_options INTERFACE -Wall -Wextra -Wshadow -Werr
 if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
   target_compile_options(spikeserve_options INTERFACE -Wthread-safety)
 endif()
+if(EMSCRIPTEN)
+  target_compile_options(spikeserve_options INTERFACE -include ${PROJECT_SOURCE_DIR}/cmake/toolchains/wasm_std.h)
+endif()
 
 # Abseil and gRPC are built without the thread sanitizer. The sources below tell it how they synchronise threads.
 option(SPIKESERVE_TSAN "Build programs for the thread sanitizer" OFF)

@@ -185,8 +185,8 @@ bool FleetHead::IsPossible(const State& state) const {
          state.norms.contributors.size() == state.norms.norms.size() &&
          state.norms.norms.size() <= PeerNorms::kContributors &&
          state.gathered.size() < ReturnGuard::kWindow &&
-         std::ranges::all_of(state.gathered,
-                             [size](const Gathered& each) { return each.delta.size() == size; });
+         std::all_of(state.gathered.begin(), state.gathered.end(),
+                     [size](const Gathered& each) { return each.delta.size() == size; });
 }
 
 void FleetHead::Publish() {

@@ -22,8 +22,11 @@ namespace {
 // version.
 template <typename T, typename VersionOf, typename Visit>
 void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
-  if (!std::ranges::is_sorted(all, std::less<>(), version_of)) {
-    std::ranges::sort(all, std::less<>(), version_of);
+  const auto is_before = [version_of](T* a, T* b) {
+    return std::less<>()(version_of(a), version_of(b));
+  };
+  if (!std::is_sorted(all.begin(), all.end(), is_before)) {
+    std::sort(all.begin(), all.end(), is_before);
   }
   for (size_t first = 0, last = 0; first < all.size(); first = last) {
     while (last < all.size() && version_of(all[last]) == version_of(all[first])) ++last;
@@ -32,7 +35,8 @@ void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
 }
 
 bool AllFinite(absl::Span<const float> values) {
-  return std::ranges::all_of(values, [](float value) { return std::isfinite(value); });
+  return std::all_of(values.begin(), values.end(),
+                     [](float value) { return std::isfinite(value); });
 }
 
 bool IsFinite(const Answer& answer) {

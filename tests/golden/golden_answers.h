@@ -1,7 +1,4 @@
-// Plays a fixed sequence of observations and rewards with a policy, and hashes all answers.
-//
-// The sequences cover ordinary numbers, the extreme ones that a session accepts, and some that it
-// refuses. All numbers come from integer arithmetic, so they are equal on every machine.
+// Hashes the answers of policies to the sequences of golden_play.h, and keeps the hashes in a file.
 // Free functions, thread-safe.
 #ifndef TESTS_GOLDEN_GOLDEN_ANSWERS_H_
 #define TESTS_GOLDEN_GOLDEN_ANSWERS_H_
@@ -10,10 +7,9 @@
 #include <string>
 #include <vector>
 
-namespace spikeserve::golden {
+#include "tests/golden/golden_play.h"
 
-// The kinds of sessions: greedy decisions, sampled ones, and a session that learns.
-enum class Kind { kGreedy, kSampled, kLearning };
+namespace spikeserve::golden {
 
 // Hashes by "POLICY/VERSION KIND".
 using Answers = std::map<std::string, std::string>;
@@ -21,10 +17,8 @@ using Answers = std::map<std::string, std::string>;
 // Returns the folders "POLICY/VERSION" below `policies`, sorted.
 std::vector<std::string> ListVersions(const std::string& policies);
 
-// Returns the SHA-256, in hexadecimal, of all answers of a session with the policy file at `path`:
-// actions, logits, probabilities, returns-to-go, spikes by stage, all other counts, which requests
-// were refused, and what the session has learned. Ends the program if the file cannot be read, as
-// do the functions below if theirs cannot be written.
+// Returns the SHA-256 of PlayGolden(path, kind), in hexadecimal. Ends the program if the file
+// cannot be read, as do the functions below if theirs cannot be written.
 std::string HashAnswers(const std::string& path, Kind kind);
 
 // Returns the hashes of every version below `policies`.

@@ -1,7 +1,7 @@
 // Draws one decision: what it decided and from what, the spikes by layer and stage, routing gates and attention.
 import {count, element, fixed, si} from './format.js';
-import {STAGES} from './policies.js';
 
+export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
 const RASTER_HEIGHT = 150;  // CSS pixels of every raster, whatever its population
 const FULL = 4;  // an attention weight of so many times the equal weight has the full colour
 const EVEN = 1.25;  // attention within this factor of the equal weight is even, and what remains is noise

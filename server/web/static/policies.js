@@ -1,8 +1,8 @@
 // The tables of policies, of spikes by stage and of calls.
+import {STAGES} from './explain.js';
 import {NOTHING, count, element, fixed, isNumber, policyLink, setText, si} from './format.js';
 import {Table} from './table.js';
 
-export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
 const JOULES_PER_SPIKE = 5e-12;  // of energy model spike_5pj, the only one that is counted by stage
 
 /** Returns the state of a roll-out, such as running. */

@@ -1,0 +1,25 @@
+// Writes decisions as JSON, with the fields of the server's ExplainResponse (policy_service.proto)
+// that the code of the status page draws, so that it draws these, too. Numbers are numbers, also
+// those of 64 bits.
+//
+// Free functions, thread-safe.
+#ifndef CLIENT_PLAYGROUND_DECISION_JSON_H_
+#define CLIENT_PLAYGROUND_DECISION_JSON_H_
+
+#include "core/engine/trace.h"
+#include "core/session/served_policy.h"
+#include "core/session/session.h"
+#include "nlohmann/json.hpp"
+
+namespace spikeserve {
+
+// Returns the last decision of a session without its inside: rasters, attention and routing are
+// empty. REQUIRES: the running episode has a decision.
+nlohmann::json DecisionToJson(const ServedPolicy& served, const Session& session);
+
+// Adds the inside of a decision.
+void AddTrace(const Trace& trace, nlohmann::json* decision);
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_PLAYGROUND_DECISION_JSON_H_
