@@ -59,8 +59,9 @@ void FuzzOne(absl::string_view input) {
   NoCloser closer;
   std::string answer;
   Owner owner(loop.get());
-  const HttpServer::Options options = {
-      .listen = {}, .local_names_only = true, .origins = *Origins::Parse("", "http://a.example")};
+  HttpServer::Options options;
+  options.local_names_only = true;
+  options.origins = *Origins::Parse("", "http://a.example");
   HttpConnection connection(std::make_unique<MemorySocket>(reader.rest(), piece, &answer),
                             table.Admit(OneClient(), &closer), options, &owner);
   FUZZ_CHECK(connection.Start().ok());
