@@ -1,4 +1,4 @@
-"""gRPC-Web: the unmodified client sonora, raw requests, and pages of other sites in headless Chromium."""
+"""gRPC-Web: raw requests, and pages of other sites in headless Chromium. tests/interop has a client of others."""
 
 import base64
 import contextlib
@@ -9,15 +9,10 @@ import subprocess
 import threading
 
 import grpc
-import gymnasium
 import pytest
-import sonora.client
-import sonora.protocol
 from security import ADMIN, POLICY, TOKENS
-from serving import DEADLINE_SECONDS, Service, message_class, running_server
+from serving import DEADLINE_SECONDS, message_class, running_server
 
-SEED = 1_000_000
-OBSERVATION = [0.01, -0.02, 0.03, 0.04]
 BINARY, TEXT = "application/grpc-web+proto", "application/grpc-web-text+proto"
 
 
@@ -25,16 +20,6 @@ BINARY, TEXT = "application/grpc-web+proto", "application/grpc-web-text+proto"
 def server():
     with running_server() as started:
         yield started
-
-
-@contextlib.contextmanager
-def services(server, name=POLICY, **metadata):
-    """Yields the service by gRPC, and by gRPC-Web."""
-    with (
-        grpc.insecure_channel(server.grpc) as channel,
-        sonora.client.insecure_web_channel(f"http://{server.http}") as web,
-    ):
-        yield Service(channel, name), Service(channel, name, web)
 
 
 def framed(message, flag=0):
@@ -79,56 +64,7 @@ def status(server, path, body, **arguments):
     trailers = parts(answer)[1]
     number = int(trailers["grpc-status"])
     name = next(status.name for status in grpc.StatusCode if status.value[0] == number)
-    return name, sonora.protocol.unpack_trailers(answer[5:]) and trailers.get(
-        "grpc-message", ""
-    )
-
-
-def play(service):
-    """Returns the answers of an episode, and its return."""
-    environment = gymnasium.make("CartPole-v1")
-    observation, _ = environment.reset(seed=SEED)
-    session = service.OpenSession(policy="cartpole").session_id
-    answers, reward, total, over = [], 0.0, 0.0, False
-    while not over:
-        fields = {"reward": reward} if answers else {}
-        answers.append(
-            service.Act(
-                session_id=session,
-                observation=observation.tolist(),
-                step=len(answers),
-                **fields,
-            )
-        )
-        observation, reward, terminated, truncated, _ = environment.step(
-            answers[-1].discrete
-        )
-        total += reward
-        over = terminated or truncated
-    service.CloseSession(session_id=session)
-    return answers, total
-
-
-def test_a_client_of_grpc_web_plays(server):
-    with services(server) as (native, web):
-        expected, (answers, total) = play(native)[0], play(web)
-    assert total == 500
-    assert [answer.stats.spikes for answer in answers] == [
-        answer.stats.spikes for answer in expected
-    ]
-    assert [list(answer.probabilities) for answer in answers] == [
-        list(answer.probabilities) for answer in expected
-    ]
-
-
-def test_errors_are_those_of_grpc(server):
-    with services(server) as (native, web):
-        with pytest.raises(grpc.RpcError) as expected:
-            native.Act(session_id="unknown", observation=OBSERVATION)
-        with pytest.raises(sonora.protocol.WebRpcError) as error:
-            web.Act(session_id="unknown", observation=OBSERVATION)
-        assert error.value.code() == expected.value.code() == grpc.StatusCode.NOT_FOUND
-        assert error.value.details() == expected.value.details()
+    return name, trailers.get("grpc-message", "")
 
 
 def test_the_text_form_is_the_binary_one_in_base64(server):
