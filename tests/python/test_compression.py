@@ -34,7 +34,10 @@ def test_grpcs_client_compresses(server):
                 policy="cartpole", labels={"robot": "x" * 200}
             ).session_id
             answers.append(service.Act(session_id=session, observation=OBSERVATION))
-        assert list(answers[0].probabilities) == list(answers[1].probabilities)
+        assert answers[0].action.discrete == answers[1].action.discrete
+        assert list(answers[0].action_probabilities) == list(
+            answers[1].action_probabilities
+        )
 
 
 @pytest.mark.parametrize(
@@ -72,14 +75,8 @@ def test_grpcs_client_compresses(server):
             grpc.StatusCode.INTERNAL,
             "expected no compression",
         ),
-        (
-            gzip.compress(b""),
-            "snappy",
-            grpc.StatusCode.UNIMPLEMENTED,
-            "expected identity or gzip, received snappy",
-        ),
     ],
-    ids=["empty", "other", "short", "two", "long", "bomb", "identity", "snappy"],
+    ids=["empty", "other", "short", "two", "long", "bomb", "identity"],
 )
 def test_compressed_messages(server, message, encoding, code, text):
     """Sends frames that gRPC's own client does not send: curl speaks HTTP/2, too."""
@@ -116,8 +113,6 @@ def test_compressed_messages(server, message, encoding, code, text):
     )
     assert int(headers["grpc-status"]) == code.value[0], headers
     assert text in headers.get("grpc-message", "")
-    if code == grpc.StatusCode.UNIMPLEMENTED:
-        assert headers["grpc-accept-encoding"] == "identity,gzip"
 
 
 def infer_body():

@@ -51,7 +51,7 @@ def test_secure_it(shell, tmp_path):
 
 def test_web_pages(shell):
     (answer,) = shell.run("grpc-web.md")
-    assert answer == "grpc-status: 0\r\n"
+    assert answer == "grpc-status: 0\n"
 
 
 def check_recording(shell, directory):

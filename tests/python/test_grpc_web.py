@@ -113,7 +113,12 @@ def test_the_text_form_is_the_binary_one_in_base64(server):
             "UNIMPLEMENTED",
             "expected a message that is not compressed",
         ),
-        (f"/{POLICY}/Act", framed(b"\xff\xff"), "INVALID_ARGUMENT", ""),
+        (
+            f"/{POLICY}/Act",
+            framed(b"\xff\xff"),
+            "INTERNAL",
+            "received bytes that are none",
+        ),
     ],
 )
 def test_what_is_no_call_is_refused(server, path, body, code, text):

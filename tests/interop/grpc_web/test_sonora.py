@@ -20,14 +20,27 @@ def channels(server):
 
 def decisions(channel):
     """Returns the answers of an episode whose observations grow."""
-    opened = call(channel, f"/{POLICY}/OpenSession")(v1("OpenSessionRequest", policy="cartpole"), timeout=DEADLINE_SECONDS)
+    opened = call(channel, f"/{POLICY}/OpenSession")(
+        v1("OpenSessionRequest", policy="cartpole"), timeout=DEADLINE_SECONDS
+    )
     act = call(channel, f"/{POLICY}/Act")
     answers = []
     for step in range(STEPS):
         observation = [value * step for value in OBSERVATION]
-        request = v1("ActRequest", session_id=opened.session_id, observation=observation, step=step)
+        request = v1(
+            "ActRequest",
+            session_id=opened.session_id,
+            observation=observation,
+            step=step,
+        )
         answer = act(request, timeout=DEADLINE_SECONDS)
-        answers.append((answer.discrete, list(answer.probabilities), answer.stats.spikes))
+        answers.append(
+            (
+                answer.action.discrete,
+                list(answer.action_probabilities),
+                answer.stats.spikes,
+            )
+        )
     return answers
 
 
@@ -40,7 +53,9 @@ def test_errors_are_those_of_grpc(channels):
     errors = []
     for channel in channels:
         with pytest.raises(grpc.RpcError) as error:
-            call(channel, f"/{POLICY}/Act")(v1("ActRequest", session_id="unknown"), timeout=DEADLINE_SECONDS)
+            call(channel, f"/{POLICY}/Act")(
+                v1("ActRequest", session_id="unknown"), timeout=DEADLINE_SECONDS
+            )
         errors.append((error.value.code(), error.value.details()))
     assert errors[0] == errors[1]
     assert errors[0][0] == grpc.StatusCode.NOT_FOUND
