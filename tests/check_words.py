@@ -20,7 +20,7 @@ PHRASES = {
     "in vain": (r"\bin vain\b", "without an answer, without success", 4),
     "what it is": (r"\bwhat (it|they) (is|are|has|have)\b", "name the thing", 35),
     "says": (r"\b(says|say|said)\b", "shows, has, names, reports: things do not talk", 160),
-    "tells": (r"\b(tells|tell|told)\b", "shows, has, reports: things do not talk", 95),
+    "tells": (r"\b(tells|tell|(?<!be )told)\b", "shows, has, reports: things do not talk", 95),
     "calls itself": (r"\bcalls? (it|them)sel(f|ves)\b", "its name", 4),
     "became of": (r"\b(became|becomes) of\b", "its outcome", 4),
     "wants": (r"\bwants?\b", "needs, requires, asks for", 15),
