@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "absl/strings/charconv.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
@@ -67,7 +66,7 @@ absl::Status FieldError(absl::string_view field, absl::string_view expected,
 // Parses a number that has a metadata key of its own; metadata values are strings.
 absl::Status Parse(absl::string_view field, const std::string& text, float* number) {
   const char* const end = text.data() + text.size();
-  const auto [rest, error] = absl::from_chars(text.data(), end, *number);
+  const auto [rest, error] = std::from_chars(text.data(), end, *number);
   if (error == std::errc() && rest == end && std::isfinite(*number)) return absl::OkStatus();
   return FieldError(field, "a finite number that fits float32", Quoted(text));
 }
