@@ -179,9 +179,10 @@ class Stats:
         """Converts a DecisionStats."""
         stages = message.spikes_by_stage
         values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
-        for field in message.DESCRIPTOR.fields:
-            if field.name.endswith("_energy_joules") and field.has_presence and not message.HasField(field.name):
-                values[field.name] = None
+        for described in message.DESCRIPTOR.fields:
+            is_estimate = described.name.endswith("_energy_joules") and described.has_presence
+            if is_estimate and not message.HasField(described.name):
+                values[described.name] = None
         values["spikes_by_stage"] = {
             field.name: getattr(stages, field.name) for field in stages.DESCRIPTOR.fields
         }
