@@ -51,7 +51,7 @@ void AddAccountCommand(Program& program) {
   command.Flags(kPolicy)
       .Add("policy", "FILE", &flags->policy, "Policy file")
       .Add("dense", "FILE", &flags->dense,
-           "Dense policy in integers; default: one of the same sizes, which is not played");
+           "Dense policy in integers; default: one of the same sizes, unplayed");
   flags->episodes.AddTo(command, kPolicy);
   command.Flags(kPolicy).AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   command.SetAction([flags] { return Account(*flags); });

@@ -177,6 +177,7 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
     if (outcome.ok()) {
       durable_decisions_.store(record.decisions, std::memory_order_release);
       durable_changes_.store(record.changes, std::memory_order_release);
+      is_set_back_.store(false, std::memory_order_release);
       contributions = std::exchange(kept_, {});
       if (record.contribution != nullptr) contributions.push_back(record.contribution);
     }

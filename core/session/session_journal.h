@@ -69,6 +69,8 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   // Returns the epoch of another owner that this one may replace in the store if it has no more
   // than durable_changes(); 0: none.
   uint64_t replaces() const { return replaces_.load(std::memory_order_acquire); }
+  // Returns true from OnSetBack() until the store has acknowledged a record.
+  bool is_set_back() const { return is_set_back_.load(std::memory_order_acquire); }
   // Returns how often the session has changed, as far as the store has acknowledged it: decisions
   // and ends of episodes. A store that has less has lost something.
   uint64_t durable_changes() const { return durable_changes_.load(std::memory_order_acquire); }
@@ -131,7 +133,10 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   // The journal has another epoch in the store now.
   void OnMoved(uint64_t epoch) { epoch_.store(epoch, std::memory_order_release); }
   // The store has gone back to what another owner has written, which the next snapshot replaces.
-  void OnSetBack(uint64_t epoch) { replaces_.store(epoch, std::memory_order_release); }
+  void OnSetBack(uint64_t epoch) {
+    replaces_.store(epoch, std::memory_order_release);
+    is_set_back_.store(true, std::memory_order_release);
+  }
   // The record was written, or refused with ABORTED (this owner has been replaced), ALREADY_EXISTS,
   // or NOT_FOUND (the store has lost the journal or a part of it).
   void OnWritten(const JournalRecord& record, const absl::Status& status)
@@ -167,6 +172,7 @@ class SessionJournal : public std::enable_shared_from_this<SessionJournal> {
   std::atomic<uint64_t> durable_changes_;
   std::atomic<uint64_t> epoch_;
   std::atomic<uint64_t> replaces_;
+  std::atomic<bool> is_set_back_ = false;
   // Guarded by the session's lock: what the store has, with what waits.
   uint64_t changes_;
   size_t records_;

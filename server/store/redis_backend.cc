@@ -363,8 +363,10 @@ void RedisBackend::AppendSnapshot(const JournalRecord& record) {
   const std::string epoch = absl::StrCat(journal.epoch());
   const bool releases = record.kind == JournalRecord::Kind::kRelease;
   const std::string replaces = absl::StrCat(journal.replaces());
+  // While a Cluster moves a slot, a script with a key that it does not have waits until the end.
+  const std::string& compared = journal.is_set_back() ? replaces : epoch;
   client_->Append({"EVAL", PutScript(), "3", RedisHashKey(key.id), ListKey(key.id, epoch),
-                   ListKey(key.id, replaces), epoch, owner_, replaces, releases ? "" : owner_,
+                   ListKey(key.id, compared), epoch, owner_, replaces, releases ? "" : owner_,
                    key.tenant, record.bytes, retention_, key.policy_file,
                    BaseOf(journal, record.base), absl::StrCat(record.changes),
                    absl::StrCat(MostReplaced(journal, journal.replaces()))});

@@ -157,8 +157,8 @@ const cases = {
 
   async compression() {
     const gzip = connect(Policy, {'grpc.default_compression_algorithm': 2});
-    const answer = call(gzip, 'OpenSession', {policy: 'cartpole', routing_key: 'x'.repeat(256)});
-    await fails(answer, grpc.status.UNIMPLEMENTED);
+    const answer = await call(gzip, 'OpenSession', {policy: 'cartpole', routing_key: 'x'.repeat(256)});
+    assert(answer.session_id.length > 0);
   },
 
   async concurrent() {

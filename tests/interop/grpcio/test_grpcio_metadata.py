@@ -98,13 +98,13 @@ def test_metadata_that_is_too_large_ends_its_call_alone(channel):
     assert call(channel, LIST)(v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS).policies
 
 
-@pytest.mark.parametrize("compression", [grpc.Compression.Gzip, grpc.Compression.Deflate])
-def test_compressed_requests(channel, compression):
+def test_compressed_requests(channel):
     # A request of several bytes: gRPC sends shorter ones uncompressed.
     request = v1("OpenSessionRequest", policy="cartpole", routing_key="x" * 256)
     compressed = call(channel, f"/{POLICY}/OpenSession")
+    assert compressed(request, compression=grpc.Compression.Gzip, timeout=DEADLINE_SECONDS).session_id
     with pytest.raises(grpc.RpcError) as refused:
-        compressed(request, compression=compression, timeout=DEADLINE_SECONDS)
+        compressed(request, compression=grpc.Compression.Deflate, timeout=DEADLINE_SECONDS)
     assert refused.value.code() == grpc.StatusCode.UNIMPLEMENTED
     assert "identity" in refused.value.details()
 
