@@ -23,8 +23,9 @@ local is_older = found[1] and tonumber(found[1]) < tonumber(ARGV[1]) and
 
 // Writes a snapshot, which replaces all of a journal. Returns 1, the older epoch that it replaces,
 // or 0 if another owner has the session, or a newer copy of it. KEYS: hash, list, list of the epoch
-// that it may replace, or the former again if the caller does not know of any. ARGV: as above, owner from now on, tenant, snapshot, retention in milliseconds,
-// policy file, base, changes of the session, most changes of another owner's copy that it replaces.
+// that it may replace, or the former again if the caller does not know of any. ARGV: as above,
+// owner from now on, tenant, snapshot, retention in milliseconds, policy file, base, changes of the
+// session, most changes of another owner's copy that it replaces.
 inline constexpr char kPut[] = R"(
 if found[1] and not (found[3] == 'open' and (is_same or is_older)) then return 0 end
 if is_older and found[2] ~= ARGV[2] then
