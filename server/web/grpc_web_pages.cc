@@ -21,9 +21,7 @@ namespace {
 constexpr char kTrailerFlag = static_cast<char>(0x80);
 
 // The two forms of the protocol.
-struct Form {
-  bool is_text = false;  // everything in base64
-};
+enum class Form { kBinary, kText };  // text: everything in base64
 
 // Returns nothing if `content_type` is not that of gRPC-Web with protobuf messages.
 std::optional<Form> FormOf(absl::string_view content_type) {
@@ -31,7 +29,7 @@ std::optional<Form> FormOf(absl::string_view content_type) {
   const bool is_text = absl::ConsumePrefix(&content_type, "-text");
   absl::ConsumePrefix(&content_type, "+proto");
   if (!content_type.empty() && content_type[0] != ';') return std::nullopt;
-  return Form{is_text};
+  return is_text ? Form::kText : Form::kBinary;
 }
 
 // Appends a frame of `bytes` to `out`.
@@ -55,9 +53,10 @@ HttpResponse ResponseOf(Form form, const absl::StatusOr<std::string>& message) {
     absl::StrAppend(&trailers, "grpc-status-details-bin: ", status.details, "\r\n");
   }
   AppendFrame(kTrailerFlag, trailers, &body);
-  return {.content_type =
-              form.is_text ? "application/grpc-web-text+proto" : "application/grpc-web+proto",
-          .body = form.is_text ? absl::Base64Escape(body) : std::move(body)};
+  if (form == Form::kText) {
+    return {.content_type = "application/grpc-web-text+proto", .body = absl::Base64Escape(body)};
+  }
+  return {.content_type = "application/grpc-web+proto", .body = std::move(body)};
 }
 
 // Returns null if `path` is not that of a unary method.
@@ -70,11 +69,10 @@ const Method* UnaryMethodAt(absl::string_view path) {
 
 // Returns the message of a request's body, which is one frame.
 absl::StatusOr<std::string> MessageOf(Form form, const std::string& body) {
-  std::string frame;
-  if (form.is_text && !absl::Base64Unescape(body, &frame)) {
+  std::string bytes = body;
+  if (form == Form::kText && !absl::Base64Unescape(body, &bytes)) {
     return absl::InvalidArgumentError("body: expected base64");
   }
-  const std::string& bytes = form.is_text ? frame : body;
   if (bytes.size() < kMessagePrefixBytes) {
     return absl::InvalidArgumentError(absl::StrCat("body: expected one message with a prefix of ",
                                                    kMessagePrefixBytes, " bytes, received ",
@@ -110,7 +108,7 @@ std::variant<size_t, HttpResponse> GrpcWebPages::AcceptBody(const HttpRequest& r
   const auto caller = Admit(authenticator_, request.authorization, *method);
   if (!caller.ok()) return ResponseOf(form, caller.status());
   const size_t longest = max_message_bytes_ + kMessagePrefixBytes;
-  return form.is_text ? (longest + 2) / 3 * 4 : longest;
+  return form == Form::kText ? (longest + 2) / 3 * 4 : longest;
 }
 
 void GrpcWebPages::Answer(const HttpRequest& request, const HttpServer::Done& done) const {

@@ -160,3 +160,14 @@ def expected_decision(channel, error):
     assert detail.Unpack(info)
     assert (info.reason, info.domain) == ("OUT_OF_ORDER", "spikeserve")
     return int(info.metadata["expected_decision"])
+
+
+def undisturbed_answers(sessions):
+    """Returns the answers of the first episode of each session, by session, on a server that nothing disturbs."""
+    answers = {}
+    with Restartable("memory") as server:
+        for i in sessions:
+            server.OpenSession(**opening(i) | {"durability": "NONE"})
+            answers[i] = [comparable(server.Act(**acting(i, 0, step))) for step in range(STEPS)]
+        server.close()
+    return answers

@@ -9,7 +9,16 @@ import pytest
 from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
 from security import code_of, until
 from serving import message_class
-from stored_sessions import STEPS, Restartable, acting, comparable, ending, expected_decision, opening
+from stored_sessions import (
+    STEPS,
+    Restartable,
+    acting,
+    comparable,
+    ending,
+    expected_decision,
+    opening,
+    undisturbed_answers,
+)
 
 pytestmark = WITHOUT_REDIS
 
@@ -34,14 +43,7 @@ def replicas(redis):
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    """Returns the answers of each session on a server that nothing disturbs."""
-    answers = {}
-    with Restartable("memory") as server:
-        for i in KINDS:
-            server.OpenSession(**opening(i) | {"durability": "NONE"})
-            answers[i] = [comparable(server.Act(**acting(i, 0, step))) for step in range(STEPS)]
-        server.close()
-    return answers
+    return undisturbed_answers(KINDS)
 
 
 def answer_of(call, **fields):

@@ -10,11 +10,19 @@ import grpc
 import pytest
 from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
 from security import code_of, until
-from stored_sessions import Restartable, acting, comparable, ending, expected_decision, opening
+from stored_sessions import (
+    STEPS,
+    Restartable,
+    acting,
+    comparable,
+    ending,
+    expected_decision,
+    opening,
+    undisturbed_answers,
+)
 
 pytestmark = WITHOUT_REDIS
 
-STEPS = 40  # of an episode; as in stored_sessions
 KINDS = [0, 4]  # a session that is frozen, and one that learns by itself; both SYNC
 
 
@@ -36,14 +44,7 @@ def replicas(redis):
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    """Returns the answers of each session on a server that nothing disturbs."""
-    answers = {}
-    with Restartable("memory") as server:
-        for i in KINDS:
-            server.OpenSession(**opening(i) | {"durability": "NONE"})
-            answers[i] = [comparable(server.Act(**acting(i, 0, step))) for step in range(STEPS)]
-        server.close()
-    return answers
+    return undisturbed_answers(KINDS)
 
 
 def decide(server, i, decision):
