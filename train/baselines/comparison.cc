@@ -1,5 +1,6 @@
 #include "train/baselines/comparison.h"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -13,7 +14,10 @@ namespace {
 
 constexpr int kTrainingSteps = 20'000;
 constexpr int kHeldOutSteps = 5'000;
-constexpr double kClearGain = 0.05;  // of the error
+// What a second observation has to gain: shares of the error of the first, and an error. Those of a
+// perceptron are larger, because its error depends on chance, too.
+constexpr double kLineGain = 0.05;
+constexpr double kMlpGain = 0.25, kLeastMlpGain = 0.01;
 constexpr int kFrames[] = {1, 2, 4};
 
 BaselineScore Score(Baseline baseline, const ActionSpace& space, const StepTable& table) {
@@ -86,20 +90,29 @@ absl::StatusOr<BaselineData> ReadBaselineData(const EpisodeSource& source, doubl
 bool NeedsChanges(const ActionSpace& space, const StepTable& table) {
   if (table.begins.size() < 3) return false;  // one episode
   const StepTable halves[] = {EverySecondEpisode(table, 0), EverySecondEpisode(table, 1)};
-  // Returns the errors of all episodes, each from a fit to the other half.
-  const auto error_of = [&](int frames) {
-    ImitationError error;
-    for (const int i : {0, 1}) {
-      const std::vector<double> episodes =
-          Score(FitLine(space, halves[1 - i], frames), space, halves[i]).error.episodes;
-      error.episodes.insert(error.episodes.end(), episodes.begin(), episodes.end());
-    }
-    error.mean = AsVector(error.episodes).mean();
-    return error;
+  // Returns whether a second observation helps the models that `fit` fits.
+  const auto is_clear = [&](const auto& fit, double share, double least) {
+    // Returns the errors of all episodes, each from a fit to the other half.
+    const auto error_of = [&](int frames) {
+      ImitationError error;
+      for (const int i : {0, 1}) {
+        const std::vector<double> episodes =
+            Score(fit(halves[1 - i], frames), space, halves[i]).error.episodes;
+        error.episodes.insert(error.episodes.end(), episodes.begin(), episodes.end());
+      }
+      error.mean = AsVector(error.episodes).mean();
+      return error;
+    };
+    const ImitationError one = error_of(1), two = error_of(2);
+    const ErrorDifference gain = Compare(one, two);
+    return gain.mean >= std::max(share * one.mean, least) && gain.is_significant();
   };
-  const ImitationError one = error_of(1), two = error_of(2);
-  const ErrorDifference gain = Compare(one, two);
-  return gain.mean >= kClearGain * one.mean && gain.is_significant();
+  const auto line = [&](const StepTable& half, int frames) { return FitLine(space, half, frames); };
+  const auto mlp = [&](const StepTable& half, int frames) {
+    return FitMlp(space, half, frames, 0);
+  };
+  // Of an action that is no linear function of a velocity, a line may show nothing.
+  return is_clear(line, kLineGain, 0.0) || is_clear(mlp, kMlpGain, kLeastMlpGain);
 }
 
 BaselineComparison CompareWithBaselines(std::shared_ptr<const Policy> policy,

@@ -75,6 +75,27 @@ TEST(BaselineTest, TwoObservationsShowAVelocity) {
   }
 }
 
+TEST(BaselineTest, APerceptronShowsAVelocityThatALineDoesNot) {
+  Dataset dataset = HiddenVelocity(/*discrete=*/false);
+  for (Episode& episode : dataset.episodes) {
+    float before = episode.observations[0];
+    for (size_t t = 0; t < episode.actions.size(); ++t) {
+      const float change = 60.0f * (episode.observations[t] - before);
+      before = episode.observations[t];
+      episode.actions[t].continuous[0] = std::cos(change * change);
+    }
+  }
+  const EpisodeSource source(std::move(dataset));
+  const ActionSpace& space = source.dataset().action_space;
+  const BaselineData data = *ReadBaselineData(source, 0.1);
+  const auto error_of = [&](int frames) {
+    const Baseline line = FitLine(space, data.training, frames);
+    return ErrorOf(space, line.Outputs(data.held_out.inputs), data.held_out).mean;
+  };
+  EXPECT_GT(error_of(2), 0.95 * error_of(1));
+  EXPECT_TRUE(NeedsChanges(space, data.training));
+}
+
 TEST(BaselineTest, NothingIsGainedWhereOneObservationIsEnough) {
   Dataset dataset = HiddenVelocity(/*discrete=*/false);
   for (Episode& episode : dataset.episodes) {
