@@ -29,6 +29,7 @@ PAGES = (
     "imitation.md",
     "cpp.md",
     "triton.md",
+    "grpc-web.md",
     "policies.md",
     "recording.md",
     "explain.md",
@@ -45,7 +46,7 @@ WITHOUT_COMMANDS = {
     *("README.md", "arm64.md", "attacks.md", "delay.md", "durability.md", "imitators.md", "online-learning.md"),
     *("stores.md", "tracing.md", "training-runs.md", "tried.md", "beats.md", "how-far.md", "integer.md", "kubernetes.md"),
     *("openpi.md", "report.md", "flags.md", "metrics.md", "errors.md", "files.md"),
-    *("packages.md", "paper.md", "performance.md", "robots.md", "robots-data.md", "ros.md", "site.md"),
+    *("packages.md", "paper.md", "performance.md", "playground.md", "robots.md", "robots-data.md", "ros.md", "site.md"),
     *("threat-model.md", "upgrades.md"),
 }
 SERVERS = ("spikeserve ", "build/release/bin/spikeserve ", "prometheus ")
@@ -56,7 +57,8 @@ EDITS = {
     "imitation.md": [
         ("--expert reacher:reach", "--expert reacher:reach --steps=3000 --iterations=20 --rounds=0 --silence= --episodes=4"),
     ],
-    # The page expects the programs where a package installs them.
+    # These pages expect the programs in the PATH.
+    "grpc-web.md": [("spikeserve --policies", "export PATH=$PWD/build/release/bin:$PATH\nspikeserve --policies")],
     "security.md": [("openssl req -x509", "export PATH=$PWD/build/release/bin:$PATH\nopenssl req -x509")],
 }
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
