@@ -1,23 +1,28 @@
 #include "client/src/attempts.h"
 
 #include "spikeserve/status.h"
+#include "spikeserve/unacknowledged.h"
 
 namespace spikeserve {
 
-Attempts::Attempts(Replicas* replicas, Route* route, const RetryOptions& retry, bool names_session)
+bool IsElsewhere(const absl::Status& error, uint64_t decision) {
+  const auto expected = ExpectedDecision(error);
+  return absl::IsNotFound(error) ||
+         (expected.has_value() && *expected + Unacknowledged::kMostDecisions < decision);
+}
+
+Attempts::Attempts(Replicas* replicas, Route* route, const RetryOptions& retry)
     : replicas_(replicas),
       route_(route),
-      names_session_(names_session),
       schedule_(retry, route->key),
       replica_(replicas->Choose(*route)) {}
 
 std::optional<absl::Duration> Attempts::DelayAfter(const absl::Status& error,
-                                                   absl::Duration timeout) {
-  const bool is_missing = names_session_ && absl::IsNotFound(error);
-  if (!replicas_->MayMove(*route_) || !(is_missing || IsRetryable(error))) {
+                                                   absl::Duration timeout, bool is_elsewhere) {
+  if (!replicas_->MayMove(*route_) || !(is_elsewhere || IsRetryable(error))) {
     return schedule_.DelayAfter(error);
   }
-  if (is_missing) {
+  if (is_elsewhere) {
     without_.insert(replica_);
     if (without_.size() == replicas_->size()) return std::nullopt;
   } else {

@@ -5,6 +5,7 @@
 #ifndef CLIENT_SRC_ATTEMPTS_H_
 #define CLIENT_SRC_ATTEMPTS_H_
 
+#include <cstdint>
 #include <optional>
 #include <set>
 
@@ -15,11 +16,15 @@
 
 namespace spikeserve {
 
+// Returns whether another replica may have the session of a request that failed: this one does not
+// know it, or misses more decisions than a session keeps. It wrote what it had once, after the
+// store has lost the session. `decision` is that of the request; 0: it has none.
+bool IsElsewhere(const absl::Status& error, uint64_t decision);
+
 class Attempts {
  public:
-  // `names_session` shows whether the call names a session, which another replica may have if this
-  // one does not know it. The arguments must outlive the object.
-  Attempts(Replicas* replicas, Route* route, const RetryOptions& retry, bool names_session);
+  // The arguments must outlive the object.
+  Attempts(Replicas* replicas, Route* route, const RetryOptions& retry);
 
   // The replica of the next attempt.
   Replica& replica() const { return *replica_; }
@@ -33,17 +38,18 @@ class Attempts {
 
   // Returns the delay before the call, or a part of it, is sent again to `replica`, or nothing if
   // there is no next attempt. Chooses another replica if `error` says that this one cannot answer
-  // now. `timeout` is that of the failed attempt.
+  // now. `timeout` is that of the failed attempt, `is_elsewhere` whether another replica may have
+  // the session that the call names.
   //
   // Another replica may hold a session that the store has lost, and a session may move from one
   // that has not been asked yet to one that did not know it. So it is lost when all replicas say so
   // in a row.
-  std::optional<absl::Duration> DelayAfter(const absl::Status& error, absl::Duration timeout);
+  std::optional<absl::Duration> DelayAfter(const absl::Status& error, absl::Duration timeout,
+                                           bool is_elsewhere);
 
  private:
   Replicas* const replicas_;
   Route* const route_;
-  const bool names_session_;
   RetrySchedule schedule_;
   std::set<const Replica*> tried_;
   std::set<const Replica*> without_;  // those that have denied the session in a row

@@ -132,7 +132,8 @@ absl::Status Client::Run(const Rules& rules, Attempts& attempts,
       return status;
     }
     if (rules.not_found_is_done && !is_first && absl::IsNotFound(status)) return absl::OkStatus();
-    const auto delay = attempts.DelayAfter(status, rules.timeout);
+    const bool is_elsewhere = rules.names_session && IsElsewhere(status, rules.decision);
+    const auto delay = attempts.DelayAfter(status, rules.timeout, is_elsewhere);
     if (!delay.has_value() || !(rules.repeatable || IsRefusedForNow(status))) return status;
     options_.retry.sleep(*delay);
   }
@@ -143,7 +144,7 @@ absl::Status Client::CallOther(
     absl::FunctionRef<grpc::Status(const std::shared_ptr<grpc::Channel>&, grpc::ClientContext*)>
         attempt) {
   Route route("");
-  Attempts attempts(replicas_.get(), &route, options_.retry, /*names_session=*/false);
+  Attempts attempts(replicas_.get(), &route, options_.retry);
   return Run(
       {.timeout = timeout, .repeatable = repeatable}, attempts,
       [&](Line& line, grpc::ClientContext* context) { return attempt(line.channel, context); });
@@ -154,12 +155,13 @@ absl::StatusOr<Response> Client::CallOfSession(
     grpc::Status (Stub::*method)(grpc::ClientContext*, const Request&, Response*),
     const Request& request, const std::shared_ptr<Route>& route) {
   RouteOfCall route_of_call(route, request.session_id());
-  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/true);
+  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry);
+  Rules rules = {.timeout = options_.call_timeout, .names_session = true};
+  if constexpr (requires { request.decision(); }) rules.decision = request.decision();
   Response response;
-  const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
-                                  [&](Line& line, grpc::ClientContext* context) {
-                                    return ((*line.stub).*method)(context, request, &response);
-                                  });
+  const absl::Status status = Run(rules, attempts, [&](Line& line, grpc::ClientContext* context) {
+    return ((*line.stub).*method)(context, request, &response);
+  });
   if (!status.ok()) return ForSession(status);
   return response;
 }
@@ -181,7 +183,7 @@ absl::StatusOr<v1::OpenSessionResponse> Client::OpenSession(const v1::OpenSessio
   if (named.session_id().empty()) named.set_session_id(DrawId());
   RouteOfCall route_of_call(route, named.session_id());
   // NOT_FOUND is about the policy.
-  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/false);
+  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry);
   v1::OpenSessionResponse response;
   const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
                                   [&](Line& line, grpc::ClientContext* context) {
@@ -245,8 +247,8 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOnce(absl::Span<const v1::A
   v1::ActBatchRequest batch;
   batch.mutable_requests()->Add(requests.begin(), requests.end());
   v1::ActBatchResponse answer;
-  const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
-                                  [&](Line& line, grpc::ClientContext* context) {
+  const absl::Status status = Run({.timeout = options_.call_timeout, .names_session = true},
+                                  attempts, [&](Line& line, grpc::ClientContext* context) {
                                     return line.stub->ActBatch(context, batch, &answer);
                                   });
   if (!status.ok()) return status;
@@ -268,7 +270,7 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOnce(absl::Span<const v1::A
 
 absl::StatusOr<Client::BatchResults> Client::ActBatchOn(absl::Span<const v1::ActRequest> requests,
                                                         Route& route) {
-  Attempts attempts(replicas_.get(), &route, options_.retry, /*names_session=*/true);
+  Attempts attempts(replicas_.get(), &route, options_.retry);
   auto results = ActBatchOnce(requests, attempts);
   size_t last_failed = 0;
   while (results.ok()) {
@@ -276,23 +278,23 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOn(absl::Span<const v1::Act
     std::vector<size_t> failed;
     std::vector<v1::ActRequest> again;
     absl::Status longest;  // of the failed items, the one that has to wait longest
+    bool all_elsewhere = true;
     for (size_t i = 0; i < results->size(); ++i) {
       const absl::Status& status = (*results)[i].status();
-      // Another server may have a lost session.
-      const bool is_elsewhere = may_move && IsSessionLost(status);
+      const bool is_elsewhere = may_move && IsElsewhere(status, requests[i].decision());
       if (!is_elsewhere && !IsRetryable(status) && !IsRefusedForNow(status)) continue;
       failed.push_back(i);
       again.push_back(requests[i]);
       // A lost session is the error only if nothing else is wrong.
-      const bool is_longer = is_elsewhere == IsSessionLost(longest)
-                                 ? RetryAfter(status) > RetryAfter(longest)
-                                 : !is_elsewhere;
+      const bool is_longer =
+          is_elsewhere == all_elsewhere ? RetryAfter(status) > RetryAfter(longest) : !is_elsewhere;
       if (longest.ok() || is_longer) longest = status;
+      all_elsewhere = all_elsewhere && is_elsewhere;
     }
     if (failed.empty()) break;
     if (failed.size() != last_failed) attempts.PartAnswered();
     last_failed = failed.size();
-    const auto delay = attempts.DelayAfter(longest, options_.call_timeout);
+    const auto delay = attempts.DelayAfter(longest, options_.call_timeout, all_elsewhere);
     if (!delay.has_value()) break;
     options_.retry.sleep(*delay);
     auto part = ActBatchOnce(again, attempts);
@@ -365,12 +367,13 @@ absl::Status Client::CloseSession(const std::string& session_id,
   v1::CloseSessionRequest request;
   request.set_session_id(session_id);
   RouteOfCall route_of_call(route, session_id);
-  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry, /*names_session=*/true);
-  return Run({.timeout = options_.call_timeout, .not_found_is_done = true}, attempts,
-             [&](Line& line, grpc::ClientContext* context) {
-               v1::CloseSessionResponse response;
-               return line.stub->CloseSession(context, request, &response);
-             });
+  Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry);
+  const Rules rules = {
+      .timeout = options_.call_timeout, .not_found_is_done = true, .names_session = true};
+  return Run(rules, attempts, [&](Line& line, grpc::ClientContext* context) {
+    v1::CloseSessionResponse response;
+    return line.stub->CloseSession(context, request, &response);
+  });
 }
 
 }  // namespace spikeserve

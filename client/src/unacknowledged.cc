@@ -13,9 +13,6 @@
 namespace spikeserve {
 namespace {
 
-// The most decisions of one session that a server lets wait for the store, and that are kept.
-constexpr uint64_t kMostDecisions = 256;
-
 // Returns the bytes of an answer without what may differ between servers and attempts.
 std::string Comparable(v1::ActResponse answer) {
   answer.mutable_stats()->clear_compute_seconds();

@@ -2,12 +2,15 @@
 
 import concurrent.futures
 import contextlib
+import os
+import subprocess
 
 import grpc
 import pytest
 import spikeserve
+from serving import DEADLINE_SECONDS
 from spikeserve.status_details import METADATA_KEY, STATUS
-from spikeserve.wire import METHODS, SERVICE
+from spikeserve.wire import METHODS, SERVICE, message_class
 
 OPTIONS = spikeserve.ClientOptions(retry=spikeserve.RetryOptions(initial_backoff=0.001, max_backoff=0.01))
 UNKNOWN = (grpc.StatusCode.NOT_FOUND, None)
@@ -97,10 +100,62 @@ def replicas():
     return Replicas()
 
 
-@pytest.fixture
-def client(replicas):
-    with replicas.serving() as addresses, spikeserve.Client(addresses, OPTIONS) as client:
-        yield client
+class CppClient:
+    """What these tests use of the client, in C++: tests/integration/client_player.cc. A session is its number."""
+
+    ERRORS = {"NOT_FOUND": spikeserve.SessionLostError, "FAILED_PRECONDITION": spikeserve.FailedPreconditionError}
+
+    def __init__(self, player):
+        self.player = player
+        self.sessions = 0
+
+    def open_session(self, policy, options):
+        self._ask("OpenSessionResponse", "open", options.to_wire(policy))
+        self.sessions += 1
+        return CppSession(self)
+
+    def act_batch(self, _, observations, rewards):
+        requests = message_class("ActBatchRequest")()
+        for observation, reward in zip(observations, rewards, strict=True):
+            requests.requests.add(observation=observation, reward=reward)
+        answers = self._ask("ActBatchResponse", "act", requests)
+        return [spikeserve.Decision.from_wire(result.response) for result in answers.results]
+
+    def _ask(self, answer, word, request):
+        print(word, request.SerializeToString().hex(), file=self.player.stdin, flush=True)
+        kind, _, error = self.player.stdout.readline().strip().partition(" ")
+        if kind == "error":
+            code = error.partition(":")[0]
+            raise self.ERRORS[code]("Act", grpc.StatusCode[code], error)
+        return message_class(answer).FromString(bytes.fromhex(kind))
+
+
+class CppSession:
+    def __init__(self, client):
+        self.client = client
+
+    def act(self, observation, reward=0.0):
+        return self.client.act_batch([self], [observation], [reward])[0]
+
+
+@contextlib.contextmanager
+def cpp_client(addresses, mode):
+    command = [os.environ["CLIENT_PLAYER_PROGRAM"], addresses, mode]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as player:
+        yield CppClient(player)
+        player.stdin.close()
+        assert player.wait(timeout=DEADLINE_SECONDS) == 0
+
+
+@pytest.fixture(params=["Python", "calls"])
+def client(replicas, request):
+    """The Python client, or the one in C++, which makes single calls or batches."""
+    with contextlib.ExitStack() as stack:
+        addresses = stack.enter_context(replicas.serving())
+        if request.param == "Python":
+            yield stack.enter_context(spikeserve.Client(addresses, OPTIONS))
+        else:
+            yield stack.enter_context(cpp_client(addresses, request.param))
 
 
 def opened(client):
@@ -138,12 +193,18 @@ def test_a_copy_that_is_too_old_to_be_brought_up_to_date_is_not_the_last_word(re
         session.act([0.0], 1.0)
 
 
+@pytest.mark.parametrize("client", ["Python", "batch"], indirect=True)
 def test_each_session_of_a_batch_is_looked_for_at_all_replicas(replicas, client):
     """One is at the second replica, and the other one, which that does not know, at the first."""
     sessions = [opened(client), opened(client)]
     replicas.script = [UNKNOWN, AWAY, ANSWER, UNKNOWN, ANSWER]
     decisions = client.act_batch(sessions, [[0.0], [0.0]], [0.0, 0.0])
     assert [decision.action for decision in decisions] == [1, 1]
+
+
+@pytest.mark.parametrize("client", ["Python"], indirect=True)
+def test_only_the_session_of_a_batch_that_is_lost_fails(replicas, client):
+    sessions = [opened(client), opened(client)]
     replicas.script = [ANSWER, UNKNOWN, UNKNOWN]
-    first, second = client.act_batch(sessions, [[0.0], [0.0]], [1.0, 1.0])
+    first, second = client.act_batch(sessions, [[0.0], [0.0]], [0.0, 0.0])
     assert first.action == 1 and isinstance(second, spikeserve.SessionLostError)

@@ -17,6 +17,7 @@
 
 #include <grpcpp/channel.h>
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
@@ -151,6 +152,8 @@ class Client {
     absl::Duration timeout;          // of each attempt
     bool repeatable = true;          // also if it may have been carried out
     bool not_found_is_done = false;  // NOT_FOUND after a failed attempt counts as OK
+    bool names_session = false;      // which another server may have
+    uint64_t decision = 0;           // of the request; 0: it has none
   };
   using BatchResults = std::vector<absl::StatusOr<v1::ActResponse>>;
 

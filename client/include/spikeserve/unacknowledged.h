@@ -25,9 +25,11 @@ struct Route;
 
 class Unacknowledged {
  public:
+  // The most decisions of one session that a server lets wait for the store, and that are kept.
+  static constexpr uint64_t kMostDecisions = 256;
+
   // Adds an answered request. `decision` is the number of the decision, or of the one that follows
-  // the end of an episode. Keeps at most 256 decisions, which a server lets wait for the store at
-  // most.
+  // the end of an episode. Keeps at most kMostDecisions.
   void Add(uint64_t decision, const v1::ActRequest& request, const v1::ActResponse& answer);
   void Add(uint64_t decision, const v1::EndEpisodeRequest& request,
            const v1::EndEpisodeResponse& answer);
