@@ -21,6 +21,7 @@ from test_pilot import (  # noqa: F401
     test_a_stored_session_goes_on_after_its_server_was_killed,
     test_an_answer_that_is_stale_is_never_executed,
     test_episodes_that_end_while_the_link_is_cut_are_not_lost,
+    test_five_seconds_without_a_cable_cost_no_action,
     test_nothing_that_a_robot_passes_makes_a_beat_fail,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
@@ -57,6 +58,10 @@ def fly():
 )
 def test_with_an_engine_a_pulled_cable_costs_nothing(client, link, policy, options, fly):
     test_pilot_engine.test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly)
+
+
+def test_with_an_engine_five_seconds_without_a_cable_cost_no_action(client, link, fly):
+    test_pilot_engine.test_five_seconds_without_a_cable_cost_no_action(client, link, fly)
 
 
 def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):
