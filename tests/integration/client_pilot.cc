@@ -28,9 +28,9 @@
 #include <vector>
 
 #include "absl/strings/escaping.h"
-#include "client/engine/local_engine.h"
 #include "core/base/hex.h"
 #include "spikeserve/client.h"
+#include "spikeserve/local_engine.h"
 #include "spikeserve/pilot.h"
 
 namespace {
