@@ -25,6 +25,7 @@ from test_pilot import (  # noqa: F401
     test_nothing_that_a_robot_passes_makes_a_beat_fail,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
+from traces import collecting, environment
 
 WARM = 20  # beats after which nothing is allocated
 
@@ -80,6 +81,18 @@ def test_no_beat_allocates_memory(client, link, fly):
             link.heal()
             flight.until("fresh")
             assert set(flight.pilot.allocations[WARM:]) == {0}
+
+
+def test_each_request_belongs_to_the_trace_of_its_beat(fly, monkeypatch):
+    trace, span = "a" * 32, "b" * 16
+    with collecting() as collector:
+        for name, value in environment(collector.port).items():
+            monkeypatch.setenv(name, value)
+        with running_server() as server, spikeserve.Client(server.grpc) as client:
+            with fly(client, local=False, traceparent=f"00-{trace}-{span}-01") as flight:
+                flight.until("fresh")
+                call = collector.find("spikeserve.v1.PolicyService/ActStream", trace=trace, parent=span)
+                collector.find("decide", trace=trace, parent=call.id)
 
 
 def test_tls_and_tokens(certificates, tokens, fly):
