@@ -40,7 +40,8 @@ def start_robots(site, case, player, seconds, folder, rival):
         flags |= {"connections": case.connections, "rate": case.rate, "seconds": seconds}
         command = [str(folder / "robots"), *(f"--{name}={value}" for name, value in flags.items())]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [*site.robot.prefix, *command]
+    space = site.server if case.round_trip is None else site.robot
+    command = [*space.prefix, *command]
     robots = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     assert robots.stdout.readline() == "playing\n", f"{case.name}, {player}: the robots do not play"
     return robots
@@ -50,7 +51,8 @@ def play(case, player, seconds, folder, rival):
     """Returns the figures of a row."""
     with contextlib.ExitStack() as stack:
         site = Site(stack, folder / "link_emulator")
-        site.link.order("set", case.round_trip / 2, case.loss)
+        if case.round_trip is not None:
+            site.link.order("set", case.round_trip / 2, case.loss)
         robots = start_robots(site, case, player, seconds + case.longer, folder, rival)
         if case.disturb is not None:
             time.sleep(seconds / 4)

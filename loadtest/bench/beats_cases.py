@@ -16,7 +16,7 @@ class Case:
     """What happens to robots. `name` is that of the table."""
 
     name: str
-    round_trip: float = 0.05  # seconds
+    round_trip: float | None = 0.05  # seconds; None: without a link, on the host of the server
     loss: float = 0.0  # share of the packets in each direction
     robots: int = 1
     connections: int = 1  # of all robots
@@ -71,12 +71,12 @@ EVENTS = [
     Case(f"server killed, back after {RESTART} s", disturb=restart, store="file"),
     Case("two servers, killed in turn", disturb=fail_over, store="redis", players=("calls", "pilot", "engine")),
 ]
-HOST = "no delay"
+HOST = "one host"
 FLEETS = [
-    Case(f"1 robot, 1000 Hz, {HOST}", 0.0, rate=1000, players=("pilot",)),
-    Case(f"64 robots, 100 Hz, {HOST}", 0.0, robots=64, connections=64, rate=100, players=("pilot",)),
+    Case(f"1 robot, 1000 Hz, {HOST}", None, rate=1000, players=("pilot",)),
+    Case(f"64 robots, 100 Hz, {HOST}", None, robots=64, connections=64, rate=100, players=("pilot",)),
     Case("64 robots, 100 Hz, 50 ms, 1% lost", loss=0.01, robots=64, connections=64, rate=100, players=("pilot",)),
-    Case(f"512 robots, 50 Hz, 16 connections, {HOST}", 0.0, robots=512, connections=16, players=("pilot",)),
+    Case(f"512 robots, 50 Hz, 16 connections, {HOST}", None, robots=512, connections=16, players=("pilot",)),
     Case(f"1 robot, 1000 Hz, {HOST}, ten minutes", 0.0, rate=1000, seconds=600, on_request=True, players=("pilot",)),
 ]
 CASES = [*LINKS, *EVENTS, *FLEETS]

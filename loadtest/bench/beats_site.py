@@ -74,12 +74,12 @@ class OpenpiServer:
 
 
 class Site:
-    """A robot's namespace, the link, and the servers' namespace, until the end of `stack`, an ExitStack."""
+    """The namespaces of the robots and the servers, and the link, until the end of `stack`, an ExitStack."""
 
     def __init__(self, stack, emulator):
         self._stack = stack
-        self.robot, self._server = Namespace(stack), Namespace(stack)
-        self.link = EmulatedLink(stack, emulator, self.robot, self._server)
+        self.robot, self.server = Namespace(stack), Namespace(stack)
+        self.link = EmulatedLink(stack, emulator, self.robot, self.server)
         self.servers = []
 
     def start_servers(self, store):
@@ -91,11 +91,11 @@ class Site:
             self._start_redis()
             flags += [f"--session_store=redis://127.0.0.1:{REDIS_PORT}"]
         for _ in range(2 if store == "redis" else 1):
-            self._start(RestartableServer(*flags, host=SERVER, prefix=self._server.prefix))
+            self._start(RestartableServer(*flags, host=SERVER, prefix=self.server.prefix))
         return ",".join(server.address for server in self.servers)
 
     def start_openpi(self, python, script):
-        self._start(OpenpiServer(python, script, self._server.prefix))
+        self._start(OpenpiServer(python, script, self.server.prefix))
         return self.servers[0].address
 
     def _start(self, server):
@@ -105,7 +105,7 @@ class Site:
 
     def _start_redis(self):
         command = ["redis-server", "--port", str(REDIS_PORT), "--save", "", "--daemonize", "no"]
-        redis = subprocess.Popen([*self._server.prefix, *command], stdout=subprocess.PIPE, text=True)
+        redis = subprocess.Popen([*self.server.prefix, *command], stdout=subprocess.PIPE, text=True)
         self._stack.callback(redis.stdout.close)
         self._stack.callback(redis.wait)
         self._stack.callback(redis.kill)
