@@ -101,13 +101,10 @@ bench: build setup
 	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
 	  --json=$(BUILD)/bench.json --markdown=docs/evidence/performance.md $(BENCH_FLAGS)
 
-# Counts the beats of a robot without a fresh action over links with delay, loss and cuts, in about twelve minutes.
-# BEATS_FLAGS="--seconds=60" makes the runs longer.
+# Counts the beats of robots without a fresh action over links with delay, loss and cuts: the rows that loadtest/bench/beats.json
+# has not. BEATS_FLAGS='--rows="link cut"' runs those that match instead, --rows=. all of them, in about 20 minutes. Needs root.
 bench-beats: build setup
-	build/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --upgrade \
-	  --target $(BUILD)/beats_client client/python
-	PYTHONPATH=$(BUILD)/beats_client:$(BUILD)/python build/venv/bin/python loadtest/bench/beats_bench.py \
-	  --server=$(BIN)/spikeserve $(BEATS_FLAGS)
+	build/venv/bin/python loadtest/bench/beats_bench.py --bin=$(BIN) --docs=docs $(BEATS_FLAGS)
 
 # Measures parts that `make bench` does not: calls by thread, memory of connections, a neighbour during floods, and the engine in
 # Python. A few minutes.

@@ -38,11 +38,27 @@ set_target_properties(spikeserve_stubs PROPERTIES EXPORT_NAME stubs)
 install(TARGETS spikeserve_client spikeserve_stubs spikeserve_proto EXPORT spikeserveTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT client
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
-install(DIRECTORY client/include/spikeserve DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT client)
+
+# The engine on a robot, one archive of the rooms that it links, so that none of them is a library of the package.
+set(rooms action base contract dataset dense_engine engine engine_factory learning local_engine math model reference_engine session
+  spiking_engine)
+list(TRANSFORM rooms REPLACE "(.+)" "$<TARGET_OBJECTS:spikeserve_\\1>" OUTPUT_VARIABLE objects)
+add_library(spikeserve_installed_engine STATIC ${objects})
+target_link_libraries(spikeserve_installed_engine PUBLIC spikeserve_client
+  absl::core_headers absl::flat_hash_map absl::function_ref absl::inlined_vector absl::span absl::status absl::statusor
+  absl::str_format absl::strings absl::synchronization absl::time hwy::hwy OpenSSL::Crypto Threads::Threads)
+set_target_properties(spikeserve_installed_engine PROPERTIES
+  LINKER_LANGUAGE CXX OUTPUT_NAME spikeserve_local_engine EXPORT_NAME local_engine)
+install(TARGETS spikeserve_installed_engine EXPORT spikeserveEngineTargets
+  ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT client
+  INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
+
+install(DIRECTORY client/include/spikeserve client/engine/include/spikeserve DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT client)
 install(DIRECTORY ${CMAKE_BINARY_DIR}/proto/spikeserve DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT client
   FILES_MATCHING PATTERN "*.pb.h")
 set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/spikeserve)
 install(EXPORT spikeserveTargets NAMESPACE spikeserve:: DESTINATION ${package_dir} COMPONENT client)
+install(EXPORT spikeserveEngineTargets NAMESPACE spikeserve:: DESTINATION ${package_dir} COMPONENT client)
 configure_package_config_file(cmake/package/spikeserveConfig.cmake.in ${CMAKE_BINARY_DIR}/spikeserveConfig.cmake
   INSTALL_DESTINATION ${package_dir})
 write_basic_package_version_file(${CMAKE_BINARY_DIR}/spikeserveConfigVersion.cmake COMPATIBILITY SameMinorVersion)
@@ -93,7 +109,8 @@ Answers the observations of robots and simulators with actions, over gRPC.
 It keeps a session for each agent, in files or in Redis, and serves the
 policies in /usr/share/spikeserve/policies.")
 set(CPACK_COMPONENT_CLIENT_DESCRIPTION "C++ client library of spikeserve
-Contains headers, static libraries, a CMake package and a file for pkg-config.")
+Contains headers, static libraries, a CMake package and a file for pkg-config.
+The engine on a robot also needs libhwy-dev and libssl-dev.")
 set(CPACK_COMPONENT_TOOLS_DESCRIPTION "command-line client and load generator of spikeserve
 The program spikectl plays, watches and administers policies of a server. The
 program spikeload measures a server under the load of many sessions.")
@@ -102,6 +119,7 @@ The program spiketrain makes datasets, trains Spiking Decision Transformers on
 them, and evaluates policies.")
 set(CPACK_DEBIAN_CLIENT_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_CLIENT_PACKAGE_DEPENDS "libgrpc++-dev, libprotobuf-dev, libabsl-dev")
+set(CPACK_DEBIAN_CLIENT_PACKAGE_RECOMMENDS "libhwy-dev, libssl-dev")
 set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS adduser)
 set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
   ${PROJECT_SOURCE_DIR}/deploy/debian/postinst ${PROJECT_SOURCE_DIR}/deploy/debian/prerm

@@ -84,6 +84,7 @@ def check_cpp(layers):
     def owners(path):
         """Returns the library that compiles the file or its .cc; without one, all of its folder."""
         stem = os.path.splitext(path)[0].replace("client/include/spikeserve/", "client/src/")
+        stem = stem.replace("client/engine/include/spikeserve/", "client/engine/")
         if stem in stems:
             return {stems[stem]}
         folder = os.path.dirname(path)
@@ -94,7 +95,7 @@ def check_cpp(layers):
     headers = {}  # as included -> path in the tree
     for path in tracked("*.h"):
         headers[path] = path
-        headers[path.replace("client/include/", "")] = path
+        headers[re.sub(r"^client/(engine/)?include/", "", path)] = path
 
     includes = {}
     for path in tracked("*.h", "*.cc"):

@@ -1,17 +1,23 @@
-#include "client/engine/local_engine.h"
+#include "spikeserve/local_engine.h"
 
 #include <openssl/sha.h>
 
 #include <filesystem>
 #include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
+#include "core/action/action_space.h"
 #include "core/action/reported_action.h"
+#include "core/base/clock.h"
 #include "core/base/file.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
+#include "core/session/agent_session.h"
 #include "core/session/journal_entry.h"
+#include "core/session/served_policy.h"
 #include "core/session/session_export.h"
 
 namespace spikeserve {
@@ -38,15 +44,34 @@ ReportedAction Reported(const ActionView& action, const ActionSpace& space) {
 
 }  // namespace
 
-std::shared_ptr<LocalEngine> LocalEngine::FromServer() {
-  return std::shared_ptr<LocalEngine>(new LocalEngine(""));
-}
+// The engine itself, which the header does not show: an installed client has no headers of core.
+class LocalEngine::Player {
+ public:
+  explicit Player(std::string path) : path_(std::move(path)) {}
 
-std::shared_ptr<LocalEngine> LocalEngine::FromFile(std::string path) {
-  return std::shared_ptr<LocalEngine>(new LocalEngine(std::move(path)));
-}
+  bool NeedsPolicyFile() const { return path_.empty(); }
+  absl::Status Resume(const v1::ExportSessionResponse& exported) ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<ActionView> Act(int64_t step, absl::Span<const float> observation, double reward,
+                                 const std::optional<ActionView>& executed)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::Status EndEpisode(const EpisodeOutcome& outcome, const ActionView& executed)
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::string> Export() ABSL_LOCKS_EXCLUDED(mutex_);
 
-absl::Status LocalEngine::Load(const v1::ExportSessionResponse& exported) {
+ private:
+  // Reads the policy with the SHA-256 of `exported`.
+  absl::Status Load(const v1::ExportSessionResponse& exported)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  const std::string path_;  // empty: from the server
+  const SteadyClock clock_;
+  absl::Mutex mutex_;
+  std::shared_ptr<const ServedPolicy> served_ ABSL_GUARDED_BY(mutex_);  // null: not read
+  std::optional<AgentSession> agent_ ABSL_GUARDED_BY(mutex_);
+  Action action_ ABSL_GUARDED_BY(mutex_);  // the last decision
+};
+
+absl::Status LocalEngine::Player::Load(const v1::ExportSessionResponse& exported) {
   std::string content = exported.policy_file();
   if (!path_.empty()) {
     absl::StatusOr<std::string> read = ReadFile(PathFor(path_, exported));
@@ -77,7 +102,7 @@ absl::Status LocalEngine::Load(const v1::ExportSessionResponse& exported) {
   return absl::OkStatus();
 }
 
-absl::Status LocalEngine::Resume(const v1::ExportSessionResponse& exported) {
+absl::Status LocalEngine::Player::Resume(const v1::ExportSessionResponse& exported) {
   absl::StatusOr<Session> session = ImportSession(exported.value());
   if (!session.ok()) return session.status();
   absl::MutexLock lock(&mutex_);
@@ -92,9 +117,10 @@ absl::Status LocalEngine::Resume(const v1::ExportSessionResponse& exported) {
   return absl::OkStatus();
 }
 
-absl::StatusOr<ActionView> LocalEngine::Act(int64_t step, absl::Span<const float> observation,
-                                            double reward,
-                                            const std::optional<ActionView>& executed) {
+absl::StatusOr<ActionView> LocalEngine::Player::Act(int64_t step,
+                                                    absl::Span<const float> observation,
+                                                    double reward,
+                                                    const std::optional<ActionView>& executed) {
   absl::MutexLock lock(&mutex_);
   if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
   std::optional<ReportedAction> reported;
@@ -105,7 +131,8 @@ absl::StatusOr<ActionView> LocalEngine::Act(int64_t step, absl::Span<const float
   return ActionView{.discrete = action_.discrete, .continuous = action_.continuous};
 }
 
-absl::Status LocalEngine::EndEpisode(const EpisodeOutcome& outcome, const ActionView& executed) {
+absl::Status LocalEngine::Player::EndEpisode(const EpisodeOutcome& outcome,
+                                             const ActionView& executed) {
   absl::MutexLock lock(&mutex_);
   if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
   const ActionSpace& space = served_->policy().action_space;
@@ -121,10 +148,38 @@ absl::Status LocalEngine::EndEpisode(const EpisodeOutcome& outcome, const Action
       .status();
 }
 
-absl::StatusOr<std::string> LocalEngine::Export() {
+absl::StatusOr<std::string> LocalEngine::Player::Export() {
   absl::MutexLock lock(&mutex_);
   if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
   return ExportSession(*agent_);
 }
+
+LocalEngine::LocalEngine(std::string path) : player_(std::make_unique<Player>(std::move(path))) {}
+
+LocalEngine::~LocalEngine() = default;
+
+std::shared_ptr<LocalEngine> LocalEngine::FromServer() { return FromFile(""); }
+
+std::shared_ptr<LocalEngine> LocalEngine::FromFile(std::string path) {
+  return std::shared_ptr<LocalEngine>(new LocalEngine(std::move(path)));
+}
+
+bool LocalEngine::NeedsPolicyFile() const { return player_->NeedsPolicyFile(); }
+
+absl::Status LocalEngine::Resume(const v1::ExportSessionResponse& exported) {
+  return player_->Resume(exported);
+}
+
+absl::StatusOr<ActionView> LocalEngine::Act(int64_t step, absl::Span<const float> observation,
+                                            double reward,
+                                            const std::optional<ActionView>& executed) {
+  return player_->Act(step, observation, reward, executed);
+}
+
+absl::Status LocalEngine::EndEpisode(const EpisodeOutcome& outcome, const ActionView& executed) {
+  return player_->EndEpisode(outcome, executed);
+}
+
+absl::StatusOr<std::string> LocalEngine::Export() { return player_->Export(); }
 
 }  // namespace spikeserve

@@ -5,7 +5,8 @@
 // makes the pilot:
 //
 //   {"servers": "HOST:PORT", "opening": HEX, "period": 0.01}, and, if wanted: "local": PATH ("":
-//   the server's policy file), "ca", "token", and fields of PilotOptions by name, times in seconds
+//   the server's policy file), "ca", "token", and fields of PilotOptions by name, times in seconds;
+//   "traceparent" is that of all beats
 //
 //   {"do": "beat", "observation": [...], "reward": 0.5, "executed": [...]}
 //   {"do": "end", "reward": 1, "terminated": true}    begins to wait for the next summary
@@ -28,9 +29,9 @@
 #include <vector>
 
 #include "absl/strings/escaping.h"
-#include "client/engine/local_engine.h"
 #include "core/base/hex.h"
 #include "spikeserve/client.h"
+#include "spikeserve/local_engine.h"
 #include "spikeserve/pilot.h"
 
 namespace {
@@ -83,6 +84,11 @@ PilotOptions OptionsOf(const Json& json) {
   if (json.contains("in_flight")) options.in_flight = json["in_flight"].get<int>();
   options.kept_beats = json.value("kept_beats", options.kept_beats);
   options.close_timeout = Seconds(json, "close_timeout").value_or(options.close_timeout);
+  if (json.contains("traceparent")) {
+    options.traceparent = [text = json["traceparent"].get<std::string>()]() -> absl::string_view {
+      return text;
+    };
+  }
   if (json.contains("throwing")) {
     options.fallback = [](absl::Span<const float>) -> ActionView { throw std::bad_alloc(); };
   }

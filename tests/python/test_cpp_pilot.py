@@ -21,9 +21,11 @@ from test_pilot import (  # noqa: F401
     test_a_stored_session_goes_on_after_its_server_was_killed,
     test_an_answer_that_is_stale_is_never_executed,
     test_episodes_that_end_while_the_link_is_cut_are_not_lost,
+    test_five_seconds_without_a_cable_cost_no_action,
     test_nothing_that_a_robot_passes_makes_a_beat_fail,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
+from traces import collecting, environment
 
 WARM = 20  # beats after which nothing is allocated
 
@@ -59,6 +61,10 @@ def test_with_an_engine_a_pulled_cable_costs_nothing(client, link, policy, optio
     test_pilot_engine.test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly)
 
 
+def test_with_an_engine_five_seconds_without_a_cable_cost_no_action(client, link, fly):
+    test_pilot_engine.test_five_seconds_without_a_cable_cost_no_action(client, link, fly)
+
+
 def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):
     test_pilot_engine.test_the_engine_on_the_robot_plays_the_same_session(client, link, fly)
 
@@ -75,6 +81,18 @@ def test_no_beat_allocates_memory(client, link, fly):
             link.heal()
             flight.until("fresh")
             assert set(flight.pilot.allocations[WARM:]) == {0}
+
+
+def test_each_request_belongs_to_the_trace_of_its_beat(fly, monkeypatch):
+    trace, span = "a" * 32, "b" * 16
+    with collecting() as collector:
+        for name, value in environment(collector.port).items():
+            monkeypatch.setenv(name, value)
+        with running_server() as server, spikeserve.Client(server.grpc) as client:
+            with fly(client, local=False, traceparent=f"00-{trace}-{span}-01") as flight:
+                flight.until("fresh")
+                call = collector.find("spikeserve.v1.PolicyService/ActStream", trace=trace, parent=span)
+                collector.find("decide", trace=trace, parent=call.id)
 
 
 def test_tls_and_tokens(certificates, tokens, fly):

@@ -5,6 +5,7 @@ import os
 import pathlib
 import re
 import shlex
+import signal
 import subprocess
 
 import pytest
@@ -42,6 +43,12 @@ def test_find_package(prefix, tmp_path):
     run("cmake", "-S", CONSUMER, "-B", tmp_path, "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}")
     run("cmake", "--build", tmp_path)
     expect_an_action(tmp_path / "consumer")
+    with running_server(status=-signal.SIGKILL) as addresses:
+        robot = subprocess.Popen([tmp_path / "robot", addresses.grpc], stdout=subprocess.PIPE, text=True)
+        with robot:
+            assert robot.stdout.readline() == "fresh\n"
+            addresses.process.kill()
+            assert robot.stdout.readline() == "local\n"
 
 
 def test_pkg_config(prefix, tmp_path):

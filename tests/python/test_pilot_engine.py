@@ -5,7 +5,7 @@ import spikeserve
 from links import Link
 from security import until
 from serving import SHIPPED_POLICIES, running_server
-from test_pilot import LEARNING, Flight, exported, fly, fly_through_cuts  # noqa: F401
+from test_pilot import LEARNING, MAX_AGE, Flight, exported, fly, fly_through_cuts, fly_through_five_seconds  # noqa: F401
 
 
 @pytest.fixture
@@ -28,6 +28,12 @@ def client(link):
 def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly):
     with fly(client, policy, session=options, local_policy=SHIPPED_POLICIES) as flight:
         fly_through_cuts(flight, client, link, source="local")
+
+
+def test_five_seconds_without_a_cable_cost_no_action(client, link, fly):
+    with fly(client, local_policy=SHIPPED_POLICIES, max_age=MAX_AGE) as flight:
+        fly_through_five_seconds(flight, client, link)
+        assert flight.pilot.stats().local > 0
 
 
 def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):

@@ -1,7 +1,7 @@
 // The place of an engine on the robot, which decides while the server is out of reach.
 //
-// The client library defines it and links no engine. `client/engine` implements it with the engine
-// of this project:
+// The client library defines it and links no engine. LocalEngine (local_engine.h), in a library of
+// its own, implements it with the engine of this project:
 //
 //   PilotOptions options = {.period = absl::Milliseconds(20), .local = LocalEngine::FromServer()};
 #ifndef SPIKESERVE_LOCAL_POLICY_H_

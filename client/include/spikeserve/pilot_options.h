@@ -44,6 +44,9 @@ struct PilotOptions {
   // time. The action is read before the next call. An action that does not belong to the action
   // space, or an exception, is replaced by the neutral action.
   std::function<ActionView(absl::Span<const float> observation)> fallback = nullptr;
+  // Returns the W3C Trace Context of a beat (traceparent), or nothing. Runs on the thread of Beat.
+  // The text is read before the next call.
+  std::function<absl::string_view()> traceparent = nullptr;
   // Most requests without an answer, 1 to 64. Absent: so many that later answers would be stale.
   std::optional<int> in_flight = std::nullopt;
   // Beats that are kept with their observations until the server has them; of older ones, the

@@ -55,13 +55,15 @@ uint64_t BeatLog::most() const {
   return std::max<uint64_t>(2, std::min(history_limit_, kMostBytes / bytes));
 }
 
-uint64_t BeatLog::Add(absl::Span<const float> observation, double reward, int64_t observed_at) {
+uint64_t BeatLog::Add(absl::Span<const float> observation, double reward, int64_t observed_at,
+                      absl::string_view traceparent) {
   const uint64_t number = next_++;
   if (kept_from() > 0 && kept_from() - 1 >= acknowledged_ && kept_from() > base_) ++dropped_;
   const size_t slot = SlotOf(number);
   std::copy(observation.begin(), observation.end(), &observations_[slot * observation_size_]);
   rewards_[number % reward_slots_] = reward;
   observed_at_ = observed_at;
+  traceparent_.assign(traceparent.data(), traceparent.size());
   ++episodes_.back().steps;
   return number;
 }
@@ -126,6 +128,7 @@ void BeatLog::FillRequest(v1::ActRequest* request) const {
   request->mutable_observation()->Assign(beat.observation.begin(), beat.observation.end());
   request->set_reward(beat.reward);
   request->set_observed_at(observed_at_);
+  request->set_traceparent(traceparent_);
 }
 
 void BeatLog::FillEnd(v1::EndEpisodeRequest* request) const {

@@ -29,6 +29,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "client/src/pilot/action_shape.h"
 #include "spikeserve/local_policy.h"
@@ -82,9 +83,10 @@ class BeatLog {
   // Returns the number of the next beat.
   uint64_t next() const { return next_; }
 
-  // Adds a beat to the running episode. `observed_at` is in nanoseconds of the monotonic clock.
-  // Returns its number.
-  uint64_t Add(absl::Span<const float> observation, double reward, int64_t observed_at);
+  // Adds a beat to the running episode. `observed_at` is in nanoseconds of the monotonic clock,
+  // `traceparent` the trace context of the beat. Returns its number.
+  uint64_t Add(absl::Span<const float> observation, double reward, int64_t observed_at,
+               absl::string_view traceparent = "");
   // Sets what the robot has executed in the last beat. REQUIRES: the running episode has one.
   void SetExecuted(const ActionView& action);
   // Ends the running episode, which has a beat. The next beat begins another one.
@@ -138,6 +140,7 @@ class BeatLog {
   const std::unique_ptr<int64_t[]> discrete_;    // [kept]: executed actions
   const std::unique_ptr<double[]> rewards_;      // [reward_slots]
   int64_t observed_at_ = 0;                      // of the last beat
+  std::string traceparent_;                      // of the last beat
   std::deque<RobotEpisode> episodes_;            // the last one is running
   uint64_t next_ = 0;                            // number of the next beat
   uint64_t base_ = 0;                            // number of the first beat of the server's session

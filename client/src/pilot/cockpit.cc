@@ -32,11 +32,14 @@ Pilot::Cockpit::Cockpit(Replicas* replicas, std::shared_ptr<Route> route,
 PilotAction Pilot::Cockpit::Beat(absl::Span<const float> observation, double reward,
                                  const std::optional<ActionView>& executed) {
   const absl::Duration now = SteadyNow();
+  const absl::string_view traceparent = Traceparent();
   {
     absl::MutexLock lock(&facts_.mutex);
     TakeExecuted(executed);
     TakeObservation(observation);
-    const uint64_t number = AddBeat(observation_, is_new_episode_ ? 0.0 : Finite(reward), now);
+    const uint64_t number = facts_.log.Add(observation_, is_new_episode_ ? 0.0 : Finite(reward),
+                                           absl::ToInt64Nanoseconds(now), traceparent);
+    Queue(number, now);
     is_new_episode_ = false;
     if (Choose(number, now, now + options_.wait())) return Finish();
   }
@@ -52,16 +55,22 @@ PilotAction Pilot::Cockpit::Beat(absl::Span<const float> observation, double rew
   return Finish();
 }
 
-uint64_t Pilot::Cockpit::AddBeat(absl::Span<const float> observation, double reward,
-                                 absl::Duration now) {
-  const uint64_t number = facts_.log.Add(observation, reward, absl::ToInt64Nanoseconds(now));
+void Pilot::Cockpit::Queue(uint64_t number, absl::Duration now) {
   const bool may_send = facts_.is_connected && facts_.log.is_current() &&
                         facts_.under_way.size() < facts_.window && now >= facts_.paused_until;
   if (may_send) {
     facts_.queued = {.episode = facts_.log.running().index, .number = number, .sent = now};
   }
   facts_.has_work.notify_all();
-  return number;
+}
+
+absl::string_view Pilot::Cockpit::Traceparent() const {
+  if (options_.traceparent == nullptr) return "";
+  try {
+    return options_.traceparent();
+  } catch (...) {  // of the robot's own function; a beat never throws
+    return "";
+  }
 }
 
 bool Pilot::Cockpit::Choose(uint64_t number, absl::Duration observed_at, absl::Duration deadline) {

@@ -40,9 +40,10 @@ class Pilot::Cockpit {
   std::string session_id() const ABSL_LOCKS_EXCLUDED(facts_.mutex);
 
  private:
-  // Adds a beat to the log and asks for its decision. Returns its number.
-  uint64_t AddBeat(absl::Span<const float> observation, double reward, absl::Duration now)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  // Returns the trace context of this beat.
+  absl::string_view Traceparent() const;
+  // Asks for the decision of the newest beat, if a request may be sent.
+  void Queue(uint64_t number, absl::Duration now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
   // Takes the best action but the robot's own one, and waits for it until `deadline`. Returns false
   // if there is none.
   bool Choose(uint64_t number, absl::Duration observed_at, absl::Duration deadline)
