@@ -120,11 +120,24 @@ def test_one_line_says_whether_all_is_well_in_the_words_of_the_banners(page):
     assert alerts == ", ".join(parts)
 
 
+# Writes the widest text that the tile of the server's health can have, and returns the texts that are cut off.
+CUT_OFF = """(() => {
+  document.querySelector('#tiles dd.value').textContent = 'not healthy';
+  return [...document.querySelectorAll('#tiles :is(dt, dd)')].filter((e) => e.scrollWidth > e.clientWidth).map((e) => e.textContent);
+})()"""
+
+
+@pytest.mark.parametrize("size", [DESKTOP, (1130, 800), PHONE])
+def test_no_tile_cuts_off_what_it_says(page, size):
+    page.resize(size)
+    assert page.evaluate(CUT_OFF) == []
+
+
 def test_returns_of_different_tasks_are_not_averaged(page):
     page.driver.execute_script("const e = document.querySelector('#window'); e.value = '1000000000';"
                                "e.dispatchEvent(new Event('change'));")
     note = "[...document.querySelectorAll('#tiles > div')].map((e) => e.textContent).find((text) => text.startsWith('Episode return'))"
-    page.wait_for(f"{note}.includes('by policy: tasks differ')", "no average")
+    page.wait_for(f"{note}.includes('their tasks differ')", "no average")
     assert page.tiles()["Episode return"][0] == "–"
 
 

@@ -110,7 +110,7 @@ function commonTiles(figures, lines, model, status, route) {
                 note: `${si(figures.decisions)} in all`, line: lines.decisions_per_second,
                 bad: bad('SpikeserveNoDecisions')},
     returns: mixesTasks(status, route)
-      ? {label: 'Episode return', value: NOTHING, note: 'by policy: tasks differ', bad: bad('SpikeserveReturnFalling')}
+      ? {label: 'Episode return', value: NOTHING, note: 'their tasks differ', bad: bad('SpikeserveReturnFalling')}
       : {label: 'Episode return', value: fixed(figures.return_mean),
               note: figures.episodes > 0 ? `${count(figures.episodes)} episode${figures.episodes === 1 ? '' : 's'}` : 'no episode ended',
               line: lines.return_mean, bad: bad('SpikeserveReturnFalling')},
