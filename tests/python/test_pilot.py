@@ -262,8 +262,8 @@ def test_the_newest_answer_that_could_arrive_is_executed(client, link, monkeypat
             flight.beat()
             newest.append(flight.pilot._executed_step >= known)
         assert sum(newest) >= 0.95 * len(newest)
-        # No beat had to wait for an answer before it could ask.
-        assert len(arrived) >= 0.95 * len(newest)
+        # With one request at a time, one beat of three would have an answer.
+        assert len(arrived) >= 0.5 * len(newest)
         flight.end()
         flight.check_session(client)
 
