@@ -5,7 +5,6 @@ of the way from random actions to its expert, and to be no worse than the baseli
 """
 
 import dataclasses
-import importlib.util
 import json
 import os
 import re
@@ -76,15 +75,9 @@ def test_the_program_of_the_table_continues_and_prints(tmp_path, monkeypatch, ca
     assert row.startswith("| Spring | dense | -")
 
 
-def needs_mujoco(name):
-    return name.startswith("InvertedDoublePendulum") and importlib.util.find_spec("mujoco") is None
-
-
 @pytest.mark.parametrize(("name", "expert"), ROWS.items())
 @pytest.mark.parametrize("mode", ("baseline", "dense") if WHOLE else ["baseline"])
 def test_a_row(tmp_path, monkeypatch, name, expert, mode):
-    if needs_mujoco(name):
-        pytest.skip("without mujoco")
     if not WHOLE:
         monkeypatch.setattr(pipeline, "LARGEST_COMPARED", 0)  # the baselines take seconds
     options = dataclasses.replace(ImitationOptions() if WHOLE else SMALL, mode=mode)
