@@ -15,7 +15,7 @@ import sys
 ROOT = pathlib.Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 MOST_WORDS = 22_000
-MOST_MEASURED = 12  # lines with measured figures outside docs/evidence: a table that a test runs, and its words
+MOST_MEASURED = 17  # lines with measured figures outside docs/evidence: a table that a test runs, and its words
 GENERATED = "`make reference` writes this page"
 CODE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 PROMISE = "At the end of this page"

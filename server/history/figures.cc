@@ -71,7 +71,11 @@ FigureSource::FigureSource(const MetricHistory& history, const MetricLabels& lab
       spikes_by_stage_(By("stage", spikes_)),
       energy_by_model_(
           By("energy_model", history.Select("spikeserve_energy_joules_total", labels))) {
-  if (!is_server_) return;
+  if (!is_server_) {
+    dense_energy_by_model_ =
+        By("energy_model", history.Select("spikeserve_dense_energy_joules", labels));
+    return;
+  }
   calls_ = history.Select(kCalls);
   acts_ = SelectCalls(history, [](const std::string& method, const std::string& /*code*/) {
     return method == "Act" || method == "ActStream";
@@ -130,6 +134,8 @@ Json FigureSource::Figures(TimeSpan span) const {
   figures.update(Energy("energy_joules_per_decision", span, decisions));
   figures.update(Energy("energy_joules", span, 1.0));
   if (!is_server_) {
+    Json& dense = figures["dense_energy_joules_per_decision"] = Json::object();
+    for (const auto& [model, series] : dense_energy_by_model_) dense[model] = Gauge(series);
     figures["head_drift"] = Gauge(drift_);
     figures["head_updates_per_second"] = Ratio(Increase(updates_, span), seconds);
     figures["held_out_sessions"] = Gauge(held_out_);

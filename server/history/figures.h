@@ -55,6 +55,7 @@ class FigureSource {
       updates_, held_out_, trimmed_;
   std::map<std::string, Selection> spikes_by_stage_;
   std::map<std::string, Selection> energy_by_model_;
+  std::map<std::string, Selection> dense_energy_by_model_;  // of a version only
   // Of the server only.
   Selection calls_, acts_, failed_, refused_;
 };

@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <iterator>
+#include <optional>
 #include <sstream>
 #include <utility>
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/version.h"
+#include "core/engine/account.h"
 #include "prometheus/text_serializer.h"
 #include "server/base/log.h"
 #include "server/metrics/policy_metrics.h"
@@ -55,6 +57,15 @@ std::vector<std::string> ElementNames(int size) {
     names.push_back(first == last ? absl::StrCat(first) : absl::StrCat(first, "-", last));
   }
   return names;
+}
+
+// Returns the energy of a decision of the dense policy that has the sizes of a spiking one.
+std::optional<double> DenseEnergy(EnergyModel model, const Policy& policy) {
+  const ModelConfig& config = policy.config;
+  if (config.is_dense()) return std::nullopt;
+  const Counts counts = DenseTwinCounts(config, config.state_inputs(policy.observation_size()),
+                                        policy.action_space.size());
+  return EstimateEnergy(model, counts, DenseTwin(config));
 }
 
 }  // namespace
@@ -221,10 +232,15 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   handles.softmax_terms = add(other_operations_, with("kind", "softmax_term"));
   handles.gate_products = add(other_operations_, with("kind", "gate_product"));
   handles.energy = {};
+  auto& dense_energy = Register(
+      BuildGauge(), "spikeserve_dense_energy_joules",
+      "Energy of a decision of a dense policy in integers with the sizes of this one and a full "
+      "window, by the models that apply to both.");
   for (const auto& [model, name_of_model] : EnumNames(EnergyModel())) {
     if (!Applies(model, policy.config)) continue;
-    handles.energy[static_cast<size_t>(model)] =
-        add(energy_, with("energy_model", {name_of_model.data(), name_of_model.size()}));
+    const auto of = with("energy_model", {name_of_model.data(), name_of_model.size()});
+    handles.energy[static_cast<size_t>(model)] = add(energy_, of);
+    if (const auto joules = DenseEnergy(model, policy)) add(dense_energy, of)->Set(*joules);
   }
   handles.decision_duration = add(decision_duration_, labels, ComputeSeconds());
   handles.sessions = add(sessions_, labels);

@@ -7,10 +7,11 @@ import gymnasium
 import grpc
 import pytest
 from documentation import page_of
-from random_policy import export_random
+from random_policy import SMALL, export_random
 from serving import Service, running_server
 
 STEPS = 7
+MULTIPLY_ACCUMULATE = 4.6e-12  # joules, of horowitz_45nm
 # The optional figures of an answer and the models that they belong to.
 FIGURES = {
     "spike_energy_joules": "spike_5pj",
@@ -77,6 +78,25 @@ def test_the_metrics_have_the_same_figures_and_no_others(addresses, stats, polic
     for field, model in FIGURES.items():
         if model in series:
             assert series[model] == pytest.approx(sum(getattr(s, field) for s in stats[policy]))
+
+
+def test_a_policy_has_the_energy_of_its_dense_twin_beside_it(addresses):
+    """A dense policy with the same sizes is played, in float32, until its window is full."""
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        session = service.OpenSession(policy="dense").session_id
+        for step in range(SMALL["context"] + 1):
+            answer = service.Act(session_id=session, step=step, observation=[0.1 * step, 0.2, -0.1 * step, 0.3], reward=1.0)
+    found = {}
+    for entry in status(addresses)["metrics"]["spikeserve_dense_energy_joules"]:
+        found.setdefault(entry["labels"]["policy"], {})[entry["labels"]["energy_model"]] = entry["value"]
+    assert set(found) == {"integers", "floats"}
+    assert set(found["integers"]) == {"horowitz_45nm", "int_45nm", "int_sram_45nm"}
+    assert set(found["floats"]) == {"horowitz_45nm"}
+    assert found["floats"]["horowitz_45nm"] == found["integers"]["horowitz_45nm"]
+    # Of an action that is one of two, one input is 0 and multiplies nothing.
+    skipped = SMALL["hidden_size"] * MULTIPLY_ACCUMULATE
+    assert found["floats"]["horowitz_45nm"] == pytest.approx(answer.stats.energy_joules + skipped)
 
 
 def test_membranes_depend_on_the_sizes_only(stats):

@@ -1,7 +1,9 @@
 """Opens the status page of a server with 1,000 sessions in a browser. Uses only the keyboard, by day and by night."""
 
+import json
 import shutil
 import threading
+import urllib.request
 
 import grpc
 import pytest
@@ -80,6 +82,21 @@ def test_which_policy_costs_the_most_energy_is_said_in_words_and_on_top(page):
     assert first["Policy"] == "busy/1"
     assert second["Policy"] == "quiet/1"
     assert first["Energy per second"].endswith("J")
+
+
+def test_energy_stands_beside_that_of_a_dense_policy(page, server):
+    addresses, _ = server
+    with urllib.request.urlopen(f"http://{addresses.http}/status.json?metrics=false") as document:
+        [row, _] = json.load(document)["versions"]
+    dense = row["dense_energy_joules_per_decision"]["horowitz_45nm"]
+    energy, note, _ = page.tiles()["Energy / decision"]
+    assert energy.endswith(" nJ") and note == f"dense: {dense * 1e6:.3g} µJ"
+    cell = page.evaluate("""(() => {
+        const cell = document.querySelector("#policies-table td[data-label='Energy per decision']");
+        return [cell.title, parseFloat(cell.style.getPropertyValue('--share'))];
+    })()""")
+    assert cell[0] == f"dense twin: {dense * 1e6:.3g} µJ"
+    assert cell[1] == pytest.approx(100 * float(energy.removesuffix(" nJ")) * 1e-9 / dense, rel=0.2)
 
 
 def test_the_energy_model_is_chosen_among_those_of_the_server(page):

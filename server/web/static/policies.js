@@ -20,6 +20,7 @@ export function policyRows(status, model) {
     const row = {...figures.get(key), key, info: policy, rollout: rollouts.get(key)};
     row.power = row.energy_joules_per_second?.[model];
     row.energy = row.energy_joules_per_decision?.[model];
+    row.dense = row.dense_energy_joules_per_decision?.[model];
     row.chips = chipsOf(policy, row.rollout);
     row.idle = !(row.decisions > 0) && !(row.sessions > 0) && !(row.rollout && stateOf(row.rollout) === 'running');
     return row;
@@ -58,7 +59,11 @@ export class Policies {
       }},
       {key: 'power', label: 'Energy per second', value: (row) => row.power, text: (row) => si(row.power, 'J'),
        share: (row) => row.powerShare},
-      numberColumn('energy', 'Energy per decision', (x) => si(x, 'J')),
+      {key: 'energy', label: 'Energy per decision', value: (row) => row.energy, text: (row) => si(row.energy, 'J'),
+       share: (row) => Math.min(row.energy / row.dense, 1), update: (cell, row) => {
+        setText(cell, si(row.energy, 'J'));
+        cell.title = `dense twin: ${si(row.dense, 'J')}`;
+      }},
       numberColumn('spikes_per_decision', 'Spikes per decision', fixed),
       numberColumn('decisions_per_second', 'Decisions per second', fixed),
       numberColumn('p50', 'p50', (x) => si(x, 's'), (row) => row.decision_seconds?.p50),

@@ -103,6 +103,15 @@ function mixesTasks(status, route) {
   return new Set(ended.map(({policy, version}) => tasks.get(`${policy}/${version}`))).size > 1;
 }
 
+/** Returns the energy that the decisions of the route would have taken with dense policies of the same sizes, a decision. */
+function denseEnergy(status, route, model) {
+  const rows = status.versions.filter(({policy, version, decisions}) =>
+    (route.policy ? policy === route.policy && version === route.version : decisions > 0));
+  const weigh = (row) => (route.policy ? 1 : row.decisions);
+  const joules = rows.reduce((sum, row) => sum + weigh(row) * row.dense_energy_joules_per_decision[model], 0);
+  return joules / rows.reduce((sum, row) => sum + weigh(row), 0);
+}
+
 function commonTiles(figures, lines, model, status, route) {
   const bad = (...names) => fires(status, route, ...names);
   return {
@@ -117,9 +126,9 @@ function commonTiles(figures, lines, model, status, route) {
     spikes: {label: 'Spikes / decision', value: fixed(figures.spikes_per_decision),
              note: `${percent(figures.unusual_per_decision)} unusual`, line: lines.spikes_per_decision,
              bad: bad('SpikeserveUnusualObservations')},
-    energy: {label: 'Energy / s', value: si(figures.energy_joules_per_second[model], 'J'),
-             note: `${si(figures.energy_joules_per_decision[model], 'J')} a decision`,
-             line: lines.energy_joules_per_second?.[model]},
+    energy: {label: 'Energy / decision', value: si(figures.energy_joules_per_decision[model], 'J'),
+             note: `dense: ${si(denseEnergy(status, route, model), 'J')}`,
+             line: lines.energy_joules_per_second?.[model]?.map((power, i) => power / lines.decisions_per_second[i])},
   };
 }
 
