@@ -2,6 +2,7 @@
 
 #include <malloc.h>
 #include <sched.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <utility>
@@ -19,6 +20,7 @@
 #include "server/rollouts/traffic_metrics.h"
 #include "server/store/open_store.h"
 #include "server/transport/connection_metrics.h"
+#include "server/web/status_json.h"
 
 namespace spikeserve {
 namespace {
@@ -80,6 +82,14 @@ absl::Status CheckServesPolicies(const ServerOptions& options, PolicyRegistry& r
   }
   return absl::FailedPreconditionError(
       absl::StrCat("--policies: ", ExplainNoPolicies(options.policies, report.refused)));
+}
+
+// Returns the address with the name of this machine instead of "all addresses".
+std::string AddressForOthers(Address address) {
+  char name[256] = "";
+  const bool is_any = address.host == "0.0.0.0" || address.host == "[::]";
+  if (is_any && gethostname(name, sizeof(name) - 1) == 0) address.host = name;
+  return address.ToString();
 }
 
 // Returns null if nothing is to be traced.
@@ -259,6 +269,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .serving = [this] { return serving() && TransportResponds(); },
               .store_address = store.address,
               .replicas = &replicas_,
+              .reports = &reports_,
               .unusual_deviations = options.unusual_deviations}) {}
 
 absl::Status Server::StartTransport() {
@@ -334,6 +345,14 @@ void Server::FollowReplicas() {
   follow_failed_ = fails;
 }
 
+void Server::ReportToReplicas() {
+  const std::string report =
+      ServerReport(history_.Summary(), AddressForOthers(http_->address()), serving());
+  auto reports = shared_->Report(report, clock_.Now());
+  // FollowReplicas() logs that the store is away. Until it is back, the reports grow old.
+  if (reports.ok()) reports_.Set(*std::move(reports));
+}
+
 void Server::ReleaseSessions() {
   const auto is_stored = [](const SessionEntry& entry) { return entry.journal != nullptr; };
   store_.ForEach(is_stored, [](const ListedSession& session) {
@@ -390,6 +409,10 @@ absl::Status Server::StartHttp() {
   http_ = *std::move(http);
   history_ticker_ =
       std::make_unique<Periodic>(ServerHistory::kInterval, [this] { history_.Tick(); });
+  if (shared_ != nullptr) {
+    reporter_ =
+        std::make_unique<Periodic>(ServerHistory::kInterval, [this] { ReportToReplicas(); });
+  }
   return absl::OkStatus();
 }
 
@@ -400,6 +423,7 @@ void Server::Stop() {
   poller_.reset();
   rollout_ticker_.reset();
   history_ticker_.reset();
+  reporter_.reset();
   follower_.reset();
   rollouts_.SaveEvidence();
   if (shared_ != nullptr) shared_->Leave().IgnoreError();  // the others find out in any case

@@ -27,6 +27,7 @@
 #include "server/base/audit_log.h"
 #include "server/base/background_worker.h"
 #include "server/base/periodic.h"
+#include "server/base/replica_reports.h"
 #include "server/base/replicas.h"
 #include "server/history/server_history.h"
 #include "server/inference/inference_handler.h"
@@ -83,6 +84,8 @@ class Server {
   void StopTransport();
   // Says that this server is alive, and takes over what the others have changed.
   void FollowReplicas();
+  // Sends the report of this server to the status pages of the others.
+  void ReportToReplicas();
   // Writes a last snapshot of every stored session, from which another server continues.
   void ReleaseSessions();
   absl::Status StartHttp();
@@ -104,6 +107,7 @@ class Server {
   const std::unique_ptr<RedisShared> shared_;  // null: this server shares nothing
   const std::unique_ptr<HeadLogStore> heads_;  // null as `shared_`
   Replicas replicas_;
+  ReplicaReports reports_;
   const std::unique_ptr<PolicyRegistry> registry_;
   const std::unique_ptr<SharedFiles> files_;  // null as `shared_`
   const std::unique_ptr<AuditLog> audit_log_;
@@ -150,6 +154,7 @@ class Server {
   std::unique_ptr<PolicyPoller> poller_;
   std::unique_ptr<Periodic> rollout_ticker_;
   std::unique_ptr<Periodic> history_ticker_;  // null without --http_listen
+  std::unique_ptr<Periodic> reporter_;        // null without --http_listen or `shared_`
   std::unique_ptr<Periodic> follower_;
   std::unique_ptr<Periodic> token_reloader_;
   std::unique_ptr<Periodic> memory_trimmer_;

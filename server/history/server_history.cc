@@ -4,6 +4,7 @@
 #include <iterator>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "server/history/figures.h"
 
@@ -62,6 +63,28 @@ Json ServerHistory::Status(absl::Duration window) const {
           {"versions", std::move(versions)},
           {"calls", CallFigures(history_, span)},
           {"alerts", alerts_.ToJson()}};
+}
+
+Json ServerHistory::Summary() const {
+  absl::MutexLock lock(&mutex_);
+  const TimeSpan span = {.from = TickBefore(history_.end() - absl::Minutes(1)),
+                         .to = history_.end()};
+  const Json figures = FigureSource(history_, {}).Figures(span);
+  Json summary = Json::object();
+  for (const char* name :
+       {"sessions", "decisions_per_second", "call_p99_seconds", "failed_ratio"}) {
+    summary[name] = figures.at(name);
+  }
+  Json& playing = summary["playing"] = Json::array();
+  for (const MetricLabels& labels : Versions()) {
+    if (playing.size() == kMostPlaying) break;
+    if (FigureSource(history_, labels).IsIdle(span)) continue;
+    playing.push_back(absl::StrCat(labels.at("policy"), "/", labels.at("version")));
+  }
+  int firing = 0;
+  for (const Json& alert : alerts_.ToJson()) firing += alert.at("state") == "firing";
+  summary["alerts_firing"] = firing;
+  return summary;
 }
 
 Json ServerHistory::Over(absl::Duration seconds) const {

@@ -47,7 +47,31 @@ end
 if changed then redis.call('HINCRBY', KEYS[1], 'changes', 1) end
 return {redis.call('HGET', KEYS[1], 'changes') or '0', different})";
 
+// Writes the report of a server. Returns the server, the age in milliseconds and the report of each
+// that is not too old. KEYS: hash. ARGV: server, report, milliseconds.
+constexpr char kReport[] = R"(
+local time = redis.call('TIME')
+local now = time[1] * 1000 + math.floor(time[2] / 1000)
+redis.call('HSET', KEYS[1], ARGV[1], string.format('%d ', now) .. ARGV[2])
+local found = redis.call('HGETALL', KEYS[1])
+local reports = {}
+for i = 1, #found, 2 do
+  local written, report = string.match(found[i + 1], '^(%d+) (.*)$')
+  if written and now - written <= tonumber(ARGV[3]) then
+    reports[#reports + 1] = found[i]
+    reports[#reports + 1] = string.format('%d', now - written)
+    reports[#reports + 1] = report
+  else
+    redis.call('HDEL', KEYS[1], found[i])
+  end
+end
+return reports)";
+
+// How long a server that is lost stays on the status pages of the others.
+constexpr absl::Duration kReportLife = absl::Minutes(10);
+
 constexpr char kSettings[] = "cfg";
+constexpr char kServers[] = "pf:servers";
 constexpr char kVersions[] = "pf:versions";
 
 std::string FileKey(const std::string& name) { return absl::StrCat("pf:", name); }
@@ -148,7 +172,29 @@ absl::StatusOr<std::vector<std::string>> RedisShared::Heartbeat() {
   return replicas;
 }
 
+absl::StatusOr<std::vector<ReplicaReport>> RedisShared::Report(const std::string& json,
+                                                               absl::Duration now) {
+  const auto reply = Run(/*writes=*/false, {"EVAL", kReport, "1", kServers, replica_, json,
+                                            absl::StrCat(absl::ToInt64Milliseconds(kReportLife))});
+  if (!reply.ok()) return reply.status();
+  if ((*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements % 3 != 0) {
+    return Unexpected("the reports of servers");
+  }
+  std::vector<ReplicaReport> reports;
+  for (size_t i = 0; i < (*reply)->elements; i += 3) {
+    int64_t age = 0;
+    if (!absl::SimpleAtoi(TextOf(*(*reply)->element[i + 1]), &age)) return Unexpected("an age");
+    reports.push_back({.replica = std::string(TextOf(*(*reply)->element[i])),
+                       .written = now - absl::Milliseconds(age),
+                       .json = std::string(TextOf(*(*reply)->element[i + 2]))});
+  }
+  return reports;
+}
+
 absl::Status RedisShared::Leave() {
+  if (auto status = Run(/*writes=*/false, {"HDEL", kServers, replica_}).status(); !status.ok()) {
+    return status;
+  }
   return Run(/*writes=*/false, {"ZREM", kRedisReplicas, replica_}).status();
 }
 

@@ -1,11 +1,12 @@
 // What servers share in Redis beside sessions: the settings of operators, the files of promoted
-// versions, and which servers are alive.
+// versions, which servers are alive, and what each reports about itself.
 //
 // - cfg, a hash: revision and settings.
 // - pf:<SHA-256>: the file of a promoted version; pf:<SHA-256>.sig: its signature.
 // - pf:versions, a hash: of each policy version, the server that had it first and the SHA-256 of
 // its
 //   file; and the number of changes.
+// - pf:servers, a hash: of each server, its last report and when it was written.
 // - r, a sorted set: the servers, by the time at which they were alive last.
 //
 // Thread-safe. All methods block for at most a few RedisOptions::timeout.
@@ -22,8 +23,10 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
 #include "core/store/redis_client.h"
 #include "core/store/redis_options.h"
+#include "server/base/replica_reports.h"
 #include "server/policies/shared_settings.h"
 
 namespace spikeserve {
@@ -46,6 +49,9 @@ class RedisShared final : public SharedSettings {
 
   // Says that this server is alive, and returns all that are.
   absl::StatusOr<std::vector<std::string>> Heartbeat();
+  // Writes the report of this server, and returns those of all that are at most ten minutes old.
+  // `now` is the time of the clock of ReplicaReport::written.
+  absl::StatusOr<std::vector<ReplicaReport>> Report(const std::string& json, absl::Duration now);
   // Says that this server ends.
   absl::Status Leave();
 

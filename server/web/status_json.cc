@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "absl/time/time.h"
 #include "core/base/version.h"
 #include "core/engine/energy.h"
 #include "nlohmann/json.hpp"
@@ -54,6 +55,20 @@ Json EnergyModelsToJson() {
   return models;
 }
 
+// Returns the reports of the servers. Leaves out what is no report: anybody who can write to the
+// store may have written it.
+Json ServersToJson(const ServerStatus& server) {
+  Json servers = Json::array();
+  for (const ReplicaReport& report : server.reports) {
+    Json row = Json::parse(report.json, nullptr, /*allow_exceptions=*/false);
+    if (!row.is_object()) continue;
+    row["replica"] = report.replica;
+    row["seconds_ago"] = server.time - absl::ToDoubleSeconds(report.written);
+    servers.push_back(std::move(row));
+  }
+  return servers;
+}
+
 }  // namespace
 
 absl::StatusOr<std::string> StatusJson(Json figures,
@@ -72,6 +87,7 @@ absl::StatusOr<std::string> StatusJson(Json figures,
   status["store"] = server.store;
   status["replica"] = server.replica;
   status["replicas"] = server.replicas;
+  status["servers"] = ServersToJson(server);
   status["policies"] = Json::parse(*policies_json)["policies"];
   status["rollouts"] = Json::parse(*rollouts_json)["rollouts"];
   status["energy_models"] = EnergyModelsToJson();
@@ -81,6 +97,13 @@ absl::StatusOr<std::string> StatusJson(Json figures,
     for (const auto& metric : family.metric) series.push_back(SeriesToJson(metric, family.type));
   }
   return status.dump();
+}
+
+std::string ServerReport(Json summary, const std::string& address, bool serving) {
+  summary["address"] = address;
+  summary["version"] = std::string(Version());
+  summary["serving"] = serving;
+  return summary.dump();
 }
 
 std::string ErrorJson(const absl::Status& status) {

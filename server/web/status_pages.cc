@@ -126,7 +126,8 @@ absl::StatusOr<std::string> StatusPages::Status(const Credential& caller,
                      .serving = parts_.serving(),
                      .store = parts_.store_address,
                      .replica = parts_.replicas->self(),
-                     .replicas = parts_.replicas->count()});
+                     .replicas = parts_.replicas->count(),
+                     .reports = parts_.reports->Get()});
 }
 
 absl::StatusOr<std::string> StatusPages::History(const HttpRequest& request) const {

@@ -18,6 +18,7 @@
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
+#include "server/base/replica_reports.h"
 #include "server/base/replicas.h"
 #include "server/history/server_history.h"
 #include "server/metrics/metrics.h"
@@ -42,7 +43,8 @@ class StatusPages {
     std::function<bool()> serving;
     std::string store_address;  // of the session store, without a password
     const Replicas* replicas;
-    double unusual_deviations;  // of the metrics' observers
+    const ReplicaReports* reports;  // of these replicas
+    double unusual_deviations;      // of the metrics' observers
   };
 
   explicit StatusPages(Parts parts);

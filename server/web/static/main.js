@@ -7,6 +7,7 @@ import {Comparisons} from './comparisons.js';
 import {fetchJson} from './fetch.js';
 import {element, healthOf, nameOf, sessionLink, setText} from './format.js';
 import {Policies} from './policies.js';
+import {Servers} from './servers.js';
 import {SessionView} from './session.js';
 import {Sessions} from './sessions.js';
 import {AlertList, Tiles} from './tiles.js';
@@ -23,6 +24,7 @@ const alerts = new AlertList(get('alerts'));
 const charts = new Charts(get('charts'), get('chart-legend'));
 const policies = new Policies();
 const comparisons = new Comparisons(get('comparisons'));
+const servers = new Servers();
 const sessions = new Sessions();
 const session = new SessionView();
 
@@ -66,6 +68,7 @@ function draw() {
   if (history) charts.show(history, route, model);
   policies.show(status, route, model);
   comparisons.show(status, route);
+  servers.show(status, route);
 }
 
 function setHealth(text, good) {
