@@ -79,7 +79,7 @@ site:
 playground:
 	$(SETUP) playground
 	deploy/wasm_sources.sh
-	cmake --preset wasm $(if $(VERBOSE),,--log-level=WARNING)
+	cmake --preset wasm $(if $(VERBOSE),--log-level=STATUS)
 	NODE_PATH=/usr/share/nodejs cmake --build build/wasm --target playground_page golden_play
 
 # Writes the generated pages of docs/reference.
