@@ -68,7 +68,7 @@ EVENTS = [
     *(Case(f"link cut for {seconds} s", disturb=cut(seconds), longer=seconds) for seconds in CUTS),
     Case("connection forgotten by a NAT", disturb=lambda site: site.link.order("forget")),
     Case(f"server paused for {PAUSE} s", disturb=pause),
-    Case(f"server killed, back after {RESTART} s", disturb=restart, store="file"),
+    Case(f"server killed, started {RESTART} s later", disturb=restart, store="file"),
     Case("two servers, killed in turn", disturb=fail_over, store="redis", players=("calls", "pilot", "engine")),
 ]
 HOST = "one host"

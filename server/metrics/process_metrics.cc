@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <system_error>
@@ -46,9 +47,9 @@ double BootSeconds() {
   return 0;
 }
 
-// Returns fields 4 to 24 of /proc/self/stat, indexed by their numbers in proc(5). Returns an empty
-// vector if the file cannot be read.
-std::vector<double> ReadStat() {
+// Returns field 22 of /proc/self/stat, when the process started, in ticks after the boot of the
+// machine, or nothing if the file cannot be read.
+std::optional<double> StartTicks() {
   std::ifstream file("/proc/self/stat");
   std::string line;
   std::getline(file, line);
@@ -57,9 +58,17 @@ std::vector<double> ReadStat() {
   std::istringstream rest(line.substr(line.rfind(')') + 1));
   char state = 0;
   rest >> state;
-  std::vector<double> fields(25);
-  for (size_t i = 4; i < fields.size(); ++i) rest >> fields[i];
-  return rest ? fields : std::vector<double>();
+  double ticks = 0;
+  for (int field = 4; field <= 22; ++field) rest >> ticks;
+  return rest ? std::optional(ticks) : std::nullopt;
+}
+
+// Returns the resident memory in pages, or nothing if /proc cannot be read. /proc/self/stat has it,
+// too, but 0 under qemu.
+std::optional<double> ResidentPages() {
+  std::ifstream file("/proc/self/statm");
+  double size = 0, resident = 0;
+  return file >> size >> resident ? std::optional(resident) : std::nullopt;
 }
 
 // Returns the number of open file descriptors, or 0 if /proc cannot be read.
@@ -78,14 +87,13 @@ std::vector<MetricFamily> CollectProcessMetrics() {
   const auto add = [&](const char* name, const char* help, MetricType type, double value) {
     families.push_back(Family(name, help, type, value));
   };
-  if (const auto stat = ReadStat(); !stat.empty()) {
-    const double start_ticks = stat[22];
-    const double resident_pages = stat[24];
-    const auto ticks_per_second = static_cast<double>(sysconf(_SC_CLK_TCK));
+  if (const auto pages = ResidentPages(); pages.has_value()) {
     add("process_resident_memory_bytes", "Resident memory size.", MetricType::Gauge,
-        resident_pages * static_cast<double>(sysconf(_SC_PAGESIZE)));
+        *pages * static_cast<double>(sysconf(_SC_PAGESIZE)));
+  }
+  if (const auto ticks = StartTicks(); ticks.has_value()) {
     add("process_start_time_seconds", "Start time of the process since the Unix epoch.",
-        MetricType::Gauge, BootSeconds() + start_ticks / ticks_per_second);
+        MetricType::Gauge, BootSeconds() + *ticks / static_cast<double>(sysconf(_SC_CLK_TCK)));
   }
   const struct mallinfo2 heap = mallinfo2();
   add("spikeserve_allocated_bytes", "Memory that was allocated and not freed.", MetricType::Gauge,

@@ -1,5 +1,6 @@
 """Opens the status page of a server with 1,000 sessions in a browser. Uses only the keyboard, by day and by night."""
 
+import itertools
 import json
 import shutil
 import threading
@@ -7,7 +8,7 @@ import urllib.request
 
 import grpc
 import pytest
-from security import ADMIN
+from security import ADMIN, until
 from selenium.webdriver.common.keys import Keys
 from serving import SHIPPED_POLICIES, Service, running_server
 
@@ -262,6 +263,26 @@ def test_what_cannot_be_explained_is_said(page, server):
         service.CloseSession(session_id=session)
     # Chromium reports the expected HTTP statuses 409 and, after the end of the session, 404 in its console.
     assert all("409" in entry["message"] or "404" in entry["message"] for entry in page.problems())
+
+
+def test_a_robot_that_misses_beats_is_shown(page, server):
+    addresses, _ = server
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        session = service.OpenSession(policy="quiet", period_seconds=0.02, labels={"robot": "late-7"}).session_id
+        report, steps = {"fresh": 10, "held": 5, "local": 3, "safe": 2}, itertools.count()
+
+        def is_in_the_alerts():
+            report["held"] += 1
+            service.Act(session_id=session, step=next(steps), observation=OBSERVATION, reward=1.0, report=report)
+            return "SpikeserveRobotsWithoutActions" in page.text("#alerts")
+
+        until(is_in_the_alerts)
+        page.tab_to("e.id === 'filter'")
+        page.press("robot=late-7")
+        missed = f"{report['held'] + 5} of {report['held'] + 15}, silent"
+        page.wait_for(f"document.querySelector('#sessions-table tbody tr').textContent.includes('{missed}')", "beats")
+        service.CloseSession(session_id=session)
 
 
 CONTRAST = """
