@@ -32,7 +32,7 @@ test: build setup
 
 # The tests that `make test` excludes because they take hours; CONTRIBUTING.md lists them.
 test-slow: build setup
-	$(SETUP) chart ros
+	$(SETUP) chart collector ros
 	$(MAKE) playground
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 

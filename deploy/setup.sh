@@ -13,6 +13,7 @@
 # | arm64   | cross compiler, emulator, and what makes the arm64 libraries of deploy/arm64_root.sh                |
 # | release | checks of packages, images, charts and pages: lintian, buildah, and BUILD_DIR/release-tools/venv    |
 # | chart   | helm and kube-apiserver, for slow tests of the chart, in BUILD_DIR/kubernetes; only when named      |
+# | collector | a collector of OpenTelemetry, for a slow test of traces, in BUILD_DIR/collector; only when named |
 # | ros     | rclpy from wheels for Python 3.11, for slow tests of the node, in BUILD_DIR/ros; only when named    |
 # | playground | Emscripten, for `make playground`; only when named                                              |
 set -euo pipefail
@@ -20,7 +21,7 @@ cd "$(dirname "$0")/.."
 build_dir=${1:-build}
 shift || true
 usual_parts=(server build clang tests chips interop arm64 release)
-all_parts=("${usual_parts[@]}" chart ros playground)
+all_parts=("${usual_parts[@]}" chart collector ros playground)
 
 packages_server=(
   g++ make cmake ninja-build ccache git pkg-config ca-certificates
@@ -44,6 +45,7 @@ packages_interop=(golang-go)
 packages_arm64=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)
 packages_release=(lintian debootstrap buildah uidmap qemu-user-static etcd-server golang-go)
 packages_chart=(etcd-server golang-go)
+packages_collector=(golang-go)
 packages_ros=(python3 python3-venv)
 packages_playground=(emscripten cmake ninja-build ccache dpkg-dev libeigen3-dev nlohmann-json3-dev)
 # Other sources of Node.js bring npm along, and conflict with Debian's.
@@ -100,6 +102,7 @@ for part in "$@"; do
     release) install_venv "$build_dir/release-tools/venv" deploy/release/requirements.txt ;;
     interop) tests/interop/install.sh "$build_dir" ;;
     chart) tests/kubernetes/install.sh "$build_dir" ;;
+    collector) tests/tracing/install.sh "$build_dir" ;;
     ros) install_venv "$build_dir/ros/venv" tests/ros/requirements.txt ;;
   esac
 done

@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Builds helm and kube-apiserver, at the versions that helm/go.mod and apiserver/go.mod pin, for the slow tests of the chart.
-# Does nothing for those that are there already. Needs Go 1.24, which Debian 12 does not have: without it, it says so, and the
-# tests are skipped.
+# Does nothing for those that are there already, or without Go 1.24 (newest_go.sh).
 #
 # usage: tests/kubernetes/install.sh BUILD_DIR
 set -euo pipefail
@@ -10,19 +9,8 @@ build_dir=${1:?usage: tests/kubernetes/install.sh BUILD_DIR}/kubernetes
 mkdir -p "$build_dir"
 build_dir=$(cd "$build_dir" && pwd)
 
-# Prints the newest Go: Debian's, or another one in PATH.
-newest_go() {
-  local candidate
-  for candidate in $(type -ap go) /usr/lib/go/bin/go; do
-    [[ ! -x $candidate ]] || echo "$(GOTOOLCHAIN=local "$candidate" env GOVERSION) $candidate"
-  done | sort -V | tail -1
-}
-
-read -r version go < <(newest_go; echo)
-if [[ $(printf '%s\n' "${version:-go0}" go1.24 | sort -V | head -1) != go1.24 ]]; then
-  echo "setup: helm and kube-apiserver: expected Go 1.24 or later, received ${version:-none}; their tests are skipped"
-  exit 0
-fi
+source "$source_dir/../newest_go.sh"
+newest_go "helm and kube-apiserver"
 
 # build NAME PACKAGE [LINKER_FLAGS]: builds the program NAME from the module in the folder NAME.
 build() {
