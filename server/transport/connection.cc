@@ -5,6 +5,7 @@
 #include <array>
 #include <utility>
 
+#include "core/contract/dcheck.h"
 #include "server/base/log.h"
 #include "server/transport/connection_callbacks.h"
 
@@ -68,7 +69,15 @@ Connection::Connection(std::unique_ptr<Socket> socket, std::unique_ptr<Connectio
   CountOverhead(1);
 }
 
+Connection::~Connection() { SPIKESERVE_DCHECK(is_closed()); }
+
+void Connection::Enter(State next) {
+  SPIKESERVE_DCHECK(next > state_);
+  state_ = next;
+}
+
 absl::Status Connection::Start() {
+  SPIKESERVE_DCHECK_EQ(watched_, uint32_t{0});  // called once
   watched_ = EPOLLIN;
   if (auto status = loop().Watch(socket_->fd(), watched_, this); !status.ok()) return status;
   WantFlush();
@@ -76,8 +85,8 @@ absl::Status Connection::Start() {
 }
 
 void Connection::OnReady(uint32_t events) {
-  if (closed_) return;
-  if (closing_since_ != absl::InfiniteDuration()) return DropInput();
+  if (is_closed()) return;
+  if (state_ == State::kClosing) return DropInput();
   if ((events & EPOLLOUT) != 0) WantFlush();
   const bool failed = (events & (EPOLLHUP | EPOLLERR)) != 0;
   if (waits_for_turn_) {
@@ -99,7 +108,7 @@ void Connection::OnTurn() {
   waits_for_turn_ = false;
   shared_->stranger_queue.Run([this] {
     ReadStored();
-    if (!closed_ && closing_since_ == absl::InfiniteDuration()) ReadAll();
+    if (!is_closing()) ReadAll();
   });
 }
 
@@ -120,7 +129,7 @@ void Connection::ReadAll() {
 }
 
 void Connection::ContinueLater() {
-  if (closed_ || std::exchange(continues_, true)) return;
+  if (is_closed() || std::exchange(continues_, true)) return;
   if (shared_->to_continue.empty()) {
     loop().Post([shared = shared_] {
       for (Connection* connection : std::exchange(shared->to_continue, {})) connection->Continue();
@@ -131,21 +140,21 @@ void Connection::ContinueLater() {
 
 void Connection::Continue() {
   continues_ = false;
-  if (closed_ || waits_for_turn_) return;
+  if (is_closed() || waits_for_turn_) return;
   if (!slot_->is_known()) return ReadWhenDue();
   ReadStored();
-  if (!closed_ && socket_->has_buffered_input()) ReadAll();
+  if (!is_closed() && socket_->has_buffered_input()) ReadAll();
 }
 
 void Connection::ReadStored() {
   const absl::Duration end = shared_->clock->Now() + kStepTime;
   std::vector<int32_t> ids = std::exchange(to_read_on_, {});
-  while (!ids.empty() && !closed_ && shared_->clock->Now() < end) {
+  while (!ids.empty() && !is_closed() && shared_->clock->Now() < end) {
     GrpcStream* const stream = FindStream(ids.back());
     ids.pop_back();
     if (stream != nullptr) stream->ReadOn();
   }
-  if (closed_ || ids.empty()) return;
+  if (is_closed() || ids.empty()) return;
   to_read_on_.insert(to_read_on_.end(), ids.begin(), ids.end());
   ContinueLater();
 }
@@ -170,7 +179,7 @@ bool Connection::Receive(absl::string_view data) {
   const ssize_t received = nghttp2_session_mem_recv(
       session_.get(), reinterpret_cast<const uint8_t*>(data.data()), data.size());
   closed_streams_.clear();
-  if (condemned_) {
+  if (state_ == State::kCondemned) {
     Abort(NGHTTP2_ENHANCE_YOUR_CALM);
     return false;
   }
@@ -186,7 +195,7 @@ bool Connection::Receive(absl::string_view data) {
 }
 
 void Connection::WantFlush() {
-  if (wants_flush_ || closed_) return;
+  if (wants_flush_ || is_closed()) return;
   wants_flush_ = true;
   shared_->to_flush.push_back(this);
 }
@@ -202,8 +211,9 @@ void Connection::Gather() {
 }
 
 void Connection::Flush() {
+  loop().thread().AssertCurrent();
   wants_flush_ = false;
-  if (closed_ || closing_since_ != absl::InfiniteDuration()) return;
+  if (is_closing()) return;
   if (socket_->is_handshaking()) return UpdateWatch();  // writing would continue the handshake
   size_t flushed = 0;
   while (true) {
@@ -225,9 +235,10 @@ void Connection::Flush() {
   }
   closed_streams_.clear();
   if (!to_read_on_.empty() && MayRead()) ContinueLater();
-  const bool over = nghttp2_session_want_read(session_.get()) == 0 &&
-                    nghttp2_session_want_write(session_.get()) == 0;
-  if (unsent_.empty() && (over || (going_away_ && streams_.empty()))) return CloseInOrder();
+  const bool terminated = nghttp2_session_want_read(session_.get()) == 0 &&
+                          nghttp2_session_want_write(session_.get()) == 0;
+  const bool over = terminated || (state_ == State::kGoingAway && streams_.empty());
+  if (unsent_.empty() && over) return CloseInOrder();
   UpdateWatch();
 }
 
@@ -242,11 +253,13 @@ void Connection::UpdateWatch() {
 }
 
 void Connection::CheckTimes() {
-  if (closed_) return;
+  if (is_closed()) return;
   const TransportLimits& limits = *shared_->limits;
   const absl::Duration now = loop().now();
-  if (now - closing_since_ > kClosingTimeout) return Close();
-  if (closing_since_ != absl::InfiniteDuration()) return;
+  if (state_ == State::kClosing) {
+    if (now - closing_since_ > kClosingTimeout) Close();
+    return;
+  }
   const bool never_called = !slot_->has_called() && now - connected_ > limits.first_request_timeout;
   bool stuck =
       now - blocked_since_ > limits.write_timeout || now - headers_since_ > limits.request_timeout;
@@ -286,7 +299,9 @@ void Connection::ReleaseBuffers() {
 }
 
 void Connection::GoAway() {
-  if (closed_ || std::exchange(going_away_, true)) return;
+  loop().thread().AssertCurrent();
+  if (state_ != State::kOpen) return;
+  Enter(State::kGoingAway);
   nghttp2_submit_goaway(session_.get(), NGHTTP2_FLAG_NONE,
                         nghttp2_session_get_last_proc_stream_id(session_.get()), NGHTTP2_NO_ERROR,
                         nullptr, 0);
@@ -294,6 +309,7 @@ void Connection::GoAway() {
 }
 
 void Connection::Drain() {
+  loop().thread().AssertCurrent();
   std::vector<int32_t> ids;  // handlers may close streams
   for (const auto& [id, stream] : streams_) ids.push_back(id);
   for (const int32_t id : ids) {
@@ -302,6 +318,7 @@ void Connection::Drain() {
 }
 
 void Connection::Abort(uint32_t error) {
+  if (is_closing()) return;
   if (socket_->is_handshaking()) return Close();  // there is nothing to tell the client yet
   nghttp2_session_terminate_session(session_.get(), error);
   Gather();
@@ -310,10 +327,11 @@ void Connection::Abort(uint32_t error) {
 }
 
 void Connection::CloseInOrder() {
-  if (closed_ || closing_since_ != absl::InfiniteDuration()) return;
+  if (is_closing()) return;
+  Enter(State::kClosing);
+  closing_since_ = loop().now();
   CloseStreams();
   socket_->ShutDownWriting();
-  closing_since_ = loop().now();
   watched_ = EPOLLIN;
   loop().ChangeWatch(socket_->fd(), watched_, this);
 }
@@ -337,7 +355,9 @@ void Connection::CloseStreams() {
 }
 
 void Connection::Close() {
-  if (std::exchange(closed_, true)) return;
+  loop().thread().AssertCurrent();
+  if (is_closed()) return;
+  Enter(State::kClosed);
   loop().Unwatch(socket_->fd());
   CloseStreams();
   if (continues_) std::erase(shared_->to_continue, this);
@@ -347,8 +367,9 @@ void Connection::Close() {
 }
 
 void Connection::Drop() {
-  if (closed_) return;
-  if (closing_since_ == absl::InfiniteDuration() && !socket_->is_handshaking()) {
+  loop().thread().AssertCurrent();
+  if (is_closed()) return;
+  if (state_ != State::kClosing && !socket_->is_handshaking()) {
     nghttp2_session_terminate_session(session_.get(), NGHTTP2_ENHANCE_YOUR_CALM);
     Gather();
     if (!unsent_.empty()) socket_->Write(absl::string_view(unsent_).substr(written_));
@@ -407,7 +428,7 @@ int Connection::OnHeader(int32_t id, absl::string_view name, absl::string_view v
 }
 
 int Connection::CloseOverLimit(absl::string_view limit) {
-  condemned_ = true;
+  if (state_ < State::kCondemned) Enter(State::kCondemned);
   LogWarning("connection closed, because its client has exceeded a limit",
              {{"client", slot_->address()}, {"limit", limit}});
   return NGHTTP2_ERR_CALLBACK_FAILURE;
@@ -477,7 +498,7 @@ int Connection::OnFrameSent(const nghttp2_frame& frame) {
   if ((frame.hd.flags & NGHTTP2_FLAG_END_STREAM) == 0) return 0;
   // RFC 9113, section 8.1: after a complete answer, the rest of the request is not needed.
   const GrpcStream* stream = FindStream(frame.hd.stream_id);
-  if (stream != nullptr && !stream->half_closed()) {
+  if (stream != nullptr && stream->request_state() == GrpcStream::RequestState::kOpen) {
     nghttp2_submit_rst_stream(session_.get(), NGHTTP2_FLAG_NONE, frame.hd.stream_id,
                               NGHTTP2_NO_ERROR);
   }

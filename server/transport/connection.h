@@ -32,6 +32,15 @@ class Connection final : public EventLoop::Source,
                          public StrangerQueue::Waiter,
                          public GrpcStream::Owner {
  public:
+  // A connection only moves on to a later state, and may skip some.
+  enum class State {
+    kOpen,
+    kGoingAway,  // has sent GOAWAY, and closes after the calls in progress
+    kCondemned,  // has exceeded a limit; closes with ENHANCE_YOUR_CALM when nghttp2 returns
+    kClosing,    // sends nothing more, and waits a short time for the client to close
+    kClosed,     // is destroyed at the end of the turn
+  };
+
   // What all connections of a loop share. Outlives them.
   struct Shared {
     EventLoop* loop;
@@ -47,6 +56,7 @@ class Connection final : public EventLoop::Source,
 
   // Starts HTTP/2. Call Start() next. REQUIRES: Close() is called before the destructor.
   Connection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot, Shared* shared);
+  ~Connection() override;
 
   // Watches the socket. Returns RESOURCE_EXHAUSTED if the system has no memory for that.
   absl::Status Start();
@@ -73,6 +83,7 @@ class Connection final : public EventLoop::Source,
   // As Close(), in favour of other connections. Tells the client to come back later, if it listens.
   void Drop();
 
+  State state() const { return state_; }
   // Returns the connection's number in the table.
   uint64_t number() const { return slot_->number(); }
   bool has_streams() const { return !streams_.empty(); }
@@ -103,6 +114,10 @@ class Connection final : public EventLoop::Source,
     void operator()(nghttp2_session* session) const { nghttp2_session_del(session); }
   };
 
+  // Moves on to `next`, a later state.
+  void Enter(State next);
+  bool is_closing() const { return state_ >= State::kClosing; }
+  bool is_closed() const { return state_ == State::kClosed; }
   // Reads what is there; a stranger may have to wait for its turn.
   void ReadWhenDue();
   void ReadAll();
@@ -170,14 +185,12 @@ class Connection final : public EventLoop::Source,
   bool has_buffers_ = true;
   bool waits_for_turn_ = false;  // in the queue of strangers
   uint32_t watched_ = 0;         // events
-  absl::Duration closing_since_ = absl::InfiniteDuration();
-  size_t dropped_ = 0;     // bytes received since then
-  int silent_checks_ = 0;  // calls of CheckTimes() since the last bytes of the client
-  bool wants_flush_ = false;
-  bool continues_ = false;
-  bool condemned_ = false;  // exceeded a limit: to be closed with ENHANCE_YOUR_CALM
-  bool going_away_ = false;
-  bool closed_ = false;
+  State state_ = State::kOpen;
+  absl::Duration closing_since_;  // when it entered kClosing, of the loop's clock
+  size_t dropped_ = 0;            // bytes received since then
+  int silent_checks_ = 0;         // calls of CheckTimes() since the last bytes of the client
+  bool wants_flush_ = false;      // in Shared::to_flush
+  bool continues_ = false;        // in Shared::to_continue
 };
 
 }  // namespace spikeserve

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 #include "server/transport/grpc_wire.h"
 
 namespace spikeserve {
@@ -56,6 +57,7 @@ GrpcStream::GrpcStream(Owner* owner, nghttp2_session* session, int32_t id)
 }
 
 GrpcStream::~GrpcStream() {
+  SPIKESERVE_DCHECK(answer_state_ == AnswerState::kClosed);
   Count(-counted_);
   owner_->CountBytes(-counted_here_);
   owner_->CountAnswers(-counted_answers_);
@@ -92,6 +94,7 @@ bool GrpcStream::AddHeader(absl::string_view name, absl::string_view value) {
 }
 
 void GrpcStream::StartCall() {
+  SPIKESERVE_DCHECK(handler_ == nullptr && answer_state_ == AnswerState::kNone);  // called once
   const TransportLimits& limits = owner_->limits();
   if (header_bytes_ > limits.max_header_bytes || headers_ > limits.max_headers) {
     return SubmitTrailersOnly(absl::ResourceExhaustedError(absl::StrCat(
@@ -121,7 +124,7 @@ void GrpcStream::StartCall() {
 }
 
 void GrpcStream::OnData(absl::string_view data) {
-  if (handler_ == nullptr || finished_ || dropping_) {
+  if (handler_ == nullptr || is_finished() || dropping_) {
     // Only the connection's window opens again, so that the client soon stops sending.
     nghttp2_session_consume_connection(session_, data.size());
     return owner_->WantFlush();
@@ -152,7 +155,7 @@ absl::string_view GrpcStream::Deliver(absl::string_view data) {
     }
   }
   delivering_ = false;
-  if (finished_) return {};
+  if (is_finished()) return {};
   if (reader_.at_boundary()) {
     incomplete_since_ = absl::InfiniteDuration();
   } else {
@@ -167,7 +170,7 @@ void GrpcStream::DeliverCompressed(absl::string_view message) {
 }
 
 void GrpcStream::ReadOn() {
-  if (delivering_ || handler_ == nullptr || finished_) return;
+  if (delivering_ || handler_ == nullptr || is_finished()) return;
   if (!owner_->MayRead()) return owner_->ReadOnLater(id_);
   if (!reading()) return;
   if (!unread_.empty()) {
@@ -178,19 +181,19 @@ void GrpcStream::ReadOn() {
     BoundRequest();
     if (!unread_.empty() && !owner_->MayRead()) owner_->ReadOnLater(id_);
   }
-  if (half_closed_) OnHalfClose();
+  if (request_state_ != RequestState::kOpen) OnHalfClose();
 }
 
 void GrpcStream::OnHalfClose() {
-  half_closed_ = true;
+  if (request_state_ == RequestState::kOpen) request_state_ = RequestState::kHalfClosed;
   incomplete_since_ = absl::InfiniteDuration();
-  if (!http_refusal_.empty() && !finished_) return SendHttpRefusal();
-  if (handler_ == nullptr || finished_ || half_close_delivered_) return;
+  if (!http_refusal_.empty() && !is_finished()) return SendHttpRefusal();
+  if (handler_ == nullptr || is_finished() || request_state_ == RequestState::kEnded) return;
   if (!unread_.empty() || !reading()) {  // ReadOn() continues
     if (!owner_->MayRead()) owner_->ReadOnLater(id_);
     return;
   }
-  half_close_delivered_ = true;
+  request_state_ = RequestState::kEnded;
   if (!reader_.at_boundary()) {
     return Finish(absl::InternalError("message: expected all of its bytes, received END_STREAM"));
   }
@@ -198,16 +201,18 @@ void GrpcStream::OnHalfClose() {
 }
 
 void GrpcStream::OnClosed() {
-  finished_ = true;
+  SPIKESERVE_DCHECK(answer_state_ != AnswerState::kClosed);
+  answer_state_ = AnswerState::kClosed;
   loop().Cancel(deadline_timer_);
   if (const auto handler = std::exchange(handler_, nullptr)) handler->OnClosed();
 }
 
 void GrpcStream::OnDrain() {
-  if (handler_ != nullptr && !finished_) handler_->OnDrain();
+  if (handler_ != nullptr && !is_finished()) handler_->OnDrain();
 }
 
 void GrpcStream::Admit(std::shared_ptr<ByteBudget> tenant) {
+  loop().thread().AssertCurrent();
   CountFor(tenant);
   owner_->MarkKnown(tenant);
 }
@@ -220,12 +225,14 @@ void GrpcStream::CountFor(const std::shared_ptr<ByteBudget>& tenant) {
 }
 
 bool GrpcStream::Hold(int64_t bytes) {
+  loop().thread().AssertCurrent();
   const int64_t added = bytes - std::exchange(held_, bytes);
   counted_ += added;
   return Count(added);
 }
 
 void GrpcStream::ResumeReading() {
+  loop().thread().AssertCurrent();
   paused_ = false;
   ReadOn();
 }
@@ -254,7 +261,7 @@ bool GrpcStream::CountStored() {
 }
 
 void GrpcStream::BoundRequest() {
-  if (CountStored() || finished_ || (reader_.buffered() == 0 && unread_.empty())) return;
+  if (CountStored() || is_finished() || (reader_.buffered() == 0 && unread_.empty())) return;
   unread_ = {};
   reader_ = {};
   CountStored();
@@ -268,7 +275,8 @@ void GrpcStream::RefuseForBytes() {
 }
 
 void GrpcStream::Send(const google::protobuf::MessageLite& message) {
-  if (finished_) return;
+  loop().thread().AssertCurrent();
+  if (is_finished()) return;
   if (sent_ > kUnsentLimit) {
     answer_.erase(0, sent_);
     sent_ = 0;
@@ -278,7 +286,8 @@ void GrpcStream::Send(const google::protobuf::MessageLite& message) {
 }
 
 void GrpcStream::SendFramed(std::string framed) {
-  if (finished_) return;
+  loop().thread().AssertCurrent();
+  if (is_finished()) return;
   if (unsent() == 0) {
     answer_ = std::move(framed);
     sent_ = 0;
@@ -295,27 +304,31 @@ void GrpcStream::SubmitAnswer() {
 }
 
 void GrpcStream::Finish(const absl::Status& status) {
-  if (std::exchange(finished_, true)) return;
+  loop().thread().AssertCurrent();
+  if (is_finished()) return;
   if (!http_refusal_.empty()) return SendHttpRefusal();
   loop().Cancel(deadline_timer_);
-  if (!headers_submitted_) return SubmitTrailersOnly(status);
+  if (answer_state_ == AnswerState::kNone) return SubmitTrailersOnly(status);
   status_ = status;
   SubmitData();
+  answer_state_ = AnswerState::kFinished;
 }
 
 void GrpcStream::SubmitData() {
   owner_->WantFlush();
-  if (headers_submitted_) {
-    if (std::exchange(waiting_for_answer_, false)) nghttp2_session_resume_data(session_, id_);
-    return;
+  const AnswerState before = answer_state_;
+  if (is_finished()) return;
+  answer_state_ = AnswerState::kSending;
+  if (before == AnswerState::kWaiting) {
+    nghttp2_session_resume_data(session_, id_);
+  } else if (before == AnswerState::kNone) {
+    SubmitWithData({Header(":status", "200"), Header("content-type", kContentType)});
   }
-  headers_submitted_ = true;
-  SubmitWithData({Header(":status", "200"), Header("content-type", kContentType)});
 }
 
 void GrpcStream::SubmitTrailersOnly(const absl::Status& status) {
-  finished_ = true;
-  headers_submitted_ = true;
+  SPIKESERVE_DCHECK(answer_state_ == AnswerState::kNone);
+  answer_state_ = AnswerState::kFinished;
   const StatusHeaders status_headers = StatusHeadersOf(status);
   std::vector<nghttp2_nv> headers = {Header(":status", "200"),
                                      Header("content-type", kContentType)};
@@ -334,8 +347,8 @@ void GrpcStream::RefuseHttp(absl::string_view http_status, absl::string_view bod
 }
 
 void GrpcStream::SendHttpRefusal() {
-  finished_ = true;
-  headers_submitted_ = true;
+  SPIKESERVE_DCHECK(answer_state_ == AnswerState::kNone);
+  answer_state_ = AnswerState::kFinished;
   std::vector<nghttp2_nv> headers = {Header(":status", http_refusal_),
                                      Header("content-type", "text/plain")};
   if (http_refusal_ == "405") headers.push_back(Header("allow", "POST"));
@@ -366,7 +379,7 @@ ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
   if (was_full && unsent() <= kUnsentLimit) owner_->ReadOnLater(id_);
   if (unsent() > 0) return static_cast<ssize_t>(count);
   FreeAnswers();
-  if (finished_) {
+  if (is_finished()) {
     *flags |= NGHTTP2_DATA_FLAG_EOF;
     if (!http_refusal_.empty()) return static_cast<ssize_t>(count);
     *flags |= NGHTTP2_DATA_FLAG_NO_END_STREAM;
@@ -377,7 +390,7 @@ ssize_t GrpcStream::ReadAnswer(uint8_t* out, size_t size, uint32_t* flags) {
     return static_cast<ssize_t>(count);
   }
   if (count > 0) return static_cast<ssize_t>(count);
-  waiting_for_answer_ = true;
+  answer_state_ = AnswerState::kWaiting;
   return NGHTTP2_ERR_DEFERRED;
 }
 

@@ -51,7 +51,23 @@ class GrpcStream final : public Call {
     virtual void ReadOnLater(int32_t id) = 0;
   };
 
-  // `owner` and `session` must outlive the stream.
+  // What the client has sent of its request.
+  enum class RequestState {
+    kOpen,        // a part, perhaps
+    kHalfClosed,  // all of it (END_STREAM), which the handler does not know yet
+    kEnded,       // all of it, which the handler knows
+  };
+  // What was submitted to nghttp2 of the answer.
+  enum class AnswerState {
+    kNone,
+    kSending,   // headers; nghttp2 takes the data with ReadAnswer()
+    kWaiting,   // as kSending, but all data was sent, and nghttp2 waits to be resumed
+    kFinished,  // the status ends the answer; nothing more can be added
+    kClosed,    // OnClosed() was called
+  };
+
+  // `owner` and `session` must outlive the stream. REQUIRES: OnClosed() is called before the
+  // destructor.
   GrpcStream(Owner* owner, nghttp2_session* session, int32_t id);
   ~GrpcStream() override;
 
@@ -66,7 +82,7 @@ class GrpcStream final : public Call {
   void OnHalfClose();
   // Passes on what was received while the client took no answers.
   void ReadOn();
-  // The stream is closed. Called once, before the destructor.
+  // The stream is closed. REQUIRES: it was not yet.
   void OnClosed();
   // The server stops.
   void OnDrain();
@@ -76,8 +92,8 @@ class GrpcStream final : public Call {
   // Copies data of the answer to `out`, as nghttp2's data source. `flags` are nghttp2's.
   ssize_t ReadAnswer(uint8_t* out, size_t size, uint32_t* flags);
 
-  // Returns true once the client has sent END_STREAM.
-  bool half_closed() const { return half_closed_; }
+  RequestState request_state() const { return request_state_; }
+  AnswerState answer_state() const { return answer_state_; }
   // Returns the time since which the client has taken nothing of an answer that is ready, of the
   // loop's clock; InfiniteDuration if none is.
   absl::Duration unsent_since() const { return unsent_since_; }
@@ -116,8 +132,9 @@ class GrpcStream final : public Call {
   // Frees the answers, which were sent completely.
   void FreeAnswers();
   bool reading() const {
-    return !paused_ && !finished_ && unsent() <= kUnsentLimit && owner_->MayRead();
+    return !paused_ && !is_finished() && unsent() <= kUnsentLimit && owner_->MayRead();
   }
+  bool is_finished() const { return answer_state_ >= AnswerState::kFinished; }
   size_t unsent() const { return answer_.size() - sent_; }
 
   // Counts and announces what was added to `answer_`.
@@ -157,8 +174,7 @@ class GrpcStream final : public Call {
   bool paused_ = false;
   bool dropping_ = false;
   bool delivering_ = false;
-  bool half_closed_ = false;
-  bool half_close_delivered_ = false;
+  RequestState request_state_ = RequestState::kOpen;
   absl::Duration incomplete_since_ = absl::InfiniteDuration();
 
   // Answer.
@@ -166,9 +182,7 @@ class GrpcStream final : public Call {
   size_t sent_ = 0;  // bytes of `answer_` that were passed to nghttp2
   absl::Duration unsent_since_ = absl::InfiniteDuration();
   absl::Status status_;
-  bool headers_submitted_ = false;
-  bool waiting_for_answer_ = false;  // nghttp2 asked for data and received none
-  bool finished_ = false;
+  AnswerState answer_state_ = AnswerState::kNone;
   std::string http_refusal_;     // status, if an HTTP error is the answer
   int64_t counted_ = 0;          // bytes that were passed to Count()
   int64_t counted_here_ = 0;     // bytes that were passed to CountBytes()

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 namespace {
 
@@ -18,6 +20,8 @@ void StrangerQueue::Charge(absl::Duration start) {
 }
 
 void StrangerQueue::Wait(Waiter* waiter) {
+  loop_->thread().AssertCurrent();
+  SPIKESERVE_DCHECK(std::find(waiting_.begin(), waiting_.end(), waiter) == waiting_.end());
   waiting_.push_back(waiter);
   SetTimer();
 }
