@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Prints how the house is built, and fails if it gets heavier than was agreed: each line is a measure, its value and the
-# most that is allowed.
+# most or the least that is allowed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 failed=0
@@ -10,6 +10,15 @@ at_most() {
   printf '%-78s %3d  (at most %d)\n' "$2" "$3" "$1"
   if (($3 > $1)); then
     echo "  FAILED: expected at most $1, received $3" >&2
+    failed=1
+  fi
+}
+
+# at_least LIMIT WHAT VALUE
+at_least() {
+  printf '%-78s %3d  (at least %d)\n' "$2" "$3" "$1"
+  if (($3 < $1)); then
+    echo "  FAILED: expected at least $1, received $3" >&2
     failed=1
   fi
 }
@@ -47,5 +56,10 @@ for method in PauseLearning PromoteHead ListHistory RollbackHead; do
   at_most 4 "files of the contract, the server and the clients that name $method" \
     "$(git grep -lw "$method" -- proto server client/include client/src client/python ':!proto/releases' | wc -l)"
 done
+
+# What headers require is checked. Neither the checks' own room counts nor their tests.
+mapfile -t sources < <(git ls-files '*.h' '*.cc' ':!core/contract' ':!tests')
+at_least 100 'checks of what headers require' "$(count '\bSPIKESERVE_DCHECK(_[A-Z]{2})?\(' "${sources[@]}")"
+at_least 30 'checks that a method runs on the thread of its loop' "$(count '\bAssertCurrent\(\);' "${sources[@]}")"
 
 exit "$failed"

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
 #include "core/math/exp.h"
 #include "core/math/portable.h"
@@ -11,6 +12,7 @@ namespace spikeserve {
 namespace {
 
 void Logits(const Linear& head, absl::Span<const float> readout, std::vector<float>* logits) {
+  SPIKESERVE_DCHECK_EQ(head.weight.values.size(), head.bias.values.size() * readout.size());
   *logits = head.bias.values;
   for (size_t i = 0; i < logits->size(); ++i) {
     const float* row = head.weight.values.data() + i * readout.size();
@@ -20,6 +22,7 @@ void Logits(const Linear& head, absl::Span<const float> readout, std::vector<flo
 
 void Softmax(const std::vector<float>& logits, float temperature,
              std::vector<float>* probabilities) {
+  SPIKESERVE_DCHECK_GT(temperature, 0.0f);
   const float best = *std::max_element(logits.begin(), logits.end());
   probabilities->resize(logits.size());
   float sum = 0.0f;

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_join.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -40,6 +41,7 @@ FlagGroup& FlagGroup::AddList(const std::string& name, const std::string& kind,
 }
 
 FlagGroup& FlagGroup::AddSwitch(const std::string& name, bool* value, const std::string& help) {
+  SPIKESERVE_DCHECK(!*value);
   const auto parse = [value](const std::string& text) { return ParseFlagValue(text, value); };
   app_->add_option("--" + name, LastValue(name, parse), help)
       ->group(heading_)

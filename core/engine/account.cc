@@ -3,6 +3,8 @@
 #include <bit>
 #include <cstdint>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 namespace {
 
@@ -124,6 +126,7 @@ double Int8AttentionBytes(const Counts& counts, const ModelConfig& config) {
 
 std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts,
                                                             const ModelConfig& config) {
+  SPIKESERVE_DCHECK(config.arithmetic != Arithmetic::kFloat32);
   const bool int8 = IsInt8(config);
   const uint64_t integers = counts.integer_multiply_accumulates;
   const Price attention = AttentionPrice(config);
@@ -155,6 +158,7 @@ std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts
 
 std::array<PricedTraffic, kPricedTraffics> TrafficOf(const Counts& counts,
                                                      const ModelConfig& config) {
+  SPIKESERVE_DCHECK(config.arithmetic != Arithmetic::kFloat32);
   const bool int8 = IsInt8(config);
   const double d = config.hidden_size;
   const auto priced = [](absl::string_view name, double bytes, double memory) {

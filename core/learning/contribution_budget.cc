@@ -2,10 +2,13 @@
 
 #include <iterator>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 
 void ContributionBudget::Leave(const std::string& contributor) {
   const auto member = members_.find(contributor);
+  SPIKESERVE_DCHECK(member != members_.end());  // Join() was called for it
   if (--member->second == 0) members_.erase(member);
 }
 
@@ -65,6 +68,7 @@ ContributionBudget::State ContributionBudget::state() const {
 }
 
 void ContributionBudget::Restore(const State& state) {
+  SPIKESERVE_DCHECK_EQ(state.contributors.size(), state.accounts.size());
   accounts_.clear();
   for (size_t i = 0; i < state.accounts.size(); ++i) {
     accounts_[state.contributors[i]] = state.accounts[i];

@@ -156,6 +156,7 @@ FleetHead::State FleetHead::state() const {
 }
 
 void FleetHead::Restore(const State& state) {
+  SPIKESERVE_DCHECK(IsPossible(state));
   absl::MutexLock lock(&mutex_);
   delta_ = state.delta;
   gathered_ = state.gathered;

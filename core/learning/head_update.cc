@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "core/contract/dcheck.h"
 #include "core/learning/frobenius_norm.h"
 
 namespace spikeserve {
@@ -10,6 +11,8 @@ namespace {
 template <typename Direction>
 UpdateOutcome Apply(double factor, const Direction& direction, const UpdateBounds& bounds,
                     Eigen::VectorXf* delta) {
+  SPIKESERVE_DCHECK_EQ(direction.size(), delta->size());
+  SPIKESERVE_DCHECK_LE(bounds.max_norm, kLongestHeadDelta);
   const double norm = std::abs(factor) * FrobeniusNorm(direction);
   if (!std::isfinite(norm)) return UpdateOutcome::kNonFinite;
   if (norm > bounds.clip) factor *= bounds.clip / norm;

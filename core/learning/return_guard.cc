@@ -61,6 +61,7 @@ bool ReturnGuard::OnEpisode(double episode_return, double margin, Eigen::VectorX
 }
 
 void ReturnGuard::OnRestored(const Eigen::VectorXf& delta) {
+  SPIKESERVE_DCHECK_EQ(delta.size(), beginning.size());
   returns.clear();
   beginning = delta;
   good = delta;

@@ -5,6 +5,8 @@
 #include <limits>
 #include <numbers>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve::portable {
 namespace {
 
@@ -74,6 +76,7 @@ double Exp(double x) {
 }
 
 double CosOfTurns(double turns) {
+  SPIKESERVE_DCHECK(std::abs(turns) <= 0x1p50);
   constexpr double kTwoPi = 2.0 * std::numbers::pi;
   // Each reduction is exact: to half a turn, to a quarter, and to an eighth.
   double part = std::abs(turns - std::floor(turns + 0.5));

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json.h"
+#include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
@@ -219,6 +220,9 @@ absl::Status Policy::Validate() const {
 
 Policy RandomPolicy(const ModelConfig& config, int observation_size,
                     const ActionSpace& action_space, uint64_t seed) {
+  SPIKESERVE_DCHECK(config.arithmetic == Arithmetic::kFloat32);
+  SPIKESERVE_DCHECK(action_space.Validate().ok());
+  SPIKESERVE_DCHECK_GE(observation_size, 1);
   Policy policy;
   policy.config = config;
   policy.action_space = action_space;

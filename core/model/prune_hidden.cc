@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <utility>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 namespace {
 
@@ -44,8 +46,11 @@ void KeepColumns(const std::vector<int>& kept, Int8Tensor* matrix) {
 }  // namespace
 
 Policy PruneHidden(const Policy& policy, const std::vector<std::vector<bool>>& is_needed) {
+  SPIKESERVE_DCHECK(policy.config.arithmetic == Arithmetic::kInteger);
+  SPIKESERVE_DCHECK_EQ(is_needed.size(), policy.weights.layers.size());
   ptrdiff_t size = 1;
   for (const std::vector<bool>& layer : is_needed) {
+    SPIKESERVE_DCHECK_EQ(layer.size(), static_cast<size_t>(policy.config.ffn_size));
     size = std::max(size, std::count(layer.begin(), layer.end(), true));
   }
   Policy pruned = policy;

@@ -9,6 +9,7 @@
 #include "absl/base/attributes.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/contract/dcheck.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/held_out.h"
 #include "core/math/counter_random.h"
@@ -214,6 +215,8 @@ absl::Status AgentSession::CheckRequest(const ActCall& call) const {
 }
 
 void AgentSession::TakeExecuted(const Action& executed) {
+  SPIKESERVE_DCHECK(!session_.history.empty());
+  SPIKESERVE_DCHECK(served_->policy().action_space.Contains(executed).ok());
   if (executed == session_.history.action(session_.history.size() - 1)) return;
   if (!action_pending_) context_.reset();  // it holds the answered action
   reports_actions_ = true;

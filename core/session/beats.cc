@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "core/contract/dcheck.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -135,6 +136,7 @@ int64_t Skip(const BeatHistory& history, int64_t end, AgentSession* agent) {
 absl::StatusOr<AppendedBeats> AppendBeats(const BeatHistory& history, AgentSession* agent,
                                           int64_t most,
                                           absl::FunctionRef<void(const Beat&)> on_appended) {
+  SPIKESERVE_DCHECK_GE(most, 1);
   if (auto status = CheckForm(history); !status.ok()) return status;
   AppendedBeats result;
   const Session& session = agent->session();

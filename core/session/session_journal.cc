@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -33,7 +34,9 @@ SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decision
       replaces_(key_.claimed_from),
       changes_(durable_changes_),
       records_(records),
-      acknowledged_({.base = 0, .records = records}) {}
+      acknowledged_({.base = 0, .records = records}) {
+  SPIKESERVE_DCHECK(durability != Durability::kNone);
+}
 
 absl::Status SessionJournal::CheckWritable() const {
   if (is_sync_) {

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/time/clock.h"
+#include "core/contract/dcheck.h"
 #include "server/base/log.h"
 
 namespace spikeserve {
@@ -15,6 +16,7 @@ std::string Text(absl::Time time) { return absl::FormatTime(time, absl::UTCTimeZ
 }  // namespace
 
 void CertificateWatch::Start() {
+  SPIKESERVE_DCHECK(is_used());
   CheckValidity();
   periodic_ = std::make_unique<Periodic>(kInterval, [this] { Check(); });
 }

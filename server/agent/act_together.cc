@@ -6,6 +6,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/inlined_vector.h"
+#include "core/contract/dcheck.h"
 #include "core/session/session_locks.h"
 #include "server/agent/beat_requests.h"
 #include "server/agent/convert.h"
@@ -117,6 +118,8 @@ void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(a
 void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries;
   for (const DecisionRequest* act : acts) entries.push_back(act->entry);
+  SPIKESERVE_DCHECK(std::find(entries.begin(), entries.end(), nullptr) == entries.end());
+  SPIKESERVE_DCHECK_EQ(std::set(entries.begin(), entries.end()).size(), entries.size());
   const SessionLocks locks(entries);
   absl::InlinedVector<AgentSession::ActCall, 1> calls;
   absl::InlinedVector<DecisionRequest*, 1> deciding;  // the requests of `calls`

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 #include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
@@ -175,6 +176,7 @@ v1::ActionSpace ToProto(const ActionSpace& space) {
 }
 
 v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
+  SPIKESERVE_DCHECK(entry.versions.contains(served.version));
   const Policy& policy = served.policy();
   v1::PolicyInfo proto;
   proto.set_name(served.name);

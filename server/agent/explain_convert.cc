@@ -3,6 +3,7 @@
 #include <string>
 
 #include "absl/synchronization/mutex.h"
+#include "core/contract/dcheck.h"
 #include "server/agent/convert.h"
 
 namespace spikeserve {
@@ -55,6 +56,8 @@ void ToProto(const LayerTrace& trace, int layer, int ticks, v1::ExplainResponse*
 }  // namespace
 
 v1::ExplainResponse DecisionToProto(const ServedPolicy& served, const Session& session) {
+  SPIKESERVE_DCHECK(session.last_answer.has_value());
+  SPIKESERVE_DCHECK(!session.history.empty());
   const ModelConfig& config = served.policy().config;
   const Answer& answer = *session.last_answer;
   const auto observation = session.history.observation(session.history.size() - 1);

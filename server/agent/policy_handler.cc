@@ -10,6 +10,7 @@
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/contract/dcheck.h"
 #include "core/session/session_export.h"
 #include "core/session/session_value.h"
 #include "server/agent/convert.h"
@@ -391,6 +392,8 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
                                  int first, v1::ActBatchResponse* response, absl::Duration received,
                                  BeatProgress* beats) const {
+  SPIKESERVE_DCHECK(CheckBatch(request).ok());
+  SPIKESERVE_DCHECK(first >= 0 && first <= request.requests_size());
   const int limit =
       std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   int end = std::min(first + 1, limit);

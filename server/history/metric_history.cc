@@ -156,6 +156,7 @@ Distribution Observed(const Selection& histograms, TimeSpan span) {
     if (all.buckets.empty()) {
       for (const double bound : histogram->bounds) all.buckets.emplace_back(bound, 0.0);
     }
+    SPIKESERVE_DCHECK_EQ(buckets, all.buckets.size());
     const auto change = [&](size_t i) {
       return histogram->values[i].At(span.to) - histogram->values[i].At(span.from);
     };

@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/contract/dcheck.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -245,6 +246,7 @@ absl::StatusOr<HttpInferRequest> ReadHttpInfer(absl::string_view body,
 
 HttpInferResponse WriteHttpInfer(const inference::ModelInferResponse& message,
                                  const BinaryOutputs& outputs) {
+  SPIKESERVE_DCHECK_EQ(message.raw_output_contents_size(), message.outputs_size());
   OrderedJson json = {{"model_name", message.model_name()},
                       {"model_version", message.model_version()}};
   if (!message.id().empty()) json["id"] = message.id();

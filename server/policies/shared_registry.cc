@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/contract/dcheck.h"
 #include "server/base/log.h"
 #include "server/policies/policy_registry.h"
 #include "server/policies/policy_settings.h"
@@ -140,6 +141,7 @@ absl::StatusOr<VersionFiles> PolicyRegistry::FetchFiles(const std::string& sha25
 absl::StatusOr<PolicyVersion> PolicyRegistry::ShareVersion(const std::string& name,
                                                            const VersionFiles& files,
                                                            bool make_default) {
+  SPIKESERVE_DCHECK(shares_settings());
   const std::string sha256 = Sha256Of(files.policy);
   absl::MutexLock change(&change_mutex_);
   if (!files.signature.empty()) {

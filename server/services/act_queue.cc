@@ -5,6 +5,7 @@
 #include "absl/container/inlined_vector.h"
 #include "absl/hash/hash.h"
 #include "absl/types/span.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -20,11 +21,14 @@ absl::InlinedVector<DecisionRequest*, 1> RequestsOf(
 }  // namespace
 
 void ActQueue::SetQueues(std::vector<ActQueue*> queues) {
+  SPIKESERVE_DCHECK(queues_.empty() && !queues.empty());
   queues_ = std::move(queues);
   added_.resize(queues_.size());
 }
 
 void ActQueue::Add(std::shared_ptr<QueuedAct> act) {
+  loop_.events().thread().AssertCurrent();
+  SPIKESERVE_DCHECK(!queues_.empty());
   const size_t owner =
       queues_.size() == 1 ? 0 : absl::HashOf(act->act().request->session_id()) % queues_.size();
   added_[owner].push_back(std::move(act));
@@ -32,6 +36,7 @@ void ActQueue::Add(std::shared_ptr<QueuedAct> act) {
 }
 
 void ActQueue::AddBatch(std::shared_ptr<QueuedBatch> batch) {
+  loop_.events().thread().AssertCurrent();
   batches_.push_back(std::move(batch));
   AskForTurn();
 }
@@ -42,6 +47,7 @@ void ActQueue::AskForTurn() {
 }
 
 void ActQueue::Run() {
+  loop_.events().thread().AssertCurrent();
   running_ = true;
   for (size_t i = 0; i < queues_.size(); ++i) {
     if (added_[i].empty()) continue;

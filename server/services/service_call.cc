@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/strip.h"
+#include "core/contract/dcheck.h"
 #include "server/access/admission.h"
 #include "server/trace/tracer.h"
 
@@ -28,6 +29,7 @@ bool IsFaultOfServer(absl::StatusCode code) {
 }  // namespace
 
 void ServiceCall::Start() {
+  SPIKESERVE_DCHECK(call_ != nullptr && !caller_.ok());  // called once, before the call is over
   const absl::Duration start = context_.clock->Now();
   if (admission_.ok()) {
     caller_ = Admit(*context_.authenticator, call_->head().authorization, method_);
@@ -46,9 +48,13 @@ void ServiceCall::Start() {
   AfterDelay(admission_, /*request_bytes=*/0, [this] { Finish(admission_); });
 }
 
-void ServiceCall::OnMessage(absl::string_view message) { HandleMessage(message); }
+void ServiceCall::OnMessage(absl::string_view message) {
+  SPIKESERVE_DCHECK(admission_.ok());
+  HandleMessage(message);
+}
 
 void ServiceCall::OnTooLong(size_t length) {
+  SPIKESERVE_DCHECK(admission_.ok());
   HandleTooLong(length,
                 CheckSize(caller(), static_cast<int64_t>(length), context_.max_message_bytes));
 }
@@ -76,6 +82,7 @@ absl::Duration ServiceCall::DelayFor(const absl::Status& status, size_t request_
 }
 
 Span ServiceCall::NewSpan(const TraceParent& parent) const {
+  SPIKESERVE_DCHECK(call_ != nullptr);
   const absl::string_view name = absl::StripPrefix(call_->head().path, "/");
   Span span = context_.tracer->Start(name, parent);
   span.Set("rpc.system.name", "grpc");
@@ -93,6 +100,8 @@ void ServiceCall::FinishSpan(const absl::Status& status, Span* span) const {
 
 void ServiceCall::AfterDelay(const absl::Status& status, size_t request_bytes,
                              std::function<void()> next) {
+  SPIKESERVE_DCHECK(call_ != nullptr);
+  SPIKESERVE_DCHECK(!is_delayed());
   const absl::Duration delay = DelayFor(status, request_bytes);
   if (delay == absl::ZeroDuration()) return next();
   delayed_ = std::move(next);
@@ -100,6 +109,7 @@ void ServiceCall::AfterDelay(const absl::Status& status, size_t request_bytes,
 }
 
 void ServiceCall::PauseAfter(const absl::Status& status, size_t request_bytes) {
+  SPIKESERVE_DCHECK(call_ != nullptr);
   const absl::Duration delay = DelayFor(status, request_bytes);
   if (delay == absl::ZeroDuration()) return;
   call_->PauseReading();
@@ -115,6 +125,7 @@ absl::Status ServiceCall::TooManyBytesError() {
 }
 
 void ServiceCall::Finish(const absl::Status& status) {
+  loop_.thread().AssertCurrent();
   if (call_ != nullptr) call_->Finish(status);
 }
 

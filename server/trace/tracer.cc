@@ -4,10 +4,13 @@
 #include <cstdint>
 #include <utility>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 
 absl::StatusOr<std::unique_ptr<Tracer>> Tracer::Create(const TraceOptions& options,
                                                        prometheus::Registry* registry) {
+  SPIKESERVE_DCHECK(options.enabled());
   auto exporter = SpanExporter::Create(options, registry);
   if (!exporter.ok()) return exporter.status();
   return std::unique_ptr<Tracer>(new Tracer(options, *std::move(exporter)));

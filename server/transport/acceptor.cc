@@ -64,6 +64,7 @@ void Acceptor::OnReady(uint32_t /*events*/) {
 }
 
 void Acceptor::OnTurn() {
+  first_.events().thread().AssertCurrent();
   if (!listener_.valid()) return;  // stopped meanwhile
   first_.events().ChangeWatch(listener_.get(), EPOLLIN, this);
   first_.stranger_queue().Run([this] { AcceptSome(); });

@@ -10,6 +10,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "core/contract/dcheck.h"
 #include "server/base/gzip.h"
 #include "server/base/retry_delay.h"
 
@@ -41,6 +42,7 @@ absl::Duration TimeoutUnit(char unit) {
 }  // namespace
 
 MessagePrefix ParseMessagePrefix(absl::string_view bytes) {
+  SPIKESERVE_DCHECK_GE(bytes.size(), kMessagePrefixBytes);
   const auto byte = [&](size_t i) { return static_cast<size_t>(static_cast<uint8_t>(bytes[i])); };
   return {.compressed = byte(0) != 0,
           .length = byte(1) << 24 | byte(2) << 16 | byte(3) << 8 | byte(4)};

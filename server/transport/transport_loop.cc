@@ -5,6 +5,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 
 absl::StatusOr<std::unique_ptr<TransportLoop>> TransportLoop::Create(const TransportLimits* limits,
@@ -34,6 +36,7 @@ TransportLoop::TransportLoop(const TransportLimits* limits, TransportBudgets* bu
 TransportLoop::~TransportLoop() { Join(); }
 
 void TransportLoop::Run() {
+  SPIKESERVE_DCHECK(!thread_.joinable());
   events_->AtEndOfTurn([this] { FlushWrites(); });
   CheckTimes();
   thread_ = std::thread([this] {
@@ -50,6 +53,7 @@ void TransportLoop::Join() {
 }
 
 void TransportLoop::Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) {
+  SPIKESERVE_DCHECK(socket != nullptr && slot != nullptr);
   auto connection = std::make_unique<Connection>(std::move(socket), std::move(slot), &shared_);
   Connection& adopted = *connection;
   connections_.emplace(adopted.number(), std::move(connection));
@@ -64,6 +68,7 @@ void TransportLoop::CloseSoon(uint64_t number) {
 }
 
 void TransportLoop::FlushWrites() {
+  events_->thread().AssertCurrent();
   for (Connection* connection : std::exchange(shared_.to_flush, {})) connection->Flush();
 }
 
@@ -76,10 +81,12 @@ void TransportLoop::CheckTimes() {
 }
 
 void TransportLoop::Drain() {
+  events_->thread().AssertCurrent();
   for (const auto& [key, connection] : connections_) connection->Drain();
 }
 
 void TransportLoop::GoAway() {
+  events_->thread().AssertCurrent();
   for (const auto& [key, connection] : connections_) connection->GoAway();
 }
 

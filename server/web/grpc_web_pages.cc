@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "core/base/json.h"
+#include "core/contract/dcheck.h"
 #include "server/access/admission.h"
 #include "server/base/method.h"
 #include "server/transport/grpc_wire.h"
@@ -112,6 +113,7 @@ std::variant<size_t, HttpResponse> GrpcWebPages::AcceptBody(const HttpRequest& r
 }
 
 void GrpcWebPages::Answer(const HttpRequest& request, const HttpServer::Done& done) const {
+  SPIKESERVE_DCHECK(FormOf(request.content_type).has_value());
   const Form form = *FormOf(request.content_type);
   absl::Duration timeout = absl::InfiniteDuration();
   if (!request.grpc_timeout.empty()) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "core/contract/dcheck.h"
 #include "server/transport/grpc_wire.h"
 #include "server/transport/transport_budgets.h"
 
@@ -41,6 +42,7 @@ class HttpCalls::HttpCall final : public Call {
   }
 
   void Run(const absl::StatusOr<std::string>& request) {
+    loop().thread().AssertCurrent();
     handler_ = loop_.router->Route(this);
     if (finished_ || dropped_) return;
     if (!request.ok()) return Finish(request.status());
@@ -69,6 +71,7 @@ class HttpCalls::HttpCall final : public Call {
     if (!finished_) response_ = framed.substr(std::min(framed.size(), kMessagePrefixBytes));
   }
   void Finish(const absl::Status& status) override {
+    loop().thread().AssertCurrent();
     if (std::exchange(finished_, true)) return;
     loop_.events->Cancel(deadline_timer_);
     done_(status.ok() ? absl::StatusOr<std::string>(std::move(response_)) : status);
@@ -126,6 +129,7 @@ HttpCalls::HttpCalls(Transport* transport, const TransportLimits& limits)
     : transport_(*transport), limits_(limits) {
   for (const auto& loop : transport->loops()) {
     loops_.push_back(std::make_unique<Loop>());
+    SPIKESERVE_DCHECK(loop->router() != nullptr);
     loops_.back()->events = &loop->events();
     loops_.back()->router = loop->router();
   }

@@ -80,6 +80,7 @@ void HttpConnection::Enter(State state, absl::Duration timeout, uint32_t events_
 }
 
 void HttpConnection::Close() {
+  events().thread().AssertCurrent();
   if (std::exchange(state_, State::kClosed) == State::kClosed) return;
   CountBody(0);
   events().Cancel(timer_);

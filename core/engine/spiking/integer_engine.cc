@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/contract/dcheck.h"
 #include "core/engine/spiking/drive_builder.h"
 #include "core/engine/spiking/head_bits.h"
 #include "core/engine/spiking/integer_attention.h"
@@ -409,6 +410,7 @@ std::unique_ptr<Engine> MakeOf(PackedIntegerPolicy packed, Policy policy) {
 }  // namespace
 
 void RecordHiddenSpikes(Engine::Context& context, HiddenSpikes* spikes) {
+  SPIKESERVE_DCHECK(dynamic_cast<IntegerContext*>(&context) != nullptr);
   static_cast<IntegerContext&>(context).hidden_spikes = spikes;
 }
 

@@ -69,7 +69,7 @@ TEST_F(GrpcStreamTest, AnswerNoneToSendingToWaitingAndBack) {
   RecordingHandler& handler = OpenCall();
   SendRequest("", /*is_last=*/true);
   EXPECT_EQ(handler.stream()->answer_state(), AnswerState::kNone);
-  for (const std::string message : {"first", "second"}) {
+  for (const char* message : {"first", "second"}) {
     handler.stream()->SendFramed(Framed(message));
     EXPECT_EQ(handler.stream()->answer_state(), AnswerState::kSending);
     Exchange();
