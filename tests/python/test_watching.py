@@ -18,7 +18,7 @@ import pytest
 from documentation import page_of
 from redis_servers import Redis, stopping
 from security import ADMIN, POLICY
-from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, Service, running_server
+from serving import DEADLINE_SECONDS, TEST_TIME, DEPLOY, SHIPPED_POLICIES, Service, running_server
 
 PROMETHEUS_YML = DEPLOY / "prometheus" / "prometheus.yml"
 ALERTS_YML = DEPLOY / "prometheus" / "alerts.yml"
@@ -74,7 +74,7 @@ class Prometheus:
 def running_prometheus(directory, target):
     """Starts Prometheus with the shipped configuration, another target and shorter intervals."""
     configuration = PROMETHEUS_YML.read_text()
-    for shipped, here in (("127.0.0.1:9464", target), ("_interval: 15s", "_interval: 200ms")):
+    for shipped, here in (("127.0.0.1:9464", target), ("_interval: 15s", f"_interval: {200 * TEST_TIME}ms")):
         assert shipped in configuration
         configuration = configuration.replace(shipped, here)
     (directory / "prometheus.yml").write_text(configuration)
