@@ -9,6 +9,7 @@
 #include "absl/functional/function_ref.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "core/store/stored_session.h"
 
 namespace spikeserve {
 namespace {
@@ -63,9 +64,11 @@ int Contain(absl::FunctionRef<int()> call) {
   return error;
 }
 
-// Opens an environment that may grow to `most_bytes`, or to a half, a quarter, ... of it, at least
-// kLeastBytes, where this process may not map as much: an emulator and `ulimit -v` refuse it.
-absl::StatusOr<LmdbEnvironment> Map(const std::string& directory, size_t most_bytes) {
+// Opens an environment with `flags` that may grow to `most_bytes`, or to a half, a quarter, ... of
+// it, at least kLeastBytes, where this process may not map as much: an emulator and `ulimit -v`
+// refuse it.
+absl::StatusOr<LmdbEnvironment> Map(const std::string& directory, size_t most_bytes,
+                                    unsigned flags) {
   constexpr size_t kLeastBytes = size_t{1} << 30;
   while (true) {
     MDB_env* raw = nullptr;
@@ -75,7 +78,7 @@ absl::StatusOr<LmdbEnvironment> Map(const std::string& directory, size_t most_by
                             mdb_env_set_mapsize(raw, most_bytes), mdb_env_set_maxdbs(raw, 2)}) {
       if (auto status = LmdbStatus(error); !status.ok()) return status;
     }
-    const int error = mdb_env_open(raw, directory.c_str(), MDB_NOTLS, 0600);
+    const int error = mdb_env_open(raw, directory.c_str(), MDB_NOTLS | flags, 0600);
     if (error == 0) return environment;
     if (error != ENOMEM || most_bytes / 2 < kLeastBytes) return LmdbStatus(error);
     most_bytes /= 2;
@@ -99,7 +102,7 @@ absl::Status LmdbStatus(int error) {
 }
 
 absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes) {
-  absl::StatusOr<LmdbEnvironment> opened = Map(directory, most_bytes);
+  absl::StatusOr<LmdbEnvironment> opened = Map(directory, most_bytes, /*flags=*/0);
   if (!opened.ok()) return opened;
   LmdbEnvironment environment = *std::move(opened);
   // LMDB maps the file, and to read behind its end would kill the process. If the end was cut off,
@@ -116,14 +119,9 @@ absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t mo
 }
 
 absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory) {
-  MDB_env* raw = nullptr;
-  if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
-  LmdbEnvironment environment(raw);
-  for (const int error : {mdb_env_set_assert(raw, OnAssertion), mdb_env_set_maxdbs(raw, 2),
-                          mdb_env_open(raw, directory.c_str(), MDB_NOTLS | MDB_RDONLY, 0600)}) {
-    if (auto status = LmdbStatus(error); !status.ok()) return status;
-  }
-  const auto file = SizeOf(raw, directory);
+  absl::StatusOr<LmdbEnvironment> environment = Map(directory, kMostStoreBytes, MDB_RDONLY);
+  if (!environment.ok()) return environment;
+  const auto file = SizeOf(environment->get(), directory);
   if (!file.ok()) return file.status();
   if (file->size < file->expected) {
     return absl::DataLossError(absl::StrCat("expected at least ", file->expected, " bytes in ",

@@ -15,11 +15,11 @@ from stored_sessions import Restartable, acting, comparable, expected_decision, 
 SESSIONS = 6
 
 
-def check(store, *flags):
-    """Returns the exit status and the report."""
+def check(store, *flags, prefix=()):
+    """Returns the exit status and the report. `prefix` is a command that runs spikectl."""
     program = os.environ["SPIKECTL_PROGRAM"]
     run = subprocess.run(
-        [program, "store", "check", "--json", f"--session_store={store}", *flags],
+        [*prefix, program, "store", "check", "--json", f"--session_store={store}", *flags],
         capture_output=True,
         text=True,
         timeout=DEADLINE_SECONDS,
@@ -103,6 +103,14 @@ def test_the_end_of_a_journal_is_cut_off_where_it_is_damaged(tmp_path):
             server.GetSession(session_id=opening(0)["session_id"])
         assert error.value.code() == grpc.StatusCode.DATA_LOSS
         server.close()
+
+
+def test_a_process_that_may_not_map_the_largest_store(tmp_path):
+    with Restartable(f"file:{tmp_path}/store") as server:
+        play(server)
+        server.close()
+    status, report = check(f"file:{tmp_path}/store", prefix=["prlimit", f"--as={16 << 30}"])
+    assert (status, report["open"]) == (0, SESSIONS)
 
 
 def test_a_file_whose_end_is_missing(tmp_path):

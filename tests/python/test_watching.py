@@ -18,7 +18,7 @@ import pytest
 from documentation import page_of
 from redis_servers import Redis, stopping
 from security import ADMIN, POLICY
-from serving import DEADLINE_SECONDS, TEST_TIME, DEPLOY, SHIPPED_POLICIES, Service, running_server
+from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, TEST_TIME, Service, running_server
 
 PROMETHEUS_YML = DEPLOY / "prometheus" / "prometheus.yml"
 ALERTS_YML = DEPLOY / "prometheus" / "alerts.yml"
