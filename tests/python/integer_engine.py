@@ -59,6 +59,7 @@ class IntegerEngine:
         decay = self.config["membrane_decay"]
         self.leak = None if self.config["leak"] == "none" else round(-math.log2(1 - decay))
         self.timestep = 0
+        self.observation = None  # of the step before
         self.caches = [[] for _ in range(self.config["layers"])]  # (timestep, key spikes, value counts)
         self.spikes = {}
 
@@ -71,10 +72,17 @@ class IntegerEngine:
             self.timestep += 1
         self.spikes["phase"] += int(self._phase().sum())
         self._token("return", np.array([(np.float32(return_to_go) - self.offset) / self.scale], np.float32))
-        mean, std = self.tensors["observation.mean"], self.tensors["observation.std"]
-        x = self._token("state", (np.asarray(observation, np.float32) - mean) / std)
+        x = self._token("state", self._state(np.asarray(observation, np.float32)))
         counts = self._code("readout.coder", x, "readout").sum(axis=0)
         return self.spikes, counts.astype(np.float32) / np.float32(self.ticks)
+
+    def _state(self, observation):
+        inputs = [(observation - self.tensors["observation.mean"]) / self.tensors["observation.std"]]
+        if self.config.get("observation_changes"):
+            before = observation if self.observation is None else self.observation
+            inputs.append((observation - before) / self.tensors["observation.change_std"])
+            self.observation = observation
+        return np.concatenate(inputs)
 
     def _part(self, name, *parts):
         return [self.tensors[f"{name}.{part}"].astype(np.int64) for part in parts]
