@@ -161,7 +161,7 @@ class IntegerTokenPass {
     const int left = std::max(-root.shift, 0);
     const int right = std::max(root.shift, 0);
     const int rounding = right > 0 ? 1 << (right - 1) : 0;
-    const int shift = norm.shift.values[0];
+    const auto shift = static_cast<int>(norm.shift.values[0]);
     const int norm_rounding = shift > 0 ? 1 << (shift - 1) : 0;
     const int16_t* const weight = norm.weight.values.data();
     const int16_t* const bias = norm.bias.values.data();
