@@ -45,10 +45,10 @@ class ServerHistory {
   // most since the server started.
   nlohmann::json Status(absl::Duration window) const ABSL_LOCKS_EXCLUDED(mutex_);
 
+  static constexpr size_t kMostPlaying = 8;
   // Returns what the status pages of other servers show about this one: {"sessions",
   // "decisions_per_second", "call_p99_seconds", "failed_ratio", "alerts_firing", "playing"} of the
   // last minute. "playing" names the first kMostPlaying of the versions that were not idle.
-  static constexpr size_t kMostPlaying = 8;
   nlohmann::json Summary() const ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Returns {"step_seconds", "seconds_ago", "server", "versions"}: lists of figures over the last
