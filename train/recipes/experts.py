@@ -4,7 +4,9 @@
 """
 
 import functools
+import json
 import os
+import pathlib
 
 import gymnasium
 import numpy as np
@@ -86,6 +88,29 @@ def land(observation):
     if abs(turn) <= 0.05:
         return NO_ENGINE
     return RIGHT_ENGINE if turn < 0 else LEFT_ENGINE
+
+
+def gallop(observation):
+    """The expert of HalfCheetah-v5 that ars.py found."""
+    return linear_action("half-cheetah", observation)
+
+
+def hop(observation):
+    """The expert of Hopper-v5 that ars.py found."""
+    return linear_action("hopper", observation)
+
+
+def linear_action(name, observation):
+    """Returns what a linear policy in the folder linear/ does, between -1 and 1."""
+    mean, deviation, weights = linear_policy(name)
+    return np.clip(weights @ ((observation - mean) / deviation), -1.0, 1.0).astype(np.float32)
+
+
+@functools.cache
+def linear_policy(name):
+    """Reads mean [obs], deviation [obs] and weights [act, obs]."""
+    policy = json.loads((pathlib.Path(__file__).parent / "linear" / f"{name}.json").read_text())
+    return tuple(np.array(policy[key]) for key in ("mean", "deviation", "weights"))
 
 
 def rock(observation):
