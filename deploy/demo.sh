@@ -10,6 +10,8 @@ bin=${1:?usage: deploy/demo.sh BIN_DIR}
 exec {server_out}< <(exec "$bin/spikeserve" --policies=deploy/policies --listen=127.0.0.1:0 --http_listen=127.0.0.1:0)
 server=$!
 robots=()
+# The server starts, so the programs wait for it, even if the machine is busy.
+export SPIKECTL_CONNECT_TIMEOUT=60s
 stop() { kill -TERM "${robots[@]}" "$server" 2>/dev/null || true; }
 trap stop EXIT
 
@@ -27,9 +29,11 @@ done
 
 # Prints the address of the page that shows a robot's session.
 print_page() {
-  local session=''
+  local session='' robot
   until [[ $session =~ \"session_id\":\"([0-9a-f]+)\" ]]; do
-    kill -0 "${robots[@]}" 2>/dev/null || { echo "demo: a robot stopped" >&2; exit 1; }
+    for robot in "${robots[@]}"; do
+      kill -0 "$robot" 2>/dev/null || { echo "demo: a robot stopped" >&2; exit 1; }
+    done
     session=$(curl -sf "http://$http/sessions.json?filter=robot%3D$1") || session=''
     sleep 0.1
   done

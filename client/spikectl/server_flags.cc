@@ -8,6 +8,8 @@ void AddServerFlags(Command program, ServerFlags* flags) {
   program.Flags("Server")
       .Add("server", "HOST:PORT,...", &flags->server,
            "Address, or several; default: $SPIKESERVE_SERVER")
+      .Add("connect_timeout", "DURATION", &flags->connect_timeout,
+           "Time to reach a server; without a unit: seconds")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   AddSecurityFlags(program, &flags->security);
 }
@@ -27,13 +29,13 @@ absl::StatusOr<ClientOptions> ReadClientOptions(const ServerFlags& flags) {
 absl::StatusOr<std::unique_ptr<Client>> Connect(const ServerFlags& flags) {
   auto options = ReadClientOptions(flags);
   if (!options.ok()) return options.status();
-  return Client::Connect(flags.server, *std::move(options));
+  return Client::Connect(flags.server, *std::move(options), flags.connect_timeout);
 }
 
 absl::StatusOr<std::unique_ptr<AdminClient>> ConnectAdmin(const ServerFlags& flags) {
   auto options = ReadClientOptions(flags);
   if (!options.ok()) return options.status();
-  return AdminClient::Connect(flags.server, *std::move(options));
+  return AdminClient::Connect(flags.server, *std::move(options), flags.connect_timeout);
 }
 
 }  // namespace spikeserve
