@@ -1,0 +1,98 @@
+"""Trains the study: every arm on every task from ten seeds (study_plan.py). Writes a small file for each run.
+
+    python train/report/study.py --work=build/study --out=docs/evidence/study
+
+Needs `spiketrain` and a Python with what docs/guides/imitation.md installs, popgym and minigrid; PYTHONPATH names
+train/recipes. The learning rate of `dense` is chosen first. The same command continues after an interruption, and
+leaves out what is finished. `--jobs=2` runs two processes. study_page.py makes a page of the files.
+"""
+
+import argparse
+import concurrent.futures
+import json
+import pathlib
+import statistics
+import subprocess
+import sys
+
+import study_plan
+from spikeserve.imitation.training import find_spiketrain
+from study_run import Workshop, write_json
+
+
+class Study:
+    """The files of a study."""
+
+    def __init__(self, out, budget):
+        self._out = out
+        self._budget = budget
+
+    def path(self, run):
+        folder = self._out / "sweep" if run.rate else self._out
+        return folder / f"{run.name}.json"
+
+    def rate_of(self, run):
+        """Returns the learning rate of a run. That of `dense` is the best of the sweep."""
+        if run.rate or run.arm != "dense":
+            return run.rate or study_plan.TASKS[run.task].rate
+        means = {}
+        for tried in study_plan.sweep_runs([run.task]):
+            means.setdefault(tried.rate, []).append(json.loads(self.path(tried).read_text())["mean_return"])
+        return max(means, key=lambda rate: statistics.fmean(means[rate]))
+
+    def is_finished(self, run):
+        """Returns whether the run has its file. RuntimeError if the file is one of other settings."""
+        path = self.path(run)
+        if not path.is_file():
+            return False
+        expected = " ".join(study_plan.train_flags(run, self.rate_of(run), self._budget))
+        received = json.loads(path.read_text())["training"]
+        if received != expected:
+            raise RuntimeError(f"{path}: expected a run of {expected}, received one of {received}")
+        return True
+
+
+def run_named(name, tasks, seeds):
+    runs = [*study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds)]
+    return next(run for run in runs if run.name == name)
+
+
+def train_all(study, runs, command, jobs):
+    """Runs every run in a process of its own. Returns whether all succeeded."""
+    open_runs = [run for run in runs if not study.is_finished(run)]
+
+    def train(run):
+        print(f"study: {run.name}", file=sys.stderr, flush=True)
+        return subprocess.run([*command, f"--only={run.name}"], check=False).returncode == 0
+
+    with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
+        return all(list(pool.map(train, open_runs)))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", required=True, type=pathlib.Path, help="folder of data and policies")
+    parser.add_argument("--out", required=True, type=pathlib.Path, help="folder of the results")
+    parser.add_argument("--spiketrain", help="the program; default: $SPIKETRAIN, or the one on PATH")
+    parser.add_argument("--seeds", default=10, type=int, help="train from seed 1 to this one")
+    parser.add_argument("--tasks", default=",".join(study_plan.TASKS), help="tasks of study_plan.py")
+    parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
+    parser.add_argument("--only", help="the name of one run, such as cartpole-full-3")
+    parser.add_argument("--smoke", action="store_true", help="tiny models and hardly any training: a test in seconds")
+    arguments = parser.parse_args()
+    work, tasks = arguments.work.resolve(), arguments.tasks.split(",")
+    work.mkdir(parents=True, exist_ok=True)
+    budget = study_plan.SMOKE if arguments.smoke else study_plan.Budget()
+    study = Study(arguments.out.resolve(), budget)
+    if arguments.only:
+        run = run_named(arguments.only, tasks, arguments.seeds)
+        workshop = Workshop(work, find_spiketrain(arguments.spiketrain), budget)
+        write_json(study.path(run), workshop.carry_out(run, study.rate_of(run)))
+        return 0
+    command = [sys.executable, *sys.argv]
+    parts = study_plan.sweep_runs(tasks), study_plan.study_runs(tasks, arguments.seeds)
+    return 0 if all(train_all(study, runs, command, arguments.jobs) for runs in parts) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,147 @@
+"""What the study trains: tasks on which memory decides, arms that differ in nothing but attention, and seeds.
+
+A seed decides the data, the initial weights and the order of the clips. All arms of a seed have the same data.
+"""
+
+import dataclasses
+
+WRAPPERS_OF_MEMORY = ("minigrid.wrappers:OneHotPartialObsWrapper", "minigrid.wrappers:ImgObsWrapper")
+FIRST_UNSEEN_SEED = 2_000_000  # starts of the evaluation
+FIRST_SELECTION_SEED = 1_000_000  # starts by which the learning rate of `dense` is chosen
+STARTS_OF_A_SEED = 4_000  # seed 3 records its data from the environment's start 12,000 on
+RATES = ("3e-4", "1e-3", "3e-3")  # of `dense`
+SWEEP_SEEDS = (101, 102)
+COMMON = (
+    *("--hidden_size=64", "--ticks=8", "--slope=4", "--observation_changes=false", "--no_baselines", "--episodes=1"),
+    "--validate_every=100",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """A task. `flags` are those of `spiketrain train` that all arms have. Returns are those of random actions and the expert."""
+
+    environment: str  # of spiketrain, or `module:id` of Gymnasium
+    flags: tuple[str, ...]
+    rate: str  # the learning rate of spiking arms
+    chance: float
+    expert_return: float
+    data: tuple[str, ...] = ()  # flags of `spiketrain dataset`, for its own environments
+    expert: str = ""  # `module:function`, for those of Gymnasium
+    wrappers: tuple[str, ...] = ()
+    disturbed: float = 0.0  # share of the episodes with bursts of random actions, for those of Gymnasium
+    lookback: int | None = None  # where attention by phase spikes begins
+
+    @property
+    def is_gymnasium(self):
+        return bool(self.expert)
+
+
+TASKS = {
+    "cartpole": Task(
+        "PositionOnlyCartPole-v1",
+        ("--context=10", "--clip_steps=8", "--batch=32", "--iterations=300"),
+        rate="2e-3",
+        chance=22.6,
+        expert_return=500.0,
+        data=("--steps=20000", "--expert_fraction=0.3", "--disturbed_fraction=0.7"),
+    ),
+    "pendulum": Task(
+        "PositionOnlyPendulum-v1",
+        ("--context=5", "--clip_steps=12", "--batch=24", "--merge=concat", "--iterations=1200"),
+        rate="3e-3",
+        chance=-1217.3,
+        expert_return=-143.6,
+        data=("--expert=robust", "--steps=20000", "--expert_fraction=0", "--disturbed_fraction=1", "--wide_start_fraction=0.25"),
+    ),
+    "repeat-4": Task(
+        "popgym:popgym-RepeatPreviousEasy-v0",
+        ("--layers=1", "--context=4", "--clip_steps=51", "--batch=8", "--iterations=600"),
+        rate="3e-3",
+        chance=-0.5,
+        expert_return=1.0,
+        expert="memory_experts:repeat_previous",
+    ),
+    "repeat-32": Task(
+        "popgym:popgym-RepeatPreviousMedium-v0",
+        ("--layers=1", "--heads=8", "--ffn_size=128", "--context=32", "--clip_steps=103", "--batch=4", "--iterations=400"),
+        rate="3e-3",
+        chance=-0.5,
+        expert_return=1.0,
+        expert="memory_experts:repeat_previous",
+        lookback=31,
+    ),
+    "memory": Task(
+        "minigrid:MiniGrid-MemoryS11-v0",
+        ("--context=16", "--clip_steps=16", "--batch=24", "--merge=concat", "--iterations=800"),
+        rate="3e-3",
+        chance=0.20,
+        expert_return=0.98,
+        expert="memory_experts:find_match",
+        wrappers=WRAPPERS_OF_MEMORY,
+        disturbed=0.5,
+    ),
+}
+# The paper's modes, the ordinary decision transformer, and `full` trained with a context of one step, which has no past.
+ARMS = ("dense", "baseline", "pos", "route", "full", "full-n1")
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """What a run may cost besides its training."""
+
+    steps: int = 20_000  # of data
+    starts: int = 100  # that a policy plays
+    priced_starts: int = 5  # that its integer form plays, for the energy
+    further: tuple[str, ...] = ()  # flags of `spiketrain train`, after all others
+
+
+SMOKE = Budget(
+    steps=300,
+    starts=2,
+    priced_starts=1,
+    further=("--hidden_size=16", "--heads=2", "--ffn_size=16", "--ticks=2", "--batch=2", "--iterations=2", "--clip_steps=8"),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One policy to train. A run with a rate belongs to the sweep of `dense`."""
+
+    task: str
+    arm: str
+    seed: int
+    rate: str | None = None
+
+    @property
+    def name(self):
+        """Returns `cartpole-full-3`; also the name of its file and its folder."""
+        return "-".join([self.task, self.arm, *([f"rate{self.rate}"] if self.rate else []), str(self.seed)])
+
+    @property
+    def first_start(self):
+        return FIRST_SELECTION_SEED if self.rate else FIRST_UNSEEN_SEED
+
+
+def sweep_runs(tasks):
+    """Returns the runs that choose the learning rate of `dense`."""
+    return [Run(task, "dense", seed, rate) for seed in SWEEP_SEEDS for task in tasks for rate in RATES]
+
+
+def study_runs(tasks, seeds):
+    """Returns the runs of the study: all of a seed before the next, so that a study that has not ended is balanced."""
+    return [Run(task, arm, seed) for seed in range(1, seeds + 1) for task in tasks for arm in ARMS]
+
+
+def train_flags(run, rate, budget):
+    """Returns the flags of `spiketrain train` for a run, without data and folder. `rate` is the learning rate."""
+    task = TASKS[run.task]
+    flags = [f"--mode={run.arm.removesuffix('-n1')}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
+    if task.lookback is not None and run.arm in ("pos", "full"):
+        flags.append(f"--lookback={task.lookback}")
+    return without_repetition([*flags, *budget.further, *(["--context=1"] if run.arm == "full-n1" else [])])
+
+
+def without_repetition(flags):
+    """Returns the flags, of which the last with a name counts."""
+    return list({flag.partition("=")[0]: flag for flag in flags}.values())

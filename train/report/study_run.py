@@ -1,0 +1,185 @@
+"""One run of the study: records the data of its seed, trains, plays unseen starts, and prices the policy in integers."""
+
+import contextlib
+import fcntl
+import json
+import os
+import pathlib
+import subprocess
+
+import study_plan
+from spikeserve.engine import Engine
+from spikeserve.imitation.actors import Bursts, ExpertActor, StudentActor
+from spikeserve.imitation.datasets import write_dataset
+from spikeserve.imitation.environments import EnvironmentFactory, load_object
+from spikeserve.imitation.episodes import Choice, play
+from spikeserve.imitation.experts import load_expert
+from spikeserve.imitation.figures import Figures
+
+ENVIRONMENTS = 16  # of Gymnasium, played at once
+BURST_RATE, LONGEST_BURST = 0.1, 2
+ENERGY_MODEL = "int_45nm"
+
+
+class PricedActor(StudentActor):
+    """Plays a policy in integers, and adds up the energy of its decisions."""
+
+    def __init__(self, engine):
+        super().__init__(engine)
+        self.joules = 0.0
+
+    def choose(self, rows):
+        return [self._priced(row) for row in rows]
+
+    def _priced(self, row):
+        decision = self._session(row).act(row.episode.observations[-1], row.reward)
+        self.joules += decision.stats.int_energy_joules
+        return Choice(decision.action, spikes=decision.stats.spikes)
+
+
+class Workshop:
+    """Runs the programs in a folder, which holds data and policies. `spiketrain` is the program."""
+
+    def __init__(self, folder, spiketrain, budget):
+        self._folder = folder
+        self._spiketrain = spiketrain
+        self._budget = budget
+
+    def carry_out(self, run, rate):
+        """Returns the result of a run, an object for JSON. Continues a training that was interrupted."""
+        task = study_plan.TASKS[run.task]
+        data = self._data(run, task)
+        flags = study_plan.train_flags(run, rate, self._budget)
+        policy = f"{run.name}/policy.safetensors"
+        with locked(self._folder / f"{run.name}.lock"):
+            if not (self._folder / policy).is_file():
+                self._program("train", f"--data={data}", f"--out={run.name}", "--resume", *flags)
+        result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": rate, "training": " ".join(flags)}
+        result |= self._play(task, policy, run.first_start)
+        losses = (self._folder / run.name / "learning_curve.csv").read_text().splitlines()
+        if len(losses) > 1:
+            result["validation_loss"] = float(losses[-1].rpartition(",")[2])
+        if run.rate is None:
+            result["integer"] = self._price(task, policy, data, run.first_start)
+        return result
+
+    def _program(self, *arguments):
+        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+        command = [self._spiketrain, *arguments]
+        finished = subprocess.run(command, cwd=self._folder, env=environment, check=False, capture_output=True, text=True)
+        if finished.returncode != 0:
+            raise RuntimeError(f"{' '.join(command)}: status {finished.returncode}\n{finished.stderr[-2000:]}")
+        return finished.stdout
+
+    # Data
+
+    def _data(self, run, task):
+        """Records the data of a seed, once for all arms. Returns the path in the folder."""
+        name = f"data/{run.task}-{run.seed}"
+        data = f"{name}-v0" if task.is_gymnasium else f"{name}.cbor"
+        (self._folder / "data").mkdir(exist_ok=True)
+        with locked(self._folder / f"{name}.lock"):
+            if not (self._folder / data).exists():
+                self._record(run, task, data)
+        return data
+
+    def _record(self, run, task, data):
+        if task.is_gymnasium:
+            factory = factory_of(task)
+            actor = ExpertActor(load_expert(task.expert), Bursts(run.seed, task.disturbed, BURST_RATE, LONGEST_BURST))
+            seeds = Starts(run.seed * study_plan.STARTS_OF_A_SEED, self._budget.steps)
+            episodes = [seeds.counted(episode) for episode in play(factory.make, actor, seeds, ENVIRONMENTS)]
+            with contextlib.closing(factory.make()) as environment:
+                write_dataset(self._folder / data, episodes, environment, factory.name)
+            return
+        partial = f"{data}.partial"
+        flags = study_plan.without_repetition([*task.data, f"--steps={self._budget.steps}", f"--seed={run.seed}"])
+        self._program("dataset", f"--env={task.environment}", *flags, "--tables=data", f"--out={partial}")
+        (self._folder / partial).rename(self._folder / data)
+
+    # Figures
+
+    def _play(self, task, policy, first_start):
+        starts = self._budget.starts
+        if not task.is_gymnasium:
+            return self._play_own(policy, first_start, starts)
+        figures = play_starts(task, StudentActor(Engine(self._folder / policy)), first_start, starts)
+        return {
+            "first_start": first_start,
+            "starts": starts,
+            "mean_return": figures.mean,
+            "std_return": figures.std,
+            "spikes_per_decision": figures.spikes_per_decision,
+        }
+
+    def _play_own(self, policy, first_start, starts):
+        arguments = ("eval", f"--policy={policy}", f"--episodes={starts}", f"--seed={first_start}", "--json")
+        figures = json.loads(self._program(*arguments))
+        priced = figures["estimated_energy_joules_per_decision"].get(ENERGY_MODEL)
+        names = ("mean_return", "std_return", "spikes_per_decision")
+        result = {"first_start": first_start, "starts": starts, **{name: figures[name] for name in names}}
+        return result if priced is None else {**result, "nanojoules_per_decision": 1e9 * priced}
+
+    def _price(self, task, policy, data, first_start):
+        """Returns the figures of the policy in integer arithmetic, which has energies of `int_45nm`."""
+        integer = policy.replace("policy.", "integer.")
+        files = f"--policy={policy}", f"--out={integer}", f"--data={data}"
+        self._program("quantize", "--to=integer", *files, "--episodes=1")
+        starts = self._budget.priced_starts
+        if not task.is_gymnasium:
+            return self._play_own(integer, first_start, starts)
+        actor = PricedActor(Engine(self._folder / integer))
+        figures = play_starts(task, actor, first_start, starts)
+        return {
+            "first_start": first_start,
+            "starts": starts,
+            "mean_return": figures.mean,
+            "std_return": figures.std,
+            "spikes_per_decision": figures.spikes_per_decision,
+            "nanojoules_per_decision": 1e9 * actor.joules / figures.decisions,
+        }
+
+
+class Starts:
+    """Yields the environment's seeds from `first` on, until the finished episodes have a number of steps."""
+
+    def __init__(self, first, steps):
+        self._next, self._left = first, steps
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        if self._left <= 0:
+            raise StopIteration
+        self._next += 1
+        return self._next - 1
+
+    def counted(self, episode):
+        self._left -= episode.steps
+        return episode
+
+
+@contextlib.contextmanager
+def locked(path):
+    """Waits until no other process does the same work."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def factory_of(task):
+    return EnvironmentFactory(task.environment, [load_object(name, "wrapper") for name in task.wrappers])
+
+
+def play_starts(task, actor, first, starts):
+    seeds = iter(range(first, first + starts))
+    return Figures.of(play(factory_of(task).make, actor, seeds, min(starts, ENVIRONMENTS)))
+
+
+def write_json(path, value):
+    """Writes a small JSON file, which appears when it is complete."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = pathlib.Path(f"{path}.{os.getpid()}.partial")
+    partial.write_text(json.dumps(value, indent=1) + "\n")
+    partial.rename(path)
