@@ -92,7 +92,7 @@ class Workshop:
             with contextlib.closing(factory.make()) as environment:
                 write_dataset(self._folder / data, episodes, environment, factory.name)
             return
-        partial = f"{data}.partial"
+        partial = data.replace(".cbor", ".partial.cbor")
         flags = study_plan.without_repetition([*task.data, f"--steps={self._budget.steps}", f"--seed={run.seed}"])
         self._program("dataset", f"--env={task.environment}", *flags, "--tables=data", f"--out={partial}")
         (self._folder / partial).rename(self._folder / data)
